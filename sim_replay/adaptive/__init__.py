@@ -1,1 +1,3 @@
-"""Whole missions in one process: the vehicle flies what the payload plans, through a simulated world, until an area is cleared."""
+"""Run whole missions in one process: the vehicle flies the payload's plans through a simulated world until an area is
+cleared.
+"""

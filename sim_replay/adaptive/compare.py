@@ -1,4 +1,4 @@
-"""One order flown in the same world replanned on the way, and as a lawnmower laid beforehand; both scored alike."""
+"""Fly one order in the same world replanned on the way, and as a lawnmower laid beforehand; score both alike."""
 
 from __future__ import annotations
 
@@ -34,14 +34,16 @@ GATE_M: Final = 2.0
 
 
 class AreaMine(msgspec.Struct, frozen=True, kw_only=True):
-    """A mine in the area: how likely the clearance map says it is found, and whether a mine-like contact lies within 2 m."""
+    """Describe a mine in the area: its probability of being found by the clearance map, and whether a mine-like contact
+    lies within 2 m.
+    """
 
     p_detected: float
     found: bool
 
 
 class Counts(msgspec.Struct, frozen=True, kw_only=True):
-    """Mines found and false alarms among contacts that are called mine-like, and at p_mine 0.5."""
+    """Count mines found and false alarms among contacts that are called mine-like, and at p_mine 0.5."""
 
     n_found: int
     n_false: int
@@ -50,7 +52,9 @@ class Counts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Arm(msgspec.Struct, frozen=True, kw_only=True):
-    """One flight. reached_m: track after which the map said that the order was met, None if never. at_end: by all its contacts."""
+    """Describe one flight. reached_m: track after which the map showed the order as met, None if never. at_end: by
+    all its contacts.
+    """
 
     track_m: float
     duration_s: float
@@ -63,7 +67,7 @@ class Arm(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Compared(msgspec.Struct, frozen=True, kw_only=True):
-    """planned_m, expected: of the lawnmower as laid, for the worst sea floor everywhere."""
+    """Compare both flights. planned_m, expected: of the lawnmower as laid, for the worst sea floor everywhere."""
 
     seed: int
     area_km2: float
@@ -75,7 +79,7 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def compare(seed: int) -> Compared:
-    """Fly and score the world of a seed both ways, with what ships."""
+    """Fly and score the world of a seed both ways, with the shipped settings."""
     order, model = usual_order(), shipped_performance()
     flights = fly_comparison(seed, order, model)
     return Compared(
@@ -90,7 +94,7 @@ def compare(seed: int) -> Compared:
 
 
 class Flights(NamedTuple):
-    """lawnmower: that was flown as `fixed`."""
+    """Hold both flights. lawnmower: that was flown as `fixed`."""
 
     adaptive: AdaptiveFlight
     fixed: AdaptiveFlight
@@ -98,15 +102,16 @@ class Flights(NamedTuple):
 
 
 def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
-    """The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The replanned flight goes
-    on until the order is met and its map is ABOVE what the lawnmower would come to on the same sea floor, as the map has it by then. Maps
-    and plans count of a look from where one was had before MIN_ALIKE as nothing new.
+    """The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The
+    replanned flight goes on until the order is met and its map is ABOVE what the lawnmower would come to on the same
+    sea floor, as the map has it by then. Maps and plans count the share MIN_ALIKE of a look from an earlier look's
+    side as nothing new.
 
     Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with.
     """
     scene = drawn_scene(seed, order.side_m)
     limits, config = limits_of(scene, order), config_for(scene)
-    # Over vegetation the first pings may be taken for intensities; whoever sends a vehicle knows what its recorder writes.
+    # Over vegetation the first pings may be taken for intensities; the integrator has configured what its recorder writes.
     config = msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, transfer="amplitude"))
     first = planned_legs(scene.track.plan)[0]
     start = PlanePose(first.east_m, first.north_m, first.direction_rad)
@@ -124,22 +129,22 @@ def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
 
 
 def _arm(flight: AdaptiveFlight, order: Order) -> Arm:
-    """Scored inside the ordered area alone; a mine there that was never swept is missed."""
+    """Score inside the ordered area alone; a mine there that was never swept is missed."""
     truth = parse_truth(flight.truth, "the flight's truth")
     frame = local_frame(Origin())
 
-    def inside(thing: ReportedContact | TruthObject) -> bool:
-        east, north, _ = frame.to_enu(thing.latitude_deg, thing.longitude_deg, 0.0).tolist()
+    def inside(target: ReportedContact | TruthObject) -> bool:
+        east, north, _ = frame.to_enu(target.latitude_deg, target.longitude_deg, 0.0).tolist()
         return bool(0.0 <= east <= order.side_m and 0.0 <= north <= order.side_m)
 
-    objects = tuple(msgspec.structs.replace(thing, looks=None) for thing in truth.objects)
+    objects = tuple(msgspec.structs.replace(target, looks=None) for target in truth.objects)
     contacts = tuple(filter(inside, parse_contacts(json.loads(contacts_geojson(flight.contacts)), "the flight's contacts")))
     scored = Truth(area_km2=order.side_m**2 / 1e6, objects=objects)
     called = [contact for contact in contacts if contact.p_mine >= MINE_LIKE_P]
     targets = tuple(
-        AreaMine(p_detected=_p_at(flight.ground, thing), found=any(_apart_m(thing, contact) <= GATE_M for contact in called))
-        for thing in objects
-        if thing.is_target
+        AreaMine(p_detected=_p_at(flight.ground, target), found=any(_apart_m(target, contact) <= GATE_M for contact in called))
+        for target in objects
+        if target.is_target
     )
     return Arm(
         track_m=flight.way_m,
@@ -163,15 +168,15 @@ def _counts(mission: ScoredMission) -> Counts:
     )
 
 
-def _p_at(ground: Clearance, thing: TruthObject) -> float:
+def _p_at(ground: Clearance, target: TruthObject) -> float:
     frame = LocalFrame(latitude_deg=ground.origin_latitude_deg, longitude_deg=ground.origin_longitude_deg)
-    east, north, _ = frame.to_enu(thing.latitude_deg, thing.longitude_deg, 0.0).tolist()
+    east, north, _ = frame.to_enu(target.latitude_deg, target.longitude_deg, 0.0).tolist()
     row, column = math.floor(north / ground.cell_m) - ground.first_north, math.floor(east / ground.cell_m) - ground.first_east
     n_north, n_east = ground.exponent.shape
     return float(ground.p_detected[min(max(row, 0), n_north - 1), min(max(column, 0), n_east - 1)])
 
 
-def _apart_m(thing: TruthObject, contact: ReportedContact) -> float:
-    frame = LocalFrame(latitude_deg=thing.latitude_deg, longitude_deg=thing.longitude_deg)
+def _apart_m(target: TruthObject, contact: ReportedContact) -> float:
+    frame = LocalFrame(latitude_deg=target.latitude_deg, longitude_deg=target.longitude_deg)
     east, north, _ = frame.to_enu(contact.latitude_deg, contact.longitude_deg, 0.0).tolist()
     return math.hypot(east, north)

@@ -1,4 +1,4 @@
-"""The payload's planner as what decides in a flight."""
+"""Decide the legs of a flight by the payload's planner."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FENCE_MARGIN_M: Final = 5.0
 
 
 def by_replanning(order: Order, model: LookModel, limits: Limits, origin: LocalFrame) -> Decide:
-    """Plans anew at each call, holding on to the plan before. origin: the plane of the order's fence."""
+    """Plan anew at each call, keeping to the plan before. origin: the plane of the order's fence."""
     previous: Plan | None = None
     plane: LocalFrame | None = None
 

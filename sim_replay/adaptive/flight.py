@@ -1,4 +1,4 @@
-"""One mission, flown and watched: pings through the pipeline onto the clearance map, and new legs when a leg ends."""
+"""Fly and observe one mission: pings through the pipeline onto the clearance map, and new legs when a leg ends."""
 
 from __future__ import annotations
 
@@ -35,9 +35,11 @@ _TRACK_EVERY: Final = 5  # pings between places kept of the track
 
 
 class Situation(NamedTuple):
-    """What is known when new legs are asked for. ground: of the ordered area, with what is flown but not told yet as it is expected;
-    required: mean clearance that it is to come to. pose: in its plane; left_m: of the budget. complete: nothing is expected that a plan
-    could wait for."""
+    """Describe what is known when new legs are requested.
+
+    ground: the ordered area, with flown but unreported track as expected; required: mean clearance to reach. pose: in
+    its plane; left_m: of the budget. complete: nothing is expected that a plan could wait for.
+    """
 
     ground: Clearance
     required: float
@@ -48,7 +50,9 @@ class Situation(NamedTuple):
 
 
 class LegDecision(NamedTuple):
-    """legs: in the plane of the situation's ground, each from where it is to be straight; none to end here. verdict, why: in words."""
+    """Decide on legs. legs: in the plane of the situation's ground, each from where it is to be straight; none to end
+    here. verdict, why: in words.
+    """
 
     legs: tuple[Leg, ...]
     verdict: str
@@ -60,18 +64,19 @@ Wanted = Callable[[Clearance], float]
 """The mean clearance that is to be reached, by what is known of the sea floor."""
 
 
-class Told(NamedTuple):
-    """Mean p_detected over the area as the vehicle knew it, after so many metres."""
+class ReportedPd(NamedTuple):
+    """Record the mean p_detected over the area as the vehicle knew it, after so many metres."""
 
     way_m: float
     p_detected: float
 
 
 class AdaptiveFlight(NamedTuple):
-    """How a mission went. track: (n, 2) east and north in the scene's plane. ground: the ordered area at the end, every ping counted.
+    """Describe a mission's course. track: (n, 2) east and north in the scene's plane. ground: the ordered area at the
+    end, every ping counted.
 
-    reached_m: track after which the ordered clearance was known to be reached, infinite if it never was. told: what was known when.
-    reasons: of each decision.
+    reached_m: track after which the ordered clearance was known to be reached, infinite if it never was. reported: the
+    mean p_detected known after each stretch. reasons: of each decision.
     """
 
     way_m: float
@@ -81,26 +86,28 @@ class AdaptiveFlight(NamedTuple):
     track: Array
     ground: Clearance
     contacts: tuple[Contact, ...]
-    told: tuple[Told, ...]
+    reported: tuple[ReportedPd, ...]
     reasons: tuple[str, ...]
     truth: dict[str, object]
 
 
 def fly_fixed(scene: Scene, order: Order, legs: Sequence[Leg], model: LookModel, config: Config) -> AdaptiveFlight:
-    """Legs (scene's plane) flown to the end, whatever is found."""
+    """Fly legs (scene's plane) to the end, whatever is found."""
     return _Loop(scene, order, model, config, None, None, lambda ground: math.inf).fly(legs)
 
 
 def fly_adaptive(
     scene: Scene, order: Order, decide: Decide, limits: Limits, model: LookModel, config: Config, wanted: Wanted
 ) -> AdaptiveFlight:
-    """Legs decided on at the start and whenever one ends, until the wanted clearance is reached, `decide` has no more, or the budget is
-    used up."""
+    """Fly legs decided on at the start and whenever one ends.
+
+    The flight ends when the wanted clearance is reached, `decide` has no more, or the budget is used up.
+    """
     return _Loop(scene, order, model, config, decide, limits, wanted).fly(())
 
 
 class _Flown(NamedTuple):
-    """Straight flight that has not been told yet: time, east, north, heading in the scene's plane."""
+    """Hold straight flight that has not been reported yet: time, east, north, heading in the scene's plane."""
 
     time_s: float
     east_m: float
@@ -127,17 +134,17 @@ class _Loop:
         self._map = ClearanceMap(model)
         self._origin = local_frame(scene.origin)
         self._plane = self._origin
-        self._told_until: dict[Side, float] = dict.fromkeys(SIDES, -math.inf)
-        self._untold: list[_Flown] = []
+        self._reported_until: dict[Side, float] = dict.fromkeys(SIDES, -math.inf)
+        self._unreported: list[_Flown] = []
         self._legs: list[Leg] = []  # yet to be flown, in the scene's plane
         self._on_leg = False
         self._way_m = 0.0
         self._last: NavSample | None = None
         self._heading_rate = 0.0
-        self._waits_from_s = math.inf  # for what was flown until then to be told
+        self._waits_from_s = math.inf  # until the track flown by then is reported
         self._verdict = ""
         self._reached_m = math.inf
-        self._told: list[Told] = []
+        self._reported: list[ReportedPd] = []
         self._reasons: list[str] = []
         self._track: list[tuple[float, float]] = []
 
@@ -174,13 +181,13 @@ class _Loop:
             track=np.array(self._track).reshape(-1, 2),
             ground=self._ground(),
             contacts=self._pipeline.contacts,
-            told=tuple(self._told),
+            reported=tuple(self._reported),
             reasons=tuple(self._reasons),
             truth=self._mission.truth(),
         )
 
     def _move(self, sample: NavSample) -> _Flown:
-        """Dead reckoning of the way, and what has been flown straight since the last patch."""
+        """Reckon the way, and keep what has been flown straight since the last patch."""
         east, north, _ = self._origin.to_enu(sample.latitude_deg, sample.longitude_deg, 0.0).tolist()
         here = _Flown(sample.time_s, east, north, sample.heading_rad)
         if self._last is not None:
@@ -190,21 +197,21 @@ class _Loop:
             self._heading_rate += min(passed_s, 1.0) * (turned / passed_s - self._heading_rate)
         self._last = sample
         if abs(self._heading_rate) < math.radians(self._config.waterfall.max_turn_rate_deg_s):
-            self._untold.append(here)
+            self._unreported.append(here)
         return here
 
     def _take(self, patch: CoveragePatch) -> None:
         self._map.add(patch)
-        self._told_until[patch.side] = max(self._told_until[patch.side], patch.stop_s)
+        self._reported_until[patch.side] = max(self._reported_until[patch.side], patch.stop_s)
         if patch.cells is not None:
             self._plane = LocalFrame(latitude_deg=patch.cells.origin_latitude_deg, longitude_deg=patch.cells.origin_longitude_deg)
         if patch.side != SIDES[-1]:
             return
-        told_s = min(self._told_until.values())
-        self._untold = [flown for flown in self._untold if flown.time_s > told_s]
+        reported_s = min(self._reported_until.values())
+        self._unreported = [flown for flown in self._unreported if flown.time_s > reported_s]
         ground = self._ground()
         p_detected = float(ground.p_detected.mean())
-        self._told.append(Told(self._way_m, p_detected))
+        self._reported.append(ReportedPd(self._way_m, p_detected))
         if p_detected < self._order.required:
             return
         self._reached_m = min(self._reached_m, self._way_m)
@@ -219,7 +226,7 @@ class _Loop:
             return
         if self._way_m >= self._order.budget_m:
             self._verdict = f"cannot, because the budget of {self._order.budget_m:g} m is used up"
-        elif min(self._told_until.values()) >= self._waits_from_s or self._leg_ended(here):
+        elif min(self._reported_until.values()) >= self._waits_from_s or self._leg_ended(here):
             self._replan(here)
 
     def _leg_ended(self, here: _Flown) -> bool:
@@ -237,10 +244,12 @@ class _Loop:
         assert self._limits is not None
         known = ground = self._ground()
         for side in SIDES:
-            until = self._told_until[side]
-            ground = with_expected(ground, self._model, self._limits, side, self._in_plane([f for f in self._untold if f.time_s > until]))
+            until = self._reported_until[side]
+            ground = with_expected(
+                ground, self._model, self._limits, side, self._in_plane([f for f in self._unreported if f.time_s > until])
+            )
         pose = PlanePose(*self._in_plane([here])[0].tolist())
-        complete = self._last is None or min(self._told_until.values()) >= min(self._waits_from_s, here.time_s)
+        complete = self._last is None or min(self._reported_until.values()) >= min(self._waits_from_s, here.time_s)
         left_m = self._order.budget_m - self._way_m
         required = self._wanted(known)
         decision = self._decide(Situation(ground, required, self._pipeline.contacts, pose, left_m, complete))
@@ -256,7 +265,8 @@ class _Loop:
             self._fly_on([], here)
 
     def _fly_on(self, legs: list[Leg], here: _Flown) -> None:
-        """The legs, each from where the vehicle has settled on its line, and then back towards the middle of the area, to wait there."""
+        """The legs, each from where the vehicle has settled on its line, and then back towards the middle of the area,
+        to wait there."""
         run_in_m = RUN_IN_S * self._scene.track.speed_mps
         legs = [Leg(*leg.at(run_in_m, 0.0), leg.direction_rad, leg.length_m - run_in_m) for leg in legs]
         (east, north), middle = (legs[-1].end if legs else (here.east_m, here.north_m)), 0.5 * self._order.side_m
@@ -267,7 +277,7 @@ class _Loop:
         self._mission.follow(self._legs)
 
     def _in_plane(self, flown: Sequence[_Flown]) -> Array:
-        """(n, 3) east, north, heading in the mission's plane, which is as good as parallel to the scene's."""
+        """Convert to (n, 3) east, north, heading in the mission's plane, which is nearly parallel to the scene's."""
         places = np.array([(f.east_m, f.north_m, f.heading_rad) for f in flown]).reshape(-1, 3)
         east, north, _ = self._plane.to_enu(self._origin.latitude_deg, self._origin.longitude_deg, 0.0)
         return np.asarray(places + np.array([float(east), float(north), 0.0]))

@@ -1,4 +1,4 @@
-"""One mission as a picture: tracks over the sea floor as it is, with its mines, and what the clearance map says at the end."""
+"""Draw one mission: tracks over the true sea floor with its mines, and the clearance map at the end."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ _TRACK: Final = (30, 30, 200)
 
 
 def mission_png(scene: Scene, order: Order, flights: dict[str, AdaptiveFlight]) -> bytes:
-    """PNG with a row per flight, by title: track over the true sea floor, then clearance and sea floor as mapped."""
+    """Return a PNG with a row per flight, by title: track over the true sea floor, then clearance and sea floor as
+    mapped.
+    """
     floor = _floor(scene, order)
     return encoded(np.vstack([_row(title, floor, order, flight) for title, flight in flights.items()]), ".png", [])
 
 
 def _floor(scene: Scene, order: Order) -> Bytes:
-    """The kinds as they are, with the area's outline and all mines."""
+    """Draw the true kinds of sea floor, with the area's outline and all mines."""
     sea = Sea(scene)
     at = np.arange(-_AROUND_M, order.side_m + _AROUND_M, _STEP_M) + 0.5 * _STEP_M
     covers = np.array([KIND_COLOURS[KIND_OF[cover.type]] for cover in sea.world.covers], dtype=np.uint8)
@@ -41,9 +43,9 @@ def _floor(scene: Scene, order: Order) -> Bytes:
     picture = np.asarray(cv2.resize(picture, (size, size), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
     corners = _pixels(order, np.array([(0.0, 0.0), (order.side_m, 0.0), (order.side_m, order.side_m), (0.0, order.side_m)]))
     cv2.polylines(picture, [corners], isClosed=True, color=_INK, thickness=2)
-    for thing in sea.objects:
-        if thing.is_target:
-            (place,) = _pixels(order, np.array([(thing.east_m, thing.north_m)]))
+    for scene_object in sea.objects:
+        if scene_object.is_target:
+            (place,) = _pixels(order, np.array([(scene_object.east_m, scene_object.north_m)]))
             cv2.circle(picture, (int(place[0]), int(place[1])), 5, (0, 0, 0), 2)
     return picture
 
@@ -63,7 +65,7 @@ def _padded(picture: Bytes, height: int) -> Bytes:
 
 
 def _pixels(order: Order, places: NDArray[np.float64]) -> NDArray[np.int32]:
-    """(n, 2) pixels of (n, 2) places east and north."""
+    """Return (n, 2) pixels of (n, 2) places east and north."""
     column = (places[:, 0] + _AROUND_M) * _PER_M
     row = (order.side_m + _AROUND_M - places[:, 1]) * _PER_M
     return np.rint(np.stack([column, row], axis=1)).astype(np.int32)

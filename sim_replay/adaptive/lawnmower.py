@@ -1,8 +1,9 @@
-"""The rival: parallel lines laid before the mission by someone who does not know which sea floor lies where.
+"""Plan the baseline: parallel lines laid before the mission without knowledge of the sea floor.
 
-Spacing and number of passes are the shortest for which the clearance expected on an assumed sea floor is the ordered one (mean over the
-area of 1 - prod(1 - P_k), B. O. Koopman, "Search and Screening", 1946), with the same worth of looks, the same discount for looks from one
-direction and the same gap below the vehicle as the adaptive planner counts with.
+Spacing and number of passes are the shortest for which the clearance expected on an assumed sea floor is the ordered
+one (mean over the area of 1 - prod(1 - P_k), B. O. Koopman, "Search and Screening", 1946), with the same worth of
+looks, the same discount for looks from one direction and the same gap below the vehicle as the adaptive planner counts
+with.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from sim_replay.simulator.plan import Leg
 
 Array = NDArray[np.float64]
 
-MOST_LINES: Final = 12  # of one direction
+MAX_LINES: Final = 12  # of one direction
 _CELL_M: Final = 4.0
 _N_CRESTS: Final = 6
 
@@ -43,7 +44,8 @@ class LawnmowerLegs(NamedTuple):
 def shortest_lawnmower(
     side_m: float, required: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits, start: PlanePose
 ) -> LawnmowerLegs | None:
-    """The shortest of all lawnmowers with up to MOST_LINES lines each way that is expected to clear a square as required; None if none is.
+    """Return the shortest of all lawnmowers with up to MAX_LINES lines each way that is expected to clear a square as
+    required; None if none is.
 
     assumed: shares of the kinds of sea floor, of which the ripples may run in any direction.
     """
@@ -56,14 +58,15 @@ def shortest_lawnmower(
 
 
 def worst_seabed(model: LookModel, limits: Limits) -> SeabedType:
-    """The known kind of sea floor on which one look at the swath is worth least."""
+    """Return the known kind of sea floor on which one look at the swath finds fewest targets."""
     ground_m = np.linspace(*limits.swath, 32)
     known = [kind for kind in SEABED_TYPES if kind != "unknown"]
     return min(known, key=lambda kind: float(_p(model, kind, ground_m, np.zeros(32), limits).mean()))
 
 
 def expected_clearance(legs: Sequence[Leg], side_m: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits) -> float:
-    """Mean p_detected over the square, were it everywhere the assumed mixture; of a further look counts what `ClearanceMap` counts."""
+    """Mean p_detected over the square, were it everywhere the assumed mixture; of a further look counts what
+    `ClearanceMap` counts."""
     near_m, far_m = limits.swath
     middle = (np.arange(math.ceil(side_m / _CELL_M)) + 0.5) * side_m / math.ceil(side_m / _CELL_M)
     east, north = (part.ravel() for part in np.meshgrid(middle, middle))
@@ -93,7 +96,7 @@ def expected_clearance(legs: Sequence[Leg], side_m: float, assumed: dict[SeabedT
 
 
 def _p(model: LookModel, kind: SeabedType, ground_m: Array, look_rad: Array, limits: Limits) -> Array:
-    """(n,) probability of one look; with ripples the mean over the directions that they may have."""
+    """Return (n,) probability of one look; with ripples the mean over the directions that they may have."""
     crests = np.arange(_N_CRESTS) * math.pi / _N_CRESTS if kind == "ripple" else np.array([NAN])
     n, m = len(ground_m), len(crests)
     p = model.p_look(
@@ -107,8 +110,8 @@ def _p(model: LookModel, kind: SeabedType, ground_m: Array, look_rad: Array, lim
 
 
 def _lawnmowers(side_m: float, limits: Limits, start: PlanePose) -> Iterator[LawnmowerLegs]:
-    for n_north in range(1, MOST_LINES + 1):
-        for n_east in range(MOST_LINES + 1):
+    for n_north in range(1, MAX_LINES + 1):
+        for n_east in range(MAX_LINES + 1):
             legs = [*_lines(side_m, n_north, 0.0, limits, start)]
             if n_east:
                 last = legs[-1]
@@ -117,7 +120,7 @@ def _lawnmowers(side_m: float, limits: Limits, start: PlanePose) -> Iterator[Law
 
 
 def _lines(side_m: float, n_lines: int, direction_rad: float, limits: Limits, start: PlanePose) -> list[Leg]:
-    """Evenly spaced lines there and back, begun at the corner that is nearest to the start."""
+    """Return evenly spaced lines there and back, begun at the corner that is nearest to the start."""
     length_m = side_m + 2.0 * limits.settling_m
     offsets = [(number + 0.5) * side_m / n_lines for number in range(n_lines)]
 
@@ -135,7 +138,7 @@ def _lines(side_m: float, n_lines: int, direction_rad: float, limits: Limits, st
 
 
 def way_m(legs: Sequence[Leg], limits: Limits, start: PlanePose) -> float:
-    """Length of the legs and of the shortest turns to and between them."""
+    """Return the length of the legs and of the shortest turns to and between them."""
     entries = [PlanePose(leg.east_m, leg.north_m, leg.direction_rad) for leg in legs]
     exits = [start, *(PlanePose(*leg.end, leg.direction_rad) for leg in legs[:-1])]
     return float(dubins_lengths(exits, entries, limits.turn_radius_m).sum()) + sum(leg.length_m for leg in legs)

@@ -1,4 +1,4 @@
-"""What is ordered, and where: an area of mixed sea floor with mines and stones in it, all drawn from a seed."""
+"""Draw an order and its world: an area of mixed sea floor with mines and stones in it, all from a seed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ _MINE_KINDS: Final[tuple[ObjectKind, ...]] = ("cylinder", "sphere", "truncated_c
 
 
 class Order(NamedTuple):
-    """Clear the square from 0 to side_m east and north of the scene's origin until mines in it are found with probability `required`.
+    """Clear the square from 0 to side_m east and north of the scene's origin until mines in it are found with
+    probability `required`.
 
     budget_m: length of track at most. fence: (n, 2) corners, east and north, which the vehicle never leaves.
     """
@@ -56,17 +57,18 @@ class Order(NamedTuple):
 
 
 def usual_order(side_m: float = SIDE_M, required: float = REQUIRED, budget_m: float = _BUDGET_M) -> Order:
-    """An area with sea room around it."""
+    """Return an area with sea room around it."""
     low, high = -_MARGIN_M, side_m + _MARGIN_M
     return Order(side_m, required, budget_m, np.array([(low, low), (high, low), (high, high), (low, high)]))
 
 
 def drawn_scene(seed: int, side_m: float = SIDE_M) -> Scene:
-    """A world around the ordered area, with the vehicle about to enter it northwards near its western edge.
+    """Draw a world around the ordered area, with the vehicle about to enter it northwards near its western edge.
 
-    A mine of each kind per 2400 square metres and as many rocks as mines lie in the area, sizes, strengths and burial as in the scenes that
-    rates are taken on. The shares of the kinds of sea floor differ from seed to seed (Dirichlet with parameter 1 of four groups). The
-    track's own plan, a lawnmower, is there to be replaced. Raises UsageError if the area has no room for them.
+    A mine of each kind per 2400 square metres and as many rocks as mines lie in the area, sizes, strengths and burial
+    as in the scenes that rates are taken on. The shares of the kinds of sea floor differ from seed to seed (Dirichlet
+    with parameter 1 of four groups). The track's own plan, a lawnmower, is there to be replaced. Raises UsageError if
+    the area has no room for them.
     """
     rng = np.random.Generator(np.random.PCG64([seed, _STREAM]))
     wavelength_m = float(rng.uniform(0.7, 1.5))
@@ -111,7 +113,7 @@ def drawn_scene(seed: int, side_m: float = SIDE_M) -> Scene:
 
 
 def limits_of(scene: Scene, order: Order, config: WaterfallConfig | None = None) -> Limits:
-    """What holds for plans at the start of a mission; the fence is in the scene's plane.
+    """Return the limits on plans at the start of a mission; the fence is in the scene's plane.
 
     The radius is that of the scene's vehicle over ground with the current from astern.
     """
@@ -128,7 +130,7 @@ def limits_of(scene: Scene, order: Order, config: WaterfallConfig | None = None)
 
 
 def _objects(rng: np.random.Generator, side_m: float) -> tuple[SceneObject, ...]:
-    """Mines and rocks anywhere in the area, apart from each other."""
+    """Draw mines and rocks anywhere in the area, apart from each other."""
     per_kind = max(1, round(_MINES_PER_KIND_M2 * side_m**2))
     mines: list[ObjectKind] = [kind for kind in _MINE_KINDS for _ in range(per_kind)]
     rocks: list[ObjectKind] = ["rock"] * len(mines)

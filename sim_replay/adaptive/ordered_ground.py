@@ -1,4 +1,6 @@
-"""The ordered area as cells of the mission's plane: how its search stands, and what looks that are not told yet will have added."""
+"""Hold the ordered area as cells of the mission's plane: the state of its search, and the expected effect of looks not
+reported yet.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ _ALONG_M: Final = 1.0
 
 
 def clearance_over_order(clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float) -> Clearance:
-    """What is known of the cells whose middles lie in the ordered area, and of no others; nothing where nothing was seen.
+    """Return the clearance of cells whose middles lie in the ordered area, and of no others; nothing where nothing was
+    seen.
 
     origin: the plane that the order is in. plane: that of the clearance, and of the cells.
     """
@@ -37,7 +40,7 @@ def clearance_over_order(clearance: Clearance | None, order: Order, origin: Loca
 
 
 def with_expected(ground: Clearance, model: LookModel, limits: Limits, side: Side, track: Array) -> Clearance:
-    """The clearance with what a straight track will have added to one side.
+    """Add to the clearance the expected effect of a straight track on one side.
 
     track: (n, 3) east, north, heading in the clearance's plane, evenly spaced in time.
     """
@@ -84,9 +87,10 @@ def with_expected(ground: Clearance, model: LookModel, limits: Limits, side: Sid
 
 
 def would_come_to(ground: Clearance, legs: Sequence[Leg], origin: LocalFrame, model: LookModel, limits: Limits) -> float:
-    """Mean clearance that legs would give, flown over the sea floor as it is known, were nothing else flown.
+    """Return the mean clearance that legs would give over the known sea floor, were nothing else flown.
 
-    legs: in the plane of `origin`, which is as good as parallel to the clearance's. Where nothing is known the worst is assumed.
+    legs: in the plane of `origin`, which is as good as parallel to the clearance's. Where nothing is known the worst is
+    assumed.
     """
     here = LocalFrame(latitude_deg=ground.origin_latitude_deg, longitude_deg=ground.origin_longitude_deg)
     corner = here.to_enu(origin.latitude_deg, origin.longitude_deg, 0.0)

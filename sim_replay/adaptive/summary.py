@@ -1,4 +1,4 @@
-"""Many comparisons as a table: means of both ways, and their difference mission by mission with a 95 % interval."""
+"""Tabulate many comparisons: means of both ways, and their difference mission by mission with a 95 % interval."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CONFIDENCE: Final = 0.95
 
 
 class Paired(NamedTuple):
-    """Ratios of sums over missions, and the interval of their difference."""
+    """Hold ratios of sums over missions, and the interval of their difference."""
 
     adaptive: float
     fixed: float
@@ -32,8 +32,10 @@ class Paired(NamedTuple):
 
 
 def paired(adaptive: Array, fixed: Array, of: Array) -> Paired:
-    """Sums of (n,) values of both ways over the sum of `of`; the interval from missions drawn anew with replacement, both ways of a mission
-    together (B. Efron and R. Tibshirani, "An Introduction to the Bootstrap", 1993, percentile method)."""
+    """Sums of (n,) values of both ways over the sum of `of`; the interval from missions drawn anew with replacement,
+    both ways of a mission together (B. Efron and R. Tibshirani, "An Introduction to the Bootstrap", 1993, percentile
+    method).
+    """
     drawn = np.random.Generator(np.random.PCG64(_SEED)).integers(0, len(of), (_RESAMPLES, len(of)))
     differences = (adaptive - fixed)[drawn].sum(axis=1) / np.maximum(of[drawn].sum(axis=1), 1e-12)
     low, high = np.quantile(differences, [0.5 - 0.5 * _CONFIDENCE, 0.5 + 0.5 * _CONFIDENCE]).tolist()
@@ -42,7 +44,7 @@ def paired(adaptive: Array, fixed: Array, of: Array) -> Paired:
 
 
 def rows(missions: Sequence[Compared]) -> list[list[str]]:
-    """Lines of the table under HEADER."""
+    """Return lines of the table under HEADER."""
     ones = np.ones(len(missions))
     area = np.array([mission.area_km2 for mission in missions])
     targets = np.array([float(mission.adaptive.n_targets) for mission in missions])
@@ -54,10 +56,10 @@ def rows(missions: Sequence[Compared]) -> list[list[str]]:
         adaptive, fixed = (
             np.array([float(value(arm)) for arm in arms]) for arms in zip(*((m.adaptive, m.fixed) for m in some), strict=True)
         )
-        told = paired(adaptive, fixed, of)
+        reported = paired(adaptive, fixed, of)
         sign = form.replace(":", ":+")
-        interval = f"{sign.format(told.difference)} ({sign.format(told.low)} to {sign.format(told.high)})"
-        return [title, str(len(some)), form.format(told.adaptive), form.format(told.fixed), interval]
+        interval = f"{sign.format(reported.difference)} ({sign.format(reported.low)} to {sign.format(reported.high)})"
+        return [title, str(len(some)), form.format(reported.adaptive), form.format(reported.fixed), interval]
 
     return [
         row("track flown, m", lambda arm: arm.track_m, ones, "{:.0f}"),
@@ -74,6 +76,6 @@ def rows(missions: Sequence[Compared]) -> list[list[str]]:
 
 
 def planned_words(missions: Sequence[Compared]) -> str:
-    """What the lawnmowers were planned to be."""
+    """Describe the plans of the lawnmowers."""
     planned_m, expected = np.mean([(mission.planned_m, mission.expected) for mission in missions], axis=0).tolist()
     return f"beside the lawnmower laid for the worst sea floor: {planned_m:.0f} m planned, clearance expected there {expected:.3f}"

@@ -1,1 +1,1 @@
-"""Recorded sea floor as a scene of relief, reflectivity and beam pattern, and images of it with targets that were never there."""
+"""Embed targets in recorded side-scan logs, from the relief, reflectivity and beam pattern of the recorded sea floor."""

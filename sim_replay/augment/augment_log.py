@@ -1,4 +1,4 @@
-"""Embed targets in a recorded log: a new log, and the truth about what was put into it."""
+"""Embed targets in a recorded log: write a new log, and the truth about the embedded targets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRUTH_NAME: Final = "truth.json"
 
 
 class Written(NamedTuple):
-    """What was written. n_hidden: objects that no pass shows more than a tenth of."""
+    """Report the output. n_hidden: objects that no pass shows more than a tenth of."""
 
     log: Path
     truth: Path
@@ -38,11 +38,13 @@ def augment(
     seabed: str | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Written:
-    """Write the log with the spec's objects in it, under its own name, and truth.json into `out`, made if it is not there.
+    """Write the log with the spec's objects in it, under its own name, and truth.json into `out`, made if it is not
+    there.
 
-    Everything but the samples that the objects change is the log's own bytes. Equal logs, specs and configurations give equal bytes.
-    progress: called with the fraction done, 0..1. Raises UsageError for a directory that cannot be written to or is the log's own, and for
-    places that the log does not show; BadInputError for a log that nothing can be made of.
+    Everything but the samples that the objects change is the log's own bytes. Equal logs, specs and configurations give
+    equal bytes. progress: called with the fraction done, 0..1. Raises UsageError for a directory that cannot be written
+    to or is the log's own, and for places that the log does not show; BadInputError for a log that nothing can be made
+    of.
     """
     survey = read_survey(log, config)
     track = track_of(survey, config)
@@ -52,7 +54,7 @@ def augment(
     if target.exists() and target.samefile(log):
         raise UsageError(f"--out {out} is where the log itself lies, which is never overwritten: name another directory")
     done = embed(survey, track, placements, config, spec.seed, progress=progress)
-    (folder / TRUTH_NAME).unlink(missing_ok=True)  # written last: its presence says that it belongs to the log
+    (folder / TRUTH_NAME).unlink(missing_ok=True)  # written last: its presence shows that it belongs to the log
     write_file(target, done.data)
     facts = augmented_truth_of(done.objects, track, log.name, spec.seed, seabed)
     write_json(folder / TRUTH_NAME, facts)
@@ -60,7 +62,7 @@ def augment(
         log=target,
         truth=folder / TRUTH_NAME,
         n_objects=len(done.objects),
-        n_targets=sum(one.thing.is_target for one in done.objects),
+        n_targets=sum(one.scene_object.is_target for one in done.objects),
         n_hidden=sum(max(look.visible_fraction for look in one.looks) < 0.1 for one in done.objects),
         area_km2=facts["area_km2"],
     )

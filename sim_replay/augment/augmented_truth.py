@@ -1,4 +1,4 @@
-"""truth.json of an augmented log: what was embedded and how it shows, in the form that `auv-mcm score` reads."""
+"""Build truth.json of an augmented log: embedded objects and their views, in the form that `auv-mcm score` reads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _STEP_M: Final = 0.5 * CELL_M
 def augmented_truth_of(
     objects: Sequence[Embedded], track: PingTrack, background: str, seed: int, seabed: str | None = None
 ) -> dict[str, Any]:
-    """Area seen and every object. background: name of the log, by which training and test data are kept apart.
+    """Return the area seen and every object. background: name of the log, by which training and test data are kept
+    apart.
 
     seabed: of the whole log, where it is known. What other objects the log shows is not in it.
     """
@@ -35,7 +36,7 @@ def augmented_truth_of(
 
 
 def swept_area_m2(track: PingTrack) -> float:
-    """Area of the sea floor shown well enough to put objects on it, each square metre once."""
+    """Return the area of sea floor shown well enough to put objects on it, each square metre once."""
     way_m = np.floor((track.along_m - track.along_m[0]) / _STEP_M)
     sampled = np.flatnonzero(np.diff(way_m, prepend=-1.0) > 0.0)
     codes: list[NDArray[np.int64]] = []
@@ -53,18 +54,18 @@ def swept_area_m2(track: PingTrack) -> float:
 
 
 def _object(one: Embedded, background: str, seabed: str | None) -> dict[str, Any]:
-    thing, first = one.thing, one.looks[0]
+    scene_object, first = one.scene_object, one.looks[0]
     facts: dict[str, Any] = {
-        "kind": thing.kind,
+        "kind": scene_object.kind,
         "lat": one.latitude_deg,
         "lon": one.longitude_deg,
-        "is_target": thing.is_target,
-        "azimuth_deg": math.degrees(thing.azimuth_rad) % 360.0,
-        "length_m": thing.length_m,
-        "width_m": thing.width_m,
-        "height_m": thing.height_m,
-        "burial_m": thing.burial_m,
-        "tilt_deg": math.degrees(thing.tilt_rad),
+        "is_target": scene_object.is_target,
+        "azimuth_deg": math.degrees(scene_object.azimuth_rad) % 360.0,
+        "length_m": scene_object.length_m,
+        "width_m": scene_object.width_m,
+        "height_m": scene_object.height_m,
+        "burial_m": scene_object.burial_m,
+        "tilt_deg": math.degrees(scene_object.tilt_rad),
         "side": first.side,
         "ping": first.ping,
         "ground_range_m": first.ground_range_m,

@@ -1,7 +1,8 @@
-"""A recorded log as targets are put into it: where its pings were, how high, and at which bytes of the file their samples lie.
+"""A recorded log as targets are put into it: where its pings were, how high, and at which bytes of the file their
+samples lie.
 
-Geometry is the waterfall's own: the same reader, poses, along-track distances and bottom tracking. Samples are overwritten in a copy of the
-file, so that everything else in it stays as it was recorded, to the last bit.
+Geometry is the waterfall's own: the same reader, poses, along-track distances and bottom tracking. Samples are
+overwritten in a copy of the file, so that everything else in it stays as it was recorded, to the last bit.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class Stretch(NamedTuple):
-    """Pings in a row, of equal layout and without a hole in time; arrays are (n_pings,).
+    """Hold consecutive pings of equal layout without a gap in time; arrays are (n_pings,).
 
-    along_m: float64 distance from mission start. first_return_m: float64 slant range of the first bottom return. bottom_seen: bool.
-    yaw_rate_rad_s, pitch_rate_rad_s: float64.
+    along_m: float64 distance from mission start. first_return_m: float64 slant range of the first bottom return.
+    bottom_seen: bool. yaw_rate_rad_s, pitch_rate_rad_s: float64.
     """
 
     pings: list[Ping]
@@ -63,12 +64,13 @@ class Stretch(NamedTuple):
         return len(self.pings)
 
     def trace(self, ping: int, side: Side) -> EchoTrace | None:
-        """What one side of one ping recorded, by index in the stretch."""
+        """Return the samples of one side of one ping, by index in the stretch."""
         return self.pings[ping].port if side == "port" else self.pings[ping].starboard
 
 
 class Survey(NamedTuple):
-    """A log with the geometry of its pings. full_scale: stored number at which each side clips, None if it does not.
+    """Hold a log with the geometry of its pings. full_scale: stored number at which each side clips, None if it does
+    not.
 
     absorption_per_m: of sea water at the frequency that the log states, two-way, nepers of power; 0 if it states none.
     """
@@ -81,7 +83,7 @@ class Survey(NamedTuple):
 
 
 class SamplePlace(NamedTuple):
-    """Where a trace lies in the file: byte of its first stored sample; turned: the farthest sample is stored first."""
+    """Locate a trace in the file: byte of its first stored sample; turned: the farthest sample is stored first."""
 
     offset: int
     turned: bool
@@ -90,7 +92,7 @@ class SamplePlace(NamedTuple):
 def read_survey(path: Path, config: Config) -> Survey:
     """Read a log whole; memory is about what the file takes.
 
-    Raises BadInputError for whatever is no XTF log with side-scan pings, or where none has navigation.
+    Raises BadInputError for anything but an XTF log with side-scan pings, or where none has navigation.
     """
     pings: list[Ping] = []
     intake = Intake(config, Counter())
@@ -130,7 +132,7 @@ def _absorption_per_m(path: Path) -> float:
 
 
 def _full_scale(pings: Sequence[Ping], side: Side, configured: float | None) -> float | None:
-    """Converters clip at all ones, often of fewer bits than the stored type has."""
+    """Return the stored number at which a converter clips: all ones, often of fewer bits than the stored type has."""
     if configured is not None:
         return configured
     traces = [trace for ping in pings if (trace := ping.port if side == "port" else ping.starboard) is not None]
@@ -199,9 +201,9 @@ def _traces(pings: Sequence[Ping], side: Side, checker: TraceChecker) -> Traces 
 
 
 def window_intensity(stretch: Stretch, pings: slice, side: Side, transfer: Transfer) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Linear intensity (n_pings, n_samples) float32 of some pings, near to far, and its validity, bool.
+    """Return linear intensity (n_pings, n_samples) float32 of some pings, near to far, and its validity, bool.
 
-    The side must have been recorded, as `side_recorded` says.
+    The side must have been recorded, see `side_recorded`.
     """
     traces = [stretch.trace(k, side) for k in range(*pings.indices(stretch.n_pings))]
     some = [to_intensity(trace.samples, transfer) for trace in traces if trace is not None]
@@ -209,7 +211,9 @@ def window_intensity(stretch: Stretch, pings: slice, side: Side, transfer: Trans
 
 
 def to_samples(intensity: Floats, transfer: Transfer, full_scale: float | None, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Stored numbers of linear intensities, the inverse of `auv_mcm.waterfall.transfer.to_intensity`; clipped at full scale."""
+    """Convert linear intensities to stored numbers, clipped at full scale: the inverse of
+    `auv_mcm.waterfall.transfer.to_intensity`.
+    """
     if transfer.kind == "amplitude":
         counts = np.sqrt(intensity)
     elif transfer.kind == "intensity":
@@ -218,16 +222,16 @@ def to_samples(intensity: Floats, transfer: Transfer, full_scale: float | None, 
         counts = (10.0 * np.log10(np.maximum(intensity, 1e-30)) + 100.0) / transfer.db_per_count
     if dtype.kind in "ui":
         limits = np.iinfo(dtype)
-        # A logarithm, too, starts at the least number that the recorder stores.
+        # A logarithm, too, starts at the minimum that the recorder stores.
         return np.asarray(np.rint(np.clip(counts, max(limits.min, 0), min(limits.max, full_scale or limits.max))), dtype=dtype)
     return np.asarray(np.minimum(counts, np.inf if full_scale is None else full_scale), dtype=dtype)
 
 
 def sample_places(path: Path, pings: Sequence[Ping]) -> dict[tuple[int, Side], SamplePlace]:
-    """Where the traces of `pings`, in the reader's order, lie in the file, by ping number and side.
+    """Locate the traces of `pings`, in the reader's order, in the file, by ping number and side.
 
-    Found by walking the same packets as the reader and comparing samples, so that a place is only told where the bytes there are those
-    samples; a trace that the reader scaled has none.
+    Found by walking the same packets as the reader and comparing samples, so that a place is returned only where the
+    bytes there are those samples; a trace that the reader scaled has none.
     """
     places: dict[tuple[int, Side], SamplePlace] = {}
     with open_regular(path) as file:
@@ -245,7 +249,7 @@ def sample_places(path: Path, pings: Sequence[Ping]) -> dict[tuple[int, Side], S
 
 
 def _matches(ping: Ping, data: bytes) -> dict[Side, tuple[int, bool]]:
-    """Start and order of the samples of each side of a ping within its packet; empty if it is another ping's packet."""
+    """Return start and order of each side's samples within a ping's packet; empty if it is another ping's packet."""
     found: dict[Side, tuple[int, bool]] = {}
     start = _PING_HEADER
     while start + _CHANNEL_HEADER <= len(data):
@@ -270,7 +274,7 @@ def _matches(ping: Ping, data: bytes) -> dict[Side, tuple[int, bool]]:
 
 
 def overwrite(data: bytearray, place: SamplePlace, samples: NDArray[Any], changed: NDArray[np.bool_]) -> None:
-    """Put the changed ones of a trace's samples, near to far, over those in the file."""
+    """Overwrite a trace's changed samples in the file, near to far."""
     stored = np.frombuffer(data, samples.dtype, samples.shape[0], place.offset)
     near_to_far = stored[::-1] if place.turned else stored
     near_to_far[changed] = samples[changed]

@@ -1,13 +1,15 @@
-"""Relief, reflectivity and beam pattern of a side-scan image, in closed form along the ground range.
+"""Recover relief, reflectivity and beam pattern of a side-scan image, in closed form along the ground range.
 
-In the forward model an echo over its level Phi R is the cosine of incidence, which tells the slope across the track:
-sin(depression + arctan(slope)). Speckle makes that a poor estimate one pixel at a time, and a biased one, as the arcsine bends. So an echo
-is read as the mean slope of all that could have given it: those of a sea floor whose slopes are normally distributed, seen through speckle
-of as many looks as the image shows. What slope is left on average at one depression is bias, and taken off. Shadows read as the slope of
-the line of sight, which is what the floor falls by from their beginning to their end. Slopes are integrated by the screened Poisson
-equation. Beam pattern, reflectivity and angles are then taken anew with the relief found, three times.
+In the forward model an echo over its level Phi R is the cosine of incidence, which gives the slope across the track:
+sin(depression + arctan(slope)). Speckle makes that a poor estimate one pixel at a time, and a biased one, as the
+arcsine bends. So an echo is read as the mean slope of all that could have given it: those of a sea floor whose slopes
+are normally distributed, seen through speckle of as many looks as the image shows. What slope is left on average at one
+depression is bias, and taken off. Shadows read as the slope of the line of sight, which is what the floor falls by from
+their beginning to their end. Slopes are integrated by the screened Poisson equation. Beam pattern, reflectivity and
+angles are then taken anew with the relief found, three times.
 
-What a slow change of intensity comes from, slope or reflectivity, no image tells; here it is reflectivity from a few metres on.
+An image cannot separate slope from reflectivity in slow changes of intensity; here they count as reflectivity from a
+few metres on.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ _MAX_LOOKS: Final = 50.0
 
 _N_ANGLES: Final = 180
 _MIN_BIN_PIXELS: Final = 48
-_LEAST_FACING: Final = 0.02
+_MIN_FACING: Final = 0.02
 _NO_ECHO: Final = 1e-12
 
 SLOPE_SIGMA: Final = 0.3
@@ -50,18 +52,19 @@ Bools = NDArray[np.bool_]
 
 
 class SmoothedImage(NamedTuple):
-    """intensity: (n_pings, n_columns) float64, 0 where not valid. looks: that a pixel has."""
+    """Hold intensity: (n_pings, n_columns) float64, 0 where not valid. looks: that a pixel has."""
 
     intensity: Array
     looks: float
 
 
 def invert(intensity: Array, valid: Bools, altitude_m: Array, along_m: Array, column_spacing_m: float) -> SeafloorScene:
-    """The scene that one side of a line shows; rendered, it gives the image without speckle.
+    """Recover the scene that one side of a line shows; rendered, it gives the image without speckle.
 
-    intensity, valid: (n_pings, n_columns), linear, of any gain; what is not valid does not count. altitude_m: (n_pings,) float64, slant
-    range of the first bottom return. along_m: (n_pings,) float64, increasing. Column j is around (j + 0.5) * column_spacing_m.
-    Heights are relative: waves longer than 11 m or so are not seen, and shorter ones come out lower the weaker they are against speckle.
+    intensity, valid: (n_pings, n_columns), linear, of any gain; what is not valid does not count. altitude_m:
+    (n_pings,) float64, slant range of the first bottom return. along_m: (n_pings,) float64, increasing. Column j is
+    around (j + 0.5) * column_spacing_m. Heights are relative: waves longer than 11 m or so are not seen, and shorter
+    ones come out lower the weaker they are against speckle.
     """
     level = float(intensity[valid].mean()) if valid.any() else 0.0
     if not level > 0.0:
@@ -80,12 +83,12 @@ def invert(intensity: Array, valid: Bools, altitude_m: Array, along_m: Array, co
 
 
 def mean_spacing_m(along_m: Array) -> float:
-    """Mean distance from ping to ping."""
+    """Return the mean distance from ping to ping."""
     return float(along_m[-1] - along_m[0]) / (len(along_m) - 1) if len(along_m) > 1 else 1.0
 
 
 def multi_look(intensity: Array, valid: Bools) -> SmoothedImage:
-    """The image smoothed, by as little as makes at least four looks of it but at most a standard deviation of 1.5 pixels."""
+    """Smooth the image as little as gives at least four looks, but at most with a standard deviation of 1.5 pixels."""
     weight = valid.astype(np.float64)
     smooth, looks = np.where(valid, intensity, 0.0), 1.0
     for sigma_px, lag in _SMOOTHING_PX:
@@ -97,8 +100,10 @@ def multi_look(intensity: Array, valid: Bools) -> SmoothedImage:
 
 
 def _measured_looks(smooth: Array, valid: Bools, lag: int) -> float:
-    """Looks by the nugget of the logarithm's variogram across the track: what is left at lag 0 when the sea floor's own share, quadratic in
-    the lag, is taken off by help of twice the lag. The lower quartile over blocks, as all else adds to it; 4 if nothing can be measured."""
+    """Looks by the nugget of the logarithm's variogram across the track: what is left at lag 0 when the sea floor's own
+    share, quadratic in the lag, is taken off by help of twice the lag. The lower quartile over blocks, as all else adds
+    to it; 4 if nothing can be measured.
+    """
     level = np.log(np.where(valid & (smooth > 0.0), smooth, 1.0))
     usable = valid & (smooth > 0.0)
     near, far = (_block_variogram(level, usable, step) for step in (lag, 2 * lag))
@@ -112,7 +117,9 @@ def _measured_looks(smooth: Array, valid: Bools, lag: int) -> float:
 
 
 def _block_variogram(level: Array, usable: Bools, lag: int) -> Array:
-    """Half the mean square difference over `lag` columns in each block, NaN where less than half a block is usable."""
+    """Return half the mean square difference over `lag` columns in each block, NaN where less than half a block is
+    usable.
+    """
     both = usable[:, lag:] & usable[:, :-lag]
     energy = np.where(both, 0.5 * (level[:, lag:] - level[:, :-lag]) ** 2, 0.0)
     rows, columns = (np.arange(0, n, _LOOKS_BLOCK) for n in both.shape)
@@ -125,13 +132,15 @@ def _block_variogram(level: Array, usable: Bools, lag: int) -> Array:
 def fit_levels(
     intensity: Array, valid: Bools, elevation_m: Array, reflectivity: Array, altitude_m: Array, along_m: Array, column_spacing_m: float
 ) -> SeafloorScene:
-    """The scene of a known relief, with the beam pattern and then the reflectivity that suit a smoothed image; mean reflectivity is 1.
+    """The scene of a known relief, with the beam pattern and then the reflectivity that suit a smoothed image; mean
+    reflectivity is 1.
 
-    Beam pattern: mean echo over what the relief facing the sonar and the reflectivity so far account for, in half degrees of depression.
-    Reflectivity: the same over a few metres. What the relief shadows or turns away counts in neither.
+    Beam pattern: mean echo over what the relief facing the sonar and the reflectivity so far account for, in half
+    degrees of depression. Reflectivity: the same over a few metres. What the relief shadows or turns away counts in
+    neither.
     """
     facing = cos_incidence(elevation_m, altitude_m, along_m, column_spacing_m)
-    lit = valid & ~cast_shadow(elevation_m, altitude_m, column_spacing_m) & (facing > _LEAST_FACING)
+    lit = valid & ~cast_shadow(elevation_m, altitude_m, column_spacing_m) & (facing > _MIN_FACING)
     depression = depression_rad(elevation_m, altitude_m, column_spacing_m)
     beam = _fit_beam(depression[lit], intensity[lit], (facing * reflectivity)[lit])
     weight = lit.astype(np.float64)
@@ -152,7 +161,7 @@ def fit_levels(
 
 
 def _fit_beam(depression: Array, intensity: Array, accounted: Array) -> BeamPattern:
-    """Mean echo over what is accounted for, per half degree; each mean belongs to the mean angle that it comes from."""
+    """Return the mean echo over the other factors, per half degree; each mean belongs to the mean angle of its pixels."""
     which = _angle_bins(depression)
     count, echo, share = (np.bincount(which, weights, minlength=_N_ANGLES) for weights in (None, intensity, accounted))
     known = np.flatnonzero((count >= _MIN_BIN_PIXELS) & (share > 0.0))
@@ -164,7 +173,8 @@ def _fit_beam(depression: Array, intensity: Array, accounted: Array) -> BeamPatt
 
 
 def _slope_table(looks: float) -> Array:
-    """Mean slope given the square root of the echo over level floor's, even from 0 to 4, per half degree of depression: (180, 161) float64.
+    """Mean slope given the square root of the echo over level floor's, even from 0 to 4, per half degree of
+    depression: (180, 161) float64.
 
     Prior of the slope: normal. Likelihood of the echo: Gamma of mean sin(depression + arctan(slope)) and shape `looks`.
     """
@@ -182,7 +192,8 @@ def _slope_table(looks: float) -> Array:
 
 
 def _expected_slope(table: Array, intensity: Array, scene: SeafloorScene) -> Array:
-    """Rise per metre across the track, with mean 0 over all pings at each half degree of depression; 0 where not valid."""
+    """Rise per metre across the track, with mean 0 over all pings at each half degree of depression; 0 where not
+    valid."""
     depression = depression_rad(scene.elevation_m, scene.altitude_m, scene.column_spacing_m)
     level = beam_gain(scene.beam, scene.elevation_m, scene.altitude_m, scene.column_spacing_m) * scene.reflectivity * np.sin(depression)
     root = np.sqrt(intensity / np.maximum(level, _NO_ECHO))
@@ -198,7 +209,7 @@ def _angle_bins(depression: Array) -> NDArray[np.intp]:
 
 
 def _masked_mean(values: Array, weight: Array, sigma_px: tuple[float, float]) -> Array:
-    """Gaussian mean over what has weight, 0 where nothing near has."""
+    """Return the Gaussian mean over weighted pixels, 0 where nothing near has weight."""
     total = scipy.ndimage.gaussian_filter(np.where(weight > 0.0, values, 0.0) * weight, sigma_px, mode="nearest")
     known = scipy.ndimage.gaussian_filter(weight, sigma_px, mode="nearest")
     return np.asarray(np.divide(total, known, out=np.zeros_like(total), where=known > 1e-6))

@@ -1,8 +1,10 @@
-"""Targets put into a recorded log: the floor around each place is recovered, the target stands on it, and what changes is heard anew.
+"""Targets put into a recorded log: the floor around each place is recovered, the target stands on it, and what changes
+is heard anew.
 
-Coiras, Mignotte, Petillot, Bell and Lebart, "Supervised target detection and classification by training on augmented reality data", IET
-Radar, Sonar & Navigation 1(1), 2007. Outside of highlight and shadow the recorded echo is scaled by the ratio of the renders with and
-without the target, so that its speckle, artefacts and gain stay. Every pass that sees the place gets the target.
+Coiras, Mignotte, Petillot, Bell and Lebart, "Supervised target detection and classification by training on augmented
+reality data", IET Radar, Sonar & Navigation 1(1), 2007. Outside of highlight and shadow the recorded echo is scaled by
+the ratio of the renders with and without the target, so that its speckle, artefacts and gain stay. Every pass that sees
+the place gets the target.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ _BEFORE_M: Final = 8.0  # and towards the sonar, whence it may be hidden
 _BEYOND_M: Final = 2.0  # and behind the shadow's end
 _LEVEL_M: Final = 4.0
 _GLINT: Final = 6.0
-_LEAST_FACING: Final = 0.2  # of a flat floor's: what is seen to echo cannot face away more
+_MIN_FACING: Final = 0.2  # of a flat floor's: what is seen to echo cannot face away more
 _SAME_PASS_M: Final = 5.0
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -47,10 +49,10 @@ Recover: TypeAlias = Callable[[Floats, Bools, Floats, Floats, float], SeafloorSc
 
 
 class EmbeddedPicture(NamedTuple):
-    """One side of a window over ground range, as an inversion takes it.
+    """Hold one side of a window over ground range, as an inversion takes it.
 
-    intensity: (n_pings, n_columns) float64, linear, 0 where not valid. valid: the same shape, bool. shadow: where it lies in shadow.
-    altitude_m, along_m: (n_pings,) float64. Column j is around (j + 0.5) * column_spacing_m.
+    intensity: (n_pings, n_columns) float64, linear, 0 where not valid. valid: the same shape, bool. shadow: where it
+    lies in shadow. altitude_m, along_m: (n_pings,) float64. Column j is around (j + 0.5) * column_spacing_m.
     """
 
     intensity: Floats
@@ -62,8 +64,9 @@ class EmbeddedPicture(NamedTuple):
 
 
 class EmbeddedView(NamedTuple):
-    """What one pass shows of an embedded object. visible_fraction: of its echo, 0 to 1; contrast_db: its highlight over the floor's level,
-    NaN if nothing of either is heard. n_samples: that were changed."""
+    """Describe what one pass shows of an embedded object. visible_fraction: of its echo, 0 to 1; contrast_db: its
+    highlight over the floor's level, NaN if nothing of either is heard. n_samples: that were changed.
+    """
 
     ping: int
     side: Side
@@ -75,16 +78,16 @@ class EmbeddedView(NamedTuple):
 
 
 class Embedded(NamedTuple):
-    """One object as it lies in the log; looks: by pass, the one it was placed by first."""
+    """Describe one object in the log; looks: by pass, the one it was placed by first."""
 
-    thing: PlacedObject
+    scene_object: PlacedObject
     latitude_deg: float
     longitude_deg: float
     looks: tuple[EmbeddedView, ...]
 
 
 class Augmented(NamedTuple):
-    """The log with targets in it, the same bytes elsewhere."""
+    """Hold the log with targets in it, the same bytes elsewhere."""
 
     data: bytes
     objects: tuple[Embedded, ...]
@@ -99,9 +102,10 @@ def embed(
     recover: Recover = invert,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Augmented:
-    """The log of `survey` with every object in it, one after the other, so that later ones stand in the shadow of earlier ones.
+    """Embed every object in the log of `survey`, one after the other, so that later ones stand in earlier shadows.
 
-    recover: the inversion. Equal logs, placements and seeds give equal bytes. Raises BadInputError where samples cannot be overwritten.
+    recover: the inversion. Equal logs, placements and seeds give equal bytes. Raises BadInputError where samples cannot
+    be overwritten.
     """
     data = bytearray(survey.path.read_bytes())
     places = sample_places(survey.path, [ping for stretch in survey.stretches for ping in stretch.pings])
@@ -115,30 +119,33 @@ def embed(
             if (stretch_number, side) not in lines:
                 lines[stretch_number, side] = measure_line(stretch, side, survey.transfer, config.sonar.blank_m, survey.absorption_per_m)
             window = _Window(data, places, stretch, index, side, ground_range_m, ahead_m, lines[stretch_number, side])
-            looks.append(_embed_look(window, survey, placement.thing, config, recover, seed, 64 * number + pass_number))
+            looks.append(_embed_look(window, survey, placement.scene_object, config, recover, seed, 64 * number + pass_number))
             looks[-1] = looks[-1]._replace(ping=int(track.number[ping]))
         latitude, longitude = _position(survey, track, placement, config)
-        done.append(Embedded(placement.thing, latitude, longitude, tuple(looks)))
+        done.append(Embedded(placement.scene_object, latitude, longitude, tuple(looks)))
         progress((number + 1) / len(placements))
     return Augmented(bytes(data), tuple(done))
 
 
 def passes_over_object(track: PingTrack, placement: Placement) -> list[tuple[int, Side, float, float]]:
-    """Ping, side, ground range and distance ahead of that ping for every pass that sees an object, the one it was placed by first."""
+    """Ping, side, ground range and distance ahead of that ping for every pass that sees an object, the one it was
+    placed by first."""
     own = [(placement.ping, placement.side, placement.ground_range_m, 0.0)]
-    for ping, side, ground_range_m in track.looks(placement.thing.east_m, placement.thing.north_m):
+    for ping, side, ground_range_m in track.looks(placement.scene_object.east_m, placement.scene_object.north_m):
         along_m, stretch = track.along_m[ping], track.stretch[ping]
         near = max(_SAME_PASS_M, 0.5 * ground_range_m)
         if any(track.stretch[one[0]] == stretch and abs(track.along_m[one[0]] - along_m) < near for one in own):
             continue
         sine, cosine = math.sin(track.heading_rad[ping]), math.cos(track.heading_rad[ping])
-        east_m, north_m = placement.thing.east_m - track.east_m[ping], placement.thing.north_m - track.north_m[ping]
+        east_m, north_m = placement.scene_object.east_m - track.east_m[ping], placement.scene_object.north_m - track.north_m[ping]
         own.append((ping, side, ground_range_m, float(east_m * sine + north_m * cosine)))
     return own
 
 
 class _Window(NamedTuple):
-    """A place in one pass. ping: the one that looks at it, by its place in the stretch. data: the log as far as targets are in it."""
+    """Hold a place in one pass. ping: the one that looks at it, by its place in the stretch. data: the log as far as
+    targets are in it.
+    """
 
     data: bytearray
     places: dict[tuple[int, Side], SamplePlace]
@@ -150,7 +157,9 @@ class _Window(NamedTuple):
     line: SampleScatter
 
     def samples(self, pings: slice) -> NDArray[Any]:
-        """(n_pings, n_samples) stored numbers, near to far. Raises BadInputError where the file does not hold them as they are read."""
+        """Return (n_pings, n_samples) stored numbers, near to far. Raises BadInputError where the file does not hold
+        them as they are read.
+        """
         rows = []
         for k in range(pings.start, pings.stop):
             trace, place = self.stretch.trace(k, self.side), self.places.get((self.stretch.pings[k].number, self.side))
@@ -165,15 +174,15 @@ class _Window(NamedTuple):
 
 
 def _embed_look(
-    window: _Window, survey: Survey, thing: PlacedObject, config: Config, recover: Recover, seed: int, stream: int
+    window: _Window, survey: Survey, scene_object: PlacedObject, config: Config, recover: Recover, seed: int, stream: int
 ) -> EmbeddedView:
     stretch, side, line, ground_m = window.stretch, window.side, window.line, window.ground_range_m
     trace = stretch.trace(window.ping, side)
     assert trace is not None
     height_m = float(stretch.first_return_m[window.ping])
-    top_m = min(thing.height_m + thing.length_m * abs(math.sin(thing.tilt_rad)), 0.9 * height_m)
+    top_m = min(scene_object.height_m + scene_object.length_m * abs(math.sin(scene_object.tilt_rad)), 0.9 * height_m)
     # The recovered floor may fall away behind the object: half as long again as on a plane.
-    reach_m = thing.reach_m * (1.0 + 0.6 * (thing.scour_m > 0.0))
+    reach_m = scene_object.reach_m * (1.0 + 0.6 * (scene_object.scour_m > 0.0))
     shadow_m = 1.5 * ((ground_m + reach_m) * height_m / (height_m - top_m) - ground_m)
     farthest_m = ground_m + shadow_m + _BEYOND_M
     around_m = reach_m + math.radians(config.sonar.beam_width_deg) * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
@@ -201,11 +210,11 @@ def _embed_look(
         beam_width_deg=config.sonar.beam_width_deg,
         beam=scene.beam,
     )
-    placed = thing._replace(
+    placed = scene_object._replace(
         east_m=SIGN[side] * ground_m,
         north_m=REFERENCE_NORTH_M + window.ahead_m,
-        azimuth_rad=thing.azimuth_rad - float(stretch.poses.heading_rad[window.ping]),
-        strength_db=thing.strength_db + 10.0 * math.log10(_floor_strength(stands_on, ground_m, window.ahead_m, height_m)),
+        azimuth_rad=scene_object.azimuth_rad - float(stretch.poses.heading_rad[window.ping]),
+        strength_db=scene_object.strength_db + 10.0 * math.log10(_floor_strength(stands_on, ground_m, window.ahead_m, height_m)),
     )
     heard = echoes(view, hides, placed, stands_on, farthest_m)
     changed_intensity, changed, contrast_db = _heard_anew(intensity, heard, line, trace.spacing_m, seed, stream)
@@ -249,10 +258,10 @@ def _picture(
 
 
 def reliefs(scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
-    """The floor that an object stands on, and the floor that hides and echoes.
+    """Return the floor that an object stands on, and the floor that hides and echoes.
 
-    The second rises where recorded shadows begin, as high as their length asks for, and nowhere faces away from the sonar where it is
-    seen to echo: an image tells slopes within its speckle only.
+    The second rises where recorded shadows begin, as high as their length asks for, and nowhere faces away from the
+    sonar where it is seen to echo: an image resolves slopes only within its speckle.
     """
     columns = slice(first_column, None)
     elevation = scene.elevation_m[:, columns].copy()
@@ -269,15 +278,15 @@ def reliefs(scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, fir
     crest_m = picture.altitude_m[row] * (1.0 - ground_m[start] / (ground_m[stop - 1] + 0.5 * spacing_m))
     elevation[row, start] = np.maximum(elevation[row, start], crest_m)
     echoing[row, start] = 0.0
-    level_sight = -height_m / ground_m
-    gain = (elevation - height_m) / ground_m - _LEAST_FACING * level_sight
-    seen = height_m + ground_m * (np.maximum.accumulate(gain, axis=1) + _LEAST_FACING * level_sight)
+    level_slope = -height_m / ground_m
+    gain = (elevation - height_m) / ground_m - _MIN_FACING * level_slope
+    seen = height_m + ground_m * (np.maximum.accumulate(gain, axis=1) + _MIN_FACING * level_slope)
     elevation = np.where(shadow, elevation, np.maximum(elevation, seen))
     return stands_on, Relief(elevation, echoing, along_m, first_column, spacing_m)
 
 
 def _floor_strength(relief: Relief, ground_m: float, ahead_m: float, height_m: float) -> float:
-    """Echo of the floor around a place: cosine of incidence times reflectivity."""
+    """Return the echo of the floor around a place: cosine of incidence times reflectivity."""
     rows = np.abs(relief.along_m - ahead_m) < _AROUND_M
     column = int(ground_m / relief.column_spacing_m) - relief.first_column
     half = max(1, round(_AROUND_M / relief.column_spacing_m))
@@ -288,7 +297,7 @@ def _floor_strength(relief: Relief, ground_m: float, ahead_m: float, height_m: f
 def _heard_anew(
     recorded: Floats, heard: Echoes, line: SampleScatter, spacing_m: float, seed: int, stream: int
 ) -> tuple[Floats, Bools, float]:
-    """Intensity with the object, what of it changed, and the highlight's contrast."""
+    """Return the intensity with the object, its changed part, and the highlight's contrast."""
     bare, floor = spread_over_taps(heard.bare, line.range_taps), spread_over_taps(heard.floor, line.range_taps)
     # Where nothing echoed before, nothing can be lost: a real shadow stays as it is.
     little = 1e-2 * uniform_filter1d(bare.mean(axis=0), max(3, round(_LEVEL_M / spacing_m)), mode="nearest")
@@ -312,7 +321,8 @@ def _heard_anew(
 
 
 def _level(recorded: Floats, bare: Floats, line: SampleScatter, spacing_m: float) -> Floats:
-    """Recorded intensity of the floor per rendered, (n_samples,), over a few metres, without shadows, glints and noise."""
+    """Recorded intensity of the floor per rendered, (n_samples,), over a few metres, without shadows, glints and
+    noise."""
     lit = (bare > 0.0).astype(np.float64)
     width = max(3, round(_LEVEL_M / spacing_m))
 

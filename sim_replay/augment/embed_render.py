@@ -1,11 +1,12 @@
-"""Mean echoes of a recovered sea floor with and without objects on it, along slant range as the recorder has them.
+"""Render mean echoes of a recovered sea floor with and without objects on it, along the recorder's slant range.
 
-The simulator's rays do the work, over the recovered relief in place of a simulated one: what an object hides, what hides it, layover, walls
-and the shadow on whatever floor lies behind come of one rule. The floor's echo follows the model that the image was inverted to
-(`sim_replay.augment.forward`): beam pattern times reflectivity times the cosine of incidence. Both the beam pattern and the echo depend on
-angles as they are with the object there.
+The simulator's rays do the work, over the recovered relief in place of a simulated one: what an object hides, what
+hides it, layover, walls and the shadow on whatever floor lies behind come of one rule. The floor's echo follows the
+model that the image was inverted to (`sim_replay.augment.forward`): beam pattern times reflectivity times the cosine of
+incidence. Both the beam pattern and the echo depend on angles as they are with the object there.
 
-The window's plane: north ahead along the track, east to starboard, the ping that looks straight at the object at (REFERENCE_NORTH_M, 0).
+The window's plane: north ahead along the track, east to starboard, the ping that looks straight at the object at
+(REFERENCE_NORTH_M, 0).
 """
 
 from __future__ import annotations
@@ -37,10 +38,12 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class Relief(NamedTuple):
-    """Recovered floor of a window: one side, on pings by ground-range columns, column j around (first_column + j + 0.5) * spacing.
+    """Recovered floor of a window: one side, on pings by ground-range columns, column j around (first_column + j +
+    0.5) * spacing.
 
-    elevation_m, reflectivity: (n_pings, n_columns) float64, above the flat bottom, and relative; a reflectivity of 0 hides but does not
-    echo. along_m: (n_pings,) float64 from the reference ping, increasing. Beyond the window the floor is flat and of reflectivity 1.
+    elevation_m, reflectivity: (n_pings, n_columns) float64, above the flat bottom, and relative; a reflectivity of 0
+    hides but does not echo. along_m: (n_pings,) float64 from the reference ping, increasing. Beyond the window the
+    floor is flat and of reflectivity 1.
     """
 
     elevation_m: Floats
@@ -50,7 +53,7 @@ class Relief(NamedTuple):
     column_spacing_m: float
 
     def at(self, north_m: Floats, ground_m: Floats) -> tuple[Floats, Floats]:
-        """Elevation and reflectivity at all of (n_north,) by (n_ground,) places, bilinear."""
+        """Return elevation and reflectivity at all of (n_north,) by (n_ground,) places, bilinear."""
         row = np.interp(north_m - REFERENCE_NORTH_M, self.along_m, np.arange(len(self.along_m)))
         column = ground_m / self.column_spacing_m - 0.5 - self.first_column
         inside = (column >= 0.0) & (column <= self.elevation_m.shape[1] - 1)
@@ -67,10 +70,11 @@ class Relief(NamedTuple):
 
 
 class PingWindow(NamedTuple):
-    """Pings of a window and the sonar they were heard with.
+    """Hold the pings of a window and their sonar.
 
-    along_m: (n_pings,) float64 from the reference ping. turn_rad: (n_pings,) float64, heading against the reference ping's. height_m:
-    (n_pings,) float64 of the sonar above the flat bottom. first_edge_m: slant range where sample 0 begins.
+    along_m: (n_pings,) float64 from the reference ping. turn_rad: (n_pings,) float64, heading against the reference
+    ping's. height_m: (n_pings,) float64 of the sonar above the flat bottom. first_edge_m: slant range where sample 0
+    begins.
     """
 
     side: Side
@@ -94,25 +98,25 @@ class Echoes(NamedTuple):
     in_full_view: Floats
 
 
-def floor_bodies(thing: PlacedObject, relief: Relief, side: Side) -> list[Body]:
-    """The bodies of an object of the window's plane, standing on the relief."""
+def floor_bodies(scene_object: PlacedObject, relief: Relief, side: Side) -> list[Body]:
+    """Build the bodies of an object of the window's plane, standing on the relief."""
 
     def floor_m(east_m: float, north_m: float) -> float:
         return float(relief.at(np.array([north_m]), np.array([SIGN[side] * east_m]))[0][0, 0])
 
-    return bodies_of(thing, floor_m, _TARGET)
+    return bodies_of(scene_object, floor_m, _TARGET)
 
 
-def echoes(view: PingWindow, relief: Relief, thing: PlacedObject, stands_on: Relief, farthest_m: float) -> Echoes:
-    """Mean echoes without and with an object.
+def echoes(view: PingWindow, relief: Relief, scene_object: PlacedObject, stands_on: Relief, farthest_m: float) -> Echoes:
+    """Render mean echoes without and with an object.
 
-    relief: of the floor as it hides and echoes. stands_on: as the object stands on it, without what only hides. thing: in the window's
-    plane, its strength_db above an echo of 1 at grazing angles whose cosine of incidence is 1. farthest_m: ground range up to which the
-    object can change anything.
+    relief: the floor as it hides and echoes. stands_on: the floor as the object stands on it, without what only hides.
+    scene_object: in the window's plane, its strength_db above an echo of 1 at grazing angles whose cosine of incidence
+    is 1. farthest_m: ground range up to which the object can change anything.
     """
     lines, n_nodes = _lines(view, farthest_m)
-    bodies = pack(floor_bodies(thing, stands_on, view.side))
-    material = material_of(thing)
+    bodies = pack(floor_bodies(scene_object, stands_on, view.side))
+    material = material_of(scene_object)
     sine = (np.arange(TABLE_SIZE, dtype=np.float64) + 0.5) / TABLE_SIZE
     of_floor, of_target = np.zeros((2, TABLE_SIZE), dtype=np.float32), np.zeros((2, TABLE_SIZE), dtype=np.float32)
     of_floor[_FLOOR] = sine
@@ -120,7 +124,7 @@ def echoes(view: PingWindow, relief: Relief, thing: PlacedObject, stands_on: Rel
     beam = _beam_table(view.beam)
     patches = _patches(relief, lines, n_nodes, view.side)
     level = _patches(stands_on._replace(elevation_m=np.zeros_like(stands_on.elevation_m)), lines, n_nodes, view.side)
-    alone = pack(floor_bodies(thing, stands_on._replace(elevation_m=np.zeros_like(stands_on.elevation_m)), view.side))
+    alone = pack(floor_bodies(scene_object, stands_on._replace(elevation_m=np.zeros_like(stands_on.elevation_m)), view.side))
 
     def heard(floor: Patches, standing: Bodies, tables: NDArray[np.float32]) -> Floats:
         first_bin = round(view.first_edge_m / view.spacing_m)
@@ -147,9 +151,10 @@ def echoes(view: PingWindow, relief: Relief, thing: PlacedObject, stands_on: Rel
 
 
 def _beam_table(beam: BeamPattern) -> NDArray[np.float32]:
-    """The pattern over the sine of the angle that an echo comes from below the horizontal, from -1 to 1.
+    """Tabulate the pattern over the sine of the echo's angle below the horizontal, from -1 to 1.
 
-    The model's image is the mean over ground range: rays, which count the floor that a stretch of slant range covers, take its cosine off.
+    The model's image is the mean over ground range: rays, which count the floor that a stretch of slant range covers,
+    take its cosine off.
     """
     sine = -1.0 + (np.arange(TABLE_SIZE, dtype=np.float64) + 0.5) * (2.0 / TABLE_SIZE)
     gain = np.interp(np.arcsin(sine), beam.depression_rad, beam.gain)
@@ -180,7 +185,7 @@ def _lines(view: PingWindow, farthest_m: float) -> tuple[Lines, int]:
 
 
 def _patches(relief: Relief, lines: Lines, n_nodes: int, side: Side) -> Patches:
-    """The relief on the nodes that the rays cross; where the window does not reach, one flat patch serves for all."""
+    """Return the relief on the nodes that the rays cross; outside the window one flat patch serves for all."""
     ends_north = np.concatenate([lines.north_cells, lines.north_cells + n_nodes * lines.step_north])
     ends_east = np.concatenate([lines.east_cells, lines.east_cells + n_nodes * lines.step_east])
     first_row, first_column = math.floor((ends_north.min() - 2) / PATCH), math.floor((ends_east.min() - 2) / PATCH)

@@ -1,8 +1,10 @@
-"""What the recorder makes of mean echoes: correlated speckle, noise, and how new echoes mix with recorded ones.
+"""Model the recorder's effect on mean echoes: correlated speckle, noise, and the mixing of new echoes with recorded
+ones.
 
-A recorded sample is the interference of what the floor and a target send back and of noise. The floor's part is kept as recorded and takes
-a random phase, so that what is mixed fades as one field does, and a sample to which nothing is added comes back as it was. Noise follows
-the distribution that was measured where the sonar heard nothing else: in real shadows and in the water column.
+A recorded sample is the interference of what the floor and a target send back and of noise. The floor's part is kept as
+recorded and takes a random phase, so that what is mixed fades as one field does, and a sample to which nothing is added
+comes back as it was. Noise follows the distribution that was measured where the sonar heard nothing else: in real
+shadows and in the water column.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ _WHOLE_SHADOW: Final = 0.15  # quantile
 _SURE_SHARE: Final = 0.25  # quantile over range
 _DARKEST_OF_SPECKLE: Final = 0.65  # of the mean: one box in twenty of speckle alone
 _WATER_SHARE: Final = 0.85  # of the first return: nearer there is water only
-_LEAST_SPAN: Final = 0.5  # of ln r in the water column, that a gain can be told from
+_MIN_SPAN: Final = 0.5  # of ln r in the water column, from which a gain can be estimated
 _STEEPEST_GAIN: Final = 4.0  # 40 log r
-_LEAST_GAIN: Final = 1.5  # a gain that makes up for spreading
+_MIN_GAIN: Final = 1.5  # a gain that makes up for spreading
 _LOG_WINDOW: Final = 64
 _FAR_LAGS: Final = (9, 13)  # correlation left there is texture, not speckle
 _N_QUANTILES: Final = 513
@@ -45,11 +47,11 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class SampleScatter(NamedTuple):
-    """How one side's samples scatter around their means.
+    """Describe how one side's samples scatter around their means.
 
-    range_taps, ping_taps: point-spread function along range and from ping to ping, sums of squares 1. looks: averaged per sample.
-    noise: (n_samples,) float64 mean intensity of noise, near to far. noise_quantiles: (n,) float64, its distribution at even
-    probabilities from 0 to 1, mean 1. floor: (n_samples,) float64 typical intensity of the floor.
+    range_taps, ping_taps: point-spread function along range and from ping to ping, sums of squares 1. looks: averaged
+    per sample. noise: (n_samples,) float64 mean intensity of noise, near to far. noise_quantiles: (n,) float64, its
+    distribution at even probabilities from 0 to 1, mean 1. floor: (n_samples,) float64 typical intensity of the floor.
     """
 
     range_taps: Float32s
@@ -61,9 +63,10 @@ class SampleScatter(NamedTuple):
 
 
 def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: float, absorption_per_m: float) -> SampleScatter:
-    """The statistics of one side of a stretch, from up to 24 blocks of 64 pings spread over it.
+    """Measure the statistics of one side of a stretch, from up to 24 blocks of 64 pings spread over it.
 
-    absorption_per_m: two-way, nepers of power, that a recorder whose gain makes up for spreading makes up for as well; 0 if not known.
+    absorption_per_m: two-way, nepers of power, that a recorder whose gain makes up for spreading makes up for as well;
+    0 if not known.
     """
     trace = next(trace for k in range(stretch.n_pings) if (trace := stretch.trace(k, side)) is not None)
     spacing_m = trace.spacing_m
@@ -96,7 +99,7 @@ class _Block(NamedTuple):
 
 
 def _floor_from(block: _Block, range_m: Floats) -> int:
-    """First column that lies on the sea floor in every ping."""
+    """Return the first column that lies on the sea floor in every ping."""
     return min(int(np.searchsorted(range_m, 1.2 * float(block.first_return_m.max()))), len(range_m) - 1)
 
 
@@ -105,7 +108,8 @@ def _boxes(intensity: Floats, spacing_m: float) -> Floats:
 
 
 def _floor_level(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Floats:
-    """Typical intensity over range: the median over all pings of small boxes, smoothed; before the floor begins, its first value."""
+    """Typical intensity over range: the median over all pings of small boxes, smoothed; before the floor begins, its
+    first value."""
     per_block = []
     for block in blocks:
         typical = np.median(_boxes(block.intensity, spacing_m), axis=0)
@@ -123,10 +127,10 @@ def _floor_level(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) ->
 def _noise(
     blocks: Sequence[_Block], range_m: Floats, spacing_m: float, level: Floats, blank_m: float, absorption_per_m: float
 ) -> tuple[Floats, Floats]:
-    """Mean intensity of noise over range and the quantiles of its unit distribution.
+    """Return the mean intensity of noise over range and the quantiles of its unit distribution.
 
-    What is heard in a shadow is the recorder's noise, which the water column shows, and a share of the floor's level: side lobes, other
-    paths. The share is measured in real shadows and 0 where the log has none.
+    What is heard in a shadow is the recorder's noise, which the water column shows, and a share of the floor's level:
+    side lobes, other paths. The share is measured in real shadows and 0 where the log has none.
     """
     water, water_samples = _water_column(blocks, range_m, blank_m, absorption_per_m)
     water = np.minimum(water, _darkest(blocks, range_m, spacing_m))
@@ -155,7 +159,7 @@ def _noise(
 
 
 def _darkest(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Floats:
-    """Mean intensity that noise cannot exceed: near that of the darkest boxes on the floor, over range."""
+    """Return the mean intensity that noise cannot exceed: near that of the darkest boxes on the floor, over range."""
     stacked = []
     for block in blocks:
         boxes = _boxes(block.intensity, spacing_m)
@@ -169,9 +173,11 @@ def _darkest(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Flo
 
 
 def _water_column(blocks: Sequence[_Block], range_m: Floats, blank_m: float, absorption_per_m: float) -> tuple[Floats, list[Floats]]:
-    """Noise that the water column shows, ln N = a + b ln r + c r as a recorder's gain makes of it, and its samples over their mean.
+    """Noise that the water column shows, ln N = a + b ln r + c r as a recorder's gain makes of it, and its samples
+    over their mean.
 
-    A water column of a few metres does not tell c: it is the absorption where b is that of a gain that makes up for spreading.
+    A water column of a few metres does not determine c: it is the absorption where b is that of a gain that makes up
+    for spreading.
     """
     places: list[float] = []
     levels: list[float] = []
@@ -191,23 +197,23 @@ def _water_column(blocks: Sequence[_Block], range_m: Floats, blank_m: float, abs
     at_m = np.maximum(range_m, min(places))
     for made_up_per_m in (absorption_per_m, 0.0):
         level, slope = _gain_law(np.array(places), np.array(levels), made_up_per_m)
-        if slope > _LEAST_GAIN:
+        if slope > _MIN_GAIN:
             break
     return np.asarray(np.exp(level + slope * np.log(at_m) + made_up_per_m * at_m)), samples
 
 
 def _gain_law(range_m: Floats, log_level: Floats, absorption_per_m: float) -> tuple[float, float]:
-    """a and b of ln N = a + b ln r + absorption r; b is 0 where ranges span too little to tell."""
+    """Fit a and b of ln N = a + b ln r + absorption r; b is 0 where the ranges are too narrow to determine it."""
     log_range, rest = np.log(range_m), log_level - absorption_per_m * range_m
     slope = 0.0
-    if log_range.max() - log_range.min() > _LEAST_SPAN:
+    if log_range.max() - log_range.min() > _MIN_SPAN:
         centred = log_range - log_range.mean()
         slope = float(np.clip(centred @ rest / (centred @ centred), 0.0, _STEEPEST_GAIN))
     return float(rest.mean() - slope * log_range.mean()), slope
 
 
 def _quantiles(*sources: Sequence[Floats]) -> Floats:
-    """Of the first source with enough samples that are not all 0; an exponential law if there is none."""
+    """Return quantiles of the first source with enough non-zero samples; an exponential law if there is none."""
     probability = np.linspace(0.0, 1.0, _N_QUANTILES)
     for samples in sources:
         joined = np.concatenate(samples) if samples else np.empty(0)
@@ -219,7 +225,8 @@ def _quantiles(*sources: Sequence[Floats]) -> Floats:
 
 
 def _speckle_width(sea_floor: Sequence[Floats], axis: int) -> float:
-    """Width of the Gaussian point-spread function whose speckle is as correlated between neighbours as the recorded one."""
+    """Width of the Gaussian point-spread function whose speckle is as correlated between neighbours as the recorded
+    one."""
     covariance = np.zeros(_FAR_LAGS[1] + 1)
     for intensity in sea_floor:
         n = intensity.shape[axis]
@@ -239,7 +246,8 @@ def _speckle_width(sea_floor: Sequence[Floats], axis: int) -> float:
 
 
 def _looks(sea_floor: Sequence[Floats]) -> int:
-    """Looks whose ln I varies as the recorded one does within short windows with their trend taken off: var ln I = psi'(L)."""
+    """Looks whose ln I varies as the recorded one does within short windows with their trend taken off: var ln I =
+    psi'(L)."""
     ramp = np.arange(_LOG_WINDOW) - 0.5 * (_LOG_WINDOW - 1)
     variances = []
     for intensity in sea_floor:
@@ -257,10 +265,10 @@ def _looks(sea_floor: Sequence[Floats]) -> int:
 
 
 class Change(NamedTuple):
-    """What a target does to the mean echoes of a window, (n_pings, n_samples) float64 each.
+    """Hold a target's effect on the mean echoes of a window, (n_pings, n_samples) float64 each.
 
-    kept: factor on the floor's recorded echo, exactly 1 where nothing changes. added: mean intensity that the target sends back, exactly 0
-    outside of it, before the point-spread function.
+    kept: factor on the floor's recorded echo, exactly 1 where nothing changes. added: mean intensity that the target
+    sends back, exactly 0 outside of it, before the point-spread function.
     """
 
     kept: Floats
@@ -268,7 +276,7 @@ class Change(NamedTuple):
 
 
 def spread_over_taps(energy: Floats, taps: Float32s) -> Floats:
-    """Mean intensities along range (axis 1) after the point-spread function, whose power is the squared taps."""
+    """Spread mean intensities along range (axis 1) by the point-spread function, whose power is the squared taps."""
     if taps.size == 1:
         return energy
     power = taps.astype(np.float64) ** 2
@@ -281,9 +289,10 @@ def spread_over_taps(energy: Floats, taps: Float32s) -> Floats:
 
 
 def mixed(recorded: Floats, change: Change, line: SampleScatter, noise: Floats, seed: int, stream: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Intensity with the change made, and where it was; elsewhere the recorded value comes back.
+    """Return the intensity with the change made, and a mask of the change; elsewhere the recorded value is restored.
 
-    recorded: (n_pings, n_samples) linear intensity. noise: (n_samples,) of these samples. seed and stream (below 2^56) choose the speckle.
+    recorded: (n_pings, n_samples) linear intensity. noise: (n_samples,) of these samples. seed and stream (below 2^56)
+    choose the speckle.
     """
     changed = (change.kept != 1.0) | (spread_over_taps(change.added, line.range_taps) > 0.0)
     n_pings, n_samples = recorded.shape

@@ -1,10 +1,11 @@
-"""Heights from slopes: the screened anisotropic Poisson equation on pings by ground-range columns.
+"""Integrate heights from slopes: the screened anisotropic Poisson equation on pings by ground-range columns.
 
     min over Z of  sum w (dZ/dy - slope)^2 + along_weight * sum (dZ/dx)^2 + screen * sum Z^2
 
-with y across and x along the track. Side-scan sonar sees the slope across alone; the second term ties neighbouring pings together, and the
-third brings back to 0 what is too long for any slope to tell: waves longer than 2 pi / sqrt(screen). Without weights the cosine transform
-(type II, whose mirrored ends have no slope) diagonalises the equation; with weights it is the preconditioner of conjugate gradients.
+with y across and x along the track. Side-scan sonar sees the slope across alone; the second term ties neighbouring
+pings together, and the third brings back to 0 what is too long to show in any slope: waves longer than 2 pi /
+sqrt(screen). Without weights the cosine transform (type II, whose mirrored ends have no slope) diagonalises the
+equation; with weights it is the preconditioner of conjugate gradients.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class Stiffness(NamedTuple):
-    """along_weight: of slopes along the track, against 1 for slopes across. screen_per_m2: of heights, above 0."""
+    """Weigh the terms. screen_per_m2: of heights, above 0."""
 
     along_weight: float
     screen_per_m2: float
@@ -37,11 +38,12 @@ def integrate_slope(
     weight: Array | None = None,
     start: Array | None = None,
 ) -> Array:
-    """Heights, m, (n_pings, n_columns) float64, whose slopes across fit best.
+    """Return heights, m, (n_pings, n_columns) float64, whose slopes across fit best.
 
-    slope: (n_pings, n_columns) float64, rise per metre over the facet that ends at each column; column 0, where none ends, does not count.
-    weight: the same shape, 0 to 1, None for 1 everywhere. start: heights near the solution, of use with weights alone, for which the
-    residual is brought below 1e-4 of the right side unless 60 iterations are spent. Raises ValueError unless screen_per_m2 is above 0.
+    slope: (n_pings, n_columns) float64, rise per metre over the facet that ends at each column; column 0, where none
+    ends, does not count. weight: the same shape, 0 to 1, None for 1 everywhere. start: heights near the solution, of
+    use with weights alone, for which the residual is brought below 1e-4 of the right side unless 60 iterations are
+    spent. Raises ValueError unless screen_per_m2 is above 0.
     """
     if not stiffness.screen_per_m2 > 0.0:
         raise ValueError(f"screen_per_m2 is {stiffness.screen_per_m2}; flat images need one above 0")
@@ -65,7 +67,7 @@ def integrate_slope(
 
 
 def _right_side(slope: Array, column_spacing_m: float) -> Array:
-    """The negative divergence of slopes across."""
+    """Return the negative divergence of slopes across."""
     right = np.zeros_like(slope)
     flow = slope[:, 1:] * (1.0 / column_spacing_m)
     right[:, 1:] += flow
@@ -76,7 +78,7 @@ def _right_side(slope: Array, column_spacing_m: float) -> Array:
 def _curvature(
     shape: tuple[int, ...], row_spacing_m: float, column_spacing_m: float, stiffness: Stiffness, across_weight: float = 1.0
 ) -> Array:
-    """Eigenvalues of the equation for every pair of cosine waves, 1/m^2."""
+    """Return eigenvalues of the equation for every pair of cosine waves, 1/m^2."""
     rows, columns = ((2.0 * np.sin(0.5 * np.pi * np.arange(n) / n)) ** 2 for n in shape)
     along = rows * (stiffness.along_weight / row_spacing_m**2)
     across = columns * (across_weight / column_spacing_m**2)

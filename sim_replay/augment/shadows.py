@@ -1,4 +1,5 @@
-"""Where a recorded image lies in shadow: dark stretches of range behind something bright, which mud and smooth sand are not."""
+"""Find shadow in a recorded image: dark stretches of range behind something bright, which mud and smooth sand
+are not."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-BOX_M: Final = 0.5  # echoes are averaged over this range and BOX_PINGS to tell shadow from speckle
+BOX_M: Final = 0.5  # echoes are averaged over this range and BOX_PINGS to separate shadow from speckle
 BOX_PINGS: Final = 3
 MIN_SHADOW_M: Final = 0.3
 _AROUND_M: Final = 6.0
@@ -17,20 +18,20 @@ _CAUSE: Final = 2.0  # of the floor's level, at its brightest; sand beside mud i
 _DARK: Final = 0.25  # of the floor's level, where the noise is not known
 _DARKEST, _BRIGHTEST = 0.1, 0.35  # bounds of the same where it is
 _ABOVE_NOISE: Final = 2.0
-_LEAST_LEVEL: Final = 0.03  # of the typical level: a floor cannot be darker
+_MIN_LEVEL: Final = 0.03  # of the typical level: a floor cannot be darker
 
 Floats: TypeAlias = NDArray[np.float64]
 
 
 class ShadowRuns(NamedTuple):
-    """Shadows of single pings, (n,) int64 each: row, first column and one past the last."""
+    """Hold shadows of single pings, (n,) int64 each: row, first column and one past the last."""
 
     row: NDArray[np.int64]
     start: NDArray[np.int64]
     stop: NDArray[np.int64]
 
     def mask(self, shape: tuple[int, int], trim: int = 0) -> NDArray[np.bool_]:
-        """The image's pixels in shadow, without `trim` at either end of each run."""
+        """Return the image's pixels in shadow, without `trim` at either end of each run."""
         step = np.zeros((shape[0], shape[1] + 1), dtype=np.int64)
         start, stop = self.start + trim, np.maximum(self.stop - trim, self.start + trim)
         np.add.at(step, (self.row, np.minimum(start, shape[1])), 1)
@@ -39,7 +40,7 @@ class ShadowRuns(NamedTuple):
 
 
 def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, column_spacing_m: float) -> ShadowRuns:
-    """Shadows in an image (n_pings, n_columns) of linear intensity, 0 where nothing was recorded.
+    """Find shadows in an image (n_pings, n_columns) of linear intensity, 0 where nothing was recorded.
 
     noise: mean intensity of noise that broadcasts against it, None if not known. Columns may be slant or ground range.
     """
@@ -47,13 +48,13 @@ def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, c
     box = np.maximum(uniform_filter(intensity, (BOX_PINGS, max(3, round(BOX_M / column_spacing_m))), mode="nearest"), 0.0)
     typical = np.median(box, axis=0)[None, :]
     around = (max(5, round(_AROUND_M / row_spacing_m)), max(5, round(_AROUND_M / column_spacing_m)))
-    level = np.maximum(uniform_filter(np.minimum(box, 4.0 * typical + 1e-30), around, mode="nearest"), _LEAST_LEVEL * typical)
+    level = np.maximum(uniform_filter(np.minimum(box, 4.0 * typical + 1e-30), around, mode="nearest"), _MIN_LEVEL * typical)
     if noise is None:
         dark = box < _DARK * level
     else:
         limit = np.clip(np.sqrt(noise * level), _DARKEST * level, _BRIGHTEST * level)
         dark = (box < limit) & (noise < _BRIGHTEST * level)
-        # Within a shadow wider than the surroundings only its level tells.
+        # Within a shadow wider than the surroundings only its level decides.
         dark |= (box < _ABOVE_NOISE * noise) & (noise < _DARKEST * typical)
     edge = np.diff(np.pad(dark.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     row, start = np.nonzero(edge == 1)
@@ -65,6 +66,6 @@ def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, c
 
 
 def _brightest_before(image: Floats, reach: int) -> Floats:
-    """Highest value among `reach` columns before each column."""
+    """Return the highest value among `reach` columns before each column."""
     padded = np.pad(image, ((0, 0), (reach, 0)), constant_values=0.0)
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded[:, :-1], reach, axis=1).max(axis=2))

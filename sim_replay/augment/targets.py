@@ -1,7 +1,7 @@
-"""What is to be put into a log, and where: the YAML file of `auv-mcm augment`.
+"""Read which targets to put into a log, and where: the YAML file of `auv-mcm augment`.
 
-Directions are true, degrees clockwise from north; ranges are ground ranges across the track. A size left out is usual for the kind, as in
-simulated scenes.
+Directions are true, degrees clockwise from north; ranges are ground ranges across the track. A size left out is usual
+for the kind, as in simulated scenes.
 """
 
 from __future__ import annotations
@@ -46,11 +46,12 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class EmbeddedTarget(_Section, frozen=True, kw_only=True):
-    """One object at a place: side, ground_range_m, and ping (its number in the log, from 0) or along_m (way from the first ping).
+    """One object at a place: side, ground_range_m, and ping (its number in the log, from 0) or along_m (way from the
+    first ping).
 
-    contrast_db: backscattering strength of its surface at normal incidence over that of the sea floor around it, as seen from there;
-    specular_db: of the specular lobe on top of it. burial_m: pushed into the floor; tilt_deg: its end towards the azimuth raised; scour_m:
-    depth of the moat around it.
+    contrast_db: backscattering strength of its surface at normal incidence over that of the sea floor around it, as
+    seen from there; specular_db: of the specular lobe on top of it. burial_m: pushed into the floor; tilt_deg: its end
+    towards the azimuth raised; scour_m: depth of the moat around it.
     """
 
     kind: EmbeddedKind
@@ -71,9 +72,11 @@ class EmbeddedTarget(_Section, frozen=True, kw_only=True):
 
 
 class ScatteredTargets(_Section, frozen=True, kw_only=True):
-    """`count` objects of the kinds, at random: even over the sea floor seen, in azimuth, and within each range of [lowest, highest].
+    """Scatter `count` objects of the kinds: even over the sea floor seen, in azimuth, and within each range of [lowest,
+    highest].
 
-    contrast_db: [mean, standard deviation] of a normal distribution. apart_m: from each other, other objects and `keep_clear` places.
+    contrast_db: [mean, standard deviation] of a normal distribution. apart_m: from each other, other objects and
+    `keep_clear` places.
     """
 
     kinds: Annotated[tuple[EmbeddedKind, ...], Meta(min_length=1)]
@@ -92,7 +95,7 @@ class ScatteredTargets(_Section, frozen=True, kw_only=True):
 
 
 class ClearPlace(_Section, frozen=True, kw_only=True):
-    """A place that scattered objects stay away from, at least radius_m."""
+    """Keep scattered objects at least radius_m away from a place."""
 
     side: SideName
     ground_range_m: Range
@@ -102,7 +105,7 @@ class ClearPlace(_Section, frozen=True, kw_only=True):
 
 
 class TargetSpec(_Section, frozen=True, kw_only=True):
-    """Everything that is to be put into a log. seed: of places, sizes and speckle."""
+    """Specify all objects to put into a log. seed: of places, sizes and speckle."""
 
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 1
     targets: tuple[EmbeddedTarget, ...] = ()
@@ -111,14 +114,15 @@ class TargetSpec(_Section, frozen=True, kw_only=True):
 
 
 def read_target_spec(path: Path) -> TargetSpec:
-    """The spec in a YAML file. Raises UsageError if it cannot be read, and as parse_spec does."""
+    """Read the spec in a YAML file. Raises UsageError if it cannot be read, and as parse_spec does."""
     return parse_target_spec(read_text(path, "target spec"), str(path))
 
 
 def parse_target_spec(text: str, place: str) -> TargetSpec:
-    """Spec from YAML text; `place` names it in messages.
+    """Parse the spec from YAML text; `place` names it in messages.
 
-    Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and what contradicts itself.
+    Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and what
+    contradicts itself.
     """
     data = load_mapping(text, place, "expected keys such as 'targets:' or 'scatter:'")
     try:
@@ -133,8 +137,8 @@ def parse_target_spec(text: str, place: str) -> TargetSpec:
 def _contradictions(spec: TargetSpec) -> Iterator[str]:
     placed: list[tuple[str, EmbeddedTarget | ClearPlace]] = [(f"targets[{k}]", target) for k, target in enumerate(spec.targets)]
     placed += [(f"keep_clear[{k}]", clear) for k, clear in enumerate(spec.keep_clear)]
-    for where, thing in placed:
-        if (thing.ping is None) == (thing.along_m is None):
+    for where, scene_object in placed:
+        if (scene_object.ping is None) == (scene_object.along_m is None):
             yield f"`{where}`: give its place along the track once, as `ping` or as `along_m`"
     for index, group in enumerate(spec.scatter):
         for name in ("ground_range_m", "length_m", "width_m", "height_m", "burial_m", "tilt_deg", "scour_m"):
@@ -147,26 +151,27 @@ def _contradictions(spec: TargetSpec) -> Iterator[str]:
 
 
 class Placement(NamedTuple):
-    """One object on the sea floor and the ping, by its index along the track, that looks straight at it.
+    """Place one object on the sea floor, and name the ping, by its index along the track, that looks straight at it.
 
-    thing: with azimuth from true north, east and north in the track's plane, and the contrast as its strength.
+    scene_object: with azimuth from true north, east and north in the track's plane, and the contrast as its strength.
     """
 
-    thing: PlacedObject
+    scene_object: PlacedObject
     ping: int
     side: Side
     ground_range_m: float
 
 
 def place_targets(spec: TargetSpec, track: PingTrack) -> tuple[Placement, ...]:
-    """All objects of a spec, those named first.
+    """Place all objects of a spec, those named first.
 
-    Raises UsageError for a place that the log does not show well, saying why, for a spec without objects, and where there is no room.
+    Raises UsageError for a place that the log does not show well, with the reason, for a spec without objects, and
+    where there is no room.
     """
     if not spec.targets and not spec.scatter:
         raise UsageError("the target spec names no object: give `targets:` or `scatter:` (examples: docs/augmented.md)")
     placed = [_named(track, target, index) for index, target in enumerate(spec.targets)]
-    taken = [(one.thing.east_m, one.thing.north_m, one.thing.reach_m) for one in placed]
+    taken = [(one.scene_object.east_m, one.scene_object.north_m, one.scene_object.reach_m) for one in placed]
     for index, clear in enumerate(spec.keep_clear):
         ping = _ping_of(track, clear, f"keep_clear[{index}]")
         taken.append((*track.plane_place(ping, clear.side, clear.ground_range_m), clear.radius_m))
@@ -175,16 +180,16 @@ def place_targets(spec: TargetSpec, track: PingTrack) -> tuple[Placement, ...]:
     return tuple(placed)
 
 
-def _ping_of(track: PingTrack, thing: EmbeddedTarget | ClearPlace, where: str) -> int:
-    if thing.ping is not None:
-        found = np.flatnonzero(track.number == thing.ping)
+def _ping_of(track: PingTrack, scene_object: EmbeddedTarget | ClearPlace, where: str) -> int:
+    if scene_object.ping is not None:
+        found = np.flatnonzero(track.number == scene_object.ping)
         if not found.size:
-            raise UsageError(f"`{where}.ping` is {thing.ping}: the log has usable pings {track.number[0]} to {track.number[-1]}")
+            raise UsageError(f"`{where}.ping` is {scene_object.ping}: the log has usable pings {track.number[0]} to {track.number[-1]}")
         return int(found[0])
-    along_m = float(track.along_m[0]) + (thing.along_m or 0.0)
+    along_m = float(track.along_m[0]) + (scene_object.along_m or 0.0)
     if along_m > track.along_m[-1]:
         way_m = float(track.along_m[-1] - track.along_m[0])
-        raise UsageError(f"`{where}.along_m` is {thing.along_m:g}: the log's track is {way_m:.1f} m long")
+        raise UsageError(f"`{where}.along_m` is {scene_object.along_m:g}: the log's track is {way_m:.1f} m long")
     return int(np.abs(track.along_m - along_m).argmin())
 
 
@@ -219,7 +224,7 @@ def _named(track: PingTrack, target: EmbeddedTarget, index: int) -> Placement:
 
 
 def solid_sizes(kind: EmbeddedKind, length_m: float | None, width_m: float | None, height_m: float | None) -> dict[str, float]:
-    """Length, width and height of a kind; those left out usual, those that its shape ties together equal."""
+    """Return length, width and height of a kind; missing ones are usual, those that its shape couples are equal."""
     usual = USUAL[kind]
     width = usual.width_m if width_m is None else width_m
     length = width if kind in ("sphere", "truncated_cone", "tyre") else usual.length_m if length_m is None else length_m
@@ -253,7 +258,7 @@ def _placement(
         )
     usual = USUAL[kind]
     east_m, north_m = track.plane_place(ping, side, ground_range_m)
-    thing = PlacedObject(
+    scene_object = PlacedObject(
         kind=kind,
         east_m=east_m,
         north_m=north_m,
@@ -270,13 +275,13 @@ def _placement(
         is_target=is_target,
         seed=seed,
     )
-    return Placement(thing, ping, side, ground_range_m)
+    return Placement(scene_object, ping, side, ground_range_m)
 
 
 def _scattered(
     track: PingTrack, group: ScatteredTargets, index: int, seed: int, taken: list[tuple[float, float, float]]
 ) -> list[Placement]:
-    """The group's objects; their places are added to `taken`: east, north and reach."""
+    """Draw the group's objects; their places are added to `taken`: east, north and reach."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _STREAM, index])))
     where = f"scatter[{index}]"
     low, high = group.ground_range_m or (0.0, math.inf)

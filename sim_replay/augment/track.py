@@ -1,4 +1,4 @@
-"""Where the pings of a log looked, as placing a target needs it: which places they show well, and which pings look straight at a place."""
+"""Locate the footprints of a log's pings: which places they show well, and which pings look straight at a place."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ SIGN: Final[dict[Side, float]] = {"port": -1.0, "starboard": 1.0}
 
 
 class PingTrack(NamedTuple):
-    """All pings of a log; arrays are (n_pings,), float64 unless named otherwise.
+    """Hold all pings of a log; arrays are (n_pings,), float64 unless named otherwise.
 
-    number: int64, in the log. stretch, row: int64, the stretch of the survey and the ping's place in it. east_m, north_m: in the plane
-    of `frame`. nearest_m, farthest_m: (2, n_pings), port first: ground ranges that a side shows well, NaN where it shows none.
-    why: what is wrong with a whole ping, "" if nothing. yaw_per_m, pitch_stretch: by how much the spacing of pings on the bottom grows with
-    each metre of range to port, and by pitching.
+    number: int64, in the log. stretch, row: int64, the stretch of the survey and the ping's place in it. east_m,
+    north_m: in the plane of `frame`. nearest_m, farthest_m: (2, n_pings), port first: ground ranges that a side shows
+    well, NaN where it shows none. why: what is wrong with a whole ping, "" if nothing. yaw_per_m, pitch_stretch: by how
+    much the spacing of pings on the bottom grows with each metre of range to port, and by pitching.
     """
 
     frame: LocalFrame
@@ -51,7 +51,7 @@ class PingTrack(NamedTuple):
     max_spacing_ratio: float
 
     def refusal(self, ping: int, side: Side, ground_range_m: float) -> str:
-        """Why an object cannot be put there, "" if it can."""
+        """Return the reason why an object cannot be put there, "" if it can."""
         if self.why[ping]:
             return self.why[ping]
         row = SIDES.index(side)
@@ -68,12 +68,12 @@ class PingTrack(NamedTuple):
         return ""
 
     def plane_place(self, ping: int, side: Side, ground_range_m: float) -> tuple[float, float]:
-        """East and north of a place abeam of a ping."""
+        """Return east and north of a place abeam of a ping."""
         across, heading = SIGN[side] * ground_range_m, float(self.heading_rad[ping])
         return float(self.east_m[ping]) + across * math.cos(heading), float(self.north_m[ping]) - across * math.sin(heading)
 
     def draw(self, random: np.random.Generator, sides: Sequence[Side], low_m: float, high_m: float) -> tuple[int, Side, float]:
-        """A ping, side and ground range, even over the sea floor seen between two ranges; high_m may be inf.
+        """Draw a ping, side and ground range, even over the sea floor seen between two ranges; high_m may be inf.
 
         Raises BadInputError if none is seen there.
         """
@@ -90,7 +90,7 @@ class PingTrack(NamedTuple):
         return ping, sides[row], float(random.uniform(near[row, ping], far[row, ping]))
 
     def looks(self, east_m: float, north_m: float) -> list[tuple[int, Side, float]]:
-        """Pings that look straight at a place, each with side and ground range, in order; only where the place is shown well."""
+        """Return pings that look straight at a place that is shown well, each with side and ground range, in order."""
         ahead = (east_m - self.east_m) * np.sin(self.heading_rad) + (north_m - self.north_m) * np.cos(self.heading_rad)
         across = (east_m - self.east_m) * np.cos(self.heading_rad) - (north_m - self.north_m) * np.sin(self.heading_rad)
         same = self.stretch[1:] == self.stretch[:-1]
@@ -105,16 +105,14 @@ class PingTrack(NamedTuple):
 
 
 def track_of(survey: Survey, config: Config) -> PingTrack:
-    """The track of a log. Raises BadInputError if none of its pings has a position."""
+    """Compute the track of a log. Raises BadInputError if none of its pings has a position."""
     waterfall = config.waterfall
     latitude, longitude = (
         np.concatenate([getattr(stretch.poses, name) for stretch in survey.stretches]) for name in ("latitude_deg", "longitude_deg")
     )
     known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not known.size:
-        raise BadInputError(
-            f"{survey.path} has no positions: nothing can be said about where a target would lie. Give a log with navigation."
-        )
+        raise BadInputError(f"{survey.path} has no positions: a target's place cannot be computed. Give a log with navigation.")
     frame = LocalFrame(latitude_deg=float(latitude[known[0]]), longitude_deg=float(longitude[known[0]]))
     enu = frame.to_enu(latitude, longitude, 0.0)
 
@@ -161,7 +159,7 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
 
 
 def _reach_m(survey: Survey, stretch: int, side: Side) -> Floats:
-    """Slant range that each ping's trace reaches, NaN where the side was not recorded."""
+    """Return the slant range that each ping's trace reaches, NaN where the side was not recorded."""
     trace = survey.stretches[stretch].trace(0, side)
     reach = math.nan if trace is None else trace.first_range_m + trace.samples.shape[0] * trace.spacing_m
     return np.full(survey.stretches[stretch].n_pings, reach)

@@ -1,1 +1,1 @@
-"""The far ends of wires, as programs: ports, adapters and servers that go wrong on demand, the same way for the same seed."""
+"""Run the far ends of wires as programs: ports, adapters and servers that fail on request, alike for the same seed."""

@@ -1,10 +1,11 @@
-"""A fake device as a process of its own: python -m sim_replay.fakes JOB.yaml
+"""Run a fake device as a process of its own: python -m sim_replay.fakes JOB.yaml
 
 A JOB with `devices` is a vehicle with all that is aboard; each of its lines then names the device.
 
-It says what happens in lines of JSON on standard output, first `ready` with the address of its wire. It begins at the instant that a line
-`start SECONDS` on standard input names (of the monotonic clock, which all processes share), or at once with --now. It ends, leaving no port
-behind, when standard input ends, on SIGTERM or SIGINT, and with --now when its mission is over.
+It reports events in lines of JSON on standard output, first `ready` with the address of its wire. It begins at the
+instant that a line `start SECONDS` on standard input names (of the monotonic clock, which all processes share), or at
+once with --now. It ends, leaving no port behind, when standard input ends, on SIGTERM or SIGINT, and with --now when
+its mission is over.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ def main() -> int:
     parser.add_argument(
         "job", metavar="JOB", type=Path, help="YAML: name, folder, device, log or scene, ...; or devices, folder, scene, ..."
     )
-    parser.add_argument("--now", action="store_true", help="begin at once instead of when told on standard input")
+    parser.add_argument("--now", action="store_true", help="begin at once instead of at a start line on standard input")
     arguments = parser.parse_args()
     failed: list[BaseException] = []
     try:
-        with contextlib.suppress(asyncio.CancelledError):  # told to stop
+        with contextlib.suppress(asyncio.CancelledError):  # requested to stop
             asyncio.run(_serve(arguments.job, arguments.now))
     except* AuvMcmError as group:
         failed = list(_leaves(group))
@@ -49,7 +50,7 @@ def main() -> int:
 
 
 def _leaves(error: BaseException) -> Iterator[BaseException]:
-    """The errors in a group of groups."""
+    """Yield the errors in a group of groups."""
     if isinstance(error, BaseExceptionGroup):
         for inner in error.exceptions:
             yield from _leaves(inner)
@@ -65,7 +66,7 @@ async def _serve(path: Path, now: bool) -> None:
     else:
         log = None if job.log is None else Path(job.log)
         device = FakeDevice(job, read_ahead(time_line(mission_events(log, job.scene), job.speed)), _report)
-    serving = asyncio.ensure_future(_played_now(device) if now else _played_as_told(device))
+    serving = asyncio.ensure_future(_played_now(device) if now else _play_as_commanded(device))
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
     try:
@@ -80,8 +81,8 @@ async def _played_now(device: FakeDevice | FakeVehicle) -> None:
     await device.run(start)
 
 
-async def _played_as_told(device: FakeDevice | FakeVehicle) -> None:
-    """Until standard input ends, even if the mission ends before."""
+async def _play_as_commanded(device: FakeDevice | FakeVehicle) -> None:
+    """Play until standard input ends, even if the mission ends before."""
     commands = asyncio.StreamReader()
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(commands), sys.stdin)
     start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
@@ -111,7 +112,7 @@ async def _listen(commands: asyncio.StreamReader, start: asyncio.Future[float]) 
 
 
 def _report(what: str, details: dict[str, Any]) -> None:
-    with contextlib.suppress(BrokenPipeError):  # nobody reads it any more; standard input tells when to end
+    with contextlib.suppress(BrokenPipeError):  # nobody reads it any more; the end of standard input ends the process
         print(json.dumps({"mono_s": round(time.monotonic(), 4), "what": what, **details}), flush=True)
 
 

@@ -1,4 +1,4 @@
-"""The controller of a fake vehicle at its wire: what it is told and does is reported, and what it says can be spoilt."""
+"""Put the controller of a fake vehicle on its wire, report its commands and actions, and corrupt its output on request."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ _STREAM: Final = 0x4E4F4E53  # keeps these random numbers apart from others of t
 
 
 class ReportingController:
-    """A controller whose doings are reported: `granted`, `released` (by: `payload`, `vehicle`, or `time-out`), `command` (what is flown
-    from now on), `refused` (n_commands), `contact` (as it was told), `health` (text).
+    """Report a controller's actions: `granted`, `released` (by: `payload`, `vehicle`, or `time-out`), `command` (flown
+    from now on), `refused` (n_commands), `contact` (as it was reported), `health` (text).
 
-    is_talking_nonsense: every message is said once more, spoilt. granted_once: set when control is granted for the first time.
+    is_talking_nonsense: every message is repeated, corrupted. granted_once: set when control is granted for the first
+    time.
     """
 
     def __init__(self, controller: FakeController[Any], seed: int, report: Report) -> None:
@@ -36,7 +37,7 @@ class ReportingController:
         self._report = report
         self._nonsense: Counter[str] = Counter()
         self._was_in_control = False
-        self._was_told: Command | None = None
+        self._last_command: Command | None = None
         self._before: Counter[str] = Counter()
         self._taken_back = False
         self.is_talking_nonsense = False
@@ -48,50 +49,50 @@ class ReportingController:
 
     @property
     def in_control(self) -> bool:
-        """Whether the payload commands."""
+        """Report whether the payload commands."""
         return self._controller.in_control
 
     @property
     def command(self) -> Command | None:
-        """What to fly now; None: the vehicle's own plan."""
+        """Return the command to fly now; None: the vehicle's own plan."""
         return self._controller.command if self._controller.in_control else None
 
     def power_up(self, now_s: float) -> None:
         self._controller.power_up(now_s)
-        self._tell()
+        self._report_changes()
 
     def set_willing(self, willing: bool, now_s: float) -> None:
-        """Not willing: control is taken back, and not given any more."""
+        """Set whether control is granted; unwilling revokes it and grants no more."""
         self._controller.willing = willing
         if not willing:
             self._taken_back = True
             self._controller.revoke(now_s)
-            self._tell()
+            self._report_changes()
             self._taken_back = False
 
     def connected(self, now_s: float) -> None:
         self._controller.connected(now_s)
-        self._tell()
+        self._report_changes()
 
     def tick(self, sample: NavSample, now_s: float) -> list[Message]:
-        """What it says by itself where it believes to be; sample.time_s: UTC."""
+        """Return the messages due at the pose that the vehicle believes; sample.time_s: UTC."""
         messages = list(self._controller.tick(sample, _is_there(sample, self.command), now_s))
-        self._tell()
+        self._report_changes()
         return self._with_nonsense(messages)
 
     def heard(self, data: Message, now_s: float) -> list[Message]:
         messages = list(self._controller.heard(data, now_s))
-        self._tell()
+        self._report_changes()
         return self._with_nonsense(messages)
 
-    def _tell(self) -> None:
+    def _report_changes(self) -> None:
         controller = self._controller
         risen = controller.counters - self._before
         self._before = Counter(controller.counters)
         if controller.in_control and not self._was_in_control:
             self._report("granted", {})
             self.granted_once.set()
-        if self.command is not None and self.command != self._was_told:
+        if self.command is not None and self.command != self._last_command:
             self._report("command", {"kind": type(self.command).__name__, **self.command._asdict()})
         if n_refused := risen["vehicle.commands_refused"]:
             self._report("refused", {"n_commands": n_refused})
@@ -102,7 +103,7 @@ class ReportingController:
         if self._was_in_control and not controller.in_control:
             by = "vehicle" if self._taken_back else "time-out" if risen["vehicle.commands_expired"] else "payload"
             self._report("released", {"by": by})
-        self._was_in_control, self._was_told = controller.in_control, self.command
+        self._was_in_control, self._last_command = controller.in_control, self.command
 
     def _with_nonsense(self, messages: list[Message]) -> list[Message]:
         if not self.is_talking_nonsense:
@@ -112,7 +113,9 @@ class ReportingController:
         return spoilt
 
     def _spoilt(self, message: Message) -> Message:
-        """A frame cut short, since a bus has checksums of its own; bytes cut short or with one of them changed."""
+        """Corrupt a frame or bytes. Frames are cut short, as a bus has checksums; bytes are cut, or one of them is
+        changed.
+        """
         if isinstance(message, CanFrame):
             return message._replace(data=message.data[: self._random.integers(0, max(len(message.data), 1))])
         if not message or self._random.random() < 0.5:
@@ -131,5 +134,5 @@ def _is_there(sample: NavSample, command: Command | None) -> bool:
 
 
 def _json(value: Any) -> Any:
-    """JSON has no NaN."""
+    """Replace NaN, which JSON lacks."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

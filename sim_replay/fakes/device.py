@@ -1,4 +1,4 @@
-"""A fake device at work: it plays a mission on a wire, answers its host, and fails as it was told to."""
+"""Run a fake device: it plays a mission on a wire, answers its host, and fails as its job requests."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from sim_replay.fakes.worst_bytes import WORST_BYTES
 SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
 
 _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves something out
-_HELD_S: Final = 0.02  # 0.12 m at 6 m/s: a vehicle that is told of later waits
+_HELD_S: Final = 0.02  # 0.12 m at 6 m/s: a vehicle waits for a later device
 _TICK_S: Final = 0.1  # of a controller
 _LOOK_S: Final = 0.02  # whether a host has opened the wire of a vehicle
 _GARBAGE_BYTES: Final = 256
@@ -52,14 +52,15 @@ _FLOOD_BYTES: Final = 1400  # a datagram that fits an Ethernet frame
 
 
 class FakeDevice:
-    """One device of one run. events: its mission; a sonar plays its pings, every other device its navigation samples. controller: of a
-    vehicle, to which each sample is a tick; standing: where that is before the start. report(what, details): what happens, as it happens.
-    wait(late_s): lets the whole mission wait for a device that is late; None: the device leaves out what is too late.
+    """One device of one run. events: its mission; a sonar plays its pings, every other device its navigation samples.
+    controller: of a vehicle, to which each sample is a tick; standing: where that is before the start. report(what,
+    details): what happens, as it happens. wait(late_s): lets the whole mission wait for a device that is late; None:
+    the device leaves out what is too late.
 
-    Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and `mended` (do),
-    `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters: device.messages, .skipped (events
-    left out, since wire or computer were busy), .flood_bytes, .latest_ms (the latest that an event was through, after it was due), and
-    those of the wire, its damage and the controller.
+    Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and
+    `mended` (do), `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters:
+    device.messages, .skipped (events left out, since wire or computer were busy), .flood_bytes, .latest_ms (the latest
+    that an event was through, after it was due), and those of the wire, its damage and the controller.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class FakeDevice:
         self._has_power = True
         self._freeze = False
         self._offset = Offset(at_s=0.0)
-        self._told: NavSample | None = None
+        self._reported: NavSample | None = None
         self._tasks: asyncio.TaskGroup | None = None
 
     @property
@@ -99,12 +100,12 @@ class FakeDevice:
         return self._own + self.wire.counters + self._weather.counters + controller
 
     async def end(self) -> None:
-        """Be gone for good, and report the counters."""
+        """Close for good, and report the counters."""
         await self.wire.close()
         self._report("counters", dict(self.counters))
 
     async def run(self, start: Awaitable[float]) -> None:
-        """Be there for the host, and play the mission from the instant of the monotonic clock that `start` gives.
+        """Serve the host, and play the mission from the instant of the monotonic clock that `start` gives.
 
         Ends with the mission, and with the last fault that ends.
         """
@@ -123,11 +124,11 @@ class FakeDevice:
             self._report("done", {})
 
     def hold(self, for_s: float) -> None:
-        """Move everything that is still due, events and faults, to so much later."""
+        """Delay every event and fault still due by so much."""
         self._start_s += for_s
 
     async def _welcome(self) -> None:
-        """Tell the controller of every host that opens the wire."""
+        """Notify the controller of every host that opens the wire."""
         while self._controller is not None:
             await opened(self.wire)
             self._controller.connected(time.monotonic())
@@ -135,7 +136,7 @@ class FakeDevice:
                 await asyncio.sleep(_LOOK_S)
 
     async def _stand(self) -> None:
-        """Have the controller talk before its vehicle flies."""
+        """Let the controller send before its vehicle flies."""
         while self._controller is not None and self._standing is not None:
             now_s = time.monotonic()
             for message in self._controller.tick(structs.replace(self._standing, time_s=self._time(now_s).utc_s), now_s):
@@ -166,18 +167,18 @@ class FakeDevice:
         if isinstance(event, Ping):
             assert self._sonar is not None
             return self._sonar.ping(event, self._time(self._start_s + at_s))
-        if not self._freeze or self._told is None:
-            self._told = _wrong_by(event, self._offset)
+        if not self._freeze or self._reported is None:
+            self._reported = _wrong_by(event, self._offset)
         messages: list[Message] = []
-        utc_s = self._time(self._start_s + self._told.time_s).utc_s
+        utc_s = self._time(self._start_s + self._reported.time_s).utc_s
         if self._navigation is not None:
-            messages += self._navigation.measured(self._told, utc_s)
+            messages += self._navigation.measured(self._reported, utc_s)
         if self._controller is not None:
-            messages += self._controller.tick(structs.replace(self._told, time_s=utc_s), time.monotonic())
+            messages += self._controller.tick(structs.replace(self._reported, time_s=utc_s), time.monotonic())
         return messages
 
     def _hear(self, data: Message) -> None:
-        """What the host writes; answers go out as soon as the wire is free."""
+        """Answer what the host writes; answers go out as soon as the wire is free."""
         if self._tasks is None or not self._has_power:
             return
         for answer in self._answers(data):
@@ -258,7 +259,7 @@ class FakeDevice:
             await self.wire.send_garbage(self._random.bytes(_GARBAGE_BYTES))
 
     async def _send_worst(self, bytes_per_s: float) -> None:
-        """Send what costs the decoder of this kind of device most, one kind after the other, at a rate."""
+        """Send the input that costs this kind of device's decoder the maximum, one kind after the other, at a rate."""
         kind = self._job.device.device
         worst = WORST_BYTES[_WIRES.get(kind, kind)].values()
         pieces = [piece * (_FLOOD_BYTES // len(piece) + 1) for piece in worst]
@@ -270,7 +271,7 @@ class FakeDevice:
             await asyncio.sleep(max(began_s + n_sent / bytes_per_s - time.monotonic(), 0.0))
 
     def _time(self, mono_s: float) -> DeviceTime:
-        """What the device's clocks show at an instant of the monotonic clock."""
+        """Return the device's clocks at an instant of the monotonic clock."""
         utc_s = time.time() + mono_s - time.monotonic() + self._stepped_s
         return DeviceTime(max(mono_s - self._power_up_s + self._stepped_s, 0.0), utc_s)
 
@@ -283,7 +284,7 @@ class FakeDevice:
 
 
 def _travel_s(ping: Ping) -> float:
-    """How long the sound is under way to the end of the trace and back; before that nothing can be sent."""
+    """Return the travel time of sound to the end of the trace and back; nothing can be sent before."""
     ends_m = [trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in (ping.port, ping.starboard) if trace is not None]
     return 2.0 * max(ends_m, default=0.0) / ping.sound_speed_mps
 

@@ -1,4 +1,4 @@
-"""What happens to messages on a bad wire, drawn from a seed."""
+"""Damage messages as on a bad wire, drawn from a seed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 class FaultRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Probabilities. Per byte: flip (of one of its bits), drop, repeat. Per message: lose, double, truncate, delay (by up to delay_s)."""
+    """Set probabilities. Per byte: flip (one bit), drop, repeat. Per message: lose, double, truncate, delay (to
+    delay_s).
+    """
 
     flip_byte: Probability = 0.0
     drop_byte: Probability = 0.0
@@ -26,7 +28,7 @@ class FaultRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Faults:
-    """Damages one message after the other. Same rates, seed and messages: same damage.
+    """Damage one message after the other. Same rates, seed and messages: same damage.
 
     counters: fault.flipped, .dropped, .repeated (bytes), .lost, .doubled, .truncated, .delayed (messages).
     """
@@ -37,7 +39,9 @@ class Faults:
         self._random = np.random.Generator(np.random.PCG64(seed))
 
     def passed(self, message: bytes) -> list[tuple[float, bytes]]:
-        """What comes through of a message: none, one or two copies, each with its delay in seconds and its own damage."""
+        """Return the surviving copies of a message: none, one or two, each with its delay in seconds and its own
+        damage.
+        """
         if self._happens(self._rates.lose, "lost"):
             return []
         n_copies = 2 if self._happens(self._rates.double, "doubled") else 1

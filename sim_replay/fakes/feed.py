@@ -1,4 +1,4 @@
-"""What fake devices have to tell and when: a mission, recorded or simulated, on the time line of a run."""
+"""Feed fake devices with a mission, recorded or simulated, on the time line of a run."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _BATCH: Final = 16  # events read at once off the event loop
 
 
 class TimedEvent(NamedTuple):
-    """A ping or navigation sample and when it happens, in seconds after the run's start; its own time_s is the same."""
+    """Time a ping or navigation sample in seconds after the run's start; its own time_s is the same."""
 
     at_s: float
     event: Ping | NavSample
 
 
 def mission_events(log: Path | None, scene: str | None) -> Iterator[SourceEvent]:
-    """Events of a recorded log, or of a scene: a file or the name of one that ships with the package.
+    """Read events of a recorded log, or of a scene: a file or the name of one that ships with the package.
 
-    Echo samples are taken for amplitudes where a log does not say that they are intensities. Raises UsageError unless
+    Echo samples are taken for amplitudes unless a log marks them as intensities. Raises UsageError unless
     exactly one is given, or for a scene that stores logarithms; BadInputError for a log that cannot be used.
     """
     if (log is None) == (scene is None):
@@ -59,9 +59,10 @@ def _of_amplitudes(event: SourceEvent) -> SourceEvent:
 
 
 def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[TimedEvent]:
-    """Events at `speed` times real time, from the first one on, never going back; what has no time is left out.
+    """Play events at `speed` times real time, from the first one on, never going back; untimed events are dropped.
 
-    The vehicle really is that much faster then: it tells `speed` times its speed, so that times, places and speeds agree.
+    The vehicle really is that much faster then: it reports `speed` times its speed, so that times, places and speeds
+    agree.
     """
     start_s, last_s = math.nan, 0.0
     for event in events:
@@ -77,7 +78,7 @@ def time_line(events: Iterable[SourceEvent], speed: float) -> Iterator[TimedEven
 
 
 async def read_ahead(events: Iterator[TimedEvent]) -> AsyncIterator[TimedEvent]:
-    """The same, read off the event loop while those before are played."""
+    """Read the same events off the event loop while earlier ones are played."""
 
     def read_on() -> asyncio.Future[list[TimedEvent]]:
         return asyncio.ensure_future(asyncio.to_thread(lambda: list(islice(events, _BATCH))))

@@ -1,4 +1,4 @@
-"""What a fake device is told: who it is, at which wire, what it plays, and what goes wrong when."""
+"""Read the job of a fake device: its name, its wire, the mission it plays, and its timed faults."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ LinkKind: TypeAlias = Literal["serial", "slcan", "tcp", "udp"]
 CAN_DEVICES: Final = ("nmea2000", "vehicle_can")
 
 
-class _Told(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     pass
 
 
-class _Fault(_Told, frozen=True, kw_only=True, tag_field="do"):
-    """at_s: after the run's start, or, of a vehicle, after the first time that it granted control. for_s: how long, empty for until the
-    end; times are real ones, whatever the mission's speed."""
+class _Fault(_Record, frozen=True, kw_only=True, tag_field="do"):
+    """Time a fault. at_s: after the run's start, or, of a vehicle, after it first granted control. for_s: how long,
+    empty for until the end; times are real ones, whatever the mission's speed.
+    """
 
     at_s: Seconds
     after: Literal["start", "grant"] = "start"
@@ -35,45 +36,45 @@ class _Fault(_Told, frozen=True, kw_only=True, tag_field="do"):
 
 
 class Unplug(_Fault, frozen=True, kw_only=True, tag="unplug"):
-    """The cable is out; the device goes on and notices nothing."""
+    """Pull the cable; the device goes on and notices nothing."""
 
 
 class PowerOff(_Fault, frozen=True, kw_only=True, tag="power_off"):
-    """The cable is out and the device without power: it forgets its settings, and its counters start again from 0."""
+    """Pull cable and power: the device forgets its settings, and its counters start again from 0."""
 
 
 class Stall(_Fault, frozen=True, kw_only=True, tag="stall"):
-    """Nothing passes in either direction, and nobody is told."""
+    """Pass nothing in either direction, without a signal to either end."""
 
 
 class Garbage(_Fault, frozen=True, kw_only=True, tag="garbage"):
-    """Random bytes between all messages, as fast as the wire carries them; 1 MB/s on a network."""
+    """Send random bytes between all messages, as fast as the wire carries them; 1 MB/s on a network."""
 
 
 class Damage(_Fault, frozen=True, kw_only=True, tag="damage"):
-    """Flipped, lost and repeated bytes and messages."""
+    """Flip, lose and repeat bytes and messages."""
 
     rates: FaultRates
 
 
 class WrongBaud(_Fault, frozen=True, kw_only=True, tag="wrong_baud"):
-    """The device speaks at another rate than it should; the host hears what a UART makes of it."""
+    """Send at another rate than the right one; the host reads what a UART makes of it."""
 
     baud: int
 
 
 class ClockStep(_Fault, frozen=True, kw_only=True, tag="clock_step"):
-    """The device's clocks, counter and UTC, are by_s ahead of what they should be."""
+    """Set the device's clocks, counter and UTC, ahead by by_s."""
 
     by_s: Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
 class Freeze(_Fault, frozen=True, kw_only=True, tag="freeze"):
-    """Navigation only: the last sample is told again and again, times and all."""
+    """Repeat the last navigation sample, times and all. Navigation only."""
 
 
 class Offset(_Fault, frozen=True, kw_only=True, tag="offset"):
-    """Navigation only: what is told is wrong by this much."""
+    """Offset the reported navigation by this much. Navigation only."""
 
     east_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
     north_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
@@ -81,15 +82,15 @@ class Offset(_Fault, frozen=True, kw_only=True, tag="offset"):
 
 
 class Revoke(_Fault, frozen=True, kw_only=True, tag="revoke"):
-    """Vehicles only: control is taken back, and not given again before the fault ends."""
+    """Revoke control and do not grant it again before the fault ends. Vehicles only."""
 
 
 class Nonsense(_Fault, frozen=True, kw_only=True, tag="nonsense"):
-    """Vehicles only: whatever is said is said once more, cut short or with something in it changed."""
+    """Repeat every message, cut short or changed. Vehicles only."""
 
 
 class Flood(_Fault, frozen=True, kw_only=True, tag="flood"):
-    """From the device's own address comes, besides what it says, what costs its decoder most."""
+    """Send, from the device's own address and besides its messages, the input that costs its decoder the maximum."""
 
     bytes_per_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 100_000.0
 
@@ -97,8 +98,9 @@ class Flood(_Fault, frozen=True, kw_only=True, tag="flood"):
 Fault: TypeAlias = Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset | Revoke | Nonsense | Flood
 
 
-class Device(_Told, frozen=True, kw_only=True):
-    """A device at the end of a wire. baud: its own rate; host_baud: what the host believes, if that is another. silent_s: of the link.
+class Device(_Record, frozen=True, kw_only=True):
+    """Describe a device at the end of a wire. baud: its own rate; host_baud: the rate the host assumes, if another.
+    silent_s: of the link.
 
     beside: a navigation unit of a vehicle on the same wire as its controller.
     """
@@ -126,9 +128,11 @@ class Device(_Told, frozen=True, kw_only=True):
             if isinstance(fault, WrongBaud) and not serial:
                 raise ValueError(f"a link '{self.link}' has no baud rate that could be wrong")
             if isinstance(fault, Freeze | Offset) and (self.is_sonar or self.is_vehicle):
-                raise ValueError(f"a device '{self.device}' is no navigation unit: freeze and offset are for those")
+                raise ValueError(f"a device '{self.device}' is not a navigation unit; freeze and offset need one. Remove the fault")
             if not self.is_vehicle and (isinstance(fault, Revoke | Nonsense) or fault.after == "grant"):
-                raise ValueError(f"a device '{self.device}' is no vehicle: revoke, nonsense and 'after: grant' are for those")
+                raise ValueError(
+                    f"a device '{self.device}' is not a vehicle; revoke, nonsense and 'after: grant' need one. Remove the fault"
+                )
         if self.beside is not None and (not self.is_vehicle or (self.beside in CAN_DEVICES) != (self.link == "slcan")):
             raise ValueError(f"a unit '{self.beside}' cannot share the wire of a device '{self.device}' on a link '{self.link}'")
 
@@ -141,8 +145,10 @@ class Device(_Told, frozen=True, kw_only=True):
         return self.device in VEHICLE_NAMES
 
 
-class Job(_Told, frozen=True, kw_only=True):
-    """One device of one run. folder: where its port appears; log or scene: the mission; speed: times real time."""
+class Job(_Record, frozen=True, kw_only=True):
+    """Describe one device of one run. folder: where its port appears; log or scene: the mission; speed: times real
+    time.
+    """
 
     name: DeviceName
     device: Device
@@ -153,8 +159,8 @@ class Job(_Told, frozen=True, kw_only=True):
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 0
 
 
-class VehicleJob(_Told, frozen=True, kw_only=True):
-    """A vehicle of one run, with all that is aboard, in the world of a scene; one of the devices is its controller."""
+class VehicleJob(_Record, frozen=True, kw_only=True):
+    """Describe a vehicle of one run, with all aboard, in the world of a scene; one of the devices is its controller."""
 
     devices: dict[DeviceName, Device]
     folder: str
@@ -167,7 +173,10 @@ class VehicleJob(_Told, frozen=True, kw_only=True):
 
 
 def read_job(path: Path) -> Job | VehicleJob:
-    """A job from a YAML file: a vehicle's if it names `devices`. Raises UsageError with the key's path for what is not understood."""
+    """Read a job from a YAML file: a vehicle's if it names `devices`.
+
+    Raises UsageError with the path of a key that is not understood.
+    """
     data = load_mapping(read_text(path, "job of a fake device"), str(path), "expected keys such as 'name:' and 'device:'")
     kind: type[Job] | type[VehicleJob] = VehicleJob if "devices" in data else Job
     try:

@@ -1,4 +1,4 @@
-"""Navigation units as their makers describe them: what they send of a navigation sample. No ports, no clocks."""
+"""Encode navigation samples as units do by their makers' manuals. No ports, no clocks."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _TURN: Final = 2.0 * math.pi
 
 
 class FakeNavigation(Protocol):
-    """A unit that tells a sample as soon as it has measured it."""
+    """Send each sample as soon as it is measured."""
 
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
-        """Messages about a sample; utc_s: when it was measured, by the unit's own clock."""
+        """Return messages about a sample; utc_s: when it was measured, by the unit's own clock."""
         ...
 
 
 class Nmea0183Unit:
-    """A satellite compass: position, heading, attitude, speed, and depth below its echo sounder, with time and date."""
+    """Simulate a satellite compass: position, heading, attitude, speed, depth below its echo sounder, time and date."""
 
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
         day, time_of_day_s = divmod(utc_s, _DAY_S)
@@ -50,7 +50,7 @@ class Nmea0183Unit:
 
 
 class PixseUnit:
-    """A PHINS: bursts of `$PIXSE` with their heading; the depth is told as a height."""
+    """Simulate a PHINS: bursts of `$PIXSE` with their heading; the depth is sent as a height."""
 
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
         records: list[sentences.Record] = [sentences.Hdt(sample.heading_rad % _TURN)]
@@ -63,7 +63,7 @@ class PixseUnit:
 
 
 class FakePd6Unit:
-    """A DVL with PD6 text: attitude, velocity over ground, range to the bottom."""
+    """Simulate a DVL with PD6 text: attitude, velocity over ground, range to the bottom."""
 
     def __init__(self) -> None:
         self._last: NavSample | None = None
@@ -88,7 +88,7 @@ class FakePd6Unit:
 
 
 class FakeWaterLinkedUnit:
-    """A Water Linked DVL: velocity with altitude, and attitude with its own dead reckoning, which stays at its start."""
+    """Simulate a Water Linked DVL: velocity, altitude, attitude, and its own dead reckoning, which stays at its start."""
 
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
         good = math.isfinite(sample.speed_mps)
@@ -106,7 +106,10 @@ class FakeWaterLinkedUnit:
 
 
 class Nmea2000Unit:
-    """Heading, attitude, position, speed and water depth on a NMEA 2000 bus, all of one sample with one sid; it claims its address."""
+    """Send heading, attitude, position, speed and water depth on NMEA 2000, all of one sample with one sid.
+
+    It claims its address.
+    """
 
     def __init__(self) -> None:
         self._n_samples = 0
@@ -157,7 +160,7 @@ def _frames(records: Iterable[n2k_messages.Record], number: int) -> Iterable[Can
 
 
 def _velocity(sample: NavSample) -> tuple[float, float]:
-    """East and north, m/s, of a vehicle that goes where its bow points."""
+    """Return the velocity east and north, m/s, of a vehicle that travels along its heading."""
     return sample.speed_mps * math.sin(sample.heading_rad), sample.speed_mps * math.cos(sample.heading_rad)
 
 

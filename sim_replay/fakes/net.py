@@ -1,4 +1,4 @@
-"""Devices at the other end of a network cable: a TCP server and a sender of UDP datagrams, with the faults of a serial port's fake."""
+"""Put devices on a network cable: a TCP server and a sender of UDP datagrams, with the faults of a serial port's fake."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER: discard and reset instead 
 class FakeTcpServer:
     """A device that listens on `port` of this computer. Each send is a message of its own for `faults`.
 
-    stalled: while set, what is sent or received is lost and nobody is told, as by a device that hangs. counters: tcp.connections,
-    tcp.sent, tcp.received, tcp.cut (bytes).
+    stalled: while set, what is sent or received is lost without a sign, as by a device that hangs. counters:
+    tcp.connections, tcp.sent, tcp.received, tcp.cut (bytes).
     """
 
     def __init__(self, faults: Faults | None = None, on_bytes: Callable[[bytes], None] | None = None) -> None:
@@ -58,7 +58,7 @@ class FakeTcpServer:
                 await client.wait_closed()
 
     async def send(self, message: bytes) -> None:
-        """To all clients."""
+        """Send to all clients."""
         for delay_s, data in [(0.0, message)] if self._faults is None else self._faults.passed(message):
             if delay_s:
                 await asyncio.sleep(delay_s)
@@ -84,9 +84,11 @@ class FakeTcpServer:
 
 
 class FakeUdpDevice:
-    """A device that sends datagrams to host:port of this computer, and hears what comes to its own `port`. Used in a running event loop.
+    """A device that sends datagrams to host:port of this computer, and hears what comes to its own `port`. Used in a
+    running event loop.
 
-    Delayed datagrams are overtaken by others. stalled: as for FakeTcpServer. counters: udp.sent, udp.received, udp.cut (datagrams).
+    Delayed datagrams are overtaken by others. stalled: as for FakeTcpServer. counters: udp.sent, udp.received, udp.cut
+    (datagrams).
     """
 
     def __init__(self, faults: Faults | None = None, on_bytes: Callable[[bytes], None] | None = None) -> None:
@@ -100,12 +102,12 @@ class FakeUdpDevice:
         asyncio.get_running_loop().add_reader(self._socket, self._receive)
 
     def send(self, message: bytes, host: str, port: int) -> None:
-        """A message as one datagram."""
+        """Send a message as one datagram."""
         for delay_s, data in [(0.0, message)] if self._faults is None else self._faults.passed(message):
             asyncio.get_running_loop().call_later(delay_s, self._put, data, (host, port))
 
     def close(self) -> None:
-        """Datagrams still delayed are lost."""
+        """Close; datagrams still delayed are lost."""
         asyncio.get_running_loop().remove_reader(self._socket)
         self._socket.close()
 

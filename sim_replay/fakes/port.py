@@ -1,4 +1,4 @@
-"""A serial device's end of a pseudo-terminal, at a stable path, that can do what cables do."""
+"""Run a serial device's end of a pseudo-terminal, at a stable path, with the faults of cables."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ _BAUD_OF: Final = {getattr(termios, name): int(name[1:]) for name in dir(termios
 class FakePort:
     """A device's serial port; the host opens `path`. Used in a running event loop.
 
-    Bytes leave at `baud`, in slices of 2 ms. A host that does not keep up loses bytes as behind a UART: what the kernel does not take is
-    gone. A pseudo-terminal takes 12 kB; once a host has set up the port, the rest of what a tty's kernel holds waits here. A host set to
-    another rate reads what a UART would. Rates that Linux has no name for cannot be seen and pass as set right.
+    Bytes leave at `baud`, in slices of 2 ms. A host that does not keep up loses bytes as behind a UART: what the kernel
+    does not take is gone. A pseudo-terminal takes 12 kB; once a host has set up the port, the rest of what a tty's
+    kernel holds waits here. A host set to another rate reads what a UART would. Rates that Linux has no name for cannot
+    be seen and pass as set right.
 
-    faults: damage to what is sent. on_bytes: what the host writes. stalled: while set, nothing passes in either direction and nobody is
-    told, as with a broken RS-232 cable. counters: port.sent, port.overrun, port.cut (bytes that were lost while unplugged or stalled),
-    port.received.
+    faults: damage to what is sent. on_bytes: what the host writes. stalled: while set, nothing passes in either
+    direction, without a sign, as with a broken RS-232 cable. counters: port.sent, port.overrun, port.cut (bytes that
+    were lost while unplugged or stalled), port.received.
     """
 
     def __init__(self, path: Path, baud: int, faults: Faults | None = None, on_bytes: Callable[[bytes], None] | None = None) -> None:
@@ -53,13 +54,13 @@ class FakePort:
 
     @property
     def host_baud(self) -> int:
-        """The rate the host has set, 0 for one that Linux has no name for. Raises RuntimeError while unplugged."""
+        """Return the rate the host has set, 0 for one that Linux has no name for. Raises RuntimeError while unplugged."""
         if not self.plugged:
             raise RuntimeError(f"{self.path}: no rate is set while the port is unplugged; plug it first")
         return _BAUD_OF.get(termios.tcgetattr(self._master)[5], 0)
 
     def plug(self) -> None:
-        """The device appears at its path. No effect if it is there."""
+        """Make the device appear at its path. No effect if it is there."""
         if self.plugged:
             return
         self._master, self._slave = os.openpty()  # without an open slave the master hangs up, too
@@ -75,7 +76,7 @@ class FakePort:
         new.replace(self.path)
 
     def unplug(self) -> None:
-        """The device is gone at once, and what the host has not read with it. No effect if it is not there."""
+        """Remove the device at once, with all that the host has not read. No effect if it is not there."""
         if not self.plugged:
             return
         loop = asyncio.get_running_loop()
@@ -91,7 +92,7 @@ class FakePort:
         self._master = self._slave = -1
 
     async def send(self, message: bytes) -> None:
-        """Put a message on the line, after those before it; returns when its last byte has left. What cannot arrive is lost and counted."""
+        """Send a message after those before it; returns when its last byte has left. Losses are counted."""
         async with self._line:
             for delay_s, data in [(0.0, message)] if self._faults is None else self._faults.passed(message):
                 if delay_s:
@@ -135,7 +136,7 @@ class FakePort:
         self.counters["port.overrun"] += len(piece) - n_taken
 
     def _written(self, data: bytes | bytearray) -> int:
-        """How many bytes the pseudo-terminal takes."""
+        """Write, and return how many bytes the pseudo-terminal takes."""
         n_taken = 0
         with contextlib.suppress(BlockingIOError):
             while n_taken < len(data):
@@ -143,13 +144,16 @@ class FakePort:
         return n_taken
 
     def _pass_on(self) -> None:
-        """Give the pseudo-terminal what waits, as the host makes room."""
+        """Pass waiting bytes to the pseudo-terminal, as the host makes room."""
         del self._waiting[: self._written(self._waiting)]
         if not self._waiting:
             asyncio.get_running_loop().remove_writer(self._master)
 
     def _is_set_up(self) -> bool:
-        """Whether a program has set up the port: it then ignores modem lines, which a new pseudo-terminal does not."""
+        """Report whether a program has set up the port.
+
+        It then ignores modem lines, which a new pseudo-terminal does not.
+        """
         return bool(termios.tcgetattr(self._master)[2] & termios.CLOCAL)
 
     def _receive(self) -> None:

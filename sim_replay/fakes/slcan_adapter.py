@@ -1,4 +1,4 @@
-"""A CAN adapter with the Lawicel (slcan) protocol, and the bus behind it."""
+"""Run a CAN adapter with the Lawicel (slcan) protocol, and the bus behind it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ _BUS_ERROR: Final = 0x80  # status flag
 
 
 class FakeSlcanAdapter:
-    """Answers C, O, S, Z, V, N, F, t and T on a port. Takes over the port's on_bytes.
+    """Answer C, O, S, Z, V, N, F, t and T on a port. Takes over the port's on_bytes.
 
-    bus_bitrate: of the bus; an adapter set to another one hears nothing of it, and its status says bus error. on_frame: what the host
-    sends. is_open: the channel, closed by `power_cycle`. counters: adapter.frames_sent, .frames_taken, .refused, .unheard.
+    bus_bitrate: of the bus; an adapter set to another one hears nothing of it, and its status reports a bus error.
+    on_frame: what the host sends. is_open: the channel, closed by `power_cycle`. counters: adapter.frames_sent,
+    .frames_taken, .refused, .unheard.
     """
 
     def __init__(self, port: FakePort, bus_bitrate: int, on_frame: Callable[[CanFrame], None] | None = None) -> None:
@@ -37,12 +38,12 @@ class FakeSlcanAdapter:
         port.on_bytes = self._receive
 
     def power_cycle(self) -> None:
-        """The adapter forgets what it was told; its port stays, as behind a real UART."""
+        """Reset the adapter's settings; its port stays, as behind a real UART."""
         self.is_open = False
         self._bitrate = 0
 
     async def send(self, frame: CanFrame) -> None:
-        """A frame comes on the bus. The host gets it if the channel is open at the bus's bit rate."""
+        """Send a frame on the bus. The host gets it if the channel is open at the bus's bit rate."""
         if self.is_open and self._bitrate == self.bus_bitrate:
             self.counters["adapter.frames_sent"] += 1
             await self.port.send(encode(frame))

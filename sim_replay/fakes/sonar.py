@@ -1,4 +1,4 @@
-"""Sonars as their makers describe them: what they answer to commands, and what they send of a ping. No ports, no clocks."""
+"""Simulate sonars by their makers' manuals: answers to commands, and messages of a ping. No ports, no clocks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _U16: Final = 65535
 
 
 class DeviceTime(NamedTuple):
-    """since_power_up_s: by the device's own counter. utc_s: by its clock, seconds since 1970."""
+    """Hold a device's clocks. since_power_up_s: by its own counter. utc_s: by its clock, seconds since 1970."""
 
     since_power_up_s: float
     utc_s: float
@@ -33,29 +33,30 @@ class DeviceTime(NamedTuple):
 class FakeSonar(Protocol):
     """A sonar that a person can read the manual of.
 
-    settings: what it was told last, for reports; "" before.
+    settings: the last command, for reports; "" before.
     """
 
     @property
     def settings(self) -> str: ...
 
     def power_up(self) -> None:
-        """Forget everything that was told."""
+        """Forget all settings."""
         ...
 
     def ping(self, ping: Ping, time: DeviceTime) -> list[bytes]:
-        """Messages about a transmission at `time`; none while it does not ping, or until it is asked."""
+        """Return messages about a transmission at `time`; none while it does not ping, or until it is polled."""
         ...
 
     def heard(self, data: bytes, time: DeviceTime) -> list[bytes]:
-        """Answers to what the host wrote."""
+        """Return answers to the host's bytes."""
         ...
 
 
 class PingProtocolSonar:
-    """Two heads of an Omniscan 450 on one wire; channel 0 looks to port. It is silent until it is enabled.
+    """Simulate two heads of an Omniscan 450 on one wire; channel 0 looks to port. It is silent until enabled.
 
-    A range or number of results other than the mission's is made from it by interpolation; beyond its end there is nothing.
+    A range or number of results other than the mission's is made from it by interpolation; beyond its end there is
+    nothing.
     """
 
     def __init__(self) -> None:
@@ -63,11 +64,11 @@ class PingProtocolSonar:
 
     @property
     def settings(self) -> str:
-        told = self._parameters
-        if told is None:
+        command = self._parameters
+        if command is None:
             return ""
-        gain = "automatic gain" if told.gain_index < 0 else f"gain {told.gain_index}"
-        return f"{'on' if told.enable else 'off'}, {told.length_mm / 1e3:g} m, {gain}, {told.num_results} results"
+        gain = "automatic gain" if command.gain_index < 0 else f"gain {command.gain_index}"
+        return f"{'on' if command.enable else 'off'}, {command.length_mm / 1e3:g} m, {gain}, {command.num_results} results"
 
     def power_up(self) -> None:
         self._framer = Framer(PingGrammar())
@@ -76,22 +77,22 @@ class PingProtocolSonar:
         self._number = 0
 
     def ping(self, ping: Ping, time: DeviceTime) -> list[bytes]:
-        told = self._parameters
-        if told is None or not told.enable:
+        command = self._parameters
+        if command is None or not command.enable:
             return []
         number, self._number = self._number, self._number + 1
         sides = ((0, ping.port), (1, ping.starboard))
-        return [self._profile(told, number, channel, trace, time) for channel, trace in sides if trace is not None]
+        return [self._profile(command, number, channel, trace, time) for channel, trace in sides if trace is not None]
 
     def heard(self, data: bytes, time: DeviceTime) -> list[bytes]:
         return [answer for framed in self._framer.feed(data) if (answer := self._answer(framed.message)) is not None]
 
     def _answer(self, message: ping_protocol.PingMessage) -> bytes | None:
         match ping_protocol.decode(message):
-            case ping_protocol.OsPingParams() as told:
-                if not (1_000 <= told.length_mm <= 200_000 and 200 <= told.num_results <= 1200 and -1 <= told.gain_index <= 7):
+            case ping_protocol.OsPingParams() as command:
+                if not (1_000 <= command.length_mm <= 200_000 and 200 <= command.num_results <= 1200 and -1 <= command.gain_index <= 7):
                     return ping_protocol.encode(ping_protocol.Nack(message.message_id, "out of range"))
-                self._parameters = told
+                self._parameters = command
                 return ping_protocol.encode(ping_protocol.Ack(message.message_id))
             case ping_protocol.SetSpeedOfSound() as speed:
                 self._sound_speed_mmps = speed.sound_speed_mmps
@@ -104,20 +105,20 @@ class PingProtocolSonar:
                 return ping_protocol.encode(ping_protocol.Nack(requested, "not known here"))
         return None
 
-    def _profile(self, told: ping_protocol.OsPingParams, number: int, channel: int, trace: EchoTrace, time: DeviceTime) -> bytes:
-        spacing_m = 1e-3 * told.length_mm / told.num_results
-        amplitude = resampled(trace, 1e-3 * told.start_mm + 0.5 * spacing_m, spacing_m, told.num_results)
+    def _profile(self, command: ping_protocol.OsPingParams, number: int, channel: int, trace: EchoTrace, time: DeviceTime) -> bytes:
+        spacing_m = 1e-3 * command.length_mm / command.num_results
+        amplitude = resampled(trace, 1e-3 * command.start_mm + 0.5 * spacing_m, spacing_m, command.num_results)
         intensity = np.square(amplitude)
         loudest_db = 10.0 * math.log10(max(float(intensity.max()), 1.0))
         floor = 10.0 ** (0.1 * (loudest_db - _DYNAMIC_RANGE_DB))
         level = 10.0 * np.log10(np.maximum(intensity, floor)) - (loudest_db - _DYNAMIC_RANGE_DB)
         profile = ping_protocol.OsMonoProfile(
             ping_number=number,
-            start_mm=told.start_mm,
-            length_mm=told.length_mm,
+            start_mm=command.start_mm,
+            length_mm=command.length_mm,
             timestamp_ms=round(1e3 * time.since_power_up_s) % _COUNTER_MS,
             ping_hz=_FREQUENCY_HZ,
-            gain_index=max(told.gain_index, 0),
+            gain_index=max(command.gain_index, 0),
             sound_speed_dmps=self._sound_speed_mmps // 100,
             channel_number=channel,
             pulse_duration_sec=1e-5,
@@ -132,15 +133,15 @@ class PingProtocolSonar:
 
 
 class JsfSonar:
-    """An EdgeTech side-scan of one frequency. It is silent until pinging is enabled; range and gain are taken note of."""
+    """Simulate an EdgeTech side-scan of one frequency, silent until pinging is enabled. It records range and gain."""
 
     def __init__(self) -> None:
         self.power_up()
 
     @property
     def settings(self) -> str:
-        told = ", ".join(f"{name} {value}" for name, value in self._values.items())
-        return f"{'on' if self._enabled else 'off'}, {told}" if told else ""
+        values = ", ".join(f"{name} {value}" for name, value in self._values.items())
+        return f"{'on' if self._enabled else 'off'}, {values}" if values else ""
 
     def power_up(self) -> None:
         self._framer = Framer(JsfGrammar())
@@ -201,9 +202,10 @@ class JsfSonar:
 
 
 class SportScanSonar:
-    """An Imagenex SportScan: it answers every switch command with both sides of its newest ping, 200 bytes of 0 to 127 each.
+    """Simulate an Imagenex SportScan: each switch command returns both sides of the newest ping, 200 bytes of 0 to 127
+    each.
 
-    The mean echo of the first ping is its unit of loudness: it is told as 25 at 20 dB of gain.
+    The mean echo of the first ping is its unit of loudness: it is sent as 25 at 20 dB of gain.
     """
 
     def __init__(self) -> None:
@@ -211,11 +213,11 @@ class SportScanSonar:
 
     @property
     def settings(self) -> str:
-        told = self._told
-        return "" if told is None else f"{told.range_m} m, gain {told.gain_db} dB"
+        command = self._command
+        return "" if command is None else f"{command.range_m} m, gain {command.gain_db} dB"
 
     def power_up(self) -> None:
-        self._told: SwitchCommand | None = None
+        self._command: SwitchCommand | None = None
         self._ping: Ping | None = None
         self._unit = 0.0
         self._rest = b""
@@ -232,7 +234,7 @@ class SportScanSonar:
             command = decode_command(self._rest[: end + 1][-COMMAND_BYTES:])
             self._rest = self._rest[end + 1 :]
             if command is not None and command.range_m in RANGES_M:
-                self._told = command
+                self._command = command
                 answers += self._answer(command)
         self._rest = self._rest[-COMMAND_BYTES:]
         return answers
@@ -250,7 +252,7 @@ class SportScanSonar:
 
 
 def resampled(trace: EchoTrace, first_range_m: float, spacing_m: float, n_samples: int) -> NDArray[np.float64]:
-    """(n_samples,) float64: a trace's samples at other ranges, interpolated linearly; 0 beyond half a sample from its ends."""
+    """Resample a trace at other ranges, (n_samples,) float64: linear; 0 beyond half a sample from its ends."""
     values: NDArray[Any] = trace.samples.astype(np.float64)
     at = (first_range_m - trace.first_range_m + spacing_m * np.arange(n_samples)) / trace.spacing_m
     found: NDArray[np.float64] = np.interp(at, np.arange(values.shape[0]), values)

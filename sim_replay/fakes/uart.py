@@ -1,4 +1,4 @@
-"""What a UART reads of a line that runs at another speed than it was set to."""
+"""Compute what a UART reads of a line that runs at another speed than it was set to."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ _BITS: Final = 10  # start, 8 data bits from the lowest on, stop
 
 
 def misread(data: bytes, sender_baud: int, receiver_baud: int) -> bytes:
-    """The bytes that a receiver makes of `data`, sent 8N1 in one go on a line that is idle before and after.
+    """Return the bytes that a receiver makes of `data`, sent 8N1 in one go on a line that is idle before and after.
 
-    The receiver waits for a falling edge and reads each bit at its middle by its own clock. A byte without a stop bit is read as 0, as
-    Linux does.
+    The receiver waits for a falling edge and reads each bit at its middle by its own clock. A byte without a stop bit
+    is read as 0, as Linux does.
     """
     line = [bit for byte in data for bit in (0, *((byte >> i) & 1 for i in range(8)), 1)]
     bit = sender_baud / receiver_baud  # one of the receiver's, in those of the sender

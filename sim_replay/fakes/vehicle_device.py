@@ -1,10 +1,11 @@
-"""A fake vehicle: one world, one vehicle in it, and the wires of its sonar, its navigation and its controller.
+"""Run a fake vehicle: one world, one vehicle in it, and the wires of its sonar, its navigation and its controller.
 
-The vehicle flies in real time, in blocks of a few pings. The echoes of a block are made while the block before is played, of the way that
-the command of that moment makes it go: a command takes effect one to two blocks, 0.1 to 0.4 s at 20 pings a second, after it has come.
+The vehicle flies in real time, in blocks of a few pings. The echoes of a block are made while the block before is
+played, of the way that the command of that moment makes it go: a command takes effect one to two blocks, 0.1 to 0.4 s
+at 20 pings a second, after it has come.
 
-On a computer that is too slow the mission waits: its time stands still until the next block is made and every device has got rid of what
-is due, so that nothing is left out and what the vehicle does depends on mission time alone.
+On a computer that is too slow the mission waits: its time stands still until the next block is made and every device
+has got rid of what is due, so that nothing is left out and what the vehicle does depends on mission time alone.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _STRAIGHT_RAD_S: Final = math.radians(15.0)  # turning no faster, it looks at wh
 
 
 class Pass(NamedTuple):
-    """A target was abeam. number: of the scene's targets. look_rad: from the vehicle to it, clockwise from north."""
+    """Record a target abeam. number: of the scene's targets. look_rad: from the vehicle to it, clockwise from north."""
 
     number: int
     ground_range_m: float
@@ -60,11 +61,12 @@ class Pass(NamedTuple):
 
 
 class FakeVehicle:
-    """A vehicle of one run. report(device, what, details): what happens to which device.
+    """Run the vehicle of one run. report(device, what, details): which event happens to which device.
 
-    Besides what its devices and its controller report, in the name of the controller: `pose` (once a second: where it truly is, and whether
-    the payload commands), `leg` (number: of its own plan, flown to its end), `passed` (a target abeam on a straight run: number,
-    ground_range_m, look_deg, in_control), `held` (for_s: mission time stood still so long, until now). counters: world.held_ms, their sum.
+    Besides what its devices and its controller report, in the name of the controller: `pose` (once a second: where it
+    truly is, and whether the payload commands), `leg` (number: of its own plan, flown to its end), `passed` (a target
+    abeam on a straight run: number, ground_range_m, look_deg, in_control), `held` (for_s: mission time stood still so
+    long, until now). counters: world.held_ms, their sum.
     """
 
     def __init__(self, job: VehicleJob, report: ReportOf, make_controller: MakeController | None = None) -> None:
@@ -78,7 +80,7 @@ class FakeVehicle:
         self._vehicle = SteeredVehicle(scene.track, planned_legs(scene.track.plan), scene.seed, self._frame, self._depth_of_floor)
         self._navigation = NavigationModel(scene.navigation_error, scene.origin, scene.seed)
         self._rate_hz = scene.sonar.ping_rate_hz
-        self._targets = [thing for thing in self._sea.objects if thing.is_target]
+        self._targets = [scene_object for scene_object in self._sea.objects if scene_object.is_target]
         self._counters: Counter[str] = Counter()
         self._start_s = 0.0
         make = make_controller or CONTROLLERS[controls.device]
@@ -98,7 +100,10 @@ class FakeVehicle:
         }
 
     async def run(self, start: Awaitable[float]) -> None:
-        """Be there for the hosts, and fly from the instant of the monotonic clock that `start` gives; it does not end by itself."""
+        """Serve the hosts, and fly from the instant of the monotonic clock that `start` gives.
+
+        It does not end by itself.
+        """
         started = asyncio.ensure_future(start)
         async with asyncio.TaskGroup() as tasks:
             for device in self.devices.values():
@@ -106,17 +111,17 @@ class FakeVehicle:
             await self._fly(await asyncio.shield(started))
 
     async def end(self) -> None:
-        """Be gone for good, and report the counters."""
+        """Close for good, and report the counters."""
         for name, device in self.devices.items():
             await device.wire.close()
             counters = device.counters + (self._counters if name == self._name else Counter())
             self._report(name, "counters", dict(counters))
 
     def _standing(self) -> NavSample:
-        """What navigation says before it moves."""
+        """Return the navigation sample before the vehicle moves."""
         scene = self._sea.scene
         (pose,) = SteeredVehicle(scene.track, self._vehicle.legs, scene.seed, self._frame, self._depth_of_floor).fly(1, self._rate_hz)
-        sample = NavigationModel(scene.navigation_error, scene.origin, scene.seed).told(pose, self._sea.altitude_m(pose))
+        sample = NavigationModel(scene.navigation_error, scene.origin, scene.seed).reported(pose, self._sea.altitude_m(pose))
         return structs.replace(sample, speed_mps=0.0)
 
     async def _fly(self, start_s: float) -> None:
@@ -127,13 +132,13 @@ class FakeVehicle:
             await asyncio.sleep(max(self._start_s + (number - _BLOCK) / self._rate_hz - time.monotonic(), 0.0))
             self._vehicle.steer(self._controller.command)
             poses = self._vehicle.fly(_BLOCK, self._rate_hz)
-            told = [self._navigation.told(pose, self._sea.altitude_m(pose)) for pose in poses]
+            reported = [self._navigation.reported(pose, self._sea.altitude_m(pose)) for pose in poses]
             silent = self._vehicle.done and self._controller.command is None
-            pings: list[Ping] = [] if silent else await asyncio.to_thread(self._sound, poses, number, told)
+            pings: list[Ping] = [] if silent else await asyncio.to_thread(self._sound, poses, number, reported)
             late_s = time.monotonic() - self._start_s - number / self._rate_hz
             if late_s > 0.0:
                 self._hold(late_s)
-            for index, (pose, sample) in enumerate(zip(poses, told, strict=True)):
+            for index, (pose, sample) in enumerate(zip(poses, reported, strict=True)):
                 at_s = (number + index) / self._rate_hz
                 ticks = at_s >= next_tick_s
                 next_tick_s += ticks / _TICK_HZ
@@ -150,18 +155,18 @@ class FakeVehicle:
             number += _BLOCK
 
     def _hold(self, late_s: float) -> None:
-        """Let the mission wait: what was due so long ago is due now."""
+        """Let the mission wait: events due that long ago are due now."""
         self._start_s += late_s
         for device in self.devices.values():
             device.hold(late_s)
         self._counters["world.held_ms"] += math.ceil(1e3 * late_s)
         self._report(self._name, "held", {"for_s": round(late_s, 4)})
 
-    def _sound(self, poses: Sequence[SonarPose], number: int, told: Sequence[NavSample]) -> list[Ping]:
-        return self._sea.sound(poses, number, [sample.altitude_m for sample in told])
+    def _sound(self, poses: Sequence[SonarPose], number: int, reported: Sequence[NavSample]) -> list[Ping]:
+        return self._sea.sound(poses, number, [sample.altitude_m for sample in reported])
 
     def _give(self, at_s: float, sample: NavSample, ping: Ping | None, *, ticks: bool) -> None:
-        """To all devices what concerns them."""
+        """Pass to each device the events that concern it."""
         for name, queue in self._queues.items():
             if self._is_sonar[name]:
                 if ping is not None:
@@ -196,7 +201,7 @@ class FakeVehicle:
 
 
 def passes(before: SonarPose, pose: SonarPose, targets: Sequence[PlacedObject], range_m: float) -> list[Pass]:
-    """Targets that came abeam between two poses, no farther than range_m, while the vehicle hardly turned."""
+    """Yield targets that came abeam between two poses, no farther than range_m, while the vehicle hardly turned."""
     turn_rad = math.remainder(pose.heading_rad - before.heading_rad, 2.0 * math.pi)
     if abs(turn_rad) > _STRAIGHT_RAD_S * (pose.time_s - before.time_s):
         return []

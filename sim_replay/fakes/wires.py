@@ -1,4 +1,4 @@
-"""The wires of fake devices, of one shape: pseudo-terminals, CAN adapters, TCP and UDP of this computer."""
+"""Give the wires of fake devices one interface: pseudo-terminals, CAN adapters, TCP and UDP of this computer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NETWORK_BYTES_PER_S: Final = 1e6
 
 
 class Weather(Faults):
-    """Damage that sets in and ends; without any, messages pass as they are."""
+    """Damage messages from one instant to another; without damage, messages pass unchanged."""
 
     def __init__(self, seed: int) -> None:
         super().__init__(FaultRates(), seed)
@@ -39,11 +39,11 @@ class Weather(Faults):
 
 
 class DeviceWire(Protocol):
-    """A device's end of a wire. Used in a running event loop."""
+    """Define a device's end of a wire. Used in a running event loop."""
 
     @property
     def uri(self) -> str:
-        """What the host's configuration names it."""
+        """Return the wire's address in the host's configuration."""
         ...
 
     @property
@@ -51,7 +51,7 @@ class DeviceWire(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether a host has opened the wire since it was there. Of datagrams nobody can tell; they are taken for heard."""
+        """Report whether a host has opened the wire. Datagrams give no sign; they are taken for heard."""
         ...
 
     async def start(self) -> None:
@@ -59,11 +59,11 @@ class DeviceWire(Protocol):
         ...
 
     async def send(self, message: bytes | CanFrame) -> None:
-        """Returns when the last byte has left."""
+        """Send a message. Returns when the last byte has left."""
         ...
 
     async def send_garbage(self, data: bytes) -> None:
-        """Bytes that are no message, at the rate of the wire."""
+        """Send bytes that are no message, at the rate of the wire."""
         ...
 
     async def set_plugged(self, plugged: bool) -> None: ...
@@ -71,16 +71,16 @@ class DeviceWire(Protocol):
     def set_stalled(self, stalled: bool) -> None: ...
 
     def set_baud(self, baud: int | None) -> None:
-        """Of the device; None: the right one."""
+        """Set the device's rate; None: the right one."""
         ...
 
     async def close(self) -> None:
-        """Be gone for good."""
+        """Close for good."""
         ...
 
 
 class SerialWire:
-    """A pseudo-terminal."""
+    """Drive a pseudo-terminal."""
 
     def __init__(self, device: Device, path: Path, weather: Weather, hear: Heard | None) -> None:
         self.port = FakePort(path, device.baud, weather, hear)
@@ -122,7 +122,7 @@ class SerialWire:
 
 
 class SlcanWire(SerialWire):
-    """A CAN adapter at a pseudo-terminal, and the bus behind it."""
+    """Drive a CAN adapter at a pseudo-terminal, and the bus behind it."""
 
     def __init__(self, device: Device, path: Path, weather: Weather, hear: Heard | None) -> None:
         super().__init__(device, path, weather, None)
@@ -144,7 +144,7 @@ class SlcanWire(SerialWire):
 
 
 class TcpWire:
-    """A TCP server; without power it refuses connections."""
+    """Drive a TCP server; without power it refuses connections."""
 
     def __init__(self, device: Device, weather: Weather, hear: Heard | None) -> None:
         self._server = FakeTcpServer(weather, hear)
@@ -183,14 +183,14 @@ class TcpWire:
         self._server.stalled = stalled
 
     def set_baud(self, baud: int | None) -> None:
-        raise AssertionError("a network has no baud rate; jobs that say so are refused")
+        raise AssertionError("a network has no baud rate; jobs that set one are rejected")
 
     async def close(self) -> None:
         await self._server.stop()
 
 
 class UdpWire:
-    """Datagrams to a port of this computer that was free when the wire was made."""
+    """Send datagrams to a port of this computer that was free when the wire was made."""
 
     def __init__(self, device: Device, weather: Weather, hear: Heard | None) -> None:
         self._device = FakeUdpDevice(weather, hear)
@@ -206,7 +206,7 @@ class UdpWire:
         return True
 
     async def start(self) -> None:
-        """A sender of datagrams is there from the beginning."""
+        """Start nothing: a sender of datagrams exists from the beginning."""
 
     async def send(self, message: bytes | CanFrame) -> None:
         assert isinstance(message, bytes)
@@ -217,27 +217,27 @@ class UdpWire:
         await asyncio.sleep(len(data) / _NETWORK_BYTES_PER_S)
 
     async def set_plugged(self, plugged: bool) -> None:
-        """A cable that is out looks like one through which nothing comes."""
+        """Plug or unplug; an unplugged cable looks like one through which nothing comes."""
         self._device.stalled = not plugged
 
     def set_stalled(self, stalled: bool) -> None:
         self._device.stalled = stalled
 
     def set_baud(self, baud: int | None) -> None:
-        raise AssertionError("a network has no baud rate; jobs that say so are refused")
+        raise AssertionError("a network has no baud rate; jobs that set one are rejected")
 
     async def close(self) -> None:
         self._device.close()
 
 
 async def opened(wire: DeviceWire) -> None:
-    """Returns as soon as a host has opened the wire."""
+    """Return as soon as a host has opened the wire."""
     while not wire.is_open:
         await asyncio.sleep(_LOOK_S)
 
 
 def make_wire(device: Device, path: Path, weather: Weather, hear: Heard | None) -> DeviceWire:
-    """The wire of a device; path: where a serial port appears. hear: takes what the host writes."""
+    """Make the wire of a device; path: where a serial port appears. hear: receives the host's bytes."""
     match device.link:
         case "serial":
             return SerialWire(device, path, weather, hear)
@@ -250,7 +250,10 @@ def make_wire(device: Device, path: Path, weather: Weather, hear: Heard | None) 
 
 
 def _is_opened(path: Path) -> bool:
-    """Whether a program has set up the serial port: it then ignores modem lines, which a new pseudo-terminal does not."""
+    """Report whether a program has set up the serial port.
+
+    It then ignores modem lines, which a new pseudo-terminal does not.
+    """
     descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         return bool(termios.tcgetattr(descriptor)[2] & termios.CLOCAL)

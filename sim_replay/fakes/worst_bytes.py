@@ -1,6 +1,7 @@
-"""Bytes that cost a framer most: no noise, but what looks like beginnings of messages to the last byte that can tell.
+"""Make bytes that cost a framer the maximum: they look like beginnings of messages to the last deciding byte.
 
-Each is a piece to be repeated. Distances between beginnings are as short as the format lets them be, and promised lengths as long.
+Each is a piece to be repeated. Distances between beginnings are as short as the format lets them be, and promised
+lengths as long.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ def _extended(can_id: int, data: bytes) -> bytes:
 
 
 def _can_part(sequence: int) -> bytes:
-    """The first part of a report of a payload."""
-    told = can_messages.ReportMessage(1, 1, 7, 1, 1e9, 1.0, 1.0, 1.0, 0.5, 18.0, 0, 1, *[0.5] * 12)
-    return slcan.encode(can_messages.encode(told, 96, sequence)[0])
+    """Encode the first part of a payload's report."""
+    report = can_messages.ReportMessage(1, 1, 7, 1, 1e9, 1.0, 1.0, 1.0, 0.5, 18.0, 0, 1, *[0.5] * 12)
+    return slcan.encode(can_messages.encode(report, 96, sequence)[0])
 
 
 WORST_BYTES: Final[Mapping[str, Mapping[str, bytes]]] = MappingProxyType(

@@ -1,10 +1,11 @@
 """Fit the weights with which confirmation turns what it measures into the odds of a mine, for `auv-mcm calibrate odds`.
 
-Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known. Each detector has
-weights of its own, those of the trained cascade without the scenes that are held out from its training. With --crowded the scenes are
-flown again, over other floors, with more mines and stones, since these are hardest to tell apart; how rare mines are is told by the
-scenes as they are. Every step of the look is taken for all detections, whatever the odds. A target is the most mine-like detection within
-the gate of one, per side and passage; further detections of it count for nothing, and all else is what mines must be told from.
+Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known.
+Each detector has weights of its own, those of the trained cascade without the scenes that are held out from its
+training. With --crowded the scenes are flown again, over other floors, with more mines and stones, since these are
+hardest to separate; the usual scenes give the rarity of mines. Every step of the look is taken for all
+detections, whatever the odds. A target is the most mine-like detection within the gate of one, per side and passage;
+further detections of it count for nothing, and all others are the clutter to separate mines from.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from sim_replay.simulator.scene_file import read_scene
 
 Array = NDArray[np.float64]
 
-FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on, and things were tried on seeds below 500
+FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on, and settings were tried on seeds below 500
 CROWD: Final = 3
 """Times as many mines and rocks."""
 _CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
@@ -53,7 +54,7 @@ _PASSAGE_S: Final = 60.0
 _FAINT_P, _FAINT_KEPT = 0.03, 4  # of detections that the detector gives less than this, one in so many is kept, and counts as many
 _RIDGE: Final = 2.0
 _DIGITS: Final = 5
-_MOST_SHIFT: Final = 50.0  # nats
+_MAX_SHIFT: Final = 50.0  # nats
 _SHARES: Final = (0.3, 0.5, 0.7, 0.9)  # of targets
 _PARTS: Final = (0.25, 0.5, 1.0)  # of missions
 N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 500, "shape": 500}
@@ -62,8 +63,10 @@ _NO_TREES: Final[Mapping[LookStep, int]] = dict.fromkeys(N_TREES, 0)
 
 
 class Example(NamedTuple):
-    """A detection with what every step measured, and what it is. details: what only trees weigh. weight: how many it stands for. seed: of
-    its mission. usual: of one with as many objects as its scene has, so that it tells how rare mines are."""
+    """Hold a detection with the measurements of every step, and its label. details: what only trees weigh. weight: how
+    many it stands for. seed: of its mission. usual: of one with as many objects as its scene has, so that it shows how
+    rare mines are.
+    """
 
     scene: str
     seed: int
@@ -85,8 +88,9 @@ class _Seen(NamedTuple):
 
 
 def crowded(scene: Scene, times: int) -> Scene:
-    """The scene with so many times as many mines and rocks strewn over it, far enough apart for none to count among another's neighbours;
-    where there are more than usual they find their places after all else."""
+    """The scene with so many times as many mines and rocks strewn over it, far enough apart for none to count among
+    another's neighbours; where there are more than usual they find their places after all else.
+    """
     if times == 1:
         return scene
     others = [each for each in scene.scatter if each.kind not in _CROWDING]
@@ -99,7 +103,8 @@ def crowded(scene: Scene, times: int) -> Scene:
 
 
 def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
-    """All detections of one mission through a named scene, with `crowd` times as many mines and rocks, by one of the detectors."""
+    """All detections of one mission through a named scene, with `crowd` times as many mines and rocks, by one of the
+    detectors."""
     scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
     config = _looking_at_everything(served_by(detector, config_for(scene)))
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
@@ -125,7 +130,7 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
 
 
 def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
-    """Weights for each step, and as many trees as told; p_mine is right on average over the usual examples.
+    """Fit weights for each step, and the requested number of trees; p_mine is right on average over the usual examples.
 
     Raises UsageError if there are no targets, or nothing else, among those.
     """
@@ -141,7 +146,7 @@ def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookS
         sums = _fit_sum(features, is_target, weight)
         asked = [known | example.details[step] for known, example in zip(features, examples, strict=True)]
         weights = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
-        odds = log_odds_of(weights, [known for known, told in zip(asked, usual.tolist(), strict=True) if told])
+        odds = log_odds_of(weights, [known for known, is_usual in zip(asked, usual.tolist(), strict=True) if is_usual])
         offset = weights.offset + _shift(odds, is_target[usual], weight[usual])
         steps[step] = msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
@@ -157,12 +162,15 @@ def fit_from_missions(
     n_workers: int,
     show: Callable[[int, int], None] = lambda done, of: None,
 ) -> None:
-    """Fly missions, fit the weights to what became of their detections, write them to `out`, JSON, and print how they do.
+    """Fly missions, fit the weights to what became of their detections, write them to `out`, JSON, and print how they
+    do.
 
-    detector: whose detections to weigh. n_seeds: missions per scene, from `first_seed` on; n_crowded: further ones with CROWD times as many
-    mines and rocks. n_workers: missions flown at once. show: takes the missions flown so far, and how many there are.
+    detector: whose detections to weigh. n_seeds: missions per scene, from `first_seed` on; n_crowded: further ones with
+    CROWD times as many mines and rocks. n_workers: missions flown at once. show: takes the missions flown so far, and
+    how many there are.
 
-    Raises UsageError for an `out` that cannot be written, before any work, and if there are no targets among the detections.
+    Raises UsageError for an `out` that cannot be written, before any work, and if there are no targets among the
+    detections.
     """
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
@@ -190,15 +198,15 @@ def fit_from_missions(
 
 
 def odds_fit_words(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
-    """What weights were fitted on."""
-    told = f"{n_examples} detections of simulated missions: {', '.join(scenes)}; seeds {seeds[0]} to {seeds[-1]}"
-    return f"{told}, and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks" if crowds else told
+    """Describe the missions that weights were fitted on."""
+    words = f"{n_examples} detections of simulated missions: {', '.join(scenes)}; seeds {seeds[0]} to {seeds[-1]}"
+    return f"{words}, and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks" if crowds else words
 
 
 def written(odds: MineOdds) -> bytes:
-    """JSON with a line per weight and per tree."""
-    told: dict[str, Any] = {"fitted_on": odds.fitted_on, "prior": odds.prior}
-    parts = [f' "{name}": {json.dumps(value)}' for name, value in told.items()]
+    """Format JSON with a line per weight and per tree."""
+    entries: dict[str, Any] = {"fitted_on": odds.fitted_on, "prior": odds.prior}
+    parts = [f' "{name}": {json.dumps(value)}' for name, value in entries.items()]
     for step in _STEPS:
         weighed: Weights = getattr(odds, step)
         weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())
@@ -223,10 +231,12 @@ def _labelled(
         return []
     frame = LocalFrame(latitude_deg=detections[0].latitude_deg, longitude_deg=detections[0].longitude_deg)
     places = np.array([frame.to_enu(d.latitude_deg, d.longitude_deg, 0.0)[:2] for d in detections])
-    things = np.array([frame.to_enu(thing["lat"], thing["lon"], 0.0)[:2] for thing in objects]).reshape(-1, 2)
-    sizes = np.array([max(thing["length_m"], thing["width_m"]) for thing in objects])
+    scene_objects = np.array([frame.to_enu(scene_object["lat"], scene_object["lon"], 0.0)[:2] for scene_object in objects]).reshape(-1, 2)
+    sizes = np.array([max(scene_object["length_m"], scene_object["width_m"]) for scene_object in objects])
     sigma_m = np.sqrt([max(float(np.linalg.eigvalsh(d.covariance_m2)[-1]), 0.0) for d in detections])
-    distance_m = np.hypot(*(places[:, np.newaxis] - things).transpose(2, 0, 1)) if len(objects) else np.full((len(detections), 1), np.inf)
+    distance_m = (
+        np.hypot(*(places[:, np.newaxis] - scene_objects).transpose(2, 0, 1)) if len(objects) else np.full((len(detections), 1), np.inf)
+    )
     nearest = distance_m.argmin(axis=1)
     on_object = distance_m.min(axis=1) <= gates_m(_GATE_M, sigma_m)
     best: dict[tuple[int, str, int], int] = {}
@@ -251,7 +261,8 @@ def _labelled(
 
 
 def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight: Array) -> Weights:
-    """Logistic regression on standardised features with a ridge, so that features that tell the same share their weight."""
+    """Logistic regression on standardised features with a ridge, so that redundant features share their
+    weight."""
     names = list(features[0])
     values = np.array([[item[name] for name in names] for item in features])
     mean = np.average(values, axis=0, weights=weight)
@@ -267,7 +278,7 @@ def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight:
 
 
 def _fit_trees(features: Sequence[Features], sums: Weights, is_target: NDArray[np.bool_], weight: Array, n_trees: int) -> tuple[Tree, ...]:
-    """Trees that add to `sums` what it misses."""
+    """Fit trees that add to `sums` what it misses."""
     names = list(features[0])
     values = np.array([[item[name] for name in names] for item in features])
     start = np.array([sums.log_odds(item) for item in features])
@@ -281,7 +292,7 @@ def _fit_trees(features: Sequence[Features], sums: Weights, is_target: NDArray[n
 
 
 def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
-    """What to add to log-odds (n,) so that their probabilities add up to the number of targets."""
+    """Return the offset to log-odds (n,) with which their probabilities add up to the number of targets."""
     from scipy.optimize import brentq
 
     n_targets = float(weight[is_target].sum())
@@ -289,11 +300,11 @@ def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
     def too_many(shift: float) -> float:
         return float(weight @ np.exp(-np.logaddexp(0.0, -(odds + shift)))) - n_targets
 
-    return float(brentq(too_many, -_MOST_SHIFT, _MOST_SHIFT, xtol=1e-9))
+    return float(brentq(too_many, -_MAX_SHIFT, _MAX_SHIFT, xtol=1e-9))
 
 
 def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
-    """(n,) what `weights.log_odds` says of each, all at once and to the same bits."""
+    """Return (n,) results of `weights.log_odds` for each, all at once and to the same bits."""
     column = {name: number for number, name in enumerate(features[0])}
     values = np.array([list(map(item.__getitem__, column)) for item in features])
     weighed = np.zeros(len(values))
@@ -308,12 +319,14 @@ def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
 
 
 def _rounded(value: float) -> float:
-    """To as many significant digits as tell neighbouring values apart."""
+    """Round to as many significant digits as separate neighbouring values."""
     return float(f"{value:.{_DIGITS + 2}g}")
 
 
 def _logistic(columns: Array, target: Array, weight: Array) -> Array:
-    """(k,) coefficients of the least log-loss plus ridge for columns (n, k), the last of which is the constant and goes free."""
+    """Return (k,) coefficients of the minimum log-loss plus ridge for columns (n, k), the last of which is the constant
+    and goes free.
+    """
     from scipy.optimize import minimize
 
     ridge = np.full(columns.shape[1], _RIDGE)
@@ -328,8 +341,9 @@ def _logistic(columns: Array, target: Array, weight: Array) -> Array:
 
 
 def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> None:
-    """What each step is worth on scenes it was not fitted on, every scene as it is judged with the weights of all others; and what more
-    missions would bring."""
+    """Report the worth of each step on left-out scenes, every scene as it is judged with the weights of all
+    others; and what more missions would bring.
+    """
     usual = [example for example in examples if example.usual]
     is_target, weight = _labels(usual)
     p = {step: np.zeros(len(usual)) for step in _STEPS}
@@ -351,7 +365,7 @@ def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> Non
 
 
 def _report_learning(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> None:
-    """Missions of the last seed as they are, judged with weights from a part of the other seeds of every scene."""
+    """Report missions of the last seed as they are, judged with weights from a part of the other seeds of every scene."""
     seeds, crowds = (sorted({example.seed for example in examples if example.usual is usual}) for usual in (True, False))
     *seeds, last = seeds
     judged = [example for example in examples if example.usual and example.seed == last]
@@ -369,17 +383,17 @@ def _report_learning(examples: Sequence[Example], n_trees: Mapping[LookStep, int
 
 
 def _labels(examples: Sequence[Example]) -> tuple[NDArray[np.bool_], Array]:
-    """Which are targets, and what each stands for, (n,)."""
+    """Return which are targets, and how many each stands for, (n,)."""
     return np.array([example.is_target for example in examples]), np.array([example.weight for example in examples])
 
 
 def _p_mine(odds: MineOdds, step: LookStep, examples: Sequence[Example]) -> Array:
-    """(n,) p_mine of each example by itself."""
+    """Return (n,) p_mine of each example by itself."""
     log_odds = log_odds_of(getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples])
     return np.asarray(np.exp(-np.logaddexp(0.0, -log_odds)))
 
 
 def _above(p_mine: Array, is_target: NDArray[np.bool_], weight: Array) -> str:
-    """How many others lie above what each of _SHARES of the targets reaches."""
-    least = np.quantile(p_mine[is_target], 1.0 - np.array(_SHARES))
-    return "".join(f"{weight[~is_target & (p_mine >= at)].sum():>9.0f}" for at in least)
+    """Count the others above the p_mine that each of _SHARES of the targets reaches."""
+    thresholds_by_share = np.quantile(p_mine[is_target], 1.0 - np.array(_SHARES))
+    return "".join(f"{weight[~is_target & (p_mine >= at)].sum():>9.0f}" for at in thresholds_by_share)

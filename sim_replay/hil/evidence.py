@@ -1,4 +1,4 @@
-"""What processes said during a run, and when."""
+"""Record the output of processes during a run, with its time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 
 class Line(NamedTuple):
-    """A line of the service's output, and when it came, seconds after the run's start."""
+    """Hold a line of the service's output, and its time, seconds after the run's start."""
 
     at_s: float
     text: str
 
 
 class Report(NamedTuple):
-    """What a fake device said: see sim_replay.fakes.device and sim_replay.fakes.vehicle_device."""
+    """Hold a fake device's report: see sim_replay.fakes.device and sim_replay.fakes.vehicle_device."""
 
     at_s: float
     what: str

@@ -1,7 +1,7 @@
-"""One scenario from start to end: the mission, the fake devices, the real service, each a process of its own; then the evidence.
+"""Run one scenario: the mission, the fake devices, the real service, each a process of its own; then the evidence.
 
-Nothing outlives a run, however it ends: devices end with their standard input, which dies with this process; the service is the head of
-a process group of its own, which is killed when it has not ended by itself.
+Nothing outlives a run, however it ends: devices end with their standard input, which dies with this process; the
+service is the head of a process group of its own, which is killed when it has not ended by itself.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _READY_S: Final = 60.0  # for a process to come up on a computer that has much e
 _SETTLE_S: Final = 0.5  # for the service to open its ports
 _GRACE_S: Final = 5.0
 _DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units count as silent after 1.5 s
-_AFTERMATH_S: Final = 1.5  # for the service to say what it makes of a fault
+_AFTERMATH_S: Final = 1.5  # for the service to report its reaction to a fault
 _ALONE_S: Final = 4.0  # mission time of a vehicle after the service's end, to see that it goes on by itself
 _LOOK_S: Final = 0.1  # between looks at the mission time
 _SLOWEST: Final = 10.0  # wall time per mission time of a vehicle's world on a busy computer; a run that needs more is over
@@ -54,31 +54,31 @@ _TAIL_LINES: Final = 5
 _PR_SET_PDEATHSIG: Final = 1
 
 
-def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Evidence:
-    """Run a scenario; everything that it leaves goes into `folder`, made if it is not there. say: takes a line on how far it is.
+def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> Evidence:
+    """Run a scenario; all its files go into `folder`, made if it is not there. progress: takes lines on its progress.
 
-    Raises UsageError for a scene, folder or configuration that cannot be, BadInputError for a log that cannot be used, HardwareError for a
-    process that does not come up; KeyboardInterrupt after SIGINT or SIGTERM.
+    Raises UsageError for a scene, folder or configuration that cannot be, BadInputError for a log that cannot be used,
+    HardwareError for a process that does not come up; KeyboardInterrupt after SIGINT or SIGTERM.
     """
     make_directory(folder)
     scenario = read.scenario
     results = folder / RESULTS / "latest"
     results.unlink(missing_ok=True)  # of an earlier run, whose results are no evidence of this one
-    say("mission")
+    progress("mission")
     jobs: list[Job] | list[VehicleJob]
     if scenario.vehicle is None:
         log, targets = _mission(read, folder)
         jobs = [_job(scenario, name, index, log, folder) for index, name in enumerate(scenario.devices)]
     else:
         log, targets, jobs = None, _known_targets(read), [_vehicle_job(read, folder)]
-    say("devices and service")
-    live = _interruptible(_Run(scenario, folder, say).live(jobs))
+    progress("devices and service")
+    live = _interruptible(_Run(scenario, folder, progress).live(jobs))
     config = service_config(scenario, dict.fromkeys(scenario.devices, ""), read.name)
     summary = _read_json(results / "summary.json")
     contacts = _read_json(results / "contacts.geojson")
     replayed = None
     if log is not None and any(isinstance(expectation.expected, AsReplayed) for expectation in scenario.expectations):
-        say("direct replay")
+        progress("direct replay")
         replayed = _replayed(log, folder / "replayed", config)
     return Evidence(
         exit_code=live.exit_code,
@@ -95,8 +95,10 @@ def run_scenario(read: Read, folder: Path, say: Callable[[str], None]) -> Eviden
 
 
 class _Live(msgspec.Struct):
-    """What the processes said while they ran. exit_code: of the service, None if it had to be killed. killed_s: when that was wanted.
-    stopped_s: when it was told to stop, None if it had ended before. All times are mission times."""
+    """Hold the output of the processes. exit_code: of the service, None if it had to be killed. killed_s: when the
+    scenario killed it. stopped_s: when it was requested to stop, None if it had ended before. All times are mission
+    times.
+    """
 
     exit_code: int | None
     lines: Sequence[Line]
@@ -106,10 +108,10 @@ class _Live(msgspec.Struct):
 
 
 class _Run:
-    def __init__(self, scenario: Scenario, folder: Path, say: Callable[[str], None]) -> None:
+    def __init__(self, scenario: Scenario, folder: Path, progress: Callable[[str], None]) -> None:
         self._scenario = scenario
         self._folder = folder
-        self._say = say
+        self._progress = progress
         self._stopped_s: float | None = None
         self._vehicle: _Process | None = None
         self._start_s = 0.0
@@ -124,13 +126,13 @@ class _Run:
                 uris |= await _uris_of(process, job)
             service = await self._service(uris)
             processes.append(service)
-            await service.said("ready: ", _READY_S)
+            await service.printed("ready: ", _READY_S)
             if (limit_bytes := self._scenario.file_limit_bytes) is not None:
                 service.limit_files(limit_bytes)
             self._vehicle = None if self._scenario.vehicle is None else processes[0]
             self._start_s = time.monotonic() + _SETTLE_S
             for process in processes:  # also to the service, which listens only where its clock is to step
-                process.tell(f"start {self._start_s:.6f}\n")
+                process.send_line(f"start {self._start_s:.6f}\n")
             killed_s = None
             if self._scenario.kill is not None:
                 killed_s = await self._killed(service, processes[0], self._scenario.kill)
@@ -164,30 +166,33 @@ class _Run:
         until_s = self._mission_time().at(now_s) + for_s
         while (left_s := until_s - self._mission_time().at(time.monotonic())) > 0.0:
             if time.monotonic() - now_s > _SLOWEST * for_s:
-                self._say(f"this computer makes {for_s:g} s of mission time in more than {_SLOWEST * for_s:g} s: given up")
+                self._progress(f"this computer makes {for_s:g} s of mission time in more than {_SLOWEST * for_s:g} s: given up")
                 return
             await asyncio.sleep(left_s if self._vehicle is None else min(left_s, _LOOK_S))
 
     async def _killed(self, service: _Process, vehicle: _Process, kill: Kill) -> float | None:
-        """Kill the service as told and wait until the run is over. Returns when it was, after the start; None: control never granted."""
-        if not await self._said([vehicle], "granted"):
+        """Kill the service as the scenario requests and wait until the run is over.
+
+        Returns the time of the kill after the start; None: control was never granted.
+        """
+        if not await self._any_reported([vehicle], "granted"):
             return None
         await self._wait(kill.after_grant_s)
-        self._say("killing the service")
+        self._progress("killing the service")
         service.signal(signal.SIGKILL)
         killed_s = self._mission_time().at(time.monotonic())
         await self._wait(kill.rest_s)
         return killed_s
 
-    async def _said(self, devices: Sequence[_Process], what: str, containing: str = "") -> bool:
+    async def _any_reported(self, devices: Sequence[_Process], what: str, containing: str = "") -> bool:
         """Wait until a device reports something, or the run has lasted as long as it may. Returns whether one did."""
-        said = [asyncio.ensure_future(device.said(f'"what": "{what}"', None, containing)) for device in devices]
+        printed = [asyncio.ensure_future(device.printed(f'"what": "{what}"', None, containing)) for device in devices]
         ends = asyncio.ensure_future(self._wait(self._left_s()))
         try:
-            await asyncio.wait({*said, ends}, return_when=asyncio.FIRST_COMPLETED)
-            return any(task.done() and task.exception() is None for task in said)
+            await asyncio.wait({*printed, ends}, return_when=asyncio.FIRST_COMPLETED)
+            return any(task.done() and task.exception() is None for task in printed)
         finally:
-            for task in (*said, ends):
+            for task in (*printed, ends):
                 task.cancel()
 
     def _left_s(self) -> float:
@@ -204,9 +209,9 @@ class _Run:
         return await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
 
     async def _served(self, service: _Process, devices: Sequence[_Process]) -> int | None:
-        """Wait until the run is over, tell the service to stop, and wait for that."""
+        """Wait until the run is over, signal the service to stop, and wait for its end."""
         scenario = self._scenario
-        self._say(f"running for {scenario.run_s:g} s" + ("" if scenario.ends_after is None else " at most"))
+        self._progress(f"running for {scenario.run_s:g} s" + ("" if scenario.ends_after is None else " at most"))
         over = asyncio.ensure_future(self._over(devices))
         ended = asyncio.ensure_future(service.ended(None))
         await asyncio.wait({over, ended}, return_when=asyncio.FIRST_COMPLETED)
@@ -214,7 +219,7 @@ class _Run:
         if ended.done():
             return ended.result()
         ended.cancel()
-        self._say("stopping")
+        self._progress("stopping")
         service.signal(signal.SIGTERM)
         self._stopped_s = self._mission_time().at(time.monotonic())
         try:
@@ -223,10 +228,10 @@ class _Run:
             return None
 
     async def _over(self, devices: Sequence[_Process]) -> None:
-        """Returns when the run is over."""
+        """Return when the run is over."""
         rule = self._scenario.ends_after
         if rule is not None:
-            if await self._said(devices, rule.what, rule.containing):
+            if await self._any_reported(devices, rule.what, rule.containing):
                 await self._wait(rule.after_s)
         elif self._vehicle is not None:
             await self._wait(self._left_s())
@@ -246,15 +251,16 @@ class _Run:
         try:
             async with asyncio.TaskGroup() as tasks:
                 for device in devices:
-                    tasks.create_task(device.said('"what": "done"', left_s))
+                    tasks.create_task(device.printed('"what": "done"', left_s))
             ends_s = min(ends_s, max(time.monotonic() + _DRAIN_S, earliest_s))
         except* HardwareError:
-            pass  # longer than the run, or a device ended, which says why in its log and fails its expectations
+            pass  # longer than the run, or a device ended, which gives the reason in its log and fails its expectations
         await asyncio.sleep(max(0.0, ends_s - time.monotonic()))
 
 
 class MissionTime:
-    """Times of a run, s after its start, by a clock that stands still while the computer is too slow for the mission."""
+    """Times of a run, s after its start, by a clock that stands still while the computer is too slow for the
+    mission."""
 
     def __init__(self, start_s: float, holds: Sequence[tuple[float, float]]) -> None:
         """start_s: of the monotonic clock. holds: when each ended, by the same clock, and how long it was, s."""
@@ -274,7 +280,7 @@ class MissionTime:
 
 
 class _Process:
-    """A Python process whose output is kept, line by line, with the time at which it came, and written to a log."""
+    """Run a Python process; keep its output line by line, with times, and write it to a log."""
 
     def __init__(self, what: str, process: asyncio.subprocess.Process, log: Path) -> None:
         self.lines: list[tuple[float, str]] = []
@@ -289,7 +295,7 @@ class _Process:
         libc = ctypes.CDLL(None)
 
         def prepare() -> None:
-            """In the child: end with its parent, even one that is killed."""
+            """Make the child end with its parent, even with a killed one."""
             libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
         process = await asyncio.create_subprocess_exec(
@@ -304,8 +310,10 @@ class _Process:
         )
         return cls(what, process, log)
 
-    async def said(self, text: str, within_s: float | None, also: str = "") -> str:
-        """The first line that contains a text, and also another. Raises HardwareError if none comes in time, None: before it ends."""
+    async def printed(self, text: str, within_s: float | None, also: str = "") -> str:
+        """Return the first line that contains a text, and also another. Raises HardwareError if none comes in time,
+        None: before it ends.
+        """
 
         def found() -> str | None:
             return next((line for _, line in self.lines if text in line and also in line), None)
@@ -320,10 +328,10 @@ class _Process:
         raise HardwareError(f"{self._what} ended before it was ready{self._tail()}")
 
     def limit_files(self, n_bytes: int) -> None:
-        """Let no file of the process, though of none that it has started, grow beyond n_bytes."""
+        """Limit files of the process, though not of processes it has started, to n_bytes."""
         resource.prlimit(self._process.pid, resource.RLIMIT_FSIZE, (n_bytes, n_bytes))
 
-    def tell(self, line: str) -> None:
+    def send_line(self, line: str) -> None:
         assert self._process.stdin is not None
         self._process.stdin.write(line.encode())
 
@@ -332,7 +340,7 @@ class _Process:
             self._process.send_signal(number)
 
     async def ended(self, within_s: float | None) -> int:
-        """The exit code. Raises TimeoutError, with None never."""
+        """Wait for the exit code. Raises TimeoutError, with None never."""
         async with asyncio.timeout(within_s):
             return await self._process.wait()
 
@@ -365,7 +373,7 @@ class _Process:
 
 
 def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
-    """The log to play, simulated where the scenario names a scene, and its targets as far as they are known."""
+    """Return the log to play, simulated where the scenario names a scene, and its known targets."""
     if read.scenario.log is not None:
         log = read.folder / read.scenario.log
         RecordedMission([log], Config())  # refuses what cannot be used
@@ -375,13 +383,13 @@ def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
 
 
 def _known_targets(read: Read) -> list[Placed]:
-    """The targets of a scene that nobody has flown through."""
+    """Return the targets of a scene before a flight through it."""
     sea = Sea(read_scene(_scene_of(read)))
     return targets_of(truth_of(sea, TruthLog(sea)))
 
 
 def _scene_of(read: Read) -> str:
-    """The name of a shipped scene, or the path of a file."""
+    """Return the name of a shipped scene, or the path of a file."""
     assert read.scenario.scene is not None
     name = read.scenario.scene
     return name if name in named_scenes() else str((read.folder / name).resolve())
@@ -413,13 +421,13 @@ def _replayed(log: Path, folder: Path, config: Config) -> list[Placed]:
 
 
 async def _uris_of(device: _Process, job: Job | VehicleJob) -> dict[str, str]:
-    """Addresses of a device's wire, or of those of a vehicle, by name."""
+    """Return addresses of a device's wire, or of those of a vehicle, by name."""
     ready = {job.name: '"what": "ready"'} if isinstance(job, Job) else {name: f'"ready", "device": "{name}"' for name in job.devices}
-    return {name: str(json.loads(await device.said(text, _READY_S))["uri"]) for name, text in ready.items()}
+    return {name: str(json.loads(await device.printed(text, _READY_S))["uri"]) for name, text in ready.items()}
 
 
 def _reports(device: _Process, time_of: MissionTime) -> Iterator[tuple[str | None, Report]]:
-    """With the name of the device where a line gives one."""
+    """Parse reports, with the name of the device where a line gives one."""
     for _, line in device.lines:
         if line.startswith("{"):
             details = json.loads(line)
@@ -427,12 +435,12 @@ def _reports(device: _Process, time_of: MissionTime) -> Iterator[tuple[str | Non
 
 
 def _hold_s(line: str) -> float:
-    """How long mission time stood still until a report; 0 for reports of something else."""
+    """Return how long mission time stood still until a report; 0 for reports of anything else."""
     return float(json.loads(line)["for_s"]) if '"what": "held"' in line else 0.0
 
 
 def _read_json(path: Path) -> Any:
-    """What a file holds, {} if it is not there."""
+    """Read a JSON file, {} if it is not there."""
     try:
         return json.loads(path.read_bytes())
     except FileNotFoundError:

@@ -1,4 +1,5 @@
-"""Scenarios: what is at which wire, what goes wrong, and what is expected of the service then. One YAML file each, read strictly."""
+"""Scenarios: what is at which wire, what goes wrong, and what is expected of the service then. One YAML file each,
+read strictly."""
 
 from __future__ import annotations
 
@@ -28,64 +29,67 @@ _NEEDED: Final = {
     "devices": "devices: {sonar: {device: ping_protocol}}",
     "service": "service: {service: {source: ports}, ports: [{name: sonar, link: '{sonar}', device: ping_protocol}]}",
     "run_s": "run_s: 10",
-    "expectations": "expectations: [{test: told to stop it ends, expected: {is: exit_code}}]",
+    "expectations": "expectations: [{test: it ends when requested to stop, expected: {is: exit_code}}]",
 }
 
 Window: TypeAlias = tuple[float, float]
 
 
-class _Told(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     pass
 
 
-class _Rule(_Told, frozen=True, kw_only=True, tag_field="is"):
+class _Rule(_Record, frozen=True, kw_only=True, tag_field="is"):
     pass
 
 
 class _Count(_Rule, frozen=True, kw_only=True):
-    """A number within limits; one that is left out is no limit."""
+    """Bound a number; an omitted bound does not limit it."""
 
     at_least: float | None = None
     at_most: float | None = None
 
     def __post_init__(self) -> None:
         if self.at_least is None and self.at_most is None:
-            raise ValueError("neither at_least nor at_most is given: then anything would do")
+            raise ValueError("neither at_least nor at_most is given, so that any number would pass. Give one")
 
 
 class ExitCode(_Rule, frozen=True, kw_only=True, tag="exit_code"):
-    """What the service ends with after it was told to stop; it has to end by itself."""
+    """Expect this exit code after the request to stop; the service has to end by itself."""
 
     code: int = 0
 
 
 class AnswersStop(_Rule, frozen=True, kw_only=True, tag="answers_stop"):
-    """The service says that it stops this soon after it was told to."""
+    """Expect the service to announce its stop this soon after the request to stop."""
 
     within_s: float
 
 
 class CounterRule(_Count, frozen=True, kw_only=True, tag="counter"):
-    """A counter of summary.json, 0 where it is not there. name: whole, or with * for any characters: then their sum."""
+    """Bound a counter of summary.json, 0 where it is missing. name: whole, or with * for any characters: then their
+    sum.
+    """
 
     name: str
 
 
 class SummaryRule(_Count, frozen=True, kw_only=True, tag="summary"):
-    """A number of summary.json, e.g. pings; of one that stands in another, keys from outside in, e.g. area.p_detected_mean."""
+    """Bound a number of summary.json, e.g. pings; of one that stands in another, keys from outside in, e.g.
+    area.p_detected_mean."""
 
     key: str
 
 
 class NoticeRule(_Count, frozen=True, kw_only=True, tag="notice"):
-    """Notices of a code that the service told, in all or between two instants of the run, seconds after its start."""
+    """Count notices of a code that the service raised, in all or between two instants of the run, s after its start."""
 
     code: str
     between_s: Window | None = None
 
 
 class LineRule(_Count, frozen=True, kw_only=True, tag="line"):
-    """Lines of the service's output that a regular expression is found in."""
+    """Count lines of the service's output that match a regular expression."""
 
     matching: str
     between_s: Window | None = None
@@ -95,39 +99,39 @@ class LineRule(_Count, frozen=True, kw_only=True, tag="line"):
         try:
             re.compile(self.matching)
         except re.error as error:
-            raise ValueError(f"'{self.matching}' is no regular expression: {error}") from error
+            raise ValueError(f"'{self.matching}' is not a regular expression: {error}") from error
 
 
 class SettingsRule(_Count, frozen=True, kw_only=True, tag="settings"):
-    """How often the settings of a sonar changed to something that contains a text."""
+    """Count changes of a sonar's settings to ones that contain a text."""
 
     device: str
     containing: str
 
 
 class DeviceRule(_Count, frozen=True, kw_only=True, tag="device"):
-    """A counter of a fake device: device.skipped, for one, is 0 only if the computer was fast enough for the run to tell something."""
+    """Bound a counter of a fake device. device.skipped is 0 only if the computer was fast enough for a valid run."""
 
     device: str
     counter: str
 
 
 class Reopened(_Rule, frozen=True, kw_only=True, tag="reopened"):
-    """The service opens a device's wire this soon after every time that its cable was plugged in again."""
+    """Expect the service to open a device's wire this soon after each time its cable was plugged in again."""
 
     device: str
     within_s: float
 
 
 class TargetsFound(_Count, frozen=True, kw_only=True, tag="targets_found"):
-    """Targets of the scene's truth that have a contact of their own this near, with this probability of a mine."""
+    """Count targets of the scene's truth that have a contact of their own this near, with this probability of a mine."""
 
     within_m: float
     min_p_mine: float
 
 
 class AsReplayed(_Rule, frozen=True, kw_only=True, tag="as_replayed"):
-    """The same contacts as of a direct replay of the mission: as many with min_p_mine or more, each of the same class and this near."""
+    """Expect the contacts of a direct replay: as many with min_p_mine or more, each of the same class and this near."""
 
     within_m: float
     min_p_mine: float
@@ -135,7 +139,7 @@ class AsReplayed(_Rule, frozen=True, kw_only=True, tag="as_replayed"):
 
 
 class ReportRule(_Count, frozen=True, kw_only=True, tag="reported"):
-    """How often a fake device reported something, in all or between two instants of the run. containing: in its details, as JSON."""
+    """Count a fake device's reports, in all or between two instants of the run. containing: in its details, as JSON."""
 
     device: str
     what: str
@@ -143,9 +147,12 @@ class ReportRule(_Count, frozen=True, kw_only=True, tag="reported"):
     between_s: Window | None = None
 
 
-class ToldInTime(_Rule, frozen=True, kw_only=True, tag="told_in_time"):
-    """Every contact that the service says on its console with min_p_mine or more is told to a vehicle this soon, as it is or as it has
-    become by then; there is at least one."""
+class ReportedInTime(_Rule, frozen=True, kw_only=True, tag="told_in_time"):
+    """Expect every contact announced with min_p_mine or more to reach a vehicle this soon, as it is or has become by
+    then.
+
+    There must be one or more.
+    """
 
     device: str
     within_s: float
@@ -153,8 +160,10 @@ class ToldInTime(_Rule, frozen=True, kw_only=True, tag="told_in_time"):
 
 
 class Passed(_Count, frozen=True, kw_only=True, tag="passed"):
-    """Targets that a vehicle passed on a straight run while the payload commanded, at a ground range from..to, and looking at them from a
-    direction this far from every one before."""
+    """Count targets passed on a straight run under the payload's command, at a ground range from..to.
+
+    other_look_deg: minimum difference of the look angle from every pass before.
+    """
 
     device: str
     ground_range_m: Window
@@ -162,27 +171,29 @@ class Passed(_Count, frozen=True, kw_only=True, tag="passed"):
 
 
 class Sharper(_Count, frozen=True, kw_only=True, tag="sharper"):
-    """Contacts that a vehicle was told of with one view first and with more last, then with a p_mine farther from 0.5."""
+    """Count contacts that a vehicle received with one view first and more last, then with a p_mine farther from 0.5."""
 
     device: str
 
 
 class InsideFence(_Rule, frozen=True, kw_only=True, tag="inside_fence"):
-    """No place that a vehicle was told to go to, and none where it was while the payload commanded, lies outside the fence of
-    `service.vehicle`; it was commanded at least once."""
+    """Expect every commanded place, and the vehicle while commanded, to lie inside the fence of `service.vehicle`.
+
+    It has to be commanded once or more.
+    """
 
     device: str
 
 
 class OwnPlanAtEnd(_Rule, frozen=True, kw_only=True, tag="own_plan_at_end"):
-    """A vehicle was not commanded in the last seconds of the run."""
+    """Expect no command to the vehicle in the last seconds of the run."""
 
     device: str
     last_s: Annotated[float, Meta(gt=0.0)] = 2.5
 
 
 class Silence(_Rule, frozen=True, kw_only=True, tag="own_plan_after_kill"):
-    """After the service was killed, a vehicle leaves the last command this soon and flies its own plan until the end."""
+    """Expect a vehicle to leave the last command this soon after the service's kill and fly its own plan until the end."""
 
     device: str
     within_s: float
@@ -191,33 +202,33 @@ class Silence(_Rule, frozen=True, kw_only=True, tag="own_plan_after_kill"):
 Counted: TypeAlias = (
     CounterRule | SummaryRule | NoticeRule | LineRule | SettingsRule | DeviceRule | TargetsFound | ReportRule | Passed | Sharper
 )
-VehicleRule: TypeAlias = ReportRule | ToldInTime | Passed | Sharper | InsideFence | OwnPlanAtEnd | Silence
-Rule: TypeAlias = Counted | ExitCode | AnswersStop | Reopened | AsReplayed | ToldInTime | InsideFence | OwnPlanAtEnd | Silence
+VehicleRule: TypeAlias = ReportRule | ReportedInTime | Passed | Sharper | InsideFence | OwnPlanAtEnd | Silence
+Rule: TypeAlias = Counted | ExitCode | AnswersStop | Reopened | AsReplayed | ReportedInTime | InsideFence | OwnPlanAtEnd | Silence
 
 
-class Expectation(_Told, frozen=True, kw_only=True):
-    """test: what is looked at, in words. expected: what has to hold."""
+class Expectation(_Record, frozen=True, kw_only=True):
+    """State one expectation. test: what is examined, in words. expected: what has to hold."""
 
     test: Annotated[str, Meta(min_length=1)]
     expected: Rule
 
 
-class HostClockStep(_Told, frozen=True, kw_only=True):
-    """UTC of the computer that the service runs on is set, at_s after the run's start."""
+class HostClockStep(_Record, frozen=True, kw_only=True):
+    """Set UTC of the computer that the service runs on, at_s after the run's start."""
 
     at_s: Annotated[float, Meta(ge=0.0)]
     by_s: float
 
 
-class Kill(_Told, frozen=True, kw_only=True):
-    """The service is killed (SIGKILL) so long after a vehicle has granted control for the first time, and the run is over rest_s later."""
+class Kill(_Record, frozen=True, kw_only=True):
+    """Kill the service (SIGKILL) so long after a vehicle first granted control; the run is over rest_s later."""
 
     after_grant_s: Annotated[float, Meta(ge=0.0)]
     rest_s: Annotated[float, Meta(gt=0.0)]
 
 
-class EndsAfter(_Told, frozen=True, kw_only=True):
-    """The run is over so long after a fake device has reported something for the first time. containing: in its details, as JSON."""
+class EndsAfter(_Record, frozen=True, kw_only=True):
+    """End the run so long after a fake device's first report of this. containing: in its details, as JSON."""
 
     device: str
     what: str
@@ -225,16 +236,19 @@ class EndsAfter(_Told, frozen=True, kw_only=True):
     after_s: Annotated[float, Meta(ge=0.0)]
 
 
-class Scenario(_Told, frozen=True, kw_only=True):
-    """One run. about: what it shows. scene or log: the mission, a path beside the scenario or the name of a shipped scene.
+class Scenario(_Record, frozen=True, kw_only=True):
+    """Define one run. about: what it shows. scene or log: the mission, a path beside the scenario or a shipped scene's
+    name.
 
-    With a vehicle's controller among the devices all of them are aboard one vehicle, which flies in the scene as it is told.
+    With a vehicle's controller among the devices all of them are aboard one vehicle, which flies in the scene as
+    commanded.
 
-    speed: of the mission, times real time; faults keep their own times. run_s: how long until the service is told to stop, at most: it is
-    earlier where ends_after makes it so, and where no vehicle is aboard once all devices have played the mission. service: its
-    configuration; the link of a port is the name of its device in braces. file_limit_bytes: no file of the service, once it is ready, grows
-    beyond it, as on a disk that is full; room for its results must be left. host_clock_step: what the service takes for this computer's UTC
-    steps. kill: the service, while the devices go on.
+    speed: of the mission, times real time; faults keep their own times. run_s: maximum time until the service is
+    requested to stop: it is earlier where ends_after makes it so, and where no vehicle is aboard once all devices have
+    played the mission. service: its configuration; the link of a port is the name of its device in braces.
+    file_limit_bytes: no file of the service, once it is ready, grows beyond it, as on a disk that is full; room for its
+    results must be left. host_clock_step: what the service takes for this computer's UTC steps. kill: the service,
+    while the devices go on.
     """
 
     about: Annotated[str, Meta(min_length=1)]
@@ -254,12 +268,12 @@ class Scenario(_Told, frozen=True, kw_only=True):
 
     @property
     def vehicle(self) -> str | None:
-        """The name of the vehicle's controller."""
+        """Return the name of the vehicle's controller."""
         return next((name for name, device in self.devices.items() if device.is_vehicle), None)
 
 
 class Read(NamedTuple):
-    """A scenario and its name; folder: what its paths are relative to."""
+    """Hold a scenario and its name; folder: what its paths are relative to."""
 
     name: str
     folder: Path
@@ -267,12 +281,13 @@ class Read(NamedTuple):
 
 
 def shipped() -> list[str]:
-    """Names of the scenarios that come with the package."""
+    """List the names of the scenarios that come with the package."""
     return sorted(path.stem for path in SCENARIOS.glob(f"*{_SUFFIX}"))
 
 
 def read_scenario(name: str) -> Read:
-    """A scenario from a file, or a shipped one by its name. Raises UsageError with the key's path for whatever is wrong with it."""
+    """A scenario from a file, or a shipped one by its name. Raises UsageError with the key's path for whatever is
+    wrong with it."""
     path = SCENARIOS / f"{name}{_SUFFIX}" if name in shipped() else Path(name)
     if path.is_dir():
         raise UsageError(f"{path} is a folder. Give the {_SUFFIX} file of one scenario; {_EXAMPLE}")
@@ -282,12 +297,12 @@ def read_scenario(name: str) -> Read:
 
 
 def parse_scenario(text: str, place: str) -> Scenario:
-    """A scenario from YAML text; place names it in messages. Raises UsageError."""
+    """Parse a scenario from YAML text; place names it in messages. Raises UsageError."""
     data = load_mapping(text, place, f"expected keys such as 'devices:' and 'expectations:'; {_EXAMPLE}")
     if missing := [key for key in _NEEDED if data.get(key) is None]:
-        told = "it is empty. " if not data else ""
+        emptiness = "The file is empty. " if not data else ""
         written = "\n".join(f"  {_NEEDED[key]}" for key in missing)
-        raise UsageError(f"{place}: {told}What is needed and not there is {', '.join(missing)}. Write, for one:\n{written}\n{_EXAMPLE}.")
+        raise UsageError(f"{place}: {emptiness}Missing: {', '.join(missing)}. For example, write:\n{written}\n{_EXAMPLE}.")
     try:
         scenario = msgspec.convert(data, Scenario)
     except msgspec.ValidationError as error:
@@ -299,14 +314,15 @@ def parse_scenario(text: str, place: str) -> Scenario:
 
 
 def service_yaml(scenario: Scenario, uris: Mapping[str, str], results: Path) -> str:
-    """The service's configuration as a file, with the addresses of the devices' wires and the folder for its results."""
+    """The service's configuration as a file, with the addresses of the devices' wires and the folder for its
+    results."""
     filled = _filled(scenario.service, uris)
     filled["service"] = {**(filled.get("service") or {}), _SET_BY_US: str(results)}
     return yaml.safe_dump(filled, sort_keys=False, allow_unicode=True)
 
 
 def service_config(scenario: Scenario, uris: Mapping[str, str], place: str) -> Config:
-    """The same, typed. Raises UsageError for a configuration that the service would refuse."""
+    """Return the same, typed. Raises UsageError for a configuration that the service would refuse."""
     return parse_config(yaml.safe_dump(_filled(scenario.service, uris), sort_keys=False), f"{place}, `service`")
 
 
@@ -343,7 +359,7 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
         if isinstance(rule, VehicleRule) and rule.device not in scenario.devices:
             yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
         if isinstance(rule, TargetsFound) and scenario.scene is None:
-            yield f"`expectations[{index}]` needs the truth, which only a `scene` tells"
+            yield f"`expectations[{index}]` needs the truth, which only a `scene` provides"
 
 
 def _placeholders(value: Any) -> Iterator[str]:

@@ -1,7 +1,7 @@
-"""The real service on a computer whose UTC steps: clocks that others use cannot be set for a test.
+"""Run the real service on a computer whose UTC steps: clocks that others use cannot be set for a test.
 
-`python -m sim_replay.hil.stepping_service CONFIG AT_S BY_S`; a line `start SECONDS` on standard input says when the run starts, by the
-monotonic clock.
+`python -m sim_replay.hil.stepping_service CONFIG AT_S BY_S`; a line `start SECONDS` on standard input gives the start
+of the run, by the monotonic clock.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from auv_mcm.commands.run import run_service
 
 
 class SteppingClock:
-    """Another clock whose UTC is by_s ahead from a monotonic instant on, which is told to it with `step_at`."""
+    """Provide a clock whose UTC is by_s ahead from the monotonic instant given to `step_at` on."""
 
     def __init__(self, clock: Clock, by_s: float) -> None:
         self._clock = clock
@@ -37,7 +37,7 @@ class SteppingClock:
 
 
 def follow(clock: SteppingClock, lines: TextIO, at_s: float) -> None:
-    """Have the clock step at_s after the start that the lines tell."""
+    """Step the clock at_s after the start that the lines give."""
     for line in lines:
         word, _, start_s = line.partition(" ")
         if word == "start":

@@ -1,4 +1,4 @@
-"""What came of a run with a vehicle: what it was told, where it was sent, what it passed there, and who commanded."""
+"""Judge a run with a vehicle: its reports, its commands, the targets it passed, and who commanded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any, Final, TypeAlias
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, Silence, ToldInTime
+from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, ReportedInTime, Silence
 
 Judged: TypeAlias = tuple[str, str, bool]
 """What was expected, what was found, and whether it is that."""
@@ -18,30 +18,30 @@ _CONTACT: Final = re.compile(r"^contact C(\d+) (?:new|updated): \w+, p_mine (\d\
 _P_MINE_WITHIN: Final = 0.02  # two digits on the console, a byte on some wires
 
 
-def told_in_time(rule: ToldInTime, lines: Sequence[Line], reports: Sequence[Report]) -> Judged:
-    """Whether every contact came within its time; one that changed again by then may come as it has become."""
-    expected = f"every contact with p_mine >= {rule.min_p_mine:g} is told to '{rule.device}' within {rule.within_s:g} s"
-    said = [(line.at_s, int(found[1]), float(found[2])) for line in lines if (found := _CONTACT.match(line.text))]
-    told = [(report.at_s, report.details["number"], report.details["p_mine"]) for report in reports if report.what == "contact"]
+def reported_in_time(rule: ReportedInTime, lines: Sequence[Line], reports: Sequence[Report]) -> Judged:
+    """Check that every contact came within its time; one that changed again by then may come in its later form."""
+    expected = f"every contact with p_mine >= {rule.min_p_mine:g} reaches '{rule.device}' within {rule.within_s:g} s"
+    announced = [(line.at_s, int(found[1]), float(found[2])) for line in lines if (found := _CONTACT.match(line.text))]
+    reported = [(report.at_s, report.details["number"], report.details["p_mine"]) for report in reports if report.what == "contact"]
     late = []
     slowest_s = 0.0
-    n_said = 0
-    for index, (at_s, number, p_mine) in enumerate(said):
+    n_announced = 0
+    for index, (at_s, number, p_mine) in enumerate(announced):
         if p_mine < rule.min_p_mine + _P_MINE_WITHIN:
             continue
-        n_said += 1
-        after_s = [t - at_s for t, n, p in told if n == number and abs(p - p_mine) < _P_MINE_WITHIN and t > at_s - rule.within_s]
-        changed = any(n == number and t <= at_s + rule.within_s for t, n, _ in said[index + 1 :])
+        n_announced += 1
+        after_s = [t - at_s for t, n, p in reported if n == number and abs(p - p_mine) < _P_MINE_WITHIN and t > at_s - rule.within_s]
+        changed = any(n == number and t <= at_s + rule.within_s for t, n, _ in announced[index + 1 :])
         if after_s and min(after_s) <= rule.within_s:
             slowest_s = max(slowest_s, min(after_s))
         elif not changed:
             late.append(f"C{number:05d} of {at_s:.1f} s" + (f" after {min(after_s):.1f} s" if after_s else " never"))
-    outcome = "; ".join(late) or f"{n_said} contacts, the slowest {slowest_s:.2f} s after it was said"
-    return expected, outcome, bool(n_said) and not late
+    outcome = "; ".join(late) or f"{n_announced} contacts, the slowest {slowest_s:.2f} s after it was announced"
+    return expected, outcome, bool(n_announced) and not late
 
 
 def n_passed(rule: Passed, reports: Sequence[Report]) -> int:
-    """How many targets were passed as the rule has it."""
+    """Count targets passed as the rule requires."""
     looks_deg: dict[int, list[float]] = {}
     numbers = set()
     for details in _details(reports, "passed"):
@@ -55,18 +55,18 @@ def n_passed(rule: Passed, reports: Sequence[Report]) -> int:
 
 
 def n_sharper(reports: Sequence[Report]) -> int:
-    """How many contacts got a second view and a p_mine farther from undecided."""
-    told: dict[int, list[Mapping[str, Any]]] = {}
+    """Count contacts that got a second view and a p_mine farther from undecided."""
+    reported: dict[int, list[Mapping[str, Any]]] = {}
     for details in _details(reports, "contact"):
-        told.setdefault(details["number"], []).append(details)
-    ends = [(tellings[0], tellings[-1]) for tellings in told.values()]
+        reported.setdefault(details["number"], []).append(details)
+    ends = [(reports_of_one[0], reports_of_one[-1]) for reports_of_one in reported.values()]
     return sum(
         first["n_views"] == 1 and last["n_views"] >= 2 and abs(last["p_mine"] - 0.5) > abs(first["p_mine"] - 0.5) for first, last in ends
     )
 
 
 def inside_fence(fence_deg: Sequence[tuple[float, float]], reports: Sequence[Report]) -> Judged:
-    """Whether commands and the commanded vehicle stayed inside."""
+    """Check that commands and the commanded vehicle stayed inside."""
     commands = list(_details(reports, "command"))
     sent = [(command["latitude_deg"], command["longitude_deg"]) for command in commands if "latitude_deg" in command]
     been = [(pose["latitude_deg"], pose["longitude_deg"]) for pose in _details(reports, "pose") if pose["in_control"]]
@@ -76,7 +76,7 @@ def inside_fence(fence_deg: Sequence[tuple[float, float]], reports: Sequence[Rep
 
 
 def own_plan_at_end(rule: OwnPlanAtEnd, reports: Sequence[Report]) -> Judged:
-    """Whether the vehicle was on its own in the last seconds."""
+    """Check that the vehicle flew its own plan in the last seconds."""
     poses = [report for report in reports if report.what == "pose"]
     last = [report.details["in_control"] for report in poses if report.at_s >= poses[-1].at_s - rule.last_s]
     found = f"commanded in {sum(last)} of {len(last)} poses"
@@ -84,7 +84,7 @@ def own_plan_at_end(rule: OwnPlanAtEnd, reports: Sequence[Report]) -> Judged:
 
 
 def own_plan_after(rule: Silence, killed_s: float | None, reports: Sequence[Report]) -> Judged:
-    """Whether the vehicle left the last command in time, and was not commanded again."""
+    """Check that the vehicle left the last command in time, and was not commanded again."""
     expected = f"'{rule.device}' is back on its own plan within {rule.within_s:g} s of the kill, and stays there"
     if killed_s is None:
         return expected, "the service was never killed", False
@@ -101,7 +101,7 @@ def _details(reports: Iterable[Report], what: str) -> Iterable[Mapping[str, Any]
 
 
 def _is_inside(place_deg: tuple[float, float], corners_deg: Sequence[tuple[float, float]]) -> bool:
-    """Even-odd rule in latitude and longitude, which is exact enough for an area without the poles or the date line."""
+    """Apply the even-odd rule in latitude and longitude, exact enough for an area without the poles or the date line."""
     latitude, longitude = place_deg
     inside = False
     for (lat0, lon0), (lat1, lon1) in pairwise([*corners_deg, *corners_deg[:1]]):

@@ -1,4 +1,4 @@
-"""What came of a run, and whether it is what was expected."""
+"""Judge whether a run met its expectations."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from sim_replay.hil.scenario import (
     OwnPlanAtEnd,
     Passed,
     Reopened,
+    ReportedInTime,
     ReportRule,
     Rule,
     SettingsRule,
@@ -36,16 +37,15 @@ from sim_replay.hil.scenario import (
     Silence,
     SummaryRule,
     TargetsFound,
-    ToldInTime,
     Window,
 )
-from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, told_in_time
+from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, reported_in_time
 
 _STOPPING: Final = re.compile(r"\bstopping: ")
 
 
 class Placed(NamedTuple):
-    """A contact, or a target of the truth (p_mine 1)."""
+    """Place a contact, or a target of the truth (p_mine 1)."""
 
     latitude_deg: float
     longitude_deg: float
@@ -54,10 +54,10 @@ class Placed(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """All that is known of a run. exit_code: None if the service had to be killed. summary: {} if it wrote none.
+    """Hold the evidence of a run. exit_code: None if the service had to be killed. summary: {} if it wrote none.
 
-    targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it. killed_s: when the service was killed by
-    intent; stopped_s: when it was told to stop. fence_deg: of the service's configuration.
+    targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it. killed_s: when the
+    service was killed by intent; stopped_s: when it was requested to stop. fence_deg: of the service's configuration.
     """
 
     exit_code: int | None
@@ -73,7 +73,7 @@ class Evidence(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """One expectation's outcome, in words for a person."""
+    """State one expectation's outcome, in words for a person."""
 
     test: str
     expected: str
@@ -82,20 +82,20 @@ class Verdict(NamedTuple):
 
 
 def judge(expectation: Expectation, evidence: Evidence) -> Verdict:
-    """Whether the evidence is what was expected."""
+    """Judge whether the evidence meets the expectation."""
     expected, found, passed = _judged(expectation.expected, evidence)
     return Verdict(expectation.test, expected, found, passed)
 
 
 def as_table(verdicts: Sequence[Verdict]) -> str:
-    """A line per verdict: passed or FAILED, test, what was expected, what was found."""
+    """Format a line per verdict: passed or FAILED, test, expectation, outcome."""
     rows = [("", "Test", "Expected", "Found"), *(("passed" if v.passed else "FAILED", v.test, v.expected, v.found) for v in verdicts)]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     return "\n".join("  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]) for row in rows)
 
 
 def contacts_of(geojson: Mapping[str, Any]) -> list[Placed]:
-    """Contacts of a contacts.geojson."""
+    """Read contacts of a contacts.geojson."""
     placed = []
     for feature in geojson["features"]:
         longitude_deg, latitude_deg = feature["geometry"]["coordinates"][:2]
@@ -104,17 +104,21 @@ def contacts_of(geojson: Mapping[str, Any]) -> list[Placed]:
 
 
 def targets_of(truth: Mapping[str, Any]) -> list[Placed]:
-    """Targets of a truth.json."""
-    return [Placed(thing["lat"], thing["lon"], 1.0, thing["kind"]) for thing in truth["objects"] if thing["is_target"]]
+    """Read targets of a truth.json."""
+    return [
+        Placed(scene_object["lat"], scene_object["lon"], 1.0, scene_object["kind"])
+        for scene_object in truth["objects"]
+        if scene_object["is_target"]
+    ]
 
 
 def _answered(rule: AnswersStop, evidence: Evidence) -> tuple[str, str, bool]:
-    expected = f"it says within {rule.within_s:g} s that it stops"
+    expected = f"it announces within {rule.within_s:g} s that it stops"
     stopped_s = evidence.stopped_s
     if stopped_s is None:
-        return expected, "it was not told to stop", False
+        return expected, "it was not requested to stop", False
     after_s = [line.at_s - stopped_s for line in evidence.lines if line.at_s >= stopped_s and _STOPPING.search(line.text)]
-    return expected, f"after {after_s[0]:.2f} s" if after_s else "it said nothing", bool(after_s) and after_s[0] <= rule.within_s
+    return expected, f"after {after_s[0]:.2f} s" if after_s else "it announced nothing", bool(after_s) and after_s[0] <= rule.within_s
 
 
 def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
@@ -129,12 +133,12 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             value = float(sum(count for name, count in counters.items() if fnmatchcase(name, rule.name)))
             return _limited(rule, value, rule.name, is_known=bool(evidence.summary))
         case SummaryRule():
-            told: Any = evidence.summary
+            reported: Any = evidence.summary
             for part in rule.key.split("."):
-                told = told.get(part) if isinstance(told, Mapping) else None
-            if not isinstance(told, int | float):
+                reported = reported.get(part) if isinstance(reported, Mapping) else None
+            if not isinstance(reported, int | float):
                 return _limited(rule, math.nan, rule.key, is_known=False)
-            return _limited(rule, float(told), rule.key)
+            return _limited(rule, float(reported), rule.key)
         case NoticeRule():
             matching = re.compile(rf"^notice {re.escape(rule.code)}: ")
             return _limited(rule, _n_lines(evidence, matching, rule.between_s), f"notices {rule.code}{_window(rule.between_s)}")
@@ -142,9 +146,9 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             n_lines = _n_lines(evidence, re.compile(rule.matching), rule.between_s)
             return _limited(rule, n_lines, f"lines with '{rule.matching}'{_window(rule.between_s)}")
         case SettingsRule():
-            told = [str(report.details["told"]) for report in evidence.reports[rule.device] if report.what == "settings"]
-            n_told = sum(rule.containing in settings for settings in told)
-            return _limited(rule, n_told, f"times '{rule.device}' is set to '{rule.containing}'")
+            reported = [str(report.details["told"]) for report in evidence.reports[rule.device] if report.what == "settings"]
+            n_explained = sum(rule.containing in settings for settings in reported)
+            return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
         case DeviceRule():
             counters = next((report.details for report in evidence.reports[rule.device] if report.what == "counters"), {})
             return _limited(rule, float(counters.get(rule.counter, 0)), f"{rule.counter} of '{rule.device}'")
@@ -170,8 +174,8 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
         case Sharper():
             what = "contacts with one view first, with more last, and then farther from 0.5"
             return _limited(rule, n_sharper(evidence.reports[rule.device]), what)
-        case ToldInTime():
-            return told_in_time(rule, evidence.lines, evidence.reports[rule.device])
+        case ReportedInTime():
+            return reported_in_time(rule, evidence.lines, evidence.reports[rule.device])
         case InsideFence():
             return inside_fence(evidence.fence_deg, evidence.reports[rule.device])
         case OwnPlanAtEnd():
@@ -213,7 +217,8 @@ def _reopened(rule: Reopened, reports: Sequence[Report]) -> tuple[str, str, bool
 
 
 def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
-    """Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as missing."""
+    """Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as
+    missing."""
     expected = f"contacts as replayed, within {rule.within_m:g} m and {rule.p_mine_within:g} in p_mine, of the same class"
     replayed = evidence.replayed or ()
     problems = []
@@ -245,7 +250,9 @@ def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
 
 
 def _matched(first: Sequence[Placed], second: Sequence[Placed], gate_m: float) -> list[tuple[int, int, float]]:
-    """As many pairs, one-to-one and not farther apart than gate_m, as can be, with the least sum of distances: index, index, metres."""
+    """Match as many pairs as possible, one-to-one and not farther apart than gate_m, with the minimum sum of distances:
+    index, index, metres.
+    """
     if not first or not second:
         return []
     frame = LocalFrame(latitude_deg=first[0].latitude_deg, longitude_deg=first[0].longitude_deg)
@@ -256,7 +263,7 @@ def _matched(first: Sequence[Placed], second: Sequence[Placed], gate_m: float) -
     return [(int(row), int(column), float(apart_m[row, column])) for row, column in pairs if apart_m[row, column] <= gate_m]
 
 
-def _plane(things: Sequence[Placed], frame: LocalFrame) -> NDArray[np.float64]:
-    """(n, 2) east, north, m."""
-    places = np.array([thing[:2] for thing in things])
-    return frame.to_enu(places[:, 0], places[:, 1], np.zeros(len(things)))[:, :2]
+def _plane(scene_objects: Sequence[Placed], frame: LocalFrame) -> NDArray[np.float64]:
+    """Project to the plane, (n, 2) east, north, m."""
+    places = np.array([scene_object[:2] for scene_object in scene_objects])
+    return frame.to_enu(places[:, 0], places[:, 1], np.zeros(len(scene_objects)))[:, :2]

@@ -1,4 +1,4 @@
-"""An EdgeTech log (.jsf) as the ports that would have received it.
+"""Read an EdgeTech log (.jsf) as the ports that would have received it.
 
 Layouts are those of EdgeTech's "JSF Data File Description" (0023492). Side-scan messages (type 80) of one subsystem go
 to a port `sonar`, NMEA strings (type 2002) to a port `nmea`, pitch and roll (type 2020), put into NMEA 0183, to a port
@@ -57,14 +57,14 @@ _DAY_S: Final = 86_400.0
 
 
 class JsfRecording:
-    """One JSF file as what its ports received. Every iteration starts anew.
+    """Read one JSF file as the bytes its ports received. Every iteration starts anew.
 
     Counts reader.not_used.subsystem_N, reader.other_messages, reader.time_invalid (side-scan or navigation without a
     time, left out), reader.short (too short for their type), and those of `MessageFile` and `TimeOrder`.
     """
 
     def __init__(self, path: Path, subsystem: int | None, chunk_bytes: int) -> None:
-        """subsystem: the one to use; None for the only one that the file holds.
+        """Select the subsystem to use; None for the only one that the file holds.
 
         Raises BadInputError for a file without side-scan messages, UsageError where the subsystem is not there or has
         to be chosen.
@@ -187,7 +187,7 @@ class JsfRecording:
         return _received(MOTION_PORT, sentence(body_of(record)), time_ns)
 
     def _time_ns(self, seconds: int, milliseconds: int, offset: int) -> int | None:
-        """Since 1970; None, counted, for a clock that was never set."""
+        """Return the time since 1970; None, counted, for a clock that was never set."""
         if seconds > 0:
             return seconds * 1_000_000_000 + milliseconds % 1000 * 1_000_000
         self._own["reader.time_invalid"] += 1

@@ -16,7 +16,7 @@ _MAX_HELD: Final = 256  # messages; several seconds of a side-scan's, and the bo
 
 
 class TimeOrder:
-    """Sorts messages by their stamps within a second.
+    """Sort messages by their stamps within a second.
 
     One whose time is far from those before it is believed only if the next one agrees: formats without a checksum hold
     damaged times. Counts reader.time_outlier (left out), reader.time_backwards and reader.pause (where two agreed on
@@ -32,7 +32,7 @@ class TimeOrder:
         self._suspect: Recorded | None = None
 
     def add(self, recorded: Recorded) -> list[Recorded]:
-        """Take a message in the order of the log; returns those that none can precede any more."""
+        """Take a message in the order of the log; return those that none can precede any more."""
         time_ns = recorded.stamp.mono_ns
         suspect = self._suspect
         if self._newest_ns is not None and _is_near(time_ns, self._newest_ns):

@@ -23,7 +23,7 @@ class MessageFile(Generic[M]):
     """
 
     def __init__(self, path: Path, grammar: Grammar[M], chunk_bytes: int) -> None:
-        """Raises BadInputError for a file that cannot be read."""
+        """Check that the file can be read. Raises BadInputError for a file that cannot be read."""
         self.path = path
         self.bytes_read = 0
         self._grammar = grammar
@@ -47,7 +47,7 @@ class MessageFile(Generic[M]):
         return Notice(code="reader.damaged_bytes", text=text, place=self.path.name)
 
     def __iter__(self) -> Iterator[Framed[M]]:
-        """Raises BadInputError where the file can no longer be read."""
+        """Iterate. Raises BadInputError where the file can no longer be read."""
         self.bytes_read = 0
         self._framer = framer = Framer(self._grammar)
         try:

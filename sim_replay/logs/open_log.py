@@ -1,4 +1,4 @@
-"""One door to recorded logs: what a file is goes by its content, never by its name."""
+"""Open recorded logs; the format goes by a file's content, never by its name."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ _UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from 
 
 
 class Log(Protocol):
-    """One recorded log. Iterate for its events in the order of time; every iteration starts anew, with new counters."""
+    """Read one recorded log. Iterate for its events in order of time; every iteration starts anew, with new counters."""
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Size of each file in use, in order of time."""
+        """Return the size of each file in use, in order of time."""
         ...
 
     @property
@@ -55,7 +55,7 @@ class Log(Protocol):
         ...
 
     def first_time_s(self) -> float:
-        """Find the time of the first ping, s since 1970. Raises BadInputError for a log that nothing can be made of."""
+        """Find the time of the first ping, s since 1970. Raises BadInputError for a log that cannot be used."""
         ...
 
     def __iter__(self) -> Iterator[SourceEvent]: ...
@@ -64,7 +64,7 @@ class Log(Protocol):
 def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
     """Open an XTF, JSF or svlog file, or a recorded session: its folder, or one .mcap file of it.
 
-    Ports are decoded as `config` says, a session's as they were recorded where it says nothing. `chunk_bytes` sizes the
+    Ports are decoded as `config` states, a session's as they were recorded where it is silent. `chunk_bytes` sizes the
     read buffer and nothing else. Raises BadInputError for what is none of these or holds no side scan, UsageError where
     the subsystem must be chosen.
     """
@@ -101,7 +101,7 @@ def log_format(path: Path) -> LogFormat:
     found = _format_of(head)
     if found is None:
         raise BadInputError(
-            f"{path} is no log that can be read: it begins with 0x{head[:4].hex()}, and no message of a known format is "
+            f"{path} is not a readable log: it begins with 0x{head[:4].hex()}, and no message of a known format is "
             f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog "
             "(0x4252) and sessions that 'auv-mcm run' recorded (.mcap or their folder). Export the log as one of these."
         )
@@ -109,7 +109,7 @@ def log_format(path: Path) -> LogFormat:
 
 
 def describe_log(path: Path, config: Config) -> str:
-    """Say in a line what a log is and when its first ping was. Raises BadInputError or UsageError as a replay would."""
+    """Describe in a line a log's format and first ping. Raises BadInputError or UsageError as a replay would."""
     log = open_log(path, config)
     first_s = log.first_time_s()
     if not math.isfinite(first_s):
@@ -200,13 +200,13 @@ def _open_session(path: Path, config: Config) -> Log:
 
 
 def _only(config: Config, device: str) -> PortConfig | None:
-    """The configured port with this device; None if there is none, or several."""
+    """Return the configured port with this device; None if there is none, or several."""
     found = [port for port in config.ports if port.device == device]
     return found[0] if len(found) == 1 else None
 
 
 def _sonar_port(name: str, device: SonarName, given: PortConfig | None, navigation: NavUnitSettings | None) -> PortConfig:
-    """The sonar mounted as configured; a log holds both sides, so one-sided heads are taken as the sonar says."""
+    """Return the sonar mounted as configured; a log holds both sides, so one-sided heads use the sonar's own side."""
     swapped = given is not None and given.sonar is not None and given.sonar.sides == "swapped"
     sides = SonarPortConfig(sides="swapped" if swapped else "as_told")
     return PortConfig(name=name, link=_NO_LINK, device=device, sonar=sides, navigation=navigation)

@@ -1,7 +1,8 @@
-"""Time stamps that tie.
+"""Separate time stamps that tie.
 
-Loggers stamp pings with a clock of 10 ms or even 1 s, so that several pings may carry one time. Recorded times are kept as they are (their
-jitter of a tick is centimetres of vehicle motion); only pings that tie are spread evenly up to the next time stamp.
+Loggers stamp pings with a clock of 10 ms or even 1 s, so that several pings may carry one time. Recorded times are kept
+as they are (their jitter of a tick is centimetres of vehicle motion); only pings that tie are spread evenly up to the
+next time stamp.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ T = TypeVar("T", bound=TimedPing)
 
 
 def spread_ties(items: Iterable[T], counters: Counter[str]) -> Iterator[tuple[float, T]]:
-    """Each item with its transmit time; equal recorded times become strictly increasing ones. Time going backwards is left as it is.
+    """Pair each item with its transmit time; ties become strictly increasing. Time going backwards is left as it is.
 
-    An item's `interval_s` is the recorder's own time between pings, used where no later time stamp follows; NaN or 0 if unknown.
-    Counts reader.time_tied, reader.clock_stuck and reader.time_backwards. Holds at most MAX_TIED items.
+    An item's `interval_s` is the recorder's own time between pings, used where no later time stamp follows; NaN or 0 if
+    unknown. Counts reader.time_tied, reader.clock_stuck and reader.time_backwards. Holds at most MAX_TIED items.
     """
     group: list[T] = []
     stuck_at: float | None = None

@@ -19,7 +19,7 @@ from drivers.recording.session_layout import Recorded
 
 
 class PortDecoding(Protocol):
-    """Decoders and merging of all ports.
+    """Decode and merge all ports.
 
     Its events depend on the configuration and on what is fed alone: it reads no clock.
     """
@@ -37,14 +37,14 @@ class PortDecoding(Protocol):
 
 
 class PortRecording(Protocol):
-    """What ports received.
+    """Hold the bytes that ports received.
 
     Iterate for it in the order of recording; every iteration starts anew, with new counters and notices.
     """
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Size of each file in use, in the order of recording."""
+        """Return the size of each file in use, in the order of recording."""
         ...
 
     @property
@@ -62,10 +62,10 @@ class PortRecording(Protocol):
 
 
 class PortLog:
-    """A recording of ports as a log to replay. Iterate for its events; every iteration starts anew."""
+    """Replay a recording of ports as a log. Iterate for its events; every iteration starts anew."""
 
     def __init__(self, recording: PortRecording, make_intake: Callable[[], PortDecoding], *, pause_s: float = math.inf) -> None:
-        """make_intake: a new intake, from the same configuration as the recorded one.
+        """Store the recording. make_intake: a new intake, from the same configuration as the recorded one.
 
         pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
         infinite for stamps of one computer's monotonic clock.
@@ -78,7 +78,7 @@ class PortLog:
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Size of each file in use, in the order of recording."""
+        """Return the size of each file in use, in the order of recording."""
         return self._recording.sizes_bytes
 
     @property
@@ -113,7 +113,7 @@ class PortLog:
 
 
 class SonarLog(PortLog):
-    """A sonar's own log.
+    """Read a sonar's own log.
 
     Without pings, or without a position for any, it is refused before anything is done with it.
     """

@@ -1,8 +1,8 @@
-"""In which order does a recorder store its port channel?
+"""Decide in which order a recorder stores its port channel.
 
-Seen from the sonar, every ping starts with transmitter ring-down (bright), then open water (dark), then the sea floor in one step. Three
-cues look for that at either end of the port samples. They use ranks of the median ping, so that amplitude, intensity and logarithm give the
-same answer:
+Seen from the sonar, every ping starts with transmitter ring-down (bright), then open water (dark), then the sea floor
+in one step. Three cues look for that at either end of the port samples. They use ranks of the median ping, so that
+amplitude, intensity and logarithm give the same answer:
 
 * water column: everything before some range is darker than the metre after it;
 * ring-down: the first 0.3 m stand out from the next;
@@ -27,7 +27,7 @@ _SEABED_M: Final = 1.0
 
 
 class PortOrderEvidence(NamedTuple):
-    """Positive: stored far to near; negative: near to far. Each cue lies within about [-2, 2]."""
+    """Weigh evidence. Positive: stored far to near; negative: near to far. Each cue lies within about [-2, 2]."""
 
     water_column: float
     ring_down: float
@@ -39,10 +39,10 @@ class PortOrderEvidence(NamedTuple):
 
 
 def port_order_evidence(port: NDArray[Any], starboard: NDArray[Any] | None, spacing_m: float, blank_m: float) -> PortOrderEvidence:
-    """Evidence from some pings.
+    """Return evidence from some pings.
 
-    port, starboard: (n_pings, n_samples) as stored, any real dtype; starboard may be None or have another number of samples (its cue is 0).
-    spacing_m: slant range between samples. blank_m: slant range of ring-down.
+    port, starboard: (n_pings, n_samples) as stored, any real dtype; starboard may be None or have another number of
+    samples (its cue is 0). spacing_m: slant range between samples. blank_m: slant range of ring-down.
     """
     stored = _rank(np.median(port, axis=0))
     turned = stored[::-1]
@@ -68,7 +68,7 @@ def _rank(profile: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _darkness_before_step(profile: NDArray[np.float64], spacing_m: float, blank: int) -> float:
-    """Largest margin by which the darkest part of a metre outshines everything between blank and the step before it."""
+    """Return the largest margin by which a metre's darkest part outshines all between blank and the step before it."""
     width = max(3, round(_RING_DOWN_M / spacing_m))
     step = max(1, round(_STEP_M / spacing_m))
     seabed = max(2, round(_SEABED_M / spacing_m))

@@ -1,4 +1,4 @@
-"""Recorded logs as one mission: read at once by the bench, or paced as a source of the service."""
+"""Read recorded logs as one mission: at once for the bench, or paced as a source of the service."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK
 
 
 class RecordedMission:
-    """The logs of one mission, of any formats, in the order of their first pings, whatever order they are named in."""
+    """Read the logs of one mission, of any formats, in the order of their first pings, however they are named."""
 
     def __init__(self, paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> None:
         """Open every log and look for its first ping.
@@ -60,12 +60,12 @@ class RecordedMission:
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Size of each file in use, in order of time."""
+        """Return the size of each file in use, in order of time."""
         return {path: size for log in self._logs for path, size in log.sizes_bytes.items()}
 
     @property
     def fraction_done(self) -> float:
-        """How much of the files `events` has read, 0..1."""
+        """Return how much of the files `events` has read, 0..1."""
         reading_bytes = 0 if self._reading is None else self._reading.bytes_read
         return min(1.0, (self._done_bytes + reading_bytes) / sum(self.sizes_bytes.values()))
 
@@ -85,7 +85,7 @@ class RecordedMission:
 
 
 class Pace:
-    """When events are due at `speed` times real time; inf: at once."""
+    """Schedule events at `speed` times real time; inf: at once."""
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self._speed = speed
@@ -94,7 +94,7 @@ class Pace:
         self._last_s = math.nan
 
     def wait_s(self, event: SourceEvent) -> float:
-        """Seconds until `event` is due. Times that step back or leap do not make up or cost waiting time."""
+        """Return seconds until `event` is due. Times that step back or leap do not make up or cost waiting time."""
         if math.isinf(self._speed) or not isinstance(event, Ping | NavSample) or not math.isfinite(event.time_s):
             return 0.0
         now_s = self._clock.monotonic_s()
@@ -108,7 +108,7 @@ class Pace:
 
 
 class ReplaySource:
-    """A recorded mission as the service's source; it waits for the service, so that nothing is lost however slow the computer is."""
+    """Feed a recorded mission to the service, at the service's pace, so that a slow computer loses nothing."""
 
     lossless = True
 
@@ -144,7 +144,7 @@ def open_source(uri: SourceUri, config: Config, clock: Clock) -> ReplaySource:
 
 
 def parse_speed(text: str, place: str) -> float:
-    """`real` (1), `max` (inf) or a number of times real time. Raises UsageError."""
+    """Parse `real` (1), `max` (inf) or a number of times real time. Raises UsageError."""
     try:
         speed = {"real": 1.0, "max": math.inf}.get(text) or float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Reading a recorded session, whatever the end of its recording left of it."""
+"""Read a recorded session, in whatever state its recording ended."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ class _File(NamedTuple):
 
 
 class Session:
-    """A session's folder, or one file of it. Iterate for what was recorded, in the order of recording; every iteration starts anew.
+    """Read a session's folder, or one file of it, in the order of recording; every iteration starts anew.
 
-    Counts, while iterating: session.files_unfinished (recording was cut off), .bytes_torn (behind the last whole record of such
-    a file), .chunks_damaged (wrong CRC), .messages_missing (by their sequence), and what the recorder lost: .chunks_lost, .bytes_lost.
-    `notices` say the same to a person.
+    Counts, while iterating: session.files_unfinished (recording was cut off), .bytes_torn (behind the last whole record
+    of such a file), .chunks_damaged (wrong CRC), .messages_missing (by their sequence), and what the recorder lost:
+    .chunks_lost, .bytes_lost. `notices` report the same to a person.
     """
 
     def __init__(self, path: Path) -> None:
-        """Read the head of every file. Raises BadInputError for what is no session, or one of which nothing is left."""
+        """Read the head of every file. Raises BadInputError for a path without a session, or a session with nothing
+        left.
+        """
         if not path.exists():
             raise BadInputError(f"{path} does not exist. Check the path.")
         candidates = sorted(path.glob(FILE_PATTERN)) if path.is_dir() else [path]
         if not candidates:
-            raise BadInputError(
-                f"{path} holds no recorded session: there is no {FILE_PATTERN} in it. Name a folder that was recorded into."
-            )
+            raise BadInputError(f"{path} holds no recorded session: it contains no {FILE_PATTERN}. Name a folder that was recorded into.")
         self._left_out: list[Notice] = []
         files = []
         for candidate in candidates:
@@ -80,7 +80,7 @@ class Session:
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Size of each file in use, in the order of recording."""
+        """Return the size of each file in use, in the order of recording."""
         return {file.path: file.size_bytes for file in self._files}
 
     def _begin(self) -> None:
@@ -153,7 +153,7 @@ class Session:
 
 
 def recorded_config(session: Session) -> Config:
-    """Parse the configuration that a session was recorded with. Raises BadInputError for one that this version does not know."""
+    """Parse the configuration that a session was recorded with. Raises BadInputError for one from another version."""
     try:
         return parse_config(session.description.config_yaml, "the session's configuration")
     except UsageError as error:
@@ -163,7 +163,7 @@ def recorded_config(session: Session) -> Config:
 
 
 class _WholeReads:
-    """A file as the MCAP reader sees it, without what that trusts: a read is whole or none, and no length claims memory."""
+    """Guard the file for the MCAP reader: a read is whole or none, and no length claims memory."""
 
     def __init__(self, stream: BinaryIO, size_bytes: int) -> None:
         self.n_bytes = 0
@@ -171,7 +171,7 @@ class _WholeReads:
         self._size_bytes = size_bytes
 
     def read(self, n_bytes: int) -> bytes:
-        """Raises EOFError where there are not as many."""
+        """Read n bytes. Raises EOFError where there are not as many."""
         if n_bytes > self._size_bytes - self.n_bytes:
             raise EOFError(f"it ends at byte {self._size_bytes}, within a record")
         self.n_bytes += n_bytes
@@ -189,7 +189,7 @@ def _records_in(chunk: Chunk) -> list[McapRecord]:
 
 
 def _read_head(path: Path) -> FileHead:
-    """Raises BadInputError."""
+    """Read the head. Raises BadInputError."""
     try:
         with open_regular(path) as stream:
             for record in _records(_WholeReads(stream, path.stat().st_size)):
@@ -209,6 +209,6 @@ def _read_head(path: Path) -> FileHead:
 
 
 def _head_in(chunk: Chunk) -> FileHead:
-    """Raises msgspec.MsgspecError if it is not the first message, and what the MCAP reader raises on damage."""
+    """Decode the first message. Raises msgspec.MsgspecError for another one, and the MCAP reader's errors on damage."""
     first = next((record for record in _records_in(chunk) if isinstance(record, Message)), None)
     return msgspec.json.decode(b"" if first is None else first.data, type=FileHead)

@@ -1,13 +1,13 @@
-"""A SonarView log (.svlog) as the ports that would have received it.
+"""Read a SonarView log (.svlog) as the ports that would have received it.
 
 The log is what the sonar sent, packet after packet, with what SonarView heard of the vehicle between (Cerulean,
 "Cerulean Ping Protocol", General Packet Definitions): JSON_WRAPPER (10, the log's head with its `timestamp`),
 NMEA_WRAPPER (109, a sentence), MAVLINK_WRAPPER (150, a message as JSON). Side-scan profiles (2198) go to a port
 `sonar`, sentences to a port `nmea`, positions and attitudes of MAVLink, put into NMEA 0183, to a port `mavlink`.
 
-No packet says when it was written. Pings have the sonar's counter of milliseconds, which starts at the head's time
-stamp; what stands between two pings is stamped with the later one, no more than one interval too late, which the times
-in the sentences take off again (`NavUnitSettings.use_unit_time`).
+No packet carries the time at which it was written. Pings have the sonar's counter of milliseconds, which starts at the
+head's time stamp; what stands between two pings is stamped with the later one, no more than one interval too late,
+which the times in the sentences take off again (`NavUnitSettings.use_unit_time`).
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ _COUNTER_MS: Final = 2**32
 _MAX_WAITING: Final = 256  # navigation packets before the next ping
 _RESTART_MS: Final = 1000  # a counter that goes back by more was started anew; heads send within that of each other
 _RESTART_GAP_NS: Final = 100_000_000  # between the last ping before and the first one after, of which nothing is known
-_SAME_TIME_NS: Final = 2_000_000_000  # a further head that says this much else begins another log
+_SAME_TIME_NS: Final = 2_000_000_000  # a further head that differs by this much begins another log
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
 _DAY_S: Final = 86_400.0
 _NO_HEADING: Final = 65535  # cdeg, of GLOBAL_POSITION_INT
 
 
 class SvlogRecording:
-    """One svlog file as what its ports received. Every iteration starts anew.
+    """Read one svlog file as the bytes its ports received. Every iteration starts anew.
 
     Counts reader.sonar_restarted, reader.navigation_dropped (more than 256 packets without a ping),
     reader.mavlink_malformed, reader.other_messages, and those of `MessageFile`.
     """
 
     def __init__(self, path: Path, chunk_bytes: int) -> None:
-        """Raises BadInputError for a file that cannot be read."""
+        """Open the file. Raises BadInputError for a file that cannot be read."""
         self._file = MessageFile(path, PingGrammar(), chunk_bytes)
         self._begin()
 
@@ -114,7 +114,7 @@ class SvlogRecording:
             echo_s = 0.0
         place = f"{self._file.path.name}, byte {offset}"
         if not self._clock.is_known and not self._clock.is_used:
-            text = "the log's head says no time: times count from 1970-01-01, and contacts carry them"
+            text = "the log's head carries no time: times count from 1970-01-01, and contacts carry them"
             self.notices.append(Notice(code="reader.time_unknown", text=text, place=place))
         time_ns = self._clock.time_ns(message.payload[_CHANNEL_AT], counter_ms, round(1e9 * echo_s))
         if self._clock.n_restarts > self._own["reader.sonar_restarted"]:
@@ -172,7 +172,9 @@ class SvlogRecording:
 
 
 class _SonarTime:
-    """UTC of profiles, from a log's start and the counters of the sonar's heads, each powered up at its own time."""
+    """Compute UTC of profiles from a log's start and the counters of the sonar's heads, each powered up at its own
+    time.
+    """
 
     def __init__(self) -> None:
         self.is_known = False
@@ -217,7 +219,7 @@ class _SonarTime:
 
 
 class _Mavlink:
-    """MAVLink as JSON, put into NMEA 0183.
+    """Convert MAVLink as JSON to NMEA 0183.
 
     The vehicle's time since boot becomes a time of day by one offset for the whole log.
     """
@@ -227,7 +229,7 @@ class _Mavlink:
         self._has_attitude = False
 
     def records(self, body: dict[str, Any], stamp: Stamp) -> list[Record]:
-        """Raises KeyError, TypeError or ValueError for fields that are not there or no numbers."""
+        """Yield records. Raises KeyError, TypeError or ValueError for fields that are missing or not numeric."""
         since_boot_s = 1e-3 * float(body["time_boot_ms"])
         if self._boot_s is None:
             self._boot_s = stamp.utc_ns * 1e-9 - since_boot_s

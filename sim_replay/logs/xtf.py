@@ -1,9 +1,9 @@
-"""XTF side-scan logs as a stream of navigation samples, pings and notices.
+"""Read XTF side-scan logs as a stream of navigation samples, pings and notices.
 
-Layouts are pyxtf's; its reading loop is not used, because it loads a pickled index it finds beside the log, stops at the first
-damaged packet and never ends on a packet of length zero. Conventions of the format (Triton Imaging, "eXtended Triton Format", rev. 42):
-header times are UTC with 10 ms resolution; pitch is positive bow up, roll positive starboard down, headings are degrees true; speed is
-in knots; a stored slant range is the far end of the last sample.
+Layouts are pyxtf's; its reading loop is not used, because it loads a pickled index it finds beside the log, stops at
+the first damaged packet and never ends on a packet of length zero. Conventions of the format (Triton Imaging, "eXtended
+Triton Format", rev. 42): header times are UTC with 10 ms resolution; pitch is positive bow up, roll positive starboard
+down, headings are degrees true; speed is in knots; a stored slant range is the far end of the last sample.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ PROBE_PINGS: Final = 50
 _SONAR: Final = 0  # packet type: side scan and sub-bottom
 _PING_HEADER: Final = 256
 _CHANNEL_HEADER: Final = 64
-_DAMAGES_TOLD: Final = 10
+_MAX_DAMAGE_NOTICES: Final = 10
 # What the reader mends, leaves out and counts, or was set to do: nobody has to act.
 _MENDED: Final = frozenset(
     f"reader.{name}"
@@ -59,7 +59,7 @@ _MENDED: Final = frozenset(
 
 
 class _PingTime(NamedTuple):
-    """Time in a ping's header, in the order of the format, under pyxtf's names."""
+    """Hold the time in a ping's header, in the order of the format, under pyxtf's names."""
 
     Year: int
     Month: int
@@ -71,7 +71,7 @@ class _PingTime(NamedTuple):
 
 
 class _PingHeader(NamedTuple):
-    """What else is read of a ping's header, likewise."""
+    """Hold the other fields read of a ping's header, likewise."""
 
     SoundVelocity: float
     ShipSpeed: float
@@ -89,7 +89,7 @@ class _PingHeader(NamedTuple):
 
 
 class _ChannelHeader(NamedTuple):
-    """What is read of a channel's header in a ping, likewise."""
+    """Hold the fields read of a channel's header in a ping, likewise."""
 
     ChannelNumber: int
     SlantRange: float
@@ -100,7 +100,8 @@ class _ChannelHeader(NamedTuple):
 
 
 def _packed(structure: Any, names: tuple[str, ...]) -> struct.Struct:
-    """Unpack some fields of one of pyxtf's structures, named in their order there: ten times as fast as one attribute after the other."""
+    """Unpack some fields of one of pyxtf's structures, named in their order there: ten times as fast as one attribute
+    after the other."""
     types = dict(structure._fields_)
     code, end = "<", 0
     for name in names:
@@ -133,7 +134,7 @@ class _RawPing(NamedTuple):
 
 
 class _Habits(NamedTuple):
-    """What the first pings say about the recorder."""
+    """Hold what the first pings show of the recorder."""
 
     port_far_to_near: bool
     ship_position: bool
@@ -142,20 +143,22 @@ class _Habits(NamedTuple):
 
 
 class XtfLog:
-    """One XTF file. Iterate for NavSample, Ping and Notice; `counters` fill meanwhile.
+    """Read one XTF file. Iterate for NavSample, Ping and Notice; `counters` fill meanwhile.
 
-    Pings come in file order, each after its NavSample and after what there is to say about it. Memory does not depend on the length of
-    the log. Every iteration starts anew.
+    Pings come in file order, each after its NavSample and its notices. Memory does not depend on the length of the log.
+    Every iteration starts anew.
 
-    Navigation: a header that repeats all navigation of the one before brings no NavSample; a position is given only where it differs from
-    the one before, so that interpolation runs between distinct fixes and a frozen navigation ages until it counts as stale. Zero means
-    unknown for a position and for a header without any navigation; an altitude of zero is delivered as it is, and refused by intake.
+    Navigation: a header that repeats all navigation of the one before brings no NavSample; a position is given only
+    where it differs from the one before, so that interpolation runs between distinct fixes and a frozen navigation ages
+    until it counts as stale. Zero means unknown for a position and for a header without any navigation; an altitude of
+    zero is delivered as it is, and refused by intake.
     """
 
     def __init__(self, path: str | os.PathLike[str], sonar: SonarConfig, *, chunk_bytes: int = 1 << 18) -> None:
         """Open and check the file header. `chunk_bytes` sizes the read buffer and nothing else.
 
-        Raises BadInputError for whatever is no XTF file with side-scan channels in slant range and geographic coordinates.
+        Raises BadInputError for anything but an XTF file with side-scan channels in slant range and geographic
+        coordinates.
         """
         self._path = Path(path)
         self._sonar = sonar
@@ -163,7 +166,7 @@ class XtfLog:
         self.counters: Counter[str] = Counter()
         self.bytes_read = 0
         self._notices: deque[Notice] = deque()
-        self._said: set[str] = set()
+        self._raised: set[str] = set()
         self._reference_weight: dict[str, int] = {}
         self._n_samples: dict[str, tuple[int, np.dtype[Any]]] = {}
         self._last_navigation: tuple[float, ...] = ()
@@ -177,7 +180,7 @@ class XtfLog:
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Size of the file."""
+        """Return the size of the file."""
         return {self._path: self.size_bytes}
 
     def first_time_s(self) -> float:
@@ -185,18 +188,18 @@ class XtfLog:
         return next((event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)
 
     def __iter__(self) -> Iterator[SourceEvent]:
-        """Raises BadInputError if there is no usable ping at all."""
+        """Iterate. Raises BadInputError if there is no usable ping at all."""
         self.counters.clear()
         self.bytes_read = 0
         self._notices.clear()
-        self._said.clear()
+        self._raised.clear()
         self._reference_weight.clear()
         self._n_samples.clear()
         self._last_navigation = ()
         with self._open() as file:
             _, header = self._read_file_header(file)
             self._use_header(header, 0)
-            self._tell_other_channels(header)
+            self._raise_other_channels_notice(header)
             raw_pings = self._raw_pings(file)
             probe = list(islice(raw_pings, PROBE_PINGS))
             if not probe:
@@ -215,7 +218,7 @@ class XtfLog:
                     self._notices.clear()
                 yield ping
             self.bytes_read = self.size_bytes
-            self._tell_totals()
+            self._raise_total_notices()
             yield from self._notices
             self._notices.clear()
 
@@ -238,7 +241,7 @@ class XtfLog:
         first = file.read(1)
         if first[0] != FILE_FORMAT:
             raise BadInputError(
-                f"{self._path} is no XTF file: byte 0 is 0x{first[0]:02x}, an XTF file starts with 0x{FILE_FORMAT:02x}. "
+                f"{self._path} is not an XTF file: byte 0 is 0x{first[0]:02x}, an XTF file starts with 0x{FILE_FORMAT:02x}. "
                 "Give the XTF export of this log."
             )
         if size < HEADER_BLOCK:
@@ -297,9 +300,9 @@ class XtfLog:
         for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR,), self._content_bytes):
             self.bytes_read = item.offset
             if isinstance(item, DamagedBytes):
-                self._tell_damage(item)
+                self._raise_damage_notice(item)
             elif isinstance(item, FileHeader):
-                self._tell_joined(item)
+                self._raise_joined_notice(item)
             elif item.kind != _SONAR:
                 self.counters[f"reader.packet_not_side_scan.{kind_name(item.kind)}"] += 1
             else:
@@ -316,7 +319,8 @@ class XtfLog:
         return end if end <= len(data) else None
 
     def _extents(self, data: bytes) -> Iterator[tuple[Channel | None, int, int | None, _ChannelHeader]]:
-        """Per channel of a ping packet: its description, offset and length of its samples (None: beyond the packet), its header."""
+        """Per channel of a ping packet: its description, offset and length of its samples (None: beyond the packet),
+        its header."""
         if len(data) < _PING_HEADER:
             yield None, 0, None, _NO_HEADER
             return
@@ -338,7 +342,7 @@ class XtfLog:
             width = channel.dtype.itemsize if channel.dtype is not None else 1
             n_samples = header.NumSamples
             if n_samples == 0 and offset + channel.legacy_samples * width <= len(data):
-                n_samples = channel.legacy_samples  # before rev. X26 the file header said it for all pings
+                n_samples = channel.legacy_samples  # before rev. X26 the file header gave it for all pings
             n_bytes = n_samples * width
             if offset + n_bytes > len(data):
                 yield channel, offset, None, header
@@ -353,7 +357,9 @@ class XtfLog:
         interval = NAN
         for channel, start, n_bytes, header in self._extents(data):
             if n_bytes is None or channel is None:
-                self._tell_damage(DamagedBytes(packet.offset, len(data), "a ping's channels do not fit into its packet", at_end=False))
+                self._raise_damage_notice(
+                    DamagedBytes(packet.offset, len(data), "a ping's channels do not fit into its packet", at_end=False)
+                )
                 return None
             if channel.number not in (self._port_number, self._starboard_number) or channel.dtype is None:
                 self.counters["reader.other_channel"] += 1
@@ -371,11 +377,11 @@ class XtfLog:
             self.counters[code] += 1
             if empty:
                 text = "a ping has no samples or no slant range; such pings are skipped and counted"
-                self._tell_once(code, text, self._place(packet.offset))
+                self._raise_notice_once(code, text, self._place(packet.offset))
             return None
         if empty:
             self.counters["reader.side_empty"] += 1
-            self._tell_once(
+            self._raise_notice_once(
                 "reader.side_empty",
                 "one side of a ping has no samples or no slant range; that side is left out and counted",
                 self._place(packet.offset),
@@ -384,7 +390,7 @@ class XtfLog:
         time_s = _utc_seconds(clock)
         if time_s is None:
             self.counters["reader.time_invalid"] += 1
-            self._tell_once(
+            self._raise_notice_once(
                 "reader.time_invalid",
                 f"a ping's date or time is impossible ({clock.Year}-{clock.Month}-{clock.Day} "
                 f"{clock.Hour}:{clock.Minute}:{clock.Second}); such pings are skipped and counted: set the recorder's clock",
@@ -394,7 +400,7 @@ class XtfLog:
         ping_header = _PingHeader._make(_PING_FIELDS.unpack_from(data))
         return _RawPing(packet.offset, ping_header, time_s, interval, traces.get(self._port_number), traces.get(self._starboard_number))
 
-    # --- what the first pings say ---
+    # --- evidence of the first pings ---
 
     def _habits(self, probe: list[_RawPing]) -> _Habits:
         headers = [raw.header for raw in probe]
@@ -407,7 +413,7 @@ class XtfLog:
 
         ship_position = all_unknown("SensorYcoordinate") and all_unknown("SensorXcoordinate") and any_known("ShipYcoordinate")
         if ship_position:
-            self._tell_once(
+            self._raise_notice_once(
                 "reader.ship_position",
                 "the log has no sensor positions; the vessel's are used, without layback. For a towed sonar log sensor positions",
                 self._place(probe[0].offset),
@@ -440,10 +446,10 @@ class XtfLog:
                 else f"the order of port samples cannot be seen in the first pings ({cues}); {order} is assumed. "
                 "If port looks mirrored, set sonar.port_order"
             )
-            self._say("reader.port_order", text, place, for_the_record=seen is not None)
+            self._raise_notice("reader.port_order", text, place, for_the_record=seen is not None)
             return order
         if seen is not None and seen != wanted and abs(evidence.total) >= 2 * DECISIVE:
-            self._say(
+            self._raise_notice(
                 "reader.port_order_disagrees",
                 f"sonar.port_order is {wanted}, but the first pings look {seen} ({cues}). The setting is obeyed; check the port waterfall",
                 place,
@@ -475,21 +481,21 @@ class XtfLog:
         if latitude == longitude == heading == altitude == 0.0:
             self.counters["reader.zero_navigation"] += 1
             text = "a ping has no navigation (all zero); it is taken as unknown"
-            self._tell_once("reader.zero_navigation", text, self._place(raw.offset))
+            self._raise_notice_once("reader.zero_navigation", text, self._place(raw.offset))
             return None
         if not is_whole and any(map(math.isnan, values)):
             self.counters["reader.nan_navigation"] += 1
             text = "navigation holds NaN or infinity; those quantities are taken as unknown"
-            self._tell_once("reader.nan_navigation", text, self._place(raw.offset))
+            self._raise_notice_once("reader.nan_navigation", text, self._place(raw.offset))
         if latitude == longitude == 0.0:
             self.counters["reader.zero_position"] += 1
             text = "a ping has heading or altitude but no position (0, 0); the position is taken as unknown"
-            self._tell_once("reader.zero_position", text, self._place(raw.offset))
+            self._raise_notice_once("reader.zero_position", text, self._place(raw.offset))
             latitude = longitude = NAN
         elif abs(latitude) > 90.0 or abs(longitude) > 360.0:
             self.counters["reader.impossible_position"] += 1
             text = f"impossible position {latitude}, {longitude}; taken as unknown"
-            self._tell_once("reader.impossible_position", text, self._place(raw.offset))
+            self._raise_notice_once("reader.impossible_position", text, self._place(raw.offset))
             latitude = longitude = NAN
         elif not -180.0 <= longitude < 180.0:
             longitude = (longitude + 180.0) % 360.0 - 180.0
@@ -519,7 +525,7 @@ class XtfLog:
         logged = self._sound_speed(_number(raw.header.SoundVelocity), place)
         speed = self._sonar.sound_speed_mps or logged
         if speed != logged:
-            self._tell_once(
+            self._raise_notice_once(
                 "reader.sound_speed_overridden",
                 f"sonar.sound_speed_mps {speed:g} replaces the log's {logged:g} m/s; slant ranges are scaled by {speed / logged:.4f}",
                 place,
@@ -546,7 +552,7 @@ class XtfLog:
             self._n_samples[side] = form
             what = "sample_type" if form[1] != known[1] else "sample_count"
             self.counters[f"reader.{what}_change"] += 1
-            self._tell_once(
+            self._raise_notice_once(
                 f"reader.{what}_change",
                 f"{side} changes from {known[0]} samples of {known[1].str} to {form[0]} of {form[1].str}; later changes are counted",
                 place,
@@ -556,14 +562,18 @@ class XtfLog:
             # A sample's value is stored * 2^-weight; only a change against the first ping matters, absolute gain does not.
             samples = np.ldexp(samples.astype(np.float32), max(-60, min(60, reference - trace.weight)))
             self.counters["reader.weight_change"] += 1
-            self._tell_once("reader.weight_change", f"{side} changes its weight factor; samples are scaled to the first ping's", place)
+            self._raise_notice_once(
+                "reader.weight_change", f"{side} changes its weight factor; samples are scaled to the first ping's", place
+            )
         if samples.dtype.kind == "f" and not np.all(np.isfinite(samples)):
             self.counters["reader.sample_not_finite"] += 1
-            self._tell_once("reader.sample_not_finite", f"{side} holds samples that are NaN or infinite; they are delivered as such", place)
+            self._raise_notice_once(
+                "reader.sample_not_finite", f"{side} holds samples that are NaN or infinite; they are delivered as such", place
+            )
         spacing = trace.range_m * speed / logged / samples.shape[0]
         delay = trace.delay_s if 0.0 < trace.delay_s < 10.0 else 0.0
         if delay:
-            self._tell_once(
+            self._raise_notice_once(
                 "reader.time_delay",
                 f"{side} was recorded from {delay:g} s after the transmission on; its ranges start {delay * speed / 2:.2f} m out",
                 place,
@@ -580,49 +590,51 @@ class XtfLog:
             return speed
         self.counters["reader.sound_speed_absurd"] += 1
         text = f"sound velocity {stored:g} m/s is absurd; 1500 is used. Set sonar.sound_speed_mps if you know it"
-        self._tell_once("reader.sound_speed_absurd", text, place)
+        self._raise_notice_once("reader.sound_speed_absurd", text, place)
         return 1500.0
 
-    # --- telling ---
+    # --- notices ---
 
     def _place(self, offset: int) -> str:
         return f"{self._path.name}, byte {offset}"
 
-    def _say(self, code: str, text: str, place: str, *, for_the_record: bool = False) -> None:
+    def _raise_notice(self, code: str, text: str, place: str, *, for_the_record: bool = False) -> None:
         remark = for_the_record or code in _MENDED
         self._notices.append(Notice(code=code, text=text, place=place, for_the_record=remark))
 
-    def _tell_once(self, code: str, text: str, place: str) -> None:
-        if code not in self._said:
-            self._said.add(code)
-            self._say(code, text, place)
+    def _raise_notice_once(self, code: str, text: str, place: str) -> None:
+        if code not in self._raised:
+            self._raised.add(code)
+            self._raise_notice(code, text, place)
 
-    def _tell_damage(self, damage: DamagedBytes) -> None:
+    def _raise_damage_notice(self, damage: DamagedBytes) -> None:
         self.counters["reader.damaged_packet"] += 1
         self.counters["reader.damaged_bytes"] += damage.n_bytes
-        told = self.counters["reader.damaged_packet"]
-        if told > _DAMAGES_TOLD:
+        n_damaged = self.counters["reader.damaged_packet"]
+        if n_damaged > _MAX_DAMAGE_NOTICES:
             return
         outcome = "everything before it is used" if damage.at_end else "reading goes on after it"
-        more = "; further damage is only counted" if told == _DAMAGES_TOLD else ""
-        self._say(
+        more = "; further damage is only counted" if n_damaged == _MAX_DAMAGE_NOTICES else ""
+        self._raise_notice(
             "reader.damaged_packet", f"{damage.what}; {damage.n_bytes} bytes are left out, {outcome}{more}", self._place(damage.offset)
         )
 
-    def _tell_joined(self, item: FileHeader) -> None:
+    def _raise_joined_notice(self, item: FileHeader) -> None:
         self.counters["reader.joined_log"] += 1
         place = self._place(item.offset)
         try:
             self._use_header(item.data, item.offset)
-            self._tell_once("reader.joined_log", "another file header starts here: logs were joined; its channels hold from here on", place)
+            self._raise_notice_once(
+                "reader.joined_log", "another file header starts here: logs were joined; its channels hold from here on", place
+            )
         except BadInputError as error:
             self._channels, self._port_number, self._starboard_number = [], -1, -1
-            self._tell_once("reader.joined_log_unusable", f"{error} Its pings are skipped", place)
+            self._raise_notice_once("reader.joined_log_unusable", f"{error} Its pings are skipped", place)
 
-    def _tell_other_channels(self, data: bytes) -> None:
+    def _raise_other_channels_notice(self, data: bytes) -> None:
         others = [c for c in self._channels if c.kind in SIDE_SCAN and c.number not in (self._port_number, self._starboard_number)]
         if others:
-            self._say(
+            self._raise_notice(
                 "reader.other_channel",
                 f"channels {self._port_number} and {self._starboard_number} are used; "
                 f"further side-scan channels are left out and counted: {name_channels(others)}",
@@ -639,28 +651,28 @@ class XtfLog:
         if header.NavigationLatency:
             offsets.append(f"navigation latency {header.NavigationLatency} ms")
         if offsets:
-            self._say(
+            self._raise_notice(
                 "reader.mounting_not_applied",
                 f"the log states {'; '.join(offsets)}. It is not known whether positions include it: "
                 "nothing is applied, set sonar.lever_arm_m if needed",
                 self._place(0),
             )
 
-    def _tell_totals(self) -> None:
+    def _raise_total_notices(self) -> None:
         place = self._path.name
         tied, stuck, backwards = (self.counters[f"reader.{name}"] for name in ("time_tied", "clock_stuck", "time_backwards"))
         if tied:
             text = f"{tied} pings shared a time stamp with the one before; they are spread evenly"
-            self._say("reader.time_tied", text, place)
+            self._raise_notice("reader.time_tied", text, place)
         if stuck:
             text = f"the clock stood still for {stuck} pings; they are timed by their interval"
-            self._say("reader.clock_stuck", text, place)
+            self._raise_notice("reader.clock_stuck", text, place)
         if backwards:
-            self._say("reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place)
+            self._raise_notice("reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place)
 
 
 class _NoSideScanError(BadInputError):
-    """No side-scan channel: the caller completes the message with what the file holds instead."""
+    """Signal a file without side-scan channels: the caller completes the message with what the file holds instead."""
 
 
 def _all_alike(values: tuple[float, ...], others: tuple[float, ...]) -> bool:
@@ -669,7 +681,7 @@ def _all_alike(values: tuple[float, ...], others: tuple[float, ...]) -> bool:
 
 
 def _number(value: float) -> float:
-    """Finite or NaN."""
+    """Return the number if finite, else NaN."""
     return value if math.isfinite(value) else NAN
 
 
@@ -687,7 +699,7 @@ def _utc_seconds(clock: _PingTime) -> float | None:
 
 
 def _probe_port_order(probe: list[_RawPing], blank_m: float) -> PortOrderEvidence | None:
-    """Evidence from the probed pings of the commonest port form; None without a port channel."""
+    """Return evidence from the probed pings of the commonest port form; None without a port channel."""
     forms = Counter((raw.port.samples.shape[0], raw.port.range_m) for raw in probe if raw.port is not None)
     if not forms:
         return None

@@ -1,4 +1,4 @@
-"""What an XTF file header says about the recording: channels, sample formats, units."""
+"""Read an XTF file header: channels, sample formats, units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DTYPE_OF_WIDTH: Final = {1: "u1", 2: "<u2", 4: "<u4"}
 
 
 class Channel(NamedTuple):
-    """One channel as the file header describes it. legacy_samples: samples per ping where pings do not say it themselves."""
+    """Describe one channel by the file header. legacy_samples: samples per ping where pings do not carry it themselves."""
 
     number: int
     kind: int
@@ -33,14 +33,16 @@ class Channel(NamedTuple):
 
 
 def header_channel(header: Any, data: bytes, number: int) -> Any:
-    """Channel description `number` of a file header (pyxtf.XTFChanInfo); those beyond six follow in further blocks."""
+    """Return channel description `number` of a file header (pyxtf.XTFChanInfo); those beyond six follow in further
+    blocks.
+    """
     if number < len(header.ChanInfo):
         return header.ChanInfo[number]
     return pyxtf.XTFChanInfo.from_buffer_copy(data, HEADER_BLOCK + _CHANNEL_BYTES * (number - len(header.ChanInfo)))
 
 
 def channels(header: Any, data: bytes) -> list[Channel]:
-    """All channels of a pyxtf.XTFFileHeader; `data` holds all its bytes."""
+    """Return all channels of a pyxtf.XTFFileHeader; `data` holds all its bytes."""
     capacity = len(header.ChanInfo) + (len(data) - HEADER_BLOCK) // _CHANNEL_BYTES
     found = []
     for number in range(min(header.channel_count(), capacity)):
@@ -62,7 +64,7 @@ def channels(header: Any, data: bytes) -> list[Channel]:
 
 
 def first_pair(side_scan: list[Channel]) -> tuple[Channel | None, Channel | None]:
-    """The first port channel and the starboard channel of its frequency (else the first)."""
+    """Return the first port channel and the starboard channel of its frequency (else the first)."""
     port = next((c for c in side_scan if c.kind == PORT), None)
     starboards = [c for c in side_scan if c.kind == STARBOARD]
     twin = next((c for c in starboards if port is not None and c.frequency == port.frequency), None)
@@ -75,7 +77,7 @@ def name_channels(some: list[Channel]) -> str:
 
 
 def kind_name(kind: int) -> str:
-    """Name of a packet type."""
+    """Return the name of a packet type."""
     try:
         return str(pyxtf.XTFHeaderType(kind).name)
     except ValueError:

@@ -1,8 +1,8 @@
-"""Finding packets in an XTF file, whatever happened to it.
+"""Find packets in an XTF file, however damaged.
 
-XTF (eXtended Triton Format, Triton Imaging, rev. 42): a file header of n * 1024 bytes, then packets that start with the magic number
-0xFACE, their type, and their length in bytes. Here damage is survived: where no packet starts, or one has an impossible length, the next
-trustworthy packet is searched for, byte by byte.
+XTF (eXtended Triton Format, Triton Imaging, rev. 42): a file header of n * 1024 bytes, then packets that start with the
+magic number 0xFACE, their type, and their length in bytes. Here damage is survived: where no packet starts, or one has
+an impossible length, the next trustworthy packet is searched for, byte by byte.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SEARCH_BYTES: Final = 1 << 16
 
 
 class XtfPacket(NamedTuple):
-    """A whole packet of a wanted type, or the mere place of another (`data` is empty then)."""
+    """Hold a whole packet of a wanted type, or the mere place of another (`data` is empty then)."""
 
     offset: int
     kind: int
@@ -29,14 +29,14 @@ class XtfPacket(NamedTuple):
 
 
 class FileHeader(NamedTuple):
-    """Another file header in the middle of the file: somebody joined two logs."""
+    """Mark another file header in the middle of the file: two logs were joined."""
 
     offset: int
     data: bytes
 
 
 class DamagedBytes(NamedTuple):
-    """`n_bytes` from `offset` on that no packet could be made of. `at_end`: nothing readable follows."""
+    """Mark `n_bytes` from `offset` on that no packet could be made of. `at_end`: nothing readable follows."""
 
     offset: int
     n_bytes: int
@@ -54,10 +54,10 @@ def read_packets(
     wanted: Container[int],
     content_bytes: Callable[[bytes], int | None],
 ) -> Iterator[Item]:
-    """Packets of `file` (seekable, `size` bytes) from offset `first_packet` on, in file order, one in memory at a time.
+    """Yield packets of `file` (seekable, `size` bytes) from offset `first_packet` on, in file order, one at a time.
 
-    content_bytes: length that a wanted packet's own channel headers add up to, None if they contradict it; after a damaged
-    packet length the search for the next packet starts there.
+    content_bytes: length that a wanted packet's own channel headers add up to, None if they contradict it; after a
+    damaged packet length the search for the next packet starts there.
     """
     position = first_packet
     search_from = first_packet  # no packet that was already delivered starts at or after this
@@ -93,7 +93,7 @@ def read_packets(
         if start[:2] == MAGIC:
             search_from = position + len(MAGIC)
         found = _next_packet(file, search_from, size)
-        # The packet before may have claimed more bytes than it had: then the next one starts before `position`.
+        # The packet before may have claimed more bytes than it holds: then the next one starts before `position`.
         damaged_from = min(position, found)
         yield DamagedBytes(damaged_from, found - damaged_from, fault, at_end=found >= size)
         position = found
@@ -101,7 +101,7 @@ def read_packets(
 
 
 def _fault(start: bytes, position: int, size: int) -> tuple[str | None, int, int]:
-    """What is wrong with the packet that starts with these bytes (None: nothing), its length and its type."""
+    """Return the error of the packet that starts with these bytes (None: none), its length and its type."""
     if len(start) < _START.size:
         return "the file ends inside a packet's header", 0, -1
     magic, kind, _, _, n_bytes = _START.unpack(start)
@@ -125,7 +125,7 @@ def _file_header(file: BinaryIO, position: int, size: int) -> FileHeader | None:
 
 
 def header_bytes(file: BinaryIO, position: int, size: int) -> int | None:
-    """Length of the file header at `position`: the first multiple of 1024 after which a packet starts; None if there is none.
+    """Return the length of the file header at `position`: the first multiple of 1024 before a packet; None if none.
 
     Six channels fit into one block. Writers disagree on how many more fit into each further one, so the packets decide.
     """
@@ -139,9 +139,10 @@ def header_bytes(file: BinaryIO, position: int, size: int) -> int | None:
 
 
 def _next_packet(file: BinaryIO, position: int, size: int) -> int:
-    """Offset of the first trustworthy packet at or after `position`, `size` if there is none.
+    """Return the offset of the first trustworthy packet at or after `position`, `size` if there is none.
 
-    Two bytes are easily met by chance among samples: a packet is trusted only if another one, or the end of the file, follows it.
+    Two bytes are easily met by chance among samples: a packet is trusted only if another one, or the end of the file,
+    follows it.
     """
     while position < size:
         file.seek(position)

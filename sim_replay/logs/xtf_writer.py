@@ -1,7 +1,8 @@
-"""Writing XTF side-scan logs.
+"""Write XTF side-scan logs.
 
-What the format cannot hold is lost: one header carries navigation and ping, so navigation is as of the ping's time; times have 10 ms
-resolution; angles, depth, altitude, speed (knots) and slant range are float32; positions are float64 degrees.
+What the format cannot hold is lost: one header carries navigation and ping, so navigation is as of the ping's time;
+times have 10 ms resolution; angles, depth, altitude, speed (knots) and slant range are float32; positions are float64
+degrees.
 """
 
 from __future__ import annotations
@@ -42,9 +43,9 @@ def write_xtf(
 ) -> int:
     """Write one log, a ping at a time, whole or not at all; returns the number of pings.
 
-    A quantity that a NavSample does not give keeps its last value; one that was never given is zero for a position and an altitude
-    (which readers take as unknown) and NaN else. A side that a ping lacks is left out of its packet.
-    Raises UsageError where samples do not fit into `sample_type`.
+    A quantity that a NavSample does not give keeps its last value; one that was never given is zero for a position and
+    an altitude (which readers take as unknown) and NaN else. A side that a ping lacks is left out of its packet. Raises
+    UsageError where samples do not fit into `sample_type`.
     """
     channels = tuple(sides)
     navigation = NavSample(time_s=NAN)

@@ -1,1 +1,1 @@
-"""A simulated sea: sea floor, objects, sonar and vehicle, with the truth about all of them."""
+"""Simulate a sea: sea floor, objects, sonar and vehicle, with the truth about all of them."""

@@ -1,26 +1,29 @@
-"""Synthetic-aperture images: lines of an image whose resolution does not depend on range, with the shadows that it really has.
+"""Render synthetic-aperture images: resolution does not depend on range, and shadows are as on the real floor.
 
-A processor focuses every echo where it was closest to the reference track: a point at along-track x, across-track y and height z lies in
-line x at slant range r = sqrt(y^2 + (H - z)^2), from wherever in the aperture it was heard. A resolution of delta_x along the track takes
-an aperture that turns around the point by
+A processor focuses every echo where it was closest to the reference track: a point at along-track x, across-track y and
+height z lies in line x at slant range r = sqrt(y^2 + (H - z)^2), from wherever in the aperture it was heard. A
+resolution of delta_x along the track takes an aperture that turns around the point by
 
     Theta = lambda / (2 delta_x)
 
-(Hayes and Gough, IEEE J. Oceanic Eng. 34, 2009). Shadows are not focused: from each end of the aperture they fall in another direction, so
-the image, which adds up all of it, blurs their edges over D Theta at a distance D behind the object. A sub-aperture takes a part of the
-angles. Its shadows are sheared by its squint, tan theta, and sharper; its resolution along the track is as many times coarser.
+(Hayes and Gough, IEEE J. Oceanic Eng. 34, 2009). Shadows are not focused: from each end of the aperture they fall in
+another direction, so the image, which adds up all of it, blurs their edges over D Theta at a distance D behind the
+object. A sub-aperture takes a part of the angles. Its shadows are sheared by its squint, tan theta, and sharper; its
+resolution along the track is as many times coarser.
 
-The mean image is the mean over rays that leave the track at angles theta spread over the aperture. Each is a vertical slice through floor
-and bodies as in side-scan, and what it meets at y goes to line x_s + y tan theta, x_s being where it started. Angles are of horizontal
-bearing. Approximations: y is worked out for the height of the floor below the vehicle, so something z higher is off by tan theta H z / y,
-a centimetre or so; spreading and absorption are those at closest approach, an error of second order in theta.
+The mean image is the mean over rays that leave the track at angles theta spread over the aperture. Each is a vertical
+slice through floor and bodies as in side-scan, and what it meets at y goes to line x_s + y tan theta, x_s being where
+it started. Angles are of horizontal bearing. Approximations: y is worked out for the height of the floor below the
+vehicle, so something z higher is off by tan theta H z / y, a centimetre or so; spreading and absorption are those at
+closest approach, an error of second order in theta.
 
-The speckled image is |h * (sqrt(E) w)|^2, E being the mean image, w white complex Gaussian noise and h the point-spread function, a low
-pass along both axes. Every sub-aperture, being another part of the spectrum, has speckle of its own.
+The speckled image is |h * (sqrt(E) w)|^2, E being the mean image, w white complex Gaussian noise and h the point-spread
+function, a low pass along both axes. Every sub-aperture, being another part of the spectrum, has speckle of its own.
 
-Echo energy from a resolution cell is summed over an aperture that grows with range against noise that does not depend on it, so that the
-range law is that of a real beam: r^-3 and absorption. Lines follow one another at the resolution over pixels_per_resolution, samples
-likewise. Of the sonar n_samples, ping_rate_hz, range_resolution_m, beam_width_deg, beam_lines and speckle_along_track_m do not count.
+Echo energy from a resolution cell is summed over an aperture that grows with range against noise that does not depend
+on it, so that the range law is that of a real beam: r^-3 and absorption. Lines follow one another at the resolution
+over pixels_per_resolution, samples likewise. Of the sonar n_samples, ping_rate_hz, range_resolution_m, beam_width_deg,
+beam_lines and speckle_along_track_m do not count.
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ from sim_replay.simulator.plan import Leg
 from sim_replay.simulator.scene import SyntheticAperture
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.speckle import band_limited_rows, low_pass_taps
-from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, SonarPose
+from sim_replay.simulator.vehicle import MIN_ALTITUDE_M, MIN_DEPTH_M, SonarPose
 
 View: TypeAlias = int | Literal["full"]
 Floats: TypeAlias = NDArray[np.float64]
@@ -56,7 +59,7 @@ _STREAMS_PER_SIDE: Final = 1 << 32
 
 
 class Strip(NamedTuple):
-    """The image of leg `number`, flown at depth_m. Line i lies `i * Aperture.line_m` from the leg's start."""
+    """Locate the image of leg `number`, flown at depth_m. Line i lies `i * Aperture.line_m` from the leg's start."""
 
     leg: Leg
     number: int
@@ -65,10 +68,10 @@ class Strip(NamedTuple):
 
 
 class Aperture:
-    """Synthetic-aperture images of a sea.
+    """Render synthetic-aperture images of a sea.
 
-    Lines depend on the scene, its seed, the leg and its number alone, not on how many are asked for at a time. Raises UsageError if the
-    scene has no `sonar.synthetic_aperture` or one that takes angles beyond WIDEST_RAD.
+    Lines depend on the scene, its seed, the leg and its number alone, not on how many are asked for at a time. Raises
+    UsageError if the scene has no `sonar.synthetic_aperture` or one that takes angles beyond WIDEST_RAD.
     """
 
     def __init__(self, sea: Sea) -> None:
@@ -83,11 +86,11 @@ class Aperture:
         wavelength_m = sonar.sound_speed_mps / (1e3 * sonar.frequency_khz)
         self.integration_rad: Final = wavelength_m / (2.0 * aperture.along_track_resolution_m)
         if self.integration_rad > WIDEST_RAD:
-            least_m = wavelength_m / (2.0 * WIDEST_RAD)
+            min_m = wavelength_m / (2.0 * WIDEST_RAD)
             raise UsageError(
                 f"`sonar.synthetic_aperture.along_track_resolution_m` is {aperture.along_track_resolution_m:g}, which at "
                 f"{sonar.frequency_khz:g} kHz takes an aperture of {math.degrees(self.integration_rad):.0f} degrees; "
-                f"give {math.ceil(1e3 * least_m) / 1e3:g} or more"
+                f"give {math.ceil(1e3 * min_m) / 1e3:g} or more"
             )
         n_views = aperture.sub_apertures
         n_rays = math.ceil(_SMOOTH_SHADOW_M * self.integration_rad / (aperture.along_track_resolution_m * n_views))
@@ -104,11 +107,11 @@ class Aperture:
         }
 
     def squint_rad(self, view: int) -> float:
-        """Middle of the bearings that a sub-aperture looks at, positive ahead of abeam."""
+        """Return the middle of a sub-aperture's bearings, positive ahead of abeam."""
         return float(np.mean(self._angles[view]))
 
     def strip(self, leg: Leg, number: int) -> Strip:
-        """The image of a leg, at the track's altitude above the mean of the floor along it.
+        """Place the image of a leg, at the track's altitude above the mean floor along it.
 
         Raises UsageError where the floor leaves no room for a track at one depth.
         """
@@ -116,17 +119,17 @@ class Aperture:
         strip = Strip(leg, number, math.floor(leg.length_m / self.line_m + 1e-9) + 1, 0.0)
         floor = self._floor_m(strip, 0, strip.n_lines)
         depth = world.depth_m - float(floor.mean()) - track.altitude_m
-        least = world.depth_m - depth - float(floor.max())
-        if least < LEAST_ALTITUDE_M or depth < LEAST_DEPTH_M:
+        lowest_m = world.depth_m - depth - float(floor.max())
+        if lowest_m < MIN_ALTITUDE_M or depth < MIN_DEPTH_M:
             raise UsageError(
-                f"`track.plan`: on leg {number} a synthetic aperture at one depth would pass {least:.1f} m above the floor and "
-                f"{depth:.1f} m below the surface; it needs {LEAST_ALTITUDE_M:g} and {LEAST_DEPTH_M:g}: give another `track.altitude_m`, "
+                f"`track.plan`: on leg {number} a synthetic aperture at one depth would pass {lowest_m:.1f} m above the floor and "
+                f"{depth:.1f} m below the surface; it needs {MIN_ALTITUDE_M:g} and {MIN_DEPTH_M:g}: give another `track.altitude_m`, "
                 "a larger `world.depth_m` or a gentler slope"
             )
         return strip._replace(depth_m=depth)
 
     def poses(self, strip: Strip, start_s: float, first_line: int, n_lines: int) -> list[SonarPose]:
-        """Where the vehicle was abeam of lines, having passed the first of the strip at `start_s`."""
+        """Return the poses abeam of each line, with the first line of the strip passed at `start_s`."""
         leg, speed = strip.leg, self.sea.scene.track.speed_mps
         poses = []
         for line in range(first_line, first_line + n_lines):
@@ -148,8 +151,10 @@ class Aperture:
         return poses
 
     def lines(self, strip: Strip, start_s: float, first_number: int) -> Iterator[tuple[SonarPose, Ping]]:
-        """All lines of the view that the scene asks for as it records them, numbered from `first_number`, with the poses they are given at.
-        No ping knows its altitude."""
+        """Return all lines of the recorded view, numbered from `first_number`, with the poses they are given at.
+
+        No ping carries an altitude.
+        """
         for first in range(0, strip.n_lines, _BLOCK_LINES):
             n_lines = min(_BLOCK_LINES, strip.n_lines - first)
             poses = self.poses(strip, start_s, first, n_lines)
@@ -157,11 +162,15 @@ class Aperture:
             yield from zip(poses, self.sea.record(intensity, poses, first_number + first), strict=True)
 
     def views(self, strip: Strip, first_line: int, n_lines: int) -> Float32s:
-        """The same lines through all sub-apertures, from aft to ahead: (sub_apertures, n_lines, 2, n_samples) float32 as of `intensity`."""
+        """Return the same lines through all sub-apertures, aft to ahead:
+
+        (sub_apertures, n_lines, 2, n_samples) float32 as of `intensity`.
+        """
         return np.stack([self.intensity(strip, first_line, n_lines, view) for view in range(self.aperture.sub_apertures)])
 
     def intensity(self, strip: Strip, first_line: int, n_lines: int, view: View) -> Float32s:
-        """Speckled image with noise, (n_lines, 2, n_samples) float32, port first, in units of the sea's `reference`."""
+        """Return the speckled image with noise, (n_lines, 2, n_samples) float32, port first, in units of
+        `reference`."""
         sonar, seed = self.sea.sonar, self.sea.scene.seed
         line_taps, range_taps = self._line_taps["full" if view == "full" else "part"], self._range_taps
         around, beside = line_taps.size // 2, range_taps.size // 2
@@ -187,7 +196,8 @@ class Aperture:
         return image
 
     def mean_intensity(self, strip: Strip, first_line: int, n_lines: int, view: View) -> Floats:
-        """Mean image before the point-spread function, without noise, (n_lines, 2, n_samples), in the sea's units."""
+        """Return the mean image before the point-spread function, without noise, (n_lines, 2, n_samples), in the sea's
+        units."""
         angles = [angle for part in self._angles for angle in part] if view == "full" else self._angles[view]
         floor = self._floor_m(strip, first_line, n_lines)
         altitude = self.sea.scene.world.depth_m - strip.depth_m - floor
@@ -201,7 +211,8 @@ class Aperture:
         return image
 
     def _seen(self, strip: Strip, first_line: int, ahead: Floats, angle_rad: float) -> Floats:
-        """Energy per metre of track that rays of one bearing bring back, moved to the lines it belongs to, (n_lines, 2, n_samples).
+        """Energy per metre of track that rays of one bearing bring back, moved to the lines it belongs to, (n_lines,
+        2, n_samples).
 
         ahead: (n_lines, n_samples) lines by which a ray that meets this line at this range started before it.
         """
@@ -219,10 +230,11 @@ class Aperture:
         return np.asarray(nearer * (1.0 - part) + farther * part)
 
     def _fan(self, strip: Strip, line: NDArray[np.int64], angle_rad: float) -> rays.Fan:
-        """Rays of both sides from lines, rows 2 i for port and 2 i + 1 for starboard of the i-th. Nodes lie at the same across-track
-        distances whatever the angle.
+        """Rays of both sides from lines, rows 2 i for port and 2 i + 1 for starboard of the i-th. Nodes lie at the same
+        across-track distances whatever the angle.
 
-        Slant depth is depth over the cosine of the angle, which makes the ray's slant range that of closest approach over the cosine.
+        Slant depth is depth over the cosine of the angle, which makes the ray's slant range that of closest approach
+        over the cosine.
         """
         leg, cosine = strip.leg, math.cos(angle_rad)
         along = line * self.line_m
@@ -244,12 +256,12 @@ class Aperture:
         )
 
     def _floor_m(self, strip: Strip, first_line: int, n_lines: int) -> Floats:
-        """Height of the bare floor below lines, (n_lines,)."""
+        """Return the height of the bare floor below lines, (n_lines,)."""
         places = [strip.leg.at(line * self.line_m, 0.0) for line in range(first_line, first_line + n_lines)]
         return self.sea.world.elevation_m(*np.array(places).T)
 
     def _add_points(self, image: Floats, strip: Strip, first_line: int) -> None:
-        """Echoes of points, focused like everything else; they neither cast nor lie in shadows."""
+        """Add echoes of points, focused like everything else; points neither cast nor lie in shadows."""
         sonar = self.sea.sonar
         axis = math.radians(sonar.tilt_deg)
         for east, north, height, strength in self.sea.points.tolist():
@@ -269,6 +281,6 @@ class Aperture:
 
 
 def _split(place: float) -> Sequence[tuple[int, float]]:
-    """The whole numbers on both sides of a place, and their shares."""
+    """Return the whole numbers on both sides of a place, and their shares."""
     low = math.floor(place)
     return (low, low + 1 - place), (low + 1, place - low)

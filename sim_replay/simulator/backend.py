@@ -1,4 +1,4 @@
-"""The simulator's C library, or the reason why numpy does its work."""
+"""Load the simulator's C library, or report why numpy does its work."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ VERSION: Final = 2  # of the C signatures; a library that reports another one is
 
 @functools.cache
 def simulator_library() -> Loaded:
-    """The library, looked for once beside this file."""
+    """Return the library, searched for once beside this file."""
     return load_library(Path(__file__).parent, "_simulator", VERSION, _declare)
 
 
 def library() -> ctypes.CDLL | None:
-    """The library, None if numpy serves instead."""
+    """Return the library, or None if numpy serves instead."""
     return simulator_library().library
 
 

@@ -1,13 +1,15 @@
-"""How strongly a sea floor, or the surface of an object, echoes at each grazing angle.
+"""Model how strongly a sea floor, or the surface of an object, echoes at each grazing angle.
 
-The sea floor follows APL-UW TR 9407 (1994), Sec. IV.C: interface scattering, by the Kirchhoff approximation near normal incidence, by the
-composite-roughness approximation elsewhere and by an empirical form for gravel and rock, plus scattering from the sediment's volume. Its
-authors state some 3 dB of uncertainty for sand and silt above 5 degrees, 10 dB for rock.
+The sea floor follows APL-UW TR 9407 (1994), Sec. IV.C: interface scattering, by the Kirchhoff approximation near normal
+incidence, by the composite-roughness approximation elsewhere and by an empirical form for gravel and rock, plus
+scattering from the sediment's volume. Its authors state some 3 dB of uncertainty for sand and silt above 5 degrees, 10
+dB for rock.
 
-The model was compared with data from 10 to 100 kHz. Beyond, the angular shape is the one at the nearer end of that band, and only the level
-follows the frequency: as much as the model itself changes at 20 degrees grazing, the middle of a side scan's swath. From 100 to 900 kHz
-that is 2 to 4 dB for rock and sand, whose roughness scatters more as the wave gets shorter, and nothing for mud, whose volume scatters.
-Evaluating the full model there instead would make gravel of every sand: it picks its branch by the slope at the scale of the wavelength.
+The model was compared with data from 10 to 100 kHz. Beyond, the angular shape is the one at the nearer end of that
+band, and only the level follows the frequency: as much as the model itself changes at 20 degrees grazing, the middle of
+a side scan's swath. From 100 to 900 kHz that is 2 to 4 dB for rock and sand, whose roughness scatters more as the wave
+gets shorter, and nothing for mud, whose volume scatters. Evaluating the full model there instead would make gravel of
+every sand: it picks its branch by the slope at the scale of the wavelength.
 """
 
 from __future__ import annotations
@@ -47,12 +49,12 @@ _LIMITS: Final = {  # recommended in Sec. IV.A.8; lower ends of loss and spectra
 
 
 class Sediment(msgspec.Struct, frozen=True, kw_only=True):
-    """What the model needs to know of a sea floor.
+    """Describe a sea floor to the backscatter model.
 
-    density_ratio, sound_speed_ratio: sediment to water. loss: imaginary to real part of the sediment's wave number. volume_parameter:
-    volume scattering cross section over attenuation. spectral_strength_cm4, spectral_exponent: the relief has the two-dimensional spectrum
-    strength * K^-exponent, K in 1/cm.
-    Raises ValueError outside the limits the report recommends.
+    density_ratio, sound_speed_ratio: sediment to water. loss: imaginary to real part of the sediment's wave number.
+    volume_parameter: volume scattering cross section over attenuation. spectral_strength_cm4, spectral_exponent: the
+    relief has the two-dimensional spectrum strength * K^-exponent, K in 1/cm. Raises ValueError outside the limits the
+    report recommends.
     """
 
     density_ratio: float
@@ -72,7 +74,7 @@ class Sediment(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def sediment_from_grain_size(mean_grain_size_phi: float) -> Sediment:
-    """What is usual for a sediment of this mean grain size (-log2 of the diameter in mm), Sec. IV.A.4.
+    """Return the usual parameters of a sediment of this mean grain size (-log2 of the diameter in mm), Sec. IV.A.4.
 
     Raises ValueError unless it is from -1 (sandy gravel) to 9 (clay).
     """
@@ -138,17 +140,19 @@ SEDIMENTS: Final[Mapping[str, Sediment]] = MappingProxyType(
 
 
 def extrapolated(frequency_hz: float) -> bool:
-    """Whether the model has not been compared with data at this frequency, so that levels, and less so shapes, are a guess."""
+    """Report whether the frequency lies outside the model's data, so that levels, and less so shapes, are a guess."""
     return not LOWEST_HZ <= frequency_hz <= HIGHEST_HZ
 
 
 def backscatter(
     sediment: Sediment, frequency_hz: float, grazing_rad: Floats | float, sound_speed_mps: float = REFERENCE_SOUND_SPEED_MPS
 ) -> Floats:
-    """Backscattering cross section per unit area and solid angle, linear; 10 log10 of it is the scattering strength.
+    """Return the backscattering cross section per unit area and solid angle, linear.
 
-    grazing_rad: any shape; angles below 0.001 degrees are taken as that, above 90 degrees as 90. Returns float64 of that shape.
-    Raises ValueError if frequency or sound speed is not a positive number.
+    The scattering strength is 10 log10 of it.
+
+    grazing_rad: any shape; angles below 0.001 degrees are taken as that, above 90 degrees as 90. Returns float64 of
+    that shape. Raises ValueError if frequency or sound speed is not a positive number.
     """
     for name, value in (("frequency_hz", frequency_hz), ("sound_speed_mps", sound_speed_mps)):
         if not 0.0 < value < math.inf:
@@ -163,26 +167,30 @@ def backscatter(
 
 
 def lambert(grazing_rad: Floats | float, strength_db: float) -> Floats:
-    """Lambert's law, 10^(strength/10) sin^2 of the grazing angle, linear; `strength_db` is the strength at normal incidence."""
+    """Return Lambert's law, 10^(strength/10) sin^2 of the grazing angle, linear.
+
+    strength_db: the strength at normal incidence.
+    """
     return np.asarray(10.0 ** (strength_db / 10.0) * np.sin(grazing_rad) ** 2)
 
 
 def lookup_table(sediment: Sediment, frequency_hz: float, sound_speed_mps: float = REFERENCE_SOUND_SPEED_MPS) -> NDArray[np.float32]:
-    """`backscatter` at evenly spaced sines of the grazing angle, for lookup without interpolation.
+    """Tabulate `backscatter` at evenly spaced sines of the grazing angle, for lookup without interpolation.
 
-    Returns (TABLE_SIZE,) float32: entry k holds the value at sin g = (k + 0.5) / TABLE_SIZE and serves k <= TABLE_SIZE sin g < k + 1;
-    sin g = 1 belongs to the last entry. Within 0.1 dB of backscatter from 3 to 80 degrees from 100 kHz up; closer to normal incidence an
-    entry spans degrees, over which the peak of smooth mud varies by more. Raises ValueError as backscatter does.
+    Returns (TABLE_SIZE,) float32: entry k holds the value at sin g = (k + 0.5) / TABLE_SIZE and serves k <= TABLE_SIZE
+    sin g < k + 1; sin g = 1 belongs to the last entry. Within 0.1 dB of backscatter from 3 to 80 degrees from 100 kHz
+    up; closer to normal incidence an entry spans degrees, over which the peak of smooth mud varies by more. Raises
+    ValueError as backscatter does.
     """
     return backscatter(sediment, frequency_hz, np.arcsin(_table_sines()), sound_speed_mps).astype(np.float32)
 
 
 def target_table(strength_db: float, specular_gain_db: float, specular_exponent: float) -> NDArray[np.float32]:
-    """A table like lookup_table's for man-made surfaces: Lambert's law and a lobe around normal incidence.
+    """Tabulate man-made surfaces as lookup_table does: Lambert's law and a lobe around normal incidence.
 
-    The cross section is 10^(strength/10) (sin^2 g + 10^(gain/10) sin^exponent g), g being the grazing angle on the surface itself. A gain
-    of -inf leaves the lobe out; an exponent of 20 to 60 is usual for smooth shells.
-    Raises ValueError unless the exponent is positive and strength and gain are at most 100 dB.
+    The cross section is 10^(strength/10) (sin^2 g + 10^(gain/10) sin^exponent g), g being the grazing angle on the
+    surface itself. A gain of -inf leaves the lobe out; an exponent of 20 to 60 is usual for smooth shells. Raises
+    ValueError unless the exponent is positive and strength and gain are at most 100 dB.
     """
     if not (0.0 < specular_exponent < math.inf and strength_db <= 100.0 and specular_gain_db <= 100.0):
         raise ValueError(
@@ -200,7 +208,7 @@ def _table_sines() -> Floats:
 
 
 def _cross_section(sediment: Sediment, waves_per_m: float, grazing_rad: Floats) -> Floats:
-    """The report's model; `waves_per_m` is frequency over sound speed in water."""
+    """Evaluate the report's model; `waves_per_m` is frequency over sound speed in water."""
     wavenumber = 0.02 * math.pi * waves_per_m  # per cm, as the relief spectrum has it
     alpha = sediment.spectral_exponent / 2.0 - 1.0
     grazing_deg = np.clip(np.degrees(grazing_rad), _MIN_GRAZING_DEG, 90.0)
@@ -226,7 +234,7 @@ def _cross_section(sediment: Sediment, waves_per_m: float, grazing_rad: Floats) 
 
 
 def _kirchhoff(sediment: Sediment, wavenumber: float, alpha: float, grazing_deg: Floats) -> tuple[Floats, float]:
-    """Kirchhoff approximation, and the cosine of the grazing angle down to which it is taken."""
+    """Return the Kirchhoff approximation and the cosine of the grazing angle down to which it applies."""
     structure = (
         2.0
         * math.pi
@@ -249,7 +257,7 @@ def _kirchhoff(sediment: Sediment, wavenumber: float, alpha: float, grazing_deg:
 
 
 def _small_roughness(sediment: Sediment, wavenumber: float, grazing_rad: Floats) -> Floats:
-    """Perturbation theory for a horizontal interface."""
+    """Return perturbation theory's value for a horizontal interface."""
     cosine, sine = np.cos(grazing_rad), np.sin(grazing_rad)
     kappa, vertical = _refraction(sediment, cosine)
     density = sediment.density_ratio
@@ -260,7 +268,8 @@ def _small_roughness(sediment: Sediment, wavenumber: float, grazing_rad: Floats)
 
 
 def _volume(sediment: Sediment, grazing_rad: Floats) -> Floats:
-    """5 loss volume_parameter |1 - R^2|^2 sin^2 / (sound_speed_ratio ln10 |P|^2 Im P), written so that P may vanish."""
+    """Return 5 loss volume_parameter |1 - R^2|^2 sin^2 / (sound_speed_ratio ln10 |P|^2 Im P), arranged so P may be
+    0."""
     sine = np.sin(grazing_rad)
     _, vertical = _refraction(sediment, np.cos(grazing_rad))
     density = sediment.density_ratio
@@ -271,26 +280,27 @@ def _volume(sediment: Sediment, grazing_rad: Floats) -> Floats:
 
 
 def _refraction(sediment: Sediment, cosine: Floats) -> tuple[complex, Complexes]:
-    """Wave number in the sediment and its vertical component P, over the wave number in water. Im P > 0, as the loss is positive."""
+    """Wave number in the sediment and its vertical component P, over the wave number in water. Im P > 0, as the loss
+    is positive."""
     kappa = complex(1.0, sediment.loss) / sediment.sound_speed_ratio
     return kappa, np.sqrt(kappa**2 - cosine**2)
 
 
 def _normal_reflection(sediment: Sediment) -> float:
-    """Power reflected at normal incidence."""
+    """Return the power reflected at normal incidence."""
     kappa, density = complex(1.0, sediment.loss) / sediment.sound_speed_ratio, sediment.density_ratio
     return abs((density - kappa) / (density + kappa)) ** 2
 
 
 def _shadowing(grazing_deg: Floats, rms_slope: float) -> Floats:
-    """Share of the interface that its own large-scale slopes leave in view."""
+    """Return the share of the interface that its own large-scale slopes leave in view."""
     ratio = np.minimum(np.tan(np.radians(grazing_deg)) / rms_slope, 2.0)
     hidden = (np.exp(-(ratio**2)) / math.sqrt(math.pi) - ratio * (1.0 - erf(ratio))) / (4.0 * ratio)
     return np.asarray(np.where(ratio < 2.0, -np.expm1(-2.0 * hidden) / (2.0 * hidden), 1.0))
 
 
 def _large_roughness(sediment: Sediment, rms_slope: float, grazing_deg: Floats) -> Floats:
-    """Empirical form for gravel and rock."""
+    """Return the empirical form for gravel and rock."""
     speed, slope_deg = sediment.sound_speed_ratio, math.degrees(rms_slope)
     critical_deg = math.degrees(math.acos(1.0 / speed)) if speed >= 1.001 else _SLOW_BOTTOM_CRITICAL_DEG
     ramp = 1.0 + 0.81 * critical_deg**2 / grazing_deg**2
@@ -301,5 +311,5 @@ def _large_roughness(sediment: Sediment, rms_slope: float, grazing_deg: Floats) 
 
 
 def _falling(value: Floats | float) -> Floats:
-    """1 far below zero, 0 far above."""
+    """Fall smoothly from 1 far below zero to 0 far above."""
     return np.asarray(1.0 / (1.0 + np.exp(np.clip(value, -40.0, 40.0))))

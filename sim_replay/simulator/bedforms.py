@@ -1,4 +1,4 @@
-"""Heights of what is regular on a sea floor: ripples, ledges of rock, the canopy of seagrass."""
+"""Compute the regular relief of a sea floor: ripples, ledges of rock, the canopy of seagrass."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _CANOPY_RMS: Final = 0.44
 
 
 class RippleTrain:
-    """Height of ripples at any place.
+    """Return the height of ripples at any place.
 
-    A wave with crests across one direction is multiplied by a complex field of low wavenumbers, as in speckle: its phase bends the crests,
-    its zeros are where crests end or fork, and around them ripples are low.
+    A wave with crests across one direction is multiplied by a complex field of low wavenumbers, as in speckle: its
+    phase bends the crests, its zeros are where crests end or fork, and around them ripples are low.
 
     Args:
         ripples: their shape.
@@ -66,7 +66,7 @@ class RippleTrain:
             )
 
     def on_cells(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """Heights in m, mean about 0, on nodes from (row, column) on: (n_rows, n_columns) float32."""
+        """Return heights in m, mean about 0, on nodes from (row, column) on: (n_rows, n_columns) float32."""
         row_phase = _phase(row, n_rows, self._north_per_cell)
         column_phase = _phase(column, n_columns, self._east_per_cell)
         row_cosine, row_sine = np.cos(row_phase)[:, None], np.sin(row_phase)[:, None]
@@ -94,7 +94,8 @@ class RippleTrain:
         return height
 
     def _bent_envelope(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """Real and imaginary part of the complex field on its own nodes from (row, column) on: (2, n_rows, n_columns) float32."""
+        """Return the complex field's real and imaginary part on nodes from (row, column) on: (2, n_rows, n_columns)
+        float32."""
         real, imaginary, bend = (part.window(row, column, n_rows, n_columns) for part in self._envelope)
         bend *= self._bend
         cosine, sine = np.cos(bend), np.sin(bend)
@@ -105,13 +106,13 @@ class RippleTrain:
 
 
 def _phase(first: int, n_nodes: int, turns_per_cell: float) -> FloatArray:
-    """Phase of an undisturbed wave along one side of a window, rad."""
+    """Return the phase of an undisturbed wave along one side of a window, rad."""
     phase: FloatArray = (2.0 * math.pi * np.mod((first + np.arange(n_nodes)) * turns_per_cell, 1.0)).astype(np.float32)
     return phase
 
 
 class Ledges:
-    """Broken edges of tilted strata: a fractal surface, cut into steps along parallel planes.
+    """Shape broken edges of tilted strata: a fractal surface, cut into steps along parallel planes.
 
     Args:
         rms_m, outer_m: of the surface.
@@ -138,7 +139,8 @@ class Ledges:
         )
 
     def on_cells(self, row: int, column: int, grain: FloatArray) -> FloatArray:
-        """Heights in m on nodes from (row, column) on: float32 of `grain`'s shape, which roughens edges and faces."""
+        """Return heights in m on nodes from (row, column) on: float32 of `grain`'s shape; grain roughens edges and
+        faces."""
         n_rows, n_columns = grain.shape
         height = self._surface.on_cells(row, column, n_rows, n_columns)
         height += np.float32(1.0)
@@ -160,7 +162,7 @@ class Ledges:
         height *= np.float32(self._thickness)
         height -= row_plane
         height -= column_plane
-        # Treads keep some of the slope and roughness that they had.
+        # Treads keep some of the slope and roughness from before the cut.
         uncut -= height
         uncut *= np.float32(_UNCUT)
         height += uncut
@@ -168,7 +170,7 @@ class Ledges:
 
 
 class Canopy:
-    """Clumps of seagrass with gaps between: log-normal heights that a full-grown plant limits.
+    """Grow clumps of seagrass with gaps between: log-normal heights that a full-grown plant limits.
 
     Args:
         rms_m: of the heights.
@@ -183,7 +185,7 @@ class Canopy:
         self._gain = np.float32(rms_m / _CANOPY_RMS)
 
     def heights(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """Heights in m on nodes from (row, column) on: (n_rows, n_columns) float32."""
+        """Return heights in m on nodes from (row, column) on: (n_rows, n_columns) float32."""
         height = self._clumps.window(row, column, n_rows, n_columns)
         height *= np.float32(_CANOPY_SIGMA)
         np.exp(height, out=height)

@@ -1,7 +1,7 @@
-"""Bodies on the sea floor as tables of numbers: height and slope over any place, and which way their walls face.
+"""Tabulate bodies on the sea floor: height and slope over any place, and the direction their walls face.
 
-A body is seen from above as a height field: what hangs over is filled down to the floor, which neither shadows nor first echoes show.
-Its axes: u along its azimuth, v to the right of it.
+A body is seen from above as a height field: what hangs over is filled down to the floor, which neither shadows nor
+first echoes show. Its axes: u along its azimuth, v to the right of it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ Planes: TypeAlias = tuple[tuple[float, float, float], ...]
 
 
 class Body(NamedTuple):
-    """One body. `kind` and `sizes` are as the builders below make them; `planes`: sides, then tops, of a polyhedron."""
+    """Describe one body. `kind` and `sizes` are as the builders below make them; `planes`: a polyhedron's sides, then
+    tops."""
 
     kind: int
     east_m: float
@@ -37,14 +38,15 @@ class Body(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Bodies packed for the renderer. table: (n_bodies, 20) float64, columns as in render.c. planes: (n_planes, 3) float64."""
+    """Pack bodies for the renderer. table: (n_bodies, 20) float64, columns as in render.c. planes: (n_planes, 3)
+    float64."""
 
     table: Floats
     planes: Floats
 
 
 def pack(bodies: Sequence[Body]) -> Bodies:
-    """The table of `bodies`, those that move the floor first so that everything else stands on what they leave."""
+    """Tabulate `bodies`, those that move the floor first so that all others stand on the moved floor."""
     ordered = sorted(bodies, key=lambda body: body.kind < MOVES_FLOOR)
     table = np.zeros((len(ordered), BODY_WIDTH))
     planes: list[tuple[float, float, float]] = []
@@ -66,7 +68,7 @@ def pack(bodies: Sequence[Body]) -> Bodies:
 
 
 def near(bodies: Bodies, low_east_m: float, high_east_m: float, low_north_m: float, high_north_m: float) -> Bodies:
-    """The bodies that reach into a rectangle."""
+    """Return the bodies that reach into a rectangle."""
     table = bodies.table
     east, north, reach = table[:, 1], table[:, 2], table[:, 3]
     inside = (east + reach > low_east_m) & (east - reach < high_east_m) & (north + reach > low_north_m) & (north - reach < high_north_m)
@@ -74,7 +76,10 @@ def near(bodies: Bodies, low_east_m: float, high_east_m: float, low_north_m: flo
 
 
 def body_tops(b: Floats, planes: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
-    """Height over the base, slopes along u and v, and whether the body covers the place, at (n,) places; b: (20,) row of the table.
+    """Return height over the base, slopes along u and v, and coverage at (n,) places.
+
+    b: (20,) row of the table.
+
 
     The numpy twin of body_top in render.c.
     """
@@ -153,7 +158,10 @@ def body_tops(b: Floats, planes: Floats, u: Floats, v: Floats) -> tuple[Floats, 
 
 
 def body_wall(b: Floats, planes: Floats, u: float, v: float) -> tuple[float, float]:
-    """Horizontal normal (u, v), of any length, of the wall next to a place outside of the body. The numpy twin of body_wall in render.c."""
+    """Return the horizontal normal (u, v), of any length, of the wall next to a place outside of the body.
+
+    It is the numpy twin of body_wall in render.c.
+    """
     kind = int(b[0])
     if kind == ELLIPSOID:
         return u / float(b[8] * b[8]), v / float(b[9] * b[9])

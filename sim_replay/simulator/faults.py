@@ -1,4 +1,4 @@
-"""What goes wrong with recorded pings and navigation. The truth does not change by it."""
+"""Damage recorded pings and navigation. The truth does not change by it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim_replay.simulator.scene import Fault, SampleRecorder
 
 
 class _Beat(NamedTuple):
-    """Everything of one ping number: the navigation that precedes the ping, and the ping unless it is lost."""
+    """Hold all events of one ping number: the navigation that precedes the ping, and the ping unless it is lost."""
 
     number: int
     navigation: tuple[NavSample, ...]
@@ -22,14 +22,15 @@ class _Beat(NamedTuple):
 
 
 def with_faults(events: Iterable[NavSample | Ping], faults: Sequence[Fault], recorder: SampleRecorder) -> Iterator[NavSample | Ping]:
-    """The events as they arrive once `faults` have happened, one after the other as they are given.
+    """Yield the events as they arrive once `faults` have happened, applied in the order given.
 
-    A navigation sample belongs to the ping that follows it. A lost ping leaves its navigation behind and its number unused. A stuck channel
-    repeats what it brought last before, or what it brings first if there is none. A fault acts on what the faults before it left: a gain
-    step listed after a stuck channel changes the samples that it repeats. `side` matters to gain_step, stuck_channel and dead_channel.
+    A navigation sample belongs to the ping that follows it. A lost ping leaves its navigation behind and its number
+    unused. A stuck channel repeats what it brought last before, or what it brings first if there is none. A fault acts
+    on what the faults before it left: a gain step listed after a stuck channel changes the samples that it repeats.
+    `side` matters to gain_step, stuck_channel and dead_channel.
 
-    recorder: what the samples are. The gain changes amplitudes by a factor and logarithms by counts, rounded where samples are integers
-    and clipped to `full_scale`, or else to what their type holds.
+    recorder: what the samples are. The gain changes amplitudes by a factor and logarithms by counts, rounded where
+    samples are integers and clipped to `full_scale`, or else to what their type holds.
 
     Raises UsageError, before the first event, for a gain step in logarithms whose `db_per_count` is not given.
     """
@@ -85,7 +86,7 @@ def _struck(beats: Iterable[_Beat], fault: Fault, recorder: SampleRecorder) -> I
 
 
 def _traces(ping: Ping | None, side: Literal["port", "starboard", "both"]) -> dict[str, EchoTrace]:
-    """What a ping has of a fault's sides."""
+    """Return the ping's traces on a fault's sides."""
     sides: Sequence[Side] = SIDES if side == "both" else (side,)
     return {side: trace for side in sides if (trace := getattr(ping, side, None)) is not None}
 
@@ -101,7 +102,7 @@ def _later(beat: _Beat, step_s: float) -> _Beat:
 
 
 def _gain(gain_db: float, recorder: SampleRecorder) -> tuple[float, float]:
-    """Factor on the samples, and counts added then."""
+    """Return the factor on the samples, and the counts added after it."""
     if not recorder.samples.startswith("log"):
         return 10.0 ** (gain_db / 20.0), 0.0
     if recorder.db_per_count is None:

@@ -1,7 +1,8 @@
-"""Gaussian random fields of endless extent, at any place in any order.
+"""Generate Gaussian random fields of endless extent, at any place in any order.
 
-A field is the sum of two periodic ones, made once by Fourier transform, whose periods have no common divisor: where one repeats the
-other does not. Long-waved fields have wide grids and are drawn finer by cubic B-splines, whose slopes have no facets.
+A field is the sum of two periodic ones, made once by Fourier transform, whose periods have no common divisor: where one
+repeats the other does not. Long-waved fields have wide grids and are drawn finer by cubic B-splines, whose slopes have
+no facets.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ _GAMMA_TABLE_SIGMAS: Final = 5.0
 
 
 def generator(seed: int, name: str) -> np.random.Generator:
-    """The random numbers that belong to one named part of a scene."""
+    """Return the random numbers that belong to one named part of a scene."""
     return np.random.Generator(np.random.PCG64([seed, zlib.crc32(name.encode())]))
 
 
 def power_law(outer_m: float, exponent: float = ROUGHNESS_EXPONENT) -> Spectrum:
-    """W(K) = (K^2 + K0^2)^(-exponent/2) with K0 = 2 pi / outer_m, the form of APL-UW TR 9407's roughness spectrum with an outer scale."""
+    """Return W(K) = (K^2 + K0^2)^(-exponent/2) with K0 = 2 pi / outer_m: APL-UW TR 9407's form with an outer scale."""
     corner = 2.0 * math.pi / outer_m
 
     def spectrum(wavenumber: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -45,7 +46,7 @@ def power_law(outer_m: float, exponent: float = ROUGHNESS_EXPONENT) -> Spectrum:
 
 
 def gaussian(length_m: float) -> Spectrum:
-    """Spectrum of a field whose autocorrelation is exp(-(distance / length_m)^2)."""
+    """Return the spectrum of a field whose autocorrelation is exp(-(distance / length_m)^2)."""
 
     def spectrum(wavenumber: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.exp(-((0.5 * wavenumber * length_m) ** 2))
@@ -54,7 +55,7 @@ def gaussian(length_m: float) -> Spectrum:
 
 
 def periodic_field(random: np.random.Generator, period: int, spacing_m: float, spectrum: Spectrum, splined: bool = False) -> FloatArray:
-    """White noise shaped by `spectrum`, mean 0 and root mean square 1.
+    """Shape white noise by `spectrum`, mean 0 and root mean square 1.
 
     Args:
         random: where the noise comes from.
@@ -87,7 +88,7 @@ def periodic_field(random: np.random.Generator, period: int, spacing_m: float, s
 
 
 class Noise:
-    """A field of mean 0 and root mean square 1 on nodes every `step` cells.
+    """Generate a field of mean 0 and root mean square 1 on nodes every `step` cells.
 
     Args:
         seed, name: which of all fields.
@@ -110,7 +111,7 @@ class Noise:
         ]
 
     def window(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """The nodes from (row, column) on, which may be negative.
+        """Return the nodes from (row, column) on; both may be negative.
 
         Returns:
             (n_rows, n_columns) float32, the caller's own.
@@ -130,14 +131,15 @@ class Noise:
         return out
 
     def on_cells(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """The B-spline surface of a splined field on the cells' nodes from (row, column) on: (n_rows, n_columns) float32."""
+        """Return the B-spline surface of a splined field on cell nodes from (row, column) on: (n_rows, n_columns)
+        float32."""
         return refined_window(self.window, self.step, row, column, n_rows, n_columns)
 
 
 def refined_window(
     coefficients: Callable[[int, int, int, int], FloatArray], factor: int, row: int, column: int, n_rows: int, n_columns: int
 ) -> FloatArray:
-    """`refine` for a window that may start anywhere.
+    """Apply `refine` to a window that may start anywhere.
 
     Args:
         coefficients: gives those of a window, as `Noise.window` does.
@@ -162,7 +164,7 @@ def _spline_weights(factor: int) -> FloatArray:
 
 
 def refine(coefficients: FloatArray, factor: int, n_rows: int, n_columns: int) -> FloatArray:
-    """Draws the cubic B-spline surface of `coefficients` (de Boor, "A Practical Guide to Splines") `factor` times finer.
+    """Draw the cubic B-spline surface of `coefficients` (de Boor, "A Practical Guide to Splines") `factor` times finer.
 
     Args:
         coefficients: (..., rows, columns) float32.
@@ -189,12 +191,12 @@ def refine(coefficients: FloatArray, factor: int, n_rows: int, n_columns: int) -
 
 
 def step_for(length_m: float, cell_m: float) -> int:
-    """The largest power of two of cells that `length_m` holds, from 1 to 256: windows are widened to whole steps."""
+    """Return the largest power of two of cells that `length_m` holds, 1 to 256; windows are widened to whole steps."""
     return min(_WIDEST_STEP, 1 << max(0, math.floor(math.log2(length_m / cell_m))))
 
 
 class GammaLaw:
-    """Turns standard normal values into Gamma-distributed ones of mean 1 and variance 1 / shape, keeping their order."""
+    """Turn standard normal values into Gamma-distributed ones of mean 1 and variance 1 / shape, keeping their order."""
 
     def __init__(self, shape: float) -> None:
         normal = np.linspace(-_GAMMA_TABLE_SIGMAS, _GAMMA_TABLE_SIGMAS, _GAMMA_TABLE_SIZE)
@@ -208,7 +210,7 @@ class GammaLaw:
         self._table = (values / (np.sum(values * density) / np.sum(density))).astype(np.float32)
 
     def __call__(self, normal: FloatArray) -> FloatArray:
-        """Args: normal: float32 of any shape, overwritten. Returns the same shape, float32."""
+        """Transform float32 values of any shape in place and return them, same shape, float32."""
         per_sigma = (_GAMMA_TABLE_SIZE - 1) / (2.0 * _GAMMA_TABLE_SIGMAS)
         normal *= np.float32(per_sigma)
         normal += np.float32(per_sigma * _GAMMA_TABLE_SIGMAS + 0.5)

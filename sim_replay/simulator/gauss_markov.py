@@ -1,7 +1,8 @@
-"""Smooth random motion: stationary second-order Gauss-Markov processes.
+"""Generate smooth random motion: stationary second-order Gauss-Markov processes.
 
-x'' + 2 z w x' + w^2 x = white noise, with w = 2 pi / period and damping z = 1/2 (A. Gelb, "Applied Optimal Estimation", 1974, Sec. 3.8):
-x and x' are Gaussian and independent at any one time, with standard deviations sigma and w sigma, and x wanders within about a period.
+x'' + 2 z w x' + w^2 x = white noise, with w = 2 pi / period and damping z = 1/2 (A. Gelb, "Applied Optimal Estimation",
+1974, Sec. 3.8): x and x' are Gaussian and independent at any one time, with standard deviations sigma and w sigma, and
+x wanders within about a period.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ _BLOCK: Final = 512
 
 
 class GaussMarkov:
-    """One such process, from time 0 on.
+    """Run one such process, from time 0 on.
 
-    It is drawn every 1/32 of its period, by exact discretisation, and joined by cubics through values and rates, which takes less than
-    1e-4 of its variance and 3 % of its rate's. Twice the sigma gives twice the values, and the order in which times are asked for does
-    not matter.
+    It is drawn every 1/32 of its period, by exact discretisation, and joined by cubics through values and rates, which
+    takes less than 1e-4 of its variance and 3 % of its rate's. Twice the sigma gives twice the values, and the order in
+    which times are asked for does not matter.
     """
 
     def __init__(self, sigma: float, period_s: float, random: np.random.Generator) -> None:
@@ -42,7 +43,7 @@ class GaussMarkov:
         self._rates = [omega * float(first[1])]
 
     def at(self, time_s: float) -> tuple[float, float]:
-        """Value and its rate per second at a time of 0 or later."""
+        """Return the value and its rate per second at a time of 0 or later."""
         if self._sigma == 0.0:
             return 0.0, 0.0
         place = time_s / self._step_s

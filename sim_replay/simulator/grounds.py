@@ -1,4 +1,4 @@
-"""Relief and texture of one kind of sea floor, as if it were everywhere."""
+"""Compute relief and texture of one kind of sea floor, as if it were everywhere."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ROUGHENED: Final[Mapping[SeabedType, tuple[float, float]]] = {"rock_outcrop": (
 
 
 class Ground:
-    """What one cover looks like.
+    """Compute the relief and texture of one cover.
 
     Args:
         cover: which.
@@ -54,11 +54,12 @@ class Ground:
             self._texture_law = GammaLaw(cover.texture_shape)
 
     def canopy(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Height in m of what is smooth at the scale of coarse nodes, on those from (row, column) on: (n_rows, n_columns) float32."""
+        """Return the height in m that is smooth at coarse nodes, on those from (row, column) on: (n_rows, n_columns)
+        float32."""
         return None if self._canopy is None else self._canopy.heights(row, column, n_rows, n_columns)
 
     def relief(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """Height in m of everything else, on the cells' nodes from (row, column) on: (n_rows, n_columns) float32."""
+        """Return the remaining height in m, on the cells' nodes from (row, column) on: (n_rows, n_columns) float32."""
         if self._grain is None:
             height = np.zeros((n_rows, n_columns), dtype=np.float32)
         else:
@@ -71,8 +72,9 @@ class Ground:
         return height
 
     def texture(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Factor on backscattered intensity, mean 1, on the cells' nodes from (row, column) on: (n_rows, n_columns) float32; none if it is
-        1 everywhere."""
+        """Factor on backscattered intensity, mean 1, on the cells' nodes from (row, column) on: (n_rows, n_columns)
+        float32; none if it is 1 everywhere.
+        """
         if self._texture is None:
             return None
         return self._texture_law(self._texture.on_cells(row, column, n_rows, n_columns))

@@ -1,4 +1,4 @@
-"""A simulated mission: a vehicle flies over a sea, and what its sonar and navigation say comes out ping by ping."""
+"""Simulate a mission: a vehicle flies over a sea, and its sonar and navigation report ping by ping."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _TURN_S: Final = 60.0  # between the image strips of legs
 
 
 class Mission:
-    """One flight through a scene.
+    """Fly once through a scene.
 
-    `events` may be fed to a pipeline or a port as it is; `follow` changes the course on the way, and the vehicle sees the same world from
-    there. What comes out depends on the scene, its seed and the plans alone, not on block_pings or threads; a new plan takes effect after
-    the pings of the block under way, or after the leg with a synthetic aperture, whose image is made of whole legs.
-    Raises UsageError for a scene that cannot be.
+    `events` may be fed to a pipeline or a port as it is; `follow` changes the course on the way, and the vehicle sees
+    the same world from there. What comes out depends on the scene, its seed and the plans alone, not on block_pings or
+    threads; a new plan takes effect after the pings of the block under way, or after the leg with a synthetic aperture,
+    whose image is made of whole legs. Raises UsageError for a scene that cannot be.
     """
 
     def __init__(self, scene: Scene, *, threads: int = 1, block_pings: int = _BLOCK) -> None:
@@ -42,25 +42,25 @@ class Mission:
         self._block = block_pings
 
     def events(self) -> Iterator[NavSample | Ping]:
-        """Each ping after its navigation sample, as the payload is told, until the plan is done."""
+        """Yield each ping after its navigation sample, as reported to the payload, until the plan is done."""
         heard = self._pings() if self.scene.sonar.synthetic_aperture is None else self._lines()
         return with_faults(heard, self.scene.faults, self.sea.recorder)
 
     def follow(self, legs: Sequence[Leg]) -> None:
-        """Replaces what is left of the plan."""
+        """Replace the rest of the plan."""
         self.vehicle.follow(legs)
         self._legs_ahead = list(legs)
 
     def truth(self) -> dict[str, Any]:
-        """What has been flown over so far, in the form of truth.json."""
+        """Return the truth about all floor passed so far, in the form of truth.json."""
         return truth_of(self.sea, self._log)
 
     def _pings(self) -> Iterator[NavSample | Ping]:
         poses = self.vehicle.poses(self.scene.sonar.ping_rate_hz)
         number = 0
         while block := list(islice(poses, self._block)):
-            told = self._told(block)
-            for sample, ping in zip(told, self.sea.sound(block, number, [sample.altitude_m for sample in told]), strict=True):
+            reported = self._reported(block)
+            for sample, ping in zip(reported, self.sea.sound(block, number, [sample.altitude_m for sample in reported]), strict=True):
                 yield sample
                 yield ping
             number += len(block)
@@ -72,7 +72,7 @@ class Mission:
             leg = self._legs_ahead.pop(0)
             lines = aperture.lines(aperture.strip(leg, n_legs), start_s, number)
             while block := list(islice(lines, self._block)):
-                for sample, (_, ping) in zip(self._told([pose for pose, _ in block]), block, strict=True):
+                for sample, (_, ping) in zip(self._reported([pose for pose, _ in block]), block, strict=True):
                     yield sample
                     yield msgspec.structs.replace(ping, altitude_m=sample.altitude_m)
                 number += len(block)
@@ -80,11 +80,11 @@ class Mission:
             start_s += _TURN_S
             n_legs += 1
 
-    def _told(self, block: Sequence[SonarPose]) -> list[NavSample]:
-        """What navigation says at poses, which go into the log."""
+    def _reported(self, block: Sequence[SonarPose]) -> list[NavSample]:
+        """Return the navigation samples of poses, which go into the log."""
         altitudes = [self.sea.altitude_m(pose) for pose in block]
         self._log.add(block, altitudes)
-        return [self._navigation.told(pose, altitude) for pose, altitude in zip(block, altitudes, strict=True)]
+        return [self._navigation.reported(pose, altitude) for pose, altitude in zip(block, altitudes, strict=True)]
 
     def _depth_of_floor(self, east_m: float, north_m: float) -> float:
         return self.scene.world.depth_m - self.sea.world.floor_m(east_m, north_m)

@@ -1,4 +1,4 @@
-"""What the payload is told about where the sonar is."""
+"""Add navigation errors to the sonar's true poses."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ _NOISES: Final = 4  # heading, pitch, roll, altitude
 
 
 class NavigationModel:
-    """A navigation system whose errors are drawn once per mission.
+    """Simulate a navigation system whose errors are drawn once per mission.
 
-    Position: a Gauss-Markov error to the east and another to the north, plus a drift in one direction, drawn at the start, that grows with
-    the distance travelled: what dead reckoning with a wrong heading or log builds up on a straight way. Heading, altitude and speed carry
-    a bias; attitude and altitude carry noise that is new in every sample. Depth is exact.
+    Position: a Gauss-Markov error to the east and another to the north, plus a drift in one direction, drawn at the
+    start, that grows with the distance travelled: what dead reckoning with a wrong heading or log builds up on a
+    straight way. Heading, altitude and speed carry a bias; attitude and altitude carry noise that is new in every
+    sample. Depth is exact.
     """
 
     def __init__(self, error: NavigationError, origin: Origin, seed: int) -> None:
@@ -47,8 +48,8 @@ class NavigationModel:
         self._last: SonarPose | None = None
         self._travelled_m = 0.0
 
-    def told(self, pose: SonarPose, altitude_m: float) -> NavSample:
-        """The sample of a pose, asked for in order of time. Heading is true and in [0, 2 pi); no altitude is below 0.
+    def reported(self, pose: SonarPose, altitude_m: float) -> NavSample:
+        """Return the sample of a pose; call in order of time. Heading is true and in [0, 2 pi); no altitude is below 0.
 
         altitude_m: the true height over the floor.
         """
@@ -58,9 +59,9 @@ class NavigationModel:
             self._travelled_m += 0.5 * (self._last.speed_mps + pose.speed_mps) * (pose.time_s - self._last.time_s)
         self._last = pose
         since = pose.time_s - self._start_s
-        told_east = pose.east_m + self._east.at(since)[0] + self._drift[0] * self._travelled_m
-        told_north = pose.north_m + self._north.at(since)[0] + self._drift[1] * self._travelled_m
-        latitude, longitude, heading = self._on_the_globe(pose, told_east, told_north)
+        reported_east = pose.east_m + self._east.at(since)[0] + self._drift[0] * self._travelled_m
+        reported_north = pose.north_m + self._north.at(since)[0] + self._drift[1] * self._travelled_m
+        latitude, longitude, heading = self._on_the_globe(pose, reported_east, reported_north)
         if not self._noise:
             self._noise = self._random.standard_normal((_BLOCK, _NOISES)).tolist()
         heading_noise, pitch_noise, roll_noise, altitude_noise = self._noise.pop()
@@ -77,12 +78,15 @@ class NavigationModel:
             speed_mps=pose.speed_mps * self._speed_factor,
         )
 
-    def _on_the_globe(self, pose: SonarPose, told_east_m: float, told_north_m: float) -> tuple[float, float, float]:
-        """Latitude and longitude told, and the heading against the true north of where the sonar is; meridians converge."""
+    def _on_the_globe(self, pose: SonarPose, reported_east_m: float, reported_north_m: float) -> tuple[float, float, float]:
+        """Return the reported latitude and longitude, and the heading against the true north at the sonar.
+
+        Meridians converge, so that true north differs from the plane's.
+        """
         sine, cosine = math.sin(pose.heading_rad), math.cos(pose.heading_rad)
-        plane = np.array([[told_east_m, told_north_m, 0.0], [pose.east_m, pose.north_m, 0.0], [sine, cosine, 0.0]])
-        told, true, ahead = plane @ self._rotation.T
-        latitudes_deg, longitudes_deg, _ = ecef_to_geodetic(np.stack((told, true)) + self._origin_m)
+        plane = np.array([[reported_east_m, reported_north_m, 0.0], [pose.east_m, pose.north_m, 0.0], [sine, cosine, 0.0]])
+        reported, true, ahead = plane @ self._rotation.T
+        latitudes_deg, longitudes_deg, _ = ecef_to_geodetic(np.stack((reported, true)) + self._origin_m)
         latitude, longitude = math.radians(latitudes_deg[1]), math.radians(longitudes_deg[1])
         x, y, z = ahead.tolist()
         away = x * math.cos(longitude) + y * math.sin(longitude)  # from the Earth's axis
@@ -92,6 +96,6 @@ class NavigationModel:
 
 
 def _wrapped(angle_rad: float) -> float:
-    """The same direction in [0, 2 pi)."""
+    """Wrap a direction into [0, 2 pi)."""
     wrapped = angle_rad % (2.0 * math.pi)
     return wrapped if wrapped < 2.0 * math.pi else 0.0  # a hair below zero rounds to the full circle

@@ -1,4 +1,4 @@
-"""The objects of a scene: where they come to lie, what they are made of, and the bodies and points that echo in their stead."""
+"""Place the objects of a scene and build the bodies and points that echo in their stead."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class Usual(NamedTuple):
-    """What a kind is unless the scene says otherwise, m and dB; see SceneObject."""
+    """Hold the usual sizes and strengths of a kind, m and dB; see SceneObject."""
 
     length_m: float
     width_m: float
@@ -55,7 +55,7 @@ _SPECULAR_EXPONENT: Final = 40.0
 
 
 class PlacedObject(NamedTuple):
-    """One object with nothing left open. azimuth_rad clockwise from the plane's north; sizes as in SceneObject."""
+    """Describe one object completely. azimuth_rad clockwise from the plane's north; sizes as in SceneObject."""
 
     kind: ObjectKind
     east_m: float
@@ -77,12 +77,12 @@ class PlacedObject(NamedTuple):
 
     @property
     def reach_m(self) -> float:
-        """Half its horizontal extent, at most."""
+        """Return the maximum of half its horizontal extent."""
         return 0.5 * math.hypot(self.length_m, self.width_m) + self.height_m * abs(math.sin(self.tilt_rad))
 
 
 class Material(NamedTuple):
-    """What a body scatters like; see backscatter.target_table."""
+    """Describe how a body scatters; see backscatter.target_table."""
 
     strength_db: float
     specular_db: float
@@ -90,42 +90,42 @@ class Material(NamedTuple):
 
 
 def place_objects(scene: Scene) -> tuple[PlacedObject, ...]:
-    """All objects of a scene: those it names, then those it scatters.
+    """Place all objects of a scene: those it names, then those it scatters.
 
-    Raises UsageError if there is no room for what is to be scattered.
+    Raises UsageError if there is not enough room for the scattered objects.
     """
     legs = planned_legs(scene.track.plan)
-    placed = [_named(scene, thing, index) for index, thing in enumerate(scene.objects)]
+    placed = [_named(scene, scene_object, index) for index, scene_object in enumerate(scene.objects)]
     for index, group in enumerate(scene.scatter):
         placed += _scattered(scene, group, index, legs, placed)
     return tuple(placed)
 
 
-def _named(scene: Scene, thing: SceneObject, index: int) -> PlacedObject:
-    usual = USUAL[thing.kind]
-    east, north = place_in_plane(scene, thing)
-    width = usual.width_m if thing.width_m is None else thing.width_m
+def _named(scene: Scene, scene_object: SceneObject, index: int) -> PlacedObject:
+    usual = USUAL[scene_object.kind]
+    east, north = place_in_plane(scene, scene_object)
+    width = usual.width_m if scene_object.width_m is None else scene_object.width_m
     return PlacedObject(
-        kind=thing.kind,
+        kind=scene_object.kind,
         east_m=east,
         north_m=north,
-        azimuth_rad=math.radians(thing.azimuth_deg),
-        tilt_rad=math.radians(thing.tilt_deg),
-        **_sizes(thing.kind, thing.length_m, width, thing.height_m),
-        top_m=min(usual.top_m * width / max(usual.width_m, 1e-9), width) if thing.top_m is None else thing.top_m,
-        burial_m=thing.burial_m,
-        scour_m=thing.scour_m,
-        above_m=thing.above_m,
-        n_members=thing.count or usual.n_members,
-        strength_db=usual.strength_db if thing.strength_db is None else thing.strength_db,
-        specular_db=usual.specular_db if thing.specular_db is None else thing.specular_db,
-        is_target=thing.kind in TARGET_KINDS if thing.is_target is None else thing.is_target,
+        azimuth_rad=math.radians(scene_object.azimuth_deg),
+        tilt_rad=math.radians(scene_object.tilt_deg),
+        **_sizes(scene_object.kind, scene_object.length_m, width, scene_object.height_m),
+        top_m=min(usual.top_m * width / max(usual.width_m, 1e-9), width) if scene_object.top_m is None else scene_object.top_m,
+        burial_m=scene_object.burial_m,
+        scour_m=scene_object.scour_m,
+        above_m=scene_object.above_m,
+        n_members=scene_object.count or usual.n_members,
+        strength_db=usual.strength_db if scene_object.strength_db is None else scene_object.strength_db,
+        specular_db=usual.specular_db if scene_object.specular_db is None else scene_object.specular_db,
+        is_target=scene_object.kind in TARGET_KINDS if scene_object.is_target is None else scene_object.is_target,
         seed=index,
     )
 
 
 def _sizes(kind: ObjectKind, length_m: float | None, width_m: float | None, height_m: float | None) -> dict[str, float]:
-    """Length, width and height as far as the kind has them apart."""
+    """Return length, width and height as far as the kind distinguishes them."""
     usual = USUAL[kind]
     width = usual.width_m if width_m is None else width_m
     length = usual.length_m if length_m is None else length_m
@@ -203,71 +203,79 @@ def _abeam(leg: Leg, east_m: float, north_m: float) -> bool:
 
 
 def _power_law(uniform: float, smallest: float, largest: float) -> float:
-    """A size whose numbers above d fall as d^-2.5 between the limits, by inversion."""
+    """Draw a size whose numbers above d fall as d^-2.5 between the limits, by inversion."""
     share = 1.0 - (smallest / largest) ** _SIZE_EXPONENT
     return float(smallest * (1.0 - uniform * share) ** (-1.0 / _SIZE_EXPONENT))
 
 
-def material_of(thing: PlacedObject) -> Material:
-    """What the object's bodies are made of."""
-    return Material(thing.strength_db, thing.specular_db, _SPECULAR_EXPONENT)
+def material_of(scene_object: PlacedObject) -> Material:
+    """Return the material of the object's bodies."""
+    return Material(scene_object.strength_db, scene_object.specular_db, _SPECULAR_EXPONENT)
 
 
-def bodies_of(thing: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:
-    """The bodies of an object on a floor of the given height above the datum; none for what only echoes."""
-    if thing.kind in ("point", "fish_school"):
+def bodies_of(scene_object: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:
+    """Build the bodies of an object on a floor of the given height above the datum; none for point echoes."""
+    if scene_object.kind in ("point", "fish_school"):
         return []
-    base = floor_m(thing.east_m, thing.north_m)
-    if thing.kind == "anchor_scar":
-        sizes = (0.5 * thing.length_m, 0.5 * thing.width_m, thing.height_m)
-        return [_body(thing, SCAR, base, sizes, material, thing.reach_m)]
+    base = floor_m(scene_object.east_m, scene_object.north_m)
+    if scene_object.kind == "anchor_scar":
+        sizes = (0.5 * scene_object.length_m, 0.5 * scene_object.width_m, scene_object.height_m)
+        return [_body(scene_object, SCAR, base, sizes, material, scene_object.reach_m)]
     bodies = []
-    if thing.scour_m > 0.0:
-        half = 0.5 * thing.length_m, 0.5 * thing.width_m
-        bodies.append(_body(thing, MOAT, base, (*half, thing.scour_m, _MOAT_WIDTH), material, (1.0 + _MOAT_WIDTH) * max(half)))
-    if thing.kind in ("boulder_cluster", "debris"):
-        return bodies + _group(thing, floor_m, material)
-    return [*bodies, _single(thing, base, material)]
+    if scene_object.scour_m > 0.0:
+        half = 0.5 * scene_object.length_m, 0.5 * scene_object.width_m
+        bodies.append(
+            _body(scene_object, MOAT, base, (*half, scene_object.scour_m, _MOAT_WIDTH), material, (1.0 + _MOAT_WIDTH) * max(half))
+        )
+    if scene_object.kind in ("boulder_cluster", "debris"):
+        return bodies + _group(scene_object, floor_m, material)
+    return [*bodies, _single(scene_object, base, material)]
 
 
-def _single(thing: PlacedObject, base_m: float, material: int) -> Body:
-    half_length, half_width, buried = 0.5 * thing.length_m, 0.5 * thing.width_m, thing.burial_m
-    if thing.kind == "sphere":
-        return _body(thing, ELLIPSOID, base_m, (half_width, half_width, half_width, half_width - buried), material, half_width)
-    if thing.kind in ("cylinder", "pipe"):
-        raised = thing if thing.tilt_rad >= 0.0 else thing._replace(azimuth_rad=thing.azimuth_rad + math.pi, tilt_rad=-thing.tilt_rad)
+def _single(scene_object: PlacedObject, base_m: float, material: int) -> Body:
+    half_length, half_width, buried = 0.5 * scene_object.length_m, 0.5 * scene_object.width_m, scene_object.burial_m
+    if scene_object.kind == "sphere":
+        return _body(scene_object, ELLIPSOID, base_m, (half_width, half_width, half_width, half_width - buried), material, half_width)
+    if scene_object.kind in ("cylinder", "pipe"):
+        raised = (
+            scene_object
+            if scene_object.tilt_rad >= 0.0
+            else scene_object._replace(azimuth_rad=scene_object.azimuth_rad + math.pi, tilt_rad=-scene_object.tilt_rad)
+        )
         sine, cosine = math.sin(raised.tilt_rad), math.cos(raised.tilt_rad)
         centre = half_width * cosine + half_length * sine - buried
         reach = math.hypot(half_length, half_width) * 1.01
         return _body(raised, CYLINDER, base_m, (half_width, half_length, centre, sine, cosine), material, reach)
-    if thing.kind == "truncated_cone":
-        return _body(thing, CONE, base_m, (half_width, 0.5 * thing.top_m, thing.height_m, buried), material, half_width)
-    if thing.kind == "tyre":
-        tread = 0.5 * thing.height_m
-        return _body(thing, TORUS, base_m, (half_width - 0.8 * tread, 0.8 * tread, tread, tread - buried), material, half_width)
-    return _polyhedron(thing, base_m, material)
+    if scene_object.kind == "truncated_cone":
+        return _body(
+            scene_object, CONE, base_m, (half_width, 0.5 * scene_object.top_m, scene_object.height_m, buried), material, half_width
+        )
+    if scene_object.kind == "tyre":
+        tread = 0.5 * scene_object.height_m
+        return _body(scene_object, TORUS, base_m, (half_width - 0.8 * tread, 0.8 * tread, tread, tread - buried), material, half_width)
+    return _polyhedron(scene_object, base_m, material)
 
 
-def _polyhedron(thing: PlacedObject, base_m: float, material: int) -> Body:
-    """Wedge, box and rock: the hull of their corners, tilted, pushed into the floor."""
-    half_length, half_width, height = 0.5 * thing.length_m, 0.5 * thing.width_m, thing.height_m
-    if thing.kind == "rock":
-        corners = _rock_corners(half_length, half_width, height, thing.seed)
+def _polyhedron(scene_object: PlacedObject, base_m: float, material: int) -> Body:
+    """Build a wedge, box or rock: the hull of its corners, tilted, pushed into the floor."""
+    half_length, half_width, height = 0.5 * scene_object.length_m, 0.5 * scene_object.width_m, scene_object.height_m
+    if scene_object.kind == "rock":
+        corners = _rock_corners(half_length, half_width, height, scene_object.seed)
     else:
         corners = np.array([(u * half_length, v * half_width, top * height) for u in (-1, 1) for v in (-1, 1) for top in (0, 1)])
-        if thing.kind == "wedge":
+        if scene_object.kind == "wedge":
             corners = corners[(corners[:, 0] > 0.0) | (corners[:, 2] == 0.0)]
-    sine, cosine = math.sin(thing.tilt_rad), math.cos(thing.tilt_rad)
+    sine, cosine = math.sin(scene_object.tilt_rad), math.cos(scene_object.tilt_rad)
     along, up = corners[:, 0] * cosine - corners[:, 2] * sine, corners[:, 0] * sine + corners[:, 2] * cosine
-    lowest = 0.0 if thing.kind == "rock" else float(up.min())  # a rock is bedded in the floor as it is
-    corners = np.stack([along, corners[:, 1], up - lowest - thing.burial_m], axis=1)
+    lowest = 0.0 if scene_object.kind == "rock" else float(up.min())  # a rock is bedded in the floor as it is
+    corners = np.stack([along, corners[:, 1], up - lowest - scene_object.burial_m], axis=1)
     planes, n_sides = hull_planes(corners)
     reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) + 1e-6
-    return _body(thing, POLYHEDRON, base_m, (), material, reach, planes, n_sides)
+    return _body(scene_object, POLYHEDRON, base_m, (), material, reach, planes, n_sides)
 
 
 def hull_planes(corners_m: Floats) -> tuple[Planes, int]:
-    """Sides and tops of the convex hull of (n, 3) corners, as seen from above, and the number of sides.
+    """Return sides and tops of the convex hull of (n, 3) corners, as seen from above, and the number of sides.
 
     A side (a, b, d) bounds the outline: a u + b v <= d. A top (a, b, c) bounds the height: z <= a u + b v + c.
     """
@@ -278,7 +286,8 @@ def hull_planes(corners_m: Floats) -> tuple[Planes, int]:
 
 
 def _rock_corners(half_length: float, half_width: float, height: float, seed: int) -> Floats:
-    """Corners of an angular rock that fills its sizes: points on a half-buried superellipsoid, flattened by chance."""
+    """Draw corners of an angular rock that fills its sizes: points on a half-buried superellipsoid, flattened at
+    random."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, seed])))
     n = int(random.integers(14, 26))
     turn = random.uniform(0.0, 2.0 * math.pi, n)
@@ -292,39 +301,39 @@ def _rock_corners(half_length: float, half_width: float, height: float, seed: in
     return corners
 
 
-def _group(thing: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:
-    """A boulder cluster, or debris: plates, blocks and rods, strewn over the group's extent."""
-    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 1, thing.seed])))
-    sine, cosine = math.sin(thing.azimuth_rad), math.cos(thing.azimuth_rad)
+def _group(scene_object: PlacedObject, floor_m: HeightOfFloor, material: int) -> list[Body]:
+    """Build a boulder cluster, or debris: plates, blocks and rods, strewn over the group's extent."""
+    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 1, scene_object.seed])))
+    sine, cosine = math.sin(scene_object.azimuth_rad), math.cos(scene_object.azimuth_rad)
     bodies = []
-    for member in range(thing.n_members):
+    for member in range(scene_object.n_members):
         radius, turn = math.sqrt(float(random.uniform())), float(random.uniform(0.0, 2.0 * math.pi))
-        u, v = 0.5 * thing.length_m * radius * math.cos(turn), 0.5 * thing.width_m * radius * math.sin(turn)
+        u, v = 0.5 * scene_object.length_m * radius * math.cos(turn), 0.5 * scene_object.width_m * radius * math.sin(turn)
         size = _power_law(float(random.uniform()), 0.35, 1.0) if member else 1.0
-        height = thing.height_m * size
+        height = scene_object.height_m * size
         long, wide = (float(value) for value in random.uniform(1.2, 2.4, 2) * height)
         kind: ObjectKind = "rock"
-        if thing.kind == "debris":
+        if scene_object.kind == "debris":
             kind = ("box", "cylinder", "box")[member % 3] if member else "box"
             long, wide, height = (1.5 * long, 0.3 * height, 0.3 * height) if kind == "cylinder" else (long, wide, 0.6 * height)
-        one = thing._replace(
+        one = scene_object._replace(
             kind=kind,
-            east_m=thing.east_m + u * sine + v * cosine,
-            north_m=thing.north_m + u * cosine - v * sine,
+            east_m=scene_object.east_m + u * sine + v * cosine,
+            north_m=scene_object.north_m + u * cosine - v * sine,
             azimuth_rad=float(random.uniform(0.0, 2.0 * math.pi)),
-            tilt_rad=float(random.uniform(-0.3, 0.3)) if thing.kind == "debris" else 0.0,
+            tilt_rad=float(random.uniform(-0.3, 0.3)) if scene_object.kind == "debris" else 0.0,
             length_m=long,
             width_m=wide,
             height_m=height,
-            burial_m=min(thing.burial_m, 0.5 * height),
-            seed=thing.seed * 100 + member,
+            burial_m=min(scene_object.burial_m, 0.5 * height),
+            seed=scene_object.seed * 100 + member,
         )
         bodies.append(_single(one, floor_m(one.east_m, one.north_m), material))
     return bodies
 
 
 def _body(
-    thing: PlacedObject,
+    scene_object: PlacedObject,
     kind: int,
     base_m: float,
     sizes: tuple[float, ...],
@@ -333,20 +342,24 @@ def _body(
     planes: Planes = (),
     n_sides: int = 0,
 ) -> Body:
-    return Body(kind, thing.east_m, thing.north_m, base_m, thing.azimuth_rad, reach_m, sizes, material, planes, n_sides)
+    return Body(
+        kind, scene_object.east_m, scene_object.north_m, base_m, scene_object.azimuth_rad, reach_m, sizes, material, planes, n_sides
+    )
 
 
-def points_of(thing: PlacedObject, floor_m: HeightOfFloor) -> list[tuple[float, float, float, float]]:
-    """East, north, height above the datum (m) and target strength (linear, m2) of what echoes without a body."""
-    if thing.kind not in ("point", "fish_school"):
+def points_of(scene_object: PlacedObject, floor_m: HeightOfFloor) -> list[tuple[float, float, float, float]]:
+    """Return east, north, height above the datum (m) and target strength (linear, m2) of echoes without a body."""
+    if scene_object.kind not in ("point", "fish_school"):
         return []
-    base, strength = floor_m(thing.east_m, thing.north_m) + thing.above_m, 10.0 ** (0.1 * thing.strength_db)
-    if thing.kind == "point":
-        return [(thing.east_m, thing.north_m, base, strength)]
-    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 2, thing.seed])))
-    sine, cosine = math.sin(thing.azimuth_rad), math.cos(thing.azimuth_rad)
+    base, strength = floor_m(scene_object.east_m, scene_object.north_m) + scene_object.above_m, 10.0 ** (0.1 * scene_object.strength_db)
+    if scene_object.kind == "point":
+        return [(scene_object.east_m, scene_object.north_m, base, strength)]
+    random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 2, scene_object.seed])))
+    sine, cosine = math.sin(scene_object.azimuth_rad), math.cos(scene_object.azimuth_rad)
     points = []
-    for a, b, c in random.normal(size=(thing.n_members, 3)) * 0.25:
-        u, v, w = thing.length_m * float(a), thing.width_m * float(b), thing.height_m * (0.5 + float(c))
-        points.append((thing.east_m + u * sine + v * cosine, thing.north_m + u * cosine - v * sine, base + max(w, 0.0), strength))
+    for a, b, c in random.normal(size=(scene_object.n_members, 3)) * 0.25:
+        u, v, w = scene_object.length_m * float(a), scene_object.width_m * float(b), scene_object.height_m * (0.5 + float(c))
+        points.append(
+            (scene_object.east_m + u * sine + v * cosine, scene_object.north_m + u * cosine - v * sine, base + max(w, 0.0), strength)
+        )
     return points

@@ -1,4 +1,4 @@
-"""Which kind of sea floor lies where: each kind has a fractal field, and the highest field takes the place."""
+"""Divide the sea floor into kinds: each kind has a fractal field, and the highest field takes the place."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ _FRINGE: Final = 0.25
 
 
 def _spectrum(patch_m: float, longest_m: float = math.inf) -> Spectrum:
-    """Falls as K^-exponent above the wavenumber of one patch and one gap, and to nothing below it, so that shares even out soon."""
+    """Fall as K^-exponent above the wavenumber of one patch and one gap, and to 0 below it, so that shares even out
+    soon."""
     corner, lowest = math.pi / patch_m, 2.0 * math.pi / longest_m
 
     def spectrum(wavenumber: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -31,14 +32,15 @@ def _spectrum(patch_m: float, longest_m: float = math.inf) -> Spectrum:
 
 
 def _rms_below(patch_m: float, longest_m: float) -> float:
-    """Root mean square that wavelengths below longest_m have in the whole spectrum's 1: the integral of W(K) K dK."""
+    """Return the root mean square of wavelengths below longest_m, the whole spectrum being 1: the integral of W(K) K
+    dK."""
     a, t = 0.5 * _EXPONENT + 1.0, 1.0 + (2.0 * patch_m / longest_m) ** 2
     whole = 1.0 / (a - 2.0) - 1.0 / (a - 1.0)
     return math.sqrt((t ** (2.0 - a) / (a - 2.0) - t ** (1.0 - a) / (a - 1.0)) / whole)
 
 
 class Partition:
-    """Fields of all kinds on nodes every `step` cells.
+    """Compute the fields of all kinds on nodes every `step` cells.
 
     Args:
         shares: of the area, relative to each other.
@@ -70,7 +72,8 @@ class Partition:
         self._per_node = np.float32(math.sqrt(0.125) / np.std(np.diff(near, axis=1)))
 
     def _solve_bias(self, shares: NDArray[np.float64]) -> FloatArray:
-        """What each kind's field has to be raised by for its share of a square of one period around the origin."""
+        """Solve for the offset of each kind's field that gives its share of a square of one period around the
+        origin."""
         size = _PERIODS[0]
         height = np.stack(
             [
@@ -87,7 +90,7 @@ class Partition:
         return bias.astype(np.float32)
 
     def fields(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """Each kind's field on nodes from (row, column) on: (kinds, n_rows, n_columns) float32."""
+        """Return each kind's field on nodes from (row, column) on: (kinds, n_rows, n_columns) float32."""
         out = np.empty((len(self._bias), n_rows, n_columns), dtype=np.float32)
         for kind, (down, right) in enumerate(self._offsets.tolist()):
             shifted = row + down * self._factor, column + right * self._factor
@@ -98,7 +101,7 @@ class Partition:
         return out
 
     def weights(self, fields: FloatArray) -> FloatArray:
-        """How much of each kind there is at nodes: 1 and 0 but at boundaries, where they change within about a node.
+        """Return each kind's weight at nodes: 1 and 0 but at boundaries, where it changes within about a node.
 
         Args:
             fields: (kinds, rows, columns) as from `fields`.
@@ -117,8 +120,9 @@ class Partition:
         return weights
 
     def fringe(self, kind: int, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Factor on the weight of a kind that frays its boundaries below the nodes' spacing, on cells from (row, column) on; none if nodes
-        are cells. (n_rows, n_columns) float32."""
+        """Factor on the weight of a kind that frays its boundaries below the nodes' spacing, on cells from (row,
+        column) on; none if nodes are cells. (n_rows, n_columns) float32.
+        """
         if self._fringes is None:
             return None
         down, right = self._offsets[kind].tolist()

@@ -1,4 +1,4 @@
-"""The planned legs of a scene's track, and places relative to them."""
+"""Compute the planned legs of a scene's track, and places relative to them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim_replay.simulator.scene import Lawnmower, Origin, Scene, SceneObject, Sp
 
 
 class Leg(NamedTuple):
-    """A straight run in the local plane; direction clockwise from north."""
+    """Describe a straight run in the local plane; direction clockwise from north."""
 
     east_m: float
     north_m: float
@@ -20,28 +20,28 @@ class Leg(NamedTuple):
 
     @property
     def end(self) -> tuple[float, float]:
-        """East and north of the far end, m."""
+        """Return east and north of the far end, m."""
         return self.at(self.length_m, 0.0)
 
     def at(self, along_m: float, across_m: float) -> tuple[float, float]:
-        """East and north of a place `along_m` from the start and `across_m` to starboard."""
+        """Return east and north of a place `along_m` from the start and `across_m` to starboard."""
         sine, cosine = math.sin(self.direction_rad), math.cos(self.direction_rad)
         return self.east_m + along_m * sine + across_m * cosine, self.north_m + along_m * cosine - across_m * sine
 
     def along_across(self, east_m: float, north_m: float) -> tuple[float, float]:
-        """The inverse of `at`."""
+        """Invert `at`."""
         sine, cosine = math.sin(self.direction_rad), math.cos(self.direction_rad)
         east, north = east_m - self.east_m, north_m - self.north_m
         return east * sine + north * cosine, east * cosine - north * sine
 
     def distance_m(self, east_m: float, north_m: float) -> float:
-        """Shortest distance from the leg."""
+        """Return the shortest distance from the leg."""
         along, across = self.along_across(east_m, north_m)
         return math.hypot(along - min(max(along, 0.0), self.length_m), across)
 
 
 def planned_legs(plan: Lawnmower | Spiral | Waypoints) -> tuple[Leg, ...]:
-    """The plan's legs, in order."""
+    """Return the plan's legs, in order."""
     if isinstance(plan, Waypoints):
         return tuple(
             Leg(start[0], start[1], math.atan2(end[0] - start[0], end[1] - start[1]), math.dist(start, end))
@@ -62,21 +62,21 @@ def planned_legs(plan: Lawnmower | Spiral | Waypoints) -> tuple[Leg, ...]:
 
 
 def local_frame(origin: Origin) -> LocalFrame:
-    """The plane that a scene's east and north are in."""
+    """Return the plane of a scene's east and north."""
     return LocalFrame(latitude_deg=origin.latitude_deg, longitude_deg=origin.longitude_deg)
 
 
 def swath_m(scene: Scene) -> float:
-    """Ground range that the sonar reaches over a flat floor at the planned altitude."""
+    """Return the ground range that the sonar reaches over a flat floor at the planned altitude."""
     sonar, altitude = scene.sonar, scene.track.altitude_m
     return math.sqrt(max(0.0, (sonar.range_m - altitude) * (sonar.range_m + altitude)))
 
 
-def place_in_plane(scene: Scene, thing: SceneObject) -> tuple[float, float]:
-    """East and north of an object, however its place was given."""
-    if thing.east_m is not None and thing.north_m is not None:
-        return thing.east_m, thing.north_m
-    if thing.leg is not None and thing.along_m is not None and thing.across_m is not None:
-        return planned_legs(scene.track.plan)[thing.leg].at(thing.along_m, thing.across_m)
-    east, north, _ = local_frame(scene.origin).to_enu(thing.latitude_deg or 0.0, thing.longitude_deg or 0.0, 0.0)
+def place_in_plane(scene: Scene, scene_object: SceneObject) -> tuple[float, float]:
+    """Return east and north of an object, in whatever form its place was given."""
+    if scene_object.east_m is not None and scene_object.north_m is not None:
+        return scene_object.east_m, scene_object.north_m
+    if scene_object.leg is not None and scene_object.along_m is not None and scene_object.across_m is not None:
+        return planned_legs(scene.track.plan)[scene_object.leg].at(scene_object.along_m, scene_object.across_m)
+    east, north, _ = local_frame(scene.origin).to_enu(scene_object.latitude_deg or 0.0, scene_object.longitude_deg or 0.0, 0.0)
     return float(east), float(north)

@@ -1,4 +1,4 @@
-"""The rays of pings: where they start, where they go, and which patches of the sea floor they cross."""
+"""Trace the rays of pings: their starts, their directions, and the patches of the sea floor they cross."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _OUTERMOST: Final = 0.9  # beam widths that the outermost rays stand off the mid
 
 
 class Fan(NamedTuple):
-    """Rays of a block of pings in metres: places (n,) float64 east and north of node 0, and steps per node."""
+    """Hold rays of a block of pings in metres: places (n,) float64 east and north of node 0, and steps per node."""
 
     east_m: NDArray[np.float64]
     north_m: NDArray[np.float64]
@@ -34,7 +34,10 @@ class Fan(NamedTuple):
 
 
 def beam_rays(sonar: Sonar) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Angles (rad) of the rays that stand for the horizontal beam, and their shares, which sum to 1: a Gaussian of the beam's width."""
+    """Return the angles (rad) of rays that stand for the horizontal beam, and their shares, which sum to 1.
+
+    The beam is a Gaussian of the beam's width.
+    """
     n = sonar.beam_lines
     off = np.linspace(-_OUTERMOST, _OUTERMOST, n) if n > 1 else np.zeros(1)
     share = np.exp(-4.0 * math.log(2.0) * off * off)
@@ -48,11 +51,11 @@ def fan(
     datum_depth_m: float,
     cell_m: float,
 ) -> Fan:
-    """Rays of both sides of all poses: pose i adds to rows 2 i for port and 2 i + 1 for starboard.
+    """Return rays of both sides of all poses: pose i adds to rows 2 i for port and 2 i + 1 for starboard.
 
-    floor_m: (n_poses,) height of the floor below the sonar above the datum. While echoes come in the vehicle travels on; range r is seen
-    from where it is r / c after transmission, midway between transmitting and receiving. Pitch tilts the plane that a side looks in; on a
-    level floor the strip within the beam widens by 1 / cos(pitch).
+    floor_m: (n_poses,) height of the floor below the sonar above the datum. While echoes come in the vehicle travels
+    on; range r is seen from where it is r / c after transmission, midway between transmitting and receiving. Pitch
+    tilts the plane that a side looks in; on a level floor the strip within the beam widens by 1 / cos(pitch).
     """
     angle, share = beam_rays(sonar)
     columns = {name: np.array([getattr(pose, name) for pose in poses])[:, None, None] for name in SonarPose._fields}
@@ -90,7 +93,7 @@ def fan(
 
 
 def crossed(rays: Fan, cell_m: float) -> tuple[NDArray[np.bool_], int, int]:
-    """Patches that the rays may cross, (n_patch_rows, n_patch_columns), and the row and column of the first."""
+    """Return the patches that rays may cross, (n_patch_rows, n_patch_columns), and the row and column of the first."""
     node = np.append(np.arange(0, rays.n_nodes, _STRIDE), rays.n_nodes - 1).astype(np.float64)
     north = (rays.north_m[:, None] + node * rays.step_north_m[:, None]) / cell_m
     east = (rays.east_m[:, None] + node * rays.step_east_m[:, None]) / cell_m
@@ -106,7 +109,7 @@ def crossed(rays: Fan, cell_m: float) -> tuple[NDArray[np.bool_], int, int]:
 
 
 def lines(rays: Fan, cell_m: float) -> Lines:
-    """The rays in cells."""
+    """Return the rays in cells."""
     return Lines(
         north_cells=rays.north_m / cell_m,
         east_cells=rays.east_m / cell_m,

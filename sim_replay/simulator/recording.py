@@ -1,4 +1,4 @@
-"""How echoes become stored numbers: time-varied gain, amplitude or logarithm, clipping, rounding."""
+"""Store echoes as numbers: time-varied gain, amplitude or logarithm, clipping, rounding."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ _TYPES: Final[dict[str, tuple[SampleType, type[np.generic]]]] = {
 
 
 def complete(recorder: SampleRecorder) -> SampleRecorder:
-    """The recorder with what is usual for its samples in place of what the scene leaves open."""
+    """Fill the keys that the scene leaves open with the usual values of the recorder's samples."""
     usual = _USUAL[recorder.samples]
     given = {name: value for name in ("seabed_counts", "full_scale", "db_per_count") if (value := getattr(recorder, name)) is not None}
     return msgspec.structs.replace(usual, **given)
 
 
 def sample_type(recorder: SampleRecorder) -> SampleType:
-    """What an XTF file stores the samples as."""
+    """Return the sample type of the recorder in an XTF file."""
     return _TYPES[recorder.samples][0]
 
 
 def record(
     intensity: NDArray[np.float32], gain: NDArray[np.float64], n_ringing: int, recorder: SampleRecorder, bin_m: float
 ) -> list[EchoTrace]:
-    """Samples of (n_rows, n_bins) intensity times (n_bins,) gain, whose unit is the mean echo of the scene's plain floor.
+    """Convert intensity (n_rows, n_bins) times gain (n_bins,) to samples; the unit is the mean echo of the plain floor.
 
     The first n_ringing bins clip. recorder: complete. bin_m: slant range per bin that the recorder believes in.
     """

@@ -1,4 +1,4 @@
-/* Echo energy of rays over a height field, one vertical slice per ray. render.py says what is computed and holds the numpy twin, which
+/* Echo energy of rays over a height field, one vertical slice per ray. render.py documents the computation and holds the numpy twin, which
  * gives the same bytes: same operations in the same order, no fused multiply-adds, no function of libm but the square root and rounding.
  */
 
@@ -326,7 +326,7 @@ static void find_least(int32_t n, const float *restrict t, float *restrict least
  * tables; entry comes in as the first of the material's. upright: depth per slant depth. area: lit, per metre of width, weighed by texture.
  * Its energy is spread evenly over the slant ranges, in bins, that the lit part spans, and bin n_bins takes what lies beyond: first is the
  * bin where that starts, past what share goes into the bin where it ends if it is another, inner what share goes into each between;
- * between says how many those are. */
+ * between counts those. */
 WIDE static void face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight, float bins_per_m,
                       float n_bins, const float *restrict z, const float *restrict slope, const float *restrict texture,
                       const float *restrict depth, const float *restrict r, const float *restrict t, const float *restrict least,

@@ -1,13 +1,15 @@
-"""Echo energy of sonar rays over a height field, O(n) per ray.
+"""Render echo energy of sonar rays over a height field, O(n) per ray.
 
-A ray is one vertical slice from the sonar outwards: a profile of nodes, one sea-floor cell apart. A facet between two nodes is seen as far
-as it is less depressed than all nearer nodes: a running minimum of depression, exact for height fields. A seen facet sends back
+A ray is one vertical slice from the sonar outwards: a profile of nodes, one sea-floor cell apart. A facet between two
+nodes is seen as far as it is less depressed than all nearer nodes: a running minimum of depression, exact for height
+fields. A seen facet sends back
 
     sigma(sin of the local grazing angle) * texture * beam(angle off the axis)^2 * length along the ray * sqrt(1 + s^2 + q^2)
 
-per metre of width, s and q being the slopes along and across the ray, and the energy is spread evenly over the slant ranges that its seen
-part spans. Layover, foreshortening and shadow need no special case. Spreading, absorption and width depend on slant range alone and come
-later. Walls of bodies are turned as the body is, so that a box shows its true brightness from every side.
+per metre of width, s and q being the slopes along and across the ray, and the energy is spread evenly over the slant
+ranges that its seen part spans. Layover, foreshortening and shadow need no special case. Spreading, absorption and
+width depend on slant range alone and come later. Walls of bodies are turned as the body is, so that a box shows its
+true brightness from every side.
 
 The C kernel and the numpy twin give the same bytes.
 """
@@ -32,10 +34,10 @@ Singles: TypeAlias = NDArray[np.float32]
 
 
 class Lines(NamedTuple):
-    """Rays; every array is (n_lines,) float64 but `ping` int64.
+    """Hold rays; every array is (n_lines,) float64 but `ping` int64.
 
-    north_cells, east_cells: place of node 0 in cells from the origin of the scene. step_*: cells per node.
-    elevation_m: of the sonar above the datum. slant_factor: slant depth per depth, from pitch. axis_cos, axis_sin: of the depression
+    north_cells, east_cells: place of node 0 in cells from the origin of the scene. step_*: cells per node. elevation_m:
+    of the sonar above the datum. slant_factor: slant depth per depth, from pitch. axis_cos, axis_sin: of the depression
     of the vertical beam's axis. weight: share of the beam. ping: row of the energy that the ray adds to.
     """
 
@@ -52,10 +54,10 @@ class Lines(NamedTuple):
 
 
 class Rendered(NamedTuple):
-    """energy: (n_pings, n_bins) float64. beyond: (n_pings,) float64, what lies farther than the last bin.
+    """Hold energy: (n_pings, n_bins) float64. beyond: (n_pings,) float64, the energy farther than the last bin.
 
-    Per ray and node, if asked for: lit (n_lines, n_nodes) float32, the share seen of the facet that ends at the node; owner (n_lines,
-    n_nodes) int16, index of the body that the node lies on, -1 for the floor.
+    Per ray and node, if asked for: lit (n_lines, n_nodes) float32, the share seen of the facet that ends at the node;
+    owner (n_lines, n_nodes) int16, index of the body that the node lies on, -1 for the floor.
     """
 
     energy: NDArray[np.float64]
@@ -78,10 +80,11 @@ def render_pings(
     bin_m: float,
     keep_nodes: bool = False,
 ) -> Rendered:
-    """Energy per slant-range bin of every ping.
+    """Render energy per slant-range bin of every ping.
 
-    tables: (n_materials, 4096) float32 of sigma over the sine of grazing, those of the sea floor first. beam: (4096,) float32, the
-    two-way power pattern over the sine of the angle off the axis from -1 to 1. Every cell that the rays cross must be in `patches`.
+    tables: (n_materials, 4096) float32 of sigma over the sine of grazing, those of the sea floor first. beam: (4096,)
+    float32, the two-way power pattern over the sine of the angle off the axis from -1 to 1. Every cell that the rays
+    cross must be in `patches`.
     """
     library = backend.library()
     if library is None:
@@ -143,7 +146,7 @@ def render_numpy(
     bin_m: float,
     keep_nodes: bool = False,
 ) -> Rendered:
-    """render in numpy alone."""
+    """Render in numpy alone."""
     packed, (energy, lit, owner) = _packed(lines), _empty(len(lines.ping), n_nodes, n_pings, n_bins, keep_nodes)
     for start in range(0, len(packed), _NUMPY_LINES):
         part = slice(start, start + _NUMPY_LINES)
@@ -154,7 +157,7 @@ def render_numpy(
 
 
 def _packed(lines: Lines) -> NDArray[np.float64]:
-    """Rows as render.c has them."""
+    """Pack rows as render.c reads them."""
     packed = np.zeros((len(lines.ping), LINE_WIDTH))
     for column, values in enumerate(lines):
         packed[:, column] = values
@@ -164,7 +167,7 @@ def _packed(lines: Lines) -> NDArray[np.float64]:
 def _empty(
     n_lines: int, n_nodes: int, n_pings: int, n_bins: int, keep_nodes: bool
 ) -> tuple[NDArray[np.float64], Singles | None, NDArray[np.int16] | None]:
-    """Room for what comes out; the energy of a ping ends with what lies beyond."""
+    """Allocate the output; the energy of a ping ends with the energy beyond the last bin."""
     energy = np.zeros((n_pings, n_bins + 1))
     if not keep_nodes:
         return energy, None, None
@@ -255,7 +258,7 @@ def _render_some(
 
 
 def _with_last(operation: np.ufunc, values: Singles) -> Singles:
-    """Of every value and the one before it; what comes of first nodes means nothing, as no facet ends there."""
+    """Pair every value with the one before it; results at first nodes mean nothing, as no facet ends there."""
     out = np.empty_like(values)
     flat, flat_out = values.ravel(), out.ravel()
     operation(flat[1:], flat[:-1], out=flat_out[1:])
@@ -266,7 +269,7 @@ def _with_last(operation: np.ufunc, values: Singles) -> Singles:
 def _gather(
     patches: Patches, lines: NDArray[np.float64], step_m: NDArray[np.float64], index: Singles
 ) -> tuple[Singles, Singles, NDArray[np.int64]]:
-    """Height, slope along the track, and index of the nearest node in the pool."""
+    """Return height, slope along the track, and index of the nearest node in the pool."""
     n_patch_columns = patches.slots.shape[1]
     row, part_north = _cells(lines[:, 0:1], lines[:, 2:3], patches.first_patch_row, index)
     column, part_east = _cells(lines[:, 1:2], lines[:, 3:4], patches.first_patch_column, index)
@@ -305,7 +308,7 @@ def _gather(
 
 
 def _cells(first: NDArray[np.float64], step: NDArray[np.float64], first_patch: int, index: Singles) -> tuple[NDArray[np.int32], Singles]:
-    """Cells from the first patch on along one axis, and where in them."""
+    """Return cells from the first patch on along one axis, and the place within them."""
     whole = np.floor(first)
     place = index * step.astype(np.float32)
     place += (first - whole).astype(np.float32)
@@ -317,10 +320,10 @@ def _cells(first: NDArray[np.float64], step: NDArray[np.float64], first_patch: i
 
 
 def _lit(t: Singles, index: Singles) -> Singles:
-    """The share of each facet that no nearer node hides."""
-    least = np.minimum.accumulate(t, axis=1)
+    """Return the share of each facet that no nearer node hides."""
+    nearest_so_far = np.minimum.accumulate(t, axis=1)
     lit = np.zeros_like(t)
-    flat, before, after = lit.ravel()[1:], least.ravel()[:-1], least.ravel()[1:]
+    flat, before, after = lit.ravel()[1:], nearest_so_far.ravel()[:-1], nearest_so_far.ravel()[1:]
     seen = after < before
     np.copyto(flat, seen)
     seen &= before < t.ravel()[:-1]
@@ -333,7 +336,7 @@ def _lit(t: Singles, index: Singles) -> Singles:
 
 
 def _away(line: NDArray[np.float64], cell_m: float) -> tuple[float, float, float]:
-    """Length of a step, m, and the ray's direction (north, east)."""
+    """Return the length of a step, m, and the ray's direction (north, east)."""
     step_m = cell_m * float(np.sqrt(line[2] * line[2] + line[3] * line[3]))
     return step_m, float(line[2]) * cell_m / step_m, float(line[3]) * cell_m / step_m
 
@@ -394,7 +397,7 @@ def _turn_walls(
     material: NDArray[np.int32],
     owner: NDArray[np.int16],
 ) -> None:
-    """Facets between nodes of different owners belong to the higher one and are turned as its wall is."""
+    """Assign facets between nodes of different owners to the higher one and turn them as its wall."""
     step_m, away_north, away_east = _away(line, cell_m)
     ahead_north, ahead_east = -away_east, away_north
     for j in reversed(np.flatnonzero(owner[1:] != owner[:-1]) + 1):
@@ -418,7 +421,8 @@ def _turn_walls(
 def _deposit(
     ping: NDArray[np.int64], sent: Singles, r: Singles, lit: Singles, bins_per_m: np.float32, n_bins: int, energy: NDArray[np.float64]
 ) -> None:
-    """Spread each facet's energy evenly over the slant ranges that its lit part spans; bin n_bins takes what lies beyond."""
+    """Spread each facet's energy evenly over the slant ranges that its lit part spans; bin n_bins takes what lies
+    beyond."""
     single = np.float32
     near_end = _with_last(np.subtract, r)
     near_end *= lit

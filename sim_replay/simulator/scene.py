@@ -1,7 +1,7 @@
-"""What a simulated mission is made of.
+"""Define the parts of a simulated mission.
 
-Positions are in the local plane of `origin` (east and north in metres), directions in degrees clockwise from its north. Every key but
-`track` has a default. `scene_file` reads scenes from YAML and refuses what cannot be.
+Positions are in the local plane of `origin` (east and north in metres), directions in degrees clockwise from its north.
+Every key but `track` has a default. `scene_file` reads scenes from YAML and refuses what cannot be.
 """
 
 from __future__ import annotations
@@ -41,15 +41,16 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Origin(_Section, frozen=True, kw_only=True):
-    """Where the local plane touches the ellipsoid."""
+    """Fix the local plane's point of contact with the ellipsoid."""
 
     latitude_deg: Annotated[float, Meta(ge=-89.0, le=89.0)] = 43.0931
     longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 5.8872
 
 
 class Ripples(_Section, frozen=True, kw_only=True):
-    """Ripples or sand waves. `direction_deg`: in which the crests follow one another. `defects`: 0 for endless straight crests, 1 for
-    crests that bend and break within a few wavelengths. `skew`: 0 sinusoidal, 1 steep on the lee side."""
+    """Ripples or sand waves. `direction_deg`: in which the crests follow one another. `defects`: 0 for endless straight
+    crests, 1 for crests that bend and break within a few wavelengths. `skew`: 0 sinusoidal, 1 steep on the lee side.
+    """
 
     wavelength_m: Annotated[float, Meta(ge=0.1, le=500.0)]
     height_m: Annotated[float, Meta(gt=0.0, le=10.0)]
@@ -59,7 +60,8 @@ class Ripples(_Section, frozen=True, kw_only=True):
 
 
 class Seabed(_Section, frozen=True, kw_only=True):
-    """One kind of sea floor and its share of the area, in proportion to the other shares. A key left out keeps what is usual for the type.
+    """One kind of sea floor and its share of the area, in proportion to the other shares. A key left out keeps what is
+    usual for the type.
 
     texture_shape: of the Gamma-distributed texture whose patches of texture_m make echoes K-distributed; 0 for none.
     stones_per_ha: number of stones longer than stone_m per hectare; their number above a length d falls as d^-2.5.
@@ -78,8 +80,10 @@ class Seabed(_Section, frozen=True, kw_only=True):
 
 
 class World(_Section, frozen=True, kw_only=True):
-    """The sea floor. `depth_m`: of the datum plane. `patch_m`: size of the patches of different sea floor. `slope_deg`: the floor rises
-    by it towards `slope_towards_deg`. `relief_*`: large forms under all types, a power-law spectrum up to relief_outer_m."""
+    """The sea floor. `depth_m`: of the datum plane. `patch_m`: size of the patches of different sea floor. `slope_deg`:
+    the floor rises by it towards `slope_towards_deg`. `relief_*`: large forms under all types, a power-law spectrum up
+    to relief_outer_m.
+    """
 
     depth_m: Annotated[float, Meta(gt=0.5, le=6000.0)] = 20.0
     seabeds: Annotated[tuple[Seabed, ...], Meta(min_length=1, max_length=7)] = (Seabed(type="sand"),)
@@ -94,16 +98,17 @@ class World(_Section, frozen=True, kw_only=True):
 
 
 class SceneObject(_Section, frozen=True, kw_only=True):
-    """Something on or above the sea floor, at east_m and north_m, or at latitude_deg and longitude_deg, or at along_m on the planned leg
-    `leg` and across_m to starboard of it.
+    """Something on or above the sea floor, at east_m and north_m, or at latitude_deg and longitude_deg, or at along_m
+    on the planned leg `leg` and across_m to starboard of it.
 
-    Sizes left out are usual ones of the kind. cylinder, pipe: length, width = diameter. sphere: width = diameter. truncated_cone: width =
-    base diameter, top_m = top diameter, height. wedge, box, rock, debris: length, width, height. tyre: width = outer diameter, height =
-    thickness. boulder_cluster, fish_school: length, width of the group, height of the highest, `count` members. anchor_scar: length, width,
-    height = depth. point: echo without body or shadow, strength_db being its target strength.
-    azimuth_deg: of the long axis. tilt_deg: its end towards the azimuth raised. burial_m: pushed into the floor. scour_m: depth of the
-    moat around. above_m: height over the floor, for fish_school and point. strength_db: backscattering strength at normal incidence,
-    specular_db: of the specular lobe on top of it.
+    Sizes left out are usual ones of the kind. cylinder, pipe: length, width = diameter. sphere: width = diameter.
+    truncated_cone: width = base diameter, top_m = top diameter, height. wedge, box, rock, debris: length, width,
+    height. tyre: width = outer diameter, height = thickness. boulder_cluster, fish_school: length, width of the group,
+    height of the highest, `count` members. anchor_scar: length, width, height = depth. point: echo without body or
+    shadow, strength_db being its target strength. azimuth_deg: of the long axis. tilt_deg: its end towards the azimuth
+    raised. burial_m: pushed into the floor. scour_m: depth of the moat around. above_m: height over the floor, for
+    fish_school and point. strength_db: backscattering strength at normal incidence, specular_db: of the specular lobe
+    on top of it.
     """
 
     kind: ObjectKind
@@ -130,10 +135,11 @@ class SceneObject(_Section, frozen=True, kw_only=True):
 
 
 class Scatter(_Section, frozen=True, kw_only=True):
-    """`count` objects of one kind put at random on the floor that the planned legs sweep, apart_m from each other and everything else.
+    """`count` objects of one kind put at random on the floor that the planned legs sweep, apart_m from each other and
+    everything else.
 
-    Ranges are [lowest, highest], drawn evenly; sizes by a power law with exponent -2.5 if `natural_sizes`. ground_range_m is of the leg
-    that passes closest. Sizes left out are usual ones of the kind.
+    Ranges are [lowest, highest], drawn evenly; sizes by a power law with exponent -2.5 if `natural_sizes`.
+    ground_range_m is of the leg that passes closest. Sizes left out are usual ones of the kind.
     """
 
     kind: ObjectKind
@@ -152,16 +158,19 @@ class Scatter(_Section, frozen=True, kw_only=True):
 
 
 class TimeVariedGain(_Section, frozen=True, kw_only=True):
-    """What the recorder makes up for: spreading_db * log10(range) and absorption. Left out, absorption is the water's own; 30 dB and the
-    water's own level out a floor that scatters alike at all angles."""
+    """Set what the recorder compensates: spreading_db * log10(range) and absorption. Left out, absorption is the
+    water's own; 30 dB and the water's own level out a floor that scatters alike at all angles.
+    """
 
     spreading_db: Annotated[float, Meta(ge=0.0, le=60.0)] = 30.0
     absorption_db_per_km: Annotated[float, Meta(ge=0.0, le=2000.0)] | None = None
 
 
 class SampleRecorder(_Section, frozen=True, kw_only=True):
-    """How echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root mean square) midway
-    between its first return and range_m; for logarithms that is the count of its mean intensity. Above `full_scale` it clips."""
+    """Set how echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root
+    mean square) midway between its first return and range_m; for logarithms that is the count of its mean intensity.
+    Above `full_scale` it clips.
+    """
 
     samples: Literal["amplitude_uint8", "amplitude_uint16", "amplitude_float32", "log_uint8", "log_uint16"] = "amplitude_uint16"
     seabed_counts: Annotated[float, Meta(gt=0.0, le=1e6)] | None = None
@@ -170,10 +179,11 @@ class SampleRecorder(_Section, frozen=True, kw_only=True):
 
 
 class SyntheticAperture(_Section, frozen=True, kw_only=True):
-    """Image lines instead of pings: resolution and pixel do not depend on range. Shadows are blurred by the integration angle, wavelength
-    over twice the along-track resolution, which `sub_apertures` parts of the spectrum share. `view`: which of them is recorded, `full`
-    for all together. Of the sonar n_samples, ping_rate_hz, range_resolution_m, beam_width_deg, beam_lines and speckle_along_track_m do
-    not count then."""
+    """Image lines instead of pings: resolution and pixel do not depend on range. Shadows are blurred by the integration
+    angle, wavelength over twice the along-track resolution, which `sub_apertures` parts of the spectrum share. `view`:
+    which of them is recorded, `full` for all together. Of the sonar n_samples, ping_rate_hz, range_resolution_m,
+    beam_width_deg, beam_lines and speckle_along_track_m do not count then.
+    """
 
     along_track_resolution_m: Annotated[float, Meta(ge=0.005, le=1.0)] = 0.05
     range_resolution_m: Annotated[float, Meta(ge=0.005, le=1.0)] = 0.05
@@ -183,14 +193,15 @@ class SyntheticAperture(_Section, frozen=True, kw_only=True):
 
 
 class Sonar(_Section, frozen=True, kw_only=True):
-    """The sonar and the water. Beam widths are two-way, at half power; `tilt_deg` is the depression of the vertical beam's axis.
+    """The sonar and the water. Beam widths are two-way, at half power; `tilt_deg` is the depression of the vertical
+    beam's axis.
 
-    absorption_db_per_km: left out, from the frequency. noise_db: noise floor against the echo of a flat floor of the scene's first type
-    midway between its first return and range_m. range_resolution_m: half power; its point-spread function correlates the speckle (0:
-    independent samples).
-    speckle_along_track_m: distance over which speckle stays correlated from ping to ping, 0 for none. looks: averaged per sample.
-    beam_lines: rays that stand for the horizontal beam. ring_down_m: of the transmitter. *_db: level of the echo of the surface, of the
-    other side, and of the bottom by way of the surface, against what the direct echo of the bottom is; left out: none.
+    absorption_db_per_km: left out, from the frequency. noise_db: noise floor against the echo of a flat floor of the
+    scene's first type midway between its first return and range_m. range_resolution_m: half power; its point-spread
+    function correlates the speckle (0: independent samples). speckle_along_track_m: distance over which speckle stays
+    correlated from ping to ping, 0 for none. looks: averaged per sample. beam_lines: rays that stand for the horizontal
+    beam. ring_down_m: of the transmitter. *_db: level of the echo of the surface, of the other side, and of the bottom
+    by way of the surface, against what the direct echo of the bottom is; left out: none.
     """
 
     frequency_khz: Annotated[float, Meta(ge=10.0, le=3000.0)] = 450.0
@@ -245,9 +256,10 @@ class Waypoints(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="w
 
 
 class Motion(_Section, frozen=True, kw_only=True):
-    """How the vehicle really moves. Angles wander with the standard deviations given, over `attitude_period_s`. The current pushes it
-    towards `current_towards_deg`, so it crabs. Altitude is held behind by `altitude_lag_s`, with an error that wanders by
-    `altitude_sigma_m`."""
+    """Set the vehicle's true motion. Angles wander with the standard deviations given, over `attitude_period_s`. The
+    current pushes it towards `current_towards_deg`, so it crabs. Altitude is held behind by `altitude_lag_s`, with an
+    error that wanders by `altitude_sigma_m`.
+    """
 
     roll_sigma_deg: Annotated[float, Meta(ge=0.0, le=20.0)] = 1.0
     pitch_sigma_deg: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.7
@@ -274,7 +286,8 @@ STEADY: Final = Motion(
 
 
 class Track(_Section, frozen=True, kw_only=True):
-    """The plan and how it is flown, at speed_mps through the water. Without pings_in_turns the sonar is silent between legs."""
+    """The plan and how it is flown, at speed_mps through the water. Without pings_in_turns the sonar is silent between
+    legs."""
 
     plan: Lawnmower | Spiral | Waypoints
     speed_mps: Annotated[float, Meta(gt=0.1, le=10.0)] = 1.8
@@ -286,8 +299,10 @@ class Track(_Section, frozen=True, kw_only=True):
 
 
 class NavigationError(_Section, frozen=True, kw_only=True):
-    """How what the payload is told differs from where the sonar was. Position: a slowly wandering error of `position_sigma_m` plus a
-    drift of `drift_percent` of the way. Biases are drawn once per mission with the standard deviations given."""
+    """Set the error of the reported navigation. Position: a slowly wandering error of
+    `position_sigma_m` plus a drift of `drift_percent` of the way. Biases are drawn once per mission with the standard
+    deviations given.
+    """
 
     position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.4
     position_period_s: Annotated[float, Meta(ge=1.0, le=10_000.0)] = 120.0
@@ -311,9 +326,11 @@ EXACT: Final = NavigationError(
 
 
 class Fault(_Section, frozen=True, kw_only=True):
-    """Something goes wrong for `n_pings` from ping `at_ping`: every other ping is lost, that one first (drop), all are (gap), the gain
-    changes by gain_db (gain_step), one side repeats its last samples (stuck_channel) or is missing (dead_channel), navigation stays away
-    (navigation_loss). clock_step: clocks jump by step_s and stay there, whatever n_pings."""
+    """Something goes wrong for `n_pings` from ping `at_ping`: every other ping is lost, that one first (drop), all are
+    (gap), the gain changes by gain_db (gain_step), one side repeats its last samples (stuck_channel) or is missing
+    (dead_channel), navigation stays away (navigation_loss). clock_step: clocks jump by step_s and stay there, whatever
+    n_pings.
+    """
 
     kind: Literal["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]
     at_ping: Annotated[int, Meta(ge=0)]

@@ -1,4 +1,4 @@
-"""Scenes from YAML files, and which scenes cannot be."""
+"""Read scenes from YAML files and reject contradictory ones."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _SHIPPED: Final = resources.files("sim_replay") / "scenes"
 
 
 def named_scenes() -> tuple[str, ...]:
-    """Names of the scenes that ship with the package, in alphabetical order."""
+    """Return the names of the scenes that ship with the package, in alphabetical order."""
     return tuple(sorted(path.name.removesuffix(".yaml") for path in _SHIPPED.iterdir() if path.name.endswith(".yaml")))
 
 
 def read_scene(name_or_path: str) -> Scene:
-    """A scene from a file, or one of the named ones.
+    """Read a scene from a file, or one of the named ones.
 
     Raises UsageError if there is no such scene, or as parse_scene does.
     """
@@ -40,9 +40,10 @@ def read_scene(name_or_path: str) -> Scene:
 
 
 def parse_scene(text: str, place: str) -> Scene:
-    """Scene from YAML text; `place` names it in messages.
+    """Parse a scene from YAML text; `place` names it in messages.
 
-    Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and scenes that cannot be.
+    Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and scenes
+    that cannot be.
     """
     data = load_mapping(text, place, "expected keys such as 'track:'")
     try:
@@ -56,7 +57,7 @@ def parse_scene(text: str, place: str) -> Scene:
 
 
 def check_scene(scene: Scene, place: str = "scene") -> None:
-    """Raises UsageError naming the first key that cannot be, and why."""
+    """Reject a scene that contradicts itself. Raises UsageError naming the first offending key, and why."""
     for reason in _contradictions(scene):
         raise UsageError(f"{place}: {reason}")
 
@@ -87,9 +88,9 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         if leg.length_m < 1.0:
             yield f"`track.plan`: leg {index} is {leg.length_m:.2f} m long; at least 1 m is needed"
     yield from _slope_contradictions(scene, legs)
-    for index, thing in enumerate(scene.objects):
-        for reason in _object_contradictions(scene, thing, legs):
-            yield f"`objects[{index}]` ({thing.kind}): {reason}"
+    for index, scene_object in enumerate(scene.objects):
+        for reason in _object_contradictions(scene, scene_object, legs):
+            yield f"`objects[{index}]` ({scene_object.kind}): {reason}"
     reach = swath_m(scene)
     for index, group in enumerate(scene.scatter):
         where = f"scatter[{index}]"
@@ -123,22 +124,26 @@ def _slope_contradictions(scene: Scene, legs: Sequence[Leg]) -> Iterator[str]:
                 )
 
 
-def _object_contradictions(scene: Scene, thing: SceneObject, legs: Sequence[Leg]) -> Iterator[str]:
-    ways = ((thing.east_m, thing.north_m), (thing.latitude_deg, thing.longitude_deg), (thing.leg, thing.along_m, thing.across_m))
+def _object_contradictions(scene: Scene, scene_object: SceneObject, legs: Sequence[Leg]) -> Iterator[str]:
+    ways = (
+        (scene_object.east_m, scene_object.north_m),
+        (scene_object.latitude_deg, scene_object.longitude_deg),
+        (scene_object.leg, scene_object.along_m, scene_object.across_m),
+    )
     if sum(any(value is not None for value in way) for way in ways) != 1 or not any(all(v is not None for v in way) for way in ways):
         yield "give its place once: `east_m` and `north_m`, or `latitude_deg` and `longitude_deg`, or `leg`, `along_m` and `across_m`"
         return
-    if thing.leg is not None and thing.leg >= len(legs):
-        yield f"`leg` is {thing.leg}: the plan has {len(legs)} legs, the first is 0"
+    if scene_object.leg is not None and scene_object.leg >= len(legs):
+        yield f"`leg` is {scene_object.leg}: the plan has {len(legs)} legs, the first is 0"
         return
     altitude = scene.track.altitude_m
-    if thing.height_m is not None and thing.kind != "anchor_scar" and thing.height_m > HIGHEST_SHARE * altitude:
-        yield _too_high("height_m", thing.height_m, altitude)
-    if thing.above_m + (thing.height_m or 0.0) > HIGHEST_SHARE * altitude:
-        yield _too_high("above_m", thing.above_m + (thing.height_m or 0.0), altitude)
-    if thing.top_m is not None and thing.width_m is not None and thing.top_m > thing.width_m:
-        yield f"`top_m` is {thing.top_m:g} m, wider than its base of {thing.width_m:g} m"
-    east, north = place_in_plane(scene, thing)
+    if scene_object.height_m is not None and scene_object.kind != "anchor_scar" and scene_object.height_m > HIGHEST_SHARE * altitude:
+        yield _too_high("height_m", scene_object.height_m, altitude)
+    if scene_object.above_m + (scene_object.height_m or 0.0) > HIGHEST_SHARE * altitude:
+        yield _too_high("above_m", scene_object.above_m + (scene_object.height_m or 0.0), altitude)
+    if scene_object.top_m is not None and scene_object.width_m is not None and scene_object.top_m > scene_object.width_m:
+        yield f"`top_m` is {scene_object.top_m:g} m, wider than its base of {scene_object.width_m:g} m"
+    east, north = place_in_plane(scene, scene_object)
     nearest = min(leg.distance_m(east, north) for leg in legs)
     reach = swath_m(scene)
     if nearest > reach:

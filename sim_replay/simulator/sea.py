@@ -1,4 +1,4 @@
-"""The sea of one scene, sounded from anywhere: poses in, pings out."""
+"""Sound the sea of one scene from anywhere: poses in, pings out."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ _PORT_STREAM, _STARBOARD_STREAM = 0, 1 << 32
 
 
 class Sea:
-    """World, objects and sonar of a scene. What a ping hears depends on scene, seed, pose and ping number alone.
+    """Combine world, objects and sonar of a scene. A ping depends on scene, seed, pose and ping number alone.
 
-    sonar: the scene's, with the n_samples that are recorded. objects: all of them, placed. points: (n_points, 4) east, north, height above
-    the datum (m) and target strength (m2) of echoes without a body. spreading: (n_samples,) received intensity per energy that comes back
-    from a metre of width. reference: mean intensity of a flat floor midway between its first return
-    and the end of the range; noise: that of noise.
-    Raises UsageError for a scene that cannot be, or whose objects find no room.
+    sonar: the scene's, with the n_samples that are recorded. objects: all of them, placed. points: (n_points, 4) east,
+    north, height above the datum (m) and target strength (m2) of echoes without a body. spreading: (n_samples,)
+    received intensity per energy that comes back from a metre of width. reference: mean intensity of a flat floor
+    midway between its first return and the end of the range; noise: that of noise. Raises UsageError for a scene that
+    cannot be, or whose objects find no room.
     """
 
     def __init__(self, scene: Scene, *, threads: int = 1) -> None:
@@ -62,12 +62,12 @@ class Sea:
         materials: list[Material] = []
         bodies: list[Body] = []
         points: list[tuple[float, float, float, float]] = []
-        for thing in self.objects:
-            material = material_of(thing)
+        for scene_object in self.objects:
+            material = material_of(scene_object)
             if material not in materials:
                 materials.append(material)
-            bodies += bodies_of(thing, self.world.floor_m, len(self.world.covers) + materials.index(material))
-            points += points_of(thing, self.world.floor_m)
+            bodies += bodies_of(scene_object, self.world.floor_m, len(self.world.covers) + materials.index(material))
+            points += points_of(scene_object, self.world.floor_m)
         self._bodies = pack(bodies)
         self.points: Final = np.array(points).reshape(-1, 4)
         self._tables = np.concatenate([floor_tables(scene, self.world.covers), material_tables(materials)])
@@ -86,11 +86,11 @@ class Sea:
         self._threads = threads
 
     def altitude_m(self, pose: SonarPose) -> float:
-        """Height of the sonar over the bare floor."""
+        """Return the height of the sonar over the bare floor."""
         return self.scene.world.depth_m - pose.depth_m - self.world.floor_m(pose.east_m, pose.north_m)
 
     def mean_intensity(self, poses: Sequence[SonarPose]) -> Floats:
-        """Mean received intensity, (n_poses, 2, n_samples), port first, without noise."""
+        """Return the mean received intensity, (n_poses, 2, n_samples), port first, without noise."""
         sonar, datum_m, cell_m = self.sonar, self.scene.world.depth_m, self.world.cell_m
         floor = np.array([self.world.floor_m(pose.east_m, pose.north_m) for pose in poses])
         fan = rays.fan(poses, floor, sonar, datum_m, cell_m)
@@ -101,7 +101,8 @@ class Sea:
         return intensity
 
     def energy(self, fan: rays.Fan, n_rows: int, bin_m: float) -> Floats:
-        """Energy that rays bring back from floor and bodies, (n_rows, n_samples), before spreading and absorption."""
+        """Return the energy that rays bring back from floor and bodies, (n_rows, n_samples), before spreading and
+        absorption."""
         cell_m, n_bins = self.world.cell_m, self.sonar.n_samples
         needed, first_row, first_column = rays.crossed(fan, cell_m)
         patches = self.world.patches(needed, first_row, first_column)
@@ -132,7 +133,8 @@ class Sea:
             return np.concatenate(list(pool.map(part, spans)))
 
     def sound(self, poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None) -> list[Ping]:
-        """Pings numbered from `first_number`, one per pose. altitudes_m: what the sonar's own altimeter says, unknown if left out.
+        """Yield pings numbered from `first_number`, one per pose. altitudes_m: by the sonar's altimeter, unknown if
+        omitted.
 
         Raises UsageError where the floor leaves the sonar no water to be in.
         """
@@ -149,19 +151,20 @@ class Sea:
     def record(
         self, intensity: NDArray[np.float32], poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None
     ) -> list[Ping]:
-        """Pings of received intensity, (n_poses, 2, n_samples) in units of `reference`; the rest as in `sound`."""
+        """Record pings of received intensity, (n_poses, 2, n_samples) in units of `reference`; the rest as in
+        `sound`."""
         sonar = self.sonar
-        told_mps = sonar.sound_speed_mps + self.scene.navigation_error.sound_speed_bias_mps
-        told_bin_m = sonar.range_m / sonar.n_samples * told_mps / sonar.sound_speed_mps
+        reported_mps = sonar.sound_speed_mps + self.scene.navigation_error.sound_speed_bias_mps
+        reported_bin_m = sonar.range_m / sonar.n_samples * reported_mps / sonar.sound_speed_mps
         n_ringing = round(sonar.ring_down_m / sonar.range_m * sonar.n_samples)
-        traces = [record(intensity[:, side], self._gain, n_ringing, self.recorder, told_bin_m) for side in range(2)]
+        traces = [record(intensity[:, side], self._gain, n_ringing, self.recorder, reported_bin_m) for side in range(2)]
         return [
             Ping(
                 number=first_number + index,
                 time_s=pose.time_s,
                 port=traces[0][index],
                 starboard=traces[1][index],
-                sound_speed_mps=told_mps,
+                sound_speed_mps=reported_mps,
                 altitude_m=NAN if altitudes_m is None else altitudes_m[index],
                 place=f"simulated ping {first_number + index}",
             )
@@ -192,7 +195,10 @@ class Sea:
         )
 
     def _add_points(self, intensity: Floats, poses: Sequence[SonarPose]) -> None:
-        """Echoes of points, which neither cast nor lie in shadows. Range r is seen from where the vehicle is r / c after transmission."""
+        """Add echoes of points, which neither cast nor lie in shadows.
+
+        Range r is seen from the vehicle's place r / c after transmission.
+        """
         if not len(self.points):
             return
         sonar = self.sonar
@@ -221,7 +227,8 @@ class Sea:
                         intensity[index, side, column] += echo * part
 
     def add_other_paths(self, intensity: Floats, poses: Sequence[SonarPose], floor_m: Floats) -> None:
-        """Adds to intensity (n_poses, 2, n_samples) what comes by way of the surface and from the other side, as far as the scene has it.
+        """Adds to intensity (n_poses, 2, n_samples) what comes by way of the surface and from the other side, as far
+        as the scene has it.
 
         floor_m: (n_poses,) height of the floor below the sonar above the datum.
         """
@@ -242,7 +249,7 @@ class Sea:
 
 
 def _as_recorded(sonar: Sonar) -> Sonar:
-    """Synthetic apertures are sampled as their resolution asks for, whatever n_samples says."""
+    """Sample synthetic apertures at their resolution, whatever n_samples is."""
     aperture = sonar.synthetic_aperture
     if aperture is None:
         return sonar

@@ -1,4 +1,4 @@
-"""What is usual on each type of sea floor, and what a scene makes of it."""
+"""Define the usual properties of each seabed type, and a scene's changes to them."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ Sediment: TypeAlias = Literal[
 
 
 class Cover(msgspec.Struct, frozen=True, kw_only=True):
-    """One kind of sea floor with nothing left open.
+    """Describe one kind of sea floor completely.
 
-    relief_rms_m, relief_outer_m: its own relief, a power-law spectrum up to relief_outer_m: grains and bumps, the ledges of an outcrop,
-    or the canopy of seagrass. Everything else as in `scene.Seabed`.
+    relief_rms_m, relief_outer_m: its own relief, a power-law spectrum up to relief_outer_m: grains and bumps, the
+    ledges of an outcrop, or the canopy of seagrass. Everything else as in `scene.Seabed`.
     """
 
     type: SeabedType
@@ -129,7 +129,7 @@ USUAL: Final[Mapping[SeabedType, Cover]] = {
 
 
 def cover_of(seabed: Seabed) -> Cover:
-    """The usual cover of the type, with the scene's keys in place of what they override."""
+    """Return the usual cover of the type, with the scene's keys in place of those they override."""
     given = {
         name: value
         for name in ("relief_rms_m", "ripples", "texture_shape", "texture_m", "stones_per_ha", "stone_m")

@@ -1,14 +1,16 @@
-"""Speckle: the random interference of the many scatterers within one resolution cell.
+"""Generate speckle: the random interference of the many scatterers within one resolution cell.
 
-The echo field along range is u = h * (sqrt(E) w): E the mean intensity per slant-range bin, w white complex Gaussian noise of unit power,
-h the sonar's point-spread function with sum h^2 = 1. Its intensity |u|^2 is exponentially distributed about the filtered E; L looks with
-independent w are averaged. As E is weighed before the filter, shadow edges blur as a real sonar's do.
+The echo field along range is u = h * (sqrt(E) w): E the mean intensity per slant-range bin, w white complex Gaussian
+noise of unit power, h the sonar's point-spread function with sum h^2 = 1. Its intensity |u|^2 is exponentially
+distributed about the filtered E; L looks with independent w are averaged. As E is weighed before the filter, shadow
+edges blur as a real sonar's do.
 
-w depends on nothing but (seed, stream, row, column): any block of rows, on any number of threads, in C or numpy, gives the same bytes. A
-splitmix64 chain turns (seed, stream, row) into a 64-bit key; per column two multiply-and-xorshift rounds with the key mixed in twice give
-32 random bits, and one round more gives another 32. The real part is the sum of two entries of a table of 2048 normal quantiles, chosen by
-11 bits each, the imaginary part likewise from the second word. Probabilities of the intensity are off by no more than 1.5e-4 of an
-exponential law's; P(I > t) is within 1 % up to t = 8, 7 % low at 10, 21 % at 12.
+w depends on nothing but (seed, stream, row, column): any block of rows, on any number of threads, in C or numpy, gives
+the same bytes. A splitmix64 chain turns (seed, stream, row) into a 64-bit key; per column two multiply-and-xorshift
+rounds with the key mixed in twice give 32 random bits, and one round more gives another 32. The real part is the sum of
+two entries of a table of 2048 normal quantiles, chosen by 11 bits each, the imaginary part likewise from the second
+word. Probabilities of the intensity are off by no more than 1.5e-4 of an exponential law's; P(I > t) is within 1 % up
+to t = 8, 7 % low at 10, 21 % at 12.
 """
 
 from __future__ import annotations
@@ -38,9 +40,9 @@ _SAMPLES_AT_A_TIME: Final = 1 << 14  # numpy's temporaries stay in the second-le
 
 
 def row_keys(seed: int, streams: Sequence[int], first_row: int, n_rows: int) -> Keys:
-    """Keys of n_rows consecutive rows in each stream, (len(streams), n_rows) uint64.
+    """Return keys of n_rows consecutive rows in each stream, (len(streams), n_rows) uint64.
 
-    A stream is what else tells two white fields apart: side, look, sub-aperture. Rows may be negative.
+    A stream is a label that separates white fields: side, look, sub-aperture. Rows may be negative.
     Raises ValueError unless seed and streams are from 0 to 2^64 - 1.
     """
     for name, value in (("seed", seed), *(("stream", stream) for stream in streams)):
@@ -52,7 +54,7 @@ def row_keys(seed: int, streams: Sequence[int], first_row: int, n_rows: int) -> 
 
 
 def _splitmix(state: Keys) -> Keys:
-    """One step of splitmix64 (Steele, Lea and Flood 2014), modulo 2^64."""
+    """Apply one step of splitmix64 (Steele, Lea and Flood 2014), modulo 2^64."""
     mixed = state + np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -61,10 +63,11 @@ def _splitmix(state: Keys) -> Keys:
 
 @functools.cache
 def normal_table() -> Float32s:
-    """(2048,) float32, read-only: the sum of two entries drawn at random is a standard normal number.
+    """Return (2048,) float32, read-only: the sum of two entries drawn at random is a standard normal number.
 
-    Entry k starts as the mean of a normal number within its bin of probability 1/2048; an odd polynomial then gives the sum the normal's
-    variance, fourth and sixth moment. One quantum of 2^-20 is added to all, so that no sum is zero and no echo without energy.
+    Entry k starts as the mean of a normal number within its bin of probability 1/2048; an odd polynomial then gives the
+    sum the normal's variance, fourth and sixth moment. One quantum of 2^-20 is added to all, so that no sum is zero and
+    no echo without energy.
     """
     n = 1 << _TABLE_BITS
     edges = ndtri(np.arange(1, n) / n)
@@ -85,12 +88,12 @@ def normal_table() -> Float32s:
 
 
 def speckle_rows(energy: NDArray[np.float64], keys: Keys, taps: Float32s = WHITE) -> Float32s:
-    """Speckled intensity of side-scan rows, its mean over `keys.shape[0]` looks.
+    """Return speckled intensity of side-scan rows, its mean over `keys.shape[0]` looks.
 
-    energy: (n_rows, n_columns) float64, mean intensity per bin, from 0 to MAX_ENERGY; beyond either end the last bin's value goes on.
-    keys: (n_looks, n_rows) uint64 from row_keys. taps: (n_taps,) float32, n_taps odd and at most MAX_TAPS, the sum of squares 1, as
-    gaussian_taps makes them.
-    Returns (n_rows, n_columns) float32. Raises ValueError if any of this does not hold.
+    energy: (n_rows, n_columns) float64, mean intensity per bin, from 0 to MAX_ENERGY; beyond either end the last bin's
+    value goes on. keys: (n_looks, n_rows) uint64 from row_keys. taps: (n_taps,) float32, n_taps odd and at most
+    MAX_TAPS, the sum of squares 1, as gaussian_taps makes them. Returns (n_rows, n_columns) float32. Raises ValueError
+    if any of this does not hold.
     """
     energy = np.ascontiguousarray(energy, dtype=np.float64)
     keys = np.ascontiguousarray(keys)
@@ -117,7 +120,7 @@ def speckle_rows(energy: NDArray[np.float64], keys: Keys, taps: Float32s = WHITE
 
 
 def speckle_rows_numpy(energy: NDArray[np.float64], keys: Keys, taps: Float32s = WHITE) -> Float32s:
-    """speckle_rows in numpy alone."""
+    """Compute speckle_rows in numpy alone."""
     n_rows, n_columns = energy.shape
     intensity = np.zeros((n_rows, n_columns), dtype=np.float32)
     if intensity.size == 0:
@@ -144,7 +147,7 @@ def speckle_rows_numpy(energy: NDArray[np.float64], keys: Keys, taps: Float32s =
 
 
 def white_rows(keys: NDArray[np.uint64], n_columns: int, first_column: int = 0) -> NDArray[np.complex64]:
-    """The white field w of rows with these keys.
+    """Return the white field w of rows with these keys.
 
     keys: (n_rows,) uint64, a row of what row_keys returns. Returns (n_rows, n_columns) complex64 of unit mean power.
     """
@@ -165,13 +168,14 @@ def band_limited_rows(
     column_taps: Float32s,
     amplitude: Float32s | None = None,
 ) -> NDArray[np.complex64]:
-    """White field filtered along both axes; low_pass_taps give that of a synthetic-aperture image, gaussian_taps that of a real beam.
+    """White field filtered along both axes; low_pass_taps give that of a synthetic-aperture image, gaussian_taps that
+    of a real beam.
 
-    row_taps mix neighbouring rows (along-track), column_taps neighbouring columns (range); each as in speckle_rows, [1] for none. Rows and
-    columns outside the block are drawn as well, so that blocks of any size join without a seam.
-    amplitude: what the white field is multiplied by before it is filtered, (n_rows + row_taps.size - 1, n_columns + column_taps.size - 1)
-    float32 with the block in its middle; 1 if left out.
-    Returns (n_rows, n_columns) complex64, its mean power that of the amplitude around. Raises ValueError as row_keys and speckle_rows do.
+    row_taps mix neighbouring rows (along-track), column_taps neighbouring columns (range); each as in speckle_rows, [1]
+    for none. Rows and columns outside the block are drawn as well, so that blocks of any size join exactly.
+    amplitude: what the white field is multiplied by before it is filtered, (n_rows + row_taps.size - 1, n_columns +
+    column_taps.size - 1) float32 with the block in its middle; 1 if left out. Returns (n_rows, n_columns) complex64,
+    its mean power that of the amplitude around. Raises ValueError as row_keys and speckle_rows do.
     """
     row_taps, column_taps = _checked_taps(row_taps), _checked_taps(column_taps)
     row_half, column_half = row_taps.size // 2, column_taps.size // 2
@@ -191,10 +195,10 @@ def band_limited_rows(
 
 
 def gaussian_taps(width: float) -> Float32s:
-    """Gaussian point-spread function whose intensity is half at width / 2 from its middle; width in samples.
+    """Return a Gaussian point-spread function whose intensity is half at width / 2 from its middle; width in samples.
 
-    Intensities `width` apart have correlation 1/4, width / sqrt(2) apart 1/2. Width 0 means independent samples. Returns (n_taps,) float32,
-    sum of squares 1. Raises ValueError unless width is from 0 to what MAX_TAPS can hold.
+    Intensities `width` apart have correlation 1/4, width / sqrt(2) apart 1/2. Width 0 means independent samples.
+    Returns (n_taps,) float32, sum of squares 1. Raises ValueError unless width is from 0 to what MAX_TAPS can hold.
     """
     if not 0.0 <= width <= MAX_TAPS // 4:
         raise ValueError(f"width is {width} samples; it must be from 0 to {MAX_TAPS // 4}")
@@ -205,11 +209,12 @@ def gaussian_taps(width: float) -> Float32s:
 
 
 def low_pass_taps(resolution: float) -> Float32s:
-    """Low-pass filter (Hann-windowed sinc) of a complex image with this resolution, in samples per resolution cell.
+    """Return a low-pass filter (Hann-windowed sinc) of a complex image with this resolution, samples per resolution
+    cell.
 
-    The band is 1 / resolution wide: down by 3 dB at +-1 / (2 resolution) cycles per sample. From a resolution of one sample down the band
-    fills the spectrum and the samples are independent. Returns (n_taps,) float32, sum of squares 1.
-    Raises ValueError unless resolution is above 0 and within what MAX_TAPS can hold.
+    The band is 1 / resolution wide: down by 3 dB at +-1 / (2 resolution) cycles per sample. From a resolution of one
+    sample down the band fills the spectrum and the samples are independent. Returns (n_taps,) float32, sum of squares
+    1. Raises ValueError unless resolution is above 0 and within what MAX_TAPS can hold.
     """
     if not 0.0 < resolution <= MAX_TAPS // 6:
         raise ValueError(f"resolution is {resolution} samples; it must be above 0 and at most {MAX_TAPS // 6}")
@@ -235,7 +240,7 @@ def _normalised(response: NDArray[np.float64]) -> Float32s:
 
 
 def _gaussians(keys: NDArray[np.uint64], first_column: int, n_columns: int) -> tuple[Float32s, Float32s]:
-    """Two independent standard normal numbers per row and column, each (keys.size, n_columns)."""
+    """Return two independent standard normal numbers per row and column, each (keys.size, n_columns)."""
     columns = np.arange(first_column, first_column + n_columns, dtype=np.int64).astype(np.uint32)
     low, high = keys.astype(np.uint32)[:, None], (keys >> np.uint64(32)).astype(np.uint32)[:, None]
     word = columns * np.uint32(0x9E3779B9) + low
@@ -260,7 +265,7 @@ def _sum_of_two(word: NDArray[np.uint32], scratch: NDArray[np.uint32]) -> Float3
 
 
 def _mixed(window: Callable[[int], Float32s], taps: Float32s) -> Float32s:
-    """Sum over t of taps[t] * window(t), in that order."""
+    """Return the sum over t of taps[t] * window(t), in that order."""
     total: Float32s = window(0) * taps[0]
     product = np.empty_like(total)
     for t in range(1, taps.size):

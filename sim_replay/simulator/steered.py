@@ -1,10 +1,10 @@
-"""A vehicle that flies its own plan until it is told otherwise, and again when nobody tells it anything any more.
+"""Steer a vehicle: it obeys commands while they come and flies its own plan otherwise.
 
-It turns, climbs and speeds up no faster than such a vehicle can, and the current carries it along: where it goes by itself, on its legs or
-to a place, it heads into the current; where it is told a heading it holds that, and drifts.
+It turns, climbs and speeds up no faster than such a vehicle can, and the current carries it along: where it goes by
+itself, on its legs or to a place, it heads into the current; a commanded heading it holds, and drifts.
 
-Heading, speed and depth follow what is wanted by first-order laws with bounded rates. Not modelled: sway, rolling into turns, pitching to
-climb, and that the plane's north differs from true north away from its origin.
+Heading, speed and depth follow what is wanted by first-order laws with bounded rates. Not modelled: sway, rolling into
+turns, pitching to climb, and that the plane's north differs from true north away from its origin.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.gauss_markov import GaussMarkov
 from sim_replay.simulator.plan import Leg
 from sim_replay.simulator.scene import Track
-from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, SLOWEST, STRONGEST_CURRENT, WANDER_PERIOD_S, SonarPose
+from sim_replay.simulator.vehicle import MIN_ALTITUDE_M, MIN_DEPTH_M, SLOWEST, STRONGEST_CURRENT, WANDER_PERIOD_S, SonarPose
 
 SAFE_ALTITUDE_M: Final = 1.5  # lower it goes for nobody
 FASTEST: Final = 1.5  # of the planned speed
@@ -46,7 +46,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class _Wanted(NamedTuple):
-    """heading_rad: through the water."""
+    """Hold the wanted course. heading_rad: through the water."""
 
     heading_rad: float
     speed_mps: float
@@ -54,7 +54,7 @@ class _Wanted(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """Through places, joined by straight lines; all (n,), from its start."""
+    """Hold a way through places, joined by straight lines; all (n,), from its start."""
 
     gone_m: Floats
     east_m: Floats
@@ -65,15 +65,17 @@ class _Way(NamedTuple):
 
 
 class SteeredVehicle:
-    """A vehicle of a track, at the start of its first leg at `track.start_time_s`.
+    """Steer a vehicle of a track, at the start of its first leg at `track.start_time_s`.
 
-    Its own plan: every leg in order, at the track's speed and altitude. After a command it goes on with the leg, or the rest of it, that it
-    had left; after the last leg it circles, and `done` is set. Commands are kept within what it can do: SLOWEST and FASTEST of the
-    planned speed, STEEPEST_RAD, `turn_rate_deg_s`, LEAST_DEPTH_M below the surface, and SAFE_ALTITUDE_M above the floor, which goes before
-    everything else. At the place of a GoTo, or as near as its radius, it holds its course until it is told more.
+    Its own plan: every leg in order, at the track's speed and altitude. After a command it goes on with the leg, or the
+    rest of it, that it had left; after the last leg it circles, and `done` is set. Commands are kept within what it can
+    do: SLOWEST and FASTEST of the planned speed, STEEPEST_RAD, `turn_rate_deg_s`, MIN_DEPTH_M below the surface, and
+    SAFE_ALTITUDE_M above the floor, which goes before everything else. At the place of a GoTo, or as near as its
+    radius, it holds its course until the next command.
 
-    frame: the plane of the legs. depth_of_floor: water depth in metres at east and north. Where it is depends on track, legs, seed and
-    floor, on the ping rate and on between which poses which commands were given, not on how many poses are asked for at once.
+    frame: the plane of the legs. depth_of_floor: water depth in metres at east and north. Where it is depends on track,
+    legs, seed and floor, on the ping rate and on between which poses which commands were given, not on how many poses
+    are asked for at once.
 
     Raises UsageError if there is no leg, or the current is too strong to fly in.
     """
@@ -105,7 +107,7 @@ class SteeredVehicle:
 
         self.legs: Final = tuple(legs)
         self._leg = 0
-        self._way_m = 0.0  # of the leg, had
+        self._way_m = 0.0  # of the leg, done
         self._on_leg = True
         self._back: _Way | None = None  # to the leg
         self._gone_m = 0.0  # on it
@@ -121,22 +123,25 @@ class SteeredVehicle:
 
     @property
     def done(self) -> bool:
-        """Whether the last leg of its own plan lies behind."""
+        """Report whether the last leg of its own plan lies behind."""
         return self._leg == len(self.legs)
 
     @property
     def legs_flown(self) -> int:
-        """How many legs of its own plan lie behind."""
+        """Return the number of legs of its own plan that lie behind."""
         return self._leg
 
     @property
     def turn_radius_m(self) -> float:
-        """The widest over ground at the planned speed, or the present one if that is higher: with the current from astern."""
+        """Return the maximum turn radius over ground at the planned speed, or at the present one if higher.
+
+        The maximum is with the current from astern.
+        """
         speed_mps = max(self._speed_mps, self._track.speed_mps)
         return (speed_mps + self._current_mps) ** 2 / (speed_mps * self._turn_rate)
 
     def steer(self, command: Command | None) -> None:
-        """What to fly from the next pose on; None: its own plan. To give the same again changes nothing."""
+        """Set the command to fly from the next pose on; None: its own plan. Repeating a command changes nothing."""
         if command == self._command:
             return
         if command is not None:
@@ -148,7 +153,7 @@ class SteeredVehicle:
             self._place = float(east_m), float(north_m)
 
     def fly(self, n_poses: int, rate_hz: float) -> list[SonarPose]:
-        """The next poses, `rate_hz` per second; the first of all is the start."""
+        """Yield the next poses, `rate_hz` per second; the first of all is the start."""
         poses = []
         n_ticks = math.ceil(1.0 / rate_hz / _TICK_S)
         for _ in range(n_poses):
@@ -172,9 +177,9 @@ class SteeredVehicle:
         floor_m = self._floor(self._east_m, self._north_m)
         reference, value_m = wanted.vertical
         sought_m = min(value_m if reference == "depth" else floor_m - value_m, floor_m - SAFE_ALTITUDE_M)
-        most_m = self._speed_mps * math.sin(STEEPEST_RAD) * dt_s
-        sink_m = (max(sought_m, LEAST_DEPTH_M) - self._depth_m) * -math.expm1(-dt_s / _DEPTH_LAG_S)
-        self._depth_m += min(max(sink_m, -most_m), most_m)
+        max_m = self._speed_mps * math.sin(STEEPEST_RAD) * dt_s
+        sink_m = (max(sought_m, MIN_DEPTH_M) - self._depth_m) * -math.expm1(-dt_s / _DEPTH_LAG_S)
+        self._depth_m += min(max(sink_m, -max_m), max_m)
         self._time_s += dt_s
 
     def _wanted(self) -> _Wanted:
@@ -225,7 +230,7 @@ class SteeredVehicle:
         return self._against_current(leg.direction_rad + math.atan2(-across_m, self._look_ahead_m))
 
     def _way_to(self, leg: Leg) -> _Way:
-        """The shortest way to where the leg was left that ends along it (L. E. Dubins, 1957)."""
+        """Return the shortest way back to the leg's last place that ends along the leg (L. E. Dubins, 1957)."""
         self._gone_m = 0.0
         course_rad = math.atan2(*self._velocity(self._heading_rad))
         entry = dubins.PlanePose(*leg.at(self._way_m - _RUN_IN_RADII * self.turn_radius_m, 0.0), leg.direction_rad)
@@ -234,7 +239,7 @@ class SteeredVehicle:
         return _Way(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)))]), east, north)
 
     def _heading_to(self, place: _Plane, radius_m: float) -> float:
-        """Towards a place; straight on while no turn would bring it as near as radius_m."""
+        """Head for a place; go straight on while no turn would come as near as radius_m."""
         east_m, north_m = place[0] - self._east_m, place[1] - self._north_m
         sine, cosine = math.sin(self._heading_rad), math.cos(self._heading_rad)
         ahead_m, across_m = east_m * sine + north_m * cosine, east_m * cosine - north_m * sine
@@ -244,12 +249,12 @@ class SteeredVehicle:
         return self._against_current(math.atan2(east_m, north_m))
 
     def _against_current(self, course_rad: float) -> float:
-        """The heading that gives a course over ground."""
+        """Return the heading that gives a course over ground."""
         across_mps = self._current_mps * math.sin(self._current_rad - course_rad)
         return course_rad - math.asin(min(max(across_mps / self._speed_mps, -1.0), 1.0))
 
     def _velocity(self, heading_rad: float) -> tuple[float, float]:
-        """East and north over ground, m/s."""
+        """Return the velocity east and north over ground, m/s."""
         return (
             self._speed_mps * math.sin(heading_rad) + self._current_mps * math.sin(self._current_rad),
             self._speed_mps * math.cos(heading_rad) + self._current_mps * math.cos(self._current_rad),
@@ -264,7 +269,7 @@ class SteeredVehicle:
             time_s=self._track.start_time_s + self._time_s,
             east_m=self._east_m,
             north_m=self._north_m,
-            depth_m=min(max(depth_m, LEAST_DEPTH_M), floor_m - LEAST_ALTITUDE_M),
+            depth_m=min(max(depth_m, MIN_DEPTH_M), floor_m - MIN_ALTITUDE_M),
             heading_rad=self._heading_rad + self._heading_error.at(self._time_s)[0],
             pitch_rad=math.radians(self._track.motion.pitch_offset_deg) + self._pitch.at(self._time_s)[0],
             roll_rad=self._roll.at(self._time_s)[0],

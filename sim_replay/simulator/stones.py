@@ -1,4 +1,4 @@
-"""Stones lying about: where they are follows from place and seed alone, so any area can be asked at any time."""
+"""Scatter stones by place and seed alone, so that any area can be requested at any time."""
 
 from __future__ import annotations
 
@@ -30,25 +30,26 @@ _M2_PER_HA: Final = 10_000.0
 
 
 def _mixed(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """The finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014)."""
+    """Mix bits by the finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators",
+    2014)."""
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return value ^ (value >> np.uint64(31))
 
 
 def _uniform(keys: NDArray[np.uint64], attributes: int) -> Array:
-    """Numbers in [0, 1) that belong to keys: (attributes, *shape of keys), those of an attribute independent of another's."""
+    """Return numbers in [0, 1) of keys: (attributes, *shape of keys); attributes are independent of each other."""
     steps = np.arange(1, attributes + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     return (_mixed(np.add.outer(steps, keys)) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def largest_m(stone_m: float) -> float:
-    """Length that no stone passes where stones are longer than stone_m."""
+    """Return the length that no stone exceeds where stones are longer than stone_m."""
     return max(stone_m, min(_LARGEST_RATIO * stone_m, _LARGEST_M))
 
 
 class Stones:
-    """The stones of a sea floor made of `covers`."""
+    """Scatter the stones of a sea floor made of `covers`."""
 
     def __init__(self, covers: Sequence[Cover], seed: int) -> None:
         self._per_m2 = np.array([cover.stones_per_ha / _M2_PER_HA for cover in covers])
@@ -62,11 +63,12 @@ class Stones:
         self._count_below = scipy.special.pdtr(counts, mean)
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Report whether there are any stones."""
         return self.reach_m > 0.0
 
     def within(self, east_min: float, east_max: float, north_min: float, north_max: float, label_at: LabelAt) -> Array:
-        """Stones whose middles lie in an area (m, lower bounds included), in an order that is the same for every area.
+        """Return stones whose middles lie in an area (m, lower bounds included), in an order that is the same for
+        every area.
 
         Args:
             label_at: gives the kind of sea floor at places (east, north).
@@ -104,7 +106,7 @@ class Stones:
 
 
 def raise_stones(layer: FloatArray, stones: Array, first_row: int, first_column: int, cell_m: float) -> None:
-    """Raises half-buried irregular ellipsoids out of a layer of heights; where stones overlap, the higher counts.
+    """Raise half-buried irregular ellipsoids out of a layer of heights; where stones overlap, the higher counts.
 
     Args:
         layer: (rows, columns) float32 heights in m, changed in place; its element (0, 0) is node (first_row, first_column).

@@ -1,4 +1,4 @@
-"""What was there and what of it could be seen: truth.json."""
+"""Write the objects of a mission and the views of each: truth.json."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Codes = NDArray[np.int64]
 
 
 class TruthLog:
-    """Keeps where the sonar was and which floor its swath swept on legs."""
+    """Keep the sonar's positions and the floor that its swath swept on legs."""
 
     def __init__(self, sea: Sea) -> None:
         self._sea = sea
@@ -38,7 +38,7 @@ class TruthLog:
         self._labels: list[NDArray[np.uint8]] = []
 
     def add(self, poses: Sequence[SonarPose], altitudes_m: Sequence[float]) -> None:
-        """Another stretch, as it was flown."""
+        """Add another stretch, as it was flown."""
         self._tracks.append(
             np.array([(p.time_s, p.east_m, p.north_m, p.heading_rad, p.on_leg, a) for p, a in zip(poses, altitudes_m, strict=True)])
         )
@@ -65,7 +65,7 @@ class TruthLog:
         self._labels.append(labels)
 
     def _swath(self, pose: SonarPose, altitude_m: float) -> Floats:
-        """Places across both sides, (2, n) east and north."""
+        """Return places across both sides, (2, n) east and north."""
         nearest, farthest = seen_ranges_m(altitude_m, self._sea.scene.sonar.range_m)
         if farthest <= nearest:
             return np.empty((2, 0))
@@ -74,7 +74,8 @@ class TruthLog:
         return np.stack([pose.east_m + across * math.cos(pose.heading_rad), pose.north_m - across * math.sin(pose.heading_rad)])
 
     def swept(self) -> tuple[Codes, Codes, NDArray[np.uint8]]:
-        """Rows and columns of swept cells, counted north and east from the origin, and the kind of floor there."""
+        """Return rows and columns of swept cells, counted north and east from the origin, and the kind of floor
+        there."""
         if not self._cells:
             return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint8)
         codes, first = np.unique(np.concatenate(self._cells), return_index=True)
@@ -82,7 +83,7 @@ class TruthLog:
         return rows, columns, np.concatenate(self._labels)[first]
 
     def track(self) -> Floats:
-        """(n, 6): time, east, north, heading, leg, altitude of every ping."""
+        """Return (n, 6): time, east, north, heading, leg, altitude of every ping."""
         return np.concatenate(self._tracks) if self._tracks else np.empty((0, 6))
 
 
@@ -96,13 +97,13 @@ def _place(codes: Codes) -> tuple[Codes, Codes]:
 
 
 def seen_ranges_m(altitude_m: float, range_m: float) -> tuple[float, float]:
-    """Ground ranges that count as seen from an altitude."""
+    """Return the ground ranges that count as seen from an altitude."""
     nearest = altitude_m / math.tan(math.radians(STEEPEST_GRAZING_DEG))
     return nearest, math.sqrt(max(0.0, (range_m - altitude_m) * (range_m + altitude_m)))
 
 
 def truth_of(sea: Sea, log: TruthLog) -> dict[str, Any]:
-    """Area swept on legs, every object with the passes that saw it, and a map of the swept floor."""
+    """Return the area swept on legs, every object with the passes that saw it, and a map of the swept floor."""
     frame = local_frame(sea.scene.origin)
     rows, columns, labels = log.swept()
     track = log.track()
@@ -118,43 +119,43 @@ def truth_of(sea: Sea, log: TruthLog) -> dict[str, Any]:
         "scene": sea.scene.name,
         "seed": sea.scene.seed,
         "area_km2": len(rows) * CELL_M * CELL_M / 1e6,
-        "objects": [_object(sea, thing, types[of_cover[_label(sea, thing)]], track) for thing in sea.objects],
+        "objects": [_object(sea, scene_object, types[of_cover[_label(sea, scene_object)]], track) for scene_object in sea.objects],
         "seabed_map": msgspec.to_builtins(
             encode(cells, types=types, cell_m=CELL_M, latitude_deg=float(corner[0]), longitude_deg=float(corner[1]))
         ),
     }
 
 
-def _label(sea: Sea, thing: PlacedObject) -> int:
-    return int(sea.world.seabed_at(thing.east_m, thing.north_m))
+def _label(sea: Sea, scene_object: PlacedObject) -> int:
+    return int(sea.world.seabed_at(scene_object.east_m, scene_object.north_m))
 
 
-def _object(sea: Sea, thing: PlacedObject, seabed: str, track: Floats) -> dict[str, Any]:
-    latitude, longitude, _ = local_frame(sea.scene.origin).to_geodetic([thing.east_m, thing.north_m, 0.0])
+def _object(sea: Sea, scene_object: PlacedObject, seabed: str, track: Floats) -> dict[str, Any]:
+    latitude, longitude, _ = local_frame(sea.scene.origin).to_geodetic([scene_object.east_m, scene_object.north_m, 0.0])
     return {
-        "kind": thing.kind,
+        "kind": scene_object.kind,
         "lat": float(latitude),
         "lon": float(longitude),
-        "is_target": thing.is_target,
-        "azimuth_deg": math.degrees(thing.azimuth_rad) % 360.0,
-        "length_m": thing.length_m,
-        "width_m": thing.width_m,
-        "height_m": thing.height_m,
-        "burial_m": thing.burial_m,
-        "tilt_deg": math.degrees(thing.tilt_rad),
-        "strength_db": thing.strength_db,
+        "is_target": scene_object.is_target,
+        "azimuth_deg": math.degrees(scene_object.azimuth_rad) % 360.0,
+        "length_m": scene_object.length_m,
+        "width_m": scene_object.width_m,
+        "height_m": scene_object.height_m,
+        "burial_m": scene_object.burial_m,
+        "tilt_deg": math.degrees(scene_object.tilt_rad),
+        "strength_db": scene_object.strength_db,
         "seabed": seabed,
-        "looks": list(_looks(thing, track, sea.scene.sonar.range_m)),
+        "looks": list(_looks(scene_object, track, sea.scene.sonar.range_m)),
     }
 
 
-def _looks(thing: PlacedObject, track: Floats, range_m: float) -> Iterator[dict[str, Any]]:
-    """The moments when the object lay abeam on a leg, within what counts as seen."""
+def _looks(scene_object: PlacedObject, track: Floats, range_m: float) -> Iterator[dict[str, Any]]:
+    """Yield the moments when the object lay abeam on a leg, within the ranges that count as seen."""
     if len(track) < 2:
         return
     time, east, north, heading, leg, altitude = track.T
-    ahead = (thing.east_m - east) * np.sin(heading) + (thing.north_m - north) * np.cos(heading)
-    across = (thing.east_m - east) * np.cos(heading) - (thing.north_m - north) * np.sin(heading)
+    ahead = (scene_object.east_m - east) * np.sin(heading) + (scene_object.north_m - north) * np.cos(heading)
+    across = (scene_object.east_m - east) * np.cos(heading) - (scene_object.north_m - north) * np.sin(heading)
     passed = np.flatnonzero((ahead[:-1] >= 0.0) & (ahead[1:] < 0.0) & (leg[:-1] >= 0.0) & (leg[:-1] == leg[1:]))
     for k in passed:
         part = float(ahead[k] / (ahead[k] - ahead[k + 1]))

@@ -1,8 +1,8 @@
-"""How the vehicle really moves.
+"""Model the vehicle's true motion.
 
-Its path over ground is the planned legs, straight from start to end, joined by shortest paths of limited curvature. On it the vehicle
-travels at its speed through water, set off sideways by sway; it heads into the current just enough to stay on the path, so it crabs.
-Attitude, sway, speed and altitude wander as Gauss-Markov processes.
+Its path over ground is the planned legs, straight from start to end, joined by shortest paths of limited curvature. On
+it the vehicle travels at its speed through water, set off sideways by sway; it heads into the current just enough to
+stay on the path, so it crabs. Attitude, sway, speed and altitude wander as Gauss-Markov processes.
 
 Not modelled: rolling into turns, pitching to climb, heading that follows sway.
 """
@@ -23,8 +23,8 @@ from sim_replay.simulator.scene import Track
 
 STRONGEST_CURRENT: Final = 0.8  # of the planned speed
 SLOWEST: Final = 0.1  # of the planned speed is what the vehicle always makes through water on top of the current's speed
-LEAST_ALTITUDE_M: Final = 0.5
-LEAST_DEPTH_M: Final = 0.2
+MIN_ALTITUDE_M: Final = 0.5
+MIN_DEPTH_M: Final = 0.2
 RUN_IN_S: Final = 3.0  # straight before a leg starts
 WANDER_PERIOD_S: Final = 20.0  # of sway, speed and altitude
 
@@ -39,11 +39,11 @@ _SENSE: Final[dict[dubins.Turn, float]] = {"left": -1.0, "straight": 0.0, "right
 
 
 class SonarPose(NamedTuple):
-    """Where the sonar truly is, and how it moves.
+    """Hold the sonar's true position and motion.
 
-    time_s: UTC seconds since 1970. east_m, north_m: in the scene's plane. depth_m: below the surface, positive down. Directions are
-    clockwise from the plane's north and not wrapped; pitch is bow up, roll starboard down. course_rad, speed_mps: over ground.
-    on_leg: index into Vehicle.legs, or -1 between legs.
+    time_s: UTC seconds since 1970. east_m, north_m: in the scene's plane. depth_m: below the surface, positive down.
+    Directions are clockwise from the plane's north and not wrapped; pitch is bow up, roll starboard down. course_rad,
+    speed_mps: over ground. on_leg: index into Vehicle.legs, or -1 between legs.
     """
 
     time_s: float
@@ -59,7 +59,7 @@ class SonarPose(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Part of the path over ground. Curvature is positive to starboard; the last piece has no end."""
+    """Describe a part of the path over ground. Curvature is positive to starboard; the last piece has no end."""
 
     leg: int
     length_m: float
@@ -69,7 +69,7 @@ class _Piece(NamedTuple):
     curvature: float
 
     def at(self, way_m: float) -> tuple[float, float, float]:
-        """East, north and direction after `way_m`."""
+        """Return east, north and direction after `way_m`."""
         if self.curvature == 0.0:
             chord, mean, direction = way_m, self.direction_rad, self.direction_rad
         else:
@@ -80,18 +80,20 @@ class _Piece(NamedTuple):
 
 
 class Vehicle:
-    """A vehicle that flies legs and takes a new plan at any time.
+    """Fly legs, and take a new plan at any time.
 
-    It starts at the start of the first leg at `track.start_time_s`. Every leg is flown straight in full: turns end RUN_IN_S ahead of it on
-    its line, or at its start if that lies straight ahead. Turns are no tighter than `turn_rate_deg_s` allows at the highest ground speed of
-    the track without its wander. After the last leg the vehicle flies straight on, ready for another plan.
+    It starts at the start of the first leg at `track.start_time_s`. Every leg is flown straight in full: turns end
+    RUN_IN_S ahead of it on its line, or at its start if that lies straight ahead. Turns are no tighter than
+    `turn_rate_deg_s` allows at the highest ground speed of the track without its wander. After the last leg the vehicle
+    flies straight on, ready for another plan.
 
-    depth_of_floor: water depth in metres at east and north in the scene's plane; it decides the depth the vehicle flies at. With an
-    altitude lag the depth sought is taken every 0.05 s. The vehicle stays LEAST_DEPTH_M below the surface, but always LEAST_ALTITUDE_M
-    above the floor.
+    depth_of_floor: water depth in metres at east and north in the scene's plane; it decides the depth the vehicle flies
+    at. With an altitude lag the depth sought is taken every 0.05 s. The vehicle stays MIN_DEPTH_M below the surface,
+    but always MIN_ALTITUDE_M above the floor.
 
-    Where the vehicle is at a time depends on track, legs, seed and floor and on when which plans were given, not on the times it was
-    asked for. Standard deviations scale the same random course of things, so that scenes that differ in them compare.
+    Where the vehicle is at a time depends on track, legs, seed and floor and on when which plans were given, not on the
+    times it was asked for. Standard deviations scale the same random course, so that scenes that differ in
+    them compare.
 
     legs: all legs ever given, in order; those that a new plan took away keep their numbers.
 
@@ -143,17 +145,18 @@ class Vehicle:
 
     @property
     def done(self) -> bool:
-        """Whether the last leg lies behind."""
+        """Report whether the last leg lies behind."""
         return self._piece_now == len(self._pieces) - 1
 
     def step(self, dt_s: float) -> SonarPose:
-        """The pose after another dt_s >= 0 seconds; the first one after step(0)."""
+        """Return the pose after another dt_s >= 0 seconds; the first one after step(0)."""
         self._fly_to(self._now_s + dt_s, stop_at_leg=False)
         return self._pose()
 
     def poses(self, rate_hz: float) -> Iterator[SonarPose]:
-        """Poses from now until the plan is done, `rate_hz` per second. If the track has no pings in turns, only those on legs, each leg
-        after a turn beginning with a pose at its very start."""
+        """Poses from now until the plan is done, `rate_hz` per second. If the track has no pings in turns, only those
+        on legs, each leg after a turn beginning with a pose at its very start.
+        """
         silent = not self._track.pings_in_turns
         start_s, beat = self._now_s, 0
         while True:
@@ -166,14 +169,14 @@ class Vehicle:
             beat += 1
 
     def follow(self, legs: Sequence[Leg]) -> None:
-        """Replaces what is left of the plan from now on; without legs the vehicle is done and flies straight on."""
+        """Replace the plan from now on; without legs the vehicle is done and flies straight on."""
         cut = self._pieces[self._piece_now]._replace(length_m=self._way_now_m)
         self._pieces[self._piece_now :] = [cut]
         self._append(legs, *cut.at(cut.length_m))
         self._piece_now, self._way_now_m = self._piece_now + 1, 0.0
 
     def _append(self, legs: Iterable[Leg], east_m: float, north_m: float, direction_rad: float) -> None:
-        """Path through legs from a place and direction, and on without end."""
+        """Append a path through legs from a place and direction, and on without end."""
         for leg in legs:
             self._pieces += self._transit(leg, east_m, north_m, direction_rad)
             self._pieces.append(_Piece(len(self.legs), leg.length_m, leg.east_m, leg.north_m, leg.direction_rad, 0.0))
@@ -195,7 +198,7 @@ class Vehicle:
         return [*pieces, _Piece(-1, run_in, *entry, 0.0)]
 
     def _fly_to(self, time_s: float, *, stop_at_leg: bool) -> bool:
-        """Flies until `time_s`, or only to the start of a leg that follows a turn if that comes first and is wanted; True then."""
+        """Fly until `time_s`, or to the start of a leg after a turn if that comes first and is wanted; True then."""
         while True:
             tick_end_s = (self._tick + 1) * _TICK_S
             end_s = min(time_s, tick_end_s)
@@ -223,7 +226,7 @@ class Vehicle:
             self._sought_m = self._floor(east, north) - self._track.altitude_m
 
     def _on_path(self, time_s: float) -> tuple[int, float]:
-        """Piece and way on it at a time from the last tick up to the next, by the trapezoidal rule."""
+        """Return the piece and the way on it at a time from the last tick up to the next, by the trapezoidal rule."""
         since = time_s - self._tick * _TICK_S
         ground = self._ground_mps
         if self._current_mps == 0.0:
@@ -251,7 +254,7 @@ class Vehicle:
         return self._current_mps * math.cos(off) + math.sqrt(water_mps * water_mps - across * across)
 
     def _place(self, piece: int, way_m: float, sway_m: float) -> tuple[float, float, float]:
-        """East and north, and the path's direction there."""
+        """Return east and north, and the path's direction there."""
         east, north, direction = self._pieces[piece].at(way_m)
         return east + sway_m * math.cos(direction), north - sway_m * math.sin(direction), direction
 
@@ -275,7 +278,7 @@ class Vehicle:
             time_s=self._track.start_time_s + time_s,
             east_m=east,
             north_m=north,
-            depth_m=min(max(depth, LEAST_DEPTH_M), floor - LEAST_ALTITUDE_M),
+            depth_m=min(max(depth, MIN_DEPTH_M), floor - MIN_ALTITUDE_M),
             heading_rad=direction - crab + self._heading.at(time_s)[0],
             pitch_rad=math.radians(motion.pitch_offset_deg) + self._pitch.at(time_s)[0],
             roll_rad=self._roll.at(time_s)[0],

@@ -1,8 +1,8 @@
-"""The sea floor of a scene: height, texture and kind at any place, made when asked for.
+"""Compute the sea floor of a scene on request: height, texture and kind at any place.
 
-Cell (i, j) counts north and east; node (i, j) is at north = i * cell_m, east = j * cell_m. Square patches of PATCH cells hold the nodes
-on all their sides, so those on a side belong to both neighbours and interpolation never leaves a patch. A patch is a function of scene,
-seed and place alone, to the last bit: the pool may forget it and make it again.
+Cell (i, j) counts north and east; node (i, j) is at north = i * cell_m, east = j * cell_m. Square patches of PATCH
+cells hold the nodes on all their sides, so those on a side belong to both neighbours and interpolation never leaves a
+patch. A patch is a function of scene, seed and place alone, to the last bit: the pool may forget it and make it again.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ _STONE_BRIGHTNESS: Final = 3.0
 
 
 class Patches(NamedTuple):
-    """Patches in the pool; they stay what they are until the next request.
+    """Address patches in the pool; they are valid until the next request.
 
-    elevation: (n_slots, NODES, NODES) float32, m above the datum plane. texture: same shape, float32, factor on backscattered intensity,
-    mean 1. seabed: same shape, uint8, index into `World.covers`. slots: (n_patch_rows, n_patch_columns) int32, a patch's place in those
-    or -1. Patch (r, c) of `slots` starts at cell ((first_patch_row + r) * PATCH, (first_patch_column + c) * PATCH).
+    elevation: (n_slots, NODES, NODES) float32, m above the datum plane. texture: same shape, float32, factor on
+    backscattered intensity, mean 1. seabed: same shape, uint8, index into `World.covers`. slots: (n_patch_rows,
+    n_patch_columns) int32, a patch's place in those or -1. Patch (r, c) of `slots` starts at cell ((first_patch_row +
+    r) * PATCH, (first_patch_column + c) * PATCH).
     """
 
     elevation: FloatArray
@@ -50,7 +51,7 @@ class Patches(NamedTuple):
 
 
 class SimulatedFloor:
-    """The sea floor of a scene.
+    """Compute the sea floor of a scene.
 
     Args:
         world: what it is like.
@@ -100,7 +101,9 @@ class SimulatedFloor:
         self._seabed = np.empty((n_slots, NODES, NODES), dtype=np.uint8)
 
     def patches(self, needed: NDArray[np.bool_], first_patch_row: int, first_patch_column: int) -> Patches:
-        """Every patch that is True in `needed`, (n_patch_rows, n_patch_columns), whose first is (first_patch_row, first_patch_column)."""
+        """Compute each patch that is True in `needed`, (n_patch_rows, n_patch_columns); the first is (first_patch_row,
+        first_patch_column).
+        """
         wanted = [(first_patch_row + row, first_patch_column + column) for row, column in np.argwhere(needed).tolist()]
         if len(wanted) > len(self._elevation):
             elevation, texture, seabed = self._elevation, self._texture, self._seabed
@@ -127,7 +130,7 @@ class SimulatedFloor:
         return Patches(self._elevation, self._texture, self._seabed, slots, first_patch_row, first_patch_column)
 
     def elevation_m(self, east_m: ArrayLike, north_m: ArrayLike) -> NDArray[np.float64]:
-        """Height above the datum plane (m) at places of any one shape, bilinear between nodes; float64."""
+        """Return the height above the datum plane (m) at places of any one shape, bilinear between nodes; float64."""
         out = np.empty(np.broadcast_shapes(np.shape(east_m), np.shape(north_m)))
         for chosen, slot, row, column in self._by_patch(east_m, north_m):
             i, j = np.minimum(row.astype(np.intp), PATCH - 1), np.minimum(column.astype(np.intp), PATCH - 1)
@@ -139,7 +142,10 @@ class SimulatedFloor:
         return out
 
     def floor_m(self, east_m: float, north_m: float) -> float:
-        """elevation_m of one place (m), for a vehicle that asks at every step: the patch it is over is kept beside the pool."""
+        """Return elevation_m of one place (m), for a vehicle that queries at every step.
+
+        The patch below the vehicle is kept beside the pool.
+        """
         row, column = north_m / self.cell_m, east_m / self.cell_m
         place = math.floor(row / PATCH), math.floor(column / PATCH)
         if place != self._patch_here:
@@ -153,7 +159,7 @@ class SimulatedFloor:
         return float(south * (1.0 - up) + north * up)
 
     def seabed_at(self, east_m: ArrayLike, north_m: ArrayLike) -> Labels:
-        """Index into `covers` of the node nearest to places of any one shape; uint8."""
+        """Return the index into `covers` of the node nearest to places of any one shape; uint8."""
         out = np.empty(np.broadcast_shapes(np.shape(east_m), np.shape(north_m)), dtype=np.uint8)
         for chosen, slot, row, column in self._by_patch(east_m, north_m):
             out[chosen] = self._seabed[slot, np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)]
@@ -162,7 +168,7 @@ class SimulatedFloor:
     def _by_patch(
         self, east_m: ArrayLike, north_m: ArrayLike
     ) -> Iterator[tuple[NDArray[np.bool_], int, NDArray[np.float64], NDArray[np.float64]]]:
-        """Sorts places by patch: which places, the patch's slot, and their rows and columns in it."""
+        """Sort places by patch: which places, the patch's slot, and their rows and columns in it."""
         east, north = np.broadcast_arrays(np.asarray(east_m, dtype=np.float64), np.asarray(north_m, dtype=np.float64))
         row, column = north / self.cell_m, east / self.cell_m
         patch_row, patch_column = np.floor(row / PATCH).astype(np.int64), np.floor(column / PATCH).astype(np.int64)
@@ -172,7 +178,7 @@ class SimulatedFloor:
             yield chosen, int(patch.slots[0, 0]), row[chosen] - place[0] * PATCH, column[chosen] - place[1] * PATCH
 
     def stones(self, east_min: float, east_max: float, north_min: float, north_max: float) -> NDArray[np.float64]:
-        """Stones whose middles lie in an area (m, lower bounds included).
+        """Return stones whose middles lie in an area (m, lower bounds included).
 
         Returns:
             (n, 6) float64: east, north, length, width, height above the floor around (m), azimuth of the length (rad).
@@ -187,7 +193,10 @@ class SimulatedFloor:
         return np.concatenate(found)
 
     def _coarse_fields(self, patch_row: int, patch_column: int) -> FloatArray | None:
-        """The kinds' fields on the coarse nodes of a patch, one more before and two behind, and as many around as stones reach."""
+        """Return the kinds' fields on the coarse nodes of a patch.
+
+        The window has one node more before, two behind, and as many around as stones reach.
+        """
         if self._partition is None:
             return None
         nodes, margin = PATCH // self._step, self._margin
@@ -255,8 +264,10 @@ class SimulatedFloor:
         texture: FloatArray,
         seabed: Labels,
     ) -> None:
-        """Adds the relief of several kinds to `height`, each by its weight, and fills `seabed` with the kinds of highest weight and
-        `texture` with theirs. `weights`: (kinds, rows, columns) on the patch's coarse nodes, one more before and two behind."""
+        """Adds the relief of several kinds to `height`, each by its weight, and fills `seabed` with the kinds of
+        highest weight and `texture` with theirs. `weights`: (kinds, rows, columns) on the patch's coarse nodes, one
+        more before and two behind.
+        """
         texture[...] = 1.0
         seabed[...] = 0
         highest = np.zeros((NODES, NODES), dtype=np.float32)
@@ -301,7 +312,7 @@ class SimulatedFloor:
 
 
 def _box(weight: FloatArray, step: int) -> tuple[slice, slice]:
-    """Rows and columns of a patch's nodes that coarse nodes of some weight reach."""
+    """Return rows and columns of a patch's nodes that coarse nodes of some weight reach."""
     rows, columns = np.nonzero(weight)
     return _span(rows, step), _span(columns, step)
 

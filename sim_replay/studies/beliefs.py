@@ -1,8 +1,9 @@
-"""What views of single objects make one believe, beside what the source paper prints, and whether it holds as probability.
+"""Measure the beliefs from views of single objects, beside what the source paper prints, and whether it holds as
+probability.
 
 auv-mcm bench beliefs [--objects N]
 
-Mines are drawn as for the bench of shapes; clutter is rocks of a mine's size. Everything about one object is told twice:
+Mines are drawn as for the bench of shapes; clutter is rocks of a mine's size. Every object is described twice:
 
 - By the likelihood: the free contour and the solids are all weighed by the echoes; clutter is what the free contour explains, less
   the code length of its nodes, and whatever solid is of implausible size.
@@ -37,7 +38,7 @@ from sim_replay.simulator.scene import SceneObject
 from sim_replay.studies.hausdorff import Mask, contour_distance_m, shadow_mask
 from sim_replay.studies.shapes import CORRELATION_AREA, draw_object, rendered_region
 
-# Bel of cylinder, sphere, cone and clutter for one view of each, as printed in the source paper's Table 1. It knows no wedge.
+# Bel of cylinder, sphere, cone and clutter for one view of each, as printed in the source paper's Table 1. It has no wedge.
 PAPER: Final[dict[ContactClass, dict[ContactClass, float]]] = {
     "cylinder": {"cylinder": 0.71, "sphere": 0.0, "truncated_cone": 0.0, "clutter": 0.2},
     "sphere": {"cylinder": 0.0, "sphere": 0.833, "truncated_cone": 0.0, "clutter": 0.083},
@@ -60,7 +61,7 @@ _ROCK_SLIMNESS, _ROCK_FLATNESS = (0.6, 0.95), (0.35, 0.7)
 _ROCK_TILT_DEG: Final = 35.0
 _ALTITUDE_ERROR: Final = 0.1
 
-# The source paper's route: membership and clutter's distance are those of the least log-loss on 60 objects of training seeds.
+# The source paper's route: membership and clutter's distance are those of the minimum log-loss on 60 objects of training seeds.
 _MEMBERSHIP_SIGMA_M: Final = 0.07
 _CLUTTER_M: Final = 0.2  # a shadow this far from every solid's is clutter's as much as any solid's
 _QUANTILE: Final = 0.95  # of the gaps; their largest is set by one grain of speckle
@@ -81,22 +82,25 @@ Evidence = dict[ContactClass, ClassEvidence]
 
 
 class DrawnObject(NamedTuple):
-    """An object and its views 90 degrees apart."""
+    """Hold an object and its views 90 degrees apart."""
 
     name: ContactClass
     views: tuple[Region, Region]
 
 
 class FreeContour(NamedTuple):
-    """labels: (n_rows, n_columns) uint8 of the region. cost: what they explain plus the code length of their nodes, nats."""
+    """Hold labels: (n_rows, n_columns) uint8 of the region. cost: what they explain plus the code length of their
+    nodes, nats.
+    """
 
     labels: NDArray[np.uint8]
     cost: float
 
 
 class LikelihoodView(NamedTuple):
-    """What one view says by the likelihood. half_turn_symmetric: of the solid that fits best. shadow: of the free contour, (n_rows,
-    n_columns)."""
+    """Hold the evidence of one view by the likelihood. half_turn_symmetric: of the solid that fits best. shadow: of the
+    free contour, (n_rows, n_columns).
+    """
 
     evidence: Evidence
     half_turn_symmetric: bool
@@ -107,8 +111,10 @@ Judged = tuple[ContactClass, tuple[LikelihoodView, LikelihoodView]]
 
 
 class BeliefRow(NamedTuple):
-    """Medians over the objects of one class. beliefs: of FRAME's classes, NaN where not known. total: their sum. pair, ignorance: mass on
-    {sphere, truncated_cone} itself and on all classes. probability: pignistic, of the true class. correct: share of right decisions."""
+    """Medians over the objects of one class. beliefs: of FRAME's classes, NaN where not known. total: their sum. pair,
+    ignorance: mass on {sphere, truncated_cone} itself and on all classes. probability: pignistic, of the true class.
+    correct: share of right decisions.
+    """
 
     name: ContactClass
     beliefs: Array
@@ -120,7 +126,7 @@ class BeliefRow(NamedTuple):
 
 
 class Bin(NamedTuple):
-    """Views of about one probability of the winning class: how many, its mean, and the share that was right."""
+    """Hold views of about one probability of the winning class: how many, its mean, and the share that was right."""
 
     n_views: int
     promised: float
@@ -128,21 +134,24 @@ class Bin(NamedTuple):
 
 
 class Calibrated(NamedTuple):
-    """At one temperature: mean log-loss of the pignistic probability of the true class, nats, and the expected calibration error of that of
-    the winning class."""
+    """At one temperature: mean log-loss of the pignistic probability of the true class, nats, and the expected
+    calibration error of that of the winning class.
+    """
 
     temperature: float
     log_loss: float
     error: float
 
 
-def draw_things(n_objects: int, seed: int) -> list[DrawnObject]:
-    """Objects of all classes in turn."""
-    return [draw_thing(FRAME[index % N_CLASSES], seed + index) for index in range(n_objects)]
+def draw_labelled_objects(n_objects: int, seed: int) -> list[DrawnObject]:
+    """Draw objects of all classes in turn."""
+    return [draw_labelled(FRAME[index % N_CLASSES], seed + index) for index in range(n_objects)]
 
 
-def draw_thing(name: ContactClass, seed: int) -> DrawnObject:
-    """A mine as the bench of shapes draws it, or a rock at 10 to 45 m, rendered from two sides with altitudes told up to 10 % wrong."""
+def draw_labelled(name: ContactClass, seed: int) -> DrawnObject:
+    """Draw a mine as the bench of shapes does, or a rock at 10 to 45 m, rendered from two sides with altitudes up to 10
+    % wrong.
+    """
     for solid in SOLIDS:
         if solid == name:
             return DrawnObject(name, draw_object(solid, seed).views)
@@ -172,7 +181,7 @@ def draw_thing(name: ContactClass, seed: int) -> DrawnObject:
 
 
 def free_contour(region: Region) -> FreeContour:
-    """What the snakes come to from the detector's place alone."""
+    """Return the snakes' contour from the detector's place alone."""
     contours = converge(region, start_from_detection(region), correlation_px=CORRELATION_AREA)
     labels = np.full(region.intensity.shape, BACKGROUND, dtype=np.uint8)
     code = 0.0
@@ -184,7 +193,8 @@ def free_contour(region: Region) -> FreeContour:
 
 
 def code_length(nodes: Nodes, n_pixels: int) -> float:
-    """Nats to tell a contour's nodes (n, 2) in a region of n_pixels, as in the snakes' criterion (`auv_mcm.kernels.snake`)."""
+    """Return nats to encode a contour's nodes (n, 2) in a region of n_pixels, as in the snakes' criterion
+    (`auv_mcm.kernels.snake`)."""
     n = len(nodes)
     steps = np.abs(np.roll(nodes, -1, axis=0) - nodes).mean(axis=0)
     each = 2.0 * math.log(2.0 * math.e) + math.log(max(float(steps.prod()) / CORRELATION_AREA, 0.25))
@@ -192,8 +202,9 @@ def code_length(nodes: Nodes, n_pixels: int) -> float:
 
 
 def look(region: Region) -> LikelihoodView:
-    """Evidence by the likelihood. Highlights enter as far as they are in the likelihood: their extent, measured row by row, is too rough a
-    number to count again."""
+    """Evidence by the likelihood. Highlights enter as far as they are in the likelihood: their extent, measured row by
+    row, is too rough a number to count again.
+    """
     free = free_contour(region)
     found = fit_shapes(region, free.cost, CORRELATION_AREA)
     evidence: Evidence = {solid: ClassEvidence(nll=math.inf) for solid in SOLIDS}
@@ -202,14 +213,14 @@ def look(region: Region) -> LikelihoodView:
     return LikelihoodView(evidence, not (found.fits and found.fits[0].solid == "wedge"), free.labels == SHADOW)
 
 
-def looks_at(thing: DrawnObject) -> tuple[LikelihoodView, LikelihoodView]:
-    """Both views of an object."""
-    first, second = thing.views
+def looks_at(scene_object: DrawnObject) -> tuple[LikelihoodView, LikelihoodView]:
+    """Return both views of an object."""
+    first, second = scene_object.views
     return look(first), look(second)
 
 
 def shadow_evidence(region: Region, shadow: Mask) -> Evidence:
-    """Evidence by the distance of a shadow (n_rows, n_columns) from the nearest simulated shadow of every solid."""
+    """Weigh evidence by the distance of a shadow (n_rows, n_columns) from the nearest simulated shadow of every solid."""
     evidence: Evidence = {"clutter": ClassEvidence(nll=_membership_cost(_CLUTTER_M))}
     for solid in SOLIDS:
         distance_m, plausible = _nearest_shadow(solid, region, shadow) if shadow.any() else (math.inf, 0.0)
@@ -222,7 +233,7 @@ def _membership_cost(distance_m: float) -> float:
 
 
 def _nearest_shadow(solid: Solid, region: Region, shadow: Mask) -> tuple[float, float]:
-    """Distance of the nearest simulated shadow, m, and how plausible its solid's size is."""
+    """Return the distance of the nearest simulated shadow, m, and the plausibility of its solid's size."""
     image = image_row_sums(region, CORRELATION_AREA)
     assert image is not None
     rows, columns = np.nonzero(shadow)
@@ -246,14 +257,14 @@ def _nearest_shadow(solid: Solid, region: Region, shadow: Mask) -> tuple[float, 
 
 
 def _whole(solid: Solid, points: Array) -> Array:
-    """Points with all parameters of a class: cones of one slope, nothing buried."""
+    """Complete points with all parameters of a class: cones of one slope, nothing buried."""
     if solid == "truncated_cone":
         return np.insert(points, 3, _TOP_SHARE, axis=1)
     return np.column_stack((points, np.zeros(len(points))))
 
 
 def _around(one: Mask, other: Mask) -> tuple[Mask, Mask]:
-    """Both without the rows and columns that neither reaches, which are in no distance."""
+    """Crop both by the rows and columns that neither reaches, which are in no distance."""
     either = one | other
     rows, columns = np.flatnonzero(either.any(axis=1)), np.flatnonzero(either.any(axis=0))
     part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
@@ -261,17 +272,17 @@ def _around(one: Mask, other: Mask) -> tuple[Mask, Mask]:
 
 
 def mass_as_paper(region: Region, shadow: Mask) -> Array:
-    """(32,) mass of one view by the source paper's route."""
+    """Return (32,) mass of one view by the source paper's route."""
     return appriou_mass(shadow_evidence(region, shadow), _QUALITY, temperature=1.0)
 
 
 def mass_of_one(seen: LikelihoodView, temperature: float = TEMPERATURE) -> Array:
-    """(32,) mass of one view."""
+    """Return (32,) mass of one view."""
     return view_mass(seen.evidence, _QUALITY, temperature)
 
 
 def mass_of_two(looks: Sequence[LikelihoodView], temperature: float = TEMPERATURE) -> Array:
-    """(32,) mass of two views at right angles."""
+    """Return (32,) mass of two views at right angles."""
     views = [
         ViewMass(
             mass=mass_of_one(seen, temperature),
@@ -284,7 +295,7 @@ def mass_of_two(looks: Sequence[LikelihoodView], temperature: float = TEMPERATUR
 
 
 def belief_rows(masses: Array, names: Sequence[ContactClass]) -> list[BeliefRow]:
-    """A row per class that there is; masses: (n, 32), of objects with these true classes."""
+    """Return a row per class present; masses: (n, 32), of objects with these true classes."""
     truth = np.array([FRAME.index(name) for name in names])
     beliefs, probability = belief(masses)[:, [subset(name) for name in FRAME]], pignistic(masses)
     right = decided(probability) == truth
@@ -307,13 +318,14 @@ def belief_rows(masses: Array, names: Sequence[ContactClass]) -> list[BeliefRow]
 
 
 def decided(probability: Array) -> NDArray[np.intp]:
-    """(n,) index of the most probable class of (n, 5), -1 where two are equal: that decides nothing."""
+    """Return (n,) index of the most probable class of (n, 5), -1 for a tie, which decides nothing."""
     ordered = np.sort(probability, axis=1)
     return np.where(ordered[:, -1] > ordered[:, -2] + 1e-9, probability.argmax(axis=1), -1)
 
 
 def reliability(masses: Array, names: Sequence[ContactClass]) -> list[Bin]:
-    """Promises and outcomes of masses (n, 32) by the probability of the winning class; bins without any are left out."""
+    """Promises and outcomes of masses (n, 32) by the probability of the winning class; bins without any are left
+    out."""
     probability = pignistic(masses)
     promised, right = probability.max(axis=1), decided(probability) == np.array([FRAME.index(name) for name in names])
     bins = np.searchsorted(_BIN_EDGES, promised, side="right")
@@ -325,18 +337,18 @@ def reliability(masses: Array, names: Sequence[ContactClass]) -> list[Bin]:
 
 
 def contour_wins(seen: LikelihoodView) -> bool:
-    """Whether the free contour explains a view better than every solid."""
+    """Report whether the free contour explains a view better than every solid."""
     return seen.evidence["clutter"].nll < min(seen.evidence[solid].nll for solid in SOLIDS)
 
 
 def clutter_without_sizes(seen: LikelihoodView) -> bool:
-    """Whether a view is called clutter if every size is as plausible as any other."""
+    """Report whether a view is called clutter if every size is as plausible as any other."""
     unsized = {name: ClassEvidence(nll=item.nll) for name, item in seen.evidence.items()}
     return bool(decided(pignistic(view_mass(unsized, _QUALITY))[np.newaxis])[0] == FRAME.index("clutter"))
 
 
 def paper_rows() -> list[BeliefRow]:
-    """What the source paper prints; the rest is not known."""
+    """Return the figures that the source paper prints; the rest is not known."""
     nan = math.nan
     return [
         BeliefRow(name, np.array([printed.get(other, nan) for other in FRAME]), sum(printed.values()), nan, nan, nan, nan)
@@ -345,33 +357,33 @@ def paper_rows() -> list[BeliefRow]:
 
 
 def calibration_of(masses: Array, names: Sequence[ContactClass], temperature: float) -> Calibrated:
-    """How well the pignistic probabilities of masses (n, 32) hold."""
+    """Measure how well the pignistic probabilities of masses (n, 32) hold."""
     truth = np.array([FRAME.index(name) for name in names])
     probability = pignistic(masses)
     log_loss = -float(np.log(probability[np.arange(len(truth)), truth]).mean())
     return Calibrated(temperature, log_loss, calibration_error(probability.max(axis=1), decided(probability) == truth))
 
 
-def calibrations(things: Sequence[Judged], temperature: float) -> tuple[Calibrated, Calibrated]:
-    """Of single views and of pairs."""
-    singles = np.array([mass_of_one(seen, temperature) for _, looks in things for seen in looks])
-    pairs = np.array([mass_of_two(looks, temperature) for _, looks in things])
-    names = [name for name, _ in things]
+def calibrations(scene_objects: Sequence[Judged], temperature: float) -> tuple[Calibrated, Calibrated]:
+    """Calibrate single views and pairs."""
+    singles = np.array([mass_of_one(seen, temperature) for _, looks in scene_objects for seen in looks])
+    pairs = np.array([mass_of_two(looks, temperature) for _, looks in scene_objects])
+    names = [name for name, _ in scene_objects]
     return calibration_of(singles, [name for name in names for _ in range(2)], temperature), calibration_of(pairs, names, temperature)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench beliefs`."""
+    """Add options of `auv-mcm bench beliefs`."""
     parser.add_argument("--objects", type=count, default=50, help="objects drawn, and as many to calibrate with (default 50)")
 
 
 def run(chosen: argparse.Namespace) -> int:
     """Print the tables; returns the exit code."""
-    drawn = draw_things(chosen.objects, HELD_OUT_SEED)
-    names = [thing.name for thing in drawn]
-    looks = [looks_at(thing) for thing in drawn]
+    drawn = draw_labelled_objects(chosen.objects, HELD_OUT_SEED)
+    names = [scene_object.name for scene_object in drawn]
+    looks = [looks_at(scene_object) for scene_object in drawn]
     ours = np.array([mass_of_one(first) for first, _ in looks])
-    papers = np.array([mass_as_paper(thing.views[0], first.shadow) for thing, (first, _) in zip(drawn, looks, strict=True)])
+    papers = np.array([mass_as_paper(scene_object.views[0], first.shadow) for scene_object, (first, _) in zip(drawn, looks, strict=True)])
     both = np.array([mass_of_two(pair) for pair in looks])
     print(
         f"{chosen.objects} objects; medians of beliefs, their sum, masses on 'sphere or cone' and on 'any', probability of the true class\n"
@@ -380,8 +392,8 @@ def run(chosen: argparse.Namespace) -> int:
     _print_rows("the source paper's route derived anew, one view", belief_rows(papers, names))
     _print_rows("ours, one view", belief_rows(ours, names))
     _print_rows("ours, two views at right angles", belief_rows(both, names))
-    told = f"{_ambiguous(papers, names)} by the source paper's route, {_ambiguous(ours, names)} by ours"
-    print(f"spheres and cones with more than a third of their mass on 'sphere or cone': {told}\n")
+    words = f"{_ambiguous(papers, names)} by the source paper's route, {_ambiguous(ours, names)} by ours"
+    print(f"spheres and cones with more than a third of their mass on 'sphere or cone': {words}\n")
     singles = [seen for pair in looks for seen in pair]
     of_rocks = [seen for name, pair in zip(names, looks, strict=True) for seen in pair if name == "clutter"]
     print(f"of {len(of_rocks)} views of clutter the free contour explains {sum(map(contour_wins, of_rocks))} better than every solid;")
@@ -390,8 +402,8 @@ def run(chosen: argparse.Namespace) -> int:
     for entry in reliability(np.array([mass_of_one(seen) for seen in singles]), [name for name in names for _ in range(2)]):
         print(f"{entry.n_views:>5}{entry.promised:>10.3f}{entry.right:>8.3f}")
     print()
-    training = draw_things(chosen.objects, TRAINING_SEED)
-    _print_calibration([(thing.name, looks_at(thing)) for thing in training], list(zip(names, looks, strict=True)))
+    training = draw_labelled_objects(chosen.objects, TRAINING_SEED)
+    _print_calibration([(scene_object.name, looks_at(scene_object)) for scene_object in training], list(zip(names, looks, strict=True)))
     return 0
 
 
@@ -413,6 +425,6 @@ def _print_calibration(training: Sequence[Judged], held_out: Sequence[Judged]) -
     for index, views in enumerate(("one view", "two views")):
         tried = [calibrations(training, temperature)[index] for temperature in TEMPERATURES]
         best = min(tried, key=lambda entry: entry.log_loss)
-        for told in (tried[TEMPERATURES.index(TEMPERATURE)], best):
-            other = calibrations(held_out, told.temperature)[index]
-            print(f"{views:<14}{told.temperature:>12.1f}{told.log_loss:>22.3f}{other.log_loss:>11.3f}{other.error:>19.3f}")
+        for calibrated in (tried[TEMPERATURES.index(TEMPERATURE)], best):
+            other = calibrations(held_out, calibrated.temperature)[index]
+            print(f"{views:<14}{calibrated.temperature:>12.1f}{calibrated.log_loss:>22.3f}{other.log_loss:>11.3f}{other.error:>19.3f}")

@@ -1,9 +1,11 @@
-"""Relief, reflectivity and beam pattern of a side-scan image by iteration from coarse to fine, as a reference for `direct`.
+"""Relief, reflectivity and beam pattern of a side-scan image by iteration from coarse to fine, as a reference for
+`direct`.
 
-After Coiras, Petillot and Lane, "Multiresolution 3-D reconstruction from side-scan sonar images", IEEE Trans. Image Processing 16(2), 2007:
-at every level of a pyramid, expectation renders the image from what is known so far, and maximisation takes gradient steps on the relief
-and fits reflectivity and beam pattern anew; shadows stay out. Two things differ. Residuals are relative to the echo of level floor, as
-speckle is. And the relief is held by the same prior of slopes as in `direct`, in place of smoothing of no stated strength.
+After Coiras, Petillot and Lane, "Multiresolution 3-D reconstruction from side-scan sonar images", IEEE Trans. Image
+Processing 16(2), 2007: at every level of a pyramid, expectation renders the image from what is known so far, and
+maximisation takes gradient steps on the relief and fits reflectivity and beam pattern anew; shadows stay out. Two
+points differ. Residuals are relative to the echo of level floor, as speckle is. And the relief is held by the same
+prior of slopes as in `direct`, in place of smoothing of no stated strength.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from sim_replay.augment.forward import (
 )
 
 _LEVELS: Final = 4
-_LEAST_SIZE: Final = 12  # of the coarsest level, pixels
+_MIN_SIZE: Final = 12  # of the coarsest level, pixels
 _ROUNDS: Final = 4  # of expectation and maximisation per level
 _STEPS: Final = 20  # on the relief per round
 _GROWTH, _SHRINKAGE = 1.3, 0.5  # of the step, after one that helped and one that did not
@@ -38,10 +40,10 @@ Bools = NDArray[np.bool_]
 
 
 class Expected(NamedTuple):
-    """What the relief is fitted to.
+    """Hold the data that the relief is fitted to.
 
-    cosine: (n_pings, n_columns) float64, echo over beam pattern and reflectivity. lit: the same shape, bool. prior: weight of slopes.
-    screen_per_m2: of heights, against slopes. Other arrays are (n_pings,) float64.
+    cosine: (n_pings, n_columns) float64, echo over beam pattern and reflectivity. lit: the same shape, bool. prior:
+    weight of slopes. screen_per_m2: of heights, against slopes. Other arrays are (n_pings,) float64.
     """
 
     cosine: Array
@@ -54,7 +56,9 @@ class Expected(NamedTuple):
 
 
 class Misfit(NamedTuple):
-    """value: of the whole image. gradient: over heights, (n_pings, n_columns) float64. curvature: bound for each height, the same shape."""
+    """Hold value: of the whole image. gradient: over heights, (n_pings, n_columns) float64. curvature: bound for each
+    height, the same shape.
+    """
 
     value: float
     gradient: Array
@@ -70,13 +74,15 @@ class _Level(NamedTuple):
 
 
 def invert_multiresolution(intensity: Array, valid: Bools, altitude_m: Array, along_m: Array, column_spacing_m: float) -> SeafloorScene:
-    """The scene that one side of a line shows; arguments and result are those of `sim_replay.augment.direct.invert`."""
+    """Recover the scene that one side of a line shows; arguments and result are those of
+    `sim_replay.augment.direct.invert`.
+    """
     level = float(intensity[valid].mean()) if valid.any() else 0.0
     if not level > 0.0:
         level = 1.0
     image = multi_look(intensity / level, valid)
     pyramid = [_Level(image.intensity, valid, altitude_m, along_m, column_spacing_m)]
-    while len(pyramid) < _LEVELS and min(pyramid[-1].intensity.shape) >= 2 * _LEAST_SIZE:
+    while len(pyramid) < _LEVELS and min(pyramid[-1].intensity.shape) >= 2 * _MIN_SIZE:
         pyramid.append(_halved(pyramid[-1]))
     elevation = np.zeros(pyramid[-1].intensity.shape)
     reflectivity = np.ones_like(elevation)
@@ -90,7 +96,7 @@ def invert_multiresolution(intensity: Array, valid: Bools, altitude_m: Array, al
 
 
 def _refine(level: _Level, elevation: Array, reflectivity: Array, looks: float) -> SeafloorScene:
-    """Rounds of expectation and maximisation at one level of the pyramid."""
+    """Run rounds of expectation and maximisation at one level of the pyramid."""
     image, valid, altitude_m, along_m, column_spacing_m = level
     scene = fit_levels(image, valid, elevation, reflectivity, altitude_m, along_m, column_spacing_m)
     for _ in range(_ROUNDS):
@@ -110,7 +116,7 @@ def _refine(level: _Level, elevation: Array, reflectivity: Array, looks: float) 
 
 
 def _descend(elevation: Array, expected: Expected) -> Array:
-    """Gradient steps, each height's scaled by its curvature; the step grows while it helps."""
+    """Take gradient steps, each height's scaled by its curvature; the step grows while it helps."""
     here, step = misfit(elevation, expected), 0.5
     for _ in range(_STEPS):
         moved = elevation - step * here.gradient / here.curvature
@@ -123,17 +129,18 @@ def _descend(elevation: Array, expected: Expected) -> Array:
 
 
 def misfit(elevation: Array, expected: Expected) -> Misfit:
-    """Sum of squares of the cosine of incidence against the expected one, relative to level floor's, over lit pixels, and of the prior.
+    """Sum of squares of the cosine of incidence against the expected one, relative to level floor's, over lit pixels,
+    and of the prior.
 
     Beam pattern and shadows are those of the round's beginning, so the gradient holds them fixed.
     """
     altitude_m, along_m, spacing_m = expected.altitude_m, expected.along_m, expected.column_spacing_m
     across, along = across_slope(elevation, spacing_m), along_slope(elevation, along_m)
     ground_m, depth = ground_range_m(elevation.shape[1], spacing_m), altitude_m[:, None] - elevation
-    per_sight = 1.0 / (ground_m**2 + depth**2)
+    per_view = 1.0 / (ground_m**2 + depth**2)
     per_normal = 1.0 / (1.0 + across**2 + along**2)
     facing = depth + ground_m * across
-    per = np.sqrt(per_sight * per_normal)
+    per = np.sqrt(per_view * per_normal)
     counts = (expected.lit & (facing > 0.0)).astype(np.float64)
     level = np.sin(depression_rad(np.zeros_like(elevation), altitude_m, spacing_m))
     cosine = np.maximum(facing, 0.0) * per
@@ -141,7 +148,7 @@ def misfit(elevation: Array, expected: Expected) -> Misfit:
 
     cosine_per_across = (ground_m * per - cosine * across * per_normal) * counts / level
     cosine_per_along = -cosine * along * per_normal * counts / level
-    cosine_per_depth = (per - cosine * depth * per_sight) * counts / level
+    cosine_per_depth = (per - cosine * depth * per_view) * counts / level
     ahead_m = mean_spacing_m(along_m)
     step = np.diff(elevation, axis=0) / ahead_m
     tied, held = expected.prior * STIFFNESS.along_weight, expected.prior * expected.screen_per_m2
@@ -164,7 +171,7 @@ def misfit(elevation: Array, expected: Expected) -> Misfit:
 
 
 def _across_adjoint(weight: Array, spacing_m: float) -> Array:
-    """Transpose of `across_slope`."""
+    """Apply the transpose of `across_slope`."""
     out = np.zeros_like(weight)
     if weight.shape[1] < 2:
         return out
@@ -176,7 +183,7 @@ def _across_adjoint(weight: Array, spacing_m: float) -> Array:
 
 
 def _along_adjoint(weight: Array, along_m: Array) -> Array:
-    """Transpose of `along_slope`."""
+    """Apply the transpose of `along_slope`."""
     out = np.zeros_like(weight)
     if len(along_m) < 2:
         return out
@@ -191,7 +198,7 @@ def _along_adjoint(weight: Array, along_m: Array) -> Array:
 
 
 def _halved(level: _Level) -> _Level:
-    """Means over two pings by two columns; an odd last one is left out."""
+    """Average over two pings by two columns; an odd last one is left out."""
     n_pings, n_columns = (2 * (n // 2) for n in level.intensity.shape)
 
     def fours(plane: Array) -> Array:
@@ -209,6 +216,6 @@ def _halved(level: _Level) -> _Level:
 
 
 def _doubled(plane: Array, shape: tuple[int, ...]) -> Array:
-    """Values between the centres of pixels twice as large, bilinear."""
+    """Interpolate between the centres of pixels twice as large, bilinear."""
     places = [np.clip((np.arange(n) - 0.5) / 2.0, 0.0, m - 1.0) for n, m in zip(shape, plane.shape, strict=True)]
     return np.asarray(scipy.ndimage.map_coordinates(plane, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))

@@ -1,4 +1,4 @@
-"""One picture of the scenes that rates are taken on: port and starboard waterfall of a stretch of each.
+"""Draw the scenes that rates are taken on in one picture: port and starboard waterfall of a stretch of each.
 
 python -m sim_replay.studies.contact_sheet --out FILE
 """
@@ -39,7 +39,7 @@ Picture = NDArray[np.uint8]
 
 
 def waterfall(scene: Scene, width: int, height: int) -> Picture:
-    """The scene's first pings, newest on top, port to the left, both axes of slant range and track to one scale: (height, width) uint8.
+    """Draw the scene's first pings, newest on top, port to the left, both axes to one scale: (height, width) uint8.
 
     Brightness is what was recorded, amplitudes raised to 0.6; nothing is levelled but by the recorder's own gain.
     """
@@ -60,7 +60,7 @@ def waterfall(scene: Scene, width: int, height: int) -> Picture:
 
 
 def contact_sheet(names: Sequence[str]) -> Picture:
-    """Waterfalls of named scenes under their names, five in a row; (rows, columns) uint8."""
+    """Draw waterfalls of named scenes under their names, five in a row; (rows, columns) uint8."""
     panels = []
     for name in names:
         title = np.zeros((_TITLE, _WIDTH), dtype=np.uint8)

@@ -1,8 +1,9 @@
-"""Regions drawn from closed forms, with the true label of every pixel: a highlight, its shadow, speckle of a known point spread.
+"""Draw regions from closed forms, with the true label of every pixel: a highlight, its shadow, speckle of a known point
+spread.
 
-The mean intensity is set before the sonar looks at it: a complex Gaussian field with that mean is smeared by the point-spread
-function and detected, so that speckle is correlated and edges are soft, as an image of finite resolution has them
-(Goodman, Speckle Phenomena in Optics, ch. 3). Truth is the sharp outline.
+The mean intensity is set before the sonar looks at it: a complex Gaussian field with that mean is smeared by the
+point-spread function and detected, so that speckle is correlated and edges are soft, as an image of finite resolution
+has them (Goodman, Speckle Phenomena in Optics, ch. 3). Truth is the sharp outline.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 
 
 class Drawing(msgspec.Struct, frozen=True, kw_only=True):
-    """What to draw. Object: object_rows x highlight_columns pixels, its shadow object_rows x shadow_columns behind it.
+    """Specify what to draw. Object: object_rows x highlight_columns pixels, its shadow object_rows x shadow_columns
+    behind it.
 
-    lean: columns the shadow's far end moves per row (a parallelogram). shadow_level, highlight_level: mean intensity over that of the
-    sea floor. spread_rows, spread_columns: 1-sigma of the Gaussian point-spread function of the complex field, pixels.
-    texture_nu: shape of the Gamma-distributed texture of the sea floor, 0 for none; texture_pixels: 1-sigma of what smooths it.
+    lean: columns the shadow's far end moves per row (a parallelogram). shadow_level, highlight_level: mean intensity
+    over that of the sea floor. spread_rows, spread_columns: 1-sigma of the Gaussian point-spread function of the
+    complex field, pixels. texture_nu: shape of the Gamma-distributed texture of the sea floor, 0 for none;
+    texture_pixels: 1-sigma of what smooths it.
     """
 
     n_rows: int = 128
@@ -43,7 +46,9 @@ class Drawing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def aperture_drawings(n: int, spread: float, seed: int) -> Iterator[Drawing]:
-    """n objects of 0.5 to 2 m with shadows of 0.9 to 2.7 m on the 3 cm pixels of a synthetic aperture; spread: of the point, pixels."""
+    """Draw n objects of 0.5 to 2 m with shadows of 0.9 to 2.7 m on the 3 cm pixels of a synthetic aperture; spread: of
+    the point, pixels.
+    """
     random = np.random.Generator(np.random.PCG64(seed))
     for number in range(n):
         yield Drawing(
@@ -61,7 +66,9 @@ def aperture_drawings(n: int, spread: float, seed: int) -> Iterator[Drawing]:
 
 
 def draw_region(drawing: Drawing) -> tuple[Region, NDArray[np.uint8]]:
-    """The region, highlight at its centre row and at a third of its columns, and its labels (n_rows, n_columns) uint8."""
+    """Draw the region, highlight at its centre row and at a third of its columns, and its labels (n_rows, n_columns)
+    uint8.
+    """
     random = np.random.Generator(np.random.PCG64(drawing.seed))
     labels = true_labels(drawing)
     mean = np.choose(labels, (1.0, drawing.shadow_level, drawing.highlight_level))
@@ -85,7 +92,7 @@ def draw_region(drawing: Drawing) -> tuple[Region, NDArray[np.uint8]]:
 
 
 def true_labels(drawing: Drawing) -> NDArray[np.uint8]:
-    """The sharp outline that draw_region starts from, (n_rows, n_columns) uint8."""
+    """Return the sharp outline that draw_region starts from, (n_rows, n_columns) uint8."""
     labels = np.full((drawing.n_rows, drawing.n_columns), BACKGROUND, dtype=np.uint8)
     first, start = _first_row(drawing), _first_column(drawing)
     foot = start + drawing.highlight_columns

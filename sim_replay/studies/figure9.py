@@ -1,10 +1,12 @@
-"""The source paper's two examples of classical detection (section 4.4.1, its figures 9 and 10), flown again many times over.
+"""The source paper's two examples of classical detection (section 4.4.1, its figures 9 and 10), flown again many times
+over.
 
-First: 13 objects in an image, 2 of type A, 6 of B, 5 of C, found by a classifier that has seen targets of types B and C only. Second: an A,
-three B and an object that is no target, with a classifier that has seen A, B and C on flat sea floor only, where there are ripples.
+First: 13 objects in an image, 2 of type A, 6 of B, 5 of C, found by a classifier that has seen targets of types B and C
+only. Second: an A, three B and an object that is not a target, with a classifier that has seen A, B and C on flat sea
+floor only, where there are ripples.
 
-The paper does not say which shapes its types are: here A is a truncated cone, B a wedge, C a cylinder. The echo of the sea surface, which
-gave the paper a false alarm, is in the first image and in nothing that was learned from.
+The paper does not state which shapes its types are: here A is a truncated cone, B a wedge, C a cylinder. The echo of
+the sea surface, which gave the paper a false alarm, is in the first image and in nothing that was learned from.
 """
 
 from __future__ import annotations
@@ -52,9 +54,10 @@ _SHARES: Final = {"half of learned": 0.5, "9 in 10 learned": 0.9, "all learned":
 
 
 class Experiment(NamedTuple):
-    """paper: what the source paper found. floor: scene whose sea floor, sonar and strengths of echoes the images have. objects: in each
-    image, by kind; not_targets: kinds that are none there. surface_echo_db: as in Sonar. learned: types of targets. flat_only: whether
-    all that was learned from is flat."""
+    """paper: what the source paper found. floor: scene whose sea floor, sonar and strengths of echoes the images have.
+    objects: in each image, by kind; not_targets: kinds that are none there. surface_echo_db: as in Sonar. learned:
+    types of targets. flat_only: whether all that was learned from is flat.
+    """
 
     name: str
     paper: str
@@ -91,14 +94,14 @@ EXPERIMENTS: Final = (
 
 
 class Sighting(NamedTuple):
-    """The best odds in an image of one object, or of one place without any. what: its kind, "surface" or "floor"."""
+    """Hold the best odds in an image of one object, or of one place without any. what: its kind, "surface" or "floor"."""
 
     what: str
     log_odds: float
 
 
 class Image(NamedTuple):
-    """What one image gave, by feature set. n_objects: by kind."""
+    """Hold the results of one image, by feature set. n_objects: by kind."""
 
     sightings: dict[str, tuple[Sighting, ...]]
     n_objects: dict[str, int]
@@ -112,14 +115,14 @@ class _Task(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench figure9`."""
+    """Add options of `auv-mcm bench figure9`."""
     parser.add_argument("--images", type=count, default=10, help=f"images per experiment, seeds {FIRST_SEED} on (default 10)")
     parser.add_argument("--missions", type=count, default=2, help="missions per sea floor to learn from (default 2)")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Flies, learns, judges and prints; returns the exit code."""
+    """Fly, learn, judge and print; return the exit code."""
     farm = Farm(arguments.workers)
     lines = training_lines(arguments.missions)
     parts = list(run_tasks(samples_of, lines, farm, _progress("training missions", len(lines))))
@@ -138,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def training_lines(n_missions: int) -> tuple[SimulatedLine, ...]:
-    """Missions with many targets of all three types over flat, rippled and mixed sea floor."""
+    """List missions with many targets of all three types over flat, rippled and mixed sea floor."""
     spec = Spec(
         scenes=("flat", "ripple", "mixed"),
         seeds=Seeds(train=SeedRange(first=_FIRST_TRAINING_SEED, count=n_missions)),
@@ -148,12 +151,12 @@ def training_lines(n_missions: int) -> tuple[SimulatedLine, ...]:
 
 
 def samples_of(line: SimulatedLine) -> ChipSamples:
-    """What there is to learn from in one mission."""
+    """Return the training samples in one mission."""
     return collect(simulated_tiles(line), line.config)
 
 
 def image_scene(experiment: Experiment, seed: int) -> Scene:
-    """One short leg with the experiment's objects, strong and weak as in the scene that it comes from."""
+    """Build one short leg with the experiment's objects, strong and weak as in the source scene."""
     scene = read_scene(experiment.floor)
     like = next(group for group in scene.scatter if group.kind == "wedge")
     scatter = tuple(
@@ -178,7 +181,7 @@ def image_scene(experiment: Experiment, seed: int) -> Scene:
 
 
 def image_tasks(experiment: Experiment, models: dict[str, ClassicalModel], n_images: int) -> tuple[_Task, ...]:
-    """Images to fly over, with what is to judge them."""
+    """List images to fly over, with their judges."""
     tasks = []
     for seed in range(FIRST_SEED, FIRST_SEED + n_images):
         scene = image_scene(experiment, seed)
@@ -195,9 +198,9 @@ def judge_figure(task: _Task) -> Image:
     usable_m2 = 0.0
     for tile in simulated_tiles(task.line):
         usable_m2 += int(np.count_nonzero(tile.usable)) * tile.row_spacing_m * tile.column_spacing_m
-        for thing in tile.objects:
-            if tile.core_start <= thing.row < tile.core_stop:
-                n_objects[thing.kind] = n_objects.get(thing.kind, 0) + 1
+        for scene_object in tile.objects:
+            if tile.core_start <= scene_object.row < tile.core_stop:
+                n_objects[scene_object.kind] = n_objects.get(scene_object.kind, 0) + 1
         found = find_candidates(tile, task.line.config)
         for name, model in task.models.items():
             odds = score_windows(model, tile, found.rows, found.columns)
@@ -207,7 +210,7 @@ def judge_figure(task: _Task) -> Image:
 
 
 class Place(NamedTuple):
-    """A pixel and its log-odds."""
+    """Hold a pixel and its log-odds."""
 
     row: float
     column: float
@@ -215,14 +218,21 @@ class Place(NamedTuple):
 
 
 def sighted(tile: LabelledTile, places: Iterable[Place], surface_m: float) -> list[Sighting]:
-    """Each object at the best odds among places on it or in its shadow, then what is left, each once, best first.
+    """Yield each object at the best odds among places on it or in its shadow, then the remaining places, best first.
 
     surface_m: slant range of the surface's first echo, NaN if there is none.
     """
     taken: dict[int, Place] = {}
     kept: list[Place] = []
     for place in sorted(places, key=lambda p: (-p.log_odds, p.row, p.column)):
-        on = next((index for index, thing in enumerate(tile.objects) if _covers(tile, thing.row, thing.column, place, _ON_OBJECT_M)), None)
+        on = next(
+            (
+                index
+                for index, scene_object in enumerate(tile.objects)
+                if _covers(tile, scene_object.row, scene_object.column, place, _ON_OBJECT_M)
+            ),
+            None,
+        )
         if on is not None:
             taken.setdefault(on, place)
         elif not any(_covers(tile, other.row + 0.5, other.column + 0.5, place, _SAME_M) for other in kept):
@@ -232,7 +242,8 @@ def sighted(tile: LabelledTile, places: Iterable[Place], surface_m: float) -> li
 
 
 def table(experiment: Experiment, images: Sequence[Image]) -> str:
-    """Objects found and false alarms of every feature set: at even odds, and where given shares of the learned kinds are found."""
+    """Objects found and false alarms of every feature set: at even odds, and where given shares of the learned kinds
+    are found."""
     learned = [TYPES[name] for name in experiment.learned]
     kinds = (*TYPES.values(), *sorted(experiment.not_targets))
     there = {kind: sum(image.n_objects.get(kind, 0) for image in images) for kind in kinds}
@@ -256,13 +267,15 @@ def table(experiment: Experiment, images: Sequence[Image]) -> str:
 
 
 def odds_of_share(falling: Sequence[float], n_objects: int, share: float) -> float:
-    """The odds from which on that share of n_objects is called; -inf if fewer than that were seen at all."""
+    """Return the threshold on the odds that calls that share of n_objects; -inf if fewer were seen at all."""
     needed = math.ceil(share * n_objects - 1e-9)
     return falling[needed - 1] if 0 < needed <= len(falling) else -math.inf
 
 
 def _covers(tile: LabelledTile, row: float, column: float, place: Place, reach_m: float) -> bool:
-    """Whether a place, by its pixel, is within reach of an object's highlight at (row, column) or in the shadow behind it."""
+    """Report whether a place, by its pixel, is within reach of an object's highlight at (row, column) or in the shadow
+    behind it.
+    """
     along_m = abs(place.row + 0.5 - row) * tile.row_spacing_m
     across_m = (place.column + 0.5 - column) * tile.column_spacing_m
     altitude_m = tile.first_return_m[min(max(math.floor(row), 0), len(tile.first_return_m) - 1)]
@@ -276,7 +289,7 @@ def _on_surface(tile: LabelledTile, place: Place, surface_m: float) -> bool:
 
 
 def _whole(config: Config) -> Config:
-    """With tiles as long as an image, and as many candidates in them as in all the tiles that it would be cut into."""
+    """Return the configuration with tiles as long as an image, and with candidates for all the tiles it replaces."""
     n_tiles = -(-_TILE_ROWS // config.waterfall.tile_rows)
     return msgspec.structs.replace(
         config,
@@ -286,7 +299,7 @@ def _whole(config: Config) -> Config:
 
 
 def _progress(what: str, total: int) -> Callable[[int], None]:
-    def told(done: int) -> None:
+    def show_progress(done: int) -> None:
         print(f"\r{done} of {total} {what}", end="\n" if done == total else "", file=sys.stderr, flush=True)
 
-    return told
+    return show_progress

@@ -1,10 +1,10 @@
-"""How well relief, reflectivity and beam pattern come back from side-scan images, and in what time.
+"""Measure how well relief, reflectivity and beam pattern are recovered from side-scan images, and in what time.
 
 auv-mcm bench inversion [--seeds N] [--log FILE] [--markdown]
 
-Made-up sea floors are rendered by the model that is inverted, with speckle: the two methods side by side. Then lines of the simulator,
-which has other laws of scattering, layover, a beam of its own, and whose pings go through the chain's waterfall. With --log, recorded
-lines, of which there is no truth but the image.
+Made-up sea floors are rendered by the model that is inverted, with speckle: the two methods side by side. Then lines of
+the simulator, which has other laws of scattering, layover, a beam of its own, and whose pings go through the chain's
+waterfall. With --log, recorded lines, of which there is no truth but the image.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _ROWS_PER_COLUMN: Final = 2
 _ALTITUDE_M: Final = 5.0
 _NOISE: Final = 0.01  # over the typical echo
 _PERIODS: Final = (1000, 1127)
-_SHORT_M: Final = 1.0  # standard deviation of the mean that is taken off relief before it is compared: slower waves no image tells
+_SHORT_M: Final = 1.0  # standard deviation of the mean that is taken off relief before it is compared: an image does not show slower waves
 _EDGE_ROWS, _FIRST_M, _EDGE_COLUMNS = 10, 3.0, 20  # left out: ends, and what lies below the sonar
 _RIPPLES: Final = Ripples(wavelength_m=1.2, height_m=0.16, direction_deg=60.0, defects=0.5, skew=0.5)
 _SIMULATED: Final[dict[FloorKind, World]] = {
@@ -63,10 +63,11 @@ _HEADER: Final = ("sea floor", "looks", "method", "relief r", "gain", "reflectiv
 
 
 class Figures(NamedTuple):
-    """One inversion against the truth. relief, reflectivity: correlations, of short waves and of logarithms. gain: of short waves.
+    """Judge one inversion against the truth. relief, reflectivity: correlations, of short waves and of logarithms.
+    gain: of short waves.
 
-    error: root mean square of the render against the image without speckle, over the latter's. error_db: median magnitude of their ratio
-    where both are lit. NaN where there is no truth.
+    error: root mean square of the render against the image without speckle, over the latter's. error_db: median
+    magnitude of their ratio where both are lit. NaN where there is no truth.
     """
 
     relief: float
@@ -78,7 +79,8 @@ class Figures(NamedTuple):
 
 
 def made_up_scene(floor: FloorKind, seed: int) -> SeafloorScene:
-    """A sea floor with patches of reflectivity, seen through a beam with side lobes from a height that wanders by 0.4 m."""
+    """A sea floor with patches of reflectivity, seen through a beam with side lobes from a height that wanders by 0.4
+    m."""
 
     def field(name: str, spectrum: Spectrum, step: int = 1) -> Array:
         noise = Noise(seed, name, step=step, cell_m=_COLUMN_M, spectrum=spectrum, periods=_PERIODS, splined=step > 1)
@@ -111,7 +113,7 @@ def made_up_scene(floor: FloorKind, seed: int) -> SeafloorScene:
 
 
 def speckled(scene: SeafloorScene, looks: int, seed: int) -> Array:
-    """The image of a scene with speckle and with noise 20 dB below the typical echo."""
+    """Return the image of a scene with speckle and with noise 20 dB below the typical echo."""
     rendering = render_image(scene)
     noise = _NOISE * float(np.median(rendering.intensity[~rendering.shadow]))
     speckle = np.random.Generator(np.random.PCG64([seed, looks])).gamma(looks, 1.0 / looks, rendering.intensity.shape)
@@ -119,7 +121,7 @@ def speckled(scene: SeafloorScene, looks: int, seed: int) -> Array:
 
 
 def figures(truth: SeafloorScene, image: Array, method: Inversion) -> Figures:
-    """One inversion of an image of a known scene."""
+    """Judge one inversion of an image of a known scene."""
     start = time.process_time()
     found = method(image, truth.valid, truth.altitude_m, truth.along_m, truth.column_spacing_m)
     cpu_s = time.process_time() - start
@@ -131,7 +133,8 @@ def figures(truth: SeafloorScene, image: Array, method: Inversion) -> Figures:
 
 
 def simulated_line(floor: FloorKind, seed: int, looks: int) -> tuple[LinePicture, Array]:
-    """A line flown over a simulated sea floor, to starboard, as the waterfall shows it, and the height of the floor in each pixel."""
+    """A line flown over a simulated sea floor, to starboard, as the waterfall shows it, and the height of the floor in
+    each pixel."""
     scene = Scene(
         seed=seed,
         world=_SIMULATED[floor],
@@ -153,7 +156,7 @@ def simulated_line(floor: FloorKind, seed: int, looks: int) -> tuple[LinePicture
 
 
 def line_figures(picture: LinePicture, heights: Array | None, method: Inversion) -> Figures:
-    """One inversion of a line; its render is compared with the line itself, smoothed over a pixel or so."""
+    """Judge one inversion of a line; its render is compared with the line itself, smoothed over a pixel or so."""
     start = time.process_time()
     found = method(picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m)
     cpu_s = time.process_time() - start
@@ -172,7 +175,7 @@ def _inside(scene: SeafloorScene) -> NDArray[np.bool_]:
 
 
 def _relief_agreement(found: Array, truth: Array, scene: SeafloorScene) -> tuple[float, float]:
-    """Correlation and gain of short waves."""
+    """Return correlation and gain of short waves."""
     sigma_px = (_SHORT_M / mean_spacing_m(scene.along_m), _SHORT_M / scene.column_spacing_m)
     seen = _inside(scene)
     one, other = ((plane - gaussian_filter(plane, sigma_px, mode="nearest"))[seen] for plane in (found, truth))
@@ -180,7 +183,7 @@ def _relief_agreement(found: Array, truth: Array, scene: SeafloorScene) -> tuple
 
 
 def _image_agreement(found: Array, wanted: Array) -> tuple[float, float]:
-    """Relative root mean square, and median magnitude in dB where both are lit."""
+    """Return the relative root mean square, and the median magnitude in dB where both are lit."""
     both = (found > 0.0) & (wanted > 0.0)
     ratio_db = 10.0 * np.abs(np.log10(found[both] / wanted[both]))
     return float(np.sqrt(((found - wanted) ** 2).sum() / (wanted**2).sum())), float(np.median(ratio_db))
@@ -191,7 +194,7 @@ def _correlation(one: Array, other: Array) -> float:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench inversion`."""
+    """Add options of `auv-mcm bench inversion`."""
     parser.add_argument("--seeds", type=count, default=3, help="sea floors of each kind (default 3)")
     parser.add_argument("--log", type=Path, action="append", default=[], metavar="FILE", help="a recorded line to invert, XTF; repeatable")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
@@ -238,10 +241,10 @@ def _recorded_rows(log: Path) -> Iterator[Sequence[str]]:
 
 
 def _cells(found: Sequence[Figures]) -> tuple[str, ...]:
-    """Means over inversions as a row tells them."""
+    """Format means over inversions as a row."""
     mean = Figures(*(statistics.fmean(values) for values in zip(*found, strict=True)))
-    told = (f"{mean.relief:.2f}", f"{mean.gain:.2f}", f"{mean.reflectivity:.2f}", f"{100.0 * mean.error:.0f}", f"{mean.error_db:.1f}")
-    return *("-" if cell == "nan" else cell for cell in told), f"{mean.cpu_s:.2f}"
+    cells = (f"{mean.relief:.2f}", f"{mean.gain:.2f}", f"{mean.reflectivity:.2f}", f"{100.0 * mean.error:.0f}", f"{mean.error_db:.1f}")
+    return *("-" if cell == "nan" else cell for cell in cells), f"{mean.cpu_s:.2f}"
 
 
 def _laid_out(rows: Sequence[Sequence[str]], markdown: bool) -> str:

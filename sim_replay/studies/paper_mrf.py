@@ -1,9 +1,10 @@
-"""The segmentation of Petillot et al., "Target recognition in synthetic aperture and high resolution side-scan sonar", for comparison.
+"""The segmentation of Petillot et al., "Target recognition in synthetic aperture and high resolution side-scan sonar",
+for comparison.
 
-Amplitudes of single pixels, taken for independent; Gaussian shadow, shifted Rayleigh sea floor; Markov parameter from the image;
-iterated conditional modes; highlight followed by shadow, highlight in small clusters. The paper leaves open the law of the highlight
-(here uniform up to the brightest pixel), the start (here clusters of amplitude averaged over 5 x 5 pixels, which is kind to it) and
-the weights of the priors (here those of auv_mcm.confirm.mrf_priors).
+Amplitudes of single pixels, taken for independent; Gaussian shadow, shifted Rayleigh sea floor; Markov parameter from
+the image; iterated conditional modes; highlight followed by shadow, highlight in small clusters. The paper leaves open
+the law of the highlight (here uniform up to the brightest pixel), the start (here clusters of amplitude averaged over 5
+x 5 pixels, which is kind to it) and the weights of the priors (here those of auv_mcm.confirm.mrf_priors).
 """
 
 from __future__ import annotations
@@ -30,22 +31,24 @@ _ROUNDS: Final = 4
 _ICM_SWEEPS: Final = 8
 _CLUSTER_ROUNDS: Final = 10
 _WINDOW_PIXELS: Final = 5
-_LEAST_PIXELS: Final = 20
-_LEAST_PROBABILITY: Final = 1e-6  # over the range of amplitudes; a shifted Rayleigh law forbids all below its shift
+_MIN_PIXELS: Final = 20
+_MIN_PROBABILITY: Final = 1e-6  # over the range of amplitudes; a shifted Rayleigh law forbids all below its shift
 _PRIOR_SMOOTHNESS: Final = 1.0
 _SMALLEST_SPREAD: Final = 1e-3  # times the range of amplitudes
 _SINGLE_PIXELS: Final = Correlation(1.0, 1.0)
 
 
 class PaperSegmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW, HIGHLIGHT, all background where amplitudes do not differ."""
+    """Hold labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW, HIGHLIGHT, all background where amplitudes do not
+    differ.
+    """
 
     labels: Labels
     markov: MarkovEstimate
 
 
 def segment_as_paper(region: Region) -> PaperSegmentation:
-    """Label a region the way of the paper. Pixels that are not valid, not finite or negative have no data term.
+    """Label a region by the paper's method. Pixels that are not valid, not finite or negative have no data term.
 
     Raises ValueError as require_sound does.
     """
@@ -69,25 +72,25 @@ def segment_as_paper(region: Region) -> PaperSegmentation:
 
 
 def _data_costs(amplitude: Plane, labels: Labels, usable: NDArray[np.bool_]) -> Plane:
-    """Minus the logarithms of the three densities, with parameters from the labels; amplitudes run from 0 to 1."""
+    """Return minus the logarithms of the three densities, with parameters from the labels; amplitudes run from 0 to 1."""
     cost = np.zeros((3, *amplitude.shape))  # the highlight's is uniform: 0
     shadow = amplitude[usable & (labels == SHADOW)]
-    if len(shadow) < _LEAST_PIXELS:
-        shadow = np.sort(amplitude[usable])[:_LEAST_PIXELS]
+    if len(shadow) < _MIN_PIXELS:
+        shadow = np.sort(amplitude[usable])[:_MIN_PIXELS]
     spread = max(float(shadow.std()), _SMALLEST_SPREAD)
     cost[SHADOW] = 0.5 * ((amplitude - shadow.mean()) / spread) ** 2 + math.log(spread * math.sqrt(2.0 * math.pi))
     background = amplitude[usable & (labels == BACKGROUND)]
-    if len(background) < _LEAST_PIXELS:
+    if len(background) < _MIN_PIXELS:
         background = amplitude[usable]
     shift = float(background.min()) - _SMALLEST_SPREAD
     scale = max(float(background.std()) / math.sqrt(2.0 - 0.5 * math.pi), _SMALLEST_SPREAD)
     above = np.maximum(amplitude - shift, np.finfo(np.float64).tiny)
     cost[BACKGROUND] = 0.5 * (above / scale) ** 2 - np.log(above) + 2.0 * math.log(scale)
-    return np.minimum(cost, -math.log(_LEAST_PROBABILITY))
+    return np.minimum(cost, -math.log(_MIN_PROBABILITY))
 
 
 def _clusters(amplitude: Plane) -> Labels:
-    """Three clusters of amplitude (Lloyd's iteration), started where shadow, sea floor and highlight are likely."""
+    """Find three clusters of amplitude (Lloyd's iteration), started where shadow, sea floor and highlight are likely."""
     median = float(np.median(amplitude))
     centre = median * np.array([0.4, 1.0, 2.2])
     for _ in range(_CLUSTER_ROUNDS):

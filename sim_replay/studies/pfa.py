@@ -1,4 +1,4 @@
-"""False alarms per km² as a probability per decision, which means nothing without the number of decisions.
+"""Convert false alarms per km² to a probability per decision, which means nothing without the number of decisions.
 
 auv-mcm bench pfa
 """
@@ -19,7 +19,7 @@ _PAPER_PIXEL_M: Final = (0.12, 0.058)  # along and across track, section 4.3
 
 
 class DecisionGrid(NamedTuple):
-    """How a detector lays its decisions on the sea floor, metres apart along and across track."""
+    """Describe how a detector lays its decisions on the sea floor, metres apart along and across track."""
 
     name: str
     along_m: float
@@ -27,26 +27,28 @@ class DecisionGrid(NamedTuple):
 
 
 def decisions_per_km2(along_m: float, across_m: float) -> float:
-    """K, decisions per km², of a detector that makes one every along_m by across_m, both above 0. Each pass over a place counts."""
+    """Return K, decisions per km², of a detector with one every along_m by across_m, both above 0. Each pass over a
+    place counts.
+    """
     if not (along_m > 0.0 and across_m > 0.0):
         raise ValueError(f"decisions {along_m} m by {across_m} m apart: both must be above 0")
     return _M2_PER_KM2 / (along_m * across_m)
 
 
 def pfa(false_alarms_per_km2: float, per_km2: float) -> float:
-    """Probability of a false alarm per decision, of a detector that makes `per_km2` decisions, above 0, per km²."""
+    """Return the probability of a false alarm per decision, of a detector with `per_km2` of them, above 0, per km²."""
     if not per_km2 > 0.0:
         raise ValueError(f"{per_km2} decisions per km²: must be above 0")
     return false_alarms_per_km2 / per_km2
 
 
 def false_alarms_per_km2(probability: float, per_km2: float) -> float:
-    """The way back from a probability of a false alarm per decision."""
+    """Convert a probability of a false alarm per decision back."""
     return probability * per_km2
 
 
 def grids() -> tuple[DecisionGrid, ...]:
-    """One decision per pixel of the source paper's images and of this package's, and one per two pixels by two."""
+    """Return one decision per pixel of the source paper's images and of this package's, and one per two pixels by two."""
     waterfall = Config().waterfall
     along_m, across_m = waterfall.row_spacing_m, waterfall.column_spacing_m
     return (
@@ -58,11 +60,11 @@ def grids() -> tuple[DecisionGrid, ...]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """None: nothing is measured."""
+    """Add no options: nothing is measured."""
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the conversion; returns the exit code."""
+    """Print the conversion; return the exit code."""
     implied = PAPER_PER_KM2 / PAPER_PFA
     cell_m = (_M2_PER_KM2 / implied) ** 0.5
     print(

@@ -1,4 +1,6 @@
-"""Speckle of single pictures, which have no pings to compare: statistics of short windows along rows, texture included."""
+"""Measure speckle of single pictures without pings to compare: statistics of short windows along rows, texture
+included.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ _MIN_WINDOWS: Final = 16
 
 
 class PictureSpeckle(NamedTuple):
-    """Medians over short windows: skewness, and standard deviation over the mean's magnitude. n_windows: that could be used."""
+    """Hold medians over short windows: skewness, and standard deviation over the mean's magnitude. n_windows: that
+    could be used.
+    """
 
     skewness: float
     relative_std: float
@@ -23,8 +27,8 @@ class PictureSpeckle(NamedTuple):
 def picture_speckle(counts: NDArray[np.generic]) -> PictureSpeckle:
     """Measure windows of 64 samples along the rows of a picture (n_rows, n_columns), the linear trend removed.
 
-    The windows with the brighter neighbours are used: choosing by their own mean would favour those that happen to hold no deep fade.
-    NaN with too few usable windows.
+    The windows with the brighter neighbours are used: choosing by their own mean would favour those that happen to hold
+    no deep fade. NaN with too few usable windows.
     """
     start = counts.shape[1] // 8
     n_windows = (counts.shape[1] - start) // _WINDOW

@@ -1,4 +1,4 @@
-"""What is called mine-like in recorded pictures, by the detector alone and after confirmation."""
+"""Find what is called mine-like in recorded pictures, by the detector alone and after confirmation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ CALLED: Final = (0.5, 0.2)
 
 
 class Called(NamedTuple):
-    """One picture without the object: calls per threshold of CALLED, by the detector alone and after confirmation."""
+    """Count calls in one picture without the object, per threshold of CALLED, by the detector alone and after
+    confirmation.
+    """
 
     picture: Picture
     geometry: Geometry
@@ -32,7 +34,7 @@ class Called(NamedTuple):
 
 
 def call(picture: Picture, geometry: Geometry, odds: MineOdds) -> Called:
-    """What is called mine-like in a picture without the object."""
+    """Return the detections called mine-like in a picture without the object."""
     tile, config = tile_of_picture(picture, geometry), config_of(geometry)
     detections = detections_of(tile, config)
     beam_width_rad = math.radians(geometry.beam_width_deg)
@@ -41,12 +43,12 @@ def call(picture: Picture, geometry: Geometry, odds: MineOdds) -> Called:
 
 
 def is_call(detection: Detection, threshold: float) -> bool:
-    """Whether a detection that was looked at is called mine-like and its contours do not speak against it."""
+    """Report whether a confirmed detection is called mine-like and its contours do not contradict it."""
     return detection.p_mine >= threshold and not (detection.confirmation is not None and detection.confirmation.rejected)
 
 
 def n_kept(of_object: Sequence[float], of_none: Sequence[float], n_false: int) -> int:
-    """How many of the object's probabilities are above all but `n_false` of those of anything else."""
+    """Count the object's probabilities above all but `n_false` of those of anything else."""
     ordered = sorted(of_none, reverse=True)
-    least = ordered[n_false] if n_false < len(ordered) else -math.inf
-    return sum(p > least for p in of_object)
+    min_p = ordered[n_false] if n_false < len(ordered) else -math.inf
+    return sum(p > min_p for p in of_object)

@@ -1,8 +1,9 @@
-"""Highlights on real side-scan tiles with a known object, and false confirmations on real images without one.
+"""Measure highlights on real side-scan tiles with a known object, and false confirmations on real images without one.
 
 auv-mcm bench images --data FOLDER [--sheets FOLDER]
 
-FOLDER holds the folders that `real_pictures` tells of. The size of a pixel is assumed, and varied where it could matter.
+FOLDER holds the folders that `real_pictures` describes. The size of a pixel is assumed, and varied where it could
+matter.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _CONTRASTS_DB: Final = (-math.inf, 3.0, 5.0, 7.0, math.inf)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench images`."""
+    """Add options of `auv-mcm bench images`."""
     parser.add_argument("--data", type=Path, required=True, metavar="FOLDER", help="folder with sdvd_20240429 and sas")
     parser.add_argument("--sheets", type=Path, metavar="FOLDER", help="draw contact sheets there, too")
 
@@ -121,8 +122,8 @@ def _print_scales(whole: Sequence[Picture], odds: MineOdds) -> None:
     for pixel_m in OTHER_SCALES_M:
         part = [judge_outlines(picture, SIDE_SCAN._replace(pixel_m=pixel_m), odds) for picture in whole]
         iou = [statistics.median(j.given.iou[k] for j in part) for k in range(len(Overlaps._fields))]
-        told = ", ".join(f"{name.replace('_', ' ')} {value:.2f}" for name, value in zip(Overlaps._fields, iou, strict=True))
-        print(f"  {100.0 * pixel_m:.1f} cm: {told}; {sum(j.detected for j in part)} of {len(part)} detected")
+        overlaps = ", ".join(f"{name.replace('_', ' ')} {value:.2f}" for name, value in zip(Overlaps._fields, iou, strict=True))
+        print(f"  {100.0 * pixel_m:.1f} cm: {overlaps}; {sum(j.detected for j in part)} of {len(part)} detected")
 
 
 def _print_kept(judged: Sequence[JudgedOutline], called: Sequence[Called]) -> None:
@@ -158,6 +159,6 @@ def _print_calls(called: Sequence[Called]) -> None:
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
-    """Lower quartile, median, upper quartile."""
+    """Return lower quartile, median, upper quartile."""
     lower, middle, upper = np.quantile(values, (0.25, 0.5, 0.75)).tolist()
     return lower, middle, upper

@@ -1,4 +1,4 @@
-"""Outlines of the object in a recorded picture, as confirmation makes them, beside the mask drawn by hand."""
+"""Outline the object in a recorded picture, as confirmation does, and compare with the mask drawn by hand."""
 
 from __future__ import annotations
 
@@ -30,8 +30,10 @@ _AROUND_M: Final = 0.3
 
 
 class Overlaps(NamedTuple):
-    """Intersection over union with the mask: of all highlight labels of a region, of the connected ones at the place looked at, of the
-    snake started at that place, of the one started from those labels, and of whichever of the two has the lower criterion."""
+    """Intersection over union with the mask: of all highlight labels of a region, of the connected ones at the place
+    looked at, of the snake started at that place, of the one started from those labels, and of whichever of the two has
+    the lower criterion.
+    """
 
     labels: float
     own_labels: float
@@ -41,14 +43,16 @@ class Overlaps(NamedTuple):
 
 
 class PlacedRegion(NamedTuple):
-    """A region and its first row and column in the tile."""
+    """Hold a region and its first row and column in the tile."""
 
     region: Region
     corner: tuple[int, int]
 
 
 class Outlined(NamedTuple):
-    """Highlight of a region. labels: same shape bool, the object's own. contour: (n, 2) float64 nodes of the best snake."""
+    """Hold the highlight of a region. labels: same shape bool, the object's own. contour: (n, 2) float64 nodes of the
+    best snake.
+    """
 
     placed: PlacedRegion
     labels: Mask
@@ -57,12 +61,13 @@ class Outlined(NamedTuple):
 
 
 class JudgedOutline(NamedTuple):
-    """One picture of the object.
+    """Judge one picture of the object.
 
-    detected: some detection is near the mask. first: that is the one of highest p_mine. given, found: with the mask's centre and with
-    the best detection near the mask as the place to look; found is None if there is none. looked_at: that detection before and after the
-    confirmation. best_threshold: of any threshold on smoothed intensity with the mask. one_pixel: of the mask with itself grown by a pixel.
-    few_nodes: with its outline by 16 nodes. contrast_db: mean intensity inside the mask over that around it.
+    detected: some detection is near the mask. first: that is the one of highest p_mine. given, found: with the mask's
+    centre and with the best detection near the mask as the place to look; found is None if there is none. looked_at:
+    that detection before and after the confirmation. best_threshold: of any threshold on smoothed intensity with the
+    mask. one_pixel: of the mask with itself grown by a pixel. few_nodes: with its outline by 16 nodes. contrast_db:
+    mean intensity inside the mask over that around it.
     """
 
     picture: Picture
@@ -113,7 +118,7 @@ def judge_outlines(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judg
 
 
 def cut_around(tile: Tile, row: float, column: float, beam_width_rad: float) -> PlacedRegion:
-    """What a detection at a place of the tile would be looked at in."""
+    """Return the region that confirmation would use for a detection at a place of the tile."""
     n_rows, n_columns = tile.mask.shape
     (before, after), reach = (round(away_m / tile.column_spacing_m) for away_m in _ACROSS_M), round(ROWS_M / tile.row_spacing_m)
     top, near = max(0, int(row) - reach), max(0, int(column) - before)
@@ -133,7 +138,9 @@ def cut_around(tile: Tile, row: float, column: float, beam_width_rad: float) -> 
 
 
 def outline(placed: PlacedRegion, mask: Mask) -> Outlined:
-    """Labels and contours of a region's object, as confirmation makes them, beside a mask (n_rows, n_columns) of the whole tile."""
+    """Return labels and contours of a region's object, as confirmation makes them, beside a mask (n_rows, n_columns) of
+    the tile.
+    """
     region = placed.region
     area = grain_area(region.intensity, region.valid)
     labels = segment(region).labels
@@ -159,7 +166,9 @@ def outline(placed: PlacedRegion, mask: Mask) -> Outlined:
 
 
 def best_threshold(intensity: Plane, mask: Mask, pixel_m: float) -> float:
-    """Intersection over union of the mask with the best of all thresholds on the 3 x 3 mean, within a third of a metre of its box."""
+    """Intersection over union of the mask with the best of all thresholds on the 3 x 3 mean, within a third of a metre
+    of its box.
+    """
     smooth = cv2.blur(intensity, (_SMOOTHED_PX, _SMOOTHED_PX))
     rows, columns = np.nonzero(mask)
     reach = round(_AROUND_M / pixel_m)
@@ -169,7 +178,7 @@ def best_threshold(intensity: Plane, mask: Mask, pixel_m: float) -> float:
 
 
 def with_few_nodes(mask: Mask) -> Mask:
-    """The mask's largest part inside an outline of as many nodes as a snake has at most."""
+    """Return the mask's largest part inside an outline of at most as many nodes as a snake has."""
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     largest = max(outlines, key=len)
     coarse, tolerance_px = largest, 0.0

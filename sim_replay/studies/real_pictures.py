@@ -1,7 +1,8 @@
-"""Recorded pictures: side-scan tiles with masks of an effigy's highlight, tiles without it, and snippets of bare sea floor.
+"""Recorded pictures: side-scan tiles with masks of an effigy's highlight, tiles without it, and snippets of bare sea
+floor.
 
-`sdvd_20240429` holds the tiles (Jaszcz et al. 2024), `sas` the synthetic-aperture snippets (NSWC PCD). All are 8-bit pictures with marks of
-the program that drew them.
+`sdvd_20240429` holds the tiles (Jaszcz et al. 2024), `sas` the synthetic-aperture snippets (NSWC PCD). All are 8-bit
+pictures with marks of the program that drew them.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ EFFIGY_M: Final = 1.8
 _BRIGHTEST: Final = 255
 _INVERTED_SKEWNESS: Final = -0.2
 _INVERTED_SPREAD: Final = 0.2
-_LEAST_FILL_PX: Final = 600
+_MIN_FILL_PX: Final = 600
 _TICK_PX: Final = 8
 _LABEL_PX: Final = (66, 10)  # rows above a tick's end, columns beside it
 
 
 class Picture(NamedTuple):
-    """A recorded picture, range growing to the right.
+    """Hold a recorded picture, range growing to the right.
 
-    amplitude: (n_rows, n_columns) float64. measured: same shape bool, False under marks, fill and water column. clipped: bool. mask: of
-    the object's highlight, None without an object. inverted: recorded with bright and dark exchanged.
+    amplitude: (n_rows, n_columns) float64. measured: same shape bool, False under marks, fill and water column.
+    clipped: bool. mask: of the object's highlight, None without an object. inverted: recorded with bright and dark
+    exchanged.
     """
 
     name: str
@@ -48,13 +50,13 @@ class Picture(NamedTuple):
 
     @property
     def cut(self) -> bool:
-        """Whether the object leaves the picture."""
+        """Report whether the object leaves the picture."""
         assert self.mask is not None
         return bool(self.mask[[0, -1]].any() or self.mask[:, [0, -1]].any())
 
 
 def effigies(folder: Path) -> list[Picture]:
-    """The side-scan tiles with a mask, range growing to the right. Raises BadInputError if there are none."""
+    """Read the side-scan tiles with a mask, range growing to the right. Raises BadInputError if there are none."""
     images = folder / "sdvd_20240429" / "images"
     return [
         read_picture(path, mask_path=images.parent / "masks" / path.name, mirrored=path.name.startswith("left_"))
@@ -63,13 +65,13 @@ def effigies(folder: Path) -> list[Picture]:
 
 
 def clutter(folder: Path) -> list[Picture]:
-    """The side-scan tiles without the object, each as recorded and mirrored: which side they are of is not told."""
+    """Read the side-scan tiles without the object, each as recorded and mirrored, since their side is unknown."""
     paths = _listed(folder / "sdvd_20240429" / "images", ("clutter_*",))
     return [read_picture(path, mirrored=mirrored) for path in paths for mirrored in (False, True)]
 
 
 def snippets(folder: Path) -> list[Picture]:
-    """The synthetic-aperture snippets."""
+    """Read the synthetic-aperture snippets."""
     return [read_picture(path) for path in _listed(folder / "sas", ("image_*",))]
 
 
@@ -91,7 +93,7 @@ def read_picture(path: Path, *, mask_path: Path | None = None, mirrored: bool = 
 
 
 def length_px(mask: Mask) -> float:
-    """Greatest distance between two points of a mask."""
+    """Return the maximum distance between two points of a mask."""
     hull = cv2.convexHull(np.argwhere(mask).astype(np.int32)).reshape(-1, 2).astype(np.float64)
     return float(np.linalg.norm(hull[:, None] - hull[None], axis=2).max()) + 1.0
 
@@ -111,15 +113,16 @@ def _gray(path: Path) -> Counts:
 
 
 def _fill(counts: Counts) -> Mask:
-    """Large areas of zeros: where the tile goes beyond the recording."""
+    """Return large areas of zeros, where the tile goes beyond the recording."""
     _, parts, stats, _ = cv2.connectedComponentsWithStats((counts == 0).astype(np.uint8), connectivity=4)
-    large = stats[:, cv2.CC_STAT_AREA] >= _LEAST_FILL_PX
+    large = stats[:, cv2.CC_STAT_AREA] >= _MIN_FILL_PX
     large[0] = False
     return np.asarray(large[parts])
 
 
 def _range_marks(counts: Counts) -> Mask:
-    """Ticks of the range scale, white between black, with the black label above them; and the transmit pulse, which looks like one."""
+    """Ticks of the range scale, white between black, with the black label above them; and the transmit pulse, which
+    looks like one."""
     wide = np.pad(counts.astype(np.int64), ((0, 0), (2, 2)), mode="edge")
     tick = (wide[:, 2:-2] > 180) & (wide[:, :-4] < 70) & (wide[:, 4:] < 70)
     long = cv2.erode(tick.astype(np.uint8), np.ones((_TICK_PX, 1), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)

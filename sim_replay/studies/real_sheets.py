@@ -1,4 +1,4 @@
-"""Contact sheets of what was outlined and called in real pictures; small overlays, never the recordings themselves."""
+"""Draw contact sheets of outlines and calls in real pictures; small overlays, never the recordings themselves."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ def write_sheets(folder: Path, judged: Sequence[JudgedOutline], called: Sequence
 
 
 def outlines_sheet(judged: Sequence[JudgedOutline]) -> Canvas:
-    """All whole objects from the best outline to the worst by the snake's overlap, then some cut off by the tile's edge, evenly spread
-    from best to worst: mask green, highlight labels orange, contour blue."""
+    """All whole objects from the best outline to the worst by the snake's overlap, then some cut off by the tile's
+    edge, evenly spread from best to worst: mask green, highlight labels orange, contour blue.
+    """
     ordered = sorted(judged, key=lambda j: -j.given.iou.best_start)
     whole, cut = ([j for j in ordered if j.picture.cut == is_cut] for is_cut in (False, True))
     spread = np.linspace(0, len(cut) - 1, min(_CUT_SHOWN, len(cut))).astype(int).tolist()
@@ -48,7 +49,7 @@ def outlines_sheet(judged: Sequence[JudgedOutline]) -> Canvas:
 
 
 def calls_sheet(called: Sequence[Called]) -> Canvas:
-    """Snippets with what the detector alone would call (thin) and what is called after confirmation (thick), by threshold."""
+    """Draw snippets with calls of the detector alone (thin) and after confirmation (thick), by threshold."""
     return _grid([_called(one) for one in called], _SNIPPET_COLUMNS)
 
 
@@ -108,7 +109,7 @@ def _borders(mask: Mask) -> list[NDArray[np.int32]]:
 
 
 def _fixed(nodes: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Points (n, 1, 2) across and down as OpenCV draws them, from nodes (row, column)."""
+    """Convert nodes (row, column) to points (n, 1, 2) across and down as OpenCV draws them."""
     return np.rint((nodes[:, None, ::-1] - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
 

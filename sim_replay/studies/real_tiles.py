@@ -1,4 +1,4 @@
-"""A recorded picture as the chain would hand it to the detector, and what the detector finds there.
+"""Hand a recorded picture to the detector as the chain would, and return its detections.
 
 Pictures have neither scale nor geometry: what the chain needs to know of them is assumed here.
 """
@@ -27,7 +27,9 @@ _SPEED_MPS: Final = 1.5
 
 
 class Geometry(NamedTuple):
-    """What is assumed of a picture: pixel size, slant range of the first bottom return, ground range of the near edge."""
+    """Assume the geometry of a picture: pixel size, slant range of the first bottom return, ground range of the near
+    edge.
+    """
 
     pixel_m: float
     first_return_m: float
@@ -36,7 +38,7 @@ class Geometry(NamedTuple):
 
     @property
     def n_columns_before(self) -> int:
-        """Columns of the ground-range grid before the picture."""
+        """Count columns of the ground-range grid before the picture."""
         return round(self.first_ground_range_m / self.pixel_m)
 
 
@@ -45,7 +47,7 @@ SAS: Final = Geometry(pixel_m=0.025, first_return_m=8.0, first_ground_range_m=30
 
 
 def tile_of_picture(picture: Picture, geometry: Geometry) -> Tile:
-    """The picture as the chain would hand it to the detector: the angle response and the local mean taken off, in ground range.
+    """Convert the picture to a tile: the angle response and the local mean taken off, in ground range.
 
     Columns before the picture's near edge are not valid. The track runs north at constant speed.
     """
@@ -82,20 +84,20 @@ def tile_of_picture(picture: Picture, geometry: Geometry) -> Tile:
 
 
 def config_of(geometry: Geometry) -> Config:
-    """The default configuration with the beam of the sonar that made the picture."""
+    """Return the default configuration with the beam of the sonar that made the picture."""
     config = Config()
     return msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=geometry.beam_width_deg))
 
 
 def detections_of(tile: Tile, config: Config) -> list[Detection]:
-    """What the detector and suppression leave of one tile."""
+    """Return the detections of one tile after suppression."""
     suppressor = Suppressor(config.detect, tile.row_spacing_m, Counter())
     settled = suppressor.add(detect_tile(tile, config).detections, math.inf)
     return [*settled, *suppressor.flush()]
 
 
 def _dark_stretches(intensity: Plane, measured: Mask, pixel_m: float) -> Mask:
-    """The water column: metres without echo. Shadows of wrecks go with it."""
+    """Find the water column: metres without echo. Shadows of wrecks go with it."""
     side = 2 * round(0.5 * _DARK_M / pixel_m) + 1
     total = cv2.boxFilter(np.where(measured, intensity, 0.0), -1, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT)
     share = cv2.boxFilter(measured.astype(np.float64), -1, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT)

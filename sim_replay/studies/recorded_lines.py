@@ -1,4 +1,5 @@
-"""Recorded missions as inversion takes them: one side of the waterfall on its metric grid, and the scenes found in it."""
+"""Recorded missions as inversion takes them: one side of the waterfall on its metric grid, and the scenes found in
+it."""
 
 from __future__ import annotations
 
@@ -23,10 +24,11 @@ Array = NDArray[np.float64]
 
 
 class LinePicture(NamedTuple):
-    """Rows of one side without a gap; column j is around (j + 0.5) * column_spacing_m.
+    """Hold rows of one side without a gap; column j is around (j + 0.5) * column_spacing_m.
 
-    intensity: (n_rows, n_columns) float64, local sea floor about 1, 0 where not valid. valid: the same shape, bool. altitude_m, along_m:
-    (n_rows,) float64, slant range of the first bottom return and distance from mission start. pose: of each row.
+    intensity: (n_rows, n_columns) float64, local sea floor about 1, 0 where not valid. valid: the same shape, bool.
+    altitude_m, along_m: (n_rows,) float64, slant range of the first bottom return and distance from mission start.
+    pose: of each row.
     """
 
     side: Side
@@ -39,13 +41,15 @@ class LinePicture(NamedTuple):
 
 
 def invert_waterfall(events: Iterable[SourceEvent], config: Config, side: Side) -> Iterator[tuple[LinePicture, SeafloorScene]]:
-    """The pictures of one side of a mission and the scenes that they show, in the order of the track."""
+    """Yield the pictures of one side of a mission and their recovered scenes, in the order of the track."""
     for picture in waterfall_pictures(events, config, side):
         yield picture, invert(picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m)
 
 
 def waterfall_pictures(events: Iterable[SourceEvent], config: Config, side: Side) -> Iterator[LinePicture]:
-    """What the chain's waterfall makes of pings and navigation: bottom tracking, ground range, radiometry. At most 800 rows each."""
+    """Yield the chain's waterfall of pings and navigation: bottom tracking, ground range, radiometry. At most 800 rows
+    each.
+    """
     run: list[Tile] = []
     for tile in _tiles(events, config, side):
         n_rows = sum(one.core_stop - one.core_start for one in run)
@@ -60,17 +64,17 @@ def waterfall_pictures(events: Iterable[SourceEvent], config: Config, side: Side
 def _tiles(events: Iterable[SourceEvent], config: Config, side: Side) -> Iterator[Tile]:
     pipeline = Pipeline(config, detect=_nothing)
     for event in events:
-        yield from (told for told in pipeline.feed(event) if isinstance(told, Tile) and told.side == side)
-    yield from (told for told in pipeline.finish() if isinstance(told, Tile) and told.side == side)
+        yield from (output for output in pipeline.feed(event) if isinstance(output, Tile) and output.side == side)
+    yield from (output for output in pipeline.finish() if isinstance(output, Tile) and output.side == side)
 
 
 def _nothing(tile: Tile) -> TileDetections:
-    """Nobody asks for detections here."""
+    """Detect nothing: no detections are needed here."""
     return TileDetections((), 0, 0)
 
 
 def _core_row(tile: Tile) -> int:
-    """Index in the mission's grid of the first row that is the tile's own."""
+    """Return the index in the mission's grid of the first row that is the tile's own."""
     return tile.first_row + tile.core_start
 
 

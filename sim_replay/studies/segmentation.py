@@ -1,8 +1,9 @@
-"""What confirmation costs and finds on drawn regions: error beside time for every knob.
+"""Measure the cost and errors of confirmation on drawn regions: error beside time for every setting.
 
-Shadows at -9 dB in single-look speckle, on 3 cm pixels of a synthetic aperture: objects of 0.5 to 2 m, shadows of 0.9 to 2.7 m. The rows of
-the segmentation go from the source paper's variant to ours one cause at a time, over the grain of the speckle: where grains are
-single pixels the paper's variant works, and what breaks it is to take the pixels of one grain for independent.
+Shadows at -9 dB in single-look speckle, on 3 cm pixels of a synthetic aperture: objects of 0.5 to 2 m, shadows of 0.9
+to 2.7 m. The rows of the segmentation go from the source paper's variant to ours one cause at a time, over the grain of
+the speckle: where grains are single pixels the paper's variant works, and what breaks it is to take the pixels of one
+grain for independent.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _INDEPENDENT: Final = edge_weights(1.0, (1, 1), Correlation(1.0, 1.0))
 
 
 def add_arguments(_: argparse.ArgumentParser) -> None:
-    """This bench has no options."""
+    """Add no options."""
 
 
 def run(_: argparse.Namespace) -> int:
@@ -46,7 +47,8 @@ def run(_: argparse.Namespace) -> int:
 
 
 def mrf_rows() -> list[str]:
-    """The segmentation: against the source paper over the grain of speckle, and error beside time over the sweeps of TRW-S."""
+    """The segmentation: against the source paper over the grain of speckle, and error beside time over the sweeps of
+    TRW-S."""
     rows = [
         f"shadow at -9 dB, medians over {_N_REGIONS} regions of 144 x 160 pixels; pieces: parts of shadow found and holes in the true one",
         f"{'grain':>6}  {'':<48}{'shadow IoU':>11}{'worst 1/8':>10}{'pieces':>8}{'highlight IoU':>14}{'ms':>8}",
@@ -103,7 +105,7 @@ def _score(method: Callable[[Region], Labels], drawings: Iterator[Drawing]) -> _
 
 
 def _pixel_costs(region: Region) -> NDArray[np.float64]:
-    """Exponential laws with the true means, every pixel for itself."""
+    """Return exponential laws with the true means, every pixel for itself."""
     return np.asarray(np.log(_TRUE_LEVELS) + region.intensity[:, :, None] / _TRUE_LEVELS)
 
 
@@ -130,7 +132,7 @@ def _sweeps_knob() -> Iterator[_Knob]:
     best = [trws(cost, _INDEPENDENT, 100).energy for cost in costs]
     for sweeps in _SWEEPS:
         times, gaps, excesses, shadows = [], [], [], []
-        for cost, least, (_, truth) in zip(costs, best, drawn, strict=True):
+        for cost, minimum, (_, truth) in zip(costs, best, drawn, strict=True):
             found = trws(cost, _INDEPENDENT, sweeps)
             for _ in range(5):
                 began = time.perf_counter()
@@ -138,7 +140,7 @@ def _sweeps_knob() -> Iterator[_Knob]:
                 times.append(time.perf_counter() - began)
             energy = energy_of(found.labels, cost, _INDEPENDENT)
             gaps.append(100.0 * (energy - found.lower_bound) / abs(energy))
-            excesses.append(100.0 * (energy - least) / abs(least))
+            excesses.append(100.0 * (energy - minimum) / abs(minimum))
             shadows.append(overlap(found.labels == SHADOW, truth == SHADOW))
         began = time.perf_counter()
         trws_numpy(costs[0], _INDEPENDENT, sweeps)

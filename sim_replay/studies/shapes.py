@@ -1,4 +1,4 @@
-"""How often the class of a solid is found, how well its size, and in what time, for more and fewer hypotheses.
+"""Measure how often the class of a solid is found, how well its size, and in what time, for more and fewer hypotheses.
 
 auv-mcm bench shapes [--objects N]
 """
@@ -46,7 +46,7 @@ _SHADOW: Final = 0.1  # of the floor: -10 dB
 
 
 class DrawnSolid(NamedTuple):
-    """One object and its views 90 degrees apart. sizes_m: (n,) in the order of SIZES."""
+    """Hold one object and its views 90 degrees apart. sizes_m: (n,) in the order of SIZES."""
 
     solid: Solid
     sizes_m: NDArray[np.float64]
@@ -55,8 +55,10 @@ class DrawnSolid(NamedTuple):
 
 
 class ShapeRow(NamedTuple):
-    """One effort. accuracy: share of classes right, from single views and from pairs. size_error: root mean square over all sizes of the
-    right class, relative. cpu_ms: median per region; n_hypotheses likewise. numpy_ratio: time of the numpy twin over that of C."""
+    """Hold one effort's results. accuracy: share of classes right, from single views and from pairs. size_error: root
+    mean square over all sizes of the right class, relative. cpu_ms: median per region; n_hypotheses likewise.
+    numpy_ratio: time of the numpy twin over that of C.
+    """
 
     effort: str
     accuracy: float
@@ -76,25 +78,25 @@ SIZES: Final[dict[Solid, tuple[str, ...]]] = {
 
 
 def shape_rows(n_objects: int = 24, seed: int = 5) -> list[ShapeRow]:
-    """A row per effort over the same objects of all classes in turn."""
+    """Return a row per effort over the same objects of all classes in turn."""
     drawn = [draw_object(SOLIDS[index % len(SOLIDS)], seed + index) for index in range(n_objects)]
     ratio = numpy_ratio(drawn[0].views[0])
     rows = []
     for name, effort in EFFORTS.items():
         times, counts, errors = [], [], []
         right, right_of_two = 0, 0
-        for thing in drawn:
+        for scene_object in drawn:
             both: list[ShapeFits] = []
-            for region in thing.views:
+            for region in scene_object.views:
                 start = time.thread_time()
                 both.append(fit_shapes(region, None, CORRELATION_AREA, effort=effort))
                 times.append(time.thread_time() - start)
                 counts.append(both[-1].n_hypotheses)
-            right += sum(best_class([fits]) == thing.solid for fits in both)
-            right_of_two += best_class(both) == thing.solid
-            for fit in (fit for fits in both for fit in fits.fits if fit.solid == thing.solid):
-                found = np.array([getattr(fit.best.shape, name) for name in SIZES[thing.solid]])
-                errors += (found / thing.sizes_m - 1.0).tolist()
+            right += sum(best_class([fits]) == scene_object.solid for fits in both)
+            right_of_two += best_class(both) == scene_object.solid
+            for fit in (fit for fits in both for fit in fits.fits if fit.solid == scene_object.solid):
+                found = np.array([getattr(fit.best.shape, name) for name in SIZES[scene_object.solid]])
+                errors += (found / scene_object.sizes_m - 1.0).tolist()
         rows.append(
             ShapeRow(
                 effort=name,
@@ -110,8 +112,9 @@ def shape_rows(n_objects: int = 24, seed: int = 5) -> list[ShapeRow]:
 
 
 def best_class(views: Sequence[ShapeFits]) -> Solid | None:
-    """The class of least cost over all views, sizes weighed as beliefs do; a class that some view does not show at all is out. None if none
-    is left."""
+    """Return the class of minimum cost over all views, sizes weighed as beliefs do; a class that some view does not
+    show at all is out. None if none is left.
+    """
     total = {
         solid: math.fsum(min((_weighed(fit) for fit in fits.fits if fit.solid == solid), default=math.inf) for fits in views)
         for solid in SOLIDS
@@ -125,7 +128,8 @@ def _weighed(fit: ShapeFit) -> float:
 
 
 def numpy_ratio(region: Region, n: int = 64) -> float:
-    """Time of the numpy twin over that of C for the costs of n cylinders, each weighed with a pencil and with the beam."""
+    """Time of the numpy twin over that of C for the costs of n cylinders, each weighed with a pencil and with the
+    beam."""
     image = image_row_sums(region, CORRELATION_AREA)
     assert image is not None
     middle = np.array([region.row * image.row_spacing_m, image.first_ground_range_m + region.column * image.column_spacing_m])
@@ -144,7 +148,9 @@ def numpy_ratio(region: Region, n: int = 64) -> float:
 
 
 def draw_object(solid: Solid, seed: int) -> DrawnSolid:
-    """An object of usual size, scaled by up to 15 %, at 10 to 45 m, rendered from two sides with altitudes told up to 10 % wrong."""
+    """Draw an object of usual size, scaled by up to 15 %, at 10 to 45 m, rendered from two sides with altitudes up to
+    10 % wrong.
+    """
     random = np.random.Generator(np.random.PCG64(seed))
     range_m, azimuth_deg = float(random.uniform(10.0, 45.0)), float(random.uniform(0.0, 360.0))
     scale, long, error = float(random.uniform(0.85, 1.15)), float(random.uniform(0.8, 1.2)), float(random.uniform(-1.0, 1.0))
@@ -159,27 +165,28 @@ def draw_object(solid: Solid, seed: int) -> DrawnSolid:
         case "wedge":
             size = {"length_m": 1.02 * scale, "width_m": 0.8 * scale, "height_m": 0.385 * scale}
             sizes = [1.02 * scale, 0.385 * scale]
-    thing = SceneObject(kind=solid, east_m=range_m, north_m=0.0, azimuth_deg=azimuth_deg, **size)
+    scene_object = SceneObject(kind=solid, east_m=range_m, north_m=0.0, azimuth_deg=azimuth_deg, **size)
     turned = SceneObject(kind=solid, east_m=range_m, north_m=0.0, azimuth_deg=azimuth_deg + 90.0, **size)
     views = (
-        rendered_region(thing, 2 * seed, altitude_error=_ALTITUDE_ERROR * error),
+        rendered_region(scene_object, 2 * seed, altitude_error=_ALTITUDE_ERROR * error),
         rendered_region(turned, 2 * seed + 1, altitude_error=-_ALTITUDE_ERROR * error),
     )
     return DrawnSolid(solid, np.array(sizes), range_m, views)
 
 
-def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.0) -> Region:
-    """The simulator's picture of an object to starboard, with its real beam and speckle, shadows at -10 dB of the floor.
+def rendered_region(scene_object: SceneObject, seed: int, *, altitude_error: float = 0.0) -> Region:
+    """The simulator's picture of an object to starboard, with its real beam and speckle, shadows at -10 dB of the
+    floor.
 
     altitude_error: of the altitude with which ground range is made, relative.
     """
-    assert thing.east_m is not None
+    assert scene_object.east_m is not None
     world = World(relief_rms_m=0.02)
     track = Track(plan=Lawnmower(), speed_mps=_SPEED_MPS, altitude_m=_ALTITUDE_M, motion=STEADY)
-    sea = Sea(Scene(seed=seed, world=world, sonar=_SONAR, track=track, objects=(thing,)))
+    sea = Sea(Scene(seed=seed, world=world, sonar=_SONAR, track=track, objects=(scene_object,)))
     row_m = _SPEED_MPS / _PING_RATE_HZ
     ahead = 0.618 * seed % 1.0 - 0.5  # pings do not fall on the object's middle
-    depth_m = world.depth_m - sea.world.floor_m(thing.east_m, 0.0) - _ALTITUDE_M
+    depth_m = world.depth_m - sea.world.floor_m(scene_object.east_m, 0.0) - _ALTITUDE_M
     poses = [
         SonarPose(i / _PING_RATE_HZ, 0.0, (i - _N_ROWS // 2 + ahead) * row_m, depth_m, 0.0, 0.0, 0.0, 0.0, _SPEED_MPS, 0)
         for i in range(_N_ROWS)
@@ -190,14 +197,14 @@ def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.
     energy = sea.mean_intensity(poses)[:, 1] / np.maximum(floor, 1e-6 * floor.max()) + _SHADOW
     bin_m = _SONAR.range_m / _SONAR.n_samples
     speckled = speckle_rows(energy, row_keys(seed, [1], 0, _N_ROWS), gaussian_taps(_SONAR.range_resolution_m / bin_m))
-    told_m = _ALTITUDE_M * (1.0 + altitude_error)
-    first_m = thing.east_m - _BEFORE_M
-    n_columns = round((_BEFORE_M + 4.0 + 0.13 * thing.east_m) / _COLUMN_M)
-    edges = np.hypot(first_m + _COLUMN_M * np.arange(n_columns + 1), told_m) / bin_m
+    reported_m = _ALTITUDE_M * (1.0 + altitude_error)
+    first_m = scene_object.east_m - _BEFORE_M
+    n_columns = round((_BEFORE_M + 4.0 + 0.13 * scene_object.east_m) / _COLUMN_M)
+    edges = np.hypot(first_m + _COLUMN_M * np.arange(n_columns + 1), reported_m) / bin_m
     sums = np.concatenate((np.zeros((_N_ROWS, 1)), np.cumsum(speckled, axis=1, dtype=np.float64)), axis=1)
     left = edges.astype(np.intp)
     up_to = sums[:, left] + (sums[:, left + 1] - sums[:, left]) * (edges - left)
-    foremost_m = thing.east_m - 0.2 - 0.3 * _ALTITUDE_M / thing.east_m
+    foremost_m = scene_object.east_m - 0.2 - 0.3 * _ALTITUDE_M / scene_object.east_m
     intensity = np.diff(up_to, axis=1) / np.diff(edges)
     return Region(
         intensity=intensity,
@@ -205,7 +212,7 @@ def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.
         row_spacing_m=row_m,
         column_spacing_m=_COLUMN_M,
         first_ground_range_m=first_m,
-        altitude_m=told_m,
+        altitude_m=reported_m,
         row=0.5 * _N_ROWS - ahead,
         column=(foremost_m - first_m) / _COLUMN_M,
         beam_width_rad=math.radians(_SONAR.beam_width_deg),
@@ -213,7 +220,7 @@ def rendered_region(thing: SceneObject, seed: int, *, altitude_error: float = 0.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench shapes`."""
+    """Add options of `auv-mcm bench shapes`."""
     parser.add_argument("--objects", type=count, default=24, help="objects drawn, two views each (default 24)")
 
 

@@ -1,4 +1,4 @@
-"""What the cooperating snakes cost for the contours they give, and which false alarms of the detector they reject.
+"""Measure the cost of the cooperating snakes for their contours, and which false alarms of the detector they reject.
 
 auv-mcm bench snakes            contour error beside time, for schedules from coarse to fine
 auv-mcm bench snakes --scenes   also detections on simulated missions: rejected clutter and lost targets, by reason
@@ -64,7 +64,7 @@ _CLEAR_M: Final = 3.0
 
 
 class DrawnRegion(NamedTuple):
-    """A single-look region and the true masks of highlight and shadow."""
+    """Hold a single-look region and the true masks of highlight and shadow."""
 
     region: Region
     highlight: Mask
@@ -72,7 +72,9 @@ class DrawnRegion(NamedTuple):
 
 
 class SnakeRow(NamedTuple):
-    """One schedule: intersection over union of shadow and highlight, and medians of time and proposals for one pair."""
+    """Hold one schedule's results: intersection over union of shadow and highlight, and medians of time and proposals
+    for one pair.
+    """
 
     schedule: str
     shadow_iou: float
@@ -83,8 +85,9 @@ class SnakeRow(NamedTuple):
 
 
 class SceneRow(NamedTuple):
-    """One scene: clutter rejected of all and targets lost of all, the same if any broken rule rejected, and how often each reason spoke
-    against clutter."""
+    """One scene: clutter rejected of all and targets lost of all, the same if any broken rule rejected, and how often
+    each reason spoke against clutter.
+    """
 
     scene: str
     n_clutter: int
@@ -97,30 +100,34 @@ class SceneRow(NamedTuple):
 
 
 class Handed(NamedTuple):
-    """A detection that the chain hands on to confirmation. p_detector, p_contours: p_mine before and after its contours. told_against:
-    it carries a code that speaks against a mine."""
+    """Hold a detection that the chain hands on to confirmation. p_detector, p_contours: p_mine before and after its
+    contours. explained: it carries a code that speaks against a mine.
+    """
 
     label: Label
     p_detector: float
     p_contours: float
-    told_against: bool
+    explained: bool
 
 
 class OddsRow(NamedTuple):
-    """One scene's clutter below the p_mine that all but _LOST of its targets reach: after contours, told why, and by p_detector alone."""
+    """One scene's clutter below the p_mine that all but _LOST of its targets reach: after contours, with a reason
+    given, and by p_detector alone.
+    """
 
     scene: str
     n_clutter: int
     n_rejected: int
-    n_told: int
+    n_explained: int
     n_by_detector: int
     n_targets: int
     n_lost: int
 
 
 def drawn_pair(seed: int) -> DrawnRegion:
-    """White single-look speckle over a highlight of +8 dB and its shadow of -10 dB, outlines in closed form: leaning parallelograms for
-    even seeds, half ellipses for odd ones, of an object 0.35 to 0.8 m high and 0.8 to 2.2 m long."""
+    """White single-look speckle over a highlight of +8 dB and its shadow of -10 dB, outlines in closed form: leaning
+    parallelograms for even seeds, half ellipses for odd ones, of an object 0.35 to 0.8 m high and 0.8 to 2.2 m long.
+    """
     random = np.random.Generator(np.random.PCG64(seed))
     rows, columns = np.meshgrid(np.arange(_SHAPE[0]) + 0.5, np.arange(_SHAPE[1]) + 0.5, indexing="ij")
     half = random.uniform(0.8, 2.2) / _ROW_M / 2.0
@@ -144,7 +151,7 @@ def drawn_pair(seed: int) -> DrawnRegion:
 
 
 def plain_region(intensity: NDArray[np.float64], *, row: float, column: float) -> Region:
-    """A region of the drawings' geometry, all of it measured."""
+    """Return a region of the drawings' geometry, all of it measured."""
     return Region(
         intensity=intensity,
         valid=np.ones(intensity.shape, dtype=np.bool_),
@@ -159,7 +166,7 @@ def plain_region(intensity: NDArray[np.float64], *, row: float, column: float) -
 
 
 def random_start(drawn: DrawnRegion, seed: int) -> Start:
-    """Boxes off by up to 4 pixels either way and 0.4 to 1.3 times as large as the truth."""
+    """Draw boxes off by up to 4 pixels either way and 0.4 to 1.3 times as large as the truth."""
     random = np.random.Generator(np.random.PCG64(seed))
     rows, columns = np.nonzero(drawn.shadow)
     middle, foot = 0.5 * (rows.min() + rows.max() + 1), float(np.median(np.nonzero(drawn.highlight)[1])) + 3.0
@@ -172,12 +179,12 @@ def random_start(drawn: DrawnRegion, seed: int) -> Start:
 
 
 def box(top: float, near: float, bottom: float, far: float) -> NDArray[np.float64]:
-    """Nodes of a rectangle, down its far side."""
+    """Return nodes of a rectangle, down its far side."""
     return np.array([(top, near), (top, far), (bottom, far), (bottom, near)], dtype=np.float64)
 
 
 def snake_rows(n_images: int = 10, n_starts: int = 5) -> list[SnakeRow]:
-    """Contour error beside the time for one pair, per schedule."""
+    """Return the contour error beside the time for one pair, per schedule."""
     drawings = [drawn_pair(seed) for seed in range(100, 100 + n_images)]
     return [_row(name, drawings, n_starts, *schedules) for name, schedules in SCHEDULES.items()]
 
@@ -207,12 +214,12 @@ def _row(name: str, drawings: list[DrawnRegion], n_starts: int, coarse: Schedule
 
 
 def region_settings(region: Region, correlation_px: float = 1.0) -> snake_twin.Settings:
-    """The criterion's settings for a region."""
+    """Return the criterion's settings for a region."""
     return snake_settings(region, snake.window_row_sums(region.intensity, region.valid).table, correlation_px)
 
 
 def twin_ratio(n_images: int = 2) -> float:
-    """How many times longer the Python twin takes for one pair than the C kernel."""
+    """Return how many times longer the Python twin takes for one pair than the C kernel."""
     if snake.c_kernel() is None:
         return 1.0
     ratios = []
@@ -231,10 +238,10 @@ def twin_ratio(n_images: int = 2) -> float:
 def scene_rows(
     scenes: Sequence[str] = ("ripple", "seagrass", "flat", "mixed"), seeds: Sequence[int] = HELD_OUT_SEEDS
 ) -> Iterator[SceneRow]:
-    """What becomes of the detector's detections on simulated missions.
+    """Return the fate of the detector's detections on simulated missions.
 
-    A target is the best detection of one in each pass, where it lay abeam; clutter lies clear of every object. All else, such as rocks and
-    second detections of a target, counts for neither.
+    A target is the best detection of one in each pass, where it lay abeam; clutter lies clear of every object. All
+    else, such as rocks and second detections of a target, counts for neither.
     """
     for name in scenes:
         judged = [found for seed in seeds for found in _judged(name, seed)]
@@ -253,28 +260,29 @@ def scene_rows(
 
 
 def odds_row(name: str, seeds: Sequence[int] = HELD_OUT_SEEDS) -> OddsRow:
-    """What the odds after contours reject of all that the chain's detector hands on, at the threshold that loses no more targets than
-    _LOST. Raises UsageError if no target was detected."""
+    """Count what the odds after contours reject of all that the chain's detector hands on, at the threshold that loses
+    no more targets than _LOST. Raises UsageError if no target was detected.
+    """
     handed = [each for seed in seeds for each in _handed_on(name, seed)]
     targets, clutter = ([each for each in handed if each.label == label] for label in ("target", "clutter"))
     if not targets:
         raise UsageError(f"no target was detected in {name} with seeds {seeds[0]} to {seeds[-1]}: give more seeds")
-    least = _least_kept([each.p_contours for each in targets])
-    rejected = [each for each in clutter if each.p_contours < least]
-    by_detector = _least_kept([each.p_detector for each in targets])
+    min_kept = _min_kept([each.p_contours for each in targets])
+    rejected = [each for each in clutter if each.p_contours < min_kept]
+    by_detector = _min_kept([each.p_detector for each in targets])
     return OddsRow(
         scene=name,
         n_clutter=len(clutter),
         n_rejected=len(rejected),
-        n_told=sum(each.told_against for each in rejected),
+        n_explained=sum(each.explained for each in rejected),
         n_by_detector=sum(each.p_detector < by_detector for each in clutter),
         n_targets=len(targets),
-        n_lost=sum(each.p_contours < least for each in targets),
+        n_lost=sum(each.p_contours < min_kept for each in targets),
     )
 
 
-def _least_kept(p_targets: Sequence[float]) -> float:
-    """The highest threshold below which no more than _LOST of them lie."""
+def _min_kept(p_targets: Sequence[float]) -> float:
+    """Return the highest threshold below which no more than _LOST of them lie."""
     return sorted(p_targets)[math.floor(_LOST * len(p_targets))]
 
 
@@ -324,10 +332,12 @@ def _judged(name: str, seed: int) -> Iterator[tuple[Label, Contours]]:
 
 
 def label_detections(detections: Sequence[Detection], objects: Sequence[dict[str, Any]], speed_mps: float) -> list[Label | None]:
-    """What each detection is, by the objects of truth.json; None for what counts for neither."""
+    """Label each detection by the objects of truth.json; None for those that count for neither."""
     labels: list[Label | None] = []
-    latitude, longitude = (np.array([thing[key] for thing in objects], dtype=np.float64) for key in ("lat", "lon"))
-    clear_m = _CLEAR_M + 0.5 * np.array([max(thing["length_m"], thing["width_m"]) for thing in objects], dtype=np.float64)
+    latitude, longitude = (np.array([scene_object[key] for scene_object in objects], dtype=np.float64) for key in ("lat", "lon"))
+    clear_m = _CLEAR_M + 0.5 * np.array(
+        [max(scene_object["length_m"], scene_object["width_m"]) for scene_object in objects], dtype=np.float64
+    )
     for detection in detections:
         frame = LocalFrame(latitude_deg=detection.latitude_deg, longitude_deg=detection.longitude_deg)
         distance_m = np.hypot(*frame.to_enu(latitude, longitude, np.zeros(len(objects))).T[:2])
@@ -335,10 +345,10 @@ def label_detections(detections: Sequence[Detection], objects: Sequence[dict[str
     # In time and range, which errors of navigation do not touch.
     time_s, ground_range_m = (np.array([getattr(d, key) for d in detections]) for key in ("time_s", "ground_range_m"))
     score, side = np.array([d.score for d in detections]), np.array([d.side for d in detections])
-    for thing in objects:
-        for look in thing["looks"] if thing["is_target"] else ():
+    for scene_object in objects:
+        for look in scene_object["looks"] if scene_object["is_target"] else ():
             along_m = (time_s - datetime.fromisoformat(look["time"]).timestamp()) * speed_mps
-            reach_m = _BESIDE_M + 0.5 * max(thing["length_m"], thing["width_m"])
+            reach_m = _BESIDE_M + 0.5 * max(scene_object["length_m"], scene_object["width_m"])
             near = (side == look["side"]) & (np.hypot(along_m, ground_range_m - look["ground_range_m"]) <= reach_m)
             if near.any():
                 labels[int(np.where(near, score, -np.inf).argmax())] = "target"
@@ -346,7 +356,7 @@ def label_detections(detections: Sequence[Detection], objects: Sequence[dict[str
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench snakes`."""
+    """Add options of `auv-mcm bench snakes`."""
     parser.add_argument("--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there")
     parser.add_argument("--odds", action="store_true", help="also fly them and judge what the odds after contours reject")
 
@@ -373,7 +383,7 @@ def run(chosen: argparse.Namespace) -> int:
     if chosen.odds:
         print(f"\n{'':<10}{'handed on':>11}{'rejected':>10}{'told why':>10}{'detector':>10}{'targets':>9}{'lost':>8}")
         for judged in map(odds_row, ODDS_SCENES):
-            shares = (judged.n_rejected / max(judged.n_clutter, 1), judged.n_told / max(judged.n_rejected, 1))
+            shares = (judged.n_rejected / max(judged.n_clutter, 1), judged.n_explained / max(judged.n_rejected, 1))
             by_detector, lost = judged.n_by_detector / max(judged.n_clutter, 1), judged.n_lost / judged.n_targets
             print(
                 f"{judged.scene:<10}{judged.n_clutter:>11}{shares[0]:>10.1%}{shares[1]:>10.1%}{by_detector:>10.1%}"

@@ -1,4 +1,4 @@
-"""Check that a killed service between fake devices has its input and its announced contacts on disk."""
+"""The real service between fake devices, killed: its input and its announcements are on disk."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_line_of_the_journal_that_was_cut_off_holds_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kill", "said"),
+    ("kill", "words"),
     [
         (a_kill(lost_s=1.2), "last 1.20 s"),
         (a_kill(lost_s=float("nan")), "last nan s"),
@@ -71,9 +71,9 @@ def test_a_line_of_the_journal_that_was_cut_off_holds_nothing() -> None:
         (a_kill(missing=(LINE,)), "not in contacts.jsonl: contact C00012"),
     ],
 )
-def test_whatever_is_lost_is_reported_and_sets_the_exit_code(
-    kill: KillOutcome, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_losses_are_printed_and_set_the_exit_code(
+    kill: KillOutcome, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(soak, "killed", lambda n_kills, seed, folder: iter([a_kill(), kill]))
     assert main(["bench", "soak", "--kills", "2"]) == SelfCheckError.exit_code
-    assert said in capsys.readouterr().out
+    assert words in capsys.readouterr().out

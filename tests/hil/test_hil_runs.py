@@ -1,4 +1,4 @@
-"""A run of the real service between fake devices: what is said of it, its exit code, and that nothing outlives it."""
+"""A run of the real service between fake devices: its verdict, its exit code, and that nothing outlives it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ service:
   ports:
     - {name: nav, link: '{nav}', device: pd6}
 expectations:
-  - {test: it ends on request, expected: {is: exit_code}}
+  - {test: it ends when requested to stop, expected: {is: exit_code}}
   - {test: pings come from nowhere, expected: {is: summary, key: pings, at_least: 1}}
 """
 COMMAND = "import sys; from tests.hil import test_hil_runs as runs; sys.exit(runs.run(*sys.argv[1:]))"
@@ -65,7 +65,7 @@ def processes_with(text: str) -> list[int]:
     return found
 
 
-def test_what_is_not_met_is_reported_and_sets_the_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failed_expectations_are_printed_and_set_the_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SelfCheckError, match=r"short \(1 of 2; see .*short\)"):
         run(str(short(tmp_path)), "--out", str(tmp_path))
     rows = capsys.readouterr().out.splitlines()

@@ -68,7 +68,7 @@ def test_the_service_gets_the_devices_addresses_and_a_folder_for_its_results(tmp
         ("at_least: 10", "at_last: 10", "at_last"),
         (", at_least: 10", "", "neither at_least nor at_most"),
         ("{is: exit_code}", "{is: reopened, device: gps, within_s: 1}", "names 'gps'"),
-        ("{is: exit_code}", "{is: line, matching: '(', at_least: 1}", "no regular expression"),
+        ("{is: exit_code}", "{is: line, matching: '(', at_least: 1}", "not a regular expression"),
         ("do: stall", "do: explode", "explode"),
         ("for_s: 2", "for_s: 2, rates: {}", "rates"),
     ],
@@ -96,15 +96,15 @@ def test_a_name_that_is_neither_shipped_nor_a_file_is_answered_with_those_that_a
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "empty. What is needed and not there is about, devices, service, run_s, expectations. Write"),
+        ("", "empty. Missing: about, devices, service, run_s, expectations. For example, write"),
         ("# later\n", "about: what the run shows"),
-        (SOUND.replace("about: what it shows", "about:"), "What is needed and not there is about. Write"),
+        (SOUND.replace("about: what it shows", "about:"), "Missing: about. For example, write"),
         (SOUND.replace("run_s: 5", ""), "  run_s: 10\n"),
         ("- about\n", "got list; expected keys such as 'devices:'"),
         (SOUND.replace("{device: ping_protocol}", "{link: serial}"), "missing required field `device` - at `devices"),
     ],
 )
-def test_what_is_missing_is_reported_with_the_file_the_key_and_what_to_write(tmp_path: Path, text: str, words: str) -> None:
+def test_missing_keys_are_reported_with_the_file_the_key_and_what_to_write(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text, "utf-8")
     with pytest.raises(UsageError) as refusal:
@@ -114,13 +114,13 @@ def test_what_is_missing_is_reported_with_the_file_the_key_and_what_to_write(tmp
     assert str(SCENARIOS / "clean.yaml") in str(refusal.value)
 
 
-def test_the_advice_on_what_to_write_makes_a_scenario(tmp_path: Path) -> None:
+def test_the_suggested_keys_make_a_scenario(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("scene: demo", "utf-8")
     with pytest.raises(UsageError) as refusal:
         read_scenario(str(path))
-    reported = [line for line in str(refusal.value).splitlines() if line.startswith("  ")]
-    assert parse_scenario("\n".join(["scene: demo", *(line.strip() for line in reported)]), "here").run_s == 10.0
+    written_lines = [line for line in str(refusal.value).splitlines() if line.startswith("  ")]
+    assert parse_scenario("\n".join(["scene: demo", *(line.strip() for line in written_lines)]), "here").run_s == 10.0
 
 
 @pytest.mark.parametrize("name", ["folder", "folder.yaml"])
@@ -131,7 +131,7 @@ def test_a_folder_is_no_scenario(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -> None:
+def test_shipped_scenarios_are_sound_short_and_state_their_expectations(name: str) -> None:
     read = read_scenario(name)
     scenario = read.scenario
     assert scenario.run_s <= (25.0 if scenario.vehicle is None else 90.0)
@@ -140,7 +140,7 @@ def test_shipped_scenarios_are_sound_short_and_say_what_is_expected(name: str) -
     ends = yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"]
     assert ends == ({"is": "exit_code"} if scenario.kill is None else {"is": "exit_code", "code": -9})
     links = {"serial": "serial:///dev/p?baud=9600", "slcan": "slcan:///dev/p?bitrate=250000", "tcp": "tcp://a:1", "udp": "udp://a:1"}
-    uris = {device: links[reported.link] for device, reported in scenario.devices.items()}
+    uris = {device: links[device_job.link] for device, device_job in scenario.devices.items()}
     assert len(read_ports(service_config(scenario, uris, name))) == len(scenario.devices)
 
 
@@ -173,7 +173,7 @@ service:
     - {name: vehicle, link: '{vehicle}', device: imc}
 expectations:
   - {test: it ends, expected: {is: exit_code}}
-  - {test: contacts are reported, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
+  - {test: it is told, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
 """
 
 
@@ -191,7 +191,7 @@ def test_a_scenario_with_a_vehicle_is_read() -> None:
         ("run_s: 5", "run_s: 5\nspeed: 2", "real time"),
         ("{device: ping_protocol}", "{device: iver}", "two controllers"),
         ("told_in_time, device: vehicle", "told_in_time, device: boat", "'boat'"),
-        ("do: revoke", "do: freeze", "no navigation unit"),
+        ("do: revoke", "do: freeze", "not a navigation unit"),
     ],
 )
 def test_a_vehicle_that_cannot_fly_is_refused(old: str, new: str, named: str) -> None:
@@ -224,7 +224,7 @@ def test_a_mistake_in_a_scenario_is_refused_with_what_was_meant(right: str, wron
 def test_all_runs_every_shipped_scenario_and_fails_if_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = []
 
-    def run_nothing(read: Read, folder: Path, say: Callable[[str], None]) -> Evidence:
+    def run_nothing(read: Read, folder: Path, progress: Callable[[str], None]) -> Evidence:
         folder.mkdir(parents=True)
         ran.append(read.name)
         reports: dict[str, list[Report]] = {name: [] for name in read.scenario.devices}

@@ -15,7 +15,7 @@ from tests.manual_clock import ManualClock
 
 
 @pytest.mark.parametrize("by_s", [3600.0, -12.5])
-def test_utc_steps_at_the_configured_instant_and_monotonic_time_does_not(by_s: float) -> None:
+def test_utc_steps_at_the_given_instant_and_monotonic_time_does_not(by_s: float) -> None:
     under = ManualClock(1000.0)
     clock = SteppingClock(under, by_s)
     under.advance_to(1005.0)
@@ -35,7 +35,7 @@ def test_what_the_service_refuses_is_refused_here(tmp_path: Path, monkeypatch: p
         main(str(path), "1.0", "2.0")
 
 
-def test_a_scenario_says_when_the_clock_steps() -> None:
+def test_a_scenario_sets_when_the_clock_steps() -> None:
     text = SOUND + "host_clock_step: {at_s: 3.5, by_s: -7}\n"
     assert parse_scenario(text, "s.yaml").host_clock_step == HostClockStep(at_s=3.5, by_s=-7.0)
     with pytest.raises(UsageError, match=r"host_clock_step\.at_s"):

@@ -1,4 +1,5 @@
-"""Check verdicts on runs with a vehicle: reports, destinations and passes; missing evidence is never a pass."""
+"""Judge runs with a vehicle by its reports, its commands and the targets it passed; missing evidence is never
+a pass."""
 
 from __future__ import annotations
 
@@ -7,10 +8,10 @@ from typing import Any
 import pytest
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, Silence, ToldInTime
-from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, told_in_time
+from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, ReportedInTime, Silence
+from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, reported_in_time
 
-TOLD = ToldInTime(device="vehicle", within_s=1.0, min_p_mine=0.2)
+REPORTED_IN_TIME = ReportedInTime(device="vehicle", within_s=1.0, min_p_mine=0.2)
 PASSED = Passed(device="vehicle", ground_range_m=(8.0, 16.0), other_look_deg=45.0, at_least=1)
 FENCE = ((43.0, 5.0), (43.0, 5.1), (43.1, 5.1), (43.1, 5.0))
 
@@ -53,7 +54,7 @@ def command(latitude_deg: float = 43.05, longitude_deg: float = 5.05) -> Report:
     ],
 )
 def test_contacts_are_reported_in_time(lines: list[Line], reports: list[Report], holds: bool) -> None:
-    assert told_in_time(TOLD, lines, reports)[2] is holds
+    assert reported_in_time(REPORTED_IN_TIME, lines, reports)[2] is holds
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def passes(rule: Rule, **changes: Any) -> bool:
         (None, {10.4: "INFO auv_mcm.shell.service: stopping: 0 pings still queued"}, False),
     ],
 )
-def test_a_service_answers_when_it_says_soon_that_it_stops(stopped_s: float | None, texts: dict[float, str], holds: bool) -> None:
+def test_a_service_answers_when_it_announces_its_stop_soon(stopped_s: float | None, texts: dict[float, str], holds: bool) -> None:
     lines = [Line(at_s, text) for at_s, text in texts.items()]
     assert passes(AnswersStop(within_s=2.0), lines=lines, stopped_s=stopped_s) is holds
 
@@ -154,9 +154,9 @@ def test_a_replay_without_contacts_compares_nothing_and_fails() -> None:
     assert not passes(AS_REPLAYED, replayed=None)
 
 
-def test_the_table_says_what_was_expected_and_found() -> None:
+def test_the_table_shows_expectation_and_outcome() -> None:
     rules: list[Rule] = [ExitCode(), NoticeRule(code="port_down", at_most=0), SummaryRule(key="none", at_least=1)]
-    table = as_table([judge(Expectation(test="stop requested", expected=rule), evidence()) for rule in rules])
+    table = as_table([judge(Expectation(test="told to stop", expected=rule), evidence()) for rule in rules])
     first, *rows = table.splitlines()
     assert first.split() == ["Test", "Expected", "Found"]
     assert [row.split()[0] for row in rows] == ["passed", "FAILED", "FAILED"]
@@ -168,5 +168,8 @@ def test_the_table_says_what_was_expected_and_found() -> None:
 def test_contacts_and_targets_are_read_from_their_files() -> None:
     feature = {"geometry": {"coordinates": [5.0, 43.0]}, "properties": {"p_mine": 0.5, "class": "wedge"}}
     assert contacts_of({"features": [feature]}) == [Placed(43.0, 5.0, 0.5, "wedge")]
-    objects = [{"lat": 43.0, "lon": 5.0, "is_target": True, "kind": "wedge"}, {"lat": 0.0, "lon": 0.0, "is_target": False, "kind": "rock"}]
-    assert targets_of({"objects": objects}) == [Placed(43.0, 5.0, 1.0, "wedge")]
+    scene_objects = [
+        {"lat": 43.0, "lon": 5.0, "is_target": True, "kind": "wedge"},
+        {"lat": 0.0, "lon": 0.0, "is_target": False, "kind": "rock"},
+    ]
+    assert targets_of({"objects": scene_objects}) == [Placed(43.0, 5.0, 1.0, "wedge")]

@@ -1,4 +1,4 @@
-"""The bench of beliefs: what it draws, how it weighs a contour, and what its tables say."""
+"""The bench of beliefs: what it draws, how it weighs a contour, and the figures in its tables."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from sim_replay.studies.beliefs import (
     code_length,
     contour_wins,
     decided,
-    draw_thing,
+    draw_labelled,
     free_contour,
     look,
     looks_at,
@@ -56,7 +56,7 @@ def test_the_sums_of_the_printed_beliefs_leave_something_open() -> None:
 
 
 def test_a_rock_is_drawn_the_same_again_with_altitudes_wrong_either_way() -> None:
-    rock, again = (draw_thing("clutter", HELD_OUT_SEED) for _ in range(2))
+    rock, again = (draw_labelled("clutter", HELD_OUT_SEED) for _ in range(2))
     for view, view_again in zip(rock.views, again.views, strict=True):
         np.testing.assert_array_equal(view.intensity, view_again.intensity)
     assert rock.views[0].altitude_m + rock.views[1].altitude_m == pytest.approx(12.0)
@@ -109,9 +109,9 @@ def test_rows_are_medians_per_class_and_shares_of_right_decisions() -> None:
 
 
 def test_calibration_counts_what_is_promised_to_the_true_and_to_the_winning_class() -> None:
-    told = calibration_of(np.array([certain(0.5, "sphere"), certain(0.5, "wedge")]), ["sphere", "clutter"], 4.0)
-    assert told.log_loss == pytest.approx(-0.5 * (math.log(0.6) + math.log(0.1)))
-    assert told.error == pytest.approx(0.1)  # 0.6 promised, 0.5 kept
+    printed = calibration_of(np.array([certain(0.5, "sphere"), certain(0.5, "wedge")]), ["sphere", "clutter"], 4.0)
+    assert printed.log_loss == pytest.approx(-0.5 * (math.log(0.6) + math.log(0.1)))
+    assert printed.error == pytest.approx(0.1)  # 0.6 promised, 0.5 kept
 
 
 def test_promises_are_set_beside_outcomes_where_there_are_any() -> None:
@@ -121,7 +121,7 @@ def test_promises_are_set_beside_outcomes_where_there_are_any() -> None:
     assert tuple(high) == pytest.approx((1, 0.96, 1.0))
 
 
-def test_a_rock_of_implausible_size_is_told_by_its_size_alone() -> None:
+def test_a_rock_of_implausible_size_is_recognised_by_its_size_alone() -> None:
     def rock(plausible: float, contour: float) -> LikelihoodView:
         evidence = {name: ClassEvidence(nll=-100.0 if name == "wedge" else 0.0, plausibility=plausible) for name in FRAME}
         evidence["clutter"] = ClassEvidence(nll=contour)
@@ -134,7 +134,7 @@ def test_a_rock_of_implausible_size_is_told_by_its_size_alone() -> None:
     assert clutter_without_sizes(rock(1.0, -150.0))
 
 
-def test_two_views_that_agree_say_more_and_calibrations_tell_both() -> None:
+def test_two_views_that_agree_give_more_certainty_and_calibrations_report_both() -> None:
     seen = LikelihoodView(
         {name: ClassEvidence(nll=0.0 if name == "wedge" else 20.0) for name in FRAME}, False, np.zeros((1, 1), dtype=np.bool_)
     )
@@ -148,15 +148,15 @@ def test_two_views_that_agree_say_more_and_calibrations_tell_both() -> None:
 
 
 def test_a_drawn_mine_is_seen_from_both_sides() -> None:
-    first, second = looks_at(draw_thing("cylinder", HELD_OUT_SEED))
+    first, second = looks_at(draw_labelled("cylinder", HELD_OUT_SEED))
     assert first.evidence["cylinder"].nll < first.evidence["sphere"].nll
     assert second.evidence["cylinder"].nll < second.evidence["sphere"].nll
 
 
 def test_the_bench_prints_the_papers_rows_beside_ours(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "beliefs", "--objects", "1"]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert all(
-        title in told for title in ("printed in the source paper", "derived anew", "ours, one view", "ours, two views", "calibration")
+        title in printed for title in ("printed in the source paper", "derived anew", "ours, one view", "ours, two views", "calibration")
     )
-    assert "cylinder            0.710    0.000    0.000        -    0.200    0.910" in told
+    assert "cylinder            0.710    0.000    0.000        -    0.200    0.910" in printed

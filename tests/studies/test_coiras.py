@@ -50,8 +50,8 @@ def test_misfit_of_the_true_relief_is_its_prior_alone() -> None:
     assert not np.abs(misfit(elevation, expected).gradient).max() > 1e-9
 
 
-@pytest.mark.parametrize(("looks", "least"), [(1, 0.45), (4, 0.65), (100, 0.85)])
-def test_ripples_come_back(looks: int, least: float) -> None:
+@pytest.mark.parametrize(("looks", "min_correlation"), [(1, 0.45), (4, 0.65), (100, 0.85)])
+def test_ripples_come_back(looks: int, min_correlation: float) -> None:
     n_pings, n_columns = 64, 160
     along_m = ROW_M * np.arange(n_pings, dtype=np.float64)
     elevation = 0.07 * np.sin(2.0 * math.pi * (0.5 * along_m[:, None] + 0.87 * ground_range_m(n_columns, COLUMN_M)) / 1.3)
@@ -69,7 +69,7 @@ def test_ripples_come_back(looks: int, least: float) -> None:
     image = (render_image(scene).intensity + 1e-3) * speckle
     found = invert_multiresolution(image, scene.valid, scene.altitude_m, along_m, COLUMN_M)
     short, truth = (plane - gaussian_filter(plane, (5.0, 10.0)) for plane in (found.elevation_m, elevation))
-    assert float(np.corrcoef(short[5:-5, 20:-10].ravel(), truth[5:-5, 20:-10].ravel())[0, 1]) > least
+    assert float(np.corrcoef(short[5:-5, 20:-10].ravel(), truth[5:-5, 20:-10].ravel())[0, 1]) > min_correlation
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (2, 6), (20, 3), (1, 1)])

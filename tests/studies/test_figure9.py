@@ -78,7 +78,7 @@ def test_an_object_is_sighted_once_at_its_best_with_its_shadow_and_the_floor_onc
     ]
 
 
-def test_what_comes_at_the_slant_range_of_the_surface_is_told_apart() -> None:
+def test_echoes_at_the_slant_range_of_the_surface_are_separated() -> None:
     column = round(math.sqrt(18.0**2 - ALTITUDE_M**2) / 0.06)
     assert [s.what for s in sighted(_tile(), [Place(20, column, 1.0), Place(20, column + 60, 0.0)], 18.0)] == ["surface", "floor"]
 
@@ -104,7 +104,7 @@ def test_the_table_counts_objects_and_false_alarms_of_all_images() -> None:
 def test_images_hold_the_objects_of_the_paper(experiment: object) -> None:
     chosen = next(one for one in EXPERIMENTS if one is experiment)
     placed = place_objects(image_scene(chosen, 9100))
-    targets = [thing.kind for thing in placed if thing.is_target]
+    targets = [scene_object.kind for scene_object in placed if scene_object.is_target]
     wanted = {kind: n for kind, n in chosen.objects.items() if kind not in chosen.not_targets}
     assert {kind: targets.count(kind) for kind in wanted} == wanted
     assert len(targets) == sum(wanted.values())

@@ -43,7 +43,7 @@ def test_no_decisions_give_no_probability(wrong: float) -> None:
         decisions_per_km2(wrong, 0.06)
 
 
-def test_the_bench_tells_k_of_every_grid(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_bench_prints_k_of_every_grid(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(argparse.Namespace()) == 0
-    told = capsys.readouterr().out
-    assert all(f"{decisions_per_km2(grid.along_m, grid.across_m):.4g}" in told for grid in grids())
+    printed = capsys.readouterr().out
+    assert all(f"{decisions_per_km2(grid.along_m, grid.across_m):.4g}" in printed for grid in grids())

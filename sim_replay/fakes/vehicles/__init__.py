@@ -1,1 +1,1 @@
-"""Vehicle controllers as their makers describe them, and the fake vehicle that flies what they accept."""
+"""Simulate vehicle controllers by their makers' manuals, and fly what they accept."""

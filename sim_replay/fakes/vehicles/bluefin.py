@@ -1,7 +1,8 @@
-"""The computer of a Bluefin as its standard payload interface describes it.
+"""Simulate the computer of a Bluefin by its standard payload interface.
 
-It tells what it was asked for by `$BPLOG`, and answers every sentence by `$BFACK` once it was asked for that; times must have three
-decimals. It lets the payload command, by `$BFCTL`, while it hears `$BPSTS`. How long `$BPRMB` holds is not public; here 5 s.
+It sends the messages requested by `$BPLOG`, and answers every sentence by `$BFACK` once that is requested; times must
+have three decimals. It grants control, by `$BFCTL`, while it hears `$BPSTS`. How long `$BPRMB` holds is not public;
+here 5 s.
 """
 
 from __future__ import annotations
@@ -23,21 +24,24 @@ from sim_replay.fakes.vehicles.text_controller import (
     steer_of,
 )
 
-_HEARTBEAT_VALID_S: Final = 20.0  # longer than a sentence is said again, while which no other may come
+_HEARTBEAT_VALID_S: Final = 20.0  # longer than a sentence's period, while which no other may come
 _STATUS_EVERY_S: Final = 1.0
 _TIME: Final = re.compile(r"\d{6}\.\d{3}")
 _INVALID, _FAILED, _DONE = 0, 1, 2
 
 
 class FakeBluefin(TextController):
-    """`FakeController[bytes]`. counters, besides those of the protocol: vehicle.elements_cancelled, `$BPRCE` that ended an element of its
-    own plan, because the payload did not command."""
+    """Simulate a Bluefin as `FakeController[bytes]`.
+
+    counters, besides those of the protocol: vehicle.elements_cancelled, `$BPRCE` that ended an element of its own plan,
+    because the payload did not command.
+    """
 
     def _forget(self) -> None:
         super()._forget()
         self._asked_for: set[str] = set()
         self._lets = False
-        self._told_lets: bool | None = None
+        self._reported_lets: bool | None = None
         self._heartbeat_s = self._status_s = -math.inf
 
     def revoke(self, now_s: float) -> None:
@@ -51,7 +55,7 @@ class FakeBluefin(TextController):
         if name == "BPLOG":
             (self._asked_for.add if fields[1] == "ON" else self._asked_for.discard)(fields[0])
             if fields[0] == "CTL":
-                self._told_lets = None
+                self._reported_lets = None
             return self._answer(name, "", _DONE, "")
         try:
             status, text = self._done(name, fields, now_s)
@@ -60,7 +64,9 @@ class FakeBluefin(TextController):
         return self._answer(name, fields[0], status, text)
 
     def _done(self, name: str, fields: list[str], now_s: float) -> tuple[int, str]:
-        """Status and text of the answer. Raises ValueError or IndexError for what is invalid."""
+        """Execute a sentence and return status and text of the answer. Raises ValueError or IndexError for invalid
+        ones.
+        """
         if _TIME.fullmatch(fields[0]) is None:
             raise ValueError("a time must have three decimals")
         match name:
@@ -90,23 +96,23 @@ class FakeBluefin(TextController):
             return []
         return [nmea_line(f"BFACK,{clock(self._pose.time_s)},{name[2:]},{of},0,{status},,{text}")]
 
-    def _says(self, pose: NavSample, now_s: float) -> list[bytes]:
+    def _outgoing(self, pose: NavSample, now_s: float) -> list[bytes]:
         self._lets = self._may_grant(now_s) and now_s - self._heartbeat_s < _HEARTBEAT_VALID_S
         now = clock(pose.time_s)
-        said: list[str] = []
+        bodies: list[str] = []
         if "NVG" in self._asked_for:
             heading_deg, roll_deg, pitch_deg = (math.degrees(or_zero(angle)) for angle in (pose.heading_rad, pose.roll_rad, pose.pitch_rad))
             place = degrees_and_minutes(pose.latitude_deg, 2, "NS") + "," + degrees_and_minutes(pose.longitude_deg, 3, "EW")
             how = f"{or_zero(pose.altitude_m):.2f},{or_zero(pose.depth_m):.2f},{heading_deg % 360.0:.1f},{roll_deg:.1f},{pitch_deg:.1f}"
-            said.append(f"BFNVG,{now},{place},1,{how},{now}")
+            bodies.append(f"BFNVG,{now},{place},1,{how},{now}")
         if "NVR" in self._asked_for:
             east_mps = or_zero(pose.speed_mps) * math.sin(or_zero(pose.heading_rad))
             north_mps = or_zero(pose.speed_mps) * math.cos(or_zero(pose.heading_rad))
-            said.append(f"BFNVR,{now},{east_mps:.3f},{north_mps:.3f},0.000,0.0,0.0,0.0")
+            bodies.append(f"BFNVR,{now},{east_mps:.3f},{north_mps:.3f},0.000,0.0,0.0,0.0")
         if "MIS" in self._asked_for and now_s - self._status_s >= _STATUS_EVERY_S:
             self._status_s = now_s
-            said.append(f"BFMIS,{now},survey.txt,Running")
-        if "CTL" in self._asked_for and self._lets != self._told_lets:
-            self._told_lets = self._lets
-            said.append(f"BFCTL,{now},{self._lets:d}")
-        return [nmea_line(body) for body in said]
+            bodies.append(f"BFMIS,{now},survey.txt,Running")
+        if "CTL" in self._asked_for and self._lets != self._reported_lets:
+            self._reported_lets = self._lets
+            bodies.append(f"BFCTL,{now},{self._lets:d}")
+        return [nmea_line(body) for body in bodies]

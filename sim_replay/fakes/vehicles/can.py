@@ -1,4 +1,4 @@
-"""The controller of a vehicle on a CAN bus, as deploy/auv_mcm.dbc describes it."""
+"""Simulate the controller of a vehicle on a CAN bus by deploy/auv_mcm.dbc."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _Grant = Literal["withheld", "granted"]
 
 
 class _Memory(msgspec.Struct):
-    """What a controller forgets when it loses power. request_number: None before the payload was heard."""
+    """Hold the state that a controller loses with its power. request_number: None before the payload was heard."""
 
     receiver: CanReceiver
     grant: _Grant = "withheld"
@@ -64,16 +64,17 @@ class _Memory(msgspec.Struct):
     status_due_s: float = -math.inf
     has_news: bool = True
     health: str = HEALTH_STATES[0]
-    told: list[str] = []
+    reported: list[str] = []
     reports: list[ContactReport] = []
     known: set[tuple[int, int, int]] = set()
 
 
 class FakeCan:
-    """The vehicle's end, a FakeController[CanFrame], with the default addresses.
+    """Simulate the vehicle's end, a FakeController[CanFrame], with the default addresses.
 
-    It refuses a request once and for all: a payload that was refused, or lost control, has to ask with a new number. Told health is a
-    state, or a state and the text to it. counters: those of every FakeController; nonsense: frames of these messages that made no sense.
+    It refuses a request once and for all: a payload that was refused, or lost control, has to request anew with a new
+    number. Reported health is a state, or a state and its text. counters: those of every FakeController; nonsense:
+    frames of these messages that made no sense.
     """
 
     def __init__(self) -> None:
@@ -102,8 +103,8 @@ class FakeCan:
         return reports
 
     def take_health(self) -> list[str]:
-        told, self._now.told = self._now.told, []
-        return told
+        reported, self._now.reported = self._now.reported, []
+        return reported
 
     def power_up(self, now_s: float) -> None:
         self._n_nonsense_before += self._n_nonsense()
@@ -114,7 +115,7 @@ class FakeCan:
             self._withhold("taken back")
 
     def connected(self, now_s: float) -> None:
-        """Nothing to do: on a bus nobody notices."""
+        """Do nothing: a bus does not show who connects."""
 
     def tick(self, pose: NavSample, arrived: bool, now_s: float) -> list[CanFrame]:
         self._expire(now_s)
@@ -126,9 +127,9 @@ class FakeCan:
             heading_rad=pose.heading_rad % _TURN,
             longitude_deg=pose.longitude_deg,
             speed_mps=max(pose.speed_mps, 0.0),
-            depth_m=_at_least_zero(pose.depth_m),
+            depth_m=_non_negative(pose.depth_m),
             pitch_rad=pose.pitch_rad,
-            altitude_m=_at_least_zero(pose.altitude_m),
+            altitude_m=_non_negative(pose.altitude_m),
             roll_rad=pose.roll_rad,
         )
         self._now.sequence = (self._now.sequence + 1) % N_NUMBERS
@@ -150,7 +151,7 @@ class FakeCan:
                 answer = ReportAnswer(message.ticket, received.crc & _ANSWER_CRC, ANSWERS.index("taken"))
                 answers = encode(answer, self._address)
             case HealthText() as message:
-                self._now.told.append(f"{self._now.health}: {text_of(message)}")
+                self._now.reported.append(f"{self._now.health}: {text_of(message)}")
         return answers + (self._status(now_s) if self._now.has_news else [])
 
     def _new_receiver(self) -> CanReceiver:
@@ -187,7 +188,7 @@ class FakeCan:
         self._now.payload_heard_s = now_s
         if self._now.health != HEALTH_STATES[status.health]:
             self._now.health = HEALTH_STATES[status.health]
-            self._now.told.append(self._now.health)
+            self._now.reported.append(self._now.health)
         if is_release:
             if self.in_control:
                 self._withhold("released by the payload")
@@ -249,5 +250,5 @@ class FakeCan:
         return encode(status, self._address)
 
 
-def _at_least_zero(value: float) -> float:
+def _non_negative(value: float) -> float:
     return NAN if math.isnan(value) else max(value, 0.0)

@@ -1,8 +1,9 @@
-"""The computer of a vehicle that speaks IMC as DUNE does: its plan engine and its FollowReference manoeuvre.
+"""Simulate the computer of a vehicle that speaks IMC as DUNE does: its plan engine and FollowReference manoeuvre.
 
-As there, references from anybody else than the manoeuvre's source are ignored without a word, each one taken is answered by
-FollowRefState, and when none has come within the time-out that is told once and the manoeuvre fails. Two things differ: after any other
-plan it goes on with its own, as a mission supervisor would have it, and it takes MineContact (1700) and answers MineContactTaken (1701).
+As there, references from any source but the manoeuvre's are ignored silently, each accepted one is answered by
+FollowRefState, and when none has come within the time-out that is reported once and the manoeuvre fails. Two points
+differ: after any other plan it goes on with its own, as under a mission supervisor, and it takes MineContact (1700)
+and answers MineContactTaken (1701).
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ _CPU_USAGE: Final = ImcPacket(7, b"\x21", ADDRESS)  # of the many messages that 
 
 
 class FakeImc:
-    """`FakeController[bytes]`. counters, besides those of the protocol: vehicle.targets (Target messages taken)."""
+    """Simulate IMC as `FakeController[bytes]`. counters, besides the protocol's: vehicle.targets (Target messages
+    taken).
+    """
 
     def __init__(self) -> None:
         self.willing = True
@@ -70,7 +73,7 @@ class FakeImc:
         self._arrived = False
         self._plan_id = PLAN_ID
         self._follow: imc.FollowReference | None = None
-        self._reference: imc.Reference | None = None  # flown, with what earlier ones said
+        self._reference: imc.Reference | None = None  # flown, merged with earlier ones
         self._following = RefState.WAIT
         self._reference_s = 0.0  # when the last one came
         self._second_s = self._announce_s = -math.inf
@@ -87,11 +90,11 @@ class FakeImc:
 
     @property
     def command(self) -> Command | None:
-        told = self._reference
-        if told is None or told.speed is None or told.z is None:
+        reference = self._reference
+        if reference is None or reference.speed is None or reference.z is None:
             return None
-        vertical = Vertical("altitude" if told.z.z_units == ZUnits.ALTITUDE else "depth", told.z.value)
-        return GoTo(math.degrees(told.lat), math.degrees(told.lon), vertical, told.speed.value, PLACE_RADIUS_M)
+        vertical = Vertical("altitude" if reference.z.z_units == ZUnits.ALTITUDE else "depth", reference.z.value)
+        return GoTo(math.degrees(reference.lat), math.degrees(reference.lon), vertical, reference.speed.value, PLACE_RADIUS_M)
 
     def take_reports(self) -> list[ContactReport]:
         reports, self._reports = self._reports, []
@@ -123,14 +126,14 @@ class FakeImc:
         if now_s - self._announce_s >= _ANNOUNCE_S:
             self._announce_s = now_s
             self._outbox.append(imc.Announce("fake-auv", _UNDER_WATER))
-        told = [self._estimated(pose)]
+        outgoing = [self._estimated(pose)]
         wires = []
         if now_s - self._second_s >= _SECOND_S:
             self._second_s = now_s
-            told += [imc.Heartbeat(), self._vehicle_state(), self._plan_state()]
+            outgoing += [imc.Heartbeat(), self._vehicle_state(), self._plan_state()]
             self._booting = False
             wires = [_wire_of_cpu(pose.time_s)]
-        messages, self._outbox = [*self._outbox, *told], []
+        messages, self._outbox = [*self._outbox, *outgoing], []
         return [*(self._wired(message) for message in messages), *wires]
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
@@ -242,7 +245,7 @@ class FakeImc:
         self._outbox.append(imc.MineContactTaken(*key, 1))
 
     def _end(self, why: str) -> None:
-        """Back to its own plan."""
+        """Return to its own plan."""
         if self._follow is None:
             return
         self._plan_id, self._follow, self._reference, self._arrived = PLAN_ID, None, None, False
@@ -254,7 +257,7 @@ class FakeImc:
         )
 
     def _follow_state(self, proximity: Proximity) -> imc.FollowRefState:
-        assert self._follow is not None, "told only while the manoeuvre runs"
+        assert self._follow is not None, "reported only while the manoeuvre runs"
         return imc.FollowRefState(self._follow.control_src, self._follow.control_ent, self._reference, self._following, proximity)
 
     def _plan_state(self) -> imc.PlanControlState:
@@ -268,7 +271,7 @@ class FakeImc:
         return _GOTO if self._follow is None else _FOLLOW_REFERENCE
 
     def _estimated(self, pose: NavSample) -> ImcMessage:
-        """As DUNE tells it: offsets from where it was started."""
+        """Report the pose as DUNE does: offsets from where it was started."""
         if self._frame is None:
             self._frame = LocalFrame(latitude_deg=pose.latitude_deg, longitude_deg=pose.longitude_deg)
         depth_m = pose.depth_m if math.isfinite(pose.depth_m) else 0.0
@@ -298,7 +301,7 @@ def _start_of(plan: ImcMessage | None) -> str | None:
 
 
 def _can_be_flown(place: imc.Reference, speed: imc.DesiredSpeed, z: imc.DesiredZ) -> bool:
-    """A place on Earth, metres per second, and a depth or an altitude."""
+    """Accept a place on Earth, metres per second, and a depth or an altitude."""
     on_earth = abs(place.lat) <= 0.5 * math.pi and abs(place.lon) <= math.pi
     return (
         on_earth

@@ -1,4 +1,4 @@
-"""The computer of an Iver under Remote Helm 5: it tells what it is polled for, and steers by `$OMS` for as long as that says."""
+"""Simulate the computer of an Iver under Remote Helm 5: it answers polls, and steers by `$OMS` while that is valid."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MAX_TIMEOUT_S: Final = 120.0
 
 
 class FakeIver(TextController):
-    """`FakeController[bytes]`. Taking control back is the manual mode, as when a person steers."""
+    """Simulate an Iver as `FakeController[bytes]`. It revokes control by the manual mode, as when a person steers."""
 
     def __init__(self) -> None:
         self._now_s = 0.0
@@ -32,7 +32,7 @@ class FakeIver(TextController):
 
     @property
     def mode(self) -> str:
-        """N normal, A steered by the payload, M manual."""
+        """Return the mode: N normal, A steered by the payload, M manual."""
         return "A" if self.in_control else "N" if self._may_grant(self._now_s) else "M"
 
     def _understood(self, line: str, now_s: float) -> list[bytes]:
@@ -67,19 +67,19 @@ class FakeIver(TextController):
         heading_deg = math.degrees(or_zero(pose.heading_rad)) % 360.0
         speed_kn = or_zero(pose.speed_mps) / _KNOT_MPS
         depth_ft, altitude_ft = or_zero(pose.depth_m) / _FOOT_M, or_zero(pose.altitude_m) / _FOOT_M
-        said: list[str] = []
+        bodies: list[str] = []
         if "G" in what:
             place = degrees_and_minutes(pose.latitude_deg, 2, "NS") + "," + degrees_and_minutes(pose.longitude_deg, 3, "EW")
-            said.append(f"GPRMC,{clock(pose.time_s)},A,{place},{speed_kn:.2f},{heading_deg:.1f},010120,,")
+            bodies.append(f"GPRMC,{clock(pose.time_s)},A,{place},{speed_kn:.2f},{heading_deg:.1f},010120,,")
         if "C" in what:
             pitch_deg, roll_deg = math.degrees(or_zero(pose.pitch_rad)), math.degrees(or_zero(pose.roll_rad))
-            said.append(f"C{heading_deg:.1f}P{pitch_deg:.2f}R{roll_deg:.2f}T20.3D{depth_ft:.1f}")
+            bodies.append(f"C{heading_deg:.1f}P{pitch_deg:.2f}R{roll_deg:.2f}T20.3D{depth_ft:.1f}")
         if "S" in what:
             place = f"{pose.latitude_deg:.7f},{pose.longitude_deg:.7f}"
             rest = f"{altitude_ft:.2f},0,0.0,survey,60,{heading_deg:.1f},{depth_ft:.2f},0"
-            said.append(f"OSI,80808080FF,{self.mode},2,{place},{speed_kn:.2f},100.0,N,{rest}")
-        return [nmea_line(body) for body in said]
+            bodies.append(f"OSI,80808080FF,{self.mode},2,{place},{speed_kn:.2f},100.0,N,{rest}")
+        return [nmea_line(body) for body in bodies]
 
-    def _says(self, pose: NavSample, now_s: float) -> list[bytes]:
+    def _outgoing(self, pose: NavSample, now_s: float) -> list[bytes]:
         self._now_s = now_s
         return []

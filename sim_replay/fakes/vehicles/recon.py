@@ -1,4 +1,4 @@
-"""The computer of a REMUS by RECON: an override that is engaged, given goals, and ends when nothing keeps it alive.
+"""Simulate the computer of a REMUS by RECON: an override is engaged, given goals, and ends when nothing keeps it alive.
 
 How long goals hold is not public; here 5 s. It heeds nothing until it was asked something, as has been seen.
 """
@@ -18,7 +18,7 @@ _GOALS: Final = ("Heading", "Depth", "Speed")
 
 
 class FakeRecon(TextController):
-    """`FakeController[bytes]`"""
+    """Simulate RECON as `FakeController[bytes]`."""
 
     def _forget(self) -> None:
         super()._forget()
@@ -39,9 +39,9 @@ class FakeRecon(TextController):
         self._goals.clear()
 
     def _expire(self, now_s: float) -> None:
-        had_order = self._order is not None
+        was_ordered = self._order is not None
         super()._expire(now_s)
-        if had_order and self._order is None:
+        if was_ordered and self._order is None:
             self._end()
         elif self._override and now_s - self._alive_s > self.order_valid_s:
             self.counters["vehicle.commands_expired"] += 1
@@ -84,7 +84,7 @@ class FakeRecon(TextController):
             self._obey(_steer(goals), now_s)
         self._goals = goals
 
-    def _says(self, pose: NavSample, now_s: float) -> list[bytes]:
+    def _outgoing(self, pose: NavSample, now_s: float) -> list[bytes]:
         if now_s - self._state_s < _STATE_EVERY_S:
             return []
         self._state_s = now_s
@@ -118,6 +118,6 @@ def _steer(goals: dict[str, float]) -> Steer:
 
 
 def _place(degrees: float, hemispheres: str) -> str:
-    """39N30.5553"""
+    """Format a place as 39N30.5553."""
     total = round(abs(degrees) * 60.0, 4)
     return f"{int(total // 60.0)}{hemispheres[degrees < 0.0]}{total % 60.0:07.4f}"

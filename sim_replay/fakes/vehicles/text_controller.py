@@ -1,4 +1,5 @@
-"""What controllers that speak in lines of text have in common: lines, reports, health, and who is in control since when.
+"""Share what controllers with lines of text have in common: lines, reports, health, and who has been in control since
+when.
 
 Lines are taken apart here without the driver's tables, so that both ends of a wire do not err alike.
 """
@@ -19,14 +20,14 @@ _CLASSES: Final[tuple[ContactClass, ...]] = get_args(ContactClass)
 
 
 class TextController(ABC):
-    """A `FakeController[bytes]` once it knows its language. `_order` is what the payload commands, given at `_order_s`."""
+    """Build a `FakeController[bytes]` on a text language. `_order` is the payload's command, given at `_order_s`."""
 
     order_valid_s = 5.0
 
     def __init__(self) -> None:
         self.willing = True
         self.counters: Counter[str] = Counter()
-        self._told: list[ContactReport] = []
+        self._reported: list[ContactReport] = []
         self._health: list[str] = []
         self._forget()
 
@@ -47,8 +48,8 @@ class TextController(ABC):
         return self._order
 
     def take_reports(self) -> list[ContactReport]:
-        told, self._told = self._told, []
-        return told
+        reported, self._reported = self._reported, []
+        return reported
 
     def take_health(self) -> list[str]:
         health, self._health = self._health, []
@@ -67,7 +68,7 @@ class TextController(ABC):
     def tick(self, pose: NavSample, arrived: bool, now_s: float) -> list[bytes]:
         self._pose = pose
         self._expire(now_s)
-        return self._says(pose, now_s)
+        return self._outgoing(pose, now_s)
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
         self._expire(now_s)
@@ -105,19 +106,19 @@ class TextController(ABC):
             return
         self._known.add(identity)
         self.counters["vehicle.reports"] += 1
-        self._told.append(report)
+        self._reported.append(report)
 
     @abstractmethod
     def _understood(self, line: str, now_s: float) -> list[bytes]:
-        """Answers to a line without its end. Raises ValueError or IndexError for nonsense."""
+        """Answer a line without its end. Raises ValueError or IndexError for nonsense."""
 
     @abstractmethod
-    def _says(self, pose: NavSample, now_s: float) -> list[bytes]:
-        """What it says by itself."""
+    def _outgoing(self, pose: NavSample, now_s: float) -> list[bytes]:
+        """Return the messages that are due."""
 
 
 def report_from_fields(fields: list[str]) -> ContactReport:
-    """A contact from its 25 fields. Raises ValueError or IndexError for what is none."""
+    """Decode a contact from its 25 fields. Raises ValueError or IndexError for anything else."""
     if len(fields) != 25:
         raise ValueError(f"{len(fields)} fields instead of 25")
     belief: dict[str, float] = dict(zip(_CLASSES, map(float, fields[12:18]), strict=True))
@@ -145,7 +146,7 @@ def report_from_fields(fields: list[str]) -> ContactReport:
 
 
 def steer_of(heading: str, vertical: Vertical, speed_mps: float) -> Steer:
-    """An order to hold a heading in degrees. Raises ValueError for what no vehicle can do."""
+    """Decode an order to hold a heading in degrees. Raises ValueError for an impossible one."""
     heading_deg = float(heading)
     if not (0.0 <= heading_deg < 360.0 and 0.0 <= speed_mps < 10.0 and 0.0 <= vertical.value_m < 6000.0):
         raise ValueError("no course that can be steered")
@@ -153,7 +154,7 @@ def steer_of(heading: str, vertical: Vertical, speed_mps: float) -> Steer:
 
 
 def nmea_fields(line: str) -> list[str]:
-    """The fields of a sentence. Raises ValueError if its checksum is wrong."""
+    """Split a sentence into fields. Raises ValueError if its checksum is wrong."""
     body, mark, checksum = line.rpartition("*")
     if not mark or not body.startswith("$") or f"{_xor(body[1:]):02X}" != checksum.upper():
         raise ValueError("no sentence")
@@ -165,20 +166,20 @@ def nmea_line(body: str) -> bytes:
 
 
 def degrees_and_minutes(degrees: float, n_digits: int, hemispheres: str) -> str:
-    """ddmm.mmmmm and the hemisphere, with a comma between."""
+    """Format ddmm.mmmmm and the hemisphere, with a comma between."""
     total = round(abs(degrees) * 60.0, 5)
     return f"{int(total // 60.0):0{n_digits}d}{total % 60.0:08.5f},{hemispheres[degrees < 0.0]}"
 
 
 def clock(utc_s: float) -> str:
-    """hhmmss.sss"""
+    """Format hhmmss.sss."""
     milliseconds = round(utc_s * 1000.0) % 86_400_000
     seconds, fraction = divmod(milliseconds, 1000)
     return f"{seconds // 3600:02d}{seconds // 60 % 60:02d}{seconds % 60:02d}.{fraction:03d}"
 
 
 def or_zero(value: float) -> float:
-    """What a vehicle tells of what it has not measured."""
+    """Replace a value that was not measured, as vehicles do."""
     return value if math.isfinite(value) else 0.0
 
 

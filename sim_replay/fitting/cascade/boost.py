@@ -1,10 +1,12 @@
-"""Boosted stumps over features in 256 bins: GentleBoost and discrete AdaBoost, asymmetric if misses cost more than false alarms.
+"""Boost stumps over features in 256 bins: GentleBoost and discrete AdaBoost, asymmetric if misses cost more than false
+alarms.
 
-Sources: J. Friedman, T. Hastie, R. Tibshirani, "Additive logistic regression", Annals of Statistics 28(2), 2000 (GentleBoost, weight
-trimming); P. Viola, M. Jones, "Fast and robust classification using asymmetric AdaBoost", NIPS 2001 (asymmetry spread over the rounds).
+Sources: J. Friedman, T. Hastie, R. Tibshirani, "Additive logistic regression", Annals of Statistics 28(2), 2000
+(GentleBoost, weight trimming); P. Viola, M. Jones, "Fast and robust classification using asymmetric AdaBoost", NIPS
+2001 (asymmetry spread over the rounds).
 
-Weights are whole multiples of 2**-40 of their total: sums over bins are exact in any order, so that the same samples give the same
-stumps bit for bit, and equal splits are equal.
+Weights are whole multiples of 2**-40 of their total: sums over bins are exact in any order, so that the same samples
+give the same stumps bit for bit, and equal splits are equal.
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ _TOTAL: Final = 2.0**40
 _LARGEST_LEAF: Final = 4.0
 _LARGEST_GROWTH: Final = 100.0  # of a weight since the first round: one mislabelled sample must not take over
 _TRIMMED_MASS: Final = 0.01
-_RIDGE: Final = 1e-3  # share of the total weight that pulls leaves to 0, so that a handful of samples is no certainty
+_RIDGE: Final = 1e-3  # share of the total weight that pulls leaves to 0, so that a few samples do not give certainty
 _FEATURE_SHARE: Final = 0.25  # of the features, drawn anew every round: a quarter of the time, and stumps more unlike each other
 _FEWEST_FEATURES: Final = 512
 
 
 class BoostedStump(NamedTuple):
-    """Adds `below` where the feature's bin is at most `last_below`, else `above`; leaves in 1/SCORE_UNIT."""
+    """Add `below` where the feature's bin is at most `last_below`, else `above`; leaves in 1/SCORE_UNIT."""
 
     feature: int
     last_below: int
@@ -40,12 +42,12 @@ class BoostedStump(NamedTuple):
     above: int
 
     def scores(self, bins: Bins) -> NDArray[np.int32]:
-        """(n_samples,) int32 for bins (n_features, n_samples) uint8."""
+        """Return (n_samples,) int32 scores for bins (n_features, n_samples) uint8."""
         return np.where(bins[self.feature] <= self.last_below, np.int32(self.below), np.int32(self.above))
 
 
 class Split(NamedTuple):
-    """The best of many splits: how much it gains, where, and the leaves it asks for."""
+    """Hold the best of many splits: its gain, place and leaves."""
 
     gain: float
     feature: int
@@ -57,7 +59,8 @@ class Split(NamedTuple):
 def gentle_stumps(
     bins: Bins, is_target: NDArray[np.bool_], n_rounds: int, asymmetry: float, rng: np.random.Generator
 ) -> Iterator[BoostedStump]:
-    """Up to `n_rounds` stumps of GentleBoost, each leaf the weighted mean of the labels +-1 in it; fewer if no feature splits the samples.
+    """Yield up to `n_rounds` stumps of GentleBoost, each leaf the weighted mean of the labels +-1 in it; fewer if no
+    feature splits the samples.
 
     bins: (n_features, n_samples) uint8. is_target: (n_samples,) bool. asymmetry: what a miss costs, in false alarms.
     Raises ValueError if either class is empty.
@@ -68,15 +71,16 @@ def gentle_stumps(
 def ada_stumps(
     bins: Bins, is_target: NDArray[np.bool_], n_rounds: int, asymmetry: float, rng: np.random.Generator
 ) -> Iterator[BoostedStump]:
-    """As `gentle_stumps` for discrete AdaBoost: leaves are +-ln((1 - error) / error) / 2."""
+    """Yield stumps of discrete AdaBoost as `gentle_stumps` does: leaves are +-ln((1 - error) / error) / 2."""
     return _stumps(bins, is_target, n_rounds, asymmetry, rng, ada_split)
 
 
 def gentle_split(target: Weights, other: Weights) -> Split | None:
-    """Split with the least weighted squared error of the labels, or None if no feature splits the samples.
+    """Find the split with the minimum weighted squared error of the labels, or None if no feature splits the samples.
 
-    target, other: (n_features, 256) weight of either class in each bin. Equal splits: the lowest feature, then the lowest bin, wins.
-    The gain of a side is S**2 / (W + r) with S the sum of weight times label, W the sum of weight, r the ridge; its leaf S / (W + r).
+    target, other: (n_features, 256) weight of either class in each bin. Equal splits: the lowest feature, then the
+    lowest bin, wins. The gain of a side is S**2 / (W + r) with S the sum of weight times label, W the sum of weight, r
+    the ridge; its leaf S / (W + r).
     """
     signed, weight = _below(target - other), _below(target + other)
     total_signed, total = signed[:, -1:], weight[:, -1:]
@@ -89,7 +93,7 @@ def gentle_split(target: Weights, other: Weights) -> Split | None:
 
 
 def ada_split(target: Weights, other: Weights) -> Split | None:
-    """Split with the least weighted error whose sides vote against each other, as `gentle_split` otherwise.
+    """Find the split with the minimum weighted error whose sides vote against each other, as `gentle_split` otherwise.
 
     The gain is the distance of the error from one half.
     """
@@ -107,7 +111,7 @@ def ada_split(target: Weights, other: Weights) -> Split | None:
 
 
 def histograms(bins: Bins, features: NDArray[np.intp], samples: NDArray[np.intp] | slice, weight: Weights) -> Weights:
-    """(n_chosen, 256) float64: sum of `weight` over the chosen samples in each bin of the chosen features."""
+    """Return (n_chosen, 256) float64: sum of `weight` over the chosen samples in each bin of the chosen features."""
     return np.stack([np.bincount(bins[feature][samples], weights=weight, minlength=N_BINS) for feature in features])
 
 
@@ -154,7 +158,9 @@ def _search(
 
 
 def _heavy(weight: Weights) -> NDArray[np.bool_]:
-    """All samples but the lightest that hold 1 % of the weight together; they hardly count, but would cost as much as the others."""
+    """Select all samples but the lightest that hold 1 % of the weight together; they hardly count, but would cost as
+    much.
+    """
     order = np.argsort(weight, kind="stable")
     light = np.searchsorted(np.cumsum(weight[order]), _TRIMMED_MASS * weight.sum())
     kept = np.ones(weight.size, dtype=np.bool_)

@@ -1,9 +1,9 @@
-"""What a shard of tiles has to teach: the window that shows each target best, and what a cascade still takes for one.
+"""Collect training windows of a shard of tiles: each target's best window, and the false alarms of the cascade so far.
 
-The highlight of a target is known to half a metre: all windows within that are one bag, of which the best counts (P. Viola, J. Platt,
-C. Zhang, "Multiple instance boosting for object detection", NIPS 2005). It is the brightest at first, then the one that the cascade
-trained so far scores best. Others are windows away from all targets, rocks among them: any at first, then those that pass the cascade
-(K.-K. Sung, T. Poggio, IEEE Trans. PAMI 20(1), 1998).
+The highlight of a target is known to half a metre: all windows within that are one bag, of which the best counts (P.
+Viola, J. Platt, C. Zhang, "Multiple instance boosting for object detection", NIPS 2005). It is the brightest at first,
+then the one that the cascade trained so far scores best. Others are windows away from all targets, rocks among them:
+any at first, then those that pass the cascade (K.-K. Sung, T. Poggio, IEEE Trans. PAMI 20(1), 1998).
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ CLEAR_M: Final = 3.0
 _BAG_M: Final = 0.5
 _APART_M: Final = 1.0
 _HIGHLIGHT: Final = FeatureBox(-0.18, 0.18, -0.12, 0.0, 0.12, 0.0)
-_LEAST_SHARE: Final = 0.6  # of a window that must be valid, as where a cascade runs
+_MIN_SHARE: Final = 0.6  # of a window that must be valid, as where a cascade runs
 
 
 class Bags(NamedTuple):
-    """Windows of a tile's targets. targets: whose core rows hold them and of which there is any window. bag: (n,) intp, its number among
-    `targets`, ascending; rows, columns: (n,) intp."""
+    """Hold windows of a tile's targets. targets: whose core rows hold them and of which there is any window. bag: (n,)
+    intp, its number among `targets`, ascending; rows, columns: (n,) intp.
+    """
 
     targets: tuple[TileObject, ...]
     bag: NDArray[np.intp]
@@ -45,8 +46,10 @@ class Bags(NamedTuple):
 
 
 class Errand(NamedTuple):
-    """What to bring from a shard: means over `boxes`, of up to n_others windows per tile that are no target. model: the cascade so far,
-    None before there is one. hardest: of what passes it take the best scores, well apart, rather than any."""
+    """Specify what to collect from a shard: means over `boxes`, of up to n_others windows per tile that are no target.
+    model: the cascade so far, None before there is one. hardest: of what passes it take the best scores, well apart,
+    rather than any.
+    """
 
     folder: Path
     shard: Shard
@@ -58,9 +61,10 @@ class Errand(NamedTuple):
 
 
 class Gleaned(NamedTuple):
-    """targets: (n_boxes, n_targets) float32 box means of each target's best window, in an order that is the same for every errand to a
-    shard. others: (n_boxes, n_others) float32, of the windows at `places` (n_others, 3) int32: tile in shard, row, column. spacings_m:
-    (n_tiles, 2) float64, of rows and columns."""
+    """targets: (n_boxes, n_targets) float32 box means of each target's best window, in an order that is the same for
+    every errand to a shard. others: (n_boxes, n_others) float32, of the windows at `places` (n_others, 3) int32: tile
+    in shard, row, column. spacings_m: (n_tiles, 2) float64, of rows and columns.
+    """
 
     targets: NDArray[np.float32]
     others: NDArray[np.float32]
@@ -91,42 +95,43 @@ def glean(errand: Errand) -> Gleaned:
 
 
 def planes_of(folder: Path, shard: Shard) -> Iterator[tuple[LabelledTile, CodePlane]]:
-    """The tiles of a shard, each with what a cascade sees of it."""
+    """Yield the tiles of a shard, each with its input to a cascade."""
     for tile in read_shard(folder, shard):
         yield tile, make_plane(tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
 def target_bags(tile: LabelledTile, plane: CodePlane) -> Bags:
-    """All windows within half a metre of each target along and across the track."""
+    """Return all windows within half a metre of each target along and across the track."""
     targets: list[TileObject] = []
     bag: list[NDArray[np.intp]] = []
     places: list[NDArray[np.intp]] = []
-    for thing in tile.objects:
-        if not thing.is_target or not tile.core_start <= thing.row < tile.core_stop:
+    for tile_object in tile.objects:
+        if not tile_object.is_target or not tile.core_start <= tile_object.row < tile.core_stop:
             continue
-        rows, columns = np.nonzero(tile.usable & _near(tile, thing, _BAG_M))
+        rows, columns = np.nonzero(tile.usable & _near(tile, tile_object, _BAG_M))
         whole = _is_whole(plane, rows, columns)
         if whole.any():
             bag.append(np.full(int(whole.sum()), len(targets), dtype=np.intp))
             places.append(np.stack((rows[whole], columns[whole])))
-            targets.append(thing)
+            targets.append(tile_object)
     none = np.empty(0, dtype=np.intp)
     rows, columns = np.concatenate([np.empty((2, 0), dtype=np.intp), *places], axis=1)
     return Bags(tuple(targets), np.concatenate([none, *bag]), rows, columns)
 
 
 def clear_of_targets(tile: LabelledTile) -> NDArray[np.bool_]:
-    """(n_rows, n_columns) bool: usable, and CLEAR_M or more from every target, those of the overlap included."""
+    """Return (n_rows, n_columns) bool: usable, and CLEAR_M or more from every target, those of the overlap included."""
     clear = tile.usable.copy()
-    for thing in tile.objects:
-        if thing.is_target:
-            clear &= ~_near(tile, thing, CLEAR_M)
+    for tile_object in tile.objects:
+        if tile_object.is_target:
+            clear &= ~_near(tile, tile_object, CLEAR_M)
     return clear
 
 
 def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(n_windows,) int64 order of windows with scores (n_windows, n_groups) of `trace_plane`: the final score, or how many stages they pass
-    and then the score of the first that they do not, or else of the last."""
+    """(n_windows,) int64 order of windows with scores (n_windows, n_groups) of `trace_plane`: the final score, or how
+    many stages they pass and then the score of the first that they do not, or else of the last.
+    """
     if model.kind == "soft":
         return scores[:, -1].astype(np.int64)
     passes = scores >= np.array(model.reject, dtype=np.int32)
@@ -135,10 +140,10 @@ def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64
     return np.asarray(n_passed.astype(np.int64) * 2**32 + scores[np.arange(len(scores)), last])
 
 
-def well_apart(tile: LabelledTile, found: CascadeResult, most: int) -> NDArray[np.intp]:
-    """Indices of up to `most` windows that passed a cascade, best first, none within a metre of a better one."""
+def well_apart(tile: LabelledTile, found: CascadeResult, n_max: int) -> NDArray[np.intp]:
+    """Return indices of up to `n_max` windows that passed a cascade, best first, none within a metre of a better one."""
     half_rows, half_columns = _APART_M / tile.row_spacing_m, _APART_M / tile.column_spacing_m
-    return spaced_apart(found.rows, found.columns, found.scores, half_rows, half_columns, most)
+    return spaced_apart(found.rows, found.columns, found.scores, half_rows, half_columns, n_max)
 
 
 def _merit(plane: CodePlane, model: CascadeModel | None, bags: Bags) -> NDArray[Any]:
@@ -162,14 +167,14 @@ def _others(tile: LabelledTile, plane: CodePlane, errand: Errand, rng: np.random
     return passed.rows[chosen].astype(np.intp), passed.columns[chosen].astype(np.intp)
 
 
-def _near(tile: LabelledTile, thing: TileObject, reach_m: float) -> NDArray[np.bool_]:
+def _near(tile: LabelledTile, tile_object: TileObject, reach_m: float) -> NDArray[np.bool_]:
     n_rows, n_columns = tile.usable.shape
-    rows = np.abs(np.arange(n_rows) + 0.5 - thing.row) * tile.row_spacing_m < reach_m
-    columns = np.abs(np.arange(n_columns) + 0.5 - thing.column) * tile.column_spacing_m < reach_m
+    rows = np.abs(np.arange(n_rows) + 0.5 - tile_object.row) * tile.row_spacing_m < reach_m
+    columns = np.abs(np.arange(n_columns) + 0.5 - tile_object.column) * tile.column_spacing_m < reach_m
     return np.asarray(rows[:, np.newaxis] & columns)
 
 
 def _is_whole(plane: CodePlane, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.bool_]:
     bands = bands_at(band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m), rows, columns)
     boxes = pixel_boxes((WINDOW,), plane.row_spacing_m, plane.column_spacing_m)[bands, 0]
-    return np.asarray(valid_counts(plane, rows, columns, boxes) >= _LEAST_SHARE * areas(boxes))
+    return np.asarray(valid_counts(plane, rows, columns, boxes) >= _MIN_SHARE * areas(boxes))

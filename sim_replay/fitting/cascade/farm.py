@@ -1,7 +1,7 @@
-"""Many independent tasks on the cores of this computer, or on a dask cluster: the same results in the same order.
+"""Run many independent tasks on this computer's cores or a dask cluster: the same results in the same order.
 
-Tasks and results travel as pickles, functions by name: a cluster's workers need this package to the same line of source, and the same
-numpy. Start them with one thread each: `dask worker --nthreads 1 --nworkers 4 tcp://HOST:8786`.
+Tasks and results travel as pickles, functions by name: a cluster's workers need this package to the same line of
+source, and the same numpy. Start them with one thread each: `dask worker --nthreads 1 --nworkers 4 tcp://HOST:8786`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ _SOURCES: Final = frozenset({".py", ".c", ".json", ".yaml"})
 
 
 class Farm(NamedTuple):
-    """Where tasks run: in `workers` processes of this computer, in this very one if 1; or on the cluster of a dask `scheduler`."""
+    """Choose where tasks run: in `workers` processes of this computer, in this very one if 1; or on the cluster of a
+    dask `scheduler`.
+    """
 
     workers: int = 1
     scheduler: str | None = None
@@ -49,13 +51,13 @@ class Farm(NamedTuple):
 def run_tasks(
     function: Callable[[Task], Result], tasks: Sequence[Task], farm: Farm, progress: Callable[[int], None] = lambda done: None
 ) -> Generator[Result, None, None]:
-    """What `function`, of a module's top level, returns for each task, in the order of `tasks`.
+    """Yield the result of `function`, of a module's top level, for each task, in the order of `tasks`.
 
-    Results come one by one, and no more tasks are begun than keep the workers busy until the next is taken, so that few results are in
-    memory. progress: called with the number of results before each is handed out. An exception of a task is raised in its turn and ends
-    all; so does closing the iterator.
-    Raises UsageError for workers below 1, a scheduler that is no tcp://HOST:PORT, and a cluster of other versions; HardwareError for a
-    scheduler that does not answer or is lost, for a cluster that has no workers for half a minute, and for workers that die of a task.
+    Results come one by one, and no more tasks are begun than keep the workers busy until the next is taken, so that few
+    results are in memory. progress: called with the number of results before each is handed out. An exception of a task
+    is raised in its turn and ends all; so does closing the iterator. Raises UsageError for workers below 1, a scheduler
+    that is no tcp://HOST:PORT, and a cluster of other versions; HardwareError for a scheduler that does not answer or
+    is lost, for a cluster that has no workers for half a minute, and for workers that die of a task.
     """
     if farm.workers < 1:
         raise UsageError(f"workers: {farm.workers}; at least 1")
@@ -117,7 +119,7 @@ def _on_cluster(function: Callable[[Task], Result], tasks: Sequence[Task], sched
 
 
 def _result(client: Any, future: Any, scheduler: str) -> Any:
-    """Waits as long as there are workers."""
+    """Wait for a result as long as there are workers."""
     last_s = time.monotonic()
     while True:
         try:
@@ -138,12 +140,14 @@ def _checked(scheduler: str) -> str:
     except ValueError:
         complete = False
     if not complete:
-        raise UsageError(f"scheduler '{scheduler}' is no address. Give it as tcp://HOST:PORT, which `dask scheduler` prints when it starts")
+        raise UsageError(
+            f"scheduler '{scheduler}' is not an address. Give it as tcp://HOST:PORT, which `dask scheduler` prints when it starts"
+        )
     return scheduler
 
 
 def _distributed(scheduler: str) -> Any:
-    """dask's library, which not every installation has, and whose calls are not typed."""
+    """Import dask's library, which is optional and untyped."""
     try:
         return import_module("distributed")
     except ImportError as error:
@@ -173,7 +177,7 @@ def _client(scheduler: str) -> Iterator[Any]:
 async def _greet(distributed: Any, scheduler: str) -> None:
     address = urlsplit(scheduler)
     _, writer = await asyncio.wait_for(asyncio.open_connection(address.hostname, address.port), _CONNECT_S)
-    writer.close()  # a port where nobody listens says so at once; dask would ask again and again
+    writer.close()  # a port where nobody listens fails at once; dask would retry
     await writer.wait_closed()
     async with distributed.rpc(scheduler, timeout=_CONNECT_S) as remote:
         identity = await asyncio.wait_for(remote.identity(n_workers=0), _CONNECT_S)
@@ -182,7 +186,7 @@ async def _greet(distributed: Any, scheduler: str) -> None:
 
 
 def _same_code(client: Any, scheduler: str) -> int:
-    """The number of threads of all workers. Raises UsageError if one of them runs other code."""
+    """Return the number of threads of all workers. Raises UsageError if one of them runs other code."""
     deadline_s = time.monotonic() + _ALONE_S
     while not (threads := client.nthreads()):
         if time.monotonic() > deadline_s:
@@ -199,7 +203,7 @@ def _same_code(client: Any, scheduler: str) -> int:
 
 
 def fingerprint() -> dict[str, str]:
-    """What must be the same wherever tasks run: versions, and a digest of this package's sources."""
+    """Return what must be the same wherever tasks run: versions, and a digest of this package's sources."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
         spec = find_spec(package)

@@ -1,15 +1,16 @@
-"""A cascade of one shadow band as OpenCV's own cascade file: other people's code runs the same stumps, as a check on ours.
+"""Write a cascade of one shadow band as OpenCV's own cascade file: independent code runs the same stumps, as a check on
+ours.
 
-OpenCV's Haar features are weighted sums over two or three rectangles, divided by the standard deviation of the window and compared with
-a threshold. Both kinds of stumps can be written as a sum compared with 0, whatever it is divided by:
+OpenCV's Haar features are weighted sums over two or three rectangles, divided by the standard deviation of the window
+and compared with a threshold. Both kinds of stumps can be written as a sum compared with 0, whatever it is divided by:
 
 - ratio: sum(a) / A_a - t sum(b) / A_b < 0;
 - contrast: sum(a) / A_a - sum(b) / A_b - t sum(w) / A_w < 0.
 
-In float32 and in this order both sides round alike, so that decisions are the same bit for bit. What OpenCV cannot do: bands (one file
-is one band), 16-bit images (ratios do not ask for the scale: give it codes cut down to 8 bits), scores carried from stage to stage (a
-soft cascade repeats the stumps of the groups before in each stage), and windows with a standard deviation below 10 of 255, which it
-passes over.
+In float32 and in this order both sides round alike, so that decisions are the same bit for bit. What OpenCV cannot do:
+bands (one file is one band), 16-bit images (ratios do not ask for the scale: give it codes cut down to 8 bits), scores
+carried from stage to stage (a soft cascade repeats the stumps of the groups before in each stage), and windows with a
+standard deviation below 10 of 255, which it passes over.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from auv_mcm.detect.cascade.model import CascadeModel, Stump
 
 
 class OpenCvCascade(NamedTuple):
-    """xml: for cv2.CascadeClassifier. A window has n_rows times n_columns pixels and is centred on (centre_row, centre_column) in it."""
+    """Hold xml for cv2.CascadeClassifier. A window has n_rows times n_columns pixels and is centred on (centre_row,
+    centre_column) in it.
+    """
 
     xml: str
     n_rows: int
@@ -33,7 +36,7 @@ class OpenCvCascade(NamedTuple):
 
 
 def opencv_cascade(model: CascadeModel, band: int, row_spacing_m: float, column_spacing_m: float) -> OpenCvCascade:
-    """The model as it decides about windows of one band, 0 to N_BANDS - 1, on pixels of the given size."""
+    """Convert the model's decision about windows of one band, 0 to N_BANDS - 1, on pixels of the given size."""
     boxes = list(dict.fromkeys(box for group in model.groups for stump in group for box in _boxes(stump)))
     pixels = pixel_boxes(boxes, row_spacing_m, column_spacing_m)[band]
     top, left = (int(pixels[:, edge].min(initial=0)) for edge in (0, 2))

@@ -1,4 +1,4 @@
-"""Where in a tile an object shows: the way back from places on Earth to pixels."""
+"""Locate objects in a tile: from places on Earth back to pixels."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ _WIDESPREAD: Final = frozenset({"boulder_cluster", "debris", "anchor_scar", "fis
 
 
 class PlacedTarget(NamedTuple):
-    """An object on the sea floor.
+    """Describe an object on the sea floor.
 
-    floor_depth_m: of the sea floor it stands on, NaN where nothing better is known than the flat floor of the tile. azimuth_rad: of its
-    long axis, NaN if not known. Sizes as in truth.json, NaN if not known; burial_m of height_m is below the floor.
+    floor_depth_m: of the sea floor it stands on, NaN where nothing better is known than the flat floor of the tile.
+    azimuth_rad: of its long axis, NaN if not known. Sizes as in truth.json, NaN if not known; burial_m of height_m is
+    below the floor.
     """
 
     latitude_deg: float
@@ -46,53 +47,55 @@ class PlacedTarget(NamedTuple):
     burial_m: float
 
 
-def objects_in(tile: Tile, things: Sequence[PlacedTarget], sonar: SonarConfig) -> tuple[TileObject, ...]:
-    """All passes over `things` whose expected highlight lies in the tile, its overlap included, in the order of `things`.
+def objects_in(tile: Tile, targets: Sequence[PlacedTarget], sonar: SonarConfig) -> tuple[TileObject, ...]:
+    """All passes over `targets` whose expected highlight lies in the tile, its overlap included, in the order of
+    `targets`.
 
-    The inverse of `georeference.locate`: the row is where the beam's plane, lever arm, mounting and the way made during the ping included,
-    crosses the object; the column follows from the slant range to half its height, a little behind the side that it turns to the sonar.
+    The inverse of `georeference.locate`: the row is where the beam's plane, lever arm, mounting and the way made during
+    the ping included, crosses the object; the column follows from the slant range to half its height, a little behind
+    the side that it turns to the sonar.
     """
     n_columns = tile.mask.shape[1]
     pose = tile.pose
     known = np.flatnonzero(np.isfinite(pose.latitude_deg) & np.isfinite(pose.longitude_deg))
-    if not known.size or not things:
+    if not known.size or not targets:
         return ()
     frame = LocalFrame(latitude_deg=float(pose.latitude_deg[known[0]]), longitude_deg=float(pose.longitude_deg[known[0]]))
     beam = _Beam(tile, sonar, frame)
-    latitude, longitude = np.array([thing.latitude_deg for thing in things]), np.array([thing.longitude_deg for thing in things])
-    places = frame.to_enu(latitude, longitude, np.zeros(len(things)))[:, :2]
+    latitude, longitude = np.array([target.latitude_deg for target in targets]), np.array([target.longitude_deg for target in targets])
+    places = frame.to_enu(latitude, longitude, np.zeros(len(targets)))[:, :2]
     swath_m = n_columns * tile.column_spacing_m
     found = []
-    for thing, place in zip(things, places, strict=True):
+    for target, place in zip(targets, places, strict=True):
         ahead_m, ground_m = beam.ahead_and_ground_m(place)
         step_m = ahead_m[:-1] - ahead_m[1:]
         for row in np.flatnonzero((ahead_m[:-1] >= 0.0) & (ahead_m[1:] < 0.0) & (step_m < _ASTRIDE_M) & (ground_m[:-1] > 0.0)).tolist():
             position = row + float(ahead_m[row] / step_m[row])
             ground_range_m = _at(ground_m, position)
-            if ground_range_m > swath_m + thing.length_m:
+            if ground_range_m > swath_m + target.length_m:
                 continue
             look_rad = beam.look_rad(row)
-            column = _column(tile, sonar, thing, position, ground_range_m, look_rad)
+            column = _column(tile, sonar, target, position, ground_range_m, look_rad)
             if 0.0 <= column < n_columns:
                 found.append(
                     TileObject(
                         row=position + 0.5,  # poses stand at the centres of rows
                         column=column,
-                        kind=thing.kind,
-                        is_target=thing.is_target,
-                        seabed=thing.seabed,
+                        kind=target.kind,
+                        is_target=target.is_target,
+                        seabed=target.seabed,
                         ground_range_m=ground_range_m,
-                        aspect_deg=math.degrees(look_rad - thing.azimuth_rad) % 360.0,
-                        length_m=thing.length_m,
-                        width_m=thing.width_m,
-                        height_m=thing.height_m,
+                        aspect_deg=math.degrees(look_rad - target.azimuth_rad) % 360.0,
+                        length_m=target.length_m,
+                        width_m=target.width_m,
+                        height_m=target.height_m,
                     )
                 )
     return tuple(found)
 
 
 class _Beam:
-    """Where the beam of every row of a tile points, in the plane of `frame`."""
+    """Give the direction of every row's beam, in the plane of `frame`."""
 
     def __init__(self, tile: Tile, sonar: SonarConfig, frame: LocalFrame) -> None:
         self._tile, self._sonar, self._frame = tile, sonar, frame
@@ -104,13 +107,14 @@ class _Beam:
         self._ahead = ahead if tile.side == "starboard" else -ahead
 
     def ahead_and_ground_m(self, place: Floats) -> tuple[Floats, Floats]:
-        """How far a place (2,) lies ahead of the beam of each row, and its distance across the track, (n_rows,) each."""
+        """Return how far a place (2,) lies ahead of the beam of each row, and its distance across the track, (n_rows,)
+        each."""
         ground_m = ((place - self._below) * self._level).sum(axis=1)
         met = self._at_ground_range(np.maximum(ground_m, 0.0))
         return ((place - met) * self._ahead).sum(axis=1), ground_m
 
     def look_rad(self, row: int) -> float:
-        """Direction of look of a row, clockwise from north."""
+        """Return the look angle of a row, clockwise from north."""
         return math.atan2(float(self._level[row, 0]), float(self._level[row, 1]))
 
     def _at_ground_range(self, ground_m: Floats) -> Floats:
@@ -126,29 +130,31 @@ class _Beam:
         return np.asarray(self._frame.to_enu(latitude, longitude, np.zeros(latitude.shape))[:, :2])
 
 
-def _column(tile: Tile, sonar: SonarConfig, thing: PlacedTarget, position: float, ground_range_m: float, look_rad: float) -> float:
-    """Of the middle of the highlight; NaN if that is nearer than the first bottom return."""
+def _column(tile: Tile, sonar: SonarConfig, target: PlacedTarget, position: float, ground_range_m: float, look_rad: float) -> float:
+    """Return the column of the highlight's middle; NaN if that is nearer than the first bottom return."""
     pitch_rad = _at(tile.pose.pitch_rad, position) + math.radians(sonar.pitch_offset_deg)
     first_return_m = _at(tile.first_return_m, position)
     down_m = first_return_m
-    if math.isfinite(thing.floor_depth_m):
-        down_m = (thing.floor_depth_m - _at(tile.pose.depth_m, position) - sonar.lever_arm_m[2]) / math.cos(pitch_rad)
-    showing_m = max(thing.height_m - thing.burial_m, 0.0)
-    if math.isfinite(showing_m) and thing.kind not in _WIDESPREAD:
+    if math.isfinite(target.floor_depth_m):
+        down_m = (target.floor_depth_m - _at(tile.pose.depth_m, position) - sonar.lever_arm_m[2]) / math.cos(pitch_rad)
+    showing_m = max(target.height_m - target.burial_m, 0.0)
+    if math.isfinite(showing_m) and target.kind not in _WIDESPREAD:
         down_m -= 0.5 * showing_m
-    square = (ground_range_m - (1.0 - _LIT) * near_side_m(thing, look_rad)) ** 2 + (down_m - first_return_m) * (down_m + first_return_m)
+    square = (ground_range_m - (1.0 - _LIT) * near_side_m(target, look_rad)) ** 2 + (down_m - first_return_m) * (down_m + first_return_m)
     return math.sqrt(square) / tile.column_spacing_m if square >= 0.0 else math.nan
 
 
-def near_side_m(thing: PlacedTarget, look_rad: float) -> float:
-    """How far the side turned to the sonar stands before the object's middle; 0 for groups and where sizes are not known."""
-    half_length, half_width = 0.5 * thing.length_m, 0.5 * thing.width_m
-    if thing.kind in _WIDESPREAD or not (half_length > 0.0 and half_width > 0.0):
+def near_side_m(target: PlacedTarget, look_rad: float) -> float:
+    """Return how far the side turned to the sonar stands before the object's middle; 0 for groups and where sizes are
+    not known.
+    """
+    half_length, half_width = 0.5 * target.length_m, 0.5 * target.width_m
+    if target.kind in _WIDESPREAD or not (half_length > 0.0 and half_width > 0.0):
         return 0.0
-    if thing.kind in _ROUND or math.isnan(thing.azimuth_rad):
+    if target.kind in _ROUND or math.isnan(target.azimuth_rad):
         return half_width
-    cosine, sine = abs(math.cos(look_rad - thing.azimuth_rad)), abs(math.sin(look_rad - thing.azimuth_rad))
-    if thing.kind in _OVAL:
+    cosine, sine = abs(math.cos(look_rad - target.azimuth_rad)), abs(math.sin(look_rad - target.azimuth_rad))
+    if target.kind in _OVAL:
         return 1.0 / math.hypot(cosine / half_length, sine / half_width)
     return min(half_length / max(cosine, 1e-9), half_width / max(sine, 1e-9))
 
@@ -158,5 +164,5 @@ def _at(values: Floats, position: float) -> float:
 
 
 def cropped(objects: Sequence[TileObject], start: int, stop: int) -> tuple[TileObject, ...]:
-    """Objects of rows [start, stop), counted from there."""
-    return tuple(msgspec.structs.replace(thing, row=thing.row - start) for thing in objects if start <= thing.row < stop)
+    """Return the objects of rows [start, stop), counted from there."""
+    return tuple(msgspec.structs.replace(target, row=target.row - start) for target in objects if start <= target.row < stop)

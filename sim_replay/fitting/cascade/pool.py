@@ -1,9 +1,9 @@
-"""Features a cascade may choose from: pairs of boxes around a highlight, and how much their means differ.
+"""Build the features a cascade may choose from: pairs of boxes around a highlight, and the difference of their means.
 
-Boxes have the sizes of mines, 0.3-2.6 m long and 0.3-0.8 m high, in metres and in multiples of the reference shadow. Ratios of means do
-not know the gain; differences over the window's mean hardly do, and still tell something where one mean is all but nothing.
-Source of the box families: P. Viola, M. Jones, Int. J. Computer Vision 57(2), 2004; highlight and shadow pairs after J. Sawas, Y. Petillot,
-Y. Pailhas, ECUA 2010.
+Boxes have the sizes of mines, 0.3-2.6 m long and 0.3-0.8 m high, in metres and in multiples of the reference shadow.
+Ratios of means do not depend on the gain; differences over the window's mean hardly do, and still carry information
+where one mean is all but nothing. Source of the box families: P. Viola, M. Jones, Int. J. Computer Vision 57(2), 2004;
+highlight and shadow pairs after J. Sawas, Y. Petillot, Y. Pailhas, ECUA 2010.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _SHARES: Final = {
 }
 _CHUNK: Final = 2048
 _WINDOWS_AT_ONCE: Final = 256
-_LARGEST: Final = 1e3  # of a threshold, and one over it the least of a ratio
+_LARGEST: Final = 1e3  # of a threshold, and one over it the minimum of a ratio
 
 
 class Feature(NamedTuple):
-    """Means of boxes `a` and `b`, numbers into the pool's boxes: a / b if `is_ratio`, else (a - b) / window."""
+    """Compare means of boxes `a` and `b`, numbers into the pool's boxes: a / b if `is_ratio`, else (a - b) / window."""
 
     is_ratio: bool
     a: int
@@ -44,14 +44,14 @@ class Feature(NamedTuple):
 
 
 class Pool(NamedTuple):
-    """boxes: the first is the window. features: what is made of them."""
+    """Hold boxes: the first is the window. features: what is made of them."""
 
     boxes: tuple[FeatureBox, ...]
     features: tuple[Feature, ...]
 
 
 def feature_pool() -> Pool:
-    """The same several thousand features every time."""
+    """Return the same several thousand features every time."""
     rng = np.random.Generator(np.random.PCG64(_SEED))
     numbers: dict[FeatureBox, int] = {WINDOW: 0}
     features = []
@@ -64,7 +64,9 @@ def feature_pool() -> Pool:
 
 
 def pool_box_means(plane: CodePlane, boxes: Sequence[FeatureBox], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float32]:
-    """(n_boxes, n_windows) float32 mean code of every box around the given pixels of a plane; rows, columns: (n_windows,) intp."""
+    """Return (n_boxes, n_windows) float32 mean code of every box around the given pixels of a plane; rows, columns:
+    (n_windows,) intp.
+    """
     by_band = pixel_boxes(boxes, plane.row_spacing_m, plane.column_spacing_m)
     area = areas(by_band).astype(np.float32)
     bands = bands_at(band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m), rows, columns)
@@ -89,20 +91,21 @@ def feature_values(pool: Pool, features: Sequence[int] | NDArray[np.intp], means
 
 
 def bin_edges(pool: Pool, means: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n_features, 255) float32 edges between bins that hold about as many of the windows with box means (n_boxes, n_windows) each.
+    """(n_features, 255) float32 edges between bins that hold about as many of the windows with box means (n_boxes,
+    n_windows) each.
 
-    Ascending, repeats allowed; half way between two values, so that rounding moves no window of these to the other side.
-    Raises ValueError if there is no window.
+    Ascending, repeats allowed; half way between two values, so that rounding moves no window of these to the other
+    side. Raises ValueError if there is no window.
     """
     n_windows = means.shape[1]
     if not n_windows:
         raise ValueError("no windows to take quantiles of")
     edges = np.empty((len(pool.features), N_BINS - 1), dtype=np.float32)
     at = (np.arange(1, N_BINS) * n_windows) // N_BINS
-    least = np.where([feature.is_ratio for feature in pool.features], 1.0 / _LARGEST, -_LARGEST).astype(np.float32)[:, np.newaxis]
+    min_value = np.where([feature.is_ratio for feature in pool.features], 1.0 / _LARGEST, -_LARGEST).astype(np.float32)[:, np.newaxis]
     for start in range(0, len(edges), _CHUNK):
         some = np.arange(start, min(start + _CHUNK, len(edges)))
-        values = np.sort(np.clip(feature_values(pool, some, means), least[some], np.float32(_LARGEST)), axis=1)
+        values = np.sort(np.clip(feature_values(pool, some, means), min_value[some], np.float32(_LARGEST)), axis=1)
         # What is not a number sorts last; an edge is one all the same.
         edges[some] = np.nan_to_num(0.5 * (values[:, at] + values[:, np.maximum(at - 1, 0)]), nan=_LARGEST)
     return edges
@@ -154,7 +157,8 @@ def _highlights() -> list[FeatureBox]:
 
 
 def _shadows() -> list[FeatureBox]:
-    """Pieces of shadows of different lengths and heights, from right behind the highlight to where only tall objects cast any."""
+    """Pieces of shadows of different lengths and heights, from right behind the highlight to where only tall objects
+    cast any."""
     boxes = []
     for along, at in ((0.24, 0.0), (0.48, 0.0), (0.84, 0.0), (1.2, 0.0), (1.8, 0.0), (0.36, -0.3), (0.36, 0.3), (0.4, -0.6), (0.4, 0.6)):
         for start_m in (0.1, 0.25, 0.4):

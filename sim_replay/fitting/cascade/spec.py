@@ -1,7 +1,8 @@
-"""What a training set is made of, as a YAML file says it, and the missions that follow from it.
+"""Read the YAML file of a training set, and derive its missions.
 
-Simulated missions fly through scenes as they are, but with many more targets and rocks, an exact navigation, and silent turns, so that
-what lies where in the picture is known to a pixel. Missions with recorded sea floor come from `auv-mcm augment`.
+Simulated missions fly through scenes as they are, but with many more targets and rocks, an exact navigation, and silent
+turns, so that what lies where in the picture is known to a pixel. Missions with recorded sea floor come from `auv-mcm
+augment`.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class SeedRange(_Section, frozen=True, kw_only=True):
 
 
 class Seeds(_Section, frozen=True, kw_only=True):
-    """Which missions are trained on, which ones stop the training, and which ones judge it."""
+    """Choose the missions to train on, to stop the training, and to judge it."""
 
     train: SeedRange
     validate: SeedRange | None = None
@@ -57,7 +58,9 @@ class Seeds(_Section, frozen=True, kw_only=True):
 
 
 class Kind(_Section, frozen=True, kw_only=True):
-    """How many of the targets are of a kind, in proportion to the other shares, and how large they are; what is left out is the scene's."""
+    """Set how many of the targets are of a kind, in proportion to the other shares, and how large they are; what is
+    left out is the scene's.
+    """
 
     share: Annotated[float, Meta(gt=0.0, le=1000.0)] = 1.0
     length_m: SizeRange | None = None
@@ -67,7 +70,9 @@ class Kind(_Section, frozen=True, kw_only=True):
 
 
 class Targets(_Section, frozen=True, kw_only=True):
-    """The targets of each mission, apart_m from each other at least. Echo strengths and ranges are those that the scene gives a kind."""
+    """The targets of each mission, apart_m from each other at least. Echo strengths and ranges are those that the scene
+    gives a kind.
+    """
 
     per_mission: Annotated[int, Meta(ge=1, le=2000)] = 80
     apart_m: Annotated[float, Meta(ge=2.0, le=100.0)] = 6.0
@@ -85,7 +90,9 @@ class Rocks(_Section, frozen=True, kw_only=True):
 
 
 class SonarVariant(_Section, frozen=True, kw_only=True):
-    """A sonar and the grid of the picture; what is left out is the scene's, and the default configuration's for the grid."""
+    """A sonar and the grid of the picture; what is left out is the scene's, and the default configuration's for the
+    grid.
+    """
 
     frequency_khz: float | None = None
     range_m: float | None = None
@@ -107,9 +114,10 @@ class AugmentedLog(_Section, frozen=True, kw_only=True):
 class Spec(_Section, frozen=True, kw_only=True):
     """A training set.
 
-    scenes: named ones, or files from the spec's own folder on. sonars: missions of a scene take them in turn. altitude_factor: a mission's
-    altitude is the scene's times a number drawn evenly from here. seabed_factors: how much more or less of a type of sea floor there is
-    than in the scenes, as in the area that a vehicle is meant for; 0 leaves it out, 1 for types left out.
+    scenes: named ones, or files from the spec's own folder on. sonars: missions of a scene take them in turn.
+    altitude_factor: a mission's altitude is the scene's times a number drawn evenly from here. seabed_factors: how much
+    more or less of a type of sea floor there is than in the scenes, as in the area that a vehicle is meant for; 0
+    leaves it out, 1 for types left out.
     """
 
     scenes: tuple[str, ...] = ()
@@ -152,7 +160,8 @@ def read_training_spec(path: Path | None = None) -> tuple[Spec, Path]:
 def parse_training_spec(text: str, place: str) -> Spec:
     """Spec from YAML text; `place` names it in messages.
 
-    Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and contradictions.
+    Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and
+    contradictions.
     """
     data = load_mapping(text, place, "expected keys such as 'scenes:'")
     try:
@@ -167,7 +176,8 @@ def parse_training_spec(text: str, place: str) -> Spec:
 
 
 def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, ...]:
-    """All missions of a spec, ready to be rendered: simulated ones split by split and seed by seed, then augmented ones.
+    """All missions of a spec, ready to be rendered: simulated ones split by split and seed by seed, then augmented
+    ones.
 
     folder: that paths start from. Raises UsageError for scenes that are not there or cannot be, and two of one name.
     """
@@ -177,7 +187,7 @@ def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, .
         scene = read_scene(str(beside) if beside.is_file() else name)
         label = scene.name or Path(name).stem
         if label in scenes:
-            raise UsageError(f"`scenes`: two are named '{label}', and sea floors are told apart by that. Rename one")
+            raise UsageError(f"`scenes`: two are named '{label}', but sea floors are identified by it. Rename one")
         scenes[label] = scene
     simulated = [
         _simulated(spec, label, scene, seed, number, split)
@@ -223,7 +233,7 @@ def _simulated(spec: Spec, label: str, scene: Scene, seed: int, number: int, spl
 
 
 def _scatter(spec: Spec, scene: Scene) -> tuple[Scatter, ...]:
-    """What else the scene has, some of it large, then targets, then rocks."""
+    """Return the scene's other objects, some of them large, then targets, then rocks."""
     own = {group.kind: group for group in scene.scatter}
     some_target = next((group for group in scene.scatter if group.kind in TARGET_KINDS), None)
     groups = [group for group in scene.scatter if group.kind != "rock" and group.kind not in TARGET_KINDS]
@@ -284,7 +294,10 @@ def _contradictions(spec: Spec) -> Iterator[str]:
     ranges = list(_seeds_by_split(spec))
     for split, seeds in ranges:
         if seeds.seeds.stop > FIRST_SEED:
-            yield f"`seeds.{split}` ends at {seeds.seeds.stop - 1}: rates are told of seeds from {FIRST_SEED} on, never train on them"
+            yield (
+                f"`seeds.{split}` ends at {seeds.seeds.stop - 1}: rates are reported for seeds from {FIRST_SEED} on. "
+                "Use smaller seeds for training"
+            )
         for other, others in ranges:
             if other > split and max(seeds.first, others.first) < min(seeds.seeds.stop, others.seeds.stop):
                 yield f"`seeds.{split}` and `seeds.{other}` share seeds: the same sea floor would be trained on and judged by"

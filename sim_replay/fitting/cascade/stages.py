@@ -1,7 +1,7 @@
 """One stage of a Viola-Jones cascade: stumps of AdaBoost until nearly all targets pass and few enough others do.
 
-Sources: P. Viola, M. Jones, Int. J. Computer Vision 57(2), 2004, table 2; goals of 99 % and 50 % for each stage as in "Target recognition
-in synthetic aperture and high resolution side-scan sonar", sec. 4.4.2.
+Sources: P. Viola, M. Jones, Int. J. Computer Vision 57(2), 2004, table 2; goals of 99 % and 50 % for each stage as in
+"Target recognition in synthetic aperture and high resolution side-scan sonar", sec. 4.4.2.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from sim_replay.fitting.cascade.boost import Bins, BoostedStump, ada_stumps
 
 DETECTION: Final = 0.99
 FALSE_ALARMS: Final = 0.5
-_MOST_STUMPS: Final = 200
+_MAX_STUMPS: Final = 200
 
 
 class Stage(NamedTuple):
@@ -45,7 +45,7 @@ def train_stage(learned: StageSamples, judged: StageSamples, rng: np.random.Gene
     stumps: list[BoostedStump] = []
     score = np.zeros(judged.is_target.size, dtype=np.int32)
     reject, false_alarms = 0, 1.0
-    for stump in ada_stumps(learned.bins, learned.is_target, _MOST_STUMPS, 1.0, rng):
+    for stump in ada_stumps(learned.bins, learned.is_target, _MAX_STUMPS, 1.0, rng):
         stumps.append(stump)
         score += stump.scores(judged.bins)
         reject = threshold(score[judged.is_target], DETECTION)

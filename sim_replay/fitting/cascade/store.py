@@ -1,7 +1,9 @@
-"""Training sets on disk: .npz shards of labelled tiles, and a manifest with what each holds and the digest of its bytes.
+"""Training sets on disk: .npz shards of labelled tiles, and a manifest with what each holds and the digest of its
+bytes.
 
-A shard holds the tiles of one background. Arrays of tile k are NNNNN.codes, .valid, .usable (rows of bits) and .first_return_m; all else is
-MessagePack in the array `tiles`. Nothing in it tells when or where it was made: equal tiles give equal bytes.
+A shard holds the tiles of one background. Arrays of tile k are NNNNN.codes, .valid, .usable (rows of bits) and
+.first_return_m; all else is MessagePack in the array `tiles`. It carries no time or place of its making: equal
+tiles give equal bytes.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ _REMEDY: Final = "Render the training set anew"
 class Shard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One file of a training set.
 
-    n_targets, n_others: objects in the cores of tiles, once per look. by_seabed: those targets by the sea floor they lie on.
+    n_targets, n_others: objects in the cores of tiles, once per look. by_seabed: those targets by the sea floor they
+    lie on.
     """
 
     file: Annotated[str, Meta(pattern=r"^[\w.-]+\.npz$")]
@@ -51,7 +54,8 @@ class Shard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A training set. made_from: the spec it was rendered from. sha256: of all shards' digests, in order: what a model was trained on."""
+    """A training set. made_from: the spec it was rendered from. sha256: of all shards' digests, in order: what a model
+    was trained on."""
 
     format_version: int
     made_from: dict[str, Any]
@@ -86,9 +90,9 @@ def pack(tiles: Iterable[LabelledTile], split: Split, background: str, origin: O
     n_others, usable_m2 = 0, 0.0
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for number, tile in enumerate(tiles):
-            inside = [thing for thing in tile.objects if tile.core_start <= thing.row < tile.core_stop]
-            by_seabed.update(thing.seabed for thing in inside if thing.is_target)
-            n_others += sum(not thing.is_target for thing in inside)
+            inside = [tile_object for tile_object in tile.objects if tile.core_start <= tile_object.row < tile.core_stop]
+            by_seabed.update(tile_object.seabed for tile_object in inside if tile_object.is_target)
+            n_others += sum(not tile_object.is_target for tile_object in inside)
             usable_m2 += int(np.count_nonzero(tile.usable)) * tile.row_spacing_m * tile.column_spacing_m
             headers.append(
                 _TileHeader(
@@ -174,7 +178,7 @@ def read_shard(folder: Path, shard: Shard) -> Iterator[LabelledTile]:
     except OSError as error:
         raise BadInputError(f"{path} cannot be read: {error.strerror}. {_REMEDY}") from error
     except (zipfile.BadZipFile, KeyError, ValueError, msgspec.DecodeError) as error:
-        raise BadInputError(f"{path} is no shard of labelled tiles: {error}. {_REMEDY}") from error
+        raise BadInputError(f"{path} is not a shard of labelled tiles: {error}. {_REMEDY}") from error
 
 
 def _tile(archive: zipfile.ZipFile, number: int, header: _TileHeader) -> LabelledTile:

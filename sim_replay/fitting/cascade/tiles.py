@@ -17,10 +17,11 @@ Origin: TypeAlias = Literal["simulated", "augmented"]
 class TileObject(msgspec.Struct, frozen=True, kw_only=True):
     """One object as a tile shows it.
 
-    row, column: where the centre of its highlight is to be expected, fractional: pixel (i, j) covers [i, i + 1) and [j, j + 1), so the
-    pixel that holds it is (floor(row), floor(column)). kind, seabed: as in truth.json, "unknown" if not told. ground_range_m: across-track
-    distance of the object's middle. aspect_deg: direction of look against the object's long axis, clockwise, [0, 360): 90 and 270 are
-    broadside; NaN if the axis is not known. length_m, width_m, height_m: of the whole object, NaN if not told.
+    row, column: where the centre of its highlight is to be expected, fractional: pixel (i, j) covers [i, i + 1) and [j,
+    j + 1), so the pixel that holds it is (floor(row), floor(column)). kind, seabed: as in truth.json, "unknown" if not
+    given. ground_range_m: across-track distance of the object's middle. aspect_deg: direction of look against the
+    object's long axis, clockwise, [0, 360): 90 and 270 are broadside; NaN if the axis is not known. length_m, width_m,
+    height_m: of the whole object, NaN if not given.
     """
 
     row: float
@@ -38,12 +39,13 @@ class TileObject(msgspec.Struct, frozen=True, kw_only=True):
 class LabelledTile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """A tile of one side as the detector is given it, with everything that lies in it.
 
-    codes: (n_rows, n_columns) uint16, round(min(intensity, 16) * 1024) with the local mean of the sea floor at 1024, which is also what
-    pixels get that are not valid. valid: (n_rows, n_columns) bool, an echo was measured. usable: the same shape, the detector may report
-    the pixel: valid, not of low resolution, in the core. Rows [core_start, core_stop) belong to this tile alone, the others are what
-    windows of core pixels need. first_return_m: (n_rows,) float64 slant range of the first bottom return.
-    objects: all whose expected centre is in the tile, its overlap included; those of the overlap come again in the next tile.
-    background: "flat/600" or the name of a recorded line. Tiles of one background share their sea floor, so that splits keep them together.
+    codes: (n_rows, n_columns) uint16, round(min(intensity, 16) * 1024) with the local mean of the sea floor at 1024,
+    which is also what pixels get that are not valid. valid: (n_rows, n_columns) bool, an echo was measured. usable: the
+    same shape, the detector may report the pixel: valid, not of low resolution, in the core. Rows [core_start,
+    core_stop) belong to this tile alone, the others are what windows of core pixels need. first_return_m: (n_rows,)
+    float64 slant range of the first bottom return. objects: all whose expected centre is in the tile, its overlap
+    included; those of the overlap come again in the next tile. background: "flat/600" or the name of a recorded line.
+    Tiles of one background share their sea floor, so that splits keep them together.
     """
 
     codes: NDArray[np.uint16]

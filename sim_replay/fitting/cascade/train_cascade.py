@@ -30,8 +30,8 @@ def train_model(
 ) -> None:
     """Train a cascade and write it to `out`, JSON.
 
-    spec: YAML file of what to render, the set that ships if None. tiles: folder that keeps the rendered tiles; those that it holds of the
-    same spec are used as they are. n_stumps: of a soft cascade. say: takes a line on how far it is.
+    spec: YAML file of what to render, the set that ships if None. tiles: folder that keeps the rendered tiles; those
+    that it holds of the same spec are used as they are. n_stumps: of a soft cascade. say: takes lines on progress.
 
     Raises UsageError for an `out` that cannot be written, before any work, and for a spec that cannot be read.
     """

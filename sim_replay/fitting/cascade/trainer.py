@@ -1,8 +1,8 @@
 """Trains a cascade from a set of labelled tiles: boosting, hard negatives, reject thresholds, calibration.
 
-Each round learns from all that the rounds before brought: the window that shows each target best, and windows that are no target. The
-last round's stumps become the cascade, whose thresholds, calibration and expected detection come from the validation tiles. The same
-tiles give the same model, byte for byte, on any number of workers.
+Each round learns from all that the rounds before brought: the window that shows each target best, and windows that are
+no target. The last round's stumps become the cascade, whose thresholds, calibration and expected detection come from
+the validation tiles. The same tiles give the same model, byte for byte, on any number of workers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from sim_replay.fitting.cascade.validation import (
 )
 
 Kind: TypeAlias = Literal["soft", "stages"]
-Say: TypeAlias = Callable[[str], None]
+Progress: TypeAlias = Callable[[str], None]
 Floats: TypeAlias = NDArray[np.float32]
 
 N_STUMPS: Final = 320
@@ -50,9 +50,9 @@ _DETECTION: Final = 0.95  # share of the validation targets that a soft cascade 
 _PASSES: Final = 5  # over the tiles, each with so many more of a soft cascade's stumps
 _ASYMMETRY: Final = 4.0
 _MINING_DETECTION: Final = 0.99
-_MINING_MARGIN: Final = 1024  # below the worst target kept: few stumps tell the targets they learned from too well
+_MINING_MARGIN: Final = 1024  # below the worst target kept: few stumps separate their own training targets too well
 _OTHERS: Final = 20_000  # windows a pass is to bring, over all tiles
-_MOST_PER_TILE: Final = 30
+_MAX_PER_TILE: Final = 30
 _FEWEST: Final = 0.01  # of the windows a pass was to bring; with fewer there is little left to learn
 _EDGE_WINDOWS: Final = 6000  # of each class, for the quantiles
 _STAGES: Final = 20
@@ -63,7 +63,7 @@ _UNKNOWN: Final = Calibration(score=(0, 1), log_odds=(0.0, 0.0))
 
 
 class _Tiles(NamedTuple):
-    """A folder of tiles, and who works through it."""
+    """Hold a folder of tiles, and the farm that processes it."""
 
     folder: Path
     manifest: Manifest
@@ -74,8 +74,10 @@ class _Tiles(NamedTuple):
 
 
 class _Lesson(NamedTuple):
-    """What a pass over the training shards brought: box means (n_boxes, n) and shard (n,) of targets and others; where others stand,
-    (n, 4): shard, tile, row, column. n_asked: others that would have been taken. spacings_m: (n_tiles, 2)."""
+    """Hold the samples of a pass over the training shards: box means (n_boxes, n) and shard (n,) of targets and others;
+    where others stand, (n, 4): shard, tile, row, column. n_asked: others that would have been taken. spacings_m:
+    (n_tiles, 2).
+    """
 
     targets: Floats
     target_shard: NDArray[np.intp]
@@ -85,10 +87,10 @@ class _Lesson(NamedTuple):
     spacings_m: NDArray[np.float64]
 
 
-def train(folder: Path, kind: Kind, farm: Farm, say: Say, n_stumps: int = N_STUMPS) -> CascadeModel:
+def train(folder: Path, kind: Kind, farm: Farm, progress: Progress, n_stumps: int = N_STUMPS) -> CascadeModel:
     """Train on the "train" shards of a folder, settle thresholds and calibration on its "validate" shards.
 
-    say: takes lines about progress. n_stumps: of a soft cascade, at most; stages have as many as they need.
+    progress: takes lines about progress. n_stumps: of a soft cascade, at most; stages have as many as they need.
     Raises BadInputError for a folder that holds no training set, UsageError for one that lacks targets.
     """
     tiles = _Tiles(folder, read_manifest(folder), farm)
@@ -97,14 +99,14 @@ def train(folder: Path, kind: Kind, farm: Farm, say: Say, n_stumps: int = N_STUM
         if not any(shard.n_targets for shard in tiles.shards(split)):
             raise UsageError(f"{folder}: no targets among the '{split}' tiles. Render a set with seeds and targets for both splits")
     pool = feature_pool()
-    say(f"{len(pool.features)} features of {len(pool.boxes)} boxes")
-    trained = _soft(tiles, pool, say, n_stumps) if kind == "soft" else _stages(tiles, pool, say)
-    model = _validated(tiles, trained, say)
+    progress(f"{len(pool.features)} features of {len(pool.boxes)} boxes")
+    trained = _soft(tiles, pool, progress, n_stumps) if kind == "soft" else _stages(tiles, pool, progress)
+    model = _validated(tiles, trained, progress)
     check_model(model, f"the model trained on {folder}")
     return model
 
 
-def _soft(tiles: _Tiles, pool: Pool, say: Say, n_stumps: int) -> CascadeModel:
+def _soft(tiles: _Tiles, pool: Pool, progress: Progress, n_stumps: int) -> CascadeModel:
     model: CascadeModel | None = None
     others: list[Floats] = []
     known: set[tuple[int, ...]] = set()
@@ -116,26 +118,27 @@ def _soft(tiles: _Tiles, pool: Pool, say: Say, n_stumps: int) -> CascadeModel:
         known.update(places)
         others.append(lesson.others[:, is_new])
         every = np.concatenate(others, axis=1)
-        say(f"pass {number + 1}: {lesson.targets.shape[1]} targets, {every.shape[1]} others, {is_new.sum()} of them new")
+        progress(f"pass {number + 1}: {lesson.targets.shape[1]} targets, {every.shape[1]} others, {is_new.sum()} of them new")
         few = int(is_new.sum()) < _FEWEST * lesson.n_asked
         if few and n_rounds == n_stumps:
             break
         # The first passes show what is easy: few stumps will do. The last one, and one that shows hardly anything new, gets all.
         n_rounds = n_stumps if few or number == _PASSES - 1 else max(n_rounds, math.ceil((number + 1) * n_stumps / _PASSES))
         model = _boosted(tiles, pool, lesson, every, n_rounds, _rng(number))
-        say(f"pass {number + 1}: {model.n_stumps} stumps in {len(model.groups)} groups")
+        progress(f"pass {number + 1}: {model.n_stumps} stumps in {len(model.groups)} groups")
     assert model is not None
     return model
 
 
 def _boosted(tiles: _Tiles, pool: Pool, lesson: _Lesson, others: Floats, n_rounds: int, rng: np.random.Generator) -> CascadeModel:
-    """A soft cascade with thresholds that nearly all targets pass that it learned from, and what is almost as good as those."""
+    """A soft cascade with thresholds that nearly all targets pass that it learned from, and what is almost as good as
+    those."""
     edges = _edges(pool, lesson.targets, others)
     bins = quantise(pool, edges, np.concatenate((lesson.targets, others), axis=1))
     is_target = np.arange(bins.shape[1]) < lesson.targets.shape[1]
     stumps = list(gentle_stumps(bins, is_target, n_rounds, _ASYMMETRY, rng))
     if not stumps:
-        raise UsageError(f"{tiles.folder}: no feature tells targets from the rest. Render a set with more missions")
+        raise UsageError(f"{tiles.folder}: no feature separates targets from clutter. Render a set with more missions")
     sizes = group_sizes(len(stumps))
     stops = list(accumulate(sizes))
     after = np.cumsum([stump.scores(bins[:, is_target]) for stump in stumps], axis=0, dtype=np.int32)[np.array(stops) - 1].T
@@ -144,7 +147,7 @@ def _boosted(tiles: _Tiles, pool: Pool, lesson: _Lesson, others: Floats, n_round
     return _model(tiles, "soft", groups, reject, lesson, others.shape[1])
 
 
-def _stages(tiles: _Tiles, pool: Pool, say: Say) -> CascadeModel:
+def _stages(tiles: _Tiles, pool: Pool, progress: Progress) -> CascadeModel:
     model: CascadeModel | None = None
     groups: list[tuple[Stump, ...]] = []
     reject: list[int] = []
@@ -159,17 +162,17 @@ def _stages(tiles: _Tiles, pool: Pool, say: Say) -> CascadeModel:
         learned, judged = (StageSamples(bins[:, some], is_target[some]) for some in (~judges, judges))
         fewest = min(int(np.count_nonzero(samples.is_target == kind)) for samples in (learned, judged) for kind in (True, False))
         if lesson.others.shape[1] < _FEWEST * lesson.n_asked or not fewest:
-            say(f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from")
+            progress(f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from")
             break
         stage = train_stage(learned, judged, _rng(number))
         if not stage.stumps:
-            raise UsageError(f"{tiles.folder}: no feature tells targets from the rest. Render a set with more missions")
-        say(
+            raise UsageError(f"{tiles.folder}: no feature separates targets from clutter. Render a set with more missions")
+        progress(
             f"stage {number + 1}: {len(stage.stumps)} stumps, {stage.detection:.4f} of the targets and {stage.false_alarms:.4f} of "
             f"{lesson.others.shape[1]} others pass"
         )
         if model is not None and stage.false_alarms > FALSE_ALARMS:
-            say(f"stage {number + 1} misses its goal and is left out: it would cost as many targets as one that meets it")
+            progress(f"stage {number + 1} misses its goal and is left out: it would cost as many targets as one that meets it")
             break
         groups.append(_model_group(pool, edges, stage.stumps))
         reject.append(stage.reject)
@@ -182,7 +185,7 @@ def _stages(tiles: _Tiles, pool: Pool, say: Say) -> CascadeModel:
 def _pass(tiles: _Tiles, pool: Pool, model: CascadeModel | None, hardest: bool, number: int) -> _Lesson:
     shards = tiles.shards("train")
     n_tiles = sum(shard.n_tiles for shard in shards)
-    n_others = min(_MOST_PER_TILE, math.ceil(_OTHERS / n_tiles))
+    n_others = min(_MAX_PER_TILE, math.ceil(_OTHERS / n_tiles))
     errands = [Errand(tiles.folder, shard, pool.boxes, model, n_others, hardest, _SEED + number) for shard in shards]
     gleaned = list(run_tasks(glean, errands, tiles.farm))
     return _Lesson(
@@ -196,7 +199,7 @@ def _pass(tiles: _Tiles, pool: Pool, model: CascadeModel | None, hardest: bool, 
 
 
 def _are_judges(tiles: _Tiles) -> NDArray[np.bool_]:
-    """(n_shards,) bool, drawn so that no scene is always among them."""
+    """Return (n_shards,) bool, drawn so that no scene is always among them."""
     n_shards = len(tiles.shards("train"))
     chosen = np.zeros(n_shards, dtype=np.bool_)
     chosen[_rng(0).permutation(n_shards)[: n_shards // _JUDGES]] = True
@@ -208,7 +211,7 @@ def _rng(number: int) -> np.random.Generator:
 
 
 def _edges(pool: Pool, targets: Floats, others: Floats) -> Floats:
-    """Bins as fine for the few targets as for the many others."""
+    """Return bins as fine for the few targets as for the many others."""
     samples = [
         means[:, np.linspace(0, means.shape[1] - 1, min(means.shape[1], _EDGE_WINDOWS)).astype(np.intp)] for means in (targets, others)
     ]
@@ -223,10 +226,10 @@ def _model(
     tiles: _Tiles, kind: Kind, groups: Sequence[tuple[Stump, ...]], reject: Sequence[int], lesson: _Lesson, n_others: int
 ) -> CascadeModel:
     backgrounds = sorted({shard.background.rsplit("/", 1)[0] for shard in tiles.shards("train")})
-    least, most = lesson.spacings_m.min(axis=0), lesson.spacings_m.max(axis=0)
+    min_m, max_m = lesson.spacings_m.min(axis=0), lesson.spacings_m.max(axis=0)
     spacings = [
         (round(float(a) * (1.0 - _SPACING_TOLERANCE), 5), round(float(b) * (1.0 + _SPACING_TOLERANCE), 5))
-        for a, b in zip(least, most, strict=True)
+        for a, b in zip(min_m, max_m, strict=True)
     ]
     return CascadeModel(
         kind=kind,
@@ -240,8 +243,8 @@ def _model(
     )
 
 
-def _validated(tiles: _Tiles, model: CascadeModel, say: Say) -> CascadeModel:
-    """The model with thresholds (if soft), calibration and expected detection from the validation shards."""
+def _validated(tiles: _Tiles, model: CascadeModel, progress: Progress) -> CascadeModel:
+    """Return the model with thresholds (if soft), calibration and expected detection from the validation shards."""
     shards = tiles.shards("validate")
     seen = [
         sighting for found in run_tasks(sightings, [Inspection(tiles.folder, s, model) for s in shards], tiles.farm) for sighting in found
@@ -258,12 +261,12 @@ def _validated(tiles: _Tiles, model: CascadeModel, say: Say) -> CascadeModel:
         model = msgspec.structs.replace(model, calibration=calibrate(detections, is_target))
     model = msgspec.structs.replace(model, expected_pd=expected_pd(model, seen))
     for line in _report(model, seen, parts):
-        say(line)
+        progress(line)
     return model
 
 
 def _report(model: CascadeModel, seen: Sequence[ValidationSighting], parts: Sequence[PassRates]) -> list[str]:
-    """What the validation tiles say, line by line."""
+    """Report the results on the validation tiles, line by line."""
     scores = np.stack([sighting.trace for sighting in seen])
     final = np.sort(scores[passes(model, scores), -1])[::-1]
     windows = np.concatenate([part.windows for part in parts])

@@ -1,7 +1,8 @@
-"""Renders a training set: `python -m sim_replay.fitting.cascade.training_images [SPEC.yaml] --out DIR`.
+"""Render a training set: `python -m sim_replay.fitting.cascade.training_images [SPEC.yaml] --out DIR`.
 
-Missions, simulated or recorded with targets put into them, go through the pipeline up to its tiles. What lies in each tile follows from
-the truth of the mission. Every mission is a task of its own, on the cores of this computer or on a dask cluster.
+Missions, simulated or recorded with targets put into them, go through the pipeline up to its tiles. What lies in each
+tile follows from the truth of the mission. Every mission is a task of its own, on the cores of this computer or on a
+dask cluster.
 """
 
 from __future__ import annotations
@@ -62,44 +63,44 @@ class _AugmentedTruth(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def render_line(line: SimulatedLine | AugmentedLine) -> Packed:
-    """The shard of one mission. Raises BadInputError for a folder that holds no augmented log."""
+    """Render the shard of one mission. Raises BadInputError for a folder that holds no augmented log."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     if isinstance(line, SimulatedLine):
         return pack(simulated_tiles(line), line.split, line.background, "simulated")
-    background, things = _augmented_truth(line.folder / TRUTH_NAME)
+    background, targets = _augmented_truth(line.folder / TRUTH_NAME)
     events = RecordedMission([line.folder / background], line.config).events()
-    return pack(_labelled(events, things, line.config, background, "augmented"), line.split, background, "augmented")
+    return pack(_labelled(events, targets, line.config, background, "augmented"), line.split, background, "augmented")
 
 
 def simulated_tiles(line: SimulatedLine) -> Iterator[LabelledTile]:
-    """Fly a mission; its tiles, as they become final."""
+    """Fly a mission and yield its tiles, as they become final."""
     mission = Mission(line.scene)
-    return _labelled(mission.events(), things_of(mission), line.config, line.background, "simulated")
+    return _labelled(mission.events(), targets_of(mission), line.config, line.background, "simulated")
 
 
-def things_of(mission: Mission) -> tuple[PlacedTarget, ...]:
-    """The objects of a simulated mission."""
+def targets_of(mission: Mission) -> tuple[PlacedTarget, ...]:
+    """Return the objects of a simulated mission."""
     sea = mission.sea
     return tuple(
         PlacedTarget(
-            latitude_deg=told["lat"],
-            longitude_deg=told["lon"],
+            latitude_deg=entry["lat"],
+            longitude_deg=entry["lon"],
             floor_depth_m=sea.scene.world.depth_m - sea.world.floor_m(placed.east_m, placed.north_m),
-            kind=told["kind"],
-            is_target=told["is_target"],
-            seabed=told["seabed"],
+            kind=entry["kind"],
+            is_target=entry["is_target"],
+            seabed=entry["seabed"],
             azimuth_rad=placed.azimuth_rad,
             length_m=placed.length_m,
             width_m=placed.width_m,
             height_m=placed.height_m,
             burial_m=placed.burial_m,
         )
-        for told, placed in zip(mission.truth()["objects"], sea.objects, strict=True)
+        for entry, placed in zip(mission.truth()["objects"], sea.objects, strict=True)
     )
 
 
-def labelled(tile: Tile, things: Sequence[PlacedTarget], config: Config, background: str, origin: Origin) -> LabelledTile:
-    """The core of a tile with OVERLAP_M on both sides, and which of `things` lie in it."""
+def labelled(tile: Tile, targets: Sequence[PlacedTarget], config: Config, background: str, origin: Origin) -> LabelledTile:
+    """Return the core of a tile with OVERLAP_M on both sides, and which of `targets` lie in it."""
     reach = math.ceil(OVERLAP_M / tile.row_spacing_m)
     start, stop = max(tile.core_start - reach, 0), min(tile.core_stop + reach, tile.mask.shape[0])
     mask = tile.mask[start:stop]
@@ -117,17 +118,17 @@ def labelled(tile: Tile, things: Sequence[PlacedTarget], config: Config, backgro
         row_spacing_m=tile.row_spacing_m,
         column_spacing_m=tile.column_spacing_m,
         side=tile.side,
-        objects=cropped(objects_in(tile, things, config.sonar), start, stop),
+        objects=cropped(objects_in(tile, targets, config.sonar), start, stop),
         background=background,
         origin=origin,
     )
 
 
 def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
-    """Render all missions of a spec (None: the one that ships) into a folder, and say on stderr how it goes.
+    """Render all missions of a spec (None: the one that ships) into a folder, and report progress on stderr.
 
-    Raises UsageError for a spec that cannot be, objects that find no room, and a sea floor that comes twice; BadInputError for augmented
-    logs that are not there; and as run_tasks does.
+    Raises UsageError for a spec that cannot be, objects that find no room, and a sea floor that comes twice;
+    BadInputError for augmented logs that are not there; and as run_tasks does.
     """
     spec, base = read_training_spec(spec_path)
     lines = lines_of(spec, base)
@@ -137,11 +138,11 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
     make_directory(folder)
     started_s = time.monotonic()
 
-    def told(done: int) -> None:
+    def show_progress(done: int) -> None:
         print(f"\r{done} of {len(lines)} missions rendered, {time.monotonic() - started_s:.0f} s", end="", file=sys.stderr, flush=True)
 
     try:
-        return write_set(folder, _each_once(run_tasks(render_line, lines, farm, told)), msgspec.to_builtins(spec))
+        return write_set(folder, _each_once(run_tasks(render_line, lines, farm, show_progress)), msgspec.to_builtins(spec))
     except OSError as error:
         raise UsageError(f"{folder}: {error.strerror}. Name another folder, or make room") from error
     finally:
@@ -160,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def tile_set_words(manifest: Manifest) -> str:
-    """What a training set holds, a line per split."""
+    """Describe a training set, a line per split."""
     lines = []
     for split in dict.fromkeys(shard.split for shard in manifest.shards):
         shards = [shard for shard in manifest.shards if shard.split == split]
@@ -177,7 +178,7 @@ def tile_set_words(manifest: Manifest) -> str:
 
 
 def _check_room(line: SimulatedLine) -> None:
-    """Said now rather than after many missions."""
+    """Check that the scatter fits, before many missions are rendered."""
     try:
         place_objects(line.scene)
     except UsageError as error:
@@ -185,23 +186,23 @@ def _check_room(line: SimulatedLine) -> None:
 
 
 def _labelled(
-    events: Iterable[SourceEvent], things: Sequence[PlacedTarget], config: Config, background: str, origin: Origin
+    events: Iterable[SourceEvent], targets: Sequence[PlacedTarget], config: Config, background: str, origin: Origin
 ) -> Iterator[LabelledTile]:
     for tile in _tiles(events, config):
         if worth_looking(tile):
-            yield labelled(tile, things, config, background, origin)
+            yield labelled(tile, targets, config, background, origin)
 
 
 def _tiles(events: Iterable[SourceEvent], config: Config) -> Iterator[Tile]:
-    """Tiles as they become final."""
+    """Yield tiles as they become final."""
     pipeline = Pipeline(config, detect=_nothing)
     for event in events:
-        yield from (told for told in pipeline.feed(event) if isinstance(told, Tile))
-    yield from (told for told in pipeline.finish() if isinstance(told, Tile))
+        yield from (entry for entry in pipeline.feed(event) if isinstance(entry, Tile))
+    yield from (entry for entry in pipeline.finish() if isinstance(entry, Tile))
 
 
 def _nothing(tile: Tile) -> TileDetections:
-    """What is to be found is known already."""
+    """Detect nothing: the objects are known already."""
     return TileDetections((), 0, 0)
 
 
@@ -214,24 +215,24 @@ def _augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
         raise BadInputError(f"{path}: {error}. Name a folder that `auv-mcm augment` wrote") from error
     return truth.background, tuple(
         PlacedTarget(
-            latitude_deg=thing.lat,
-            longitude_deg=thing.lon,
+            latitude_deg=target.lat,
+            longitude_deg=target.lon,
             floor_depth_m=NAN,
-            kind=thing.kind,
-            is_target=thing.is_target,
-            seabed=thing.seabed or "unknown",
-            azimuth_rad=NAN if thing.azimuth_deg is None else math.radians(thing.azimuth_deg),
-            length_m=NAN if thing.length_m is None else thing.length_m,
-            width_m=NAN if thing.width_m is None else thing.width_m,
-            height_m=NAN if thing.height_m is None else thing.height_m,
-            burial_m=thing.burial_m,
+            kind=target.kind,
+            is_target=target.is_target,
+            seabed=target.seabed or "unknown",
+            azimuth_rad=NAN if target.azimuth_deg is None else math.radians(target.azimuth_deg),
+            length_m=NAN if target.length_m is None else target.length_m,
+            width_m=NAN if target.width_m is None else target.width_m,
+            height_m=NAN if target.height_m is None else target.height_m,
+            burial_m=target.burial_m,
         )
-        for thing in truth.objects
+        for target in truth.objects
     )
 
 
 def _each_once(packed: Iterable[Packed]) -> Iterator[Packed]:
-    """Refuses a background that comes again."""
+    """Reject a background that comes again."""
     splits: dict[str, str] = {}
     for item in packed:
         background, split = item.shard.background, item.shard.split

@@ -1,8 +1,10 @@
-"""Boosted trees that mend what a linear sum of features gets wrong: three questions deep, fitted to the log-loss by Newton steps.
+"""Boosted trees that mend what a linear sum of features gets wrong: three questions deep, fitted to the log-loss by
+Newton steps.
 
-J. H. Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics 29, 2001; second-order leaves after
-Friedman, Hastie and Tibshirani, "Additive logistic regression", Annals of Statistics 28, 2000. Every tree sees a part of the examples
-and asks of a part of the features, so that trees differ (Friedman, "Stochastic gradient boosting", 2002).
+J. H. Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics 29, 2001;
+second-order leaves after Friedman, Hastie and Tibshirani, "Additive logistic regression", Annals of Statistics 28,
+2000. Every tree sees a part of the examples and splits on a part of the features, so that trees differ (Friedman,
+"Stochastic gradient boosting", 2002).
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ N_LEAVES: Final = 2**DEPTH
 _N_BINS: Final = 64
 _RATE: Final = 0.07
 _RIDGE: Final = 5.0
-_LEAST_HESSIAN: Final = 2.0  # of a leaf: about as many targets
+_MIN_HESSIAN: Final = 2.0  # of a leaf: about as many targets
 _EXAMPLES: Final = 0.6
 _FEATURES: Final = 0.25
 _FEWEST_FEATURES: Final = 4
@@ -30,7 +32,8 @@ _NEVER: Final = 1e30  # above every value: a question that parts nothing
 
 
 class GrownTree(NamedTuple):
-    """Question i asks whether feature[i] is above threshold[i]; no leads to question 2 i + 1, yes to 2 i + 2, the last to leaves.
+    """Question i asks whether feature[i] is above threshold[i]; no leads to question 2 i + 1, yes to 2 i + 2, the last
+    to leaves.
 
     feature: (7,) int columns. threshold: (7,). nats: (8,), what each leaf adds to the log-odds.
     """
@@ -41,7 +44,8 @@ class GrownTree(NamedTuple):
 
 
 def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Array, n_trees: int) -> list[GrownTree]:
-    """Trees on features `values` (n, k) that add up to what the log-odds `start` (n,) lack. weight: (n,), how many each example stands for.
+    """Grow trees on features `values` (n, k) that add up to the correction of the log-odds `start` (n,). weight: (n,),
+    how many each example stands for.
 
     The same examples in the same order give the same trees.
     """
@@ -64,7 +68,7 @@ def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Arr
 
 
 def leaves(tree: GrownTree, values: Array) -> NDArray[np.int64]:
-    """(n,) int64 leaf, 0 to 7, of each row of `values` (n, k)."""
+    """Return (n,) int64 leaf, 0 to 7, of each row of `values` (n, k)."""
     place = np.zeros(len(values), dtype=np.int64)
     rows = np.arange(len(values))
     for _ in range(DEPTH):
@@ -74,7 +78,7 @@ def leaves(tree: GrownTree, values: Array) -> NDArray[np.int64]:
 
 
 def _edges(column: Array) -> Array:
-    """Thresholds to ask for, between values that differ."""
+    """Return candidate thresholds, between values that differ."""
     middle = np.unique(np.quantile(column, np.arange(1, _N_BINS) / _N_BINS, method="lower"))
     return np.asarray(middle[middle < column.max()])
 
@@ -98,7 +102,7 @@ def _grow(bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[
             )
             all_g, all_h = below_g[:, -1:], below_h[:, -1:]
             gain = _worth(below_g, below_h) + _worth(all_g - below_g, all_h - below_h) - _worth(all_g, all_h)
-            gain[(below_h < _LEAST_HESSIAN) | (all_h - below_h < _LEAST_HESSIAN)] = 0.0
+            gain[(below_h < _MIN_HESSIAN) | (all_h - below_h < _MIN_HESSIAN)] = 0.0
             at = gain[:, : len(edges[column])].argmax(axis=1)
             found = gain[np.arange(n_nodes), at]
             better = found > best_gain

@@ -1,4 +1,5 @@
-"""What a cascade makes of sea floor it has not been trained on: which targets pass, how many other windows do, what scores mean."""
+"""Validate a cascade on held-out sea floor: which targets pass, how many other windows do, what
+scores mean."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ _MAX_LOG_ODDS: Final = 12.0
 
 
 class Inspection(NamedTuple):
-    """A model and a shard to run it over."""
+    """Hold a model and a shard to run it over."""
 
     folder: Path
     shard: Shard
@@ -31,7 +32,8 @@ class Inspection(NamedTuple):
 
 
 class ValidationSighting(NamedTuple):
-    """A target of a validation shard: its sea floor and ground range, and (n_groups,) int32 scores of its best window."""
+    """A target of a validation shard: its sea floor and ground range, and (n_groups,) int32 scores of its best
+    window."""
 
     seabed: str
     ground_range_m: float
@@ -39,10 +41,11 @@ class ValidationSighting(NamedTuple):
 
 
 class PassRates(NamedTuple):
-    """What a cascade lets through.
+    """Hold what a cascade lets through.
 
-    windows: (n,) int32 final scores of all windows clear of targets that pass, of n_windows in all. detections: (n_detections,) int32
-    scores of what is left once windows near better ones are dropped, is_target: which of those are the best on a target.
+    windows: (n,) int32 final scores of all windows clear of targets that pass, of n_windows in all. detections:
+    (n_detections,) int32 scores of what is left once windows near better ones are dropped, is_target: which of those
+    are the best on a target.
     """
 
     n_windows: int
@@ -53,7 +56,7 @@ class PassRates(NamedTuple):
 
 
 def sightings(inspection: Inspection) -> list[ValidationSighting]:
-    """The best window of every target in a shard, whatever the model rejects."""
+    """Return the best window of every target in a shard, whatever the model rejects."""
     seen: list[ValidationSighting] = []
     for tile, plane in planes_of(inspection.folder, inspection.shard):
         bags = target_bags(tile, plane)
@@ -65,7 +68,7 @@ def sightings(inspection: Inspection) -> list[ValidationSighting]:
 
 
 def passed(inspection: Inspection) -> PassRates:
-    """What passes the model in a shard."""
+    """Return the windows of a shard that pass the model."""
     n_windows, area_m2 = 0, 0.0
     windows, detections, is_target = [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.bool_)]
     for tile, plane in planes_of(inspection.folder, inspection.shard):
@@ -84,12 +87,14 @@ def passed(inspection: Inspection) -> PassRates:
 
 
 def passes(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """(n,) bool, which traces (n, n_groups) pass every group."""
+    """Return (n,) bool, which traces (n, n_groups) pass every group."""
     return np.asarray(np.all(scores >= np.array(model.reject, dtype=np.int32), axis=1))
 
 
 def expected_pd(model: CascadeModel, seen: Sequence[ValidationSighting]) -> tuple[ExpectedPd, ...]:
-    """Share of the targets of each sea floor and band of ground range that pass; bands without targets are left out."""
+    """Return the share of the targets of each sea floor and band of ground range that pass; bands without targets are
+    left out.
+    """
     cells: dict[tuple[str, int], list[bool]] = defaultdict(list)
     if not seen:
         return ()
@@ -111,10 +116,10 @@ def expected_pd(model: CascadeModel, seen: Sequence[ValidationSighting]) -> tupl
 
 
 def calibrate(score: NDArray[np.int32], is_target: NDArray[np.bool_]) -> Calibration:
-    """Log-odds of a target by isotonic regression of labels on scores (n,), n at least 1.
+    """Fit log-odds of a target by isotonic regression of labels on scores (n,), n at least 1.
 
-    Pool-adjacent-violators (M. Ayer et al., Annals of Mathematical Statistics 26, 1955). Each pool of n with k targets gives
-    ln((k + 1/2) / (n - k + 1/2)) at its mean score, so that pools of one kind stay finite.
+    Pool-adjacent-violators (M. Ayer et al., Annals of Mathematical Statistics 26, 1955). Each pool of n with k targets
+    gives ln((k + 1/2) / (n - k + 1/2)) at its mean score, so that pools of one kind stay finite.
     """
     values, where = np.unique(score, return_inverse=True)
     pools: list[tuple[float, float, float]] = []  # targets, samples, sum of scores
@@ -136,12 +141,12 @@ def calibrate(score: NDArray[np.int32], is_target: NDArray[np.bool_]) -> Calibra
 
 
 def _best_on_targets(tile: LabelledTile, rows: NDArray[np.int32], columns: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """(n,) bool: the first of the detections, best first, within the gate of each target."""
+    """Return (n,) bool: the first of the detections, best first, within the gate of each target."""
     is_best = np.zeros(rows.size, dtype=np.bool_)
-    for thing in tile.objects:
-        if thing.is_target and rows.size:
-            along_m = (rows + 0.5 - thing.row) * tile.row_spacing_m
-            across_m = (columns + 0.5 - thing.column) * tile.column_spacing_m
+    for tile_object in tile.objects:
+        if tile_object.is_target and rows.size:
+            along_m = (rows + 0.5 - tile_object.row) * tile.row_spacing_m
+            across_m = (columns + 0.5 - tile_object.column) * tile.column_spacing_m
             inside = np.hypot(along_m, across_m) <= _GATE_M
             is_best[np.argmax(inside)] |= inside.any()
     return is_best

@@ -1,1 +1,3 @@
-"""How well the payload finds mines: missions full of targets, what becomes of each look at one, and the tables fitted to that."""
+"""Measure how well the payload finds mines: missions full of targets, the outcome of each look, and the tables fitted
+to that.
+"""

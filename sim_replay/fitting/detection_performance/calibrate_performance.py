@@ -1,4 +1,6 @@
-"""Makes the tables of performance: missions flown over targets, what became of each look, the fit, and the tables for people to read."""
+"""Make the tables of performance: missions flown over targets, the outcome of each look, the fit, and the tables in
+print.
+"""
 
 from __future__ import annotations
 
@@ -27,18 +29,20 @@ class Flight(NamedTuple):
 
 
 def fly_scene(flight: Flight) -> list[CellPass]:
-    """Every look of one mission."""
+    """Return every look of one mission."""
     return looks_of(target_scene(flight.seed, flight.number))
 
 
 def fly_all(seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]) -> list[list[CellPass]]:
-    """Looks by mission, `flights` of each seed, in that order. progress: called with missions done and all there are."""
+    """Return looks by mission, `flights` of each seed, in that order. progress: called with missions done and all there
+    are.
+    """
     tasks = [Flight(seed, number) for seed in seeds for number in range(flights)]
     return list(run_tasks(fly_scene, tasks, farm, lambda done: progress(done, len(tasks))))
 
 
 def performance_fit_words(seeds: range, flights: int, looks: Sequence[CellPass]) -> str:
-    """What tables were fitted on."""
+    """Describe the missions that tables were fitted on."""
     n_missions, n_targets = len({look.mission for look in looks}), len({(look.mission, look.target) for look in looks})
     return f"{len(looks)} looks at {n_targets} targets in {n_missions} simulated missions: seeds {seeds[0]} to {seeds[-1]}, {flights} each"
 
@@ -48,7 +52,7 @@ def performance_json(performance: Performance) -> bytes:
 
 
 def tables(performance: Performance, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str] = columns) -> str:
-    """Probability, interval and looks per floor and band, and the sweep width of one side."""
+    """Format probability, interval and looks per floor and band, and the sweep width of one side."""
     edges = performance.edges_m
     header = ["floor", *(f"{near:g}-{far:g} m" for near, far in pairwise(edges)), "sweep width"]
     rows = [
@@ -59,7 +63,7 @@ def tables(performance: Performance, laid_out: Callable[[Sequence[str], Sequence
 
 
 def sweep_widths_m(performance: Performance) -> list[float]:
-    """Per floor of FLOORS, of one side, at the altitude that ranges are read at and over all bands."""
+    """Return the sweep width per floor of FLOORS, of one side, at the reference altitude and over all bands."""
     range_m = np.arange(0.0, performance.edges_m[-1] + _SWEEP_STEP_M, _SWEEP_STEP_M)
     altitude_m = performance.altitude_m
     return [sweep_width_m(range_m, p) for p in performance.p_by_floor(range_m, altitude_m)]

@@ -1,8 +1,9 @@
-"""How likely a target is to stand out, in closed form: the prior for bands with few looks.
+"""Compute the probability that a target stands out, in closed form: the prior for bands with few looks.
 
-A target is found if its highlight is brighter than the floor around, and its shadow darker, by more than speckle and texture make by chance
-(J. Groen, D. Williams and W. Fox, "A model-based sonar image simulation for performance prediction", 2011, for the idea; ratios of mean
-intensities are F distributed). Levels are usual ones of side-scan sonars near 450 kHz; the texture is fitted to what was found.
+A target is found if its highlight is brighter than the floor around, and its shadow darker, by more than speckle and
+texture make by chance (J. Groen, D. Williams and W. Fox, "A model-based sonar image simulation for performance
+prediction", 2011, for the idea; ratios of mean intensities are F distributed). Levels are usual ones of side-scan
+sonars near 450 kHz; the texture is fitted to what was found.
 """
 
 from __future__ import annotations
@@ -32,9 +33,10 @@ _PATCHES: Final = 10.0  # of texture in the surroundings
 
 
 def p_found(ground_range_m: ArrayLike, altitude_m: float, texture: float) -> NDArray[np.float64]:
-    """Probability (n,) float64 that one look finds a target at ground ranges (n,), above 0 m.
+    """Return the probability (n,) float64 that one look finds a target at ground ranges (n,), above 0 m.
 
-    texture: shape of the Gamma distribution of the floor's own brightness over the size of a target; low for a restless floor.
+    texture: shape of the Gamma distribution of the floor's own brightness over the size of a target; low for a restless
+    floor.
     """
     ground = np.asarray(ground_range_m, dtype=np.float64)
     slant = np.hypot(ground, altitude_m)
@@ -45,12 +47,13 @@ def p_found(ground_range_m: ArrayLike, altitude_m: float, texture: float) -> NDA
     noise = 10.0 ** (0.1 * _NOISE_DB) * (slant / _NOISE_RANGE_M) ** 4
     dimmed = 10.0 ** (0.1 * _IN_SHADOW_DB) + noise
     in_shadow = fdtr(dark, around, fdtri(dark, around, _BY_CHANCE) / dimmed)
-    least = fdtri(bright, around, 1.0 - _BY_CHANCE)
+    min_ratio = fdtri(bright, around, 1.0 - _BY_CHANCE)
     floor_db = _FLOOR_DB + 10.0 * np.log10(altitude_m / slant / math.sin(math.radians(10.0)))
-    lit = [fdtrc(bright, around, least / (1.0 + 10.0 ** (0.1 * (strength - floor_db)))) for strength in _STRENGTHS_DB]
+    lit = [fdtrc(bright, around, min_ratio / (1.0 + 10.0 ** (0.1 * (strength - floor_db)))) for strength in _STRENGTHS_DB]
     return np.asarray(np.clip(in_shadow * np.mean(lit, axis=0), 0.0, 1.0))
 
 
 def _looks(n_cells: NDArray[np.float64], texture: float) -> NDArray[np.float64]:
-    """Looks that a mean over resolution cells is worth: its relative variance is that of speckle and of texture together."""
+    """Looks that a mean over resolution cells is worth: its relative variance is that of speckle and of texture
+    together."""
     return np.asarray(1.0 / (1.0 / n_cells + 1.0 / texture + 1.0 / (n_cells * texture)))

@@ -1,4 +1,4 @@
-"""From what became of looks to the tables of performance."""
+"""Fit the tables of performance to the outcomes of looks."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _EXPONENTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 _TEXTURES: Final = tuple(float(f"{texture:.3g}") for texture in np.geomspace(0.3, 30.0, 21))
 _SAME_LOOK_RAD: Final = math.radians(15.0)
 _TAIL: Final = 0.025
-_LEAST_GROUP: Final = 5
+_MIN_GROUP: Final = 5
 _DIGITS: Final = 4
 
 
 class Outcomes(NamedTuple):
-    """Looks as columns, (n,) each. floor: index into FLOORS. seabed: into SEABED_TYPES."""
+    """Hold looks as columns, (n,) each. floor: index into FLOORS. seabed: into SEABED_TYPES."""
 
     mission: Ints
     target: Ints
@@ -51,7 +51,7 @@ class Outcomes(NamedTuple):
 
 
 class SmoothedBands(NamedTuple):
-    """Per band: mean, and 95 % interval."""
+    """Hold per band: mean, and 95 % interval."""
 
     p: Array
     low: Array
@@ -59,7 +59,7 @@ class SmoothedBands(NamedTuple):
 
 
 def outcomes(looks: Sequence[CellPass]) -> Outcomes:
-    """Looks with a floor that is learnt, as columns."""
+    """Return looks over a fitted floor, as columns."""
     look_rad = np.array([look.look_rad for look in looks], dtype=np.float64)
     ripple_rad = np.array([np.nan if look.ripple_rad is None else look.ripple_rad for look in looks], dtype=np.float64)
     seabed = np.array([look.seabed for look in looks], dtype=np.int64)
@@ -78,7 +78,7 @@ def outcomes(looks: Sequence[CellPass]) -> Outcomes:
 
 
 def floors_of(seabed: Ints, look_rad: Array, ripple_rad: Array) -> Ints:
-    """(n,) index into FLOORS; ripples by the nearest middle of aspects."""
+    """Return (n,) index into FLOORS; ripples by the nearest middle of aspects."""
     table = np.array([FLOORS.index(name) if name in FLOORS else RIPPLES.start for name in SEABED_TYPES], dtype=np.int64)
     aspect = np.nan_to_num(aspect_rad(look_rad, ripple_rad))
     nearest = np.argmin(np.abs(aspect[:, np.newaxis] - np.array(ASPECTS_RAD)), axis=1)
@@ -86,7 +86,7 @@ def floors_of(seabed: Ints, look_rad: Array, ripple_rad: Array) -> Ints:
 
 
 def fit_performance(looks: Sequence[CellPass], fitted_on: str) -> Performance:
-    """The tables, with the altitude's exponent that predicts missions left out best.
+    """Fit the tables, with the altitude's exponent that best predicts left-out missions.
 
     Raises BadInputError if a floor was never looked at, or there are fewer than two missions.
     """
@@ -94,14 +94,14 @@ def fit_performance(looks: Sequence[CellPass], fitted_on: str) -> Performance:
     if missing := [name for index, name in enumerate(FLOORS) if not (seen.floor == index).any()]:
         raise BadInputError(f"{fitted_on}: no look at {', '.join(missing)}. Fly more missions, with --seeds")
     if len(np.unique(seen.mission)) < 2:
-        raise BadInputError(f"{fitted_on}: one mission does not tell how missions differ. Fly more, with --seeds")
+        raise BadInputError(f"{fitted_on}: one mission does not show how missions differ. Fly more, with --seeds")
     exponent = min(_EXPONENTS, key=lambda candidate: surprise_left_out(seen, candidate))
     tables = fitted_tables(seen, exponent, fitted_on)
     return with_correlations(tables, seen)
 
 
 def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performance:
-    """The tables for one exponent, looks taken for independent."""
+    """Fit the tables for one exponent, looks taken for independent."""
     band = bands_of(seen, exponent)
     n_looks, n_found = (counts(seen.floor, band, weight) for weight in (None, seen.found))
     effect = design_effect(seen, band)
@@ -127,23 +127,23 @@ def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performanc
 
 
 def bands_of(seen: Outcomes, exponent: float) -> Ints:
-    """(n,) band of each look; ranges beyond the last band count there."""
+    """Return (n,) band of each look; ranges beyond the last band count there."""
     range_m = seen.ground_range_m * (_ALTITUDE_M / seen.altitude_m) ** exponent
     return np.clip(np.searchsorted(EDGES_M, range_m, side="right") - 1, 0, len(EDGES_M) - 2)
 
 
 def counts(floor: Ints, band: Ints, weight: NDArray[np.bool_] | None = None) -> Array:
-    """(len(FLOORS), n_bands) looks, or those of them that `weight` counts."""
+    """Return (len(FLOORS), n_bands) looks, or those of them that `weight` counts."""
     n_bands = len(EDGES_M) - 1
     flat = np.bincount(floor * n_bands + band, weight, minlength=len(FLOORS) * n_bands)
     return np.asarray(flat.reshape(len(FLOORS), n_bands), dtype=np.float64)
 
 
 def design_effect(seen: Outcomes, band: Ints) -> float:
-    """How many looks of one mission at one floor and band count as one, at least 1.
+    """Return how many looks of one mission at one floor and band count as one, at least 1.
 
-    Missions differ in water, sonar and floor, so that shares found vary more from one to the next than counts alone would: the mean of
-    Pearson's residuals (P. McCullagh and J. Nelder, "Generalized Linear Models", 1989, Sec. 4.5).
+    Missions differ in water, sonar and floor, so that shares found vary more from one to the next than counts alone
+    would: the mean of Pearson's residuals (P. McCullagh and J. Nelder, "Generalized Linear Models", 1989, Sec. 4.5).
     """
     n_bands = len(EDGES_M) - 1
     of_cell = seen.floor * n_bands + band
@@ -153,7 +153,7 @@ def design_effect(seen: Outcomes, band: Ints) -> float:
     n, k = np.bincount(group).astype(np.float64), np.bincount(group, seen.found)
     p = np.zeros(len(n))
     p[group] = share[of_cell]
-    used = (n >= _LEAST_GROUP) & (p > 0.0) & (p < 1.0)
+    used = (n >= _MIN_GROUP) & (p > 0.0) & (p < 1.0)
     cells = np.zeros(len(n), dtype=np.int64)
     cells[group] = of_cell
     freedom = int(np.count_nonzero(used)) - len(np.unique(cells[used]))
@@ -163,7 +163,7 @@ def design_effect(seen: Outcomes, band: Ints) -> float:
 
 
 def closed_form_prior(n_looks: Array, n_found: Array) -> Array:
-    """(n_bands,) probabilities by the closed form with the texture under which what was found is likeliest."""
+    """Return (n_bands,) probabilities by the closed form with the most likely texture."""
     candidates = _closed_forms()
     p = np.clip(candidates, 1e-3, 1.0 - 1e-3)
     log_likelihood = (n_found * np.log(p) + (n_looks - n_found) * np.log1p(-p)).sum(axis=1)
@@ -172,16 +172,17 @@ def closed_form_prior(n_looks: Array, n_found: Array) -> Array:
 
 @cache
 def _closed_forms() -> Array:
-    """(n_textures, n_bands)"""
+    """Return (n_textures, n_bands) probabilities."""
     middle_m = 0.5 * (np.array(EDGES_M[1:]) + np.array(EDGES_M[:-1]))
     return np.stack([p_found(middle_m, _ALTITUDE_M, texture) for texture in _TEXTURES])
 
 
 def smooth_bands(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> SmoothedBands:
-    """Posterior means of beta distributions, bands (n,) that would make a second hump pooled: what is found rises with range while
-    shadows grow, and falls as echoes fade.
+    """Posterior means of beta distributions, bands (n,) that would make a second hump pooled: what is found rises with
+    range while shadows grow, and falls as echoes fade.
 
-    The interval is that of the pooled beta distribution, no narrower than Jeffreys' (half a look found and half one not).
+    The interval is that of the pooled beta distribution, no narrower than Jeffreys' (half a look found and half one
+    not).
     """
     found = n_found / effect + PRIOR_LOOKS * prior
     looks = n_looks / effect + PRIOR_LOOKS
@@ -193,8 +194,9 @@ def smooth_bands(n_found: Array, n_looks: Array, prior: Array, effect: float = 1
 
 
 def one_hump(value: Array, weight: Array) -> Ints:
-    """(n,) number of the block that each value belongs to, such that block means rise up to one of them and fall from there on, with the
-    least weighted squares (isotonic regression either side of the best mode)."""
+    """(n,) number of the block that each value belongs to, such that block means rise up to one of them and fall from
+    there on, with the minimum weighted squares (isotonic regression either side of the best mode).
+    """
     best: tuple[float, Ints] | None = None
     for mode in range(len(value) + 1):
         up = rising(value[:mode], weight[:mode])
@@ -209,8 +211,9 @@ def one_hump(value: Array, weight: Array) -> Ints:
 
 
 def rising(value: Array, weight: Array) -> Ints:
-    """(n,) number of each value's block in the isotonic regression, by pooling adjacent violators (M. Ayer et al., Annals of Mathematical
-    Statistics 26, 1955)."""
+    """(n,) number of each value's block in the isotonic regression, by pooling adjacent violators (M. Ayer et al.,
+    Annals of Mathematical Statistics 26, 1955).
+    """
     blocks: list[tuple[float, float, int]] = []  # mean, weight, length
     for v, w in zip(value.tolist(), weight.tolist(), strict=True):
         blocks.append((v, w, 1))
@@ -221,7 +224,7 @@ def rising(value: Array, weight: Array) -> Ints:
 
 
 def surprise_left_out(seen: Outcomes, exponent: float) -> float:
-    """Mean -ln of the probability given to what happened, each mission judged with the tables of the others."""
+    """Return mean -ln of the outcomes' probability, each mission judged with the tables of the others."""
     total = 0.0
     for mission in np.unique(seen.mission):
         out = seen.mission == mission
@@ -232,14 +235,14 @@ def surprise_left_out(seen: Outcomes, exponent: float) -> float:
 
 
 def predicted(performance: Performance, seen: Outcomes) -> Array:
-    """(n,) probability of each look, with its true floor."""
+    """Return (n,) probability of each look, with its true floor."""
     return performance.p_look(seen.seabed, seen.ground_range_m, seen.altitude_m, seen.look_rad, seen.ripple_rad)
 
 
 def with_correlations(performance: Performance, seen: Outcomes) -> Performance:
-    """The tables with what a further look adds, from pairs of looks at one target.
+    """Add to the tables the effect of a further look, from pairs of looks at one target.
 
-    A look in the same direction is taken to tell no more than one in another, whatever few pairs say.
+    A look in the same direction is taken to add no more than one in another, whatever few pairs suggest.
     """
     p = np.minimum(predicted(performance, seen), HIGHEST_P)
     same, other = (round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3) for first, second in pairs(seen))
@@ -247,7 +250,9 @@ def with_correlations(performance: Performance, seen: Outcomes) -> Performance:
 
 
 def pairs(seen: Outcomes) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
-    """Indices of earlier and later looks at one target: from within 15 degrees of each other, and from elsewhere."""
+    """Return indices of earlier and later looks at one target: from within 15 degrees of each other, and from
+    elsewhere.
+    """
     of_target: dict[tuple[int, int], list[int]] = defaultdict(list)
     for index in np.argsort(seen.time_s, kind="stable").tolist():
         of_target[int(seen.mission[index]), int(seen.target[index])].append(index)
@@ -260,10 +265,10 @@ def pairs(seen: Outcomes) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
 
 
 def correlation(p_first: Array, p_second: Array, missed: NDArray[np.bool_]) -> float:
-    """rho for which targets are missed twice as often as was seen.
+    """Return rho for which targets are missed twice as often as observed.
 
-    The mean over pairs (n,) of (1 - p_first) (1 - p_second)^(1 - rho) is then the share of `missed`. 0 or 1 where no rho does that, 0
-    without pairs.
+    The mean over pairs (n,) of (1 - p_first) (1 - p_second)^(1 - rho) is then the share of `missed`. 0 or 1 where no
+    rho does that, 0 without pairs.
     """
     if not len(missed):
         return 0.0

@@ -1,4 +1,4 @@
-"""Whether looks find as many targets as was predicted, on missions that nothing was fitted on."""
+"""Judge whether looks find as many targets as predicted, on held-out missions."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from sim_replay.scoring.calibration import calibration_error
 
 Array = NDArray[np.float64]
 
-LEAST_LOOKS: Final = 30  # with fewer, a share says nothing
+LEAST_LOOKS: Final = 30  # with fewer, a share carries no information
 _N_BINS: Final = 8
 _MEAN_DEVIATION: Final = math.sqrt(2.0 / math.pi)  # of a normal distribution, in standard deviations
 
 
 class PerformanceShare(NamedTuple):
-    """Looks that were to find a target with mean probability `predicted`, and did with share `realised`.
+    """Compare looks that were to find a target with mean probability `predicted`, and did with share `realised`.
 
-    by_chance: how far off a share of so few looks is in the mean even if the prediction is right for each of them on its own;
-    by_mission: the same with missions that differ from each other as these do.
+    by_chance: how far off a share of so few looks is in the mean even if the prediction is right for each of them on
+    its own; by_mission: the same with missions that differ from each other as these do.
     """
 
     n: int
@@ -41,7 +41,7 @@ class PerformanceShare(NamedTuple):
 
 
 class PerformancePlace(NamedTuple):
-    """Looks at one kind of sea floor within a band of ground range."""
+    """Hold looks at one kind of sea floor within a band of ground range."""
 
     seabed: SeabedType
     near_m: float
@@ -50,9 +50,9 @@ class PerformancePlace(NamedTuple):
 
 
 class JudgedPredictions(NamedTuple):
-    """brier: mean square of probability less outcome; brier_constant: that of one and the same probability for all. calibration_error: as
-    in `scoring.calibration`. places: those with looks. bins: by rising prediction. same, other: pairs of looks at one target, from the same
-    direction and from others, found by either; None without any.
+    """brier: mean square of probability less outcome; brier_constant: that of one and the same probability for all.
+    calibration_error: as in `scoring.calibration`. places: those with looks. bins: by rising prediction. same, other:
+    pairs of looks at one target, from the same direction and from others, found by either; None without any.
     """
 
     n_looks: int
@@ -67,12 +67,12 @@ class JudgedPredictions(NamedTuple):
 
     @property
     def told(self) -> tuple[PerformancePlace, ...]:
-        """Places with looks enough to tell."""
+        """Return the places with enough looks to judge."""
         return tuple(place for place in self.places if place.share.n >= LEAST_LOOKS)
 
 
 def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredictions:
-    """The tables against looks, whose floor is the true one. Raises ValueError if there are none."""
+    """Judge the tables by looks whose floor is the true one. Raises ValueError if there are none."""
     p = predicted(performance, seen)
     base = float(seen.found.mean()) if len(p) else 0.0
     order = np.argsort(p, kind="stable")
@@ -90,8 +90,9 @@ def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredict
 
 
 def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> PerformanceShare:
-    """Looks (n,), at least one, taken together. The deviation over missions is that of a ratio of sums over clusters (W. Cochran, "Sampling
-    Techniques", 1977, Sec. 6.3), and no less than by chance alone."""
+    """Looks (n,), at least one, taken together. The deviation over missions is that of a ratio of sums over clusters
+    (W. Cochran, "Sampling Techniques", 1977, Sec. 6.3), and no less than by chance alone.
+    """
     n, realised = len(p), float(found.mean())
     by_chance = math.sqrt(float((p * (1.0 - p)).sum())) / n
     _, cluster = np.unique(mission, return_inverse=True)
@@ -102,7 +103,8 @@ def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> Per
 
 
 def mean_error(places: tuple[PerformancePlace, ...]) -> tuple[float, float, float]:
-    """Mean absolute error over places, at least one, each counting the same; and what it would be by chance, and by missions, alone."""
+    """Mean absolute error over places, at least one, each counting the same; and what it would be by chance, and by
+    missions, alone."""
     errors = [(place.share.error, place.share.by_chance, place.share.by_mission) for place in places]
     error, by_chance, by_mission = np.mean(errors, axis=0).tolist()
     return error, by_chance, by_mission

@@ -1,4 +1,5 @@
-"""What became of every look at a target: a mission flown, and each pass that saw all of the floor around a target, found or not."""
+"""Judge every look at a target: a mission flown, and each pass that saw all of the floor around a target,
+found or not."""
 
 from __future__ import annotations
 
@@ -28,11 +29,11 @@ _MARGIN_S: Final = 5.0  # a centroid may lie in the tile beside that of the targ
 
 
 class CellPass(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """One pass that saw the whole cell in which a target lies.
+    """Describe one pass that saw the whole cell in which a target lies.
 
-    mission, target: which; the scene's seed stands for the mission. floor: the simulator's type. seabed: index into SEABED_TYPES of what
-    that counts as. ripple_rad: direction in which crests follow one another, None without ripples. ground_range_m, altitude_m, look_rad: as
-    the payload has them of the cell. time_s: since the mission's start.
+    mission, target: which; the scene's seed stands for the mission. floor: the simulator's type. seabed: index into
+    SEABED_TYPES of what that counts as. ripple_rad: direction in which crests follow one another, None without ripples.
+    ground_range_m, altitude_m, look_rad: as the payload has them of the cell. time_s: since the mission's start.
     p_mine: the highest of a contact from this pass alone within the gate around the target, 0 if there is none.
     """
 
@@ -49,7 +50,7 @@ class CellPass(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
 
 class Part(NamedTuple):
-    """What one tile saw of a target's cell."""
+    """Describe what one tile saw of a target's cell."""
 
     side: Side
     start_s: float
@@ -61,15 +62,15 @@ class Part(NamedTuple):
 
 
 def looks_of(scene: Scene) -> list[CellPass]:
-    """Every look at every target of a mission."""
+    """Return every look at every target of a mission."""
     mission = Mission(scene)
     pipeline = Pipeline(config_for(scene))
     patches: list[CoveragePatch] = []
     for event in mission.events():
-        patches += [told for told in pipeline.feed(event) if isinstance(told, CoveragePatch)]
-    patches += [told for told in pipeline.finish() if isinstance(told, CoveragePatch)]
+        patches += [output for output in pipeline.feed(event) if isinstance(output, CoveragePatch)]
+    patches += [output for output in pipeline.finish() if isinstance(output, CoveragePatch)]
     detections = [view for contact in pipeline.contacts for view in contact.views]
-    targets = [thing for thing in mission.sea.objects if thing.is_target]
+    targets = [scene_object for scene_object in mission.sea.objects if scene_object.is_target]
     covers = mission.sea.world.seabed_at([t.east_m for t in targets], [t.north_m for t in targets])
     frame = local_frame(scene.origin)
     at_m = np.array([(t.east_m, t.north_m) for t in targets]).reshape(-1, 2)
@@ -83,7 +84,7 @@ def looks_of(scene: Scene) -> list[CellPass]:
             for group in cell_passes([part for part in parts if part.side == side]):
                 if sum(part.fraction for part in group) < _WHOLE:
                     continue
-                most = max(group, key=lambda part: part.fraction)
+                largest = max(group, key=lambda part: part.fraction)
                 looks.append(
                     CellPass(
                         mission=scene.seed,
@@ -91,10 +92,10 @@ def looks_of(scene: Scene) -> list[CellPass]:
                         floor=cover.type,
                         seabed=SEABED_TYPES.index(KIND_OF[cover.type]),
                         ripple_rad=ripple_rad,
-                        ground_range_m=most.ground_range_m,
-                        altitude_m=most.altitude_m,
-                        look_rad=most.look_rad,
-                        time_s=most.start_s - scene.track.start_time_s,
+                        ground_range_m=largest.ground_range_m,
+                        altitude_m=largest.altitude_m,
+                        look_rad=largest.look_rad,
+                        time_s=largest.start_s - scene.track.start_time_s,
                         p_mine=best.p_mine(index, side, group[0].start_s - _MARGIN_S, group[-1].stop_s + _MARGIN_S),
                     )
                 )
@@ -102,7 +103,7 @@ def looks_of(scene: Scene) -> list[CellPass]:
 
 
 def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], frame: LocalFrame) -> list[list[Part]]:
-    """Per place (n, 2) east and north in `frame`, what each patch saw of the cell it lies in, in order of time."""
+    """Return, per place (n, 2) east and north in `frame`, each patch's view of the cell it lies in, in order of time."""
     found: list[list[Part]] = [[] for _ in at_m]
     latitude, longitude, height = frame.to_geodetic(np.column_stack([at_m, np.zeros(len(at_m))]))
     for patch in sorted(patches, key=lambda patch: patch.start_s):
@@ -123,7 +124,7 @@ def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], fram
 
 
 def cell_passes(parts: Sequence[Part]) -> list[list[Part]]:
-    """Parts of one side, in order of time, by pass: what follows within a minute and looks the same way."""
+    """Group parts of one side, in order of time, by pass: parts within a minute and with the same look angle."""
     groups: list[list[Part]] = []
     for part in parts:
         last = groups[-1][-1] if groups else None
@@ -139,7 +140,7 @@ def cell_passes(parts: Sequence[Part]) -> list[list[Part]]:
 
 
 class _Best:
-    """The most mine-like detection near each target."""
+    """Keep the most mine-like detection near each target."""
 
     def __init__(self, at_m: NDArray[np.float64], detections: Sequence[Detection], frame: LocalFrame) -> None:
         self._detections = detections

@@ -1,7 +1,8 @@
-"""Missions over floors as densely strewn with targets as they can be without one disturbing another, each drawn from its seed.
+"""Missions over floors as densely strewn with targets as they can be without one disturbing another, each drawn from
+its seed.
 
-Floors, water, sonar and altitude differ from one mission to the next. The track goes round a rectangle, so that targets are seen from the
-same direction again, from the opposite one and from the side.
+Floors, water, sonar and altitude differ from one mission to the next. The track goes round a rectangle, so that targets
+are seen from the same direction again, from the opposite one and from the side.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _APART_M: Final = 12.0
 _PITCH_M: Final = 13.0
 _LEG_M: Final = 150.0
 _EDGE_M: Final = 1.0  # of the swath that stays free
-_MOST_PINGS: Final = 0.95  # of those that the way of sound to the end of the range and back allows
+_MAX_PING_RATE: Final = 0.95  # of those that the way of sound to the end of the range and back allows
 
 MIX: Final[dict[TargetKind, tuple[float, SizeRange, SizeRange, float]]] = {
     "cylinder": (0.25, (0.0, 0.2), (0.0, 0.1), 0.0),
@@ -47,7 +48,7 @@ _SPHERE_M: Final = (0.6, 1.0)
 
 
 def target_scene(seed: int, flight: int = 0) -> Scene:
-    """A scene with all kinds of sea floor in patches and targets everywhere. flight: each has a world of its own."""
+    """Build a scene with all kinds of sea floor in patches and targets everywhere. flight: each has a world of its own."""
     sequence = np.random.SeedSequence([seed, flight, _STREAM])
     rng = np.random.Generator(np.random.PCG64(sequence))
     range_m = float(rng.choice([40.0, 50.0, 60.0, 75.0]))
@@ -66,7 +67,7 @@ def target_scene(seed: int, flight: int = 0) -> Scene:
             frequency_khz=float(rng.choice([400.0, 450.0, 600.0])),
             range_m=range_m,
             n_samples=math.ceil(range_m / 0.045),
-            ping_rate_hz=min(12.0, _MOST_PINGS * 1500.0 / (2.0 * range_m)),
+            ping_rate_hz=min(12.0, _MAX_PING_RATE * 1500.0 / (2.0 * range_m)),
             range_resolution_m=float(rng.uniform(0.04, 0.09)),
             speckle_along_track_m=float(rng.uniform(0.0, 0.25)),
             noise_db=float(rng.uniform(-28.0, -16.0)),
@@ -83,7 +84,7 @@ def target_scene(seed: int, flight: int = 0) -> Scene:
 
 
 def _seabeds(rng: np.random.Generator) -> tuple[Seabed, ...]:
-    """Kinds as the payload tells them in about equal shares; two fields of ripples with directions of their own."""
+    """Return the payload's seabed types in about equal shares; two fields of ripples with directions of their own."""
 
     def level_db() -> float:
         return float(rng.uniform(-2.0, 2.0))
@@ -117,7 +118,8 @@ def _ripples(rng: np.random.Generator) -> Ripples:
 
 
 def _targets(rng: np.random.Generator, points: tuple[tuple[float, float], ...], reach_m: float) -> tuple[SceneObject, ...]:
-    """Targets on a hexagonal lattice of any direction over all that lies within reach_m of the track, a little displaced."""
+    """Targets on a hexagonal lattice of any direction over all that lies within reach_m of the track, a little
+    displaced."""
     places = np.array(points)
     middle = places.mean(axis=0)
     radius = float(np.hypot(*(places - middle).T).max()) + reach_m
@@ -160,7 +162,7 @@ def _between(bounds: SizeRange, share: float) -> float:
 
 
 def _distance_m(place: NDArray[np.float64], points: NDArray[np.float64]) -> float:
-    """From a place to the nearest of the straight legs between points (n, 2)."""
+    """Return the distance from a place to the nearest of the straight legs between points (n, 2)."""
     start, way = points[:-1], np.diff(points, axis=0)
     part = np.clip(((place - start) * way).sum(axis=1) / (way * way).sum(axis=1), 0.0, 1.0)
     return float(np.hypot(*(place - start - part[:, np.newaxis] * way).T).min())

@@ -1,1 +1,1 @@
-"""Learning what kinds of sea floor look like, from simulated missions that know."""
+"""Learn the textures of sea floor types from simulated missions."""

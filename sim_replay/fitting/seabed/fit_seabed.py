@@ -27,7 +27,9 @@ _MIN_SHARE: Final = 0.01  # of all cells that each kind must be
 
 
 def fit_seabed_model(samples: SeabedSamples, fitted_on: str) -> SeabedModel:
-    """Fit the model to samples, in which all kinds weigh the same. Raises BadInputError if there are too few, or none of a kind."""
+    """Fit the model to samples, in which all kinds weigh the same. Raises BadInputError if there are too few, or none
+    of a kind.
+    """
     of_kind = samples.shares.mean(axis=0, dtype=np.float64)
     if missing := [kind for kind, share in zip(KINDS, of_kind.tolist(), strict=True) if not share >= _MIN_SHARE]:
         raise BadInputError(f"{fitted_on}: too little of {', '.join(missing)}. Fly more missions, with --seeds")
@@ -66,6 +68,6 @@ def _stored(units: NetworkLayer) -> Layer:
 
 
 def seabed_fit_words(seeds: Sequence[int], samples: SeabedSamples) -> str:
-    """Say what a model was fitted on."""
+    """Describe the missions that a model was fitted on."""
     counts = ", ".join(f"{share:.0%} {kind}" for kind, share in zip(KINDS, samples.shares.mean(axis=0).tolist(), strict=True))
     return f"{len(seeds)} simulated missions of seeds {seeds[0]} to {seeds[-1]}, {len(samples.shares)} cells: {counts}"

@@ -1,4 +1,4 @@
-"""Textures of cells of simulated missions, and what kinds of sea floor the simulator put in each."""
+"""Collect textures of cells of simulated missions, and the true kinds of sea floor in each."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from sim_replay.simulator.plan import local_frame
 
 KINDS: Final[tuple[SeabedType, ...]] = tuple(kind for kind in SEABED_TYPES if kind != "unknown")
 _PER_CELL: Final = 4  # places asked for along each side of a cell
-_EVERY: Final = 3  # cells of a mission that are kept: neighbours say nearly the same
+_EVERY: Final = 3  # cells of a mission that are kept: neighbours carry nearly the same information
 _MIN_KNOWN: Final = 0.5  # of a cell's places that can be placed
 
 
 class SeabedSamples(NamedTuple):
-    """features (n, len(NAMES)) float32, all finite; cot_grazing (n,) float32, of the grazing angle; shares (n, len(KINDS)) float32, of each
-    kind in the cell, 1 in all."""
+    """features (n, len(NAMES)) float32, all finite; cot_grazing (n,) float32, of the grazing angle; shares (n,
+    len(KINDS)) float32, of each kind in the cell, 1 in all.
+    """
 
     features: NDArray[np.float32]
     cot_grazing: NDArray[np.float32]
@@ -64,7 +65,8 @@ def pooled(samples: list[SeabedSamples]) -> SeabedSamples:
 
 
 def true_shares(tile: Tile, texture: Texture, mission: Mission, sonar: SonarConfig) -> NDArray[np.float64]:
-    """Look up the share of each kind in cells (n_along, n_across, len(KINDS)), by where the payload believes them to lie.
+    """Look up the share of each kind in cells (n_along, n_across, len(KINDS)), by where the payload believes them to
+    lie.
 
     Shares of a cell of which part cannot be placed add up to less than 1.
     """

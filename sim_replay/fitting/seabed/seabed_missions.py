@@ -1,7 +1,9 @@
-"""Missions over several kinds of sea floor at once, each drawn from its seed: floors, water, sonar, recorder, altitude and speed differ.
+"""Missions over several kinds of sea floor at once, each drawn from its seed: floors, water, sonar, recorder, altitude
+and speed differ.
 
-Seeds below FIRST_LIKE_SCENE draw every figure from a range and know nothing of the named scenes. From there on missions are like one of
-the named scenes each: its sonar and covers, with seeds, patches, altitude, relief, noise and course of their own.
+Seeds below FIRST_LIKE_SCENE draw every figure from a range and know nothing of the named scenes. From there on missions
+are like one of the named scenes each: its sonar and covers, with seeds, patches, altitude, relief, noise and course of
+their own.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ _P_KIND: Final = 0.65  # that a kind of sea floor is in a mission; two are at le
 _FLAT: Final[tuple[tuple[scene.SeabedType, ...], ...]] = (("sand",), ("mud",), ("sand", "mud"))
 _ROUGH: Final[tuple[scene.SeabedType, ...]] = ("gravel", "rock_outcrop", "boulder_field")
 _SOUND_MPS: Final = 1500.0
-_MOST_PINGS: Final = 0.9  # of those that the way of sound to the end of the range and back allows
+_MAX_PING_RATE: Final = 0.9  # of those that the way of sound to the end of the range and back allows
 _P_APERTURE: Final = 0.1  # of a synthetic aperture
 _P_UNUSUAL: Final = 0.35  # that the covers of a mission differ much from what is usual
 _USUAL_SPREAD: Final = 0.3
@@ -105,7 +107,7 @@ def _like_scene(seed: int) -> Scene:
 
 
 def _turned(rng: Rng, ripples: Ripples | None) -> Ripples | None:
-    """Ripples of another direction and about the same size; what is usual where the scene leaves them open."""
+    """Return ripples of another direction and about the same size; usual where the scene leaves them open."""
     if ripples is None:
         return None
     scale = _log_uniform(rng, 0.85, 1.18)
@@ -118,7 +120,8 @@ def _turned(rng: Rng, ripples: Ripples | None) -> Ripples | None:
 
 
 def _free_scene(seed: int) -> Scene:
-    """Draw a mission with two to four kinds of sea floor in patches of any size, recorded in any way that recorders have."""
+    """Draw a mission with two to four kinds of sea floor in patches of any size, recorded in any way that recorders
+    have."""
     rng = np.random.Generator(np.random.PCG64([seed, _STREAM]))
     # Frequency band, range and what usually goes with them: coarse and far, usual, fine and near.
     band = int(rng.choice(3, p=(0.15, 0.65, 0.2)))
@@ -149,7 +152,7 @@ def _free_scene(seed: int) -> Scene:
             frequency_khz=frequency_khz,
             range_m=range_m,
             n_samples=math.ceil(range_m / float(rng.uniform(0.5, 0.75)) / resolution_m),
-            ping_rate_hz=min(float(rng.uniform(10.0, 18.0)), _MOST_PINGS * _SOUND_MPS / (2.0 * range_m)),
+            ping_rate_hz=min(float(rng.uniform(10.0, 18.0)), _MAX_PING_RATE * _SOUND_MPS / (2.0 * range_m)),
             range_resolution_m=resolution_m,
             speckle_along_track_m=max(float(rng.uniform(-0.2, 0.3)), 0.0),
             beam_width_deg=float(rng.uniform(0.25, 0.65)),
@@ -185,7 +188,8 @@ def _free_scene(seed: int) -> Scene:
 
 
 def sonar_config(scene: Scene) -> SonarConfig:
-    """The settings of a mission's sonar by somebody who knows the recorder's law, but decibels per count only as well as `auto` does."""
+    """The settings of a mission's sonar by somebody who knows the recorder's law, but decibels per count only as well
+    as `auto` does."""
     recorder = complete(scene.sonar.recorder)
     if not recorder.samples.startswith("log"):
         return SonarConfig(transfer="amplitude")
@@ -197,7 +201,8 @@ def sonar_config(scene: Scene) -> SonarConfig:
 
 
 def _seabeds(rng: Rng) -> tuple[Seabed, ...]:
-    """Two to four kinds, of which flat and rough ones come in one to three covers, and ripples in one or two directions."""
+    """Two to four kinds, of which flat and rough ones come in one to three covers, and ripples in one or two
+    directions."""
     kinds = rng.uniform(size=4) < _P_KIND
     while np.count_nonzero(kinds) < 2:
         kinds[int(rng.integers(4))] = True
@@ -217,7 +222,7 @@ def _seabeds(rng: Rng) -> tuple[Seabed, ...]:
 
 
 def _seabed(rng: Rng, cover: scene.SeabedType, share: float, unusual: float) -> Seabed:
-    """One cover, its figures near what is usual for it. unusual: 0 for no spread at all to 1 for the widest."""
+    """Draw one cover, its figures near the usual ones. unusual: 0 for no spread at all to 1 for the widest."""
     usual = USUAL[cover]
 
     def spread(factor: float) -> float:
@@ -255,7 +260,7 @@ def _seabed(rng: Rng, cover: scene.SeabedType, share: float, unusual: float) -> 
 
 
 def _slope_deg(rng: Rng, water_m: float, reach_m: float) -> float:
-    """A slope for some missions, no steeper than leaves water below the surface over the whole plan."""
+    """Draw a slope for some missions, no steeper than leaves water below the surface over the whole plan."""
     if rng.uniform() >= _P_SLOPE:
         return 0.0
     steep_deg = float(rng.uniform(0.0, 8.0))
@@ -263,7 +268,7 @@ def _slope_deg(rng: Rng, water_m: float, reach_m: float) -> float:
 
 
 def _gain(rng: Rng, frequency_khz: float) -> TimeVariedGain:
-    """A gain that fits the water, or one that an operator left as it was."""
+    """Draw a gain that fits the water, or one that an operator left unchanged."""
     if rng.uniform() < 0.4:
         return TimeVariedGain()
     # Absorption of sea water is near 0.23 dB per km and kHz at these frequencies (R. E. Francois and G. R. Garrison, JASA 72, 1982).
@@ -272,7 +277,7 @@ def _gain(rng: Rng, frequency_khz: float) -> TimeVariedGain:
 
 
 def _recorder(rng: Rng) -> SampleRecorder:
-    """Amplitudes or logarithms, in 8 or 16 bits, from gains at which bright floors clip down to low ones."""
+    """Draw amplitudes or logarithms, in 8 or 16 bits, from gains at which bright floors clip down to low ones."""
     samples = int(rng.choice(5, p=(0.35, 0.25, 0.1, 0.2, 0.1)))
     down = 0.05 ** max(float(rng.uniform(-0.6, 1.0)), 0.0)  # 1 for a third of the missions
     if samples == 0:

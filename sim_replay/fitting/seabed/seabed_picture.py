@@ -1,4 +1,4 @@
-"""Recorded lines beside what their sea floor is taken for, for the eye: nobody knows what was really there."""
+"""Draw recorded lines beside their classified sea floor, for inspection: the truth is unknown."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _WHITE: Final = 255
 
 
 def seabed_picture(logs: Sequence[Path], n_tiles: int, model: SeabedModel) -> Canvas:
-    """(rows, columns, 3) uint8: the first tiles of each log, a side each, track upwards and range to the right, and each once more in the
-    colours of the kinds.
+    """(rows, columns, 3) uint8: the first tiles of each log, a side each, track upwards and range to the right, and
+    each once more in the colours of the kinds.
 
     Raises BadInputError for a log that cannot be read or that has no tile.
     """
@@ -57,12 +57,12 @@ def seabed_picture(logs: Sequence[Path], n_tiles: int, model: SeabedModel) -> Ca
 def _tiles(log: Path) -> list[Tile]:
     config = Config()
     pipeline = Pipeline(config, detect=lambda tile: TileDetections((), 0, 0))
-    told = [tile for event in open_log(log, config) for tile in pipeline.feed(event)] + pipeline.finish()
-    return [tile for tile in told if isinstance(tile, Tile)]
+    outputs = [tile for event in open_log(log, config) for tile in pipeline.feed(event)] + pipeline.finish()
+    return [tile for tile in outputs if isinstance(tile, Tile)]
 
 
 def _shown(tile: Tile) -> Canvas:
-    """The core, in squares of _PIXEL_M."""
+    """Return the core, in squares of _PIXEL_M."""
     core = np.asarray(tile.intensity[tile.core_start : tile.core_stop], dtype=np.float32)
     size = (round(core.shape[1] * tile.column_spacing_m / _PIXEL_M), round(len(core) * tile.row_spacing_m / _PIXEL_M))
     grey = _PER_LEVEL * display_levels(cv2.resize(core, size, interpolation=cv2.INTER_AREA))

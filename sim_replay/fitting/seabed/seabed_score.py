@@ -1,4 +1,4 @@
-"""The live map of the sea floor against what the simulator put there, square metre by square metre."""
+"""Compare the live map of the sea floor with the simulator's truth, square metre by square metre."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ UNKNOWN: Final = SEABED_TYPES.index("unknown")
 class Shares(NamedTuple):
     """Hold shares of the area compared.
 
-    right: of all of it, `unknown` counted wrong. unknown: without a kind. right_of_known: of what has a kind. NaN where there is no area.
+    right: of all of it, `unknown` counted wrong. unknown: without a kind. right_of_known: of what has a kind. NaN where
+    there is no area.
     """
 
     right: float
@@ -30,10 +31,11 @@ class Shares(NamedTuple):
 
 
 def confusion_m2(clearance: Clearance, truth: SeabedMap) -> Array:
-    """Measure how much of each true kind the map takes for what, (n_types, n_types) m², truth down, both as in SEABED_TYPES.
+    """Measure how much of each true kind the map takes for what, (n_types, n_types) m², truth down, both as in
+    SEABED_TYPES.
 
-    Every cell of the truth counts that the survey swept and the map has seen, at borders between kinds as well. Raises BadInputError
-    for a truth whose rows are damaged.
+    Every cell of the truth counts that the survey swept and the map has seen, at borders between kinds as well. Raises
+    BadInputError for a truth whose rows are damaged.
     """
     cells = decode(truth)
     row, column = np.nonzero(cells != NOT_SWEPT)

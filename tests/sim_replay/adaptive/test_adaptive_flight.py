@@ -29,11 +29,11 @@ def test_a_flight_ends_when_the_ordered_clearance_is_reached(cleared: AdaptiveFl
     assert cleared.ground.p_detected.mean() >= 0.6
     assert cleared.reached_m == pytest.approx(cleared.way_m, abs=1.0)
     # Before the last piece of news it was not reached yet, or the flight would have ended there.
-    assert all(told.p_detected < 0.6 for told in cleared.told if told.way_m < cleared.reached_m)
+    assert all(reported.p_detected < 0.6 for reported in cleared.reported if reported.way_m < cleared.reached_m)
 
 
-def test_what_is_told_only_grows_and_covers_the_ordered_area(cleared: AdaptiveFlight) -> None:
-    assert all(np.diff([told.p_detected for told in cleared.told]) >= 0.0)
+def test_reported_clearance_only_grows_and_covers_the_ordered_area(cleared: AdaptiveFlight) -> None:
+    assert all(np.diff([reported.p_detected for reported in cleared.reported]) >= 0.0)
     cell_m = cleared.ground.cell_m
     assert cleared.ground.exponent.shape == pytest.approx((SIDE_M / cell_m, SIDE_M / cell_m), abs=1)
 
@@ -47,7 +47,7 @@ def test_the_same_seed_gives_the_same_flight(cleared: AdaptiveFlight) -> None:
     again = fly_small(GOOD, small_order())
     assert again.track.tobytes() == cleared.track.tobytes()
     assert again.ground.exponent.tobytes() == cleared.ground.exponent.tobytes()
-    assert (again.verdict, again.told, again.reasons) == (cleared.verdict, cleared.told, cleared.reasons)
+    assert (again.verdict, again.reported, again.reasons) == (cleared.verdict, cleared.reported, cleared.reasons)
 
 
 def test_a_sea_floor_on_which_nothing_is_found_ends_the_flight_at_once_with_words() -> None:
@@ -85,9 +85,9 @@ def test_what_a_lawnmower_would_come_to_is_what_was_expected_where_the_floor_is_
     plane = LocalFrame(latitude_deg=origin.latitude_deg + 3e-4, longitude_deg=origin.longitude_deg - 2e-4)
     for there in (origin, plane):
         ground = clearance_over_order(None, order, origin, there, 4.0)
-        told = would_come_to(ground, lawnmower.legs, origin, GOOD, limits)
-        assert told == pytest.approx(lawnmower.expected, abs=0.04)
-    assert would_come_to(ground, lawnmower.legs[:1], origin, GOOD, limits) < told
+        reported = would_come_to(ground, lawnmower.legs, origin, GOOD, limits)
+        assert reported == pytest.approx(lawnmower.expected, abs=0.04)
+    assert would_come_to(ground, lawnmower.legs[:1], origin, GOOD, limits) < reported
 
 
 def test_an_order_that_takes_more_track_than_there_is_ends_within_the_budget() -> None:
@@ -103,7 +103,7 @@ def test_the_vehicle_stays_inside_the_fence(cleared: AdaptiveFlight) -> None:
 
 
 def test_a_flight_with_nothing_left_to_decide_waits_for_what_it_has_flown_over() -> None:
-    """One leg, then no more: it ends only after the sonar's last picture of that leg has been told."""
+    """One leg, then no more: it ends only after the sonar's last picture of that leg has been reported."""
     scene, order = small_scene(), small_order()
     limits = limits_of(scene, order)
     leg = planned_legs(scene.track.plan)[0]._replace(length_m=70.0)

@@ -43,18 +43,18 @@ def mission(seed: int, adaptive: Arm, fixed: Arm) -> Compared:
 
 def test_a_difference_that_is_the_same_in_every_mission_is_certain() -> None:
     fixed = np.array([100.0, 900.0, 400.0])
-    told = paired(fixed - 50.0, fixed, np.ones(3))
-    assert told.difference == pytest.approx(-50.0)
-    assert (told.low, told.high) == pytest.approx((-50.0, -50.0))
+    reported = paired(fixed - 50.0, fixed, np.ones(3))
+    assert reported.difference == pytest.approx(-50.0)
+    assert (reported.low, reported.high) == pytest.approx((-50.0, -50.0))
 
 
-def test_the_interval_covers_the_true_difference_about_as_often_as_it_says() -> None:
+def test_the_interval_covers_the_true_difference_at_its_nominal_rate() -> None:
     random = np.random.Generator(np.random.PCG64(5))
     covered = 0
     for _ in range(200):
         fixed = random.normal(10.0, 5.0, 30)
-        told = paired(fixed + random.normal(-1.0, 2.0, 30), fixed, np.ones(30))
-        covered += told.low <= -1.0 <= told.high
+        reported = paired(fixed + random.normal(-1.0, 2.0, 30), fixed, np.ones(30))
+        covered += reported.low <= -1.0 <= reported.high
     assert covered >= 180
 
 
@@ -72,7 +72,7 @@ def test_tracks_until_reached_are_compared_only_where_both_reached() -> None:
     assert "2000 m planned" in planned_words(missions)
 
 
-def test_a_lawnmower_that_never_reached_is_told_as_such() -> None:
+def test_a_lawnmower_that_never_reached_is_reported_as_such() -> None:
     table = {row[0]: row[1:] for row in rows([mission(1, arm(800.0, 8, 700.0), arm(1000.0, 5, None))])}
     assert table["share that reached the order"][1:3] == ["1.00", "0.00"]
     assert table["track until reached where both did, m"] == ["0", "-", "-", "-"]
@@ -83,10 +83,10 @@ def test_worlds_come_from_their_seed_alone_and_hold_all_objects_inside_the_area(
     scene = drawn_scene(860)
     assert scene == drawn_scene(860)
     assert scene != drawn_scene(861)
-    places = [(thing.east_m or 0.0, thing.north_m or 0.0) for thing in scene.objects]
+    places = [(target.east_m or 0.0, target.north_m or 0.0) for target in scene.objects]
     assert all(0.0 < value < SIDE_M for place in places for value in place)
     assert min(math.dist(a, b) for k, a in enumerate(places) for b in places[:k]) >= 8.0
-    assert sum(thing.kind in TARGET_KINDS for thing in scene.objects) == 30
+    assert sum(target.kind in TARGET_KINDS for target in scene.objects) == 30
 
 
 def test_an_area_without_room_is_refused_with_what_to_do() -> None:

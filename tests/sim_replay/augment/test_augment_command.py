@@ -37,8 +37,8 @@ def test_the_truth_names_every_object_where_it_lies(log: Path, tmp_path: Path) -
     assert (done.n_objects, done.n_targets, done.n_hidden) == (2, 1, 0)
     assert done.log == tmp_path / "out" / "plain.xtf"
     truth = read_truth(done.truth)
-    assert [thing.kind for thing in truth.objects] == ["cylinder", "rock"]
-    assert [thing.is_target for thing in truth.objects] == [True, False]
+    assert [scene_object.kind for scene_object in truth.objects] == ["cylinder", "rock"]
+    assert [scene_object.is_target for scene_object in truth.objects] == [True, False]
     # 16 m of track less its ends, both sides from about 3 to 22 m; square metres that are touched count whole.
     assert 1.0 < truth.area_km2 * 1e6 / (2 * 14.4 * 18.6) < 1.2
     east, north, _ = LocalFrame(latitude_deg=43.0, longitude_deg=5.5).to_enu(

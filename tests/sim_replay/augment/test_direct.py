@@ -49,7 +49,7 @@ def inverted(image: Array, scene: SeafloorScene, valid: NDArray[np.bool_] = ALL)
 
 
 def short_waves(relief: Array) -> Array:
-    """Without what is longer than some 6 m, which no image tells from reflectivity, and without the edges."""
+    """Without what is longer than some 6 m, which no image separates from reflectivity, and without the edges."""
     return np.asarray((relief - gaussian_filter(relief, (1.0 / ROW_M, 1.0 / COLUMN_M), mode="nearest"))[5:-5, 20:-10])
 
 
@@ -57,11 +57,11 @@ def correlation(one: Array, other: Array) -> float:
     return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])
 
 
-@pytest.mark.parametrize(("looks", "least"), [(1, 0.75), (4, 0.85), (50, 0.93)])
-def test_ripples_come_back_with_their_height(looks: int, least: float) -> None:
+@pytest.mark.parametrize(("looks", "min_correlation"), [(1, 0.75), (4, 0.85), (50, 0.93)])
+def test_ripples_come_back_with_their_height(looks: int, min_correlation: float) -> None:
     scene = scene_of(ripples())
     found, truth = short_waves(inverted(image_of(scene, looks), scene).elevation_m), short_waves(scene.elevation_m)
-    assert correlation(found, truth) > least
+    assert correlation(found, truth) > min_correlation
     assert 0.4 < float((found * truth).sum() / (truth**2).sum()) < 1.2
 
 
@@ -132,7 +132,7 @@ def test_small_pictures_are_inverted_too(shape: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("looks", [1, 4])
-def test_picture_is_smoothed_to_four_looks_and_its_looks_told(looks: int) -> None:
+def test_picture_is_smoothed_to_four_looks_and_its_looks_returned(looks: int) -> None:
     generator = np.random.Generator(np.random.PCG64(5))
     smoothed = multi_look(generator.gamma(looks, 1.0 / looks, (200, 300)), np.ones((200, 300), dtype=np.bool_))
     measured = 1.0 / float(smoothed.intensity.var())

@@ -47,7 +47,9 @@ def relief(elevation: Floats | None = None, column_spacing_m: float = 0.05) -> R
     return Relief(np.broadcast_to(profile, shape).copy(), np.ones(shape), ALONG_M, 0, column_spacing_m)
 
 
-def thing(kind: ObjectKind, ground_m: float, side: Side = "starboard", azimuth_rad: float = 0.0, burial_m: float = 0.0) -> PlacedObject:
+def scene_object(
+    kind: ObjectKind, ground_m: float, side: Side = "starboard", azimuth_rad: float = 0.0, burial_m: float = 0.0
+) -> PlacedObject:
     usual = USUAL[kind]
     return PlacedObject(
         kind=kind,
@@ -103,7 +105,7 @@ def solids(azimuth_rad: float, burial_m: float) -> list[tuple[ObjectKind, Shape]
 @pytest.mark.parametrize(("azimuth_rad", "burial_m", "ground_m"), [(0.0, 0.0, 12.0), (0.7, 0.1, 18.0), (2.4, 0.05, 8.0)])
 def test_shadow_ends_where_the_closed_form_says_on_a_plane(side: Side, azimuth_rad: float, burial_m: float, ground_m: float) -> None:
     for kind, shape in solids(azimuth_rad * SIGN[side], burial_m):
-        placed = thing(kind, ground_m, side, azimuth_rad, burial_m)
+        placed = scene_object(kind, ground_m, side, azimuth_rad, burial_m)
         found = shadow_ends_m(echoes(view(side), relief(), placed, relief(), FARTHEST_M))
         expected = view_shape(shape, ALONG_M, ground_m, HEIGHT_M).shadow_end_m
         inside = np.isfinite(expected) & np.isfinite(found)
@@ -115,7 +117,7 @@ def test_shadow_ends_where_the_closed_form_says_on_a_plane(side: Side, azimuth_r
 @pytest.mark.parametrize("slope", [-0.06, 0.06, 0.12])
 def test_shadow_follows_the_slope_that_it_falls_on(slope: float) -> None:
     floor = relief(np.asarray(slope * (np.arange(600) + 0.5) * 0.05, dtype=np.float64))
-    heard = echoes(view(), floor, thing("box", 10.0), floor, FARTHEST_M)
+    heard = echoes(view(), floor, scene_object("box", 10.0), floor, FARTHEST_M)
     row = len(ALONG_M) // 2
     # Along the slope the box's upper far edge casts the end; the floor there is slope times the ground range.
     usual = USUAL["box"]
@@ -132,7 +134,7 @@ def test_shadow_follows_the_slope_that_it_falls_on(slope: float) -> None:
 def test_an_object_behind_a_ridge_is_not_seen() -> None:
     ground_m = (np.arange(600) + 0.5) * 0.05
     ridge = relief(1.5 * np.exp(-(((ground_m - 11.0) / 0.5) ** 2)))
-    heard = echoes(view(), ridge, thing("truncated_cone", 13.0), ridge, FARTHEST_M)
+    heard = echoes(view(), ridge, scene_object("truncated_cone", 13.0), ridge, FARTHEST_M)
     assert not heard.target.any()
     assert np.array_equal(heard.floor, heard.bare)
     assert heard.in_full_view.sum() > 0.0
@@ -141,22 +143,22 @@ def test_an_object_behind_a_ridge_is_not_seen() -> None:
 def test_what_rises_above_the_line_of_sight_over_a_ridge_is_seen() -> None:
     ground_m = (np.arange(600) + 0.5) * 0.05
     ridge = relief(1.0 * np.exp(-(((ground_m - 11.0) / 0.5) ** 2)))
-    heard = echoes(view(), ridge, thing("cylinder", 13.0)._replace(width_m=1.0, height_m=1.0), ridge, FARTHEST_M)
+    heard = echoes(view(), ridge, scene_object("cylinder", 13.0)._replace(width_m=1.0, height_m=1.0), ridge, FARTHEST_M)
     assert 0.0 < heard.target.sum() < 0.95 * heard.in_full_view.sum()
 
 
 def test_the_floor_hides_without_echoing_where_its_reflectivity_is_zero() -> None:
     dark = relief()
     dark.reflectivity[:, 200:260] = 0.0
-    heard = echoes(view(), dark, thing("box", 20.0), dark, FARTHEST_M)
+    heard = echoes(view(), dark, scene_object("box", 20.0), dark, FARTHEST_M)
     slant = (np.arange(1000) + 0.5) * SPACING_M
     assert not heard.bare[:, (slant > math.hypot(10.2, HEIGHT_M)) & (slant < math.hypot(12.8, HEIGHT_M))].any()
 
 
 def test_a_scour_moat_shades_the_floor_beyond_the_object() -> None:
     level = relief()
-    plain = echoes(view(), level, thing("sphere", 12.0), level, FARTHEST_M)
-    scoured = echoes(view(), level, thing("sphere", 12.0)._replace(scour_m=0.08), level, FARTHEST_M)
+    plain = echoes(view(), level, scene_object("sphere", 12.0), level, FARTHEST_M)
+    scoured = echoes(view(), level, scene_object("sphere", 12.0)._replace(scour_m=0.08), level, FARTHEST_M)
     near = slice(round(math.hypot(11.0, HEIGHT_M) / SPACING_M), round(math.hypot(11.4, HEIGHT_M) / SPACING_M))
     row = len(ALONG_M) // 2
     assert np.allclose(plain.floor[row, near], plain.bare[row, near])

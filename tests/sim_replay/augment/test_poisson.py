@@ -84,7 +84,7 @@ def test_masked_heights_leave_no_more_than_the_residual_promised(
 def test_masked_heights_that_the_screen_holds_are_the_least_squares_solution(
     seed: int, n_pings: int, n_columns: int, along_weight: float, screen_per_m2: float
 ) -> None:
-    """The largest curvature is at most seven times the smallest, so that the heights are as near as the residual tells."""
+    """The largest curvature is at most seven times the smallest, so that the heights are as near as the residual shows."""
     slope, weight = draw_masked(seed, (n_pings, n_columns))
     stiffness = Stiffness(along_weight, screen_per_m2)
     found = integrate_slope(slope, 0.15, 0.1, stiffness, weight)
@@ -100,7 +100,7 @@ def hills(n_pings: int, n_columns: int) -> Array:
 def test_heights_come_back_from_their_own_slopes() -> None:
     heights = hills(40, 60)
     found = integrate_slope(across_slope(heights, 0.1), 0.2, 0.1, NEARLY_FREE)
-    # Slopes across do not tell at what height a ping lies.
+    # Slopes across do not determine a ping's height.
     np.testing.assert_allclose(found - found.mean(axis=1)[:, None], heights - heights.mean(axis=1)[:, None], atol=1e-6)
 
 

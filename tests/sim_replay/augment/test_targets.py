@@ -27,7 +27,7 @@ def placed(text: str, track: PingTrack) -> tuple[Placement, ...]:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "words"),
     [
         ("targets: [{kind: mine, side: port, ping: 1, ground_range_m: 5}]", "Invalid enum value 'mine' - at `targets[0].kind`"),
         ("target: []", "unknown field `target`"),
@@ -40,11 +40,11 @@ def placed(text: str, track: PingTrack) -> tuple[Placement, ...]:
         ("[1, 2]", "got list"),
     ],
 )
-def test_specs_that_cannot_be_are_refused_with_the_key(text: str, says: str) -> None:
+def test_specs_that_cannot_be_are_refused_with_the_key(text: str, words: str) -> None:
     with pytest.raises(UsageError) as refused:
         parse_target_spec(text, "spec.yaml")
     assert "spec.yaml" in str(refused.value)
-    assert says in str(refused.value)
+    assert words in str(refused.value)
 
 
 def test_a_spec_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_a_spec_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "says"),
+    ("place", "words"),
     [
         ("ping: 80, ground_range_m: 400", "outside the swath"),
         ("ping: 80, ground_range_m: 1", "too close to the nadir"),
@@ -63,11 +63,11 @@ def test_a_spec_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ("ping: 80, ground_range_m: 10, height_m: 3.9", "rises 3.90 m"),
     ],
 )
-def test_places_the_log_does_not_show_are_refused_with_the_reason(track: PingTrack, place: str, says: str) -> None:
+def test_places_the_log_does_not_show_are_refused_with_the_reason(track: PingTrack, place: str, words: str) -> None:
     with pytest.raises(UsageError) as refused:
         placed(f"targets: [{{kind: box, side: port, {place}}}]", track)
     assert "targets[0]" in str(refused.value)
-    assert says in str(refused.value)
+    assert words in str(refused.value)
 
 
 def test_an_empty_spec_is_refused(track: PingTrack) -> None:
@@ -100,12 +100,15 @@ def test_scattered_objects_keep_apart_and_clear(track: PingTrack) -> None:
     for index, one in enumerate(found):
         assert track.refusal(one.ping, one.side, one.ground_range_m) == ""
         if index:
-            assert math.dist((one.thing.east_m, one.thing.north_m), clear) >= 4.0 + 1.5
+            assert math.dist((one.scene_object.east_m, one.scene_object.north_m), clear) >= 4.0 + 1.5
         for other in found[:index]:
-            assert math.dist((one.thing.east_m, one.thing.north_m), (other.thing.east_m, other.thing.north_m)) >= 1.5
-    assert {one.thing.is_target for one in found if one.thing.kind == "sphere"} == {True}
-    assert {one.thing.is_target for one in found if one.thing.kind == "rock"} == {False}
-    assert [one.thing for one in placed(text, track)] == [one.thing for one in found]
+            assert (
+                math.dist((one.scene_object.east_m, one.scene_object.north_m), (other.scene_object.east_m, other.scene_object.north_m))
+                >= 1.5
+            )
+    assert {one.scene_object.is_target for one in found if one.scene_object.kind == "sphere"} == {True}
+    assert {one.scene_object.is_target for one in found if one.scene_object.kind == "rock"} == {False}
+    assert [one.scene_object for one in placed(text, track)] == [one.scene_object for one in found]
 
 
 def test_scattered_objects_are_even_over_area_and_azimuth(track: PingTrack) -> None:
@@ -117,9 +120,9 @@ def test_scattered_objects_are_even_over_area_and_azimuth(track: PingTrack) -> N
     low, high = np.nanmin(track.nearest_m), np.nanmax(track.farthest_m)
     counts, _ = np.histogram(ranges, bins=6, range=(low, high))
     assert counts.min() > 60
-    azimuths, _ = np.histogram([one.thing.azimuth_rad for one in found], bins=4, range=(0.0, 2.0 * math.pi))
+    azimuths, _ = np.histogram([one.scene_object.azimuth_rad for one in found], bins=4, range=(0.0, 2.0 * math.pi))
     assert azimuths.min() > 100
-    contrasts = np.array([one.thing.strength_db for one in found])
+    contrasts = np.array([one.scene_object.strength_db for one in found])
     assert contrasts.std() == pytest.approx(4.0, rel=0.15)
 
 
@@ -133,7 +136,7 @@ def test_ranges_that_are_never_seen_are_refused(track: PingTrack) -> None:
         placed("scatter: [{kinds: [box], count: 1, ground_range_m: [100, 200]}]", track)
 
 
-def test_a_log_too_short_to_put_anything_on_says_so_and_not_between_which_ranges(track: PingTrack) -> None:
+def test_a_log_too_short_to_put_anything_on_is_reported_without_ranges(track: PingTrack) -> None:
     short = track._replace(why=("too close to the start or end of the recording",) * N_PINGS)
     with pytest.raises(BadInputError, match=r"no sea floor of the log is shown .*; mostly because: too close to the start or end"):
         placed("scatter: [{kinds: [box], count: 1}]", short)

@@ -11,7 +11,8 @@ FORGETS_S = 0.5
 
 
 class PlainController:
-    """Lines: ASK, GOTO LATITUDE LONGITUDE, KEEP, RELEASE, TELL NUMBER REVISION P_MINE, FINE; it says where it is, yes, no, and there."""
+    """Lines: ASK, GOTO LATITUDE LONGITUDE, KEEP, RELEASE, REPORT NUMBER REVISION P_MINE, FINE; it sends its place, yes,
+    no, and there."""
 
     def __init__(self) -> None:
         self.willing = True
@@ -25,7 +26,7 @@ class PlainController:
         self._kept_s = now_s
         self._rest = b""
         self._reports: list[ContactReport] = []
-        self._told: set[tuple[int, int]] = set()
+        self._reported: set[tuple[int, int]] = set()
         self._health: list[str] = []
 
     def revoke(self, now_s: float) -> None:
@@ -65,8 +66,8 @@ class PlainController:
                 self.counters["vehicle.commands_refused"] += 1
             case ["RELEASE"]:
                 self.revoke(now_s)
-            case ["TELL", number, revision, p_mine]:
-                self._tell(int(number), int(revision), float(p_mine))
+            case ["REPORT", number, revision, p_mine]:
+                self._report_contact(int(number), int(revision), float(p_mine))
             case ["FINE"]:
                 self._health.append("fine")
             case ["KEEP"]:
@@ -75,12 +76,12 @@ class PlainController:
                 self.counters["vehicle.nonsense"] += 1
         return []
 
-    def _tell(self, number: int, revision: int, p_mine: float) -> None:
+    def _report_contact(self, number: int, revision: int, p_mine: float) -> None:
         self.counters["vehicle.reports"] += 1
-        if (number, revision) in self._told:
+        if (number, revision) in self._reported:
             self.counters["vehicle.reports_repeated"] += 1
             return
-        self._told.add((number, revision))
+        self._reported.add((number, revision))
         self._reports.append(
             ContactReport(
                 session=1,

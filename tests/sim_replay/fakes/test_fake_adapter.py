@@ -1,4 +1,4 @@
-"""The fake slcan adapter, spoken to as its manual says and as python-can does."""
+"""The fake slcan adapter, driven by its manual and by python-can."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
 POSITION = CanFrame(0x09F80103, bytes.fromhex("406dab1cc0b9da06"))
 
 
-async def said(host: int, command: bytes, answer: bytes) -> None:
+async def expect_answer(host: int, command: bytes, answer: bytes) -> None:
     """Give a command; the answer must come."""
     os.write(host, command)
     data = b""
@@ -29,7 +29,7 @@ async def said(host: int, command: bytes, answer: bytes) -> None:
     assert data == answer, command
 
 
-def test_commands_are_answered_as_the_manual_says(tmp_path: Path) -> None:
+def test_commands_are_answered_as_in_the_manual(tmp_path: Path) -> None:
     async def scenario() -> None:
         taken: list[CanFrame] = []
         port = FakePort(tmp_path / "can", 115200)
@@ -60,13 +60,13 @@ def test_commands_are_answered_as_the_manual_says(tmp_path: Path) -> None:
             (b"t1232AAB\r", b"\a"),
             (b"x" * 100 + b"\r", b"\a"),
         ]:
-            await said(host, command, answer)
+            await expect_answer(host, command, answer)
         assert taken == [CanFrame(0x123, b"\xaa\xbb", extended=False), CanFrame(0x123, b"")]
         await adapter.send(POSITION)
-        await said(host, b"V\r", b"T09F801038406DAB1CC0B9DA06\rV1013\r")
+        await expect_answer(host, b"V\r", b"T09F801038406DAB1CC0B9DA06\rV1013\r")
         adapter.power_cycle()
         await adapter.send(POSITION)
-        await said(host, b"V\r", b"V1013\r")
+        await expect_answer(host, b"V\r", b"V1013\r")
         assert adapter.counters["adapter.unheard"] == 1
         os.close(host)
         port.unplug()

@@ -44,7 +44,7 @@ def a_ping(seed: int = 0, n_samples: int = 300, range_m: float = 30.0) -> Ping:
     return Ping(number=7, time_s=1.0, port=port, starboard=starboard, sound_speed_mps=1500.0, altitude_m=5.25)
 
 
-def told(name: str, messages: list[bytes]) -> list[SonarFrame | SonarReply]:
+def reported(name: str, messages: list[bytes]) -> list[SonarFrame | SonarReply]:
     decoder = sonar_named(name).decoder(SonarConfig())
     items = [item for message in messages for item in decoder.feed(message, STAMP)] + decoder.finish()
     assert not any("refused" in counter for counter in decoder.counters)
@@ -53,7 +53,7 @@ def told(name: str, messages: list[bytes]) -> list[SonarFrame | SonarReply]:
 
 def set_up(sonar: FakeSonar, name: str, **settings: float) -> list[SonarFrame | SonarReply]:
     wanted = SonarSettings(**{"range_m": 30.0, "n_samples": 300, **settings})  # type: ignore[arg-type]  # numbers by name
-    return told(name, [answer for command in sonar_named(name).commands(wanted) for answer in sonar.heard(command, NOW)])
+    return reported(name, [answer for command in sonar_named(name).commands(wanted) for answer in sonar.heard(command, NOW)])
 
 
 def traces_of(items: list[SonarFrame | SonarReply]) -> tuple[SonarFrame, EchoTrace, EchoTrace]:
@@ -79,24 +79,24 @@ def test_a_ping_protocol_sonar_refuses_what_it_cannot_do() -> None:
     from drivers.sonar.ping_messages import OsPingParams, encode
 
     sonar = PingProtocolSonar()
-    (reply,) = told("ping_protocol", sonar.heard(encode(OsPingParams(start_mm=0, length_mm=900_000)), NOW))
+    (reply,) = reported("ping_protocol", sonar.heard(encode(OsPingParams(start_mm=0, length_mm=900_000)), NOW))
     assert isinstance(reply, SonarReply)
     assert not reply.accepted
     assert sonar.settings == ""
 
 
 @given(seed=st.integers(0, 100))
-def test_profiles_tell_the_missions_echoes_times_and_numbers(seed: int) -> None:
+def test_profiles_carry_the_missions_echoes_times_and_numbers(seed: int) -> None:
     sonar, ping = PingProtocolSonar(), a_ping(seed)
     set_up(sonar, "ping_protocol")
-    frame, port, starboard = traces_of(told("ping_protocol", sonar.ping(ping, NOW)))
+    frame, port, starboard = traces_of(reported("ping_protocol", sonar.ping(ping, NOW)))
     assert frame.device_time_s == 12.345
-    for told_trace, trace in ((port, ping.port), (starboard, ping.starboard)):
+    for decoded_trace, trace in ((port, ping.port), (starboard, ping.starboard)):
         assert trace is not None
-        assert told_trace.first_range_m == pytest.approx(trace.first_range_m)
-        assert told_trace.spacing_m == pytest.approx(trace.spacing_m)
+        assert decoded_trace.first_range_m == pytest.approx(trace.first_range_m)
+        assert decoded_trace.spacing_m == pytest.approx(trace.spacing_m)
         # 90 dB in 65535 steps: half a step is 0.02 %; single precision and the range of 90 dB do the rest.
-        np.testing.assert_allclose(told_trace.samples, trace.samples.astype(np.float64) ** 2, rtol=3e-4)
+        np.testing.assert_allclose(decoded_trace.samples, trace.samples.astype(np.float64) ** 2, rtol=3e-4)
 
 
 def test_a_range_that_the_mission_does_not_have_is_interpolated_and_ends_in_silence() -> None:
@@ -109,11 +109,11 @@ def test_a_range_that_the_mission_does_not_have_is_interpolated_and_ends_in_sile
     np.testing.assert_allclose(between, 0.5 * (found[:10] + found[1:11]))
 
 
-def test_a_jsf_sonar_pings_when_enabled_and_tells_time_altitude_and_exact_samples() -> None:
+def test_a_jsf_sonar_pings_when_enabled_and_sends_time_altitude_and_exact_samples() -> None:
     sonar, ping = JsfSonar(), a_ping()
     assert sonar.ping(ping, NOW) == []
     assert all(isinstance(reply, SonarReply) and reply.accepted for reply in set_up(sonar, "jsf", gain=30))
-    frame, port, starboard = traces_of(told("jsf", sonar.ping(ping, NOW)))
+    frame, port, starboard = traces_of(reported("jsf", sonar.ping(ping, NOW)))
     assert (frame.device_time_s, frame.device_time_is_utc, frame.altitude_m) == (1_700_000_000.125, True, 5.25)
     assert ping.port is not None
     assert ping.starboard is not None
@@ -128,13 +128,13 @@ def test_a_sport_scan_answers_each_command_with_its_newest_ping_and_gain_makes_i
     sonar, ping = SportScanSonar(), a_ping()
     assert sonar.ping(ping, NOW) == []
     (command,) = sonar_named("sportscan").commands(SonarSettings(range_m=30.0, gain=20))
-    frame, port, _ = traces_of(told("sportscan", sonar.heard(command, NOW)))
+    frame, port, _ = traces_of(reported("sportscan", sonar.heard(command, NOW)))
     assert frame.starboard is not None
     assert (port.samples.shape, port.spacing_m) == ((200,), 0.15)
     assert 24.0 < np.mean([port.samples, frame.starboard.samples]) < 26.0
     (louder,) = sonar_named("sportscan").commands(SonarSettings(range_m=30.0, gain=26))
     split = [*sonar.heard(louder[:10], NOW), *sonar.heard(louder[10:], NOW)]
-    assert traces_of(told("sportscan", split))[1].samples.mean() == pytest.approx(2.0 * port.samples.mean(), rel=0.1)
+    assert traces_of(reported("sportscan", split))[1].samples.mean() == pytest.approx(2.0 * port.samples.mean(), rel=0.1)
 
 
 SAMPLES = st.builds(
@@ -176,11 +176,11 @@ def fixes_of(kind: str, sample: NavSample) -> list[NavFix]:
 
 @pytest.mark.parametrize("kind", TOLERANCES)
 @given(sample=SAMPLES)
-def test_units_tell_what_they_measured_to_the_resolution_of_their_wire(kind: str, sample: NavSample) -> None:
+def test_units_report_measurements_to_the_resolution_of_their_wire(kind: str, sample: NavSample) -> None:
     fixes = fixes_of(kind, sample)
     for name, tolerance in TOLERANCES[kind].items():
         values = [value for fix in fixes if math.isfinite(value := getattr(fix, name))]
-        assert values, f"{kind} told no {name}"
+        assert values, f"{kind} reported no {name}"
         for value in values:
             expected = getattr(sample, name)
             apart = math.remainder(value - expected, 2.0 * math.pi) if name == "heading_rad" else value - expected
@@ -190,7 +190,7 @@ def test_units_tell_what_they_measured_to_the_resolution_of_their_wire(kind: str
 
 
 @pytest.mark.parametrize("kind", TOLERANCES)
-def test_units_without_a_measurement_tell_nothing_false(kind: str) -> None:
+def test_units_without_a_measurement_report_nothing_false(kind: str) -> None:
     unknown = NavSample(time_s=0.0)
     for fix in fixes_of(kind, unknown):
         assert math.isnan(fix.latitude_deg)
@@ -237,7 +237,7 @@ def test_a_scene_that_stores_logarithms_is_refused(tmp_path: Path) -> None:
         ("{device: {device: jsf, link: slcan}}", "does not go with a link 'slcan'"),
         ("{device: {device: pd6, baud: 115201}}", "115201 baud is not standard"),
         ("{device: {device: jsf, link: tcp, faults: [{do: wrong_baud, at_s: 1, baud: 9600}]}}", "has no baud rate"),
-        ("{device: {device: jsf, link: tcp, faults: [{do: freeze, at_s: 1}]}}", "no navigation unit"),
+        ("{device: {device: jsf, link: tcp, faults: [{do: freeze, at_s: 1}]}}", "not a navigation unit"),
         ("{device: {device: pd6, faults: [{do: explode, at_s: 1}]}}", "explode"),
         ("{device: {device: pd6, faults: [{do: stall, at_s: -1}]}}", "at_s"),
         ("{device: {device: pd6}, speed: 0}", "speed"),

@@ -52,7 +52,7 @@ class Bench:
 
     def __init__(self, folder: Path, device: Device, n_pings: int = N_PINGS) -> None:
         self.reports: list[tuple[str, dict[str, Any]]] = []
-        self.told: list[Any] = []
+        self.reported: list[Any] = []
         job = Job(name="unit", device=device, folder=str(folder), seed=5)
         self.device = FakeDevice(job, read_ahead(mission(n_pings)), lambda what, details: self.reports.append((what, details)))
         self._kind = device
@@ -69,7 +69,7 @@ class Bench:
 
     @property
     def frames(self) -> list[SonarFrame]:
-        return [item for item in self.told if isinstance(item, SonarFrame)]
+        return [item for item in self.reported if isinstance(item, SonarFrame)]
 
     async def run(self, extra: Callable[[Link[Any]], Awaitable[None]] | None = None) -> None:
         """Until the mission is over and everything has arrived."""
@@ -100,7 +100,7 @@ class Bench:
         self._take(self._decoder.feed(data, stamp))
 
     def _take(self, items: list[Any]) -> None:
-        self.told += items
+        self.reported += items
 
     def _on_state(self, state: str, reason: str) -> None:
         if state == "up" and self._kind.is_sonar:
@@ -145,9 +145,9 @@ def test_jsf_on_tcp_and_sport_scan_on_serial_serve_as_well(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["nmea0183", "pixse", "pd6", "water_linked", "nmea2000"])
-def test_navigation_units_tell_every_sample(tmp_path: Path, name: Any) -> None:
+def test_navigation_units_report_every_sample(tmp_path: Path, name: Any) -> None:
     bench = played(tmp_path, Device(device=name, link="slcan" if name == "nmea2000" else "serial"))
-    fixes = [item for item in bench.told if isinstance(item, NavFix)]
+    fixes = [item for item in bench.reported if isinstance(item, NavFix)]
     headings = sum(fix.heading_rad == pytest.approx(0.5, abs=1e-3) for fix in fixes)
     assert headings >= N_PINGS - 1  # a burst ends with the next one
     assert not any("refused" in counter for counter in bench.counters)
@@ -193,8 +193,8 @@ def test_at_the_wrong_rate_nothing_is_read_until_it_is_right(tmp_path: Path) -> 
 def test_damage_is_refused_and_the_same_every_time(tmp_path: Path) -> None:
     damage = Damage(at_s=0.0, rates=FaultRates(lose=0.2, double=0.2))
     runs = [played(tmp_path, sonar(damage)) for _ in range(2)]
-    told = [[(frame.number, frame.port is None, frame.starboard is None) for frame in run.frames] for run in runs]
-    assert told[0] == told[1]
+    reported = [[(frame.number, frame.port is None, frame.starboard is None) for frame in run.frames] for run in runs]
+    assert reported[0] == reported[1]
     assert runs[0].device.counters["fault.lost"] > 0
 
 
@@ -205,21 +205,21 @@ def test_a_devices_clock_steps_there_and_back(tmp_path: Path) -> None:
     assert np.count_nonzero(steps_s < -99.0) == 1
 
 
-def test_a_frozen_unit_says_the_same_and_a_wrong_one_something_else(tmp_path: Path) -> None:
+def test_a_frozen_unit_repeats_itself_and_a_wrong_one_deviates(tmp_path: Path) -> None:
     frozen = played(tmp_path, Device(device="nmea0183", faults=(Freeze(at_s=0.2),)))
-    places = [fix.latitude_deg for fix in frozen.told if fix.latitude_deg == fix.latitude_deg]
+    places = [fix.latitude_deg for fix in frozen.reported if fix.latitude_deg == fix.latitude_deg]
     assert len(places) == N_PINGS
     assert len(set(places)) < N_PINGS // 2
     wrong = played(tmp_path, Device(device="nmea0183", faults=(Offset(at_s=0.0, north_m=1111.0, heading_deg=10.0),)))
-    last = [fix for fix in wrong.told if fix.latitude_deg == fix.latitude_deg][-1]
+    last = [fix for fix in wrong.reported if fix.latitude_deg == fix.latitude_deg][-1]
     assert last.latitude_deg == pytest.approx(43.01, abs=1e-4)
-    assert {round(fix.heading_rad, 2) for fix in wrong.told[-5:] if fix.heading_rad == fix.heading_rad} == {0.67}
+    assert {round(fix.heading_rad, 2) for fix in wrong.reported[-5:] if fix.heading_rad == fix.heading_rad} == {0.67}
 
 
 def test_a_device_of_its_own_ends_with_its_standard_input_and_takes_its_port_along(tmp_path: Path) -> None:
     job = tmp_path / "job.yaml"
-    told = {"name": "unit", "folder": str(tmp_path), "scene": "demo", "device": {"device": "nmea0183"}}
-    job.write_text(yaml.safe_dump(told), "utf-8")
+    reported = {"name": "unit", "folder": str(tmp_path), "scene": "demo", "device": {"device": "nmea0183"}}
+    job.write_text(yaml.safe_dump(reported), "utf-8")
     arguments = [sys.executable, "-m", "sim_replay.fakes", str(job)]
     with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
@@ -246,7 +246,7 @@ def test_a_device_may_begin_at_once_and_ends_with_its_mission(tmp_path: Path) ->
     assert not (tmp_path / "unit").is_symlink()
 
 
-def test_a_device_that_cannot_be_says_why_in_one_line(tmp_path: Path) -> None:
+def test_an_impossible_device_is_rejected_with_the_reason_in_one_line(tmp_path: Path) -> None:
     job = tmp_path / "job.yaml"
     job.write_text("{name: unit, folder: here, log: nowhere.xtf, device: {device: pd6}}", "utf-8")
     done = subprocess.run([sys.executable, "-m", "sim_replay.fakes", str(job)], capture_output=True, text=True, timeout=60, check=False)
@@ -255,7 +255,7 @@ def test_a_device_that_cannot_be_says_why_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("link", ["udp", "tcp"])
-def test_a_flood_of_what_costs_most_costs_no_message(tmp_path: Path, link: Any) -> None:
+def test_a_flood_of_maximum_cost_costs_no_message(tmp_path: Path, link: Any) -> None:
     bench = played(tmp_path, sonar(Flood(at_s=0.1, for_s=0.5, bytes_per_s=50_000.0), link=link))
     assert len(bench.frames) == N_PINGS
     assert bench.device.counters["device.flood_bytes"] >= 10_000

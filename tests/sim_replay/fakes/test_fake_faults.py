@@ -38,7 +38,7 @@ def test_the_same_seed_does_the_same_damage_and_another_does_not() -> None:
         (FaultRates(delay=0.25, delay_s=1.0), "fault.delayed", 100),
     ],
 )
-def test_each_fault_does_what_it_is_called_as_often_as_told(rates: FaultRates, name: str, n_expected: int) -> None:
+def test_each_fault_does_as_named_at_its_set_rate(rates: FaultRates, name: str, n_expected: int) -> None:
     faults = Faults(rates, 3)
     passed = came_through(faults)
     assert 0.7 * n_expected <= faults.counters[name] <= 1.3 * n_expected

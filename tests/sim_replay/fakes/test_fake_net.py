@@ -62,7 +62,7 @@ def test_a_stopped_server_refuses_and_comes_back_on_its_port() -> None:
     asyncio.run(scenario())
 
 
-def test_a_stalled_server_stays_connected_and_says_nothing() -> None:
+def test_a_stalled_server_stays_connected_and_sends_nothing() -> None:
     async def scenario() -> None:
         taken: list[bytes] = []
         server = FakeTcpServer(on_bytes=taken.append)

@@ -1,4 +1,4 @@
-"""A fake vehicle flies what a host on its wires commands, sounds what it passes there, and tells what happens to it."""
+"""A fake vehicle flies what a host on its wires commands, sounds what it passes there, and reports its events."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Host:
         scene.write_text(SCENE, "utf-8")
         self.controller = PlainController()
         self.reports: list[tuple[str, str, dict[str, Any]]] = []
-        self.said: list[str] = []
+        self.lines: list[str] = []
         self.frames: list[SonarFrame] = []
         self.fixes: list[NavFix] = []
         devices = {
@@ -67,9 +67,9 @@ class Host:
     def write(self, words: str) -> None:
         self._links["vehicle"].write(words.encode() + b"\n")
 
-    def told(self, what: str) -> list[dict[str, Any]]:
+    def reported(self, what: str) -> list[dict[str, Any]]:
         """Details of what was reported of the controller."""
-        return [details for device, told, details in self.reports if (device, told) == ("vehicle", what)]
+        return [details for device, reported, details in self.reports if (device, reported) == ("vehicle", what)]
 
     async def run(self, script: Callable[[Host], Awaitable[None]]) -> None:
         start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
@@ -97,7 +97,7 @@ class Host:
             elif name == "nav":
                 self.fixes += [item for item in self._nav.feed(data, stamp) if isinstance(item, NavFix)]
             else:
-                self.said += data.decode("ascii", "replace").splitlines()
+                self.lines += data.decode("ascii", "replace").splitlines()
 
         def on_state(state: str, reason: str) -> None:
             if name == "sonar" and state == "up":
@@ -132,28 +132,28 @@ def goto(east_m: float, north_m: float) -> str:
 
 
 @pytest.mark.parametrize("link", ["tcp", "serial", "udp"])
-def test_it_flies_where_it_is_told_past_what_is_there_and_then_its_own_plan(tmp_path: Path, link: Any) -> None:
+def test_it_flies_to_commanded_places_past_targets_and_then_its_own_plan(tmp_path: Path, link: Any) -> None:
     async def script(host: Host) -> None:
-        host.write("TELL 7 1 0.5")
-        host.write("TELL 7 1 0.5")
+        host.write("REPORT 7 1 0.5")
+        host.write("REPORT 7 1 0.5")
         host.write("FINE")
         host.write("ASK")
-        await until(lambda: "yes" in host.said, host)
-        await until(lambda: "there" in host.said, host, goto(0.0, 14.0))
+        await until(lambda: "yes" in host.lines, host)
+        await until(lambda: "there" in host.lines, host, goto(0.0, 14.0))
         host.write("RELEASE")
-        await until(lambda: host.told("released"), host)
+        await until(lambda: host.reported("released"), host)
 
     host = flown(tmp_path, script, link=link)
     whats = [what for device, what, _ in host.reports if device == "vehicle"]
     assert {"contact", "health"} <= set(whats)
     order = ["ready", "granted", "command", "released", "counters"]
     assert [what for what in whats if what in order] == order
-    assert host.told("released") == [{"by": "payload"}]
-    assert host.told("contact")[0]["number"] == 7
-    (passed,) = [told for told in host.told("passed") if told["in_control"]]
+    assert host.reported("released") == [{"by": "payload"}]
+    assert host.reported("contact")[0]["number"] == 7
+    (passed,) = [reported for reported in host.reported("passed") if reported["in_control"]]
     assert passed["ground_range_m"] == pytest.approx(8.0, abs=1.0)
     assert passed["look_deg"] == pytest.approx(90.0, abs=10.0)
-    assert host.told("counters")[0]["vehicle.reports_repeated"] == 1
+    assert host.reported("counters")[0]["vehicle.reports_repeated"] == 1
     assert host.frames
     assert [frame.number for frame in host.frames] == sorted(frame.number for frame in host.frames)
     assert host.fixes
@@ -163,55 +163,55 @@ def test_a_payload_that_falls_silent_is_out_of_command(tmp_path: Path) -> None:
     async def script(host: Host) -> None:
         host.write("ASK")
         host.write(goto(60.0, 0.0))
-        await until(lambda: host.told("released"), host)
+        await until(lambda: host.reported("released"), host)
 
-    assert flown(tmp_path, script).told("released") == [{"by": "time-out"}]
+    assert flown(tmp_path, script).reported("released") == [{"by": "time-out"}]
 
 
 def test_control_is_taken_back_and_not_given_while_it_is_unwilling(tmp_path: Path) -> None:
     async def script(host: Host) -> None:
         host.write("ASK")
-        await until(lambda: host.told("released"), host, "KEEP")
+        await until(lambda: host.reported("released"), host, "KEEP")
         host.write("ASK")
         host.write(goto(60.0, 0.0))
-        await until(lambda: host.told("refused"), host)
+        await until(lambda: host.reported("refused"), host)
 
     host = flown(tmp_path, script, Revoke(at_s=0.2, after="grant"))
-    assert host.told("released") == [{"by": "vehicle"}]
-    assert host.told("refused") == [{"n_commands": 1}]
-    assert "no" in host.said
-    assert not host.told("command")
+    assert host.reported("released") == [{"by": "vehicle"}]
+    assert host.reported("refused") == [{"n_commands": 1}]
+    assert "no" in host.lines
+    assert not host.reported("command")
 
 
 def test_a_vehicle_without_power_has_forgotten_everything_and_greets_again(tmp_path: Path) -> None:
     async def script(host: Host) -> None:
-        host.write("TELL 7 1 0.5")
+        host.write("REPORT 7 1 0.5")
         host.write("ASK")
-        await until(lambda: any(details["do"] == "power_off" for details in host.told("mended")), host)
+        await until(lambda: any(details["do"] == "power_off" for details in host.reported("mended")), host)
         await until(lambda: host.controller.connections == 2, host)
-        host.write("TELL 7 1 0.5")
-        await until(lambda: len(host.told("contact")) == 2, host)
+        host.write("REPORT 7 1 0.5")
+        await until(lambda: len(host.reported("contact")) == 2, host)
 
     host = flown(tmp_path, script, PowerOff(at_s=0.3, for_s=0.3), link="serial")
-    assert len(host.told("released")) == 1
+    assert len(host.reported("released")) == 1
     assert "reopened" in [what for device, what, _ in host.reports if device == "vehicle"]
 
 
 def test_without_its_cable_it_flies_on_and_so_do_its_other_wires(tmp_path: Path) -> None:
     async def script(host: Host) -> None:
-        await until(lambda: host.told("mended") and host.told("leg"), host)
+        await until(lambda: host.reported("mended") and host.reported("leg"), host)
 
     host = flown(tmp_path, script, Unplug(at_s=0.1, for_s=0.5))
     assert len(host.frames) >= 10
 
 
-def test_nonsense_comes_beside_what_it_has_to_say(tmp_path: Path) -> None:
+def test_nonsense_comes_beside_its_messages(tmp_path: Path) -> None:
     async def script(host: Host) -> None:
-        await until(lambda: len(host.said) > 20, host)
+        await until(lambda: len(host.lines) > 20, host)
 
     host = flown(tmp_path, script, Nonsense(at_s=0.0), link="udp")
-    assert host.told("counters")[0]["vehicle.nonsense_sent"] >= 5
-    sound = [words for words in host.said if words.startswith("at ") and len(words.split()) == 3 and len(words) >= 20]
+    assert host.reported("counters")[0]["vehicle.nonsense_sent"] >= 5
+    sound = [words for words in host.lines if words.startswith("at ") and len(words.split()) == 3 and len(words) >= 20]
     assert len(sound) >= 5
 
 
@@ -237,9 +237,9 @@ def test_a_target_is_passed_where_it_comes_abeam_on_a_straight_run() -> None:
         ("{a: {device: imc, link: udp}, b: {device: iver}}", "2 controllers"),
         ("{a: {device: imc, link: slcan}}", "does not go with a link"),
         ("{a: {device: vehicle_can, link: slcan, beside: pd6}}", "cannot share"),
-        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: revoke, at_s: 1}]}}", "no vehicle"),
-        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: stall, at_s: 1, after: grant}]}}", "no vehicle"),
-        ("{a: {device: imc, faults: [{do: freeze, at_s: 1}]}}", "no navigation unit"),
+        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: revoke, at_s: 1}]}}", "not a vehicle"),
+        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: stall, at_s: 1, after: grant}]}}", "not a vehicle"),
+        ("{a: {device: imc, faults: [{do: freeze, at_s: 1}]}}", "not a navigation unit"),
     ],
 )
 def test_a_vehicle_that_cannot_be_is_refused(devices: str, named: str, tmp_path: Path) -> None:
@@ -250,7 +250,8 @@ def test_a_vehicle_that_cannot_be_is_refused(devices: str, named: str, tmp_path:
 
 
 def test_the_mission_waits_for_a_computer_that_is_too_slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Echoes take twice as long as the pings last; not one is left out, and faults come when they are due by mission time."""
+    """Echoes take twice as long as the pings last; not one is left out, and faults come when they are due by mission
+    time."""
     sound = Sea.sound
 
     def slowly(sea: Sea, *arguments: Any) -> list[Ping]:
@@ -260,11 +261,11 @@ def test_the_mission_waits_for_a_computer_that_is_too_slow(tmp_path: Path, monke
     monkeypatch.setattr(Sea, "sound", slowly)
 
     async def script(host: Host) -> None:
-        await until(lambda: host.told("mended") and len(host.frames) >= 24, host)
+        await until(lambda: host.reported("mended") and len(host.frames) >= 24, host)
 
     host = flown(tmp_path, script, Stall(at_s=0.5, for_s=0.3))
     numbers = sorted({frame.number for frame in host.frames})
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     whats = [what for device, what, _ in host.reports if device == "vehicle"]
     assert whats[: whats.index("fault")].count("held") >= 2
-    assert host.told("counters")[0]["world.held_ms"] >= 1e3 * sum(details["for_s"] for details in host.told("held"))
+    assert host.reported("counters")[0]["world.held_ms"] >= 1e3 * sum(details["for_s"] for details in host.reported("held"))

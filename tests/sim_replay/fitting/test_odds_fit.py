@@ -31,7 +31,7 @@ MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock
 
 
 def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat", usual: bool = True) -> Example:
-    """All steps measured the same; the detector's own odds among them, which the report asks for."""
+    """All steps measured the same; the detector's own odds among them, which the report needs."""
     known = {"detector_odds": 0.0, **features}
     return Example(scene, 1, usual, is_target, weight, known, known, known, {step: {} for step in N_TREES})
 
@@ -126,7 +126,7 @@ def test_units_of_a_feature_change_its_weight_and_nothing_else() -> None:
     assert found.weights["a"] == pytest.approx(plain.weights["a"], abs=1e-4)
 
 
-def test_features_that_say_the_same_share_their_weight() -> None:
+def test_redundant_features_share_their_weight() -> None:
     examples = drawn(300, 6)
     twice = [item._replace(shape={**item.shape, "again": item.shape["a"]}) for item in examples]
     found = fit(twice, "drawn").shape.weights
@@ -146,7 +146,7 @@ def test_p_mine_summed_over_the_examples_is_the_number_of_targets() -> None:
     assert expected == pytest.approx(sum(item.weight for item in examples if item.is_target), rel=1e-3)
 
 
-def test_crowded_examples_teach_what_tells_mines_but_not_how_rare_they_are() -> None:
+def test_crowded_examples_teach_the_features_of_mines_but_not_their_rarity() -> None:
     """Ten times as many targets in the crowd, drawn from the same model but for its offset."""
     usual = drawn(4000, 12)
     crowd = [item._replace(usual=False) for item in drawn(4000, 13)]
@@ -207,7 +207,7 @@ HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
 AROUND = Surroundings(codes=np.full((4, 4), 100, dtype=np.uint8), row=2.0, column=2.0, first_ground_range_m=10.0, first_return_m=5.0)
 
 
-class Thing(NamedTuple):
+class Truth(NamedTuple):
     east_m: float
     is_target: bool
 
@@ -226,19 +226,20 @@ def seen_at(east_m: float, p_mine: float = 0.5, **values: Any) -> Detection:
     return drawn_looks.detection(**{**known, **values})
 
 
-Fly = Callable[[Iterable[Detection], Iterable[Thing]], list[Example]]
+Fly = Callable[[Iterable[Detection], Iterable[Truth]], list[Example]]
 
 
 @pytest.fixture
 def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
-    """Examples of a mission over the things given, in which the detections given become final; every look measures the same."""
+    """Examples of a mission over the given objects, in which the detections given become final; every look measures the
+    same."""
 
-    def flown(detections: Iterable[Detection], things: Iterable[Thing]) -> list[Example]:
+    def flown(detections: Iterable[Detection], scene_objects: Iterable[Truth]) -> list[Example]:
         objects = []
-        for thing in things:
-            latitude, longitude, _ = HOME.to_geodetic(np.array([thing.east_m, 0.0, 0.0]))
+        for scene_object in scene_objects:
+            latitude, longitude, _ = HOME.to_geodetic(np.array([scene_object.east_m, 0.0, 0.0]))
             sizes = {"length_m": 1.0, "width_m": 0.5}
-            objects.append({"lat": float(latitude), "lon": float(longitude), "is_target": thing.is_target, **sizes})
+            objects.append({"lat": float(latitude), "lon": float(longitude), "is_target": scene_object.is_target, **sizes})
 
         class FakeMission:
             def __init__(self, scene: object) -> None:
@@ -280,34 +281,34 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
 
 
 def labels(examples: list[Example]) -> list[tuple[float, bool]]:
-    """Where each example lies, which its highlight tells, and whether it is a target."""
+    """Where each example lies, which its highlight encodes, and whether it is a target."""
     return [(round(item.detector["highlight_db"], 3), item.is_target) for item in examples]
 
 
 def test_a_detection_at_a_target_is_one_and_all_else_is_not(fly: Fly) -> None:
     detections = [seen_at(0.3), seen_at(1.9), seen_at(20.0), seen_at(31.0)]
-    things = [Thing(0.0, True), Thing(21.0, False)]
-    assert labels(fly(detections[:1] + detections[2:], things)) == [(0.3, True), (20.0, False), (31.0, False)]
-    assert labels(fly(detections[1:], things)) == [(1.9, True), (20.0, False), (31.0, False)]
+    scene_objects = [Truth(0.0, True), Truth(21.0, False)]
+    assert labels(fly(detections[:1] + detections[2:], scene_objects)) == [(0.3, True), (20.0, False), (31.0, False)]
+    assert labels(fly(detections[1:], scene_objects)) == [(1.9, True), (20.0, False), (31.0, False)]
 
 
 def test_of_several_detections_of_a_target_the_most_mine_like_stands_for_it(fly: Fly) -> None:
     detections = [seen_at(0.1, 0.4), seen_at(0.5, 0.9), seen_at(-0.5, 0.6), seen_at(2.6, 0.95)]
-    assert labels(fly(detections, [Thing(0.0, True)])) == [(0.5, True)]
+    assert labels(fly(detections, [Truth(0.0, True)])) == [(0.5, True)]
 
 
 def test_each_side_and_each_passage_has_its_own(fly: Fly) -> None:
     detections = [seen_at(0.1), seen_at(0.2, side="port"), seen_at(0.3, time_s=2000.0), seen_at(0.4, 0.1, time_s=2001.0)]
-    assert labels(fly(detections, [Thing(0.0, True)])) == [(0.1, True), (0.2, True), (0.3, True)]
+    assert labels(fly(detections, [Truth(0.0, True)])) == [(0.1, True), (0.2, True), (0.3, True)]
 
 
 def test_other_objects_are_clutter_and_count_once_too(fly: Fly) -> None:
-    assert labels(fly([seen_at(0.1, 0.4), seen_at(0.5, 0.3)], [Thing(0.0, False)])) == [(0.1, False)]
+    assert labels(fly([seen_at(0.1, 0.4), seen_at(0.5, 0.3)], [Truth(0.0, False)])) == [(0.1, False)]
 
 
 def test_a_detection_known_to_a_metre_only_may_lie_farther_off(fly: Fly) -> None:
-    assert labels(fly([seen_at(3.0, covariance_m2=np.eye(2))], [Thing(0.0, True)])) == [(3.0, True)]
-    assert labels(fly([seen_at(3.0)], [Thing(0.0, True)])) == [], "neither at it nor clear of it"
+    assert labels(fly([seen_at(3.0, covariance_m2=np.eye(2))], [Truth(0.0, True)])) == [(3.0, True)]
+    assert labels(fly([seen_at(3.0)], [Truth(0.0, True)])) == [], "neither at it nor clear of it"
 
 
 def test_faint_detections_are_thinned_and_those_kept_stand_for_the_others(fly: Fly) -> None:
@@ -318,7 +319,7 @@ def test_faint_detections_are_thinned_and_those_kept_stand_for_the_others(fly: F
 
 def test_a_target_that_only_passed_over_detections_stand_for_is_left_out(fly: Fly) -> None:
     detections = [seen_at(0.1, 0.4), seen_at(0.3, 0.6, surroundings=None), seen_at(50.0)]
-    assert labels(fly(detections, [Thing(0.0, True)])) == [(50.0, False)]
+    assert labels(fly(detections, [Truth(0.0, True)])) == [(50.0, False)]
 
 
 def test_every_step_has_its_features(fly: Fly) -> None:
@@ -335,7 +336,7 @@ def test_every_step_has_its_features(fly: Fly) -> None:
 
 
 def test_a_mission_that_finds_nothing_has_no_examples(fly: Fly) -> None:
-    assert fly([], [Thing(0.0, True)]) == []
+    assert fly([], [Truth(0.0, True)]) == []
 
 
 # ---------------------------------------------------------------- the command
@@ -378,11 +379,11 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
     assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
     assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
     assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [2 if detector == "cascade" else 0] * 3
-    told = capsys.readouterr()
-    assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in told.err
-    rows = [line.split("  ")[0] for line in told.out.splitlines()]
+    printed = capsys.readouterr()
+    assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in printed.err
+    rows = [line.split("  ")[0] for line in printed.out.splitlines()]
     assert rows[4:8] == ["detector as it is", "detector", "contours", "shape"]
-    assert "nan" not in told.out
+    assert "nan" not in printed.out
 
 
 def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
@@ -398,13 +399,13 @@ def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
     assert "nan" not in "".join(rows)
 
 
-def test_of_one_seed_nothing_is_said_about_more(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_seed_gives_no_report_on_more_seeds(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / "odds.json")])
     assert flown.missions
     assert "learned from" not in capsys.readouterr().out
 
 
-def test_crowded_scenes_are_flown_over_other_floors_and_told(flown: Flown, tmp_path: Path) -> None:
+def test_crowded_scenes_are_flown_over_other_floors_and_reported(flown: Flown, tmp_path: Path) -> None:
     out = tmp_path / "odds.json"
     assert main(["calibrate", "odds", "--seeds", "1", "--crowded", "2", "--first-seed", "7", "--out", str(out)]) == 0
     n = len(flown.missions) // 3
@@ -433,7 +434,7 @@ def test_weights_are_the_same_to_the_byte_in_every_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "printed"),
     [
         ([], "--out"),
         (["--out"], "--out"),
@@ -446,12 +447,12 @@ def test_weights_are_the_same_to_the_byte_in_every_run(tmp_path: Path) -> None:
     ],
 )
 def test_arguments_that_make_no_sense_are_refused(
-    flown: Flown, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+    flown: Flown, capsys: pytest.CaptureFixture[str], arguments: list[str], printed: str
 ) -> None:
     with pytest.raises(SystemExit) as refused:
         main(["calibrate", "odds", *arguments])
     assert refused.value.code == 2
-    assert told in capsys.readouterr().err
+    assert printed in capsys.readouterr().err
     assert flown.missions == []
 
 
@@ -474,10 +475,10 @@ def test_weights_that_could_not_be_written_are_refused_before_flying(
 def test_the_help_names_the_defaults(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["calibrate", "odds", "--help"])
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"(default {FIRST_SEED})" in said
-    assert f"with {CROWD} times as many mines and rocks" in said
-    assert f"{{{','.join(get_args(Detector))}}}" in said
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"(default {FIRST_SEED})" in printed
+    assert f"with {CROWD} times as many mines and rocks" in printed
+    assert f"{{{','.join(get_args(Detector))}}}" in printed
 
 
 def test_too_few_targets_end_the_command_with_advice(

@@ -63,9 +63,9 @@ def mission() -> tuple[NavSample | Ping, ...]:
 def run_of(kind: SonarKind, late_s: float = 0.0) -> Run:
     """The mission with a fake sonar and a satellite compass at two ports; every message arrives up to late_s late.
 
-    Everything happens at full milliseconds, which is what the sonars' clocks tell. The compass needs as long as an echo
-    for its sentences, which come just before the ping of the same instant: SonarView's logs do not say when a sentence
-    came.
+    Everything happens at full milliseconds, the resolution of the sonars' clocks. The compass needs as long as an echo
+    for its sentences, which come just before the ping of the same instant: SonarView's logs do not record when a
+    sentence came.
     """
     text = f"""
 ports:

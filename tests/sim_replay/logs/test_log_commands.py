@@ -47,10 +47,10 @@ def test_replay_takes_every_format(name: str, kind: SonarKind, logs: dict[str, P
 def test_check_looks_into_logs(logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "c.yaml").write_text(f"service: {{source: 'replay://{logs['svlog']}?speed=max'}}")
     assert main(["check", str(logs["jsf"]), "--config", str(tmp_path / "c.yaml")]) == 0
-    told = capsys.readouterr().out
-    assert "log survey.jsf" in told
-    assert "EdgeTech JSF, 0.9 MB, first ping 2023-11-14 22:13:20+00:00" in told
-    assert "Ping Protocol (svlog)" in told
+    printed = capsys.readouterr().out
+    assert "log survey.jsf" in printed
+    assert "EdgeTech JSF, 0.9 MB, first ping 2023-11-14 22:13:20+00:00" in printed
+    assert "Ping Protocol (svlog)" in printed
     (tmp_path / "cut.jsf").write_bytes(logs["jsf"].read_bytes()[:100])
     assert main(["check", str(tmp_path / "cut.jsf")]) == 5
     assert "FAILED  log cut.jsf" in capsys.readouterr().out
@@ -61,9 +61,9 @@ def test_augment_writes_xtf_alone(name: str, words: str, logs: dict[str, Path], 
     (tmp_path / "targets.yaml").write_text("targets: [{kind: sphere, side: port, ground_range_m: 9.0, along_m: 5.0}]")
     command = ["augment", str(logs[name]), "--targets", str(tmp_path / "targets.yaml"), "--out", str(tmp_path / "out")]
     assert main(command) == 3
-    told = capsys.readouterr().err
-    assert words in told
-    assert "Export it as XTF" in told
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert "Export it as XTF" in printed
 
 
 @pytest.mark.parametrize("name", ["jsf", "svlog", "folder"])
@@ -85,7 +85,7 @@ def test_the_bench_of_the_chain_runs_over_a_sonars_own_log(logs: dict[str, Path]
         ("short.jsf", b"\x01\x16\x0e", "holds no side-scan message"),
         ("short.svlog", b"BR\x04", "no usable side-scan ping"),
         ("short.mcap", b"\x89MCAP0\r\n", "not a recorded session, or nothing is left of it"),
-        ("text.svlog", b"ping,range\n1,30\n" * 100, "is no log that can be read"),
+        ("text.svlog", b"ping,range\n1,30\n" * 100, "is not a readable log"),
     ],
 )
 def test_what_cannot_be_replayed_is_exit_code_3_in_words(
@@ -94,10 +94,10 @@ def test_what_cannot_be_replayed_is_exit_code_3_in_words(
     path = tmp_path / name
     path.write_bytes(content)
     assert main(["replay", str(path), "--out", str(tmp_path / "out")]) == 3
-    told = capsys.readouterr().err
-    assert words in told
-    assert str(path) in told
-    assert "Traceback" not in told
+    printed = capsys.readouterr().err
+    assert words in printed
+    assert str(path) in printed
+    assert "Traceback" not in printed
 
 
 def test_fake_devices_play_a_log_of_intensities_as_amplitudes(logs: dict[str, Path]) -> None:

@@ -164,7 +164,7 @@ def test_navigation_in_the_sonars_messages_gives_the_contacts_of_the_live_run(tm
 
 @pytest.mark.parametrize("navigation", ["{}", "{use_unit_time: true}"])
 def test_the_navigation_of_a_sonars_message_is_of_the_transmission(navigation: str) -> None:
-    """A message is sent when its last echo is back, ECHO_S later than what it says of the vehicle."""
+    """A message is sent when its last echo is back, ECHO_S later than its data on the vehicle."""
     run = with_header_navigation(run_of("jsf"), navigation)
     events = list(live_events(run))
     sample = next(event for event in events if isinstance(event, NavSample))
@@ -207,7 +207,7 @@ def test_what_is_no_log_is_refused_with_what_is_known(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     for path, words in (
         (empty, "is empty .0 bytes.*fetch it again"),
-        (noise, "is no log that can be read: it begins with 0x.*XTF.*JSF.*svlog.*session.*Export"),
+        (noise, "is not a readable log: it begins with 0x.*XTF.*JSF.*svlog.*session.*Export"),
         (pipe, "is no regular file. Copy"),
         (tmp_path, "is a directory without a recorded session.*Name a log inside"),
         (tmp_path / "nowhere", "does not exist. Check"),
@@ -263,7 +263,7 @@ def test_a_damaged_header_makes_no_second_subsystem(tmp_path: Path) -> None:
     assert log.counters["reader.not_used.subsystem_20"] == 1
 
 
-def test_a_jsf_log_without_side_scan_says_what_it_holds(tmp_path: Path) -> None:
+def test_a_jsf_log_without_side_scan_is_rejected_with_its_contents(tmp_path: Path) -> None:
     whole = written("jsf", tmp_path / "high").read_bytes()
     path = tmp_path / "sub-bottom"
     path.write_bytes(of_subsystem(whole, 0))
@@ -336,7 +336,7 @@ def test_one_impossible_time_is_left_out(tmp_path: Path) -> None:
     assert max(ping.time_s for ping in found) < UTC_S + 1000.0
 
 
-def test_a_clock_that_was_never_set_is_told_and_refused(tmp_path: Path) -> None:
+def test_a_clock_that_was_never_set_is_reported_and_rejected(tmp_path: Path) -> None:
     messages = _jsf(written("jsf", tmp_path / "whole").read_bytes())
     path = tmp_path / "log"
     path.write_bytes(b"".join(jsf_wire(f.message._replace(body=bytes(4) + f.message.body[4:])) for f in messages))
@@ -395,7 +395,7 @@ def test_mavlink_is_navigation_too(tmp_path: Path) -> None:
         assert min(apart_m(one, other) for other in found) < 0.25
 
 
-def test_an_svlog_without_a_time_counts_from_1970_and_says_so(tmp_path: Path) -> None:
+def test_an_svlog_without_a_time_counts_from_1970_and_reports_it(tmp_path: Path) -> None:
     whole = written("ping_protocol", tmp_path / "whole").read_bytes()
     path = tmp_path / "log"
     path.write_bytes(whole[len(svlog_head(UTC_S)) :])
@@ -455,7 +455,7 @@ def test_a_sonar_that_was_powered_up_anew_goes_on_in_time(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("kind", "words"), [("jsf", "type 80.*type 2002.*Record with"), ("ping_protocol", "109.*150.*Record with")])
-def test_a_log_without_navigation_says_what_is_missing(kind: SonarKind, words: str, tmp_path: Path) -> None:
+def test_a_log_without_navigation_is_rejected_with_what_is_missing(kind: SonarKind, words: str, tmp_path: Path) -> None:
     path = tmp_path / "log"
     path.write_bytes(sonar_only(kind))
     with pytest.raises(BadInputError, match=f"not one position: .*{words}"):

@@ -1,4 +1,4 @@
-"""What a sound log says must arrive unchanged, and every known habit of recorders must be understood."""
+"""The content of a sound log must arrive unchanged, and every known habit of recorders must be understood."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_noise_alone_hardly_shows_a_port_order() -> None:
 
 
 @pytest.mark.parametrize("configured", ["far_to_near", "near_to_far"])
-def test_a_configured_port_order_is_obeyed_and_disagreement_told(tmp_path: Path, configured: str) -> None:
+def test_a_configured_port_order_is_obeyed_and_disagreement_reported(tmp_path: Path, configured: str) -> None:
     pings = [ping(n, n_samples=400) for n in range(20)]
     path = written(tmp_path / "log.xtf", navigated(pings), port_far_to_near=True)
     events, _ = read(path, port_order=configured)
@@ -135,7 +135,7 @@ def test_a_configured_port_order_is_obeyed_and_disagreement_told(tmp_path: Path,
     assert np.array_equal(port.samples if agrees else port.samples[::-1], pings[0].port.samples)
 
 
-def test_a_featureless_port_channel_is_assumed_far_to_near_and_said_to_be_unseen(tmp_path: Path) -> None:
+def test_a_featureless_port_channel_is_assumed_far_to_near_and_reported_as_unseen(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 3)
 
     def blank(data: bytearray) -> None:
@@ -174,7 +174,7 @@ def test_sound_speed_is_taken_two_way_or_replaced_if_absurd(tmp_path: Path, stor
     assert port.spacing_m == pytest.approx(12.0 / 96, rel=1e-6)
 
 
-def test_an_overriding_sound_speed_scales_ranges_and_says_so(tmp_path: Path) -> None:
+def test_an_overriding_sound_speed_scales_ranges_and_is_reported(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
     events, _ = read(path, sound_speed_mps=1470.0)
     assert codes_of(events) == ["reader.sound_speed_overridden"]
@@ -264,7 +264,7 @@ def test_gyro_and_ship_speed_stand_in_where_the_sensor_has_none(tmp_path: Path) 
     assert sample.speed_mps == pytest.approx(4.0 * 1852 / 3600)
 
 
-def test_vessel_positions_stand_in_and_are_told(tmp_path: Path) -> None:
+def test_vessel_positions_stand_in_and_are_reported(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
 
     def move(_: int, header: Any) -> None:
@@ -394,7 +394,7 @@ def test_sample_formats(tmp_path: Path, sample_type: str, declared: bool) -> Non
     assert all(same_trace(p.starboard, q.starboard) for p, q in zip(pings_of(read(path)[0]), pings, strict=True))
 
 
-def test_a_recording_delay_moves_ranges_out_and_is_told(tmp_path: Path) -> None:
+def test_a_recording_delay_moves_ranges_out_and_is_reported(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
     edit_channels(path, lambda _index, _channel, header: setattr(header, "TimeDelay", 0.004))
     events, _ = read(path)
@@ -417,7 +417,7 @@ def test_a_changed_weight_factor_is_scaled_to_the_first(tmp_path: Path) -> None:
     assert "reader.weight_change" in codes_of(events)
 
 
-def test_mounting_stated_in_the_log_is_told_but_not_applied(tmp_path: Path) -> None:
+def test_mounting_stated_in_the_log_is_reported_but_not_applied(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
 
     def fill(header: Any) -> None:
@@ -456,7 +456,7 @@ def test_joined_logs_are_read_as_one(tmp_path: Path) -> None:
     assert all(same_trace(p.port, q.port) for p, q in zip(pings[:3], pings_of(mission(3)), strict=True))
 
 
-def test_what_the_reader_mends_is_for_the_record_and_what_it_asks_for_is_a_notice(tmp_path: Path) -> None:
+def test_repairs_of_the_reader_are_for_the_record_and_its_requests_are_notices(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", navigated([ping(n, time_s=START_S + n // 2) for n in range(8)]))
 
     def fill(header: Any) -> None:
@@ -464,5 +464,5 @@ def test_what_the_reader_mends_is_for_the_record_and_what_it_asks_for_is_a_notic
 
     edit_file_header(path, fill)
     events, _ = read(path, sound_speed_mps=1480.0)
-    told = {event.code: event.for_the_record for event in events if isinstance(event, Notice)}
-    assert told == {"reader.sound_speed_overridden": True, "reader.time_tied": True, "reader.mounting_not_applied": False}
+    reported = {event.code: event.for_the_record for event in events if isinstance(event, Notice)}
+    assert reported == {"reader.sound_speed_overridden": True, "reader.time_tied": True, "reader.mounting_not_applied": False}

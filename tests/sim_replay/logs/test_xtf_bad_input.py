@@ -1,4 +1,6 @@
-"""Damaged and unusable logs: a clear refusal that names the file, or everything that is sound and a count of what is not."""
+"""Damaged and unusable logs: a clear refusal that names the file, or everything that is sound and a count of what is
+not.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,7 @@ def test_empty_file(tmp_path: Path) -> None:
 def test_wrong_magic(tmp_path: Path) -> None:
     path = tmp_path / "picture.xtf"
     path.write_bytes(b"\x89PNG" + bytes(4000))
-    assert "no XTF file" in refusal(path)
+    assert "not an XTF file" in refusal(path)
 
 
 def test_cut_off_inside_the_file_header(tmp_path: Path) -> None:
@@ -144,7 +146,7 @@ def test_cut_off_anywhere_delivers_every_whole_ping(tmp_path: Path) -> None:
         assert all(same_trace(p.port, ping(p.number).port) for p in pings_of(events))
 
 
-def test_a_cut_is_told_with_its_place(tmp_path: Path) -> None:
+def test_a_cut_is_reported_with_its_place(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 3)
     data = path.read_bytes()
     last = packet_offsets(data)[2]
@@ -197,7 +199,7 @@ def test_channels_that_do_not_fit_their_packet_cost_that_ping(tmp_path: Path) ->
     assert log.counters["reader.damaged_packet"] == 1
 
 
-def test_much_damage_is_told_a_few_times_and_counted_always(tmp_path: Path) -> None:
+def test_much_damage_is_reported_a_few_times_and_counted_always(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 60)
     edit_headers(path, lambda index, header: setattr(header, "NumChansToFollow", 60000 if index % 2 else 2))
     events, log = read(path)
@@ -218,7 +220,7 @@ def test_no_overwritten_bytes_ever_break_the_reader(tmp_path_factory: pytest.Tem
     try:
         events, log = read(path, port_order="auto")
     except BadInputError:
-        return  # refused: what such a message says has tests of its own
+        return  # rejected: the text of such a message has tests of its own
     assert log.counters["reader.pings"] == len(pings_of(events)) > 0
 
 
@@ -322,7 +324,7 @@ def test_an_impossible_date_costs_that_ping(tmp_path: Path) -> None:
     assert codes_of(events) == ["reader.time_invalid"]
 
 
-def test_another_number_of_samples_is_delivered_and_told_once(tmp_path: Path) -> None:
+def test_another_number_of_samples_is_delivered_and_reported_once(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", navigated([ping(n, n_samples=96 if n < 2 else 64) for n in range(5)]))
     events, log = read(path)
     assert [p.port.samples.shape[0] for p in pings_of(events) if p.port] == [96, 96, 64, 64, 64]
@@ -358,7 +360,7 @@ def test_a_ping_without_samples_is_skipped(tmp_path: Path) -> None:
     assert log.counters["reader.ping_without_side_scan"] == 1
 
 
-def test_samples_that_are_no_numbers_are_delivered_and_told(tmp_path: Path) -> None:
+def test_samples_that_are_not_numbers_are_delivered_and_reported(tmp_path: Path) -> None:
     spoilt = ping(1, dtype="float32")
     assert spoilt.port is not None
     spoilt.port.samples[5] = np.nan

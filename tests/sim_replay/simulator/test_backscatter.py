@@ -130,7 +130,7 @@ def test_level_has_no_step_where_extrapolation_begins(name: str) -> None:
     np.testing.assert_allclose(just_beyond, strength_db(SEDIMENTS[name], HIGHEST_HZ, GRAZING_DEG), atol=1e-6)
 
 
-def test_extrapolation_is_told() -> None:
+def test_extrapolation_is_reported() -> None:
     assert [extrapolated(hz) for hz in (9.9e3, 10e3, 100e3, 100.1e3, 900e3)] == [True, False, False, True, True]
 
 

@@ -1,4 +1,4 @@
-"""What a ping hears lies where geometry says, from the place in the scene to the place told on the globe."""
+"""What a ping hears lies where geometry puts it, from the place in the scene to the reported place on the globe."""
 
 from __future__ import annotations
 
@@ -70,15 +70,16 @@ def heard(scene: Scene, at: SonarPose, side: Side = "starboard") -> Floats:
     return np.asarray(Sea(scene).mean_intensity([at])[0, ("port", "starboard").index(side)])
 
 
-def abeam(at: SonarPose, across_m: float, thing: SceneObject) -> SceneObject:
-    """The thing, turned with the vehicle, where the fan meets the floor `across_m` to starboard: pitched forwards, and carried on by the
-    vehicle while the echo travels."""
+def abeam(at: SonarPose, across_m: float, scene_object: SceneObject) -> SceneObject:
+    """Return the object, turned with the vehicle, where the fan meets the floor `across_m` to starboard: pitched
+    forwards, and carried on by the vehicle while the echo travels.
+    """
     below = DEPTH_M - at.depth_m
     slant = math.hypot(across_m, below / math.cos(at.pitch_rad))
     ahead = below * math.tan(at.pitch_rad) + at.speed_mps * slant / SOUND_MPS
     sine, cosine = math.sin(at.heading_rad), math.cos(at.heading_rad)
     east, north = ahead * sine + across_m * cosine, ahead * cosine - across_m * sine
-    return replace(thing, east_m=east, north_m=north, azimuth_deg=math.degrees(at.heading_rad))
+    return replace(scene_object, east_m=east, north_m=north, azimuth_deg=math.degrees(at.heading_rad))
 
 
 def flown(scene: Scene) -> tuple[list[NavSample], list[Ping]]:
@@ -177,7 +178,7 @@ def profile(kind: str, y: Floats) -> Floats:
 
 
 @pytest.mark.parametrize(
-    "thing",
+    "scene_object",
     [
         SceneObject(kind="sphere", width_m=0.9),
         SceneObject(kind="cylinder", width_m=0.9, length_m=4.0),
@@ -185,11 +186,11 @@ def profile(kind: str, y: Floats) -> Floats:
     ],
 )
 @pytest.mark.parametrize("heading_deg", [0.0, 133.0])
-def test_other_shapes_shadow_as_far_as_their_tangent_ray(thing: SceneObject, heading_deg: float) -> None:
+def test_other_shapes_shadow_as_far_as_their_tangent_ray(scene_object: SceneObject, heading_deg: float) -> None:
     at = pose(heading_deg=heading_deg)
-    got = heard(replace(PLAIN, objects=(abeam(at, 12.0, thing),)), at)
+    got = heard(replace(PLAIN, objects=(abeam(at, 12.0, scene_object),)), at)
     y = np.linspace(-0.45, 0.45, 100_001)
-    end = math.hypot(float(((12.0 + y) * 5.0 / (5.0 - profile(thing.kind, y))).max()), 5.0)
+    end = math.hypot(float(((12.0 + y) * 5.0 / (5.0 - profile(scene_object.kind, y))).max()), 5.0)
     dark = np.flatnonzero(got == 0.0)
     dark = dark[(dark * BIN_M > 6.0) & (dark * BIN_M < 29.0)]
     assert (dark[-1] + 1) * BIN_M == pytest.approx(end, abs=0.05)
@@ -242,7 +243,7 @@ def test_the_vehicle_moves_where_it_points_anywhere_on_the_globe(place: tuple[fl
         assert -180.0 <= b.longitude_deg <= 180.0
 
 
-def test_told_depth_and_altitude_add_up_to_the_depth_of_the_floor() -> None:
+def test_reported_depth_and_altitude_add_up_to_the_depth_of_the_floor() -> None:
     sloping = replace(PLAIN.world, slope_deg=3.0, slope_towards_deg=0.0, cell_m=0.5)
     scene = replace(PLAIN, world=sloping, sonar=replace(PLAIN.sonar, n_samples=64), track=replace(PLAIN.track, plan=Lawnmower(leg_m=30.0)))
     samples, pings = flown(scene)
@@ -263,12 +264,13 @@ def test_told_depth_and_altitude_add_up_to_the_depth_of_the_floor() -> None:
     place=st.sampled_from([(43.0, 5.5), (89.0, 0.0), (-20.0, 179.99999)]),
 )
 @settings(max_examples=30)
-def test_a_small_thing_is_seen_when_abeam_at_its_slant_range(
+def test_a_small_object_is_seen_when_abeam_at_its_slant_range(
     kind: Any, heading: float, across: float, side: Side, altitude: float, pitch: float, place: tuple[float, float]
 ) -> None:
-    """Abeam is where its place from truth.json lies in the plane square to the sonar's axis, told navigation being exact."""
+    """Abeam is where its place from truth.json lies in the plane square to the sonar's axis, reported navigation being
+    exact."""
     radius = 0.15 if kind == "sphere" else 0.0
-    thing = SceneObject(
+    scene_object = SceneObject(
         kind=kind, leg=0, along_m=5.0, across_m=across if side == "starboard" else -across, width_m=2.0 * radius or None, strength_db=30.0
     )
     sonar = replace(PLAIN.sonar, n_samples=1024, ping_rate_hz=15.0, looks=16, beam_width_deg=0.5, beam_lines=5 if radius else 1)
@@ -279,11 +281,11 @@ def test_a_small_thing_is_seen_when_abeam_at_its_slant_range(
         motion=replace(STEADY, pitch_offset_deg=pitch),
     )
     origin = Origin(latitude_deg=place[0], longitude_deg=place[1])
-    mission = Mission(replace(PLAIN, origin=origin, objects=(thing,), sonar=sonar, track=track))
+    mission = Mission(replace(PLAIN, origin=origin, objects=(scene_object,), sonar=sonar, track=track))
     events = list(mission.events())
     samples, pings = [e for e in events if isinstance(e, NavSample)], [e for e in events if isinstance(e, Ping)]
-    (told,) = mission.truth()["objects"]
-    target = ecef(told["lat"], told["lon"], radius)
+    (reported,) = mission.truth()["objects"]
+    target = ecef(reported["lat"], reported["lon"], radius)
     ahead, slant = [], []
     for sample in samples:
         vehicle = ecef(sample.latitude_deg, sample.longitude_deg, altitude)
@@ -328,8 +330,8 @@ def test_other_paths_begin_where_their_way_is_as_long() -> None:
 
 
 def test_crosstalk_is_the_other_sides_echo() -> None:
-    thing = SceneObject(kind="sphere", east_m=12.0, north_m=0.0, strength_db=20.0)
-    scene = replace(PLAIN, objects=(thing,))
+    scene_object = SceneObject(kind="sphere", east_m=12.0, north_m=0.0, strength_db=20.0)
+    scene = replace(PLAIN, objects=(scene_object,))
     port, starboard = heard(scene, pose(), "port"), heard(scene, pose())
     leaking = replace(scene, sonar=replace(scene.sonar, crosstalk_db=-20.0))
     assert heard(leaking, pose(), "port") == pytest.approx(port + 0.01 * starboard)

@@ -1,4 +1,5 @@
-"""Simulated missions from end to end: the same bytes from the same seed, a truth that fits, a course that can change."""
+"""Simulated missions from end to end: the same bytes from the same seed, a truth that fits, a course that can
+change."""
 
 from __future__ import annotations
 
@@ -87,13 +88,13 @@ def test_every_ping_follows_its_navigation(reference: tuple[Mission, list[NavSam
     assert [ping.number for ping in events[1::2] if isinstance(ping, Ping)] == list(range(len(events) // 2))
 
 
-def test_truth_says_where_objects_are_and_which_passes_saw_them(reference: tuple[Mission, list[NavSample | Ping]]) -> None:
+def test_truth_lists_the_objects_places_and_the_passes_that_saw_them(reference: tuple[Mission, list[NavSample | Ping]]) -> None:
     facts = reference[0].truth()
     frame = local_frame(SCENE.origin)
     cylinder, rock, sphere = facts["objects"]
     leg = Leg(0.0, 0.0, math.radians(75.0), 24.0)
-    for thing, place in ((cylinder, leg.at(12.0, 10.0)), (rock, leg.at(6.0, -12.0))):
-        assert frame.to_enu(thing["lat"], thing["lon"], 0.0)[:2] == pytest.approx(place, abs=1e-3)
+    for scene_object, place in ((cylinder, leg.at(12.0, 10.0)), (rock, leg.at(6.0, -12.0))):
+        assert frame.to_enu(scene_object["lat"], scene_object["lon"], 0.0)[:2] == pytest.approx(place, abs=1e-3)
     assert (cylinder["is_target"], rock["is_target"]) == (True, False)
     # The second leg lies 20 m to starboard of the first and runs the other way: the cylinder is 10 m to starboard of both.
     assert [look["side"] for look in cylinder["looks"]] == ["starboard", "starboard"]
@@ -118,7 +119,7 @@ def test_the_swept_area_is_that_of_the_legs(reference: tuple[Mission, list[NavSa
     assert np.mean(labels == swept[rows, columns]) > 0.999  # the map's plane touches elsewhere than the scene's
 
 
-def test_exact_navigation_tells_where_the_sonar_is() -> None:
+def test_exact_navigation_reports_the_sonars_place() -> None:
     scene = msgspec.structs.replace(
         SCENE, navigation_error=EXACT, track=msgspec.structs.replace(SCENE.track, motion=STEADY, pings_in_turns=False)
     )
@@ -154,7 +155,7 @@ def test_a_new_plan_changes_the_course_and_the_world_stays_the_same() -> None:
     assert mission.truth()["area_km2"] > 0.0
 
 
-def test_faults_strike_what_is_told_and_leave_the_truth_alone(reference: tuple[Mission, list[NavSample | Ping]]) -> None:
+def test_faults_strike_reported_data_and_leave_the_truth_alone(reference: tuple[Mission, list[NavSample | Ping]]) -> None:
     gap = Fault(kind="gap", at_ping=10, n_pings=5)
     mission, events = flown(msgspec.structs.replace(SCENE, faults=(gap,)))
     numbers = [event.number for event in events if isinstance(event, Ping)]
@@ -166,7 +167,7 @@ def test_faults_strike_what_is_told_and_leave_the_truth_alone(reference: tuple[M
 def test_before_anything_is_flown_nothing_was_swept() -> None:
     facts = Mission(SCENE).truth()
     assert facts["area_km2"] == 0.0
-    assert all(not thing["looks"] for thing in facts["objects"])
+    assert all(not scene_object["looks"] for scene_object in facts["objects"])
 
 
 def test_a_scene_that_cannot_be_is_refused() -> None:

@@ -22,18 +22,18 @@ KINDS: list[ObjectKind] = list(USUAL)
 
 
 def named(**keys: object) -> PlacedObject:
-    thing = SceneObject(east_m=30.0, north_m=40.0, **keys)  # type: ignore[arg-type]  # keys of one test each
-    return place_objects(Scene(track=TRACK, objects=(thing,)))[0]
+    scene_object = SceneObject(east_m=30.0, north_m=40.0, **keys)  # type: ignore[arg-type]  # keys of one test each
+    return place_objects(Scene(track=TRACK, objects=(scene_object,)))[0]
 
 
-def highest_m(thing: PlacedObject) -> float:
+def highest_m(scene_object: PlacedObject) -> float:
     """Of its bodies over a fine grid around it."""
-    bodies = pack(bodies_of(thing, lambda east, north: 0.0, 0))
-    reach = thing.reach_m + 1.0
+    bodies = pack(bodies_of(scene_object, lambda east, north: 0.0, 0))
+    reach = scene_object.reach_m + 1.0
     grid = np.linspace(-reach, reach, 401)
     top = 0.0
     for row in bodies.table:
-        east, north = (axis.ravel() for axis in np.meshgrid(thing.east_m + grid - row[1], thing.north_m + grid - row[2]))
+        east, north = (axis.ravel() for axis in np.meshgrid(scene_object.east_m + grid - row[1], scene_object.north_m + grid - row[2]))
         u, v = east * row[4] + north * row[5], east * row[5] - north * row[4]
         heights, _, _, covered = body_tops(row, bodies.planes, u, v)
         top = max(top, float(heights[covered].max(initial=0.0)) + float(row[6]))
@@ -42,28 +42,31 @@ def highest_m(thing: PlacedObject) -> float:
 
 @pytest.mark.parametrize("kind", ["cylinder", "sphere", "truncated_cone", "wedge", "box", "rock", "tyre", "pipe"])
 @pytest.mark.parametrize("burial_m", [0.0, 0.1])
-def test_an_object_is_as_high_as_it_says_less_what_is_buried(kind: ObjectKind, burial_m: float) -> None:
-    thing = named(kind=kind, burial_m=burial_m)
-    assert highest_m(thing) == pytest.approx(thing.height_m - burial_m, abs=0.02)
+def test_an_object_has_its_given_height_less_its_burial(kind: ObjectKind, burial_m: float) -> None:
+    scene_object = named(kind=kind, burial_m=burial_m)
+    assert highest_m(scene_object) == pytest.approx(scene_object.height_m - burial_m, abs=0.02)
 
 
 def test_a_tilted_cylinder_rests_on_its_lower_end() -> None:
-    thing = named(kind="cylinder", tilt_deg=30.0)
+    scene_object = named(kind="cylinder", tilt_deg=30.0)
     raised = 2.0 * math.sin(math.radians(30.0)) + 0.53 * math.cos(math.radians(30.0))
-    assert highest_m(thing) == pytest.approx(raised, abs=0.03)
+    assert highest_m(scene_object) == pytest.approx(raised, abs=0.03)
     assert highest_m(named(kind="cylinder", tilt_deg=-30.0)) == pytest.approx(raised, abs=0.03)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_echoes_by_bodies_or_by_points(kind: ObjectKind) -> None:
-    thing = named(kind=kind)
-    bodies, points = bodies_of(thing, lambda east, north: 0.0, 3), points_of(thing, lambda east, north: 0.0)
+    scene_object = named(kind=kind)
+    bodies, points = bodies_of(scene_object, lambda east, north: 0.0, 3), points_of(scene_object, lambda east, north: 0.0)
     assert bool(bodies) != bool(points)
     assert all(body.material == 3 for body in bodies)
-    assert all(math.hypot(body.east_m - 30.0, body.north_m - 40.0) <= 0.5 * math.hypot(thing.length_m, thing.width_m) for body in bodies)
+    assert all(
+        math.hypot(body.east_m - 30.0, body.north_m - 40.0) <= 0.5 * math.hypot(scene_object.length_m, scene_object.width_m)
+        for body in bodies
+    )
 
 
-def test_only_mine_shapes_are_targets_unless_told_otherwise() -> None:
+def test_only_mine_shapes_are_targets_by_default() -> None:
     targets = {kind for kind in KINDS if named(kind=kind).is_target}
     assert targets == {"cylinder", "sphere", "truncated_cone", "wedge", "box"}
     assert named(kind="rock", is_target=True).is_target
@@ -103,15 +106,15 @@ def scattered(*groups: Scatter, seed: int = 1) -> tuple[PlacedObject, ...]:
 
 def test_scattered_objects_lie_apart_and_within_the_ranges_asked_for() -> None:
     group = Scatter(kind="rock", count=40, ground_range_m=(12.0, 35.0), apart_m=5.0, height_m=(0.3, 0.6), burial_m=(0.0, 0.1))
-    things = scattered(group, Scatter(kind="cylinder", count=10))
-    assert [thing.kind for thing in things] == ["rock"] * 40 + ["cylinder"] * 10
+    scene_objects = scattered(group, Scatter(kind="cylinder", count=10))
+    assert [scene_object.kind for scene_object in scene_objects] == ["rock"] * 40 + ["cylinder"] * 10
     legs = planned_legs(TRACK.plan)
-    for thing in things[:40]:
-        nearest = min(abs(leg.along_across(thing.east_m, thing.north_m)[1]) for leg in legs)
+    for scene_object in scene_objects[:40]:
+        nearest = min(abs(leg.along_across(scene_object.east_m, scene_object.north_m)[1]) for leg in legs)
         assert 12.0 <= nearest <= 35.0
-        assert 0.3 <= thing.height_m <= 0.6
-        assert 0.0 <= thing.burial_m <= 0.1
-    for a, b in combinations(things, 2):
+        assert 0.3 <= scene_object.height_m <= 0.6
+        assert 0.0 <= scene_object.burial_m <= 0.1
+    for a, b in combinations(scene_objects, 2):
         assert math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) >= 5.0 + 0.5 * math.hypot(a.length_m, a.width_m)
 
 
@@ -123,7 +126,7 @@ def test_the_same_seed_scatters_the_same_objects_and_another_seed_others() -> No
 
 def test_natural_sizes_follow_the_power_law() -> None:
     group = Scatter(kind="rock", count=400, apart_m=0.0, length_m=(0.4, 4.0), natural_sizes=True)
-    lengths = np.array([thing.length_m for thing in scattered(group)])
+    lengths = np.array([scene_object.length_m for scene_object in scattered(group)])
     assert lengths.min() >= 0.4
     assert lengths.max() <= 4.0
     # Of all stones longer than 0.4 m the share longer than d is (0.4 / d)^2.5, all but a 0.3 % above 4 m.
@@ -132,6 +135,6 @@ def test_natural_sizes_follow_the_power_law() -> None:
         assert np.mean(lengths > size) == pytest.approx(share, abs=4.0 * math.sqrt(share / 400))
 
 
-def test_no_room_is_an_error_that_says_so() -> None:
+def test_missing_room_is_reported_as_an_error() -> None:
     with pytest.raises(UsageError, match=r"scatter\[0\].*no room for number .* of 5000"):
         scattered(Scatter(kind="rock", count=5000, apart_m=20.0))

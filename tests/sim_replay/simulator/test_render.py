@@ -53,7 +53,7 @@ def rays(
     pitch_rad: float = 0.0,
     ping: NDArray[np.int64] | None = None,
 ) -> Lines:
-    """Rays of steps of one cell, each a ping of its own unless told otherwise."""
+    """Rays of steps of one cell, each a ping of its own by default."""
     north, east, direction, elevation = np.broadcast_arrays(*np.atleast_1d(north_cells, east_cells, direction_rad, elevation_m))
     one = np.ones(north.shape)
     return Lines(
@@ -76,8 +76,8 @@ def rays(
 class Standing(NamedTuple):
     """A solid, what the renderer is given for it, and where the ray meets it.
 
-    body: at the origin, length along north; turned when placed. height_m: of its top over the floor. rise: steepest slope of its top.
-    along_m, across_m: of the place on it through which the ray goes, in its own axes.
+    body: at the origin, length along north; turned when placed. height_m: of its top over the floor. rise: steepest
+    slope of its top. along_m, across_m: of the place on it through which the ray goes, in its own axes.
     """
 
     shape: Shape
@@ -139,7 +139,9 @@ SOLIDS = st.one_of(
 
 
 class Seen(NamedTuple):
-    """Ground range at which the shadow ends, NaN if nothing is hidden, and slant range at which the highlight begins, m."""
+    """Ground range at which the shadow ends, NaN if nothing is hidden, and slant range at which the highlight begins,
+    m.
+    """
 
     shadow_end_m: float
     front_m: float
@@ -153,7 +155,9 @@ def closed_form(solid: Standing, ground_range_m: float, altitude_m: float) -> So
 def rendered(
     solid: Standing, ground_range_m: float, altitude_m: float, heading_rad: float, cell_m: float, bin_m: float, part: float
 ) -> Seen:
-    """The same by one ray to starboard. part: of a cell that the first node lies from the sonar's foot towards a node of the grid."""
+    """The same by one ray to starboard. part: of a cell that the first node lies from the sonar's foot towards a node
+    of the grid.
+    """
     end_m = float(closed_form(solid, ground_range_m, altitude_m).shadow_end_m)
     n_nodes = math.ceil(1.1 * end_m / cell_m) + 5
     offset = solid.along_m * math.cos(solid.azimuth_rad) - solid.across_m * math.sin(solid.azimuth_rad)
@@ -185,11 +189,12 @@ def rendered(
 
 @given(solid=SOLIDS, slope=st.floats(1.0, 6.0), altitude_m=st.floats(3.0, 9.0), heading_rad=TURN, part=st.floats(-0.5, 0.5))
 @settings(max_examples=300)
-def test_shadows_end_and_highlights_begin_where_the_closed_forms_say(
+def test_shadows_end_and_highlights_begin_as_in_the_closed_forms(
     solid: Standing, slope: float, altitude_m: float, heading_rad: float, part: float
 ) -> None:
-    """A node misses the edge that casts the shadow by up to a cell; on the floor that is a cell as cast from the edge's height, more
-    where the top falls towards the sonar."""
+    """A node misses the edge that casts the shadow by up to a cell; on the floor that is a cell as cast from the edge's
+    height, more where the top falls towards the sonar.
+    """
     cell_m, bin_m, ground_range_m = 0.05, 0.01, slope * altitude_m
     view = closed_form(solid, ground_range_m, altitude_m)
     seen = rendered(solid, ground_range_m, altitude_m, heading_rad, cell_m, bin_m, part)
@@ -239,7 +244,9 @@ def bilinear(elevation_m: NDArray[np.float32], north_cells: Floats, east_cells: 
 
 
 def clearance(profile: Callable[[Floats], Floats], node: int, elevation_m: float, cell_m: float) -> float:
-    """Least height of the line from the sonar to a node over the profile before it, over ground range; in tenths of a cell."""
+    """Least height of the line from the sonar to a node over the profile before it, over ground range; in tenths of a
+    cell.
+    """
     at = np.arange(1, 10 * node) / 10.0
     line_m = elevation_m + at / node * (profile(np.array([float(node)]))[0] - elevation_m)
     return float(np.min((line_m - profile(at)) / (at * cell_m), initial=np.inf))
@@ -379,8 +386,9 @@ def test_no_energy_is_lost_or_made_on_the_way_into_bins(
 @given(bin_m=st.floats(0.003, 0.5), altitude_m=st.floats(1.0, 20.0), weight=st.floats(0.1, 1.0))
 @settings(max_examples=40)
 def test_a_level_floor_fills_every_bin_by_its_ground(bin_m: float, altitude_m: float, weight: float) -> None:
-    """Bins that begin beyond the first node hold sqrt((r + dr)^2 - H^2) - sqrt(r^2 - H^2) metres of floor, up to what takes a facet's
-    energy as even over its slant ranges."""
+    """Bins that begin beyond the first node hold sqrt((r + dr)^2 - H^2) - sqrt(r^2 - H^2) metres of floor, up to what
+    takes a facet's energy as even over its slant ranges.
+    """
     cell_m, n_nodes = 0.05, 800
     lines = rays(0.3, 0.2, 1.0, altitude_m)._replace(weight=np.array([weight]))
     n_bins = int((math.hypot((n_nodes - 2) * cell_m, altitude_m)) / bin_m)
@@ -401,8 +409,10 @@ def material(profile: Callable[[Floats], Floats]) -> NDArray[np.float32]:
 
 
 def box_echo(tables: NDArray[np.float32], turned_rad: float, cell_m: float = 0.005) -> tuple[float, float]:
-    """Energy of a box of 1 m by 1 m by 0.5 m turned by an angle, 10 m away and 4 m below, by a ray through its middle, and what Lambert's
-    law gives: the wall's height and the top's length across the slice, each by its squared cosine of incidence."""
+    """Energy of a box of 1 m by 1 m by 0.5 m turned by an angle, 10 m away and 4 m below, by a ray through its middle,
+    and what Lambert's law gives: the wall's height and the top's length across the slice, each by its squared cosine of
+    incidence.
+    """
     body = block(1.0, 1.0, ((0.0, 0.0, 0.5),))._replace(north_m=0.0, east_m=10.0, azimuth_rad=turned_rad)
     out = render_pings(
         rays(0.0, 0.0, 0.5 * math.pi, 4.0),

@@ -1,4 +1,5 @@
-"""The sea's levels against the sonar equation, its speckle against its laws, and its pings the same bytes however they are made."""
+"""The sea's levels against the sonar equation, its speckle against its laws, and its pings the same bytes however they
+are made."""
 
 from __future__ import annotations
 
@@ -50,7 +51,8 @@ def level_floor(altitude_m: float, kind: SeabedType = "sand", sonar: Sonar | Non
 def sonar_equation(scene: Scene, at: SonarPose, starboard: bool, kind: SeabedType) -> Floats:
     """Of every bin: sigma B^2 10^(-2 a r / 10) r^-4 over the floor that lies in it, (n_samples,).
 
-    The fan's plane is tilted by the pitch; where it meets the floor, the strip within the beam is r theta / cos(pitch) wide.
+    The fan's plane is tilted by the pitch; where it meets the floor, the strip within the beam is r theta / cos(pitch)
+    wide.
     """
     sonar = scene.sonar
     altitude_m = DEPTH_M - at.depth_m
@@ -136,7 +138,7 @@ def test_speckle_is_exponential_about_the_mean_and_correlated_over_the_resolutio
 
 def wild(seed: int) -> Scene:
     kinds: tuple[ObjectKind, ...] = ("cylinder", "wedge", "rock", "tyre", "anchor_scar", "fish_school", "debris")
-    things = tuple(
+    scene_objects = tuple(
         SceneObject(
             kind=kind, leg=0, along_m=5.0 + 3.0 * k, across_m=(-1.0) ** k * (9.0 + 2.0 * k), azimuth_deg=40.0 * k, scour_m=0.05 * (k % 2)
         )
@@ -145,7 +147,7 @@ def wild(seed: int) -> Scene:
     sonar = Sonar(range_m=35.0, n_samples=700, ping_rate_hz=6.0, beam_lines=3, crosstalk_db=-40.0)
     seabeds = (Seabed(type="rippled_sand"), Seabed(type="boulder_field"))
     plan = Lawnmower(n_legs=1, leg_m=30.0, heading_deg=200.0, start_east_m=-611.3, start_north_m=-1207.7)
-    return Scene(seed=seed, world=World(seabeds=seabeds, patch_m=10.0), objects=things, sonar=sonar, track=Track(plan=plan))
+    return Scene(seed=seed, world=World(seabeds=seabeds, patch_m=10.0), objects=scene_objects, sonar=sonar, track=Track(plan=plan))
 
 
 def flown_straight(scene: Scene, n: int) -> list[SonarPose]:

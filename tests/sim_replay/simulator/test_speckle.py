@@ -192,7 +192,7 @@ def test_looks_average_independent_speckle(n_looks: int, width: float) -> None:
 
 
 @pytest.mark.parametrize("width", [1.0, 2.5])
-def test_neighbouring_bins_correlate_as_the_point_spread_function_says(width: float) -> None:
+def test_neighbouring_bins_correlate_by_the_point_spread_function(width: float) -> None:
     taps = gaussian_taps(width)
     rho = autocorrelation(taps)
     intensity = speckle_rows(np.ones((500, 1000)), row_keys(8, [1], 0, 500), taps)
@@ -203,7 +203,7 @@ def test_neighbouring_bins_correlate_as_the_point_spread_function_says(width: fl
 
 
 @pytest.mark.parametrize(("row_taps", "column_taps"), [(low_pass_taps(1.25), low_pass_taps(2.0)), (gaussian_taps(3.0), WHITE)])
-def test_field_correlates_as_its_taps_say(row_taps: NDArray[np.float32], column_taps: NDArray[np.float32]) -> None:
+def test_field_correlates_by_its_taps(row_taps: NDArray[np.float32], column_taps: NDArray[np.float32]) -> None:
     field = band_limited_rows(3, 4, 0, 700, 700, row_taps, column_taps)
     power = np.abs(field) ** 2
     assert power.mean() == pytest.approx(1.0, abs=0.02)

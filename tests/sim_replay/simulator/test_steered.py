@@ -1,4 +1,4 @@
-"""A steered vehicle keeps within what it can do whatever it is told, and goes on with its own plan afterwards."""
+"""A steered vehicle keeps within its limits whatever the command, and goes on with its own plan afterwards."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.plan import local_frame, planned_legs
 from sim_replay.simulator.scene import STEADY, Lawnmower, Motion, Origin, Track
 from sim_replay.simulator.steered import FASTEST, SAFE_ALTITUDE_M, STEEPEST_RAD, SteeredVehicle
-from sim_replay.simulator.vehicle import LEAST_ALTITUDE_M, LEAST_DEPTH_M, SonarPose
+from sim_replay.simulator.vehicle import MIN_ALTITUDE_M, MIN_DEPTH_M, SonarPose
 
 RATE_HZ = 20.0
 FRAME = local_frame(Origin())
@@ -95,9 +95,9 @@ def test_no_command_makes_it_do_what_it_cannot_or_brings_it_near_the_floor(
     assert speed.max() <= FASTEST * TRACK.speed_mps + motion.current_mps + 1e-9
     rise = np.abs(np.diff(depth)).max(initial=0.0) * RATE_HZ
     floors = np.array([floor(*place_m) for place_m in zip(east, north, strict=True)])
-    assert (floors - depth >= LEAST_ALTITUDE_M - 1e-9).all()
-    assert (depth >= LEAST_DEPTH_M).all()
-    if (floors - depth > LEAST_ALTITUDE_M + 1e-9).all():  # nothing makes it rise faster than a floor that would hit it
+    assert (floors - depth >= MIN_ALTITUDE_M - 1e-9).all()
+    assert (depth >= MIN_DEPTH_M).all()
+    if (floors - depth > MIN_ALTITUDE_M + 1e-9).all():  # nothing makes it rise faster than a floor that would hit it
         assert rise <= FASTEST * TRACK.speed_mps * math.sin(STEEPEST_RAD) + 1e-9
     steps = np.hypot(np.diff(east), np.diff(north)) * RATE_HZ
     np.testing.assert_allclose(steps, 0.5 * (speed[1:] + speed[:-1]), atol=0.15)

@@ -1,4 +1,4 @@
-"""The vehicle flies every leg straight and in full, as fast and as unsteadily as the scene asks for."""
+"""The vehicle flies every leg straight and in full, as fast and as unsteadily as the scene requires."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from sim_replay.simulator.gauss_markov import DAMPING
 from sim_replay.simulator.plan import Leg, planned_legs
 from sim_replay.simulator.scene import STEADY, Lawnmower, Motion, Spiral, Track, Waypoints
 from sim_replay.simulator.vehicle import (
-    LEAST_ALTITUDE_M,
-    LEAST_DEPTH_M,
+    MIN_ALTITUDE_M,
+    MIN_DEPTH_M,
     RUN_IN_S,
     SLOWEST,
     STRONGEST_CURRENT,
@@ -276,7 +276,7 @@ def test_the_vehicle_stays_off_the_floor_and_under_water(floor_m: float, seed: i
     rough = Vehicle(track, planned_legs(LAWNMOWER), seed, lambda east_m, north_m: floor_m + max(0.0, math.sin(east_m)))
     for pose in rough.poses(1.0):
         floor = floor_m + max(0.0, math.sin(pose.east_m))
-        assert LEAST_DEPTH_M - 1e-12 <= pose.depth_m <= floor - LEAST_ALTITUDE_M + 1e-12
+        assert MIN_DEPTH_M - 1e-12 <= pose.depth_m <= floor - MIN_ALTITUDE_M + 1e-12
 
 
 NEW = (Leg(30.0, 80.0, math.radians(200.0), 40.0), Leg(-20.0, 40.0, math.radians(10.0), 30.0))

@@ -1,8 +1,8 @@
-"""Image chips of a fixed grid, cut around pixels of a tile whose pixels, ranges and altitudes differ.
+"""Cut image chips of a fixed grid around pixels of a tile whose pixels, ranges and altitudes differ.
 
-A chip reaches as far along track whatever the range, and as far behind the object as the shadow of a reference object would: its columns
-are metres up to the object's far side and shares of that shadow from there on. So one object looks much the same at all ranges. The grid
-has as many cells as the snippets of the source paper (44 by 17, section 4.3).
+A chip reaches as far along track whatever the range, and as far behind the object as the shadow of a reference object
+would: its columns are metres up to the object's far side and shares of that shadow from there on. So one object looks
+much the same at all ranges. The grid has as many cells as the snippets of the source paper (44 by 17, section 4.3).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CENTRE_COLUMN: Final = 12
 _ROW_M: Final = 0.12
 _COLUMN_M: Final = 0.08
 _COLUMN_SHADOW: Final = 0.05  # of the reference shadow
-_LEAST_CLEARANCE_M: Final = 0.3
+_MIN_CLEARANCE_M: Final = 0.3
 
 _KNOWN: Final = 0.5  # of a cell
 _KNOWN_OF_CHIP: Final = 0.6
@@ -36,8 +36,9 @@ _DARKEST: Final = 0.01  # -20 dB: darker than this is noise
 
 
 class ChipPicture(NamedTuple):
-    """A tile as chips are cut from it: sum of codes and number of valid pixels over all rows and columns before, (n_rows + 1,
-    n_columns + 1) int64. first_return_m: (n_rows,) float64."""
+    """A tile as chips are cut from it: sum of codes and number of valid pixels over all rows and columns before,
+    (n_rows + 1, n_columns + 1) int64. first_return_m: (n_rows,) float64.
+    """
 
     total: NDArray[np.int64]
     n_valid: NDArray[np.int64]
@@ -47,34 +48,38 @@ class ChipPicture(NamedTuple):
 
 
 class Chips(NamedTuple):
-    """contrast: (n, N_ROWS, N_COLUMNS) float64, ln of the mean of each cell over the median cell of its chip; 0 where less than half of a
-    cell is known. known: (n,) bool, chips of which enough is known to judge them."""
+    """contrast: (n, N_ROWS, N_COLUMNS) float64, ln of the mean of each cell over the median cell of its chip; 0 where
+    less than half of a cell is known. known: (n,) bool, chips of which enough is known to judge them.
+    """
 
     contrast: Array
     known: NDArray[np.bool_]
 
 
 def picture_of(tile: LabelledTile) -> ChipPicture:
-    """The tile's sums; what masked pixels hold does not count."""
+    """Return the tile's sums; the content of masked pixels does not count."""
     return picture(tile.codes, tile.valid, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
 def picture(
     codes: NDArray[np.uint16], valid: NDArray[np.bool_], first_return_m: Array, row_spacing_m: float, column_spacing_m: float
 ) -> ChipPicture:
-    """Sums of codes (n_rows, n_columns) uint16 where valid (n_rows, n_columns) bool."""
+    """Return sums of codes (n_rows, n_columns) uint16 where valid (n_rows, n_columns) bool."""
     return ChipPicture(_summed(np.where(valid, codes, 0)), _summed(valid), first_return_m, row_spacing_m, column_spacing_m)
 
 
 def reference_shadow_m(ground_range_m: Array, first_return_m: Array) -> Array:
-    """Length of the shadow of an object of the reference height, at least 0.4 and at most 6 m. A first return less than 0.3 m above that
-    height, or NaN, counts as that."""
-    height_m = np.fmax(first_return_m, REFERENCE_HEIGHT_M + _LEAST_CLEARANCE_M)
+    """Return the shadow's length of an object of the reference height, at least 0.4 and at most 6 m. A first return
+    less than 0.3 m above that height, or NaN, counts as that.
+    """
+    height_m = np.fmax(first_return_m, REFERENCE_HEIGHT_M + _MIN_CLEARANCE_M)
     return np.clip(REFERENCE_HEIGHT_M * ground_range_m / (height_m - REFERENCE_HEIGHT_M), *SHADOW_LIMITS_M)
 
 
 def cut_chips(source: ChipPicture, rows: Pixels, columns: Pixels) -> Chips:
-    """Chips centred on the pixels (rows, columns), (n,) each, inside the tile. What lies beyond the tile is not known."""
+    """Cut chips centred on the pixels (rows, columns), (n,) each, inside the tile. What lies beyond the tile is not
+    known.
+    """
     shadow_m = reference_shadow_m((columns.astype(np.float64) + 0.5) * source.column_spacing_m, source.first_return_m[rows])
     row_edges, column_edges = _edges(shadow_m, source.row_spacing_m, source.column_spacing_m)
     row_edges, column_edges = row_edges + (rows[:, np.newaxis] + 0.5), column_edges + (columns[:, np.newaxis] + 0.5)
@@ -87,7 +92,7 @@ def cut_chips(source: ChipPicture, rows: Pixels, columns: Pixels) -> Chips:
 
 
 def _edges(shadow_m: Array, row_m: float, column_m: float) -> tuple[Array, Array]:
-    """Edges of the cells in pixels from the centre: rows (1, N_ROWS + 1) and columns (n, N_COLUMNS + 1)."""
+    """Return edges of the cells in pixels from the centre: rows (1, N_ROWS + 1) and columns (n, N_COLUMNS + 1)."""
     rows: Array = (np.arange(N_ROWS + 1, dtype=np.float64) - 0.5 * N_ROWS) * (_ROW_M / row_m)
     index = np.arange(N_COLUMNS + 1)
     near_m = (np.minimum(index, N_OBJECT_COLUMNS) - CENTRE_COLUMN - 0.5) * _COLUMN_M
@@ -97,7 +102,7 @@ def _edges(shadow_m: Array, row_m: float, column_m: float) -> tuple[Array, Array
 
 
 def _cell_sums(integral: NDArray[np.int64], row_edges: Array, column_edges: Array) -> Array:
-    """(n, N_ROWS, N_COLUMNS) sums over cells with edges in fractions of pixels, each pixel being even."""
+    """Return (n, N_ROWS, N_COLUMNS) sums over cells with edges in fractions of pixels, each pixel being even."""
     row, row_share = _split(row_edges, integral.shape[0] - 1)
     column, column_share = _split(column_edges, integral.shape[1] - 1)
     row, row_share = row[:, :, np.newaxis], row_share[:, :, np.newaxis]
@@ -109,7 +114,7 @@ def _cell_sums(integral: NDArray[np.int64], row_edges: Array, column_edges: Arra
 
 
 def _split(edges: Array, n: int) -> tuple[NDArray[np.intp], Array]:
-    """Pixel and share of it at each edge, no farther than the tile reaches."""
+    """Return pixel and share of it at each edge, no farther than the tile reaches."""
     inside: Array = np.clip(edges, 0.0, float(n))
     pixel = np.minimum(inside.astype(np.intp), n - 1)
     return pixel, inside - pixel

@@ -1,4 +1,4 @@
-"""What the classical classifier has learnt, and the odds that it gives pixels of a tile."""
+"""Store the classical classifier, and compute its odds for pixels of a tile."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _Image = Annotated[tuple[_Row, ...], msgspec.Meta(min_length=N_ROWS, max_length=
 
 
 class ClassicalModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """log-odds of a target = offset + sum of slope * feature.
+    """Compute log-odds of a target = offset + sum of slope * feature.
 
-    families: of features, in the order in which they are taken. templates: by name, mean contrast of chips N_ROWS by N_COLUMNS. slopes: by
-    feature. trained_on: what samples it is made from.
+    families: of features, in the order in which they are taken. templates: by name, mean contrast of chips N_ROWS by
+    N_COLUMNS. slopes: by feature. trained_on: what samples it is made from.
     """
 
     format_version: Literal[1]
@@ -40,7 +40,7 @@ class ClassicalModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 def parse_classical_model(data: bytes, place: str) -> ClassicalModel:
-    """A model from JSON. Raises BadInputError naming `place` and what is wrong with it."""
+    """Parse a model from JSON. Raises BadInputError naming `place` and what is wrong with it."""
     remedy = "Train the model anew"
     try:
         model = msgspec.json.decode(data, type=ClassicalModel)
@@ -58,17 +58,19 @@ def parse_classical_model(data: bytes, place: str) -> ClassicalModel:
 
 
 def format_model(model: ClassicalModel) -> bytes:
-    """The model as JSON with an end of line, the same for the same model."""
+    """Format the model as JSON with an end of line, the same for the same model."""
     return msgspec.json.encode(model, order="deterministic") + b"\n"
 
 
 def score_windows(model: ClassicalModel, tile: LabelledTile, rows: Pixels, columns: Pixels) -> Array:
-    """(n,) float64 log-odds of a target centred on pixels (rows, columns), (n,) each; -inf where less than 0.6 of a chip is known."""
+    """Return (n,) float64 log-odds of a target centred on pixels (rows, columns), (n,) each; -inf where less than 0.6
+    of a chip is known.
+    """
     return score_picture(model, picture_of(tile), rows, columns)
 
 
 def score_picture(model: ClassicalModel, source: ChipPicture, rows: Pixels, columns: Pixels) -> Array:
-    """As score_windows, of a picture."""
+    """Score a picture as score_windows does."""
     if len(rows) == 0:
         return np.zeros(0)
     chips = cut_chips(source, rows, columns)

@@ -1,4 +1,4 @@
-"""The detection stage with the classical classifier's odds in place of the prescreen's."""
+"""Run the detection stage with the classical classifier's odds in place of the prescreen's."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel,
 
 
 def tile_picture(tile: Tile) -> ChipPicture:
-    """The tile's sums in the codes of a labelled tile."""
+    """Return the tile's sums in the codes of a labelled tile."""
     valid = (tile.mask & VALID) != 0
     return picture(codes_of(tile.intensity, valid), valid, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
 def detect_classical(tile: Tile, config: Config, model: ClassicalModel) -> TileDetections:
-    """The prescreen's detections, best first, with the model's log-odds as score and its probability as p_mine.
+    """Return the prescreen's detections, best first, with the model's log-odds as score and its probability as p_mine.
 
     Those that too little is known of, whose odds are -inf, count as without a position and are left out.
     """

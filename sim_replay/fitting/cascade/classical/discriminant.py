@@ -1,7 +1,8 @@
-"""Logistic regression with a ridge, and probabilities that hold on samples it was not fitted on.
+"""Fit logistic regression with a ridge, and probabilities that hold out of sample.
 
-Logistic discrimination: D. R. Cox, J. Royal Statistical Society B 20, 1958. Calibration by a straight line through the odds of samples held
-out: J. Platt, Advances in Large Margin Classifiers, 1999. Sums run in one fixed order, so that threads change nothing.
+Logistic discrimination: D. R. Cox, J. Royal Statistical Society B 20, 1958. Calibration by a straight line through the
+odds of samples held out: J. Platt, Advances in Large Margin Classifiers, 1999. Sums run in one fixed order, so that
+threads change nothing.
 """
 
 from __future__ import annotations
@@ -19,26 +20,26 @@ Array = NDArray[np.float64]
 
 _STEPS: Final = 50
 _SMALLEST_STEP: Final = 1e-8
-_LEAST_CURVATURE: Final = 1e-9
+_MIN_CURVATURE: Final = 1e-9
 _N_PARTS: Final = 5
 
 
 class Discriminant(NamedTuple):
-    """log-odds = offset + features @ slopes. slopes: (k,) float64."""
+    """Compute log-odds = offset + features @ slopes. slopes: (k,) float64."""
 
     offset: float
     slopes: Array
 
     def log_odds(self, features: Array) -> Array:
-        """(n,) log-odds of features (n, k)."""
+        """Return (n,) log-odds of features (n, k)."""
         return self.offset + _odds(features, self.slopes)
 
 
 def fit_discriminant(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: float) -> Discriminant:
-    """The most likely discriminant for samples (n, k) that count `weight` (n,) times each.
+    """Fit the most likely discriminant for samples (n, k) that count `weight` (n,) times each.
 
-    ridge: precision, above 0, of the prior around 0 of the slopes of standardised features; what never varies gets none.
-    Raises UsageError if all samples are of one kind.
+    ridge: precision, above 0, of the prior around 0 of the slopes of standardised features; what never varies gets
+    none. Raises UsageError if all samples are of one kind.
     """
     if is_positive.all() or not is_positive.any():
         raise UsageError(
@@ -55,11 +56,11 @@ def fit_discriminant(features: Array, is_positive: NDArray[np.bool_], weight: Ar
 
 
 def fit_calibrated(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: float, groups: Sequence[str]) -> Discriminant:
-    """As `fit_discriminant`, with odds that were found true on samples of other groups.
+    """Fit as `fit_discriminant`, with odds calibrated on samples of other groups.
 
-    groups: what each sample belongs to, such as its background; the groups are parted in five, each judged by a fit to the others, and
-    all odds are moved and stretched as those judgements ask for. With one group, or where a part leaves one kind only,
-    as `fit_discriminant`.
+    groups: what each sample belongs to, such as its background; the groups are parted in five, each judged by a fit to
+    the others, and all odds are moved and stretched as those judgements ask for. With one group, or where a part leaves
+    one kind only, as `fit_discriminant`.
     """
     found = fit_discriminant(features, is_positive, weight, ridge)
     names = sorted(set(groups))
@@ -73,13 +74,15 @@ def fit_calibrated(features: Array, is_positive: NDArray[np.bool_], weight: Arra
             return found
         judged[held_out] = fit_discriminant(features[~held_out], others, weight[~held_out], ridge).log_odds(features[held_out])
     line = fit_discriminant(judged[:, np.newaxis], is_positive, weight, 1e-3)
-    # Odds that turn out to say nothing, or the opposite, are no reason to turn the order of samples round.
+    # Odds without evidence, or with the opposite sign, must not reverse the order of samples.
     stretch = max(float(line.slopes[0]), 1e-3)
     return Discriminant(line.offset + stretch * found.offset, stretch * found.slopes)
 
 
 def _newton(columns: Array, target: Array, weight: Array, ridge: float) -> Array:
-    """(k,) coefficients of least log-loss plus ridge for columns (n, k), the first of which is the constant and goes free."""
+    """Return (k,) coefficients of minimum log-loss plus ridge for columns (n, k), the first of which is the constant
+    and goes free.
+    """
     penalty = np.full(columns.shape[1], ridge)
     penalty[0] = 0.0
     at = np.zeros(columns.shape[1])
@@ -87,7 +90,7 @@ def _newton(columns: Array, target: Array, weight: Array, ridge: float) -> Array
     for _ in range(_STEPS):
         p = 1.0 / (1.0 + np.exp(-np.clip(_odds(columns, at), -500.0, 500.0)))
         gradient = np.einsum("nk,n->k", columns, weight * (p - target)) + penalty * at
-        bend = weight * np.maximum(p * (1.0 - p), _LEAST_CURVATURE)
+        bend = weight * np.maximum(p * (1.0 - p), _MIN_CURVATURE)
         step = np.linalg.solve(np.einsum("nj,nk->jk", columns * bend[:, np.newaxis], columns) + np.diag(penalty), gradient)
         share = 1.0
         while (lower := _loss(columns, target, weight, penalty, at - share * step)) > loss and share > _SMALLEST_STEP:

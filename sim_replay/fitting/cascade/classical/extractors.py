@@ -1,7 +1,9 @@
-"""The feature families of the source paper (section 4.4.1): central filters, wavelets, thresholds, variances, templates, histograms.
+"""The feature families of the source paper (section 4.4.1): central filters, wavelets, thresholds, variances,
+templates, histograms.
 
-The paper names them; what they measure here is told at each. All are functions of the contrast of chips (n, N_ROWS, N_COLUMNS) float64, ln
-of intensity over the chip's median, so no gain changes them, and none tells a chip from its mirror image along track.
+The paper names them; each documents what it measures here. All are functions of the contrast of chips (n, N_ROWS,
+N_COLUMNS) float64, ln of intensity over the chip's median, so no gain changes them, and none separates a chip from its
+mirror image along track.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ Array = NDArray[np.float64]
 Family: TypeAlias = Literal["central", "wavelets", "thresholds", "variances", "templates", "histograms"]
 FAMILIES: Final[tuple[Family, ...]] = get_args(Family)
 
-_LEAST_POWER: Final = 1e-3  # (nats)^2 below which nothing is told apart
+_MIN_POWER: Final = 1e-3  # (nats)^2 below which differences are noise
 _TIMES: Final = (2.0, 4.0, 8.0)
 _QUANTILES: Final = (0.05, 0.1, 0.25, 0.75, 0.9, 0.95)
 _N_LEVELS: Final = 3
@@ -30,7 +32,7 @@ _HIGHEST_MOMENT: Final = 10.0
 
 
 class Zone(NamedTuple):
-    """Rows up to `half_rows` from the centre and columns [near, far) of a chip."""
+    """Select rows up to `half_rows` from the centre and columns [near, far) of a chip."""
 
     half_rows: int
     near: int
@@ -42,7 +44,7 @@ class Zone(NamedTuple):
 
 
 class CentralFilter(NamedTuple):
-    """Mean over `bright` minus mean over `dark`, the part of it left out that is in `bright`."""
+    """Subtract the mean over `dark`, without its part in `bright`, from the mean over `bright`."""
 
     bright: Zone
     dark: Zone
@@ -84,12 +86,12 @@ _BLOCKS: Final = ((0, 9), (9, 17), (17, 28), (28, N_COLUMNS))
 
 
 def extract(contrast: Array, families: Sequence[Family], templates: Mapping[str, Array]) -> Array:
-    """(n, n_features) float64 features of chips (n, N_ROWS, N_COLUMNS), family after family."""
+    """Return (n, n_features) float64 features of chips (n, N_ROWS, N_COLUMNS), family after family."""
     return np.concatenate([_EXTRACTORS[family](contrast, templates) for family in families], axis=1)
 
 
 def feature_names(families: Sequence[Family], templates: Sequence[str]) -> tuple[str, ...]:
-    """Name of each feature that `extract` gives, with templates of these names."""
+    """Return the name of each feature that `extract` gives, with templates of these names."""
     names: dict[Family, list[str]] = {
         "central": list(CENTRAL_FILTERS),
         "wavelets": [
@@ -105,12 +107,14 @@ def feature_names(families: Sequence[Family], templates: Sequence[str]) -> tuple
 
 
 def central(contrast: Array) -> Array:
-    """Responses of CENTRAL_FILTERS."""
+    """Return responses of CENTRAL_FILTERS."""
     return np.asarray(np.einsum("nrc,frc->nf", contrast, _bank()))
 
 
 def wavelets(contrast: Array) -> Array:
-    """ln of the mean power in each detail subband of three levels, over the object's columns and over the shadow's."""
+    """Return ln of the mean power in each detail subband of three levels, over the object's columns and over the
+    shadow's.
+    """
     features: list[Array] = []
     smooth, n_object = contrast, N_OBJECT_COLUMNS
     for _ in range(_N_LEVELS):
@@ -124,7 +128,7 @@ def wavelets(contrast: Array) -> Array:
 
 
 def thresholds(contrast: Array) -> Array:
-    """Shares of the cells of each zone that are above 2, 4 and 8 times the floor, or below as many parts of it."""
+    """Return shares of the cells of each zone that are above 2, 4 and 8 times the floor, or below as many parts of it."""
     features: list[Array] = []
     for zone, times in product(_ZONES.values(), _TIMES):
         part = contrast[:, *zone.slices]
@@ -133,14 +137,17 @@ def thresholds(contrast: Array) -> Array:
 
 
 def variances(contrast: Array) -> Array:
-    """ln of the variance in blocks: before the object, of the object, of the near and the far shadow; rows of the object and others."""
+    """Return ln of the variance in blocks: before the object, of the object, of the near and the far shadow; rows of
+    the object and others.
+    """
     outer = np.concatenate([contrast[:, : _INNER.start], contrast[:, _INNER.stop :]], axis=1)
     parts = [rows[:, :, near:far] for (near, far) in _BLOCKS for rows in (contrast[:, _INNER], outer)]
     return np.stack([_log_power(part.var(axis=(1, 2))) for part in parts], axis=1)
 
 
 def match_templates(contrast: Array, templates: Mapping[str, Array]) -> Array:
-    """Normalised correlation with each template (N_ROWS, N_COLUMNS): all of it, the object's columns, the shadow's; 0 without variance."""
+    """Normalised correlation with each template (N_ROWS, N_COLUMNS): all of it, the object's columns, the shadow's; 0
+    without variance."""
     features = []
     for template in templates.values():
         for columns in (slice(None), slice(None, N_OBJECT_COLUMNS), slice(N_OBJECT_COLUMNS, None)):
@@ -148,29 +155,30 @@ def match_templates(contrast: Array, templates: Mapping[str, Array]) -> Array:
             part, wanted = part - part.mean(axis=(1, 2), keepdims=True), wanted - wanted.mean()
             power = (part**2).mean(axis=(1, 2)) * (wanted**2).mean()
             product_mean = np.einsum("nrc,rc->n", part, wanted) / wanted.size
-            features.append(np.where(power > _LEAST_POWER**2, product_mean / np.sqrt(np.maximum(power, _LEAST_POWER**2)), 0.0))
+            features.append(np.where(power > _MIN_POWER**2, product_mean / np.sqrt(np.maximum(power, _MIN_POWER**2)), 0.0))
     return np.stack(features, axis=1)
 
 
 def histograms(contrast: Array) -> Array:
-    """Quantiles of ln intensity over the median, standard deviation, skewness and excess kurtosis, the last two bounded."""
+    """Quantiles of ln intensity over the median, standard deviation, skewness and excess kurtosis, the last two
+    bounded."""
     flat = contrast.reshape(len(contrast), -1)
     centred = flat - flat.mean(axis=1, keepdims=True)
     variance = (centred**2).mean(axis=1)
-    safe = np.maximum(variance, _LEAST_POWER)
+    safe = np.maximum(variance, _MIN_POWER)
     third, fourth = (centred**3).mean(axis=1) / safe**1.5, (centred**4).mean(axis=1) / safe**2 - 3.0
     moments = [np.sqrt(variance), *(np.clip(moment, -_HIGHEST_MOMENT, _HIGHEST_MOMENT) for moment in (third, fourth))]
     return np.stack([*np.quantile(flat, _QUANTILES, axis=1), *moments], axis=1)
 
 
 def mean_chip(contrasts: Array) -> Array:
-    """(N_ROWS, N_COLUMNS) mean of chips (n, N_ROWS, N_COLUMNS) and their mirror images along track."""
+    """Return the (N_ROWS, N_COLUMNS) mean of chips (n, N_ROWS, N_COLUMNS) and their mirror images along track."""
     mean = contrasts.mean(axis=0)
     return np.asarray(0.5 * (mean + mean[::-1]))
 
 
 def _bank() -> Array:
-    """(n_filters, N_ROWS, N_COLUMNS) weights of the central filters, each of which sums to 0."""
+    """Return (n_filters, N_ROWS, N_COLUMNS) weights of the central filters, each of which sums to 0."""
     bank = np.zeros((len(CENTRAL_FILTERS), N_ROWS, N_COLUMNS))
     for weights, found in zip(bank, CENTRAL_FILTERS.values(), strict=True):
         bright, dark = (np.zeros((N_ROWS, N_COLUMNS), dtype=np.bool_) for _ in range(2))
@@ -183,7 +191,7 @@ def _bank() -> Array:
 
 
 def _log_power(power: Array) -> Array:
-    return np.asarray(np.log(power + _LEAST_POWER))
+    return np.asarray(np.log(power + _MIN_POWER))
 
 
 _EXTRACTORS: Final[Mapping[Family, Callable[[Array, Mapping[str, Array]], Array]]] = MappingProxyType(

@@ -1,4 +1,4 @@
-"""Trains the classical classifier on labelled tiles."""
+"""Train the classical classifier on labelled tiles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ _DIGITS: Final = 8
 
 
 class ChipSamples(NamedTuple):
-    """contrast: (n, N_ROWS, N_COLUMNS) float32 of chips. kind: of the target, "" for anything else. weight: samples each stands for."""
+    """Hold contrast: (n, N_ROWS, N_COLUMNS) float32 of chips. kind: of the target, "" for anything else. weight:
+    samples each stands for.
+    """
 
     contrast: NDArray[np.float32]
     kind: tuple[str, ...]
@@ -38,22 +40,22 @@ class ChipSamples(NamedTuple):
 def train_classical(
     tiles: Iterable[LabelledTile], config: Config, *, families: Sequence[Family] = FAMILIES, kinds: Collection[str] | None = None
 ) -> ClassicalModel:
-    """A model of the candidates that the prescreen, with `config`, finds in tiles.
+    """Train a model on the candidates that the prescreen, with `config`, finds in tiles.
 
-    kinds: of targets to learn, all if None; others teach nothing. Backgrounds are kept apart where odds are calibrated. Raises
-    UsageError if there are no targets, or nothing else, among the candidates.
+    kinds: of targets to learn, all if None; others teach nothing. Backgrounds are kept apart where odds are calibrated.
+    Raises UsageError if there are no targets, or nothing else, among the candidates.
     """
     samples = collect(tiles, config)
     return fit_classical_model(samples if kinds is None else of_kinds(samples, kinds), families)
 
 
 def collect(tiles: Iterable[LabelledTile], config: Config) -> ChipSamples:
-    """Targets and others among the candidates in tiles. Raises UsageError if there are no tiles."""
+    """Collect targets and others among the candidates in tiles. Raises UsageError if there are no tiles."""
     return merged([_samples(tile, find_candidates(tile, config)) for tile in tiles])
 
 
 def merged(parts: Sequence[ChipSamples]) -> ChipSamples:
-    """Samples of several sets. Raises UsageError if there are no sets."""
+    """Merge samples of several sets. Raises UsageError if there are no sets."""
     if not parts:
         raise UsageError("no tiles to train on. Give some")
     return ChipSamples(
@@ -65,7 +67,7 @@ def merged(parts: Sequence[ChipSamples]) -> ChipSamples:
 
 
 def of_kinds(samples: ChipSamples, kinds: Collection[str]) -> ChipSamples:
-    """Without the targets of other kinds."""
+    """Drop the targets of other kinds."""
     kept = [index for index, kind in enumerate(samples.kind) if kind in ("", *kinds)]
     return ChipSamples(
         samples.contrast[kept],
@@ -76,7 +78,7 @@ def of_kinds(samples: ChipSamples, kinds: Collection[str]) -> ChipSamples:
 
 
 def fit_classical_model(samples: ChipSamples, families: Sequence[Family] = FAMILIES) -> ClassicalModel:
-    """A model of samples. Raises UsageError if they are all targets, or none is."""
+    """Fit a model to samples. Raises UsageError if they are all targets, or none is."""
     is_target = np.array([kind != "" for kind in samples.kind], dtype=np.bool_)
     contrast = samples.contrast.astype(np.float64)
     templates = _templates(contrast, samples.kind) if "templates" in families else {}
@@ -113,7 +115,7 @@ def _samples(tile: LabelledTile, found: Candidates) -> ChipSamples:
 
 
 def _templates(contrast: Array, kinds: Sequence[str]) -> dict[str, Array]:
-    """Mean chip of each kind of target and of all others, rounded as the model keeps it."""
+    """Return the mean chip of each kind of target and of all others, rounded as the model keeps it."""
     of_kind = np.array(kinds)
     return {kind or _OTHER: np.round(mean_chip(contrast[of_kind == kind]), 4) for kind in sorted(set(kinds))}
 

@@ -1,4 +1,6 @@
-"""The bi-orthogonal 5/3 wavelet by lifting (Le Gall and Tabatabai, ICASSP 1988; lifting: Sweldens, SIAM J. Math. Anal. 29(2), 1998)."""
+"""Compute the bi-orthogonal 5/3 wavelet by lifting (Le Gall and Tabatabai, ICASSP 1988; lifting: Sweldens, SIAM J.
+Math. Anal. 29(2), 1998). Anal. 29(2), 1998).
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,9 @@ Array = NDArray[np.float64]
 
 
 class Subbands(NamedTuple):
-    """One level of images (..., n_rows, n_columns), even rows and columns being smooth: smooth both ways, detail across columns, across
-    rows, across both."""
+    """One level of images (..., n_rows, n_columns), even rows and columns being smooth: smooth both ways, detail across
+    columns, across rows, across both.
+    """
 
     smooth: Array
     columns: Array
@@ -21,7 +24,9 @@ class Subbands(NamedTuple):
 
 
 def analyse(images: Array) -> Subbands:
-    """One level. Images of 2 rows and columns or more; they go on beyond their edges as in a mirror that stands on the last pixel."""
+    """Compute one level. Images of 2 rows and columns or more; they go on beyond their edges as in a mirror that stands
+    on the last pixel.
+    """
     smooth, detail = _lift(images)
     low, columns = (np.swapaxes(part, -1, -2) for part in _lift(np.swapaxes(smooth, -1, -2)))
     rows, both = (np.swapaxes(part, -1, -2) for part in _lift(np.swapaxes(detail, -1, -2)))
@@ -29,7 +34,7 @@ def analyse(images: Array) -> Subbands:
 
 
 def _lift(images: Array) -> tuple[Array, Array]:
-    """Even rows made smooth and what odd rows differ by from the mean of their neighbours."""
+    """Smooth the even rows, and subtract from odd rows the mean of their neighbours."""
     even, odd = images[..., ::2, :], images[..., 1::2, :]
     n_odd = odd.shape[-2]
     # An even row without an odd one after it, or the other way round, has the mirror's image there.

@@ -23,7 +23,7 @@ def line(body: str) -> bytes:
 
 
 def listening(now_s: float = 0.0) -> FakeBluefin:
-    """It answers, tells all, and lets the payload command."""
+    """It answers, reports all, and lets the payload command."""
     vehicle = FakeBluefin()
     vehicle.tick(POSE, False, now_s)
     for name in ("ACK", "NVG", "NVR", "CTL"):
@@ -33,15 +33,15 @@ def listening(now_s: float = 0.0) -> FakeBluefin:
     return vehicle
 
 
-def test_nothing_is_told_or_answered_before_it_was_asked_for() -> None:
+def test_nothing_is_sent_or_answered_before_it_is_requested() -> None:
     vehicle = FakeBluefin()
     assert vehicle.tick(POSE, False, 0.0) == []
     assert vehicle.heard(line("BPSTS,101010.000,1,fine"), 0.1) == []
     assert vehicle.heard(line("BPLOG,ACK,ON"), 0.2) == [line("BFACK,101010.000,LOG,,0,2,,")]
     assert vehicle.heard(line("BPSTS,101010.000,1,fine"), 0.3) == [line("BFACK,101010.000,STS,101010.000,0,2,,")]
     vehicle.heard(line("BPLOG,NVG,ON"), 0.4)
-    [told] = vehicle.tick(POSE, False, 0.5)
-    assert told == line("BFNVG,101010.000,0830.00000,S,11515.00000,E,1,5.00,10.00,57.3,0.0,0.0,101010.000")
+    [reported] = vehicle.tick(POSE, False, 0.5)
+    assert reported == line("BFNVG,101010.000,0830.00000,S,11515.00000,E,1,5.00,10.00,57.3,0.0,0.0,101010.000")
 
 
 def test_a_command_in_control_is_flown_until_it_is_old_cancelled_or_taken_back() -> None:

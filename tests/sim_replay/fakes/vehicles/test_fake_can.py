@@ -1,4 +1,6 @@
-"""A made-up controller on a CAN bus: it grants, obeys and takes control back as the DBC file says, and both ends agree over a bad bus."""
+"""A made-up controller on a CAN bus: it grants, obeys and revokes control by the DBC file, and both ends agree over a
+bad bus.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,7 @@ class Loop:
         self.dialect.connected(0.0)
 
     def run(self, duration_s: float, command: GoTo | Steer | None = None) -> list[VehicleEvent]:
-        """What the dialect tells meanwhile, but for states. command: given every half second while it may be."""
+        """Return the dialect's output meanwhile, but for states. command: given every half second while it may be."""
         before = len(self.events)
         for _ in range(round(duration_s / STEP_S)):
             self.now_s += STEP_S
@@ -274,7 +276,7 @@ def test_health_is_heard() -> None:
     assert loop.vehicle.take_health() == ["fault", "fault: sonar silent"]
 
 
-def test_the_pose_is_told() -> None:
+def test_the_pose_is_reported() -> None:
     loop = Loop()
     loop.run(STEP_S)
     [state] = [event for event in loop.events if isinstance(event, ReportedState)]
@@ -306,7 +308,7 @@ ACTIONS = st.sampled_from(
 
 @settings(max_examples=25)
 @given(st.lists(st.tuples(ACTIONS, st.sampled_from([0.1, 0.3, 1.2, 2.5])), max_size=12), st.integers(0, 1000), st.sampled_from([0.0, 0.2]))
-def test_whatever_happens_both_ends_come_to_agree_and_control_can_be_had_again(
+def test_whatever_happens_both_ends_come_to_agree_and_control_can_be_granted_again(
     actions: list[tuple[str, float]], seed: int, p_fault: float
 ) -> None:
     loop = Loop(p_fault, seed)

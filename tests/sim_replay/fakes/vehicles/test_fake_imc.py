@@ -77,7 +77,7 @@ def a_report(number: int = 3, revision: int = 1) -> ContactReport:
 
 
 class Sea:
-    """A fake that goes straight where it is told, and the driver on the other end of its wire."""
+    """Connect a fake that goes straight to its commands, and the driver on the other end of its wire."""
 
     def __init__(self, settings: ImcSettings | None = None) -> None:
         self.fake = FakeImc()
@@ -98,8 +98,8 @@ class Sea:
                 self._hear(item)
             if self.goal is not None and round(10.0 * self.now_s) % 5 == 0:
                 self.dialect.command(self.goal, self.now_s)
-            for said in self.dialect.take_outgoing(self.now_s):
-                for item in self.fake.heard(said, self.now_s):
+            for outgoing in self.dialect.take_outgoing(self.now_s):
+                for item in self.fake.heard(outgoing, self.now_s):
                     self._hear(item)
         return [event for event in self.events[first:] if not isinstance(event, ReportedState)]
 
@@ -134,10 +134,10 @@ def test_control_is_asked_for_used_and_given_back() -> None:
     assert sea.fake.command is None, "nothing was commanded yet"
     sea.goal = goal_at(100.0, -40.0)
     assert sea.run(10.0) == [PlaceReached()]
-    told = sea.fake.command
-    assert isinstance(told, GoTo)
-    assert told[:2] == pytest.approx(sea.goal[:2], abs=1e-12)
-    assert told.vertical == sea.goal.vertical
+    reported = sea.fake.command
+    assert isinstance(reported, GoTo)
+    assert reported[:2] == pytest.approx(sea.goal[:2], abs=1e-12)
+    assert reported.vertical == sea.goal.vertical
     assert math.hypot(sea.east_m - 100.0, sea.north_m + 40.0) < sea.goal.radius_m
     sea.goal = goal_at(0.0, 0.0)
     assert sea.run(10.0) == [PlaceReached()]
@@ -233,7 +233,7 @@ def test_contacts_and_health_arrive_once() -> None:
 
 
 class Wire:
-    """Messages to the fake alone, and what it says to them."""
+    """Send messages to the fake alone, and return its answers."""
 
     def __init__(self) -> None:
         self.fake = FakeImc()
@@ -243,13 +243,13 @@ class Wire:
     def tick(self, now_s: float) -> list[ImcMessage]:
         return _messages(b"".join(self.fake.tick(pose_at(0.0, 0.0, now_s), False, now_s)))
 
-    def say(self, *messages: ImcMessage, source: int = US, now_s: float = 1.0) -> list[ImcMessage]:
+    def exchange(self, *messages: ImcMessage, source: int = US, now_s: float = 1.0) -> list[ImcMessage]:
         return _messages(b"".join(self.fake.heard(b"".join(packed(message, source, to=ADDRESS) for message in messages), now_s)))
 
     def start(self, timeout_s: float = 5.0) -> list[ImcMessage]:
         maneuver = imc.PlanManeuver("m", imc.FollowReference(US, 255, timeout_s))
         plan = imc.PlanSpecification("theirs", start_man_id="m", maneuvers=(maneuver,))
-        return self.say(imc.PlanControl(PlanType.REQUEST, PlanOp.START, 3, "theirs", arg=plan))
+        return self.exchange(imc.PlanControl(PlanType.REQUEST, PlanOp.START, 3, "theirs", arg=plan))
 
 
 def _messages(data: bytes) -> list[ImcMessage]:
@@ -274,24 +274,24 @@ def test_it_answers_a_start_as_a_plan_engine_does() -> None:
 
 def test_references_of_others_are_ignored_without_a_word() -> None:
     wire = Wire()
-    assert wire.say(a_reference()) == []
+    assert wire.exchange(a_reference()) == []
     wire.start()
-    assert wire.say(a_reference(), source=OTHER) == []
+    assert wire.exchange(a_reference(), source=OTHER) == []
     assert wire.fake.command is None
-    (answer,) = wire.say(a_reference())
+    (answer,) = wire.exchange(a_reference())
     assert isinstance(answer, imc.FollowRefState)
     assert answer.reference == a_reference()
     assert wire.fake.command == GoTo(math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 1.5, PLACE_RADIUS_M)
-    assert wire.say(imc.Reference(RefFlag.MANDONE), source=OTHER) == []
+    assert wire.exchange(imc.Reference(RefFlag.MANDONE), source=OTHER) == []
     assert wire.fake.in_control
     assert wire.fake.counters["vehicle.commands_refused"] == 3
 
 
-def test_what_a_reference_does_not_say_stays_as_it_was() -> None:
+def test_fields_missing_from_a_reference_stay_as_they_were() -> None:
     wire = Wire()
     wire.start()
-    wire.say(a_reference())
-    wire.say(imc.Reference(RefFlag.SPEED, imc.DesiredSpeed(2.0)))
+    wire.exchange(a_reference())
+    wire.exchange(imc.Reference(RefFlag.SPEED, imc.DesiredSpeed(2.0)))
     assert wire.fake.command == GoTo(math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 2.0, PLACE_RADIUS_M)
 
 
@@ -311,26 +311,26 @@ def test_what_a_reference_does_not_say_stays_as_it_was() -> None:
 def test_what_cannot_be_flown_is_refused(reference: imc.Reference) -> None:
     wire = Wire()
     wire.start()
-    assert wire.say(reference) == []
+    assert wire.exchange(reference) == []
     assert wire.fake.command is None
     assert wire.fake.counters["vehicle.commands_refused"] == 1
 
 
-def test_the_time_out_is_told_and_ends_the_plan() -> None:
+def test_the_time_out_is_reported_and_ends_the_plan() -> None:
     wire = Wire()
     wire.start(timeout_s=4.0)
-    wire.say(a_reference(), now_s=2.0)
+    wire.exchange(a_reference(), now_s=2.0)
     assert not any(isinstance(message, imc.FollowRefState) for message in wire.tick(5.9))
-    told = wire.tick(6.1)
-    (state,) = [message for message in told if isinstance(message, imc.FollowRefState)]
+    reported = wire.tick(6.1)
+    (state,) = [message for message in reported if isinstance(message, imc.FollowRefState)]
     assert state.state == RefState.TIMEOUT
-    assert [message.plan_id for message in told if isinstance(message, imc.PlanControlState)] == [PLAN_ID]
+    assert [message.plan_id for message in reported if isinstance(message, imc.PlanControlState)] == [PLAN_ID]
     assert not any(isinstance(message, imc.FollowRefState) for message in wire.tick(9.0))
 
 
 def test_a_stop_while_its_own_plan_runs_is_refused_and_counted() -> None:
     wire = Wire()
-    (reply,) = wire.say(imc.PlanControl(PlanType.REQUEST, PlanOp.STOP, 5, "theirs"))
+    (reply,) = wire.exchange(imc.PlanControl(PlanType.REQUEST, PlanOp.STOP, 5, "theirs"))
     assert isinstance(reply, imc.PlanControl)
     assert reply.type == PlanType.FAILURE
     assert wire.fake.counters["vehicle.commands_refused"] == 1
@@ -339,20 +339,20 @@ def test_a_stop_while_its_own_plan_runs_is_refused_and_counted() -> None:
 def test_it_boots() -> None:
     fake = FakeImc()
     fake.power_up(0.0)
-    told = _messages(b"".join(fake.tick(pose_at(0.0, 0.0, 0.0), False, 0.0)))
-    assert [message.op_mode for message in told if isinstance(message, imc.VehicleState)] == [OpMode.BOOT]
-    told = _messages(b"".join(fake.tick(pose_at(0.0, 0.0, 1.0), False, 1.0)))
-    assert [message.op_mode for message in told if isinstance(message, imc.VehicleState)] == [OpMode.MANEUVER]
+    reported = _messages(b"".join(fake.tick(pose_at(0.0, 0.0, 0.0), False, 0.0)))
+    assert [message.op_mode for message in reported if isinstance(message, imc.VehicleState)] == [OpMode.BOOT]
+    reported = _messages(b"".join(fake.tick(pose_at(0.0, 0.0, 1.0), False, 1.0)))
+    assert [message.op_mode for message in reported if isinstance(message, imc.VehicleState)] == [OpMode.MANEUVER]
 
 
 def test_nonsense_is_counted() -> None:
     wire = Wire()
     contact = imc_contact_of(a_report())
     bad_class = imc.MineContact(*(getattr(contact, name) if name != "classification" else 9 for name in contact.__struct_fields__))
-    (answer,) = wire.say(bad_class)
+    (answer,) = wire.exchange(bad_class)
     assert isinstance(answer, imc.MineContactTaken)
     assert not answer.taken
-    assert wire.say(imc.EntityState(77)) == []
+    assert wire.exchange(imc.EntityState(77)) == []
     flipped = bytearray(packed(a_reference(), US))
     flipped[30] ^= 1
     wire.fake.heard(bytes(flipped), 1.0)

@@ -1,4 +1,4 @@
-"""The fake Iver tells what it is polled for, and steers for as long as it is told."""
+"""The fake Iver answers polls, and steers for as long as commands are valid."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def line(body: str) -> bytes:
     return b"$%b*%02X\r\n" % (body.encode(), reduce(xor, body.encode()))
 
 
-def told(vehicle: FakeIver, now_s: float) -> list[str]:
+def reported(vehicle: FakeIver, now_s: float) -> list[str]:
     return [answer.decode().split("*")[0] for answer in vehicle.heard(line("OSD,G,C,S,P,,,,"), now_s)]
 
 
@@ -27,7 +27,7 @@ def test_a_poll_is_answered_by_position_compass_and_state_with_depths_in_feet() 
     vehicle = FakeIver()
     assert vehicle.heard(line("OSD,G,C,S,P,,,,"), 0.0) == []
     assert vehicle.tick(POSE, False, 0.1) == []
-    position, compass, state = told(vehicle, 0.2)
+    position, compass, state = reported(vehicle, 0.2)
     assert position.startswith("$GPRMC,101010.000,A,0830.00000,S,11515.00000,E,")
     assert compass == "$C57.3P0.00R0.00T20.3D10.0"
     _, _, mode, _, *place, _, _, _, altitude_ft, _, _, _, _, heading_deg, depth_ft, _ = state.split(",")
@@ -42,8 +42,8 @@ def test_a_command_holds_for_the_time_that_it_carries_and_shows_in_the_mode() ->
     assert vehicle.command is not None
     assert vehicle.command.vertical == Vertical("depth", 12.0)
     assert vehicle.command.speed_mps == pytest.approx(2.0 * 1852.0 / 3600.0)
-    assert told(vehicle, 2.9)[2].split(",")[2] == "A"
-    assert told(vehicle, 3.1)[2].split(",")[2] == "N"
+    assert reported(vehicle, 2.9)[2].split(",")[2] == "A"
+    assert reported(vehicle, 3.1)[2].split(",")[2] == "N"
     assert vehicle.counters["vehicle.commands_expired"] == 1
 
 
@@ -52,7 +52,7 @@ def test_in_manual_mode_nothing_is_obeyed() -> None:
     vehicle.tick(POSE, False, 0.0)
     vehicle.heard(line("OMS,90.0,12.0,20.0,2.0,3"), 0.0)
     vehicle.revoke(0.1)
-    assert told(vehicle, 0.2)[2].split(",")[2] == "M"
+    assert reported(vehicle, 0.2)[2].split(",")[2] == "M"
     vehicle.heard(line("OMS,90.0,12.0,20.0,2.0,3"), 0.3)
     assert not vehicle.in_control
     assert vehicle.counters["vehicle.commands_refused"] == 1

@@ -32,7 +32,7 @@ def mode(vehicle: FakeRecon, now_s: float) -> str:
     return next(field for field in state.decode().split(",") if field.startswith("M"))
 
 
-def test_its_state_is_told_twice_a_second_in_a_frame_with_the_right_sum() -> None:
+def test_its_state_is_sent_twice_a_second_in_a_frame_with_the_right_sum() -> None:
     vehicle = FakeRecon()
     [state] = vehicle.tick(POSE, False, 0.0)
     start = b"#S,T10:10:10.000,LAT39N30.0000,LON74W15.0000,D10.00,DG0.00,A0.00,P0.0,R0.0,TR1500,TRG1500,V1.50,H0.0,HR0.0,HG0.0,M1,l1,*"

@@ -1,4 +1,5 @@
-"""Held-out missions through the whole pipeline under one configuration, on a farm: what the scores of a trained model are made of."""
+"""Held-out missions through the whole pipeline under one configuration, on a farm: what the scores of a trained model
+are made of."""
 
 from __future__ import annotations
 
@@ -28,15 +29,15 @@ class Flight(NamedTuple):
 
 
 def held_out(names: Sequence[str], seeds: Sequence[int], config: Config) -> tuple[Flight, ...]:
-    """Every scene, as it is, with every seed, scene by scene; of the sonar the payload knows what an operator would.
+    """Every scene, as it is, with every seed, scene by scene; of the sonar the payload has an operator's settings.
 
     Raises UsageError for scenes that are not there.
     """
     flights = []
     for scene in map(read_scene, names):
         sonar = msgspec.structs.replace(config.sonar, beam_width_deg=config_for(scene).sonar.beam_width_deg)
-        told = msgspec.structs.replace(config, sonar=sonar)
-        flights += [Flight(msgspec.structs.replace(scene, seed=seed), told) for seed in seeds]
+        reported = msgspec.structs.replace(config, sonar=sonar)
+        flights += [Flight(msgspec.structs.replace(scene, seed=seed), reported) for seed in seeds]
     return tuple(flights)
 
 

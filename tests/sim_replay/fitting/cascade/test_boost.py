@@ -77,7 +77,7 @@ def test_best_split_is_that_of_brute_force(case: tuple[np.ndarray, np.ndarray, n
 
 @settings(max_examples=40, deadline=None)
 @given(samples())
-def test_least_error_split_is_that_of_brute_force(case: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+def test_minimum_error_split_is_that_of_brute_force(case: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     expected = _slow_ada_error(*case)
     found = ada_split(*_histograms(*case))
     assert (found is None) == (expected is None)
@@ -98,7 +98,7 @@ def _scores(stumps: list[BoostedStump], bins: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("stumps_of", [gentle_stumps, ada_stumps])
-def test_a_sum_of_stumps_learns_what_no_stump_tells_alone(stumps_of: Booster) -> None:
+def test_a_sum_of_stumps_learns_what_no_stump_separates_alone(stumps_of: Booster) -> None:
     rng = _rng(3)
     values = rng.integers(0, 256, (20, 2000)).astype(np.uint8)
     is_target = values[:5].astype(int).sum(axis=0) > 750
@@ -148,7 +148,7 @@ class TestWhatBoostingMustSurvive:
         stumps = list(stumps_of(bins, np.arange(1000) == 0, 50, 5.0, _rng()))
         assert _scores(stumps, bins).argmax() == 0
 
-    def test_samples_told_twice_count_twice_and_change_nothing_if_all_are(self, stumps_of: Booster) -> None:
+    def test_samples_given_twice_count_twice_and_change_nothing_if_all_are(self, stumps_of: Booster) -> None:
         bins = _rng(7).integers(0, 256, (10, 64)).astype(np.uint8)
         is_target = bins[2] > 128
         once = list(stumps_of(bins, is_target, 6, 1.0, _rng()))

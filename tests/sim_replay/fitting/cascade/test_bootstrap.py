@@ -14,7 +14,7 @@ from sim_replay.fitting.cascade.bootstrap import CLEAR_M, Errand, clear_of_targe
 from sim_replay.fitting.cascade.pool import feature_pool, model_stump, pool_box_means
 from sim_replay.fitting.cascade.store import pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile
-from tests.sim_replay.fitting.cascade.training_tiles import COLUMN_M, CORE, ROW_M, drawn_tile, labelled_tile, thing
+from tests.sim_replay.fitting.cascade.training_tiles import COLUMN_M, CORE, ROW_M, drawn_tile, labelled_tile, tile_object
 
 POOL = feature_pool()
 
@@ -41,8 +41,8 @@ def _model(kind: str = "soft", reject: int = 0) -> CascadeModel:
 
 
 def test_a_target_s_bag_holds_the_usable_windows_within_half_a_metre() -> None:
-    near_border, inside, in_overlap = thing(CORE.start + 1.5, 200.2), thing(40.9, 100.0), thing(CORE.start - 0.1, 300.0)
-    tile = labelled_tile((near_border, thing(30.0, 250.0, is_target=False), inside, in_overlap))
+    near_border, inside, in_overlap = tile_object(CORE.start + 1.5, 200.2), tile_object(40.9, 100.0), tile_object(CORE.start - 0.1, 300.0)
+    tile = labelled_tile((near_border, tile_object(30.0, 250.0, is_target=False), inside, in_overlap))
     bags = target_bags(tile, _plane(tile))
     assert bags.targets == (near_border, inside)
     for number, target in enumerate(bags.targets):
@@ -57,12 +57,12 @@ def test_a_target_s_bag_holds_the_usable_windows_within_half_a_metre() -> None:
 
 
 def test_a_target_where_nothing_may_be_detected_has_no_bag() -> None:
-    tile = labelled_tile((thing(40.0, 5.0),))
+    tile = labelled_tile((tile_object(40.0, 5.0),))
     assert target_bags(tile, _plane(tile)).targets == ()
 
 
 def test_windows_of_rocks_count_as_others_and_those_near_targets_do_not() -> None:
-    target, rock = thing(4.0, 100.0), thing(30.0, 300.0, is_target=False)
+    target, rock = tile_object(4.0, 100.0), tile_object(30.0, 300.0, is_target=False)
     clear = clear_of_targets(labelled_tile((target, rock)))
     assert clear[30, 300]
     for row, column in ((12, 100), (28, 100), (29, 100), (12, 149), (12, 150)):

@@ -16,8 +16,8 @@ from tests.sim_replay.fitting.cascade.training_tiles import drawn_tile, write_dr
 
 
 def _train(folder: Path, kind: Kind, workers: int = 1) -> tuple[CascadeModel, list[str]]:
-    said: list[str] = []
-    return train(folder, kind, Farm(workers), said.append, n_stumps=10), said
+    lines: list[str] = []
+    return train(folder, kind, Farm(workers), lines.append, n_stumps=10), lines
 
 
 def _found(model: CascadeModel, seed: int) -> tuple[int, int]:
@@ -29,11 +29,11 @@ def _found(model: CascadeModel, seed: int) -> tuple[int, int]:
     rows, columns = result.rows[best], result.columns[best]
     on_target = np.zeros(best.size, dtype=np.bool_)
     n_found = 0
-    for thing in tile.objects:
-        near = (np.abs(rows + 0.5 - thing.row) * tile.row_spacing_m < 1.5) & (
-            np.abs(columns + 0.5 - thing.column) * tile.column_spacing_m < 1.5
+    for tile_object in tile.objects:
+        near = (np.abs(rows + 0.5 - tile_object.row) * tile.row_spacing_m < 1.5) & (
+            np.abs(columns + 0.5 - tile_object.column) * tile.column_spacing_m < 1.5
         )
-        if thing.is_target:
+        if tile_object.is_target:
             n_found += bool(near.any())
             on_target |= near
     return n_found, int((~on_target).sum())
@@ -42,13 +42,13 @@ def _found(model: CascadeModel, seed: int) -> tuple[int, int]:
 @pytest.mark.parametrize("kind", ["soft", "stages"])
 def test_a_cascade_learns_targets_with_shadows_from_rocks_without(kind: Kind, tmp_path: Path) -> None:
     manifest = write_drawn_set(tmp_path)
-    model, said = _train(tmp_path, kind)
+    model, lines = _train(tmp_path, kind)
     assert model.kind == kind
     assert model.training_sha256 == manifest.sha256
     assert parse_model(encode_model(model), "made here") == model
     assert sum(cell.n_targets for cell in model.expected_pd) == 12
     assert min(cell.pd for cell in model.expected_pd) > 0.8
-    assert said
+    assert lines
     found, alarms = np.sum([_found(model, seed) for seed in range(7000, 7006)], axis=0).tolist()
     assert found >= 16
     assert alarms <= 2

@@ -1,4 +1,5 @@
-"""Tasks on one core, in processes and on a dask cluster of real processes: the same results in the same order, and plain words if not."""
+"""Tasks on one core, in processes and on a dask cluster of real processes: the same results in the same order, and
+plain words if not."""
 
 from __future__ import annotations
 
@@ -62,10 +63,10 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 
 def test_results_in_processes_are_those_of_one_core_in_order() -> None:
     tasks = list(range(7))
-    told: list[int] = []
+    reported: list[int] = []
     assert list(run_tasks(neg, tasks, Farm())) == [-task for task in tasks]
-    assert list(run_tasks(neg, tasks, Farm(workers=2), told.append)) == [-task for task in tasks]
-    assert told == [1, 2, 3, 4, 5, 6, 7]
+    assert list(run_tasks(neg, tasks, Farm(workers=2), reported.append)) == [-task for task in tasks]
+    assert reported == [1, 2, 3, 4, 5, 6, 7]
 
 
 def test_no_task_is_begun_before_its_turn_on_one_core() -> None:
@@ -84,7 +85,7 @@ def test_an_exception_of_a_task_is_raised_in_its_turn(workers: int) -> None:
     assert list(results) == []
 
 
-def test_a_process_that_dies_is_told_in_plain_words() -> None:
+def test_a_process_that_dies_is_reported_in_plain_words() -> None:
     with pytest.raises(HardwareError, match=r"a worker process died.*fewer workers"):
         list(run_tasks(os._exit, [1, 1], Farm(workers=2)))
 
@@ -107,7 +108,7 @@ def test_what_is_no_farm_is_refused_at_once(farm: Farm, message: str) -> None:
         run_tasks(neg, [1], farm)
 
 
-def test_a_scheduler_that_does_not_answer_is_told_with_what_to_do() -> None:
+def test_a_scheduler_that_does_not_answer_is_reported_with_a_remedy() -> None:
     pytest.importorskip("distributed", reason="distributed, which runs clusters, is not installed")
     with socket.socket() as taken:  # bound, but nobody listens
         taken.bind(("127.0.0.1", 0))
@@ -129,7 +130,7 @@ def test_a_cluster_of_two_gives_the_same_results_in_order_and_raises_what_a_task
     assert list(run_tasks(neg, [1], farm)) == [-1]
 
 
-def test_tasks_of_a_worker_that_dies_are_done_by_another_and_a_lost_scheduler_is_told(cluster: Cluster) -> None:
+def test_tasks_of_a_worker_that_dies_are_done_by_another_and_a_lost_scheduler_is_reported(cluster: Cluster) -> None:
     doomed = cluster.worker()
     results = run_tasks(time.sleep, [0.2] * 12, Farm(scheduler=cluster.address))
     assert next(results) is None

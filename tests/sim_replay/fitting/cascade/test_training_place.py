@@ -58,8 +58,8 @@ def tile_of(side: Side, *, heading_rad: float = 0.0, pitch_rad: float = 0.0, tur
     )
 
 
-def thing(latitude_deg: float, longitude_deg: float, **facts: Any) -> PlacedTarget:
-    """A point on the floor unless told."""
+def target(latitude_deg: float, longitude_deg: float, **facts: Any) -> PlacedTarget:
+    """Return a point on the floor by default."""
     usual: dict[str, Any] = {
         "floor_depth_m": NAN,
         "kind": "point",
@@ -111,7 +111,7 @@ def test_an_object_shows_in_the_pixel_that_its_position_came_from(
 ) -> None:
     sonar = SonarConfig(heading_offset_deg=offset_deg, lever_arm_m=(*arm_m, 0.0))
     tile = tile_of(side, heading_rad=heading_rad, pitch_rad=pitch_rad, turn_rad=turn_rad)
-    (found,) = objects_in(tile, [thing(*located(tile, row, column, sonar))], sonar)
+    (found,) = objects_in(tile, [target(*located(tile, row, column, sonar))], sonar)
     assert found.row == pytest.approx(row, abs=0.05)
     assert found.column == pytest.approx(column, abs=0.05)
     assert found.ground_range_m == pytest.approx(column * COLUMN_M, abs=0.01)
@@ -120,16 +120,16 @@ def test_an_object_shows_in_the_pixel_that_its_position_came_from(
 def test_an_object_of_the_other_side_or_beyond_the_swath_does_not_show() -> None:
     tile, sonar = tile_of("starboard"), SonarConfig()
     abeam = located(tile, 60.0, 200.0, sonar)
-    assert len(objects_in(tile, [thing(*abeam)], sonar)) == 1
-    assert objects_in(tile_of("port"), [thing(*abeam)], sonar) == ()
-    assert objects_in(tile, [thing(*located(tile, 60.0, N_COLUMNS + 20.0, sonar))], sonar) == ()
+    assert len(objects_in(tile, [target(*abeam)], sonar)) == 1
+    assert objects_in(tile_of("port"), [target(*abeam)], sonar) == ()
+    assert objects_in(tile, [target(*located(tile, 60.0, N_COLUMNS + 20.0, sonar))], sonar) == ()
     assert objects_in(tile, [], sonar) == ()
 
 
 def test_a_floor_lower_than_the_tile_s_shows_farther_out() -> None:
     tile, sonar = tile_of("starboard"), SonarConfig()
     place = located(tile, 60.0, 200.0, sonar)
-    flat, lower = objects_in(tile, [thing(*place), thing(*place, floor_depth_m=21.0)], sonar)
+    flat, lower = objects_in(tile, [target(*place), target(*place, floor_depth_m=21.0)], sonar)
     assert flat.column == pytest.approx(200.0, abs=0.05)
     assert lower.column * COLUMN_M == pytest.approx(math.sqrt(12.0**2 + 7.0**2 - 6.0**2), abs=0.01)
 
@@ -146,7 +146,7 @@ def test_a_floor_lower_than_the_tile_s_shows_farther_out() -> None:
     ],
 )
 def test_the_near_side_is_where_the_line_of_sight_enters_the_outline(kind: str, azimuth_deg: float, expected_m: float) -> None:
-    what = thing(0.0, 0.0, kind=kind, azimuth_rad=math.radians(azimuth_deg), length_m=2.0, width_m=0.5)
+    what = target(0.0, 0.0, kind=kind, azimuth_rad=math.radians(azimuth_deg), length_m=2.0, width_m=0.5)
     assert near_side_m(what, 0.0) == pytest.approx(expected_m)
 
 
@@ -157,10 +157,10 @@ def test_the_highlight_lies_before_the_middle_and_nearer_the_higher_the_object()
     point, low, high, buried = objects_in(
         tile,
         [
-            thing(*place),
-            thing(*place, kind="box", height_m=0.2, **sizes),
-            thing(*place, kind="box", height_m=0.6, **sizes),
-            thing(*place, kind="box", height_m=0.6, burial_m=0.4, **sizes),
+            target(*place),
+            target(*place, kind="box", height_m=0.2, **sizes),
+            target(*place, kind="box", height_m=0.6, **sizes),
+            target(*place, kind="box", height_m=0.6, burial_m=0.4, **sizes),
         ],
         sonar,
     )
@@ -172,7 +172,7 @@ def test_the_highlight_lies_before_the_middle_and_nearer_the_higher_the_object()
 def test_aspects_count_from_the_long_axis() -> None:
     tile, sonar = tile_of("starboard", heading_rad=0.0), SonarConfig()  # looks east
     place = located(tile, 60.0, 300.0, sonar)
-    end_on, broadside = objects_in(tile, [thing(*place, azimuth_rad=0.5 * math.pi), thing(*place, azimuth_rad=0.0)], sonar)
+    end_on, broadside = objects_in(tile, [target(*place, azimuth_rad=0.5 * math.pi), target(*place, azimuth_rad=0.0)], sonar)
     assert math.cos(math.radians(end_on.aspect_deg)) == pytest.approx(1.0, abs=1e-3)
     assert broadside.aspect_deg == pytest.approx(90.0, abs=0.5)
 
@@ -182,10 +182,10 @@ def test_a_track_without_positions_shows_nothing() -> None:
     place = located(tile, 60.0, 300.0, sonar)
     nowhere = np.full(N_ROWS, np.nan)
     lost = msgspec.structs.replace(tile, pose=msgspec.structs.replace(tile.pose, latitude_deg=nowhere, longitude_deg=nowhere))
-    assert objects_in(lost, [thing(*place)], sonar) == ()
+    assert objects_in(lost, [target(*place)], sonar) == ()
 
 
 def test_cropping_counts_rows_anew_and_drops_what_is_cut_away() -> None:
     tile, sonar = tile_of("starboard"), SonarConfig()
-    found = objects_in(tile, [thing(*located(tile, row, 200.0, sonar)) for row in (20.0, 60.0, 100.0)], sonar)
+    found = objects_in(tile, [target(*located(tile, row, 200.0, sonar)) for row in (20.0, 60.0, 100.0)], sonar)
     assert [one.row for one in cropped(found, 40, 80)] == pytest.approx([20.0], abs=0.05)

@@ -1,4 +1,4 @@
-"""Missions become labelled tiles: what is said to lie somewhere shows there, and the same spec gives the same bytes."""
+"""Missions become labelled tiles: labelled objects show at their places, and the same spec gives the same bytes."""
 
 from __future__ import annotations
 
@@ -73,21 +73,21 @@ def looks(tiles: list[LabelledTile]) -> list[tuple[LabelledTile, TileObject]]:
     """Targets in cores, where they and their shadows are usable."""
     found = []
     for tile in tiles:
-        for thing in tile.objects:
-            row, column = math.floor(thing.row), math.floor(thing.column)
-            inside = thing.is_target and tile.core_start <= row < tile.core_stop
+        for target in tile.objects:
+            row, column = math.floor(target.row), math.floor(target.column)
+            inside = target.is_target and tile.core_start <= row < tile.core_stop
             if inside and tile.usable[row, column : column + 40].sum() == 40:
-                found.append((tile, thing))
+                found.append((tile, target))
     return found
 
 
-def test_the_brightest_spot_lies_where_a_target_is_said_to_be_and_the_darkest_behind_it(tiles: list[LabelledTile]) -> None:
+def test_the_brightest_spot_lies_at_the_labelled_target_and_the_darkest_behind_it(tiles: list[LabelledTile]) -> None:
     seen = looks(tiles)
     assert len(seen) > 15
     reach = 14, 24  # rows and columns, 1.7 and 1.4 m
     rows, columns, darkest = [], [], []
-    for tile, thing in seen:
-        row, column = math.floor(thing.row), math.floor(thing.column)
+    for tile, target in seen:
+        row, column = math.floor(target.row), math.floor(target.column)
         padded = np.pad(tile.codes.astype(np.float64), 60, constant_values=1024.0)[row : row + 121, column : column + 121]
         smooth = uniform_filter(padded, (3, 5)) / 1024.0
         near = smooth[60 - reach[0] : 61 + reach[0], 60 - reach[1] : 61 + reach[1]]
@@ -118,13 +118,13 @@ def test_the_next_tile_has_what_lies_in_the_overlap_too(tiles: list[LabelledTile
 
 
 def test_every_target_is_seen_and_nothing_is_made_up(tiles: list[LabelledTile]) -> None:
-    kinds = {thing.kind for tile in tiles for thing in tile.objects}
+    kinds = {target.kind for tile in tiles for target in tile.objects}
     assert kinds == {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock", "tyre"}
     for tile in tiles:
-        for thing in tile.objects:
-            assert thing.is_target == (thing.kind not in ("rock", "tyre"))
-            assert thing.seabed == "sand"
-            assert abs(thing.ground_range_m - thing.column * tile.column_spacing_m) < 1.6
+        for target in tile.objects:
+            assert target.is_target == (target.kind not in ("rock", "tyre"))
+            assert target.seabed == "sand"
+            assert abs(target.ground_range_m - target.column * tile.column_spacing_m) < 1.6
 
 
 def test_a_set_has_the_same_bytes_whoever_renders_it(tmp_path: Path) -> None:
@@ -158,15 +158,15 @@ def test_augmented_logs_become_tiles_of_their_background(tmp_path: Path, line: S
     (tmp_path / packed.shard.file).write_bytes(packed.data)
     replayed = list(read_shard(tmp_path, packed.shard))
     # A log has its times to 10 ms and its floor is taken to be flat: a pixel or two against the simulator's own truth.
-    places = {(tile.side, thing.kind): thing for tile in tiles for thing in tile.objects if thing.kind == "tyre"}
+    places = {(tile.side, target.kind): target for tile in tiles for target in tile.objects if target.kind == "tyre"}
     for tile in replayed:
-        for thing in tile.objects:
-            if (own := places.get((tile.side, thing.kind))) is not None:
-                assert thing.column == pytest.approx(own.column, abs=4.0)
-    assert sum(thing.is_target for tile in replayed for thing in tile.objects) > 10
+        for target in tile.objects:
+            if (own := places.get((tile.side, target.kind))) is not None:
+                assert target.column == pytest.approx(own.column, abs=4.0)
+    assert sum(target.is_target for tile in replayed for target in tile.objects) > 10
 
 
-def test_folders_without_an_augmented_log_are_told(tmp_path: Path, line: SimulatedLine) -> None:
+def test_folders_without_an_augmented_log_are_reported(tmp_path: Path, line: SimulatedLine) -> None:
     with pytest.raises(BadInputError, match=r"truth\.json cannot be read.*auv-mcm augment"):
         render_line(AugmentedLine(tmp_path, line.config, "train"))
     (tmp_path / "truth.json").write_text('{"objects": []}')
@@ -189,27 +189,27 @@ def test_one_sea_floor_in_two_splits_is_refused(tmp_path: Path, short: Simulated
     assert not (tmp_path / "out" / "manifest.json").exists()
 
 
-def test_targets_without_room_are_told_before_any_mission_is_flown(folder: Path, tmp_path: Path) -> None:
+def test_targets_without_room_are_reported_before_any_mission_is_flown(folder: Path, tmp_path: Path) -> None:
     (folder / "full.yaml").write_text(SPEC.replace("per_mission: 14", "per_mission: 900"))
     with pytest.raises(UsageError, match=r"mission bay/600: .*no room for number"):
         render_set(folder / "full.yaml", tmp_path / "out", Farm())
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_tells_what_a_set_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_describes_a_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bay.yaml").write_text(SHORT_SCENE)
     (tmp_path / "set.yaml").write_text(SHORT_SPEC)
     assert main([str(tmp_path / "set.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
-    told = capsys.readouterr()
-    assert told.out.startswith("train: 1 missions, ")
-    assert "looks at targets (sand " in told.out
-    assert "1 of 1 missions rendered" in told.err
+    printed = capsys.readouterr()
+    assert printed.out.startswith("train: 1 missions, ")
+    assert "looks at targets (sand " in printed.out
+    assert "1 of 1 missions rendered" in printed.err
 
 
 def test_held_out_missions_come_back_ready_to_be_scored(short: SimulatedLine) -> None:
     (mission,) = fly_all([Flight(msgspec.structs.replace(short.scene, seed=9200), short.config)], Farm())
     assert mission.name == "bay, seed 9200"
-    assert sum(thing.is_target for thing in mission.truth.objects) == 3
+    assert sum(target.is_target for target in mission.truth.objects) == 3
     assert len(mission.contacts) > 0
 
 

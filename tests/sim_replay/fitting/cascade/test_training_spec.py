@@ -21,7 +21,7 @@ def simulated(text: str, folder: Path = Path()) -> list[SimulatedLine]:
     return [line for line in lines if isinstance(line, SimulatedLine)]
 
 
-def test_the_default_set_keeps_seagrass_and_the_seeds_that_rates_are_told_of_out() -> None:
+def test_the_default_set_holds_out_seagrass_and_the_seeds_of_reported_rates() -> None:
     lines = simulated_default()
     backgrounds = [line.background for line in lines]
     assert len(set(backgrounds)) == len(backgrounds)
@@ -46,12 +46,12 @@ def test_missions_of_the_default_set_are_exact_silent_in_turns_and_full_of_targe
         assert scene.navigation_error == EXACT
         assert not scene.track.pings_in_turns
         placed = place_objects(scene)
-        is_target = np.array([thing.is_target for thing in placed])
+        is_target = np.array([target.is_target for target in placed])
         assert 60 <= is_target.sum() <= 150
-        assert sum(thing.kind == "rock" for thing in placed) >= is_target.sum()
-        assert {thing.kind for thing in placed if thing.is_target} == TARGET_KINDS
-        places = np.array([(thing.east_m, thing.north_m) for thing in placed])
-        reach_m = np.minimum([thing.reach_m for thing in placed], 5.0)
+        assert sum(target.kind == "rock" for target in placed) >= is_target.sum()
+        assert {target.kind for target in placed if target.is_target} == TARGET_KINDS
+        places = np.array([(target.east_m, target.north_m) for target in placed])
+        reach_m = np.minimum([target.reach_m for target in placed], 5.0)
         apart_m = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 100.0 * np.eye(len(placed))
         assert (apart_m > reach_m[:, None] + reach_m)[is_target].all()
 
@@ -121,7 +121,7 @@ def test_scene_files_and_augmented_logs_are_looked_for_beside_the_spec(tmp_path:
     assert isinstance(first, SimulatedLine)
     assert isinstance(second, AugmentedLine)
     assert first.background == "mine/600"
-    assert Counter(thing.is_target for thing in place_objects(first.scene)) == {True: 5, False: 3}
+    assert Counter(target.is_target for target in place_objects(first.scene)) == {True: 5, False: 3}
     assert (second.folder, second.split) == (tmp_path / "line1", "validate")
 
 
@@ -173,7 +173,7 @@ def test_missions_that_cannot_be_are_refused_before_any_is_flown(text: str, mess
         simulated(text)
 
 
-def test_a_spec_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+def test_a_spec_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none\.yaml cannot be read"):
         read_training_spec(tmp_path / "none.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"scenes: [\xe9]")

@@ -1,4 +1,4 @@
-"""Training sets on disk: what is read is what was written, equal tiles give equal bytes, and damage is told."""
+"""Training sets on disk: what is read is what was written, equal tiles give equal bytes, and damage is reported."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_tiles_are_read_when_their_turn_comes(tmp_path: Path) -> None:
     manifest = written(tmp_path)
     tiles = read_tiles(tmp_path, manifest, "train")
     assert same(next(tiles), made_tile(1))
-    tiles.close()  # type: ignore[attr-defined]  # leaves no file open, which the tests would tell
+    tiles.close()  # type: ignore[attr-defined]  # leaves no file open, which the tests would report
 
 
 def cut(path: Path) -> None:
@@ -123,24 +123,24 @@ def flip(path: Path) -> None:
 
 
 @pytest.mark.parametrize(("damage", "message"), [(cut, "cut off"), (flip, "was changed"), (Path.unlink, "cannot be read")])
-def test_damaged_shards_are_told_before_the_first_tile(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
+def test_damaged_shards_are_reported_before_the_first_tile(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
     manifest = written(tmp_path)
     damage(tmp_path / "train-flat_600.npz")
     with pytest.raises(BadInputError, match=rf"train-flat_600\.npz .*{message}.*Render the training set anew"):
         next(read_tiles(tmp_path, manifest, "train"))
 
 
-def test_what_is_no_shard_is_told(tmp_path: Path) -> None:
+def test_files_other_than_shards_are_reported(tmp_path: Path) -> None:
     data = b"nothing of the kind"
     (tmp_path / "other.npz").write_bytes(data)
     shard = msgspec.structs.replace(
         written(tmp_path).shards[0], file="other.npz", n_bytes=len(data), sha256=hashlib.sha256(data).hexdigest()
     )
-    with pytest.raises(BadInputError, match="is no shard of labelled tiles"):
+    with pytest.raises(BadInputError, match="is not a shard of labelled tiles"):
         next(read_shard(tmp_path, shard))
 
 
-def test_a_manifest_that_lost_a_shard_is_told(tmp_path: Path) -> None:
+def test_a_manifest_that_lost_a_shard_is_reported(tmp_path: Path) -> None:
     manifest = written(tmp_path)
     (tmp_path / MANIFEST_NAME).write_bytes(msgspec.json.encode(msgspec.structs.replace(manifest, shards=manifest.shards[:1])))
     with pytest.raises(BadInputError, match="was changed after"):

@@ -35,7 +35,9 @@ def boosted(trees: list[GrownTree], values: Array, start: Array) -> Array:
 
 
 def bump(n: int, seed: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Targets where one feature is middling and another high: no sum of them tells, questions do. Two more features are noise."""
+    """Targets where one feature is middling and another high: no sum of them separates, splits do. Two more features
+    are noise.
+    """
     random = random_of(seed)
     values = random.normal(0.0, 1.0, (n, 4))
     p = np.where((np.abs(values[:, 0]) < 0.7) & (values[:, 1] > 0.0), 0.9, 0.1)
@@ -50,7 +52,7 @@ def test_rows_reach_the_leaves_that_questions_lead_them_to(seed: int) -> None:
     assert leaves(tree, values).tolist() == [walked(tree, row) for row in values]
 
 
-def test_what_no_sum_tells_is_learnt() -> None:
+def test_what_no_sum_separates_is_learnt() -> None:
     values, is_target = bump(3000, 1)
     weight, start = np.ones(3000), np.zeros(3000)
     trees = boost(values, is_target, weight, start, 200)

@@ -68,10 +68,10 @@ def test_expected_detection_counts_the_targets_of_each_sea_floor_and_range() -> 
         return ValidationSighting(seabed, ground_range_m, np.array([score], dtype=np.int32))
 
     model = _bright(2.0)
-    told = expected_pd(
+    reported = expected_pd(
         model, [seen("mud", 5.0, 1), seen("mud", 9.9, -1), seen("mud", 10.0, 0), seen("sand", 999.0, 4), seen("rock", 61.0, -3)]
     )
-    assert [(cell.seabed, cell.near_m, cell.far_m, cell.n_targets, cell.pd) for cell in told] == [
+    assert [(cell.seabed, cell.near_m, cell.far_m, cell.n_targets, cell.pd) for cell in reported] == [
         ("mud", 0.0, 10.0, 2, 0.5),
         ("mud", 10.0, 20.0, 1, 1.0),
         ("rock", 60.0, 80.0, 1, 0.0),
@@ -91,7 +91,7 @@ def test_every_target_is_seen_at_its_best_window_and_what_passes_is_counted(tmp_
     assert let_through.area_m2 == pytest.approx(sum(int(clear_of_targets(tile).sum()) for tile in tiles) * 0.12 * 0.06)
     # Every target, and every rock that is clear of targets, is one detection.
     assert let_through.is_target.sum() == 6
-    rocks = [(tile, thing) for tile in tiles for thing in tile.objects if not thing.is_target]
+    rocks = [(tile, tile_object) for tile in tiles for tile_object in tile.objects if not tile_object.is_target]
     n_clear = sum(bool(clear_of_targets(tile)[int(rock.row), int(rock.column)]) for tile, rock in rocks)
     assert (~let_through.is_target).sum() >= n_clear
     assert (let_through.windows == 10).all()

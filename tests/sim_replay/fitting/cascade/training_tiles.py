@@ -19,7 +19,7 @@ N_COLUMNS: Final = 360
 CORE: Final = slice(10, 60)
 
 
-def thing(row: float, column: float, is_target: bool = True) -> TileObject:
+def tile_object(row: float, column: float, is_target: bool = True) -> TileObject:
     return TileObject(
         row=row,
         column=column,
@@ -71,7 +71,7 @@ def drawn_tile(seed: int, background: str = "drawn/0") -> LabelledTile:
     rows = rng.integers(CORE.start + 6, CORE.stop - 6, 5)
     order = rng.permutation(5).tolist()
     places = list(zip(rows.tolist(), columns.tolist(), strict=True))
-    return labelled_tile(tuple(thing(places[k][0] + 0.5, places[k][1] + 0.5, k < 3) for k in order), seed, background)
+    return labelled_tile(tuple(tile_object(places[k][0] + 0.5, places[k][1] + 0.5, k < 3) for k in order), seed, background)
 
 
 def write_drawn_set(

@@ -1,4 +1,5 @@
-"""The fit of performance against direct counts, the best of all one-humped sequences, and worlds whose answer is known."""
+"""The fit of performance against direct counts, the best of all one-humped sequences, and worlds whose answer is
+known."""
 
 from __future__ import annotations
 
@@ -157,19 +158,19 @@ def test_missions_that_are_all_alike_count_every_look_and_others_do_not() -> Non
     assert design_effect(apart, bands_of(apart, 0.0)) > 2.0
 
 
-def test_the_fit_tells_what_the_world_does_and_can_be_written() -> None:
+def test_the_fit_matches_the_world_and_can_be_written() -> None:
     truth = {"flat": 0.8, "ripple": 0.5, "rough": 0.3, "vegetation": 0.15}
     looks = world(truth)
-    told = fit_performance(looks, performance_fit_words(range(800, 802), 6, looks))
-    assert parse_performance(performance_json(told), "here") == told
-    assert told.fitted_on == "2880 looks at 2880 targets in 12 simulated missions: seeds 800 to 801, 6 each"
+    reported = fit_performance(looks, performance_fit_words(range(800, 802), 6, looks))
+    assert parse_performance(performance_json(reported), "here") == reported
+    assert reported.fitted_on == "2880 looks at 2880 targets in 12 simulated missions: seeds 800 to 801, 6 each"
     for kind, p in truth.items():
         for ground_m in (15.0, 25.0, 35.0, 45.0):
-            assert told.p_look(SEABED_TYPES.index(kind), ground_m, 6.5, 0.0, 0.0) == pytest.approx(p, abs=0.15)
-    assert sum(band.n_looks for bands in told.floors.values() for band in bands) == len(looks)
-    widths_m = dict(zip(FLOORS, sweep_widths_m(told), strict=True))
+            assert reported.p_look(SEABED_TYPES.index(kind), ground_m, 6.5, 0.0, 0.0) == pytest.approx(p, abs=0.15)
+    assert sum(band.n_looks for bands in reported.floors.values() for band in bands) == len(looks)
+    widths_m = dict(zip(FLOORS, sweep_widths_m(reported), strict=True))
     assert widths_m["vegetation"] < widths_m["rough"] < widths_m["flat"] < 75.0
-    assert all(floor.split("_")[0] in tables(told) for floor in FLOORS)
+    assert all(floor.split("_")[0] in tables(reported) for floor in FLOORS)
 
 
 def test_a_fit_without_some_floor_or_with_one_mission_is_refused() -> None:

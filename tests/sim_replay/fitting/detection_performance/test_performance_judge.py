@@ -35,7 +35,7 @@ def tables() -> Performance:
 
 
 def drawn(n: int, seed: int = 1) -> Outcomes:
-    """Looks that find what the tables say they do."""
+    """Draw looks that find as much as the tables predict."""
     rng = np.random.Generator(np.random.PCG64(seed))
     floor = rng.integers(0, len(FLOORS), n)
     aspect_deg = np.array([0.0, 0.0, 45.0, 90.0, 0.0, 0.0])[floor]
@@ -67,14 +67,14 @@ def test_brier_score_and_shares_are_those_of_counting() -> None:
     assert found.same is None
 
 
-def test_right_tables_are_off_by_what_chance_says() -> None:
+def test_right_tables_are_off_by_chance_alone() -> None:
     errors = [mean_error(judge_predictions(tables(), drawn(2000, seed)).told) for seed in range(12)]
     error, by_chance, by_mission = np.mean(errors, axis=0)
     assert error == pytest.approx(by_chance, rel=0.25)
     assert by_chance <= by_mission < 1.5 * by_chance
 
 
-def test_missions_unlike_each_other_tell_less() -> None:
+def test_missions_unlike_each_other_carry_less_information() -> None:
     p, mission = np.full(400, 0.5), np.repeat(np.arange(4), 100)
     apart = share(p, mission % 2 == 0, mission)
     assert apart.by_mission > 5.0 * apart.by_chance
@@ -116,7 +116,7 @@ def looks_of_flight(flight: Flight) -> list[CellPass]:
 def test_the_command_writes_tables_that_the_bench_judges(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(calibrate, "fly", looks_of_flight)
+    monkeypatch.setattr(calibrate, "fly_scene", looks_of_flight)
     command = ["calibrate", "performance", "--seeds", "800-801", "--flights", "2", "--workers", "1", "--out"]
     assert main([*command, str(tmp_path / "p.json")]) == 0
     assert "480 looks at 480 targets in 4 simulated missions: seeds 800 to 801, 2 each" in capsys.readouterr().out
@@ -126,15 +126,15 @@ def test_the_command_writes_tables_that_the_bench_judges(
     capsys.readouterr()
     bench = ["bench", "performance", "--seeds", "3", "--workers", "1", "--tables", str(tmp_path / "p.json")]
     assert main([*bench, "--plot", str(tmp_path / "p.png"), "--markdown"]) == 0
-    told = capsys.readouterr().out
-    assert "360 looks in 3 missions" in told
-    assert "Brier score" in told
-    assert "| two looks, others | - | - |" in told
+    printed = capsys.readouterr().out
+    assert "360 looks in 3 missions" in printed
+    assert "Brier score" in printed
+    assert "| two looks, others | - | - |" in printed
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "says"),
+    ("arguments", "code", "words"),
     [
         (["calibrate", "performance", "--out", "{there}"], 2, "exists and is left alone"),
         (["calibrate", "performance", "--out", "{none}/p.json"], 2, "Make it first"),
@@ -145,16 +145,16 @@ def test_the_command_writes_tables_that_the_bench_judges(
     ],
 )
 def test_bad_files_are_refused_before_anything_is_flown(
-    arguments: list[str], code: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], code: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def none_flown(flight: Flight) -> list[CellPass]:
         raise AssertionError(flight)
 
-    monkeypatch.setattr(calibrate, "fly", none_flown)
+    monkeypatch.setattr(calibrate, "fly_scene", none_flown)
     (tmp_path / "there.json").write_text("{}")
     places = {"there": tmp_path / "there.json", "none": tmp_path / "none"}
     assert main([argument.format(**places) for argument in arguments]) == code
-    assert says in capsys.readouterr().err
+    assert words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seeds", ["800", "9-8", "a-b", "-1-5", "1-", "1-99999999999999999999999999"])
@@ -169,7 +169,7 @@ def test_scenes_are_full_of_targets_that_keep_apart_and_differ_by_seed_and_fligh
     scenes = [target_scene(seed, flight) for seed in (800, 801) for flight in (0, 1)]
     assert len({scene.seed for scene in scenes}) == 4
     for scene in scenes:
-        place = np.array([(thing.east_m, thing.north_m) for thing in scene.objects], dtype=np.float64)
+        place = np.array([(scene_object.east_m, scene_object.north_m) for scene_object in scene.objects], dtype=np.float64)
         apart_m = np.hypot(*(place[:, np.newaxis] - place).transpose(2, 0, 1)) + 1e9 * np.eye(len(place))
         assert len(place) > 100
         assert apart_m.min() >= 12.0

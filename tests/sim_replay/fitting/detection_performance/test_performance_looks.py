@@ -1,4 +1,4 @@
-"""Looks at targets against what the simulator says was flown, and passes against their definition."""
+"""Looks at targets against the simulator's record of the flight, and passes against their definition."""
 
 from __future__ import annotations
 

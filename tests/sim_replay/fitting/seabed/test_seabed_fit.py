@@ -40,7 +40,7 @@ def _small_networks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fitting, "_EPOCHS", 60)
 
 
-def test_kinds_that_differ_are_told_apart() -> None:
+def test_kinds_that_differ_are_separated() -> None:
     model = fit_seabed_model(made_up(4000, 1), "made up")
     held_out = made_up(1000, 2)
     odds = seabed_odds(held_out.features.astype(np.float64), held_out.cot_grazing.astype(np.float64), model)
@@ -58,14 +58,14 @@ def test_a_model_survives_its_file_and_the_same_samples_make_the_same_bytes() ->
     assert msgspec.json.encode(parse_seabed_model(first, "m.json")) == first
 
 
-def test_a_kind_that_is_missing_is_told() -> None:
+def test_a_kind_that_is_missing_is_reported() -> None:
     some = made_up(1500, 4)
     kept = some.shares[:, KINDS.index("vegetation")] == 0.0
     with pytest.raises(BadInputError, match="too little of vegetation"):
         fit_seabed_model(SeabedSamples(*(part[kept] for part in some)), "made up")
 
 
-def test_too_few_samples_are_told() -> None:
+def test_too_few_samples_are_reported() -> None:
     with pytest.raises(BadInputError, match="give more missions"):
         fit_seabed_model(made_up(40, 5), "made up")
 
@@ -101,8 +101,8 @@ def test_decibels_per_count_are_known_as_well_as_an_estimate() -> None:
         for seed in range(40)
     ]
     assert {config.transfer for config in some} == {"log"}
-    told = [config.db_per_count or 0.0 for config in some]
-    assert 0.24 <= min(told) < 0.28 < 0.32 < max(told) <= 0.375
+    reported = [config.db_per_count or 0.0 for config in some]
+    assert 0.24 <= min(reported) < 0.28 < 0.32 < max(reported) <= 0.375
 
 
 def small_scene(seed: int) -> Scene:
@@ -116,15 +116,16 @@ def small_scene(seed: int) -> Scene:
 
 def test_cells_of_a_mission_are_what_the_simulator_put_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sampled, "mission_scene", small_scene)
-    told = samples_of(11)
-    assert len(told.shares) > 20
-    assert (told.shares[:, KINDS.index("flat")] == 1.0).all()
-    assert np.isfinite(told.features).all()
-    assert seabed_fit_words([11], pooled([told])).startswith("1 simulated missions of seeds 11 to 11, ")
+    reported = samples_of(11)
+    assert len(reported.shares) > 20
+    assert (reported.shares[:, KINDS.index("flat")] == 1.0).all()
+    assert np.isfinite(reported.features).all()
+    assert seabed_fit_words([11], pooled([reported])).startswith("1 simulated missions of seeds 11 to 11, ")
 
 
 def test_a_new_model_can_be_learnt_when_the_shipped_one_measures_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Calibration could not run after the names of textures had changed, since the pipeline read the shipped model first."""
+    """Calibration could not run after the names of textures had changed, since the pipeline read the shipped model
+    first."""
 
     def refuse(config: Config) -> None:
         raise BadInputError("seabed/model.json: fitted on other textures")

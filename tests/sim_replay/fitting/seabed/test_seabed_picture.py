@@ -41,7 +41,7 @@ def test_sand_is_drawn_twice_the_second_time_in_the_colour_of_a_flat_floor(sandy
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "words"),
     [
         (["--picture", "floor.png"], "--picture draws what --log names: give both, or neither to score"),
         (["--log", "line.xtf"], "--picture draws what --log names: give both, or neither to score"),
@@ -49,11 +49,11 @@ def test_sand_is_drawn_twice_the_second_time_in_the_colour_of_a_flat_floor(sandy
         (["--picture", "floor.png", "--log", "line.xtf"], "line.xtf"),
     ],
 )
-def test_what_cannot_be_drawn_is_told(
-    options: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_what_cannot_be_drawn_is_reported(
+    options: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["bench", "seabed", *options]) != 0
     err = capsys.readouterr().err
-    assert told in err
+    assert words in err
     assert "Traceback" not in err

@@ -52,12 +52,12 @@ def test_every_square_metre_that_was_swept_and_seen_counts() -> None:
     cells = np.zeros((8, 8), dtype=np.int64)
     cells[:, 5:] = 1  # the border of seagrass runs through the eastern cells
     cells[7, :] = NOT_SWEPT
-    told = confusion_m2(mapped([[FLAT, VEGETATION], [FLAT, UNKNOWN]]), true_map(cells, ("mud", "seagrass")))
+    reported = confusion_m2(mapped([[FLAT, VEGETATION], [FLAT, UNKNOWN]]), true_map(cells, ("mud", "seagrass")))
     expected = np.zeros((5, 5))
     expected[FLAT, FLAT] = 4 * 7  # the western cells, less the row that was not swept
     expected[FLAT, VEGETATION], expected[VEGETATION, VEGETATION] = 4, 3 * 4
     expected[FLAT, UNKNOWN], expected[VEGETATION, UNKNOWN] = 3, 3 * 3
-    assert told == pytest.approx(expected)
+    assert reported == pytest.approx(expected)
 
 
 def test_cells_that_the_map_has_not_seen_do_not_count() -> None:
@@ -68,19 +68,19 @@ def test_cells_that_the_map_has_not_seen_do_not_count() -> None:
 def test_maps_with_corners_of_their_own_are_laid_over_each_other() -> None:
     cells = np.full((4, 4), 0, dtype=np.int64)
     cells[:, 2:] = 1
-    told = confusion_m2(
+    reported = confusion_m2(
         mapped([[ROUGH, RIPPLE]], first_east=-2, first_north=25), true_map(cells, ("gravel", "rippled_sand"), east_m=-6.0, north_m=100.0)
     )
-    assert told[ROUGH, ROUGH] == 8.0
-    assert told[RIPPLE, RIPPLE] == 8.0
-    assert told.sum() == 16.0
+    assert reported[ROUGH, ROUGH] == 8.0
+    assert reported[RIPPLE, RIPPLE] == 8.0
+    assert reported.sum() == 16.0
 
 
 def test_unknown_is_not_a_way_to_look_good() -> None:
     area_m2 = np.zeros((5, 5))
     area_m2[FLAT, FLAT], area_m2[FLAT, ROUGH], area_m2[ROUGH, UNKNOWN] = 60.0, 20.0, 20.0
-    told = shares(area_m2)
-    assert told == pytest.approx((0.6, 0.2, 0.75))
+    reported = shares(area_m2)
+    assert reported == pytest.approx((0.6, 0.2, 0.75))
     assert all(math.isnan(share) for share in shares(np.zeros((5, 5))))
 
 

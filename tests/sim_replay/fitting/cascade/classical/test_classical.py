@@ -46,7 +46,7 @@ def test_mines_never_seen_are_likely_and_rocks_without_shadow_are_not(model: Cla
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_each_family_alone_tells_mines_from_rocks(samples: ChipSamples, family: str) -> None:
+def test_each_family_alone_separates_mines_from_rocks(samples: ChipSamples, family: str) -> None:
     alone = fit_classical_model(samples, [name for name in FAMILIES if name == family])
     assert score_windows(alone, UNSEEN, *_at(0, 2)).min() > score_windows(alone, UNSEEN, *_at(1, 3)).max()
 
@@ -94,8 +94,8 @@ def test_targets_of_the_overlap_are_left_to_the_tile_they_belong_to() -> None:
 
 def test_candidates_find_all_objects_in_the_core() -> None:
     found = find_candidates(UNSEEN, CONFIG)
-    for thing in UNSEEN.objects:
-        away_m = np.hypot((found.rows + 0.5 - thing.row) * 0.12, (found.columns + 0.5 - thing.column) * 0.06)
+    for tile_object in UNSEEN.objects:
+        away_m = np.hypot((found.rows + 0.5 - tile_object.row) * 0.12, (found.columns + 0.5 - tile_object.column) * 0.06)
         assert away_m.min() < 0.5
 
 

@@ -61,7 +61,7 @@ def test_a_weight_counts_as_so_many_samples() -> None:
     assert weighed.slopes == pytest.approx(repeated.slopes, abs=1e-9)
 
 
-def test_features_that_never_vary_have_no_say() -> None:
+def test_features_that_never_vary_have_no_weight() -> None:
     features, is_positive = _samples(4, 100, np.array([1.0]))
     found = fit_discriminant(np.column_stack([features, np.full(100, 7.3)]), is_positive, np.ones(100), 1.0)
     assert found.slopes[1] == 0.0

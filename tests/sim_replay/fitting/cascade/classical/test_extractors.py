@@ -167,7 +167,7 @@ def test_the_mirror_image_along_track_has_the_same_features(family: Family, seed
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_chip_without_contrast_has_finite_features_that_tell_nothing(family: Family) -> None:
+def test_a_chip_without_contrast_has_finite_neutral_features(family: Family) -> None:
     features = extract(np.zeros((1, N_ROWS, N_COLUMNS)), [family], TEMPLATES)
     wanted = math.log(1e-3) if family in ("wavelets", "variances") else 0.0
     if family == "histograms":
