@@ -1,4 +1,4 @@
-"""Belief functions over the classes of a contact, and what several views of it say together (Dempster-Shafer theory).
+"""Combine belief functions over the classes of a contact from several views (Dempster-Shafer theory).
 
 A mass function is a float64 array (..., 32): entry number A is the mass of the subset of FRAME whose classes are the set bits of A.
 Entry 0 is the empty set, the mass of contradiction; entry 31 is the whole frame, the mass of ignorance. Masses sum to 1.
@@ -27,11 +27,14 @@ FRAME: Final[tuple[ContactClass, ...]] = ("cylinder", "sphere", "truncated_cone"
 N_CLASSES: Final = len(FRAME)
 N_SUBSETS: Final = 1 << N_CLASSES
 EVERYTHING: Final = N_SUBSETS - 1
-MINE_LIKE_P: Final = 0.2  # from this p_mine on contacts are called mines: to miss one costs more than four false alarms
+MINE_LIKE_P: Final = 0.2  # threshold of p_mine for calling a contact a mine: a miss costs more than four false alarms
 
 
 def subset(*names: ContactClass) -> int:
-    """Index of the subset of FRAME that holds the classes named. Raises ValueError for a name that is not in FRAME."""
+    """Give the index of the subset of FRAME that holds the classes named.
+
+    Raises ValueError for a name that is not in FRAME.
+    """
     if not set(names) <= set(FRAME):
         raise ValueError(f"{sorted(set(names) - set(FRAME))} are not classes of {FRAME}")
     return sum(1 << FRAME.index(name) for name in set(names))
@@ -39,10 +42,10 @@ def subset(*names: ContactClass) -> int:
 
 MINES: Final = EVERYTHING & ~subset("clutter")
 
-MAX_RELIABILITY: Final = 0.95  # no single statement about a class is taken for surer than this
-# What five statements of that reliability leave to ignorance; no source is taken for surer, so that none can veto all others.
-LEAST_IGNORANCE: Final = (1.0 - MAX_RELIABILITY) ** N_CLASSES
-LEAST_AGREEMENT: Final = 1e-12  # below, what two sources have in common is rounding and dividing by it would make certainty of it
+MAX_RELIABILITY: Final = 0.95  # upper bound on the reliability of a single statement about a class
+# What five statements of that reliability leave to ignorance; it bounds every source, so that none can veto all others.
+MIN_IGNORANCE: Final = (1.0 - MAX_RELIABILITY) ** N_CLASSES
+MIN_AGREEMENT: Final = 1e-12  # below it the agreement of two sources is rounding, and dividing by it would make certainty of it
 
 DEMPSTER_BELOW: Final = 0.6
 APART_FROM: Final = 0.9
@@ -64,27 +67,29 @@ _STARTS: Final = np.searchsorted(_FIRST & _SECOND, _SUBSETS)
 
 
 def vacuous() -> Array:
-    """(32,) mass of total ignorance."""
+    """Give the (32,) mass of total ignorance."""
     mass = np.zeros(N_SUBSETS)
     mass[EVERYTHING] = 1.0
     return mass
 
 
 def discount(mass: Array, reliability: ArrayLike) -> Array:
-    """`mass` (..., 32) from a source that is reliable with probability `reliability` (...): the rest goes to ignorance (Shafer 1976)."""
+    """Discount `mass` (..., 32) by a source's reliability (...), a probability: the rest goes to ignorance (Shafer
+    1976).
+    """
     share = np.asarray(reliability, dtype=np.float64)[..., np.newaxis]
     return share * mass + (1.0 - share) * vacuous()
 
 
 def belief(mass: Array) -> Array:
-    """(..., 32) Bel(A), the mass that implies A: of its subsets but the empty one."""
+    """Compute Bel(A), (..., 32): the mass of the subsets of A but the empty one, which imply A."""
     consistent = mass.copy()
     consistent[..., 0] = 0.0
     return _subset_sum(consistent)
 
 
 def pignistic(mass: Array) -> Array:
-    """(..., 5) probabilities of FRAME for a decision: each set's mass shared evenly among its classes (Smets).
+    """Share each set's mass evenly among its classes: (..., 5) probabilities of FRAME for a decision (Smets).
 
     The empty set's mass is left out and the rest scaled to 1, so `mass` must have some mass elsewhere.
     """
@@ -94,16 +99,16 @@ def pignistic(mass: Array) -> Array:
 
 
 def singleton_belief(mass: Array) -> dict[str, float]:
-    """Belief in each class of FRAME that a mass (32,) commits to that class alone, and the rest as `unknown`; sums to 1."""
-    told: dict[str, float] = {name: float(mass[1 << i]) for i, name in enumerate(FRAME)}
-    told["unknown"] = max(1.0 - sum(told.values()), 0.0)
-    return told
+    """Give the belief that a mass (32,) commits to each class of FRAME alone, and the rest as `unknown`; sums to 1."""
+    beliefs: dict[str, float] = {name: float(mass[1 << i]) for i, name in enumerate(FRAME)}
+    beliefs["unknown"] = max(1.0 - sum(beliefs.values()), 0.0)
+    return beliefs
 
 
 def bounded_by(mass: Array, p_mine: float) -> Array:
     """Turn what a mass (32,) commits to mines, or to clutter, beyond a probability of a mine into ignorance.
 
-    So Bel(mine) <= p_mine <= Pl(mine) holds: a source may know less than the probability says, never more.
+    So Bel(mine) <= p_mine <= Pl(mine) holds: a source may commit less than the probability, never more.
     """
     to_mines = float(mass[_ONLY_MINES].sum())
     to_clutter = float(mass[_CLUTTER])
@@ -120,7 +125,7 @@ def likeliest_mine(mass: Array) -> ContactClass:
     """Choose the kind of mine with the highest pignistic probability, given that it is a mine; "unknown" where kinds tie."""
     as_mine, _ = conjunctive(mass, _A_MINE)
     as_mine[0] = 0.0
-    if not as_mine.sum() >= LEAST_AGREEMENT:
+    if not as_mine.sum() >= MIN_AGREEMENT:
         return "unknown"
     by_class = pignistic(as_mine)
     best = int(by_class.argmax())
@@ -128,17 +133,17 @@ def likeliest_mine(mass: Array) -> ContactClass:
 
 
 def nonspecificity(mass: Array) -> Array:
-    """(...) how little a mass function tells, in bits: the mean log2 of the sizes of its sets (Dubois and Prade 1985)."""
+    """Measure how little a mass function states, (...) bits: the mean log2 of its sets' sizes (Dubois and Prade 1985)."""
     return np.asarray((mass * _LOG2_SIZE).sum(axis=-1))
 
 
 def conflict(first: Array, second: Array) -> Array:
-    """(...) mass that independent sources `first`, `second` (..., 32) together give to the empty set, K."""
+    """Compute K, (...): the mass that independent sources (..., 32) together give to the empty set."""
     return np.asarray((first * _subset_sum(second)[..., ::-1]).sum(axis=-1))
 
 
 def conjunctive(first: Array, second: Array) -> tuple[Array, Array]:
-    """What two independent reliable sources say together, and how much they contradict each other.
+    """Combine two independent reliable sources, and measure how much they contradict each other.
 
     Both (..., 32), broadcast. Returns the mass (..., 32), not normalised, m(C) = sum of first(A) second(B) over A and B = C, and the
     mass K (...) of the empty set.
@@ -148,14 +153,18 @@ def conjunctive(first: Array, second: Array) -> tuple[Array, Array]:
 
 
 class Combined(NamedTuple):
-    """mass: (..., 32), without mass of contradiction. log_agreement: (...) ln(1 - K) of all sources, -inf for total contradiction."""
+    """Hold a combination of sources.
+
+    mass: (..., 32), without mass of contradiction. log_agreement: (...) ln(1 - K) of all sources, -inf for total
+    contradiction.
+    """
 
     mass: Array
     log_agreement: Array
 
 
 def dempster(masses: Array) -> Combined:
-    """Dempster's rule for sources (n, ..., 32): conjunctive, scaled so that no mass is left on the empty set.
+    """Combine sources (n, ..., 32) by Dempster's rule: conjunctive, scaled so that the empty set has no mass.
 
     Scaled after every source, so that any number may follow. Where sources have less than 1e-12 in common the result is vacuous.
     """
@@ -168,7 +177,10 @@ def dempster(masses: Array) -> Combined:
 
 
 def yager(masses: Array) -> Array:
-    """(..., 32) Yager's rule for sources (n, ..., 32): what contradicts all taken together is ignorance (Information Sciences 41, 1987)."""
+    """Combine sources (n, ..., 32) by Yager's rule into (..., 32).
+
+    What contradicts all sources together becomes ignorance (Information Sciences 41, 1987).
+    """
     mass: Array = reduce(lambda fused, source: conjunctive(fused, source)[0], masses[1:], masses[0]).copy()
     mass[..., EVERYTHING] += mass[..., 0]
     mass[..., 0] = 0.0
@@ -176,7 +188,7 @@ def yager(masses: Array) -> Array:
 
 
 class ViewMass(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What one view says about a contact.
+    """Hold what one view states about a contact.
 
     mass: (32,) float64, 0 on the empty set. aspect_rad: compass direction from sonar to object. half_turn_symmetric: the shape that fits
     best looks the same from the opposite side (cylinder, sphere, cone; not a wedge).
@@ -197,10 +209,10 @@ class ViewMass(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Fusion(NamedTuple):
-    """What all views of a contact say together.
+    """Hold what all views of a contact state together.
 
-    mass: (32,) float64, vacuous if they contradict each other too much to belong to one object. conflict: the greatest K of what one view
-    says against what all others say together.
+    mass: (32,) float64, vacuous if they contradict each other too much to belong to one object. conflict: the greatest K of one
+    view with all others combined.
     """
 
     mass: Array
@@ -210,13 +222,13 @@ class Fusion(NamedTuple):
 def combine(views: Sequence[ViewMass]) -> Fusion:
     """Fuse the views of one contact; their order does not matter.
 
-    Views from similar aspects repeat each other: the one that tells most counts in full, the others are discounted by the product of
-    1 - rho over all that tell more, with rho = exp(-angle^2 / (2 spread^2)).
+    Views from similar aspects repeat each other: the most specific one counts in full, the others are discounted by the product of
+    1 - rho over all that are more specific, with rho = exp(-angle^2 / (2 spread^2)).
 
     K, how far the views contradict each other, is the greatest conflict of any with all others together (for two, their conflict; the
     conflict of all at once would near 1 for any long row of views that waver between two classes). Below 0.6 they are combined by
     Dempster's rule, below 0.9 by Yager's, else not. Two opposite views of reliability 0.95 stay just below 0.9, as neither is known to
-    be the odd one; a third tells. Discounts do not enter K: contradiction from the same aspect is the surest sign of two objects.
+    be the odd one; a third view decides. Discounts do not enter K: contradiction from the same aspect is the surest sign of two objects.
 
     Raises ValueError if there is no view.
     """
@@ -226,24 +238,24 @@ def combine(views: Sequence[ViewMass]) -> Fusion:
     ordered = sorted(views, key=lambda v: (v.aspect_rad, v.half_turn_symmetric, v.mass.tolist()))
     masses = _undogmatic(np.stack([view.mass for view in ordered]))
     worst = float(_conflict_with_others(masses).max())
-    most_telling = np.argsort(nonspecificity(masses), kind="stable")
-    likeness = _likeness(ordered)[np.ix_(most_telling, most_telling)]
-    discounted = discount(masses[most_telling], np.prod(1.0 - np.tril(likeness, -1), axis=1))
+    by_information = np.argsort(nonspecificity(masses), kind="stable")
+    likeness = _likeness(ordered)[np.ix_(by_information, by_information)]
+    discounted = discount(masses[by_information], np.prod(1.0 - np.tril(likeness, -1), axis=1))
     if worst < DEMPSTER_BELOW:
         return Fusion(dempster(discounted).mass, worst)
     return Fusion(yager(discounted) if worst < APART_FROM else vacuous(), worst)
 
 
 def next_look_aspects(aspects_rad: ArrayLike) -> Array:
-    """(k,) directions in [0, pi) to look from next, each standing for its opposite as well, the least like those had first.
+    """Propose (k,) directions in [0, pi) to view from next, farthest from the views so far first.
 
-    They are the middles of the gaps between `aspects_rad` (n,), the aspects had, on the half circle; the widest gap comes first, of equal
-    ones that of the lower angle.
+    Each direction stands for its opposite as well. They are the middles of the gaps between `aspects_rad` (n,), the
+    aspects viewed so far, on the half circle; the widest gap comes first, of equal ones that of the lower angle.
     """
-    # A hair below pi is pi to the remainder; as zero it must not open a gap of its own.
-    had = np.unique(np.remainder(np.remainder(np.asarray(aspects_rad, dtype=np.float64), np.pi), np.pi))
-    gaps = np.diff(had, append=had[:1] + np.pi)
-    middles = np.remainder(had + 0.5 * gaps, np.pi)
+    # A rounding error below pi is pi to the remainder; as zero it must not open a gap of its own.
+    taken = np.unique(np.remainder(np.remainder(np.asarray(aspects_rad, dtype=np.float64), np.pi), np.pi))
+    gaps = np.diff(taken, append=taken[:1] + np.pi)
+    middles = np.remainder(taken + 0.5 * gaps, np.pi)
     # Rounded, so that gaps meant to be equal are and those between equal aspects are none.
     gaps = np.round(gaps, 9)
     order = np.lexsort((middles, -gaps))
@@ -251,7 +263,10 @@ def next_look_aspects(aspects_rad: ArrayLike) -> Array:
 
 
 def _subset_sum(values: Array) -> Array:
-    """(..., 32) sums over the subsets of each set, along each class in turn: axis -1 - i of (..., 2, 2, 2, 2, 2) is class i out or in."""
+    """Sum over the subsets of each set, (..., 32), along each class in turn.
+
+    Axis -1 - i of (..., 2, 2, 2, 2, 2) is class i out or in.
+    """
     cube = values.reshape(*values.shape[:-1], *(2,) * N_CLASSES)
     for axis in range(-N_CLASSES, 0):
         cube = cube.cumsum(axis)
@@ -259,25 +274,28 @@ def _subset_sum(values: Array) -> Array:
 
 
 def _log(agreement: Array) -> Array:
-    return np.log(agreement, out=np.full_like(agreement, -np.inf), where=agreement >= LEAST_AGREEMENT)
+    return np.log(agreement, out=np.full_like(agreement, -np.inf), where=agreement >= MIN_AGREEMENT)
 
 
 def _normalised(mass: Array) -> tuple[Array, Array]:
-    """`mass` (..., 32) without its empty set, scaled to sum 1, vacuous where too little is left; and what was left (...)."""
+    """Scale `mass` (..., 32) without its empty set to sum 1, and give the mass that was left (...).
+
+    The result is vacuous where too little is left.
+    """
     consistent = mass.copy()
     consistent[..., 0] = 0.0
     agreement = consistent.sum(axis=-1, keepdims=True)
-    some = agreement >= LEAST_AGREEMENT
+    some = agreement >= MIN_AGREEMENT
     return np.where(some, consistent / np.where(some, agreement, 1.0), vacuous()), agreement[..., 0]
 
 
 def _undogmatic(mass: Array) -> Array:
     known = 1.0 - mass[..., EVERYTHING]
-    return discount(mass, (1.0 - LEAST_IGNORANCE) / np.maximum(known, 1.0 - LEAST_IGNORANCE))
+    return discount(mass, (1.0 - MIN_IGNORANCE) / np.maximum(known, 1.0 - MIN_IGNORANCE))
 
 
 def _conflict_with_others(sources: Array) -> Array:
-    """(n,) conflict of each of the sources (n, 32) with Dempster's combination of all others."""
+    """Compute the conflict of each source (n, 32) with Dempster's combination of all others, (n,)."""
     # Row k: all before source k, forward, and all after source n - 1 - k.
     both_ways = np.stack((sources, sources[::-1]), axis=1)
     passed = [np.stack((vacuous(), vacuous()))]
@@ -288,7 +306,7 @@ def _conflict_with_others(sources: Array) -> Array:
 
 
 def _likeness(views: Sequence[ViewMass]) -> Array:
-    """(n, n) rho of views."""
+    """Compute rho of views, (n, n)."""
     aspect = np.array([view.aspect_rad for view in views])
     symmetric = np.array([view.half_turn_symmetric for view in views])
     turn = np.where(symmetric[:, np.newaxis] & symmetric, np.pi, 2.0 * np.pi)

@@ -1,4 +1,4 @@
-"""Plain measures of confirmation that only trees weigh: as measured, in their units, unbounded, and told by themselves.
+"""Measure details of a confirmation that only trees weigh: unbounded, in their units, each with its own name.
 
 A linear sum of them would let one outlier decide. Questions whether a measure is above a threshold take no harm from it.
 """
@@ -21,7 +21,7 @@ _NOT_MEASURED: Final = -1.0  # of lengths and heights, which are positive
 _NO_SOLID: Final = 30.0  # nats, of a solid that cannot be seen in the region at all
 _NO_GAIN: Final = -50.0
 _NO_REPETITION: Final = 5.0
-_FAR_BEHIND: Final = 20.0  # nats, of a second solution where there is none
+_FAR_BEHIND: Final = 20.0  # nats, for a missing second solution
 _OF_THE_BEST: Final = (
     "solid_highlight_contrast",
     "solid_shadow_contrast",
@@ -35,7 +35,7 @@ _OF_THE_BEST: Final = (
 
 
 def detection_details(detection: Detection) -> Features:
-    """Where the detector saw something, and how large it took it to be."""
+    """Give the place of the detection and its size as the detector measured it."""
     return {
         "altitude_m": known(detection.altitude_m, _NOT_MEASURED),
         "ground_range_m": known(detection.ground_range_m, _NOT_MEASURED),
@@ -47,7 +47,7 @@ def detection_details(detection: Detection) -> Features:
 
 
 def contour_details(contours: Contours, region: Region) -> Features:
-    """Levels and sizes of the contours, and what the beam makes of a point where they are."""
+    """Measure levels and sizes of the contours, and the beam's image of a point at their range."""
     ground_range_m = region.first_ground_range_m + region.column * region.column_spacing_m
     return {
         "beam_footprint_m": region.beam_width_rad * math.hypot(ground_range_m, region.altitude_m),
@@ -63,12 +63,15 @@ def contour_details(contours: Contours, region: Region) -> Features:
 
 
 def solid_details(fits: ShapeFits, labels: NDArray[np.uint8], region: Region) -> Features:
-    """Of each solid what it costs, of the best one how it lies in the echoes, and of the labels (n_rows, n_columns) their shares."""
+    """Measure the cost of each solid, the fit of the best one, and the label shares.
+
+    labels: (n_rows, n_columns).
+    """
     costs_nats = {fit.solid: known(fit.best.cost, _NO_SOLID) for fit in fits.fits}
     best = fits.fits[0] if fits.fits else None
     best_nats = _NO_SOLID if best is None else known(best.best.cost, _NO_SOLID)
     contour_nats = 0.0 if fits.contour_cost is None else known(fits.contour_cost, 0.0)
-    told = {
+    values = {
         **{f"{solid}_nats": costs_nats.get(solid, _NO_SOLID) for solid in SOLIDS},
         "contour_nats": contour_nats,
         "solid_nats": best_nats,
@@ -77,7 +80,7 @@ def solid_details(fits: ShapeFits, labels: NDArray[np.uint8], region: Region) ->
         "labelled_shadow_share": float((labels == SHADOW).mean()) if labels.size else 0.0,
     }
     if best is None:
-        return told | dict.fromkeys(_OF_THE_BEST, 0.0)
+        return values | dict.fromkeys(_OF_THE_BEST, 0.0)
     ground_range_m = region.first_ground_range_m + region.column * region.column_spacing_m
     second_nats = _FAR_BEHIND if best.second is None else known(best.second.cost - best_nats, _FAR_BEHIND)
     measured = (
@@ -89,4 +92,4 @@ def solid_details(fits: ShapeFits, labels: NDArray[np.uint8], region: Region) ->
         best.best.ground_range_m - ground_range_m,
         second_nats,
     )
-    return told | {name: known(value, 0.0) for name, value in zip(_OF_THE_BEST, measured, strict=True)}
+    return values | {name: known(value, 0.0) for name, value in zip(_OF_THE_BEST, measured, strict=True)}

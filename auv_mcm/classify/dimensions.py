@@ -1,4 +1,4 @@
-"""Length, width and height of the solid that explains a view, as people give the size of a mine."""
+"""Compute length, width and height of the solid that explains a view, as the size of a mine is usually given."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from auv_mcm.records import NAN, ShapeModel
 
 
 class Dimensions(NamedTuple):
-    """m, with 1-sigma; NaN where not known. Length is the longer side on the floor, height what stands above it."""
+    """Hold the size of an object in m, with 1-sigma; NaN where not known.
+
+    Length is the longer side on the floor, height what stands above it.
+    """
 
     length_m: float
     width_m: float
@@ -20,7 +23,10 @@ class Dimensions(NamedTuple):
 
 
 def dimensions(model: ShapeModel) -> Dimensions:
-    """Of a model's solid; what lies buried does not count as height. Raises ValueError for a classification that is no solid."""
+    """Compute the size of a model's solid; buried parts do not count as height.
+
+    Raises ValueError for a classification that is not a solid with a size.
+    """
     size, sigma = model.sizes, model.sigma
     burial_m, burial_sigma_m = size.get("burial_m", 0.0), sigma.get("burial_m", 0.0)
     match model.classification:
@@ -37,6 +43,6 @@ def dimensions(model: ShapeModel) -> Dimensions:
             sides = (size["length_m"], sigma.get("length_m", NAN)), (size["width_m"], sigma.get("width_m", NAN))
             height_m, height_sigma_m = size["height_m"], sigma.get("height_m", NAN)
         case _:
-            raise ValueError(f"{model.classification} is no solid with a size")
+            raise ValueError(f"{model.classification} is not a solid with a size")
     (long_m, long_sigma_m), (short_m, short_sigma_m) = sorted(sides, reverse=True)
     return Dimensions(long_m, short_m, height_m - burial_m, long_sigma_m, short_sigma_m, math.hypot(height_sigma_m, burial_sigma_m))

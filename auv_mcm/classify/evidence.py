@@ -1,14 +1,14 @@
-"""From how well shape models match one view to belief masses.
+"""Turn the match of shape models with one view into belief masses.
 
 Appriou ("Probabilités et incertitude en fusion de données multi-senseurs", 1991) derives two families of masses from likelihoods,
 one statement per class, combined over the classes. Both are here.
 
-The first says of class i: m({i}) = a R/(1 + R), m(not i) = a/(1 + R), with R its likelihood over the mean of all. Of two classes that
+The first states of class i: m({i}) = a R/(1 + R), m(not i) = a/(1 + R), with R its likelihood over the mean of all. Of two classes that
 match alike each gets half the belief and next to nothing goes to "one of these two": ambiguity looks like two sure half truths. And
-because a weighs what is said against a class as well as for it, a poor match of implausible size keeps its class possible, and the
-best match of an impossible size wins by what is said against all others.
+because a weighs evidence against a class as well as for it, a poor match of implausible size keeps its class possible, and the
+best match of an impossible size wins by the evidence against all others.
 
-The second says only m(not i) = a (1 - mu), with mu the likelihood over the best of all. Classes that match alike keep their mass
+The second states only m(not i) = a (1 - mu), with mu the likelihood over the best of all. Classes that match alike keep their mass
 together, as {sphere, truncated_cone}, which is what was seen. `view_mass` takes it, with plausible size inside mu.
 """
 
@@ -25,13 +25,13 @@ from numpy.typing import ArrayLike
 from auv_mcm.classify.beliefs import EVERYTHING, FRAME, MAX_RELIABILITY, N_CLASSES, N_SUBSETS, Array, dempster, subset
 from auv_mcm.records import NAN, ContactClass
 
-TEMPERATURE: Final = 4.0  # pixels are correlated and models not exact: log-likelihoods of a region are worth a fraction of their value
+TEMPERATURE: Final = 4.0  # divisor of log-likelihoods: pixels are correlated and models not exact
 _SIZE_MARGIN: Final = 0.3
 _CLUTTER: Final = FRAME.index("clutter")
 
 
 class ClassEvidence(msgspec.Struct, frozen=True, kw_only=True):
-    """How one class explains one view, with its best parameters.
+    """Hold how one class explains one view, with its best parameters.
 
     nll: negative log-likelihood in nats, +inf if it cannot explain the view at all. plausibility: of the parameters' sizes, in [0, 1],
     NaN where not known.
@@ -49,24 +49,26 @@ class ClassEvidence(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"plausibility must lie in [0, 1] or be NaN, got {self.plausibility}")
 
 
-def size_plausibility(sizes_m: ArrayLike, least_m: ArrayLike, most_m: ArrayLike) -> Array:
-    """(...) product over sizes (..., n) of trapezoids: 1 from least_m to most_m (..., n), falling to 0 at 30 % less or more.
+def size_plausibility(sizes_m: ArrayLike, min_m: ArrayLike, max_m: ArrayLike) -> Array:
+    """Rate sizes (..., n) by a product of trapezoids, (...).
 
-    A size that is NaN was not measured and counts as plausible. Raises ValueError unless 0 < least_m <= most_m.
+    Each is 1 from min_m to max_m (..., n), falling to 0 at 30 % below or above.
+
+    A size that is NaN was not measured and counts as plausible. Raises ValueError unless 0 < min_m <= max_m.
     """
-    size, least, most = (np.asarray(value, dtype=np.float64) for value in (sizes_m, least_m, most_m))
-    if not ((least > 0.0) & (least <= most)).all():
-        raise ValueError(f"known sizes must have 0 < least_m <= most_m, got {least} and {most}")
-    beyond = np.maximum(1.0 - size / least, size / most - 1.0)
+    size, minimum, maximum = (np.asarray(value, dtype=np.float64) for value in (sizes_m, min_m, max_m))
+    if not ((minimum > 0.0) & (minimum <= maximum)).all():
+        raise ValueError(f"known sizes must have 0 < min_m <= max_m, got {minimum} and {maximum}")
+    beyond = np.maximum(1.0 - size / minimum, size / maximum - 1.0)
     each = np.clip(1.0 - beyond / _SIZE_MARGIN, 0.0, 1.0)
     return np.asarray(np.where(np.isnan(size), 1.0, each).prod(axis=-1))
 
 
 def view_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE) -> Array:
-    """(32,) mass of one view from the evidence for the classes tried; a class left out stays possible.
+    """Compute the (32,) mass of one view from the evidence for the classes tried; a class left out stays possible.
 
     The match of class i in log units is -nll / temperature + ln plausibility, mu_i its exp over that of the best. Clutter is every object
-    that is no mine: whatever matches a mine's shape of implausible size matches clutter by as much as the size is implausible. Then
+    except mines: whatever matches a mine's shape of implausible size matches clutter by as much as the size is implausible. Then
     m(not i) = a (1 - mu_i), a = min(quality, 0.95), combined over the classes, which contradict each other in nothing: m(A) is the
     product of 1 - a (1 - mu_i) in A and of a (1 - mu_i) out of it.
 
@@ -81,7 +83,9 @@ def view_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, te
 
 
 def appriou_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE) -> Array:
-    """(32,) mass of one view by Appriou's first family, for comparison: see above for what it gets wrong. Arguments as `view_mass`.
+    """Compute the (32,) mass of one view by Appriou's first family, for comparison; see the module for its faults.
+
+    Arguments as `view_mass`.
 
     R_i = exp(l_i - ln mean exp l), l = -nll / temperature; a_i = quality * plausibility, at most 0.95.
     """
@@ -115,7 +119,10 @@ def _tried(evidence: Mapping[ContactClass, ClassEvidence]) -> list[int]:
 
 
 def _log_likelihoods(evidence: Mapping[ContactClass, ClassEvidence], temperature: float) -> Array:
-    """(5,) tempered; the lowest finite number stands for -inf, so that differences are numbers; 0 for classes not tried."""
+    """Temper log-likelihoods, (5,); 0 for classes not tried.
+
+    The lowest finite number stands for -inf, so that differences are finite.
+    """
     if not 0.0 < temperature < math.inf:
         raise ValueError(f"temperature must be positive, got {temperature}")
     worst = float(np.finfo(np.float64).max) / 4.0
@@ -123,7 +130,7 @@ def _log_likelihoods(evidence: Mapping[ContactClass, ClassEvidence], temperature
 
 
 def _memberships(evidence: Mapping[ContactClass, ClassEvidence], temperature: float) -> Array:
-    """(5,) mu, 1 for the best of the classes tried and for those not tried."""
+    """Compute mu, (5,): 1 for the best of the classes tried and for those not tried."""
     tried = _tried(evidence)
     likelihood = _log_likelihoods(evidence, temperature)
     plausible = np.array([_known(evidence[n].plausibility) if n in evidence else 1.0 for n in FRAME])

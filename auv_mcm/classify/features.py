@@ -1,6 +1,7 @@
-"""What the steps of confirmation measure, as numbers of moderate size that log-odds can be weighed from.
+"""Express the measurements of confirmation as features of moderate size for log-odds.
 
-Each step knows what those before it do. Evidence in nats is compressed, so that one very bright echo does not outvote all else.
+Each step has the features of the steps before it. Evidence in nats is compressed, so that one very bright echo does not
+outvote all else.
 """
 
 from __future__ import annotations
@@ -22,39 +23,42 @@ from auv_mcm.records import Detection
 
 Features: TypeAlias = dict[str, float]
 
-_NATS: Final = 5.0  # below it evidence counts about as it is, above it by its logarithm
-_NO_SOLID: Final = 20.0  # cost where no solid explains anything
-_NO_ALTITUDE: Final = 0.2  # relative, of an altitude that no solid bears out
-_LEAST_PLAUSIBILITY: Final = 1e-3
+_NATS: Final = 5.0  # nats: below it evidence counts about in full, above it by its logarithm
+_NO_SOLID: Final = 20.0  # nats: cost where no solid explains anything
+_NO_ALTITUDE: Final = 0.2  # relative error of an altitude that no solid bears out
+_MIN_PLAUSIBILITY: Final = 1e-3
 _TEMPER: Final = 4.0
-_MOST_ODDS: Final = 6.0
-_MOST_SCORE: Final = 15.0
+_MAX_ODDS: Final = 6.0
+_MAX_SCORE: Final = 15.0
 _RANGE: Final = (-1.5, 3.5)
-_LEAST_ROWS: Final = 4  # of an edge that can be said to bend
-_LEAST_AREA_M2: Final = 0.01
-_MOST_M: Final = 3.0
+_MIN_ROWS: Final = 4  # of an edge whose bend can be measured
+_MIN_AREA_M2: Final = 0.01
+_MAX_M: Final = 3.0
 
 
 def detector_features(detection: Detection) -> Features:
-    """Of a detection by itself. Levels that were not measured count as 0 and are told by a feature of their own.
+    """Describe a detection alone.
 
-    `range`: ln(ground range / altitude). What a level or odds are worth changes with it: near ones have faint highlights and short shadows.
+    Levels that were not measured count as 0 and have a feature that marks them.
+
+    `range`: ln(ground range / altitude). The worth of a level or of odds
+    changes with it: near objects have faint highlights and short shadows.
     Detections of the trained cascade have its score and, beside it, that of contrasts.
     """
     ratio = detection.ground_range_m / detection.altitude_m if detection.altitude_m > 0.0 else math.nan
-    odds = min(max(odds_of(detection.p_mine), -_MOST_ODDS), _MOST_ODDS)
+    odds = min(max(odds_of(detection.p_mine), -_MAX_ODDS), _MAX_ODDS)
     highlight_db = known(detection.highlight_db, 0.0)
     log_range = min(max(math.log(ratio), _RANGE[0]), _RANGE[1]) if 0.0 < ratio < math.inf else 0.0
     trained: Features = {}
     if not math.isnan(detection.cascade_score):
-        score = min(max(detection.cascade_score, -_MOST_SCORE), _MOST_SCORE)
-        contrast = min(max(known(detection.score, 0.0), -_MOST_SCORE), _MOST_SCORE)
+        score = min(max(detection.cascade_score, -_MAX_SCORE), _MAX_SCORE)
+        contrast = min(max(known(detection.score, 0.0), -_MAX_SCORE), _MAX_SCORE)
         trained = {"cascade_score": score, "cascade_score_by_range": score * log_range, "contrast": contrast}
     return {
         "detector_odds": odds,
         "highlight_db": highlight_db,
         "shadow_db": known(detection.shadow_db, 0.0),
-        **_told(detection.reasons, ("no_highlight", "no_shadow", "too_large", "crowded")),
+        **_as_features(detection.reasons, ("no_highlight", "no_shadow", "too_large", "crowded")),
         "range": log_range,
         "range_squared": log_range**2,
         "detector_odds_by_range": odds * log_range,
@@ -64,7 +68,7 @@ def detector_features(detection: Detection) -> Features:
 
 
 def contour_features(contours: Contours) -> Features:
-    """Of converged contours."""
+    """Describe converged contours."""
     shadow = contours.shadow_mean / contours.background_mean if contours.background_mean > 0.0 else math.nan
     broken = sum(code in snake_rules.REJECTING for code in contours.reasons)
     return {
@@ -79,7 +83,7 @@ def contour_features(contours: Contours) -> Features:
 
 
 def outline_features(contours: Contours, region: Region) -> Features:
-    """Of how contours run: extents along the track, bends and roughness of their edges, level and area of the highlight.
+    """Describe the course of contours: extents along track, bends and roughness of edges, level and area of highlight.
 
     Mines have plain edges; those of rocks bend and jump from row to row.
     """
@@ -87,7 +91,7 @@ def outline_features(contours: Contours, region: Region) -> Features:
     level = contours.highlight_mean / contours.background_mean if contours.background_mean > 0.0 else math.nan
     return {
         "highlight_level": math.log(level) if 0.0 < level < math.inf else 0.0,
-        "highlight_area": math.log(contours.highlight_area_m2 + _LEAST_AREA_M2),
+        "highlight_area": math.log(contours.highlight_area_m2 + _MIN_AREA_M2),
         "highlight_length_m": highlight.length_m,
         "shadow_length_m": shadow.length_m,
         "highlight_front_bend_m": _bend_m(highlight.near_m),
@@ -97,7 +101,7 @@ def outline_features(contours: Contours, region: Region) -> Features:
 
 
 class _Edges(NamedTuple):
-    """Near and far edge of a contour in each of its rows (n_rows,), and its extent along the track."""
+    """Hold near and far edge of a contour in each of its rows (n_rows,), and its extent along the track."""
 
     near_m: NDArray[np.float64]
     far_m: NDArray[np.float64]
@@ -113,31 +117,31 @@ class _Edges(NamedTuple):
 
 
 def _bend_m(edge_m: NDArray[np.float64]) -> float:
-    """How far an edge (n_rows,) strays from a straight one by its curvature, from end to end."""
+    """Measure how far an edge (n_rows,) bends from a straight one, from end to end."""
     n_rows = len(edge_m)
-    if n_rows < _LEAST_ROWS:
+    if n_rows < _MIN_ROWS:
         return 0.0
     along = np.arange(n_rows) - 0.5 * (n_rows - 1)
     square = along**2 - (along**2).mean()
-    return min(abs(float(square @ edge_m) / float(square @ square)) * n_rows**2, _MOST_M)
+    return min(abs(float(square @ edge_m) / float(square @ square)) * n_rows**2, _MAX_M)
 
 
 def _roughness_m(edge_m: NDArray[np.float64]) -> float:
-    """Standard deviation of an edge (n_rows,) from a straight one."""
+    """Compute the standard deviation of an edge (n_rows,) from a straight one."""
     n_rows = len(edge_m)
-    if n_rows < _LEAST_ROWS:
+    if n_rows < _MIN_ROWS:
         return 0.0
     along = np.arange(n_rows) - 0.5 * (n_rows - 1)
     slope = float(along @ edge_m) / float(along @ along)
-    return min(float((edge_m - slope * along).std()), _MOST_M)
+    return min(float((edge_m - slope * along).std()), _MAX_M)
 
 
 def shape_features(fits: ShapeFits, labels: NDArray[np.uint8]) -> Features:
-    """Of the solids fitted and of the labels (n_rows, n_columns) of the Markov field."""
+    """Describe the solids fitted and the labels (n_rows, n_columns) of the Markov field."""
     best = fits.fits[0] if fits.fits else None
     explained = [(known(fit.best.cost, _NO_SOLID), known(fit.plausibility, 0.0)) for fit in fits.fits]
     cost, plausible = explained[0] if explained else (_NO_SOLID, 0.0)
-    weighed = min((nats - _TEMPER * math.log(max(share, _LEAST_PLAUSIBILITY)) for nats, share in explained), default=2.0 * _NO_SOLID)
+    weighed = min((nats - _TEMPER * math.log(max(share, _MIN_PLAUSIBILITY)) for nats, share in explained), default=2.0 * _NO_SOLID)
     contour = cost if fits.contour_cost is None else known(fits.contour_cost, cost)
     return {
         "shape_evidence": -compressed(cost),
@@ -145,7 +149,7 @@ def shape_features(fits: ShapeFits, labels: NDArray[np.uint8]) -> Features:
         "shape_plausibility": plausible,
         "shape_over_contours": compressed(contour - cost),
         "shape_altitude_off": _NO_ALTITUDE if best is None else known(abs(best.best.altitude_ratio - 1.0), _NO_ALTITUDE),
-        **_told(() if best is None else best.flags, ("at_bound", "cut_off")),
+        **_as_features(() if best is None else best.flags, ("at_bound", "cut_off")),
         "labelled_highlight": float((labels == HIGHLIGHT).mean()) if labels.size else 0.0,
         "highlight_deeper_m": 0.0 if best is None else _deeper_m(best.highlight),
         "burial_m": 0.0 if best is None else float(getattr(best.best.shape, "burial_m", 0.0)),
@@ -153,24 +157,24 @@ def shape_features(fits: ShapeFits, labels: NDArray[np.uint8]) -> Features:
 
 
 def with_shape(before: Features, shape: Features) -> Features:
-    """All features, and evidence of shape by range."""
+    """Add evidence of shape, also by range, to the features."""
     return before | shape | {"shape_evidence_by_range": shape["shape_evidence"] * before["range"]}
 
 
 def _deeper_m(highlight: Highlight) -> float:
-    """By how much a highlight reaches further across the track than its solid's."""
-    return min(max(known(highlight.observed_across_m - highlight.model_across_m, 0.0), -_MOST_M), _MOST_M)
+    """Measure how much farther across the track a highlight reaches than its solid's."""
+    return min(max(known(highlight.observed_across_m - highlight.model_across_m, 0.0), -_MAX_M), _MAX_M)
 
 
 def compressed(nats: float) -> float:
-    """sign(x) ln(1 + |x| / 5)."""
+    """Compress evidence: sign(x) ln(1 + |x| / 5)."""
     return math.copysign(math.log1p(abs(nats) / _NATS), nats)
 
 
 def known(value: float, otherwise: float) -> float:
-    """`value` if it is a finite number."""
+    """Give `value` if it is a finite number, else `otherwise`."""
     return value if math.isfinite(value) else otherwise
 
 
-def _told(codes: Iterable[str], names: tuple[str, ...]) -> Features:
+def _as_features(codes: Iterable[str], names: tuple[str, ...]) -> Features:
     return {name: float(name in codes) for name in names}

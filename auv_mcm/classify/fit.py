@@ -1,4 +1,4 @@
-"""Which solids a region may show: the best sphere, cylinder, truncated cone and wedge, and how well each explains it."""
+"""Fit solids to a region: the best sphere, cylinder, truncated cone and wedge, and how well each explains it."""
 
 from __future__ import annotations
 
@@ -33,21 +33,22 @@ SOLIDS: Final = tuple(FIELDS)
 
 _CLUTTER: Final = 60.0  # nats by which a free contour explains more than every solid before refinement: no solid catches up
 _HOPELESS: Final = 40.0  # nats behind the best solid before refinement: this one does not catch up
-_ALTITUDE_SIGMA: Final = 0.06  # of the altitude told, relative
-_BURIAL_SIGMA: Final = 0.15  # share of radius or height: a buried solid and a smaller one look much alike
-_TEMPER: Final = 4.0  # by which costs overstate what is known: highlights are not even, and floors not flat
-_RESOLVED: Final = 0.15  # of a resolution cell is what its edges are uncertain by
+_ALTITUDE_SIGMA: Final = 0.06  # of the altitude measured, relative
+_BURIAL_SIGMA: Final = 0.15  # share of radius or height: a buried solid and a smaller one look alike
+_TEMPER: Final = 4.0  # factor by which costs overstate the evidence: highlights are not even, and floors not flat
+_RESOLVED: Final = 0.15  # share of a resolution cell by which edges are uncertain
 _TOLERANCE: Final = 0.3  # beyond the usual sizes, relative, at which a size is not plausible at all
-_LEAST_HIGHLIGHT: Final = 6.0  # independent samples below which a highlight is no evidence
+_MIN_HIGHLIGHT: Final = 6.0  # independent samples below which a highlight is not evidence
 _WEDGE_M: Final = (1.02, 0.80, 0.385)  # at scale 1
 _ALONG_M, _BEFORE_M, _BEHIND_M = 1.2, 0.5, 1.2  # how far from the highlight's centre an object's place may be
 _PLACE_GRAIN_M: Final = 0.05
 
 
 class Effort(NamedTuple):
-    """How many hypotheses are tried: starts per solid; how many walk, for how many steps of how many tries; the same with the beam.
+    """Set how many hypotheses are tried.
 
-    refines_all: with the beam also for solids that are far behind.
+    Starts per solid; how many walk, for how many steps of how many tries; the same with the beam. refines_all: with the
+    beam also for solids that are far behind.
     """
 
     n_starts: int = 512
@@ -61,9 +62,12 @@ class Effort(NamedTuple):
 
 
 class Optimum(msgspec.Struct, frozen=True, kw_only=True):
-    """A solid at a place. row: fractional, edges of rows at whole numbers. ground_range_m: of its place, true for the altitude below.
-    cost: nats against a floor without an object, parameters included; the lower, the better. altitude_ratio: of the altitude that
-    explains the height seen over the altitude told."""
+    """Place a solid.
+
+    row: fractional, edges of rows at whole numbers. ground_range_m: of its place, true for the altitude below. cost:
+    nats against a floor without an object, parameters included; the lower, the better. altitude_ratio: the altitude
+    that explains the height seen over the altitude measured.
+    """
 
     shape: Shape
     row: float
@@ -73,8 +77,10 @@ class Optimum(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Highlight(msgspec.Struct, frozen=True, kw_only=True):
-    """Mean extent in range, m, of a highlight: as the solid has it and as measured about it without the solid's ends.
-    n_samples: independent ones in the solid's."""
+    """Measure the mean extent in range, m, of a highlight: of the solid, and as measured about it without its ends.
+
+    n_samples: independent ones in the solid's.
+    """
 
     model_across_m: float
     observed_across_m: float
@@ -82,7 +88,9 @@ class Highlight(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
-    """The best of one class. What follows `refined` is known of the best of all classes alone; of others it is empty, or 0.
+    """Hold the best fit of one class.
+
+    The fields after `refined` are known only for the best of all classes; for others they are empty, or 0.
 
     plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
     second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
@@ -107,7 +115,7 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ShapeFits(msgspec.Struct, frozen=True, kw_only=True):
-    """All classes that explain the region at all, best first; a class that cannot be seen in it is missing.
+    """Hold all classes that explain the region at all, best first; a class that cannot be seen in it is missing.
 
     contour_cost: that of the free contour, as given. n_hypotheses: tried in the search. flags: no_data, clutter (the contour explains so
     much more that solids were not refined).
@@ -131,7 +139,8 @@ def _size(low: float, high: float, grain: float) -> _Parameter:
     return _Parameter((1.0 - _TOLERANCE) * low, (1.0 + _TOLERANCE) * high, grain, usual=(low, high))
 
 
-# Burial comes as a share of radius or height. Below 0 it stands for an altitude told too high by that share: both change the height seen.
+# Burial comes as a share of radius or height. Below 0 it stands for an altitude measured too high by that
+# share: both change the height seen.
 _PARAMETERS: Final[dict[Solid, tuple[_Parameter, ...]]] = {
     "sphere": (_size(0.3, 0.5, 0.03), _Parameter(-0.15, 0.6, 0.15)),
     "cylinder": (
@@ -159,7 +168,7 @@ _TERMS: Final[dict[Solid, Array]] = {
 
 
 class _Class(NamedTuple):
-    """One class under search, and what was found."""
+    """Hold one class under search, and what was found."""
 
     chart: WalkSpace
     found: Optima
@@ -167,6 +176,7 @@ class _Class(NamedTuple):
 
     @property
     def solid(self) -> Solid:
+        """Give the solid of the best optimum."""
         return self.chart.solid
 
     @property
@@ -212,14 +222,17 @@ def fit_to(image: ImageRowSums | None, region: Region, contour_cost: float | Non
 
 
 def plausibility(solid: Solid, sizes: Array) -> float:
-    """Of sizes in the order of the class's parameters: product of trapezoids, 1 within the usual, 0 at 30 % beyond."""
+    """Rate sizes in the order of the class's parameters, 1 within the usual, 0 at 30 % beyond."""
     known = [(value, parameter.usual) for value, parameter in zip(sizes, _PARAMETERS[solid], strict=True) if parameter.usual is not None]
     values, usual = zip(*known, strict=True)
     return float(size_plausibility(values, *zip(*usual, strict=True)))
 
 
 def hypotheses_of(solid: Solid, points: Array) -> Array:
-    """Hypotheses (n, 8) for the kernel from points (n, d): place along the slices and ground range (m), then the class's parameters."""
+    """Turn points (n, d) into hypotheses (n, 8) for the kernel.
+
+    A point is the place along the slices and ground range (m), then the class's parameters.
+    """
     return hypotheses_at(_TERMS[solid], points)
 
 
@@ -254,7 +267,7 @@ def _fit(entry: _Class, region: Region, image: ImageRowSums) -> ShapeFit:
 
 
 def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: ImageRowSums, beam: Beam) -> ShapeFit:
-    """Add what is known of the best of all classes alone."""
+    """Add the details of the best of all classes."""
     found = apart(entry.found, entry.box, 2)
     points = entry.box.points(found.unit)
     hypotheses = hypotheses_of(entry.solid, points)
@@ -265,7 +278,7 @@ def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: ImageRowS
     ends = intervals(entry.solid, hypotheses[:1], image, PENCIL)[0, :, 0]
     highlight = _highlight(ends, mean, image)
     at_end = (np.abs(found.unit[0] - np.rint(found.unit[0])) < 0.01) & ~entry.box.wraps
-    # Neither the place nor no burial at all is the end of anything.
+    # Neither the place nor the absence of burial counts as a bound.
     at_end[:2] = False
     if entry.solid != "truncated_cone":
         at_end[-1] &= entry.solid != "cylinder" or found.unit[0, -1] > 0.5
@@ -276,7 +289,7 @@ def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: ImageRowS
         "altitude": abs(fit.best.altitude_ratio - 1.0) > _ALTITUDE_SIGMA,
         "buried": entry.solid != "truncated_cone" and points[0, -1] > (0.2 if entry.solid in ("sphere", "cylinder") else 0.1),
         "cut_off": rows.size == 0 or rows[0] == 0 or rows[-1] == len(ends) - 1 or bool(ends[:, 2].max() >= last),
-        "weak_highlight": highlight.n_samples < _LEAST_HIGHLIGHT,
+        "weak_highlight": highlight.n_samples < _MIN_HIGHLIGHT,
     }
     return msgspec.structs.replace(
         fit,
@@ -290,7 +303,7 @@ def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: ImageRowS
 
 
 def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image: ImageRowSums) -> Optimum:
-    """Back from slices to the image and the track: a slice squinted ahead meets greater ranges in later rows."""
+    """Convert from slices to image and track: a slice squinted ahead meets greater ranges in later rows."""
     squint = region.squint_rad
     across_m = float(hypothesis[1]) * math.cos(squint)
     middle_m = region.first_ground_range_m + region.column * region.column_spacing_m
@@ -310,13 +323,16 @@ def _optimum(solid: Solid, hypothesis: Array, cost: float, region: Region, image
 
 
 def _sigma(entry: _Class, beam: Beam, region: Region, image: ImageRowSums) -> dict[str, float]:
-    """Of place and fields: what speckle leaves open, doubled for what the model leaves out, and what resolution and altitude do."""
+    """Estimate the uncertainty of place and fields.
+
+    It adds what speckle leaves open, doubled for what the model leaves out, and the effects of resolution and altitude.
+    """
     point = entry.box.points(entry.found.unit[:1])[0]
     hypothesis = hypotheses_of(entry.solid, point[np.newaxis])[0]
     covariance = curvature_covariance(lambda points: costs_at(entry.chart, points, image, beam), entry.box, point)
     there = point.copy()
     if entry.solid != "truncated_cone":
-        there[-1] = max(there[-1], 1e-3)  # of a solid that is not buried: how deep it may be
+        there[-1] = max(there[-1], 1e-3)  # possible burial of a solid that fits as not buried
     step = 1e-4 * entry.box.grain
     derivative = (hypotheses_of(entry.solid, there + np.diag(step)) - hypotheses_of(entry.solid, there - np.diag(step))).T / (2.0 * step)
     variance = _TEMPER * np.delete(np.einsum("ij,jk,ik->i", derivative, covariance, derivative), 2)
@@ -339,7 +355,10 @@ def _sigma(entry: _Class, beam: Beam, region: Region, image: ImageRowSums) -> di
 
 
 def _highlight(ends: Array, mean: Array, image: ImageRowSums) -> Highlight:
-    """ends: (n_rows, 3) columns of the solid; mean: of highlight, shadow and floor."""
+    """Measure the highlight.
+
+    ends: (n_rows, 3) columns of the solid; mean: of highlight, shadow and floor.
+    """
     rows = np.flatnonzero(ends[:, 1] > ends[:, 0])
     if rows.size == 0:
         return Highlight(model_across_m=0.0, observed_across_m=0.0, n_samples=0.0)
@@ -359,7 +378,7 @@ def _highlight(ends: Array, mean: Array, image: ImageRowSums) -> Highlight:
 
 
 def _run(bright: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], start: int) -> int:
-    """Length of the run of bright cells about a start, 0 if that is dark."""
+    """Measure the run of bright cells about a start, 0 if that is dark."""
     if not bright[start]:
         return 0
     dark = np.flatnonzero(~bright)

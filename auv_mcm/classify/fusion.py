@@ -1,7 +1,7 @@
-"""What all views of one contact say together: is it a mine, of which kind, and would another look change that.
+"""Fuse all views of one contact: is it a mine, of which kind, and would another view change that.
 
-Whether it is a mine and of which kind are weighed apart. That views tell different kinds, as the end and the side of a cylinder do, must
-not undo that both tell a mine. How rare mines are counts once per contact.
+Whether it is a mine and of which kind are weighed apart. Views that show different kinds, as the end and the side of a
+cylinder do, must not undo that both show a mine. The prior, how rare mines are, counts once per contact.
 """
 
 from __future__ import annotations
@@ -32,12 +32,15 @@ CONTRADICTION: Final = "views_contradict"
 NEWS: Final = 0.2
 """Share of a further view's evidence that is not already in the most mine-like one's, from square to it."""
 _SPREAD_DEG: Final = 15.0  # views from directions closer than this mostly repeat each other
-_ONE_LOOK: Final = 3.0  # nats that another view may well bring
+_ONE_LOOK: Final = 3.0  # nats that another view may bring
 _LOOKS: Final = 2  # directions proposed
 
 
 class FusedViews(NamedTuple):
-    """What is known of a contact; the fields are those of `Contact`. reasons: codes beyond those of the views."""
+    """Hold what is known of a contact; the fields are those of `Contact`.
+
+    reasons: codes beyond those of the views.
+    """
 
     p_mine: float
     classification: ContactClass
@@ -51,7 +54,7 @@ def fuse(views: Sequence[Detection], prior: float) -> FusedViews:
     """Fuse the views of one contact, whose order does not matter.
 
     prior: log-odds of a mine among detections, which each view's p_mine contains and the contact's contains once. Views that contradict
-    each other too much to belong to one object are not fused: the most mine-like one speaks for the contact.
+    each other too much to belong to one object are not fused: the most mine-like one stands for the contact.
     Raises ValueError if there is no view.
     """
     if not views:
@@ -72,12 +75,12 @@ def fuse(views: Sequence[Detection], prior: float) -> FusedViews:
 
 
 def fused_ratio(log_ratios: Sequence[float], aspects_deg: Sequence[float]) -> float:
-    """Evidence in nats of several views together: that of the most mine-like one, and a little of the others.
+    """Fuse the evidence of several views, in nats: that of the most mine-like one, and a little of the others.
 
     What makes a stone look like a mine mostly stays with it from view to view, and what hides a mine does not: on simulated missions two
-    views are no surer than the better of them. Another view counts by NEWS times the product of 1 - rho over those that tell more of a
-    mine, with rho = exp(-angle^2 / (2 * 15^2 degrees)) and the opposite direction like the same. A direction that is not known may be any:
-    such a view is new only if it is the only one.
+    views are no surer than the better of them. Another view counts by NEWS times the product of 1 - rho over those with more evidence
+    for a mine, with rho = exp(-angle^2 / (2 * 15^2 degrees)) and the opposite direction like the same. A direction that is
+    not known may be any: such a view is new only if it is the only one.
     """
     order = sorted(range(len(log_ratios)), key=lambda index: (-log_ratios[index], index))
     total = 0.0

@@ -1,4 +1,4 @@
-"""Regions as the row sums and beams that solids are weighed against."""
+"""Turn regions into the row sums and beams that solids are weighed against."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels.order import median
-from auv_mcm.kernels.shape import LEAST_MEAN, PENCIL, Array, Beam, ImageRowSums
+from auv_mcm.kernels.shape import MIN_MEAN, PENCIL, Array, Beam, ImageRowSums
 
-_CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is as strong
+_CAP: Final = 3.0  # times the floor's mean; one echo of the floor in twenty is that strong
 _QUADRATURE: Final = (
     0.5 * math.sqrt(1.5 / math.log(2.0)),
     1.0 / 6.0,
@@ -21,10 +21,10 @@ _NARROW: Final = 0.3  # rows that a beam must cover before its width counts
 
 
 def image_row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> ImageRowSums | None:
-    """Cumulative sums along the slices of a region, None if nothing in it was measured.
+    """Sum along the slices of a region cumulatively; None if it holds no measured pixel.
 
     correlation_area: pixels over which speckle is correlated, at least 1. Pixels that are not valid, not finite or negative have no part.
-    Echoes are cut off at three times the floor: how bright a highlight is says little about the shape, and one glint would outvote a
+    Echoes are cut off at three times the floor: the brightness of a highlight depends little on the shape, and one glint would outvote a
     shadow. The floor is taken from the median, which is (1 - 1 / 9L)^3 of a Gamma distribution's mean. What makes speckle correlated
     smears highlights too: by the pixels that, added in squares to the pixel itself, make up the correlation area.
 
@@ -64,7 +64,9 @@ def image_row_sums(region: Region, correlation_area: float, *, looks: float = 1.
 
 
 def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: float, *, looks: float = 1.0) -> float:
-    """Weigh what labels of pixels explain, in nats against a floor without an object like the costs of solids; 0 if nothing was measured.
+    """Weigh what labels of pixels explain, in nats against a floor without an object; 0 if nothing was measured.
+
+    The scale is that of the costs of solids.
 
     labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT. With the code length of its contours added, this is what a free
     contour costs. Raises ValueError as image_row_sums does, and for labels of another shape.
@@ -86,19 +88,22 @@ def labels_cost_of(image: ImageRowSums | None, region: Region, labels: NDArray[n
         is_label = labels == label
         count, total = (float(each[is_label].sum()) for each in per_pixel)
         if count > 0.0:
-            mean = max(total / count, LEAST_MEAN)
+            mean = max(total / count, MIN_MEAN)
             cost += count * math.log(mean) + total / mean - count
     return image.samples_per_pixel * cost
 
 
 def counted_pixels(region: Region) -> NDArray[np.bool_]:
-    """Pixels that were measured: valid, finite, not negative."""
+    """Select pixels that were measured: valid, finite, not negative."""
     with np.errstate(invalid="ignore"):
         return np.asarray(region.valid & (region.intensity >= 0.0) & (region.intensity < np.inf), dtype=np.bool_)
 
 
 def beam_of(region: Region) -> Beam:
-    """The slices that a region's beam sees at once, weighed by a Gaussian of its width; one where it is narrower than the rows tell."""
+    """Give the slices that a region's beam sees at once, with Gaussian weights of its width.
+
+    A single slice where the beam is narrower than the rows resolve.
+    """
     slant_range_m = math.hypot(region.first_ground_range_m + region.column * region.column_spacing_m, region.altitude_m)
     if region.beam_width_rad * slant_range_m < _NARROW * region.row_spacing_m:
         return PENCIL
@@ -107,7 +112,10 @@ def beam_of(region: Region) -> Beam:
 
 
 def parameter_cost(n_parameters: int, image: ImageRowSums) -> float:
-    """What stating the parameters costs, nats: half of ln n each, n independent samples (J. Rissanen, Automatica 14, 1978)."""
+    """Compute the cost of stating the parameters, nats.
+
+    Half of ln n each, n independent samples (J. Rissanen, Automatica 14, 1978).
+    """
     n = image.samples_per_pixel * float(image.counts[:, -1].sum())
     return 0.5 * n_parameters * math.log(max(n, 1.0))
 
@@ -121,7 +129,7 @@ def _deskewed(region: Region, plane: NDArray[Any]) -> NDArray[Any]:
 
 
 def cumulative(plane: Array) -> Array:
-    """Sums along rows from the left, (n_rows, n_columns + 1), starting with 0."""
+    """Sum along rows from the left, (n_rows, n_columns + 1), starting with 0."""
     sums = np.zeros((plane.shape[0], plane.shape[1] + 1))
     np.cumsum(plane, axis=1, out=sums[:, 1:])
     return sums

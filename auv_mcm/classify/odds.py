@@ -1,4 +1,4 @@
-"""How likely a mine is after each step of confirmation, and the belief mass that stands for it.
+"""Compute the odds of a mine after each step of confirmation, and the belief mass that stands for them.
 
 Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20, 1958), and boosted
 trees add what a sum misses (J. H. Friedman, Annals of Statistics 29, 2001); both are fitted on simulated missions with seeds that nothing
@@ -22,7 +22,7 @@ from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Detector, LookStep
 
-_TEMPER: Final = 0.5  # views sure by 6 nats that contradict each other are a conflict of 0.9, at which they are kept apart
+_TEMPER: Final = 0.5  # two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
 _RELIABILITY: Final = 0.999
 _BOUND: Final = 12.0  # nats
 _CLUTTER: Final = subset("clutter")
@@ -33,7 +33,7 @@ _Prior: TypeAlias = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
 
 
 DEPTH: Final = 3
-"""Questions that a tree asks one after the other."""
+"""Questions of a tree, one after the other."""
 
 _Question: TypeAlias = tuple[str, float]
 _Leaves: TypeAlias = Annotated[tuple[_Weight, ...], msgspec.Meta(min_length=2**DEPTH, max_length=2**DEPTH)]
@@ -41,7 +41,7 @@ _Questions: TypeAlias = Annotated[tuple[_Question, ...], msgspec.Meta(min_length
 
 
 class Tree(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Three questions one after the other, and what each of the eight ways through them adds to the log-odds.
+    """Ask three questions in turn; each of the eight ways through them adds to the log-odds.
 
     ask: name and threshold of question i, after which no leads to question 2 i + 1 and yes, the feature is above, to 2 i + 2. nats: of the
     leaves, from three times no to three times yes.
@@ -52,7 +52,7 @@ class Tree(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class _Forest(NamedTuple):
-    """Trees as arrays: feature (n_trees, 7) intp into names, threshold (n_trees, 7) and nats (n_trees, 8) float64."""
+    """Hold trees as arrays: feature (n_trees, 7) intp into names, threshold (n_trees, 7), nats (n_trees, 8) float64."""
 
     names: tuple[str, ...]
     feature: NDArray[np.intp]
@@ -71,7 +71,7 @@ class _Forest(NamedTuple):
         )
 
     def added_to(self, start: float, features: Mapping[str, float]) -> float:
-        """Add what each tree says, one after the other. Raises KeyError for a feature that is missing."""
+        """Add the leaf of each tree in turn. Raises KeyError for a feature that is missing."""
         values = np.array([features[name] for name in self.names])
         is_above = (values[self.feature] > self.threshold).astype(np.intp)
         tree = np.arange(len(self.nats))
@@ -83,7 +83,10 @@ class _Forest(NamedTuple):
 
 
 class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True, dict=True):
-    """log-odds = offset + sum of weight * feature + what each tree adds. A NaN is above no threshold."""
+    """Weigh features: log-odds = offset + sum of weight * feature + what each tree adds.
+
+    A NaN is above no threshold.
+    """
 
     offset: _Weight
     weights: dict[str, _Weight]
@@ -100,7 +103,10 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The weights of each step. prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were."""
+    """Hold the weights of each step.
+
+    prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were.
+    """
 
     fitted_on: str
     prior: _Prior
@@ -109,7 +115,7 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     shape: Weights
 
     def log_ratio(self, step: LookStep, features: Mapping[str, float]) -> float:
-        """Evidence in nats for a mine against anything else, without the prior, at most 12 either way.
+        """Compute evidence in nats for a mine against anything else, without the prior, at most 12 either way.
 
         features: all that the step was fitted with, and others perhaps. Raises ValueError if one of those is missing.
         """
@@ -117,22 +123,22 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         try:
             odds = weighed.log_odds(features)
         except KeyError as missing:
-            raise ValueError(f"{step}: fitted with {missing}, asked with {sorted(features)} alone") from missing
+            raise ValueError(f"{step}: fitted with {missing}, called with {sorted(features)} alone") from missing
         return min(max(odds - self.prior, -_BOUND), _BOUND)
 
     def p_mine(self, log_ratio: float) -> float:
-        """Probability of a mine for one view's evidence."""
+        """Compute the probability of a mine for one view's evidence."""
         return 1.0 / (1.0 + math.exp(-(log_ratio + self.prior)))
 
 
 def shipped_odds(detector: Detector) -> MineOdds:
-    """The weights that ship with the package for detections of one of the detectors."""
+    """Load the weights that ship with the package for detections of one of the detectors."""
     name = f"mine_odds_{detector}.json"
     return parse_odds(resources.files("auv_mcm.classify").joinpath(name).read_bytes(), name)
 
 
 def parse_odds(data: bytes, place: str) -> MineOdds:
-    """Weights from JSON. Raises BadInputError naming `place` and what is wrong with it."""
+    """Parse weights from JSON. Raises BadInputError naming `place` and what is wrong with it."""
     try:
         return msgspec.json.decode(data, type=MineOdds)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -140,12 +146,15 @@ def parse_odds(data: bytes, place: str) -> MineOdds:
 
 
 def share_of_ratio(log_ratio: float) -> float:
-    """Share of belief on a mine, 0..1, for evidence in nats; tempered, so that few nats are not taken for certainty."""
+    """Compute the share of belief on a mine, 0..1, for evidence in nats.
+
+    Tempered, so that few nats are not taken for certainty.
+    """
     return 1.0 / (1.0 + math.exp(-_TEMPER * log_ratio))
 
 
 def mass_of_ratio(log_ratio: float) -> Array:
-    """(32,) mass on "a mine" and on "clutter" for evidence in nats; 0 nats say as much for either."""
+    """Compute the (32,) mass on "a mine" and on "clutter" for evidence in nats; 0 nats favour neither."""
     mass = (1.0 - _RELIABILITY) * vacuous()
     share = share_of_ratio(log_ratio)
     mass[MINES] += _RELIABILITY * share
@@ -154,7 +163,7 @@ def mass_of_ratio(log_ratio: float) -> Array:
 
 
 def with_ratio(mass: Array, log_ratio: float) -> Array:
-    """(32,) `mass` (32,) and evidence in nats together, by Dempster's rule."""
+    """Combine `mass` (32,) and evidence in nats by Dempster's rule, (32,)."""
     both = conjunctive(mass, mass_of_ratio(log_ratio))[0]
     both[0] = 0.0
     return np.asarray(both / both.sum())

@@ -1,4 +1,4 @@
-"""Words for the codes with which confirmation of a detection says what it found, and on which side of the decision each stands.
+"""Explain the codes that confirmation of a detection reports, and on which side of the decision each stands.
 
 The codes of detection itself have theirs in `auv_mcm.detect.belief`.
 """
@@ -13,21 +13,21 @@ from auv_mcm.detect.belief import REASONS
 Bearing: TypeAlias = Literal["for", "against", "note"]
 
 CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
-    # what was looked at
+    # what was confirmed
     "not_looked_at": "the odds of a mine were too low for confirmation",
-    "over_budget": "there were more detections than may be looked at closely: this one keeps the detector's odds",
+    "over_budget": "there were more detections than the budget for confirmation allows: this one keeps the detector's odds",
     "look_failed": "confirmation at it failed: this one keeps the detector's odds",
-    "views_contradict": "its views contradict each other so much that they may show two objects: the most mine-like one speaks for it",
-    "region_too_small": "too few pixels around it to look at it closely",
-    "geometry_unknown": "altitude or range is not known there, so that no height can be told",
+    "views_contradict": "its views contradict each other so much that they may show two objects: the most mine-like one stands for it",
+    "region_too_small": "too few pixels around it for confirmation",
+    "geometry_unknown": "altitude or range is not known there, so that no height can be measured",
     "no_echo": "no echo at all was recorded around it",
     "not_measured": "nothing was measured where its echo and shadow should be",
     "no_data": "nothing was measured that a shape could be compared with",
-    "too_little_data": "too little was measured around it to tell echo, shadow and sea floor apart",
-    "no_speckle": "the picture has no speckle, without which echo and shadow cannot be told from sea floor",
+    "too_little_data": "too little was measured around it to separate echo, shadow and sea floor",
+    "no_speckle": "the picture has no speckle, without which echo and shadow cannot be separated from sea floor",
     # its contours
-    "start_replaced": "the first outline was no polygon: the contours started from plain boxes instead",
-    "touches_border": "its echo or shadow runs along the border of what was looked at",
+    "start_replaced": "the first outline was not a polygon: the contours started from plain boxes instead",
+    "touches_border": "its echo or shadow runs along the border of the region searched",
     "too_short": "echo and shadow are shorter along the track than those of any mine",
     "too_long": "echo and shadow are longer along the track than those of any mine",
     "highlight_too_large": "its echo covers more sea floor than that of any mine",
@@ -45,8 +45,8 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     "at_bound": "a size of the best model is the last one tried: the object may be another size or shape",
     "altitude": "a shape fits only for another altitude than was measured: heights are uncertain",
     "buried": "the best model lies partly buried",
-    "cut_off": "the object or its shadow is cut off by the border of what was looked at",
-    "weak_highlight": "too little echo before the shadow to count: the shadow alone tells the shape",
+    "cut_off": "the object or its shadow is cut off by the border of the region searched",
+    "weak_highlight": "too little echo before the shadow to count: the shadow alone gives the shape",
 }
 
 _FOR: Final = frozenset({"highlight_and_shadow"})
@@ -56,10 +56,10 @@ _AGAINST: Final = REJECTING | {
 
 
 def in_words(code: str) -> str:
-    """What a code of detection or of confirmation means; a code without an entry is told by its own name."""
+    """Explain a code of detection or confirmation; a code without an entry is given by its own name."""
     return REASONS.get(code) or CLOSE_LOOK_REASONS.get(code) or code.replace("_", " ")
 
 
 def bearing(code: str) -> Bearing:
-    """Whether a code speaks for a mine, against one, or only says how far the view can be trusted."""
+    """Classify a code: for a mine, against one, or only about how far the view can be trusted."""
     return "for" if code in _FOR else "against" if code in _AGAINST else "note"

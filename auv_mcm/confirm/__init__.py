@@ -1,1 +1,1 @@
-"""Is there an object? Segmentation of the region around a detection into highlight, shadow and background, and contours of both."""
+"""Confirm a detection: segment the region around it into highlight, shadow and background, and find contours of both."""

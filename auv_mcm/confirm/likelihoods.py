@@ -1,7 +1,7 @@
-"""What an intensity costs under each class: minus the logarithm of its probability density, less what all classes share.
+"""Compute the cost of an intensity under each class: minus the log of its probability density, up to a common term.
 
 Intensities are means over blocks of speckle, Gamma distributed with L looks (L = 1: exponential intensity, Rayleigh amplitude). A spiky
-sea floor adds a Gamma texture of shape nu: the K distribution (Jakeman and Pusey 1976), told from the mean and variance of the
+sea floor adds a Gamma texture of shape nu: the K distribution (Jakeman and Pusey 1976), estimated from the mean and variance of the
 logarithm (log-cumulants, Nicolas 2002). Left out of every cost is minus the logarithm of L^L I^(L-1) / Gamma(L), with the looks L
 of the sea floor.
 """
@@ -17,24 +17,24 @@ from numpy.typing import NDArray
 
 Plane = NDArray[np.float64]
 
-_SPIKY_BELOW_NU: Final = 20.0  # smoother texture is not told from none
-_LEAST_NU: Final = 0.3
-_MOST_LOOKS: Final = 50.0
-_SIGMAS: Final = 3.0  # of the log-variance's scatter before a texture or more looks are believed
+_SPIKY_BELOW_NU: Final = 20.0  # shape above which texture cannot be separated from none
+_MIN_NU: Final = 0.3
+_MAX_LOOKS: Final = 50.0
+_SIGMAS: Final = 3.0  # of the log-variance's scatter: threshold for a texture or more looks
 _MORE_LOOKS: Final = 0.25  # of the nominal variance; the nominal looks themselves are measured
 _TABLE_BINS: Final = 2048
 _TABLE_LOG_RANGE: Final = (math.log(1e-7), math.log(1e7))
 
 
 class BackgroundLaw(NamedTuple):
-    """Gamma with `looks`, times a Gamma texture of shape `nu`; nu is infinite for none."""
+    """Describe the sea floor: Gamma with `looks`, times a Gamma texture of shape `nu`; nu is infinite for none."""
 
     looks: float
     nu: float
 
 
 def choose_background_law(log_variance: float, nominal_looks: float, n_independent: float) -> BackgroundLaw:
-    """The law of a sea floor whose log-intensity has this variance.
+    """Choose the law of a sea floor whose log-intensity has this variance.
 
     nominal_looks: what speckle alone gives. n_independent: number of independent samples the variance comes from. The Gamma law of the
     nominal looks stands unless the variance differs by more than three times its own scatter: a larger one means texture, a
@@ -45,14 +45,14 @@ def choose_background_law(log_variance: float, nominal_looks: float, n_independe
     scatter = nominal * math.sqrt((2.0 + 2.4 / nominal_looks) / max(n_independent, 1.0))
     excess = log_variance - nominal
     if excess > max(_SIGMAS * scatter, trigamma(_SPIKY_BELOW_NU)):
-        return BackgroundLaw(nominal_looks, max(_LEAST_NU, inverse_trigamma(excess)))
+        return BackgroundLaw(nominal_looks, max(_MIN_NU, inverse_trigamma(excess)))
     if excess < -max(_SIGMAS * scatter, _MORE_LOOKS * nominal):
-        return BackgroundLaw(min(_MOST_LOOKS, inverse_trigamma(log_variance)), math.inf)
+        return BackgroundLaw(min(_MAX_LOOKS, inverse_trigamma(log_variance)), math.inf)
     return BackgroundLaw(nominal_looks, math.inf)
 
 
 def background_cost(intensity: Plane, mean: float, law: BackgroundLaw) -> Plane:
-    """Cost of intensities (> 0, any shape) under the sea floor's law with this mean (> 0)."""
+    """Compute the cost of intensities (> 0, any shape) under the sea floor's law with this mean (> 0)."""
     if math.isinf(law.nu):
         return gamma_cost(intensity, mean, law.looks)
     log_ratio, cost = k_table(law.looks, law.nu)
@@ -60,13 +60,18 @@ def background_cost(intensity: Plane, mean: float, law: BackgroundLaw) -> Plane:
 
 
 def gamma_cost(intensity: Plane, mean: float, looks: float) -> Plane:
-    """Cost under a Gamma law with the looks of the sea floor, L (ln mean + I / mean): shadow, highlight, and sea floor without texture."""
+    """Compute the cost under a Gamma law with the looks of the sea floor.
+
+    L (ln mean + I / mean): shadow, highlight, and sea floor without texture.
+    """
     return np.asarray(looks * (intensity / mean + math.log(mean)))
 
 
 @functools.lru_cache(maxsize=8)
 def k_table(looks: float, nu: float) -> tuple[Plane, Plane]:
-    """Logarithm of intensity over mean, and the cost there, for the K law with mean 1; (2048,) float64 each."""
+    """Tabulate the logarithm of intensity over mean, and the cost there, for the K law with mean 1; (2048,) float64
+    each.
+    """
     from scipy.special import kve  # late: most regions never need it
 
     log_ratio = np.linspace(*_TABLE_LOG_RANGE, _TABLE_BINS)
@@ -77,7 +82,10 @@ def k_table(looks: float, nu: float) -> tuple[Plane, Plane]:
 
 
 def trigamma(x: float) -> float:
-    """Second derivative of ln Gamma at x > 0, to 1e-10: recurrence up to 8, then the asymptotic series (Abramowitz and Stegun 6.4.12)."""
+    """Compute the second derivative of ln Gamma at x > 0, to 1e-10.
+
+    Recurrence up to 8, then the asymptotic series (Abramowitz and Stegun 6.4.12).
+    """
     total = 0.0
     while x < 8.0:
         total += 1.0 / (x * x)
@@ -88,7 +96,7 @@ def trigamma(x: float) -> float:
 
 
 def inverse_trigamma(value: float) -> float:
-    """x > 0 with trigamma(x) = value > 0, by bisection in ln x over 1e-4 to 1e8; the nearer end beyond."""
+    """Find x > 0 with trigamma(x) = value > 0, by bisection in ln x over 1e-4 to 1e8; the nearer end beyond."""
     low, high = math.log(1e-4), math.log(1e8)
     for _ in range(60):
         middle = 0.5 * (low + high)

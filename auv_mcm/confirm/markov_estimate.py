@@ -1,6 +1,7 @@
-"""Smoothness of a label field estimated from the field itself: weighted least squares after Derin and Elliott, IEEE PAMI 9 (1987).
+"""Estimate the smoothness of a label field from the field itself: weighted least squares.
 
-For two labels i and j around which the same neighbours stand, the model says ln(n_j / n_i) = E_i - E_j, linear in the parameters.
+H. Derin and H. Elliott, IEEE PAMI 9 (1987). For two labels i and j around which the same neighbours stand, the model
+gives ln(n_j / n_i) = E_i - E_j, linear in the parameters.
 """
 
 from __future__ import annotations
@@ -12,17 +13,19 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-_LEAST_COUNT: Final = 5  # a rarer configuration has too uncertain a logarithm, none at all has no logarithm
+_MIN_COUNT: Final = 5  # a rarer configuration has too uncertain a logarithm, none at all has no logarithm
 _RIDGE: Final = 1e-3
 _WORST_CONDITION: Final = 1e8
 _RANGE: Final = (0.2, 2.0)
 
 
 class MarkovEstimate(NamedTuple):
-    """smoothness: cost of an edge between unlike neighbours, nats; diagonal ones count 1/sqrt(2).
+    """Hold an estimate.
+
+    smoothness: cost of an edge between unlike neighbours, nats; diagonal ones count 1/sqrt(2).
 
     condition: of the scaled normal equations. verdict: `estimated`; `clipped` to the range 0.2 to 2; or `prior` where
-    the field does not tell (too few configurations, or one label everywhere) and the value is the one given.
+    the field does not determine it (too few configurations, or one label everywhere) and the value is the one given.
     """
 
     smoothness: float
@@ -31,12 +34,12 @@ class MarkovEstimate(NamedTuple):
 
 
 def estimate_smoothness(labels: NDArray[np.uint8], prior: float) -> MarkovEstimate:
-    """Smoothness of a field of labels 0, 1, 2, shape (n_rows, n_columns) uint8; `prior` where it cannot be told."""
+    """Estimate the smoothness of labels 0, 1, 2, shape (n_rows, n_columns) uint8; `prior` where it is undetermined."""
     equations, values, weights = _equations(labels)
     if len(values) < 3:
         return MarkovEstimate(prior, math.inf, "prior")
     normal = equations.T @ (weights[:, None] * equations)
-    # A label that never occurs has no equation and no bearing on smoothness; its zero row must not count as singular.
+    # A label that never occurs has no equation and no effect on smoothness; its zero row must not count as singular.
     known = np.diag(normal) > 0.0
     known[2] = True
     normal, right = normal[np.ix_(known, known)], (equations.T @ (weights * values))[known]
@@ -52,7 +55,7 @@ def estimate_smoothness(labels: NDArray[np.uint8], prior: float) -> MarkovEstima
 
 
 def _equations(labels: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Rows (field of label 1, field of label 2, smoothness), their values and weights; fields are relative to label 0."""
+    """Set up rows (field of label 1, of label 2, smoothness), values and weights; fields are relative to label 0."""
     empty = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     if min(labels.shape) < 3:
         return empty
@@ -61,21 +64,21 @@ def _equations(labels: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[
         "axis": ((0, 1), (2, 1), (1, 0), (1, 2)),
         "diagonal": ((0, 0), (0, 2), (2, 0), (2, 2)),
     }
-    # How many axis and diagonal neighbours have labels 1 and 2 says it all: four counts from 0 to 4.
+    # Four counts from 0 to 4 suffice: how many axis and diagonal neighbours have labels 1 and 2.
     key = np.zeros((n_rows - 2, n_columns - 2), dtype=np.int64)
     for where, label in itertools.product(("axis", "diagonal"), (1, 2)):
         count = sum((labels[r : r + n_rows - 2, c : c + n_columns - 2] == label).astype(np.int64) for r, c in shifts[where])
         key = 5 * key + count
     number = np.bincount((3 * key + labels[1:-1, 1:-1]).ravel(), minlength=3 * 5**4).reshape(-1, 3)
     rows, values, weights = [], [], []
-    for configuration in np.flatnonzero((number >= _LEAST_COUNT).sum(axis=1) >= 2):
+    for configuration in np.flatnonzero((number >= _MIN_COUNT).sum(axis=1) >= 2):
         axis_1, axis_2, diagonal_1, diagonal_2 = (int(configuration) // 5**power % 5 for power in (3, 2, 1, 0))
         agree = np.array([4.0 - axis_1 - axis_2, axis_1, axis_2]) + math.sqrt(0.5) * np.array(
             [4.0 - diagonal_1 - diagonal_2, diagonal_1, diagonal_2]
         )
         for i, j in itertools.combinations(range(3), 2):
             n_i, n_j = (int(number[configuration, label]) for label in (i, j))
-            if min(n_i, n_j) >= _LEAST_COUNT:
+            if min(n_i, n_j) >= _MIN_COUNT:
                 # E_i - E_j = field_i - field_j - smoothness (agree_i - agree_j)
                 rows.append([(i == 1) - (j == 1), (i == 2) - (j == 2), agree[j] - agree[i]])
                 values.append(math.log(n_j / n_i))

@@ -1,7 +1,7 @@
-"""Class means estimated in context: expectation maximisation with the mean-field approximation of the label field.
+"""Estimate class means in context: expectation maximisation with the mean-field approximation of the label field.
 
 After Celeux, Forbes and Peyrard, Pattern Recognition 36 (2003) 131-144. A mixture fitted without context moves its rare classes into
-the tails of the common one; from a start that physics gives, with neighbours heard, they stay where they are.
+the tails of the common one; from a physical start, with neighbours weighed, they stay where they are.
 """
 
 from __future__ import annotations
@@ -28,11 +28,14 @@ _GLINT: Final = 3.0  # times the highlight's mean
 SPIKE: Final = 10.0  # times a mean: speckle is hardly ever brighter, and one pixel that is must not make a class's mean
 _ABSENT_BELOW: Final = 8.0  # independent samples
 _OWN_SHARE: Final = 0.2
-_OWN_WEIGHT: Final = 12.0  # independent samples that the start counts for
+_OWN_WEIGHT: Final = 12.0  # independent samples: weight of the start
 
 
 class ClassMeans(NamedTuple):
-    """Mean intensity of each class, and the independent samples it rests on; few mean that the class is absent and its mean a guess."""
+    """Hold the mean intensity of each class, and the independent samples it rests on.
+
+    Few samples mean that the class is absent and its mean a guess.
+    """
 
     background: float
     shadow: float
@@ -50,12 +53,14 @@ class ClassMeans(NamedTuple):
 
 
 def data_costs(intensity: Plane, information: Plane, means: ClassMeans, law: BackgroundLaw) -> Plane:
-    """Cost of each label of each cell, nats per independent sample, (3, n_rows, n_columns) float64; cells without data cost 0.
+    """Compute the cost of each label of each cell, nats per independent sample, (3, n_rows, n_columns) float64.
 
-    information: independent samples per cell over the looks of its mean. A cell's costs are cut at 50 above the least, so that one
+    Cells without data cost 0.
+
+    information: independent samples per cell over the looks of its mean. A cell's costs are cut at 50 above the minimum, so that one
     outlier does not outweigh the rest of the image.
     """
-    # A glint says no more than highlight: under a K law it would be sea floor again, whose tail falls slower.
+    # A glint counts as highlight, no more: under a K law it would be sea floor again, whose tail falls slower.
     intensity = np.minimum(intensity, _GLINT * means.highlight)
     cost = np.empty((3, *intensity.shape))
     cost[BACKGROUND] = background_cost(intensity, means.background, law)
@@ -66,7 +71,7 @@ def data_costs(intensity: Plane, information: Plane, means: ClassMeans, law: Bac
 
 
 def start_means(background: float) -> ClassMeans:
-    """What physics leads to expect around a sea floor of this mean."""
+    """Give the means that physics leads to expect around a sea floor of this mean."""
     return ClassMeans(background, SHADOW_START * background, HIGHLIGHT_START * background, 0.0, 0.0)
 
 
@@ -79,7 +84,7 @@ def fit_means(
     weight: Plane,
     prior: Callable[[NDArray[np.uint8]], Plane],
 ) -> tuple[ClassMeans, Plane]:
-    """Means after three rounds from `start`, and the probability of each label, (3, n_rows, n_columns).
+    """Fit means in three rounds from `start`; give them and each label's probability, (3, n_rows, n_columns).
 
     intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64. weight: (4,), the smoothness of the edges
     right, down-left, down, down-right. prior: cost (3, n_rows, n_columns) of each label given

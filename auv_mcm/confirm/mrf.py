@@ -1,9 +1,9 @@
-"""Every pixel of a region told apart: highlight, shadow or sea floor, as the least cost of a Markov random field.
+"""Label every pixel of a region as highlight, shadow or sea floor, at the minimum cost of a Markov random field.
 
 1. Speckle's grain is measured and blocks of about one grain are averaged, so that cells are independent as the likelihood has them.
 2. Class means come from mean-field expectation maximisation in context; the sea floor's law (Gamma or K) from log-cumulants.
 3. TRW-S minimises the cost with priors for highlight followed by shadow, and bounds how far from the minimum its labels can be.
-4. Borders move to where the point-spread function, known from the grain, says they are, pixel by pixel.
+4. Borders move, pixel by pixel, to where the point-spread function, known from the grain, puts them.
 
 Costs are in nats per independent sample: a field on larger blocks is the same field with fewer labels to choose.
 """
@@ -33,34 +33,34 @@ Flag = Literal["too_little_data", "no_speckle", "no_shadow", "no_highlight"]
 
 DEFAULT_SWEEPS: Final = 5
 
-_LEAST_USABLE: Final = 0.25
-_LEAST_CELLS: Final = 64
+_MIN_USABLE: Final = 0.25
+_MIN_CELLS: Final = 64
 _FLATTEST: Final = 1e-4  # variance of the logarithm; 10 000 looks
 _RANGE: Final = (1e-6, 1e6)  # of intensity over the sea floor's
 _BACKGROUND_LIKE: Final = (0.35, 3.0)  # local mean over the region's
 _LOCAL_MEAN_PIXELS: Final = 9
 _PRIOR_ROUNDS: Final = 2
-_CLOSE_ENOUGH: Final = 0.1  # nats from the least energy
+_CLOSE_ENOUGH: Final = 0.1  # nats from the minimum energy
 _AROUND_CELLS: Final = 5
 _MOSTLY: Final = 0.7
 _EDGE_SWEEPS: Final = 8
 _CORE: Final = 0.9  # share of a pixel's own label under the point spread
-_LEAST_CORE: Final = 12.0  # independent samples
+_MIN_CORE: Final = 12.0  # independent samples
 _SMALLEST_SHADOW_M: Final = (0.4, 0.8)  # along and across track
 _DESIGN_CONTRAST: Final = 10.0**-0.9  # -9 dB
 _MARGIN: Final = 0.75
 _SMOOTHEST: Final = 1.0
-_ROUGHEST: Final = 0.5  # below it speckle casts shadows of its own
+_ROUGHEST: Final = 0.5  # minimum smoothness, nats: below it speckle casts shadows of its own
 
 
 class Segmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """Labels of a region, and how far they can be trusted.
+    """Hold the labels of a region, and how far they can be trusted.
 
     labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW, HIGHLIGHT; where nothing was measured, what the neighbours suggest.
     energy, lower_bound: nats, of the field on blocks of `factors` (rows, columns) pixels that TRW-S solved in n_sweeps sweeps.
     law: of the sea floor on blocks. Class means are of pixels well inside
     their labels, in the region's units. flags: what the region lacks; with `too_little_data`
-    or `no_speckle` nothing was done, every pixel is background and all numbers are 0 or 1.
+    or `no_speckle` no segmentation was made, every pixel is background and all numbers are 0 or 1.
     """
 
     labels: Labels
@@ -78,7 +78,7 @@ class Segmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def gap(self) -> float:
-        """No labelling's energy is lower than this one's by more, nats."""
+        """Bound how much lower the energy of another labelling can be, nats."""
         return max(0.0, self.energy - self.lower_bound)
 
 
@@ -87,7 +87,7 @@ def segment(
 ) -> Segmentation:
     """Label a region.
 
-    n_sweeps: of TRW-S at most, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between unlike blocks of one
+    n_sweeps: maximum of TRW-S, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between unlike blocks of one
     speckle grain, nats; without it what the shadow of the smallest mine survives. estimate_markov: estimate it instead from the
     labels of the mean field (Derin and Elliott), which passes their errors on.
     Pixels that are not valid, not finite or negative count as not measured. Raises ValueError as require_sound does, or if
@@ -170,7 +170,9 @@ def segment(
 
 
 def edge_weights(smoothness: float, factors: tuple[int, int], correlation: Correlation) -> Plane:
-    """Cost of unlike neighbours right, down-left, down, down-right, (4,) float64, for blocks of `factors` pixels.
+    """Compute the cost of unlike neighbours right, down-left, down, down-right, (4,) float64.
+
+    For blocks of `factors` pixels.
 
     A border costs `smoothness` per grain it passes whatever the blocks; diagonals by 1/sqrt(2) (Boykov and Kolmogorov 2003).
     """
@@ -180,9 +182,12 @@ def edge_weights(smoothness: float, factors: tuple[int, int], correlation: Corre
 
 
 def _sea_floor_level(intensity: Plane, usable: NDArray[np.bool_]) -> float | None:
-    """Median of single-look speckle over ln 2; the mean where more than half is zero; None where there is nothing to go by."""
+    """Estimate the level of the sea floor.
+
+    Median of single-look speckle over ln 2; the mean where more than half is zero; None where no pixel can be used.
+    """
     number = int(usable.sum())
-    if number < max(_LEAST_CELLS, _LEAST_USABLE * usable.size) or min(usable.shape) < 3:
+    if number < max(_MIN_CELLS, _MIN_USABLE * usable.size) or min(usable.shape) < 3:
         return None
     values = intensity[usable]
     level = median(values) / math.log(2.0)
@@ -200,7 +205,11 @@ def _background_like(intensity: Plane, usable: NDArray[np.bool_]) -> NDArray[np.
 
 
 def _design_smoothness(region: Region, factors: tuple[int, int], correlation: Correlation) -> float:
-    """Three quarters of the smoothness at which the shadow of the smallest mine, at -9 dB, costs as much as its border, within 0.5 to 1."""
+    """Compute the design smoothness.
+
+    Three quarters of the smoothness at which the shadow of the smallest mine, at -9 dB, costs as much as its border,
+    within 0.5 to 1.
+    """
     n_rows = max(1.0, _SMALLEST_SHADOW_M[0] / (region.row_spacing_m * factors[0]))
     n_columns = max(1.0, _SMALLEST_SHADOW_M[1] / (region.column_spacing_m * factors[1]))
     high, diagonal, wide, _ = edge_weights(1.0, factors, correlation)
@@ -212,7 +221,7 @@ def _design_smoothness(region: Region, factors: tuple[int, int], correlation: Co
 
 def _law(blocks: Plane, samples: Plane, nominal_looks: float) -> BackgroundLaw:
     number = float(samples.sum())
-    if number < _LEAST_CELLS:
+    if number < _MIN_CELLS:
         return BackgroundLaw(nominal_looks, math.inf)
     log_intensity = np.log(blocks)
     mean = float((samples * log_intensity).sum()) / number
@@ -220,26 +229,35 @@ def _law(blocks: Plane, samples: Plane, nominal_looks: float) -> BackgroundLaw:
 
 
 def _mostly_background(probability: Plane) -> NDArray[np.bool_]:
-    """Cells among background. One cell's own verdict is no matter: leaving out the brightest and darkest would bias the law."""
+    """Select cells among background.
+
+    One cell's own label does not count: leaving out the brightest and darkest would bias the law.
+    """
     box = np.full(_AROUND_CELLS, 1.0 / _AROUND_CELLS)
     return np.asarray(smeared(probability[BACKGROUND], box, box) > _MOSTLY)
 
 
 def _with_grown_shadow(labels: Labels, correlation: Correlation) -> Labels:
-    """Shadow a pixel larger where edges are soft: blocks put its border inside the true one, and from there speckle stops it early."""
+    """Grow shadow by a pixel where edges are soft.
+
+    Blocks put its border inside the true one, and from there speckle stops it early.
+    """
     box = [np.ones(3) if spread > 0.0 else np.ones(1) for spread in (correlation.spread_rows, correlation.spread_columns)]
     grown = smeared((labels == SHADOW).astype(np.float64), *box) > 0.0
     return np.where(grown & (labels == BACKGROUND), np.uint8(SHADOW), labels)
 
 
 def _core_means(labels: Labels, intensity: Plane, usable: NDArray[np.bool_], means: ClassMeans, correlation: Correlation) -> Plane:
-    """Mean of each label over pixels hardly any of another shows in, (3,) float64; that of blocks, which mixes, where they are few."""
+    """Average each label over pixels with hardly any of another label, (3,) float64.
+
+    Where they are few, over blocks, which mixes labels.
+    """
     spread = point_spread(correlation.spread_rows), point_spread(correlation.spread_columns)
-    least = _LEAST_CORE * correlation.rows * correlation.columns
+    min_samples = _MIN_CORE * correlation.rows * correlation.columns
     level = np.array([means.background, means.shadow, means.highlight])
     for label in (BACKGROUND, SHADOW, HIGHLIGHT):
         core = usable & (smeared((labels == label).astype(np.float64), *spread) > _CORE)
-        if core.sum() >= least:
+        if core.sum() >= min_samples:
             level[label] = np.minimum(intensity[core], SPIKE * level[label]).mean()
     return np.asarray(np.clip(level, level[BACKGROUND] * 1e-3, level[BACKGROUND] * 1e3))
 

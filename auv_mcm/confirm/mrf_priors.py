@@ -1,4 +1,4 @@
-"""What a sonar image must look like whatever its speckle: highlight followed by shadow, highlight in small clusters.
+"""Compute priors of any sonar image: highlight followed by shadow, highlight in small clusters.
 
 After the potentials of Mignotte, Collet, Perez and Bouthemy (CVIU 76, 1999) and Reed, Petillot and Bell (IEEE JOE 28, 2003), in a form that
 adds to the cost of single cells and is recomputed from the labels met before, so that inference stays pairwise.
@@ -20,12 +20,12 @@ from auv_mcm.kernels.pair_costs import pair_costs as weigh_pairs
 Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
-_HIGHEST_M: Final = 1.2  # objects sought
+_HIGHEST_M: Final = 1.2  # m: height of the highest object sought
 _REACH_MARGIN_M: Final = 1.0
 _ATTACHED_M: Final = 1.5  # a shadow starts no further behind its highlight's near edge: depth of an object and the witness
 _WITNESS_M: Final = 0.3  # side of the square of shadow that fully supports a highlight
-_UNSUPPORTED: Final = 2.0  # nats; support earns no reward, or the sea floor in front of every shadow would be highlight
-_ORPHAN: Final = 0.5  # weak: ripples and dips cast shadows without highlights
+_UNSUPPORTED: Final = 2.0  # nats; support is not rewarded, or the sea floor in front of every shadow would be highlight
+_ORPHAN: Final = 0.5  # nats; weak: ripples and dips cast shadows without highlights
 _CLUSTER_AREA_M2: Final = (0.02, 4.0)
 _CLUSTER_EXTENT_M: Final = 3.5
 
@@ -55,7 +55,10 @@ def prior_pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -
 
 
 def without_odd_clusters(labels: Labels, row_m: float, column_m: float) -> Labels:
-    """Labels with highlights too small, too large or too long for a mine made background. Cells are row_m by column_m."""
+    """Turn highlights too small, too large or too long for a mine into background.
+
+    Cells are row_m by column_m.
+    """
     highlight = (labels == HIGHLIGHT).astype(np.uint8)
     _, cluster, statistics, _ = cv2.connectedComponentsWithStats(highlight, connectivity=8)
     area_m2 = statistics[:, cv2.CC_STAT_AREA] * row_m * column_m
@@ -71,13 +74,13 @@ def _shift(n_columns: int, slope: float) -> NDArray[np.intp]:
 
 
 def _sheared(labels: Labels, slope: float) -> Labels:
-    """Lay rows along the line of sight: column c moved back by slope * c rows, on as many rows as that takes."""
+    """Shift rows along the line of sight: column c moved back by slope * c rows, on as many rows as that takes."""
     if slope == 0.0:
         return labels
     shift = _shift(labels.shape[1], slope)
-    most = int(shift.max(initial=0))
-    sheared = np.full((labels.shape[0] + most, labels.shape[1]), BACKGROUND, dtype=np.uint8)
-    row = np.arange(labels.shape[0])[:, None] + (most - shift)
+    max_shift = int(shift.max(initial=0))
+    sheared = np.full((labels.shape[0] + max_shift, labels.shape[1]), BACKGROUND, dtype=np.uint8)
+    row = np.arange(labels.shape[0])[:, None] + (max_shift - shift)
     sheared[row, np.arange(labels.shape[1])] = labels
     return sheared
 

@@ -1,8 +1,8 @@
-"""Contours of highlight and shadow by cooperating statistical snakes, and whether they are those of an object.
+"""Find contours of highlight and shadow by cooperating statistical snakes, and judge whether they are an object's.
 
 Reed, Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003: two contours share what is known of object images, namely that a
 highlight is followed by a shadow of the same along-track extent. They work on the echoes themselves, so it matters little how well the
-start was labelled; on sea floor without an object they expand beyond what a mine can be, and `snake_rules` says so.
+start was labelled; on sea floor without an object they expand beyond what a mine can be, and `snake_rules` rejects them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.order import quantile
-from auv_mcm.kernels.snake_descent import LEAST_SIDE_PX, Course, Schedule, box, descend, is_measured
+from auv_mcm.kernels.snake_descent import MIN_SIDE_PX, Course, Schedule, box, descend, is_measured
 from auv_mcm.kernels.snake_elsewhere import evidences
 from auv_mcm.kernels.snake_twin import Moved, Settings
 
@@ -46,18 +46,21 @@ _START_ALONG_M: Final = (0.5, 1.0, 2.0)
 _START_ACROSS_M: Final = (0.25, 0.5)
 _START_BEHIND_M: Final = (0.1, 0.4, 0.7, 1.0)
 _START_HEIGHTS_M: Final = (0.15, 0.3, 0.5, 0.8)
-_LEAST_SHADOW_M, _LONGEST_SHADOW_M = 0.3, 8.0
+_MIN_SHADOW_M, _LONGEST_SHADOW_M = 0.3, 8.0
 
 
 class Start(NamedTuple):
-    """Where the contours start: (n, 2) float64 nodes (row, column); (0, 2) for none."""
+    """Hold where the contours start: (n, 2) float64 nodes (row, column); (0, 2) for none."""
 
     highlight: Nodes
     shadow: Nodes
 
 
 class RegionContext(NamedTuple):
-    """What contours in a region share wherever they start. boxes: the start at the detection; spot: what is special about it there."""
+    """Hold what contours in a region share wherever they start.
+
+    boxes: the start at the detection; spot: what is special about it there.
+    """
 
     region: Region
     sums: snake.WindowRowSums
@@ -67,14 +70,14 @@ class RegionContext(NamedTuple):
 
 
 class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What the snakes came to.
+    """Hold the result of the snakes.
 
     highlight, shadow: (n, 2) float64 nodes (row, column) in pixels of the region, pixel (r, k) covering [r, r + 1) x [k, k + 1), along the
     far side with rising row; (0, 2) where there is none. criterion: J in nats, NaN if nothing could be moved. gain: by how much J is below
     that of the region without an object. n_moves: node moves made. *_mean: mean intensity, NaN where there is no contour.
     length_m: along-track extent. height_m: median over rows of the height that the shadow implies, NaN without a shadow. repetition: best
     evidence of the same contours elsewhere in the region over that in place. reasons: codes, those of `snake_rules.REJECTING` being of
-    broken rules. rejected: rules are broken, and all that speaks against an object together is grave.
+    broken rules. rejected: rules are broken, and the evidence against an object is grave in sum.
     """
 
     highlight: Nodes
@@ -94,10 +97,10 @@ class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def start_from_detection(region: Region) -> Start:
-    """The brightest box around the detector's highlight, and the darkest of those behind it that a mine could cast.
+    """Find the brightest box around the detector's highlight, and the darkest behind it that a mine could cast.
 
     Brightest and darkest: by the likelihood ratio of speckle, N (m - 1 - ln m) for N pixels of mean m over the region's. Raises ValueError
-    if a number of the region's geometry is none that a sonar can have.
+    if the region's geometry is impossible for a sonar.
     """
     require_sound(region)
     return _boxes_at(region, snake.window_row_sums(region.intensity, region.valid).table)
@@ -111,7 +114,7 @@ def _boxes_at(region: Region, table: Nodes) -> Start:
     row, column = min(max(region.row, 0.0), float(n_rows)), min(max(region.column, 0.0), float(n_columns))
     ground_m = max(region.first_ground_range_m + column * column_px, 0.0)
     above_m = np.maximum(region.altitude_m - np.array(_START_HEIGHTS_M), 0.3 * abs(region.altitude_m) + 0.1)
-    lengths_m = np.clip(np.array(_START_HEIGHTS_M) * ground_m / above_m, _LEAST_SHADOW_M, _LONGEST_SHADOW_M)
+    lengths_m = np.clip(np.array(_START_HEIGHTS_M) * ground_m / above_m, _MIN_SHADOW_M, _LONGEST_SHADOW_M)
     centres, halves = row + np.array(_START_SHIFTS_M) / row_px, np.array(_START_ALONG_M) / (2.0 * row_px)
     far_m = np.array(_START_ACROSS_M)
     highlight = _best_box(snake_twin.HIGHLIGHT, region, sums, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px)
@@ -121,9 +124,12 @@ def _boxes_at(region: Region, table: Nodes) -> Start:
 
 
 def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: Nodes, nears: Nodes, widths: Nodes) -> Nodes:
-    """The box with most evidence out of all centres and halves along track with all near sides and widths, the first of equals.
+    """Find the box with most evidence, the first of equals.
 
-    sums: (n_rows + 1, n_columns + 1, 2) of all that is above and before."""
+    All centres and halves along track with all near sides and widths are tried.
+
+    sums: (n_rows + 1, n_columns + 1, 2) of all that is above and before.
+    """
     n_rows, n_columns = region.intensity.shape
     top, bottom = _intervals(np.subtract.outer(centres, halves), np.add.outer(centres, halves), n_rows)
     low, high = _intervals(np.repeat(nears, len(widths)), np.add.outer(nears, widths).ravel(), n_columns)
@@ -134,7 +140,7 @@ def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: N
 
 
 def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
-    """Boxes around most of the highlight and of the shadow labels; none where a label is missing.
+    """Make boxes around most of the highlight and of the shadow labels; none where a label is missing.
 
     labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT, of one object. Raises ValueError if the shape does not fit.
     """
@@ -153,10 +159,11 @@ def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
 
 
 def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
-    """Contours of the object at `start`, deterministic.
+    """Find contours of the object at `start`, deterministically.
 
     correlation_px: correlation area of the speckle in pixels, as `speckle.measure_correlation` gives for each axis. Never raises on what a
-    region holds: a start that is no polygon is replaced (`start_replaced`), and a region nothing can be said about comes back rejected.
+    region holds: a start that is not a polygon is replaced (`start_replaced`), and a region that cannot be judged is
+    rejected.
     Raises ValueError if correlation_px or a schedule is out of range.
     """
     ground = survey(region, correlation_px)
@@ -164,10 +171,10 @@ def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coars
 
 
 def survey(region: Region, correlation_px: float) -> RegionContext | Contours:
-    """What contours in a region share wherever they start, or those of nothing where nothing can be said. Raises as converge does."""
+    """Compute what contours in a region share wherever they start, or empty contours. Raises as converge does."""
     if not 1.0 <= correlation_px < math.inf:
         raise ValueError(f"correlation_px must be a finite area of at least one pixel, not {correlation_px}")
-    if min(region.intensity.shape) < 2 * LEAST_SIDE_PX:
+    if min(region.intensity.shape) < 2 * MIN_SIDE_PX:
         return _nothing(("region_too_small",))
     try:
         require_sound(region)
@@ -181,14 +188,14 @@ def survey(region: Region, correlation_px: float) -> RegionContext | Contours:
 
 
 def converge_on(ground: RegionContext, start: Start, *, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
-    """converge, several times in one region."""
+    """Apply `converge` several times in one region."""
     region, sums, settings, boxes, spot = ground
     parts, replaced = _usable_start(region, sums.table, settings, start, boxes)
     reasons = ("start_replaced",) if replaced else ()
     highlight, shadow = (nodes if is_measured(sums.table, nodes) else _NONE for nodes in parts)
     if len(highlight) + len(shadow) == 0:
         return _nothing((*reasons, "not_measured"))
-    strip_px = max(_STRIP_M / region.column_spacing_m, LEAST_SIDE_PX)
+    strip_px = max(_STRIP_M / region.column_spacing_m, MIN_SIDE_PX)
     moved, n_moves = descend(sums.table, settings, Course(coarse, fine, _POLISH), highlight, shadow, strip_px)
     findings = snake_rules.find(region, sums.table, settings, moved, spot)
     return _judged(region, sums, findings, moved, n_moves, reasons)
@@ -244,7 +251,7 @@ def _nothing(reasons: tuple[str, ...]) -> Contours:
 
 
 def snake_settings(region: Region, table: NDArray[np.float64], correlation_px: float) -> Settings:
-    """What the criterion knows of a region; table: its `kernels.snake.window_row_sums`."""
+    """Set the criterion for a region; table: its `kernels.snake.window_row_sums`."""
     total, count = table[:, -1].sum(axis=0).tolist()
     return Settings(
         row_spacing_m=region.row_spacing_m,
@@ -271,7 +278,10 @@ def snake_settings(region: Region, table: NDArray[np.float64], correlation_px: f
 
 
 def _usable_start(region: Region, table: NDArray[np.float64], settings: Settings, start: Start, boxes: Start) -> tuple[list[Nodes], bool]:
-    """The start as sound polygons that run down their far sides, and whether one of the boxes at the detection had to replace any."""
+    """Give the start as sound polygons that run down their far sides, and whether a box replaced any.
+
+    The boxes are those at the detection.
+    """
     given = [np.asarray(nodes, dtype=np.float64) for nodes in start]
     if all(len(nodes) == 0 for nodes in given):
         return list(boxes), True
@@ -288,7 +298,7 @@ def _usable_start(region: Region, table: NDArray[np.float64], settings: Settings
 
 
 def _ordered(region: Region, table: NDArray[np.float64], settings: Settings, nodes: Nodes) -> Nodes | None:
-    """A polygon as `kernels.snake.move_pair` takes it, None if it is none."""
+    """Order a polygon as `kernels.snake.move_pair` takes it, None if it is not a polygon."""
     if nodes.ndim != 2 or nodes.shape[1] != 2 or not 3 <= len(nodes) <= snake.MAX_NODES:
         return None
     if not ((nodes >= 0.0) & (nodes <= region.intensity.shape)).all():
@@ -298,7 +308,7 @@ def _ordered(region: Region, table: NDArray[np.float64], settings: Settings, nod
 
 
 def _box_around(region: Region, nodes: Nodes) -> Nodes | None:
-    """The box around nodes that are no polygon, None if they do not touch the region."""
+    """Make the box around nodes that are not a polygon, None if they do not touch the region."""
     if nodes.ndim != 2 or nodes.shape[1] != 2 or not np.isfinite(nodes).all():
         return None
     n_rows, n_columns = region.intensity.shape
@@ -309,7 +319,7 @@ def _box_around(region: Region, nodes: Nodes) -> Nodes | None:
 
 
 def _area(nodes: Nodes) -> float:
-    """Signed area in pixels, positive for nodes running down the far side."""
+    """Compute the signed area in pixels, positive for nodes running down the far side."""
     after = np.concatenate((nodes[1:], nodes[:1]))
     return 0.5 * float((nodes[:, 1] * after[:, 0] - nodes[:, 0] * after[:, 1]).sum())
 
@@ -319,7 +329,7 @@ def _box(top: float, near: float, bottom: float, far: float, region: Region) -> 
 
 
 def _intervals(low: Nodes, high: Nodes, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """_interval for many ends, flat."""
+    """Apply _interval to many ends, flat."""
     low, high = (np.rint(np.clip(end.ravel(), 0.0, size)) for end in (low, high))
-    low = np.maximum(np.minimum(low, size - LEAST_SIDE_PX), 0.0)
-    return low.astype(np.intp), np.maximum(high, low + LEAST_SIDE_PX).astype(np.intp)
+    low = np.maximum(np.minimum(low, size - MIN_SIDE_PX), 0.0)
+    return low.astype(np.intp), np.maximum(high, low + MIN_SIDE_PX).astype(np.intp)

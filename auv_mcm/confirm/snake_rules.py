@@ -1,12 +1,14 @@
-"""What contours must be like for an object to be behind them. Each rule has a code; broken ones reject where doubt is grave.
+"""Test contours by the rules that an object's contours follow.
+
+Each rule has a code; broken ones reject where doubt is grave.
 
 On sea floor without an object the shadow's contour expands until it is larger than any mine's shadow, or shrinks to nothing (Reed,
 Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003). Ripples and grass do hold dark patches behind bright ones, but the same
 contours find the like of them a ripple farther on.
 
-Beside another kind of floor the contours of a clear object expand as well, so a broken rule alone does not reject. What speaks against
-an object is added up instead, in nats: how far rules are broken, and whether the brightest and darkest box at the detection itself,
-which cannot expand, are anything special there.
+Beside another kind of floor the contours of a clear object expand as well, so a broken rule alone does not reject. The
+evidence against an object is added up instead, in nats: how far rules are broken, and whether the brightest and darkest
+box at the detection itself, which cannot expand, stand out there.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ Nodes = NDArray[np.float64]
 BORDER_PX: Final = 2.0
 _DARKEST: Final = 0.01  # times the mean of the window
 
-# What objects keep to, on simulated missions over rippled sand, seagrass and bare floor with seeds kept apart for it.
-_MOST_BORDER: Final = 0.25
+# Bounds that objects keep, on held-out seeds of simulated missions over rippled sand, seagrass and bare floor.
+_MAX_BORDER: Final = 0.25
 _SHORTEST_M, _LONGEST_M = 0.36, 4.5
 _DEEPEST_HIGHLIGHT_M, _LARGEST_HIGHLIGHT_M2 = 0.92, 1.25
 _LARGEST_MINE_M, _HIGHEST_MINE_M, _SHADOW_MARGIN = 2.5, 0.6, 2.5
@@ -39,13 +41,13 @@ _LOWEST_M, _LOWEST_PEAK_M, _HIGHEST_M = 0.1, 0.14, 1.2
 _BRIGHTEST_SHADOW: Final = 0.45
 _DARKEST_FLANK, _BRIGHTEST_FLANK = 0.35, 1.5
 _DARKEST_FRONT, _LIT = 0.15, 2.0
-_FRONT_M, _FRONT_GAP_M, _LEAST_FRONT_M2 = 1.5, 0.2, 0.1
+_FRONT_M, _FRONT_GAP_M, _MIN_FRONT_M2 = 1.5, 0.2, 0.1
 _HALF_OBJECT_M: Final = 0.4
-_LEAST_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
-_MOST_REPETITION, _MOST_COMMON = 0.55, 0.3
+_MIN_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
+_MAX_REPETITION, _MAX_COMMON = 0.55, 0.3
 _DOUBTFUL_GAIN, _GAIN_SCALE, _HOPELESS_GAIN = -6.0, 10.0, -14.0
 _GRAVE: Final = 6.6  # nats of doubt
-_MOST_COMMON_SPOT: Final = 0.35
+_MAX_COMMON_SPOT: Final = 0.35
 
 REJECTING: Final = frozenset(
     {
@@ -68,11 +70,11 @@ REJECTING: Final = frozenset(
         "repeats",
     }
 )
-"""Codes that speak against an object."""
+"""Codes that are evidence against an object."""
 
 
 class Spot(NamedTuple):
-    """What is special about the brightest and the darkest box at a detection, as `look_at` finds it.
+    """Describe how the brightest and the darkest box at a detection stand out, as `look_at` finds it.
 
     common: evidence that one place in twenty of the region holds for the same box over that in place, of the box for which it is less.
     shadow_repetition: the best such evidence for the dark box. shadow_contrast: mean of the dark box over that of the darker of the two
@@ -85,11 +87,11 @@ class Spot(NamedTuple):
 
 
 class Findings(NamedTuple):
-    """Facts about converged contours. Means are over that of the region; NaN where there is no contour.
+    """Hold facts about converged contours. Means are over that of the region; NaN where there is no contour.
 
     gain: nats against no object. border: fraction of a contour within BORDER_PX of the region's edge, of the worse one. length_m:
     along-track extent of the pair. highlight_m2, highlight_depth_m: area of the highlight and that over its along-track extent.
-    shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and greatest of the heights that
+    shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and maximum of the heights that
     the rows of the shadow imply. flank: mean beside the shadow along track. front: mean before the pair across track. repetition, common:
     see `kernels.snake_elsewhere`. spot: of the detection.
     """
@@ -144,9 +146,12 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
 
 
 def broken(findings: Findings) -> tuple[str, ...]:
-    """Codes of the rules that the contours break, in fixed order. What is not known (NaN) breaks none, but no evidence does."""
+    """List the codes of the rules that the contours break, in fixed order.
+
+    A value that is not known (NaN) breaks none, but missing evidence does.
+    """
     rules = (
-        ("touches_border", findings.border > _MOST_BORDER),
+        ("touches_border", findings.border > _MAX_BORDER),
         ("too_short", findings.length_m < _SHORTEST_M),
         ("too_long", findings.length_m > _LONGEST_M),
         ("highlight_too_large", findings.highlight_m2 > _LARGEST_HIGHLIGHT_M2 or findings.highlight_depth_m > _DEEPEST_HIGHLIGHT_M),
@@ -157,30 +162,33 @@ def broken(findings: Findings) -> tuple[str, ...]:
         ("shadow_goes_on", findings.flank < _DARKEST_FLANK),
         ("in_shadow", findings.front < _DARKEST_FRONT * findings.background_mean and not _is_lit(findings)),
         ("hole_in_bright", findings.flank > _BRIGHTEST_FLANK),
-        ("little_evidence", not findings.gain >= _LEAST_GAIN),
-        ("repeats", findings.repetition > _MOST_REPETITION or findings.common > _MOST_COMMON),
+        ("little_evidence", not findings.gain >= _MIN_GAIN),
+        ("repeats", findings.repetition > _MAX_REPETITION or findings.common > _MAX_COMMON),
     )
     return tuple(code for code, is_broken in rules if is_broken)
 
 
 def _is_lit(findings: Findings) -> bool:
-    """Whether there is an echo brighter than the sea floor's: what rises out of a shadow is seen."""
+    """Check whether there is an echo brighter than the sea floor's: an object that rises out of a shadow is seen."""
     return findings.highlight_mean > _LIT * findings.background_mean
 
 
 def is_rejected(reasons: Collection[str], findings: Findings) -> bool:
-    """Whether contours are none of an object's: nothing holds them, or rules are broken and either the contours and what they started from
-    both repeat, or all doubts together are grave."""
+    """Decide whether contours are not an object's.
+
+    They are rejected if there are none, or if rules are broken and either the contours and what they started from both
+    repeat, or all doubts together are grave.
+    """
     if "not_measured" in reasons or not findings.gain > _HOPELESS_GAIN:
         return True
-    everywhere = findings.repetition > _MOST_REPETITION and findings.spot.common > _MOST_COMMON_SPOT
+    everywhere = findings.repetition > _MAX_REPETITION and findings.spot.common > _MAX_COMMON_SPOT
     return not REJECTING.isdisjoint(reasons) and (everywhere or doubt(findings) > _GRAVE)
 
 
 def doubt(findings: Findings) -> float:
-    """What speaks against an object, nats; 0 where nothing does.
+    """Sum the evidence against an object, nats; 0 where there is none.
 
-    Weights are those of clutter against targets in a logistic regression on missions with seeds kept apart for it.
+    Weights are those of clutter against targets in a logistic regression on missions with held-out seeds.
     """
     spot = findings.spot
     long, short = _fraction(findings.length_m, 2.5, 6.0), _fraction(findings.length_m, 0.6, 0.3)
@@ -205,7 +213,7 @@ def doubt(findings: Findings) -> float:
 
 
 def _fraction(value: float, harmless: float, grave: float) -> float:
-    """How far a value has come, by its logarithm, from a harmless one to a grave one; 0 for NaN."""
+    """Compute how far a value has come, by its logarithm, from a harmless one to a grave one; 0 for NaN."""
     if math.isnan(value):
         return 0.0
     way = math.log(max(value, 1e-3) / harmless) / math.log(grave / harmless)
@@ -213,7 +221,10 @@ def _fraction(value: float, harmless: float, grave: float) -> float:
 
 
 def _largest_shadow_m2(region: Region) -> float:
-    """What the largest mine casts where the detection is, on a flat bottom: length times height y / (altitude - height)."""
+    """Compute the shadow of the largest mine at the detection, m², on a flat bottom.
+
+    Length times height y / (altitude - height).
+    """
     ground_m = max(region.first_ground_range_m + region.column * region.column_spacing_m, 0.0)
     height_m = min(_HIGHEST_MINE_M, 0.5 * region.altitude_m)
     beam_m = region.beam_width_rad * math.hypot(ground_m, region.altitude_m)
@@ -221,7 +232,7 @@ def _largest_shadow_m2(region: Region) -> float:
 
 
 def border_fraction(nodes: Nodes, shape: tuple[int, ...]) -> float:
-    """Fraction of a contour's length within BORDER_PX of the window's edge."""
+    """Compute the fraction of a contour's length within BORDER_PX of the window's edge."""
     lowest, highest = np.full(2, BORDER_PX), np.array(shape, dtype=np.float64) - BORDER_PX
     total = near = 0.0
     for a, b in zip(nodes, np.concatenate((nodes[1:], nodes[:1])), strict=True):
@@ -232,7 +243,7 @@ def border_fraction(nodes: Nodes, shape: tuple[int, ...]) -> float:
 
 
 def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
-    """Fraction of a segment inside a box (Liang and Barsky, 1984)."""
+    """Compute the fraction of a segment inside a box (Liang and Barsky, 1984)."""
     start, stop = 0.0, 1.0
     for origin, way, low, high in zip(a.tolist(), (b - a).tolist(), lowest.tolist(), highest.tolist(), strict=True):
         if way == 0.0:
@@ -245,7 +256,7 @@ def _inner_fraction(a: Nodes, b: Nodes, lowest: Nodes, highest: Nodes) -> float:
 
 
 def contour_mask(nodes: Nodes, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Pixels of a region of this shape (n_rows, n_columns) inside a contour (n, 2); none for no nodes."""
+    """Select pixels of a region of this shape (n_rows, n_columns) inside a contour (n, 2); none for no nodes."""
     inside = np.zeros(shape, dtype=np.bool_)
     rows, near, far = row_intervals(nodes, shape)
     column = np.arange(shape[1])
@@ -254,7 +265,7 @@ def contour_mask(nodes: Nodes, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def row_heights_m(region: Region, shadow: Nodes) -> NDArray[np.float64]:
-    """Height that the shadow implies in each row it reaches: z = H (1 - r_start / r_end)."""
+    """Compute the height that the shadow implies in each row it reaches, m: z = H (1 - r_start / r_end)."""
     _, near, far = row_intervals(shadow, region.intensity.shape)
     start_m, end_m = (region.first_ground_range_m + side * region.column_spacing_m for side in (near, far))
     up = region.altitude_m
@@ -263,7 +274,10 @@ def row_heights_m(region: Region, shadow: Nodes) -> NDArray[np.float64]:
 
 
 def _flank(table: NDArray[np.float64], shadow: Nodes) -> float:
-    """Mean over the window's of the shadow's columns in the rows next to it on both sides along track; 1 where nothing was measured."""
+    """Average the shadow's columns in the rows beside it along track, over the window's mean.
+
+    Both sides count; 1 where nothing was measured.
+    """
     rows, near, far = row_intervals(shadow, (table.shape[0], table.shape[1] - 1))
     total = count = 0.0
     for step in (-len(rows) - 1, len(rows) + 1):
@@ -275,8 +289,11 @@ def _flank(table: NDArray[np.float64], shadow: Nodes) -> float:
 
 
 def _front(region: Region, table: NDArray[np.float64], moved: Moved) -> float:
-    """Mean over the window's of the strip of floor before the pair, in the rows of its shadow, or of its highlight if it has none; where
-    the pair begins at the region's near border, of that before the detection. NaN where too little was measured."""
+    """Average the strip of floor before the pair, over the window's mean.
+
+    In the rows of its shadow, or of its highlight if it has none; where the pair begins at the region's near border,
+    before the detection. NaN where too little was measured.
+    """
     n_rows, n_columns = region.intensity.shape
     first = np.full(n_rows, n_columns)
     strip_rows = np.empty(0, dtype=np.int64)
@@ -288,7 +305,7 @@ def _front(region: Region, table: NDArray[np.float64], moved: Moved) -> float:
     far = first[strip_rows] - gap
     far = np.clip(np.where(far >= length // 2, far, round(region.column) - half), 0, n_columns)
     total, count = (table[strip_rows, far] - table[strip_rows, np.maximum(far - length, 0)]).sum(axis=0).tolist()
-    return total / count if count * region.row_spacing_m * region.column_spacing_m >= _LEAST_FRONT_M2 else math.nan
+    return total / count if count * region.row_spacing_m * region.column_spacing_m >= _MIN_FRONT_M2 else math.nan
 
 
 def look_at(table: NDArray[np.float64], highlight: Nodes, shadow: Nodes) -> Spot:
@@ -301,7 +318,10 @@ def look_at(table: NDArray[np.float64], highlight: Nodes, shadow: Nodes) -> Spot
 
 
 def _mean(table: NDArray[np.float64], rows: NDArray[np.int64], near: NDArray[np.int64], far: NDArray[np.int64]) -> float:
-    """Mean over the window's of intervals in rows, those beyond the window left out; 1 where nothing was measured."""
+    """Average intervals in rows, over the window's mean; 1 where nothing was measured.
+
+    Intervals beyond the window are left out.
+    """
     inside = (rows >= 0) & (rows < table.shape[0])
     total, count = (table[rows[inside], far[inside]] - table[rows[inside], near[inside]]).sum(axis=0).tolist()
     return float(total / count) if count >= 1.0 else 1.0

@@ -1,4 +1,4 @@
-"""How far speckle is correlated from pixel to pixel, and blocks of pixels that are independent again.
+"""Measure how far speckle is correlated from pixel to pixel, and average blocks of pixels that are independent again.
 
 An image sampled finer than its resolution shows each speckle grain in several pixels. A likelihood that takes them for independent
 counts every grain several times over, more than any smoothness prior can outweigh.
@@ -20,7 +20,7 @@ Plane = NDArray[np.float64]
 _NEAR_LAGS: Final = range(1, 5)  # pixels; grains of well processed images are 1 to 4 pixels
 _PLATEAU_LAGS: Final = range(7, 10)
 _NO_CORRELATION: Final = 0.05
-_LEAST_PAIRS: Final = 200
+_MIN_PAIRS: Final = 200
 _CLIP: Final = 5.0  # times the mean: one speckle in 150 is brighter; bright texture would outweigh all grains
 _LARGEST_BLOCK_M: Final = 0.25  # blocks must stay small against the shadow of the smallest mine
 _PARTS: Final = 3  # of a region along each axis
@@ -29,35 +29,35 @@ _UNCORRELATED: Final = 1.15  # pixels; measurement scatter about 1
 
 
 class Correlation(NamedTuple):
-    """Length of one speckle grain along each axis, pixels, 1 or more: the sum of the correlation over all lags."""
+    """Hold the length of one speckle grain along each axis, pixels, 1 or more: the correlation summed over all lags."""
 
     rows: float
     columns: float
 
     @property
     def spread_rows(self) -> float:
-        """1-sigma of the Gaussian point-spread function of intensity along rows, pixels; 0 without correlation."""
+        """Compute 1-sigma of the Gaussian point-spread function of intensity along rows, pixels; 0 without correlation."""
         return _spread(self.rows)
 
     @property
     def spread_columns(self) -> float:
-        """As spread_rows, along columns."""
+        """Compute the same as spread_rows, along columns."""
         return _spread(self.columns)
 
 
 def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Correlation:
-    """Grain size of the sea floor's speckle.
+    """Measure the grain size of the sea floor's speckle.
 
-    intensity: (n_rows, n_columns) float64, mean about 1. background: same shape bool, pixels to look at; pairs with another pixel
+    intensity: (n_rows, n_columns) float64, mean about 1. background: same shape bool, pixels to use; pairs with another pixel
     are left out. From half the mean squared difference at each lag over that at lags no grain spans: what varies slowly (texture,
     a gradient) differs little over one grain and so hardly counts as correlation. Too few pairs count as uncorrelated.
     """
-    halves = half_differences(np.minimum(intensity, _CLIP), background, (*_NEAR_LAGS, *_PLATEAU_LAGS), _LEAST_PAIRS)
+    halves = half_differences(np.minimum(intensity, _CLIP), background, (*_NEAR_LAGS, *_PLATEAU_LAGS), _MIN_PAIRS)
     return Correlation(*(_grain(along) for along in halves.tolist()))
 
 
 def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
-    """Pixels that one grain of speckle covers, 1 or more, where the sea floor itself is least correlated.
+    """Measure the pixels that one grain of speckle covers, 1 or more, where the sea floor is least correlated.
 
     intensity, usable: (n_rows, n_columns), float64 with mean about 1 and bool. Ripples and objects are correlated too: the second lowest
     of nine parts is taken, since grains are what all of them have in common. 1 where nothing can be measured.
@@ -71,13 +71,13 @@ def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
     ]
     if not boxes:
         return 1.0
-    halves = half_differences_in(np.minimum(intensity, _CLIP), usable, boxes, (*_NEAR_LAGS, *_PLATEAU_LAGS), _LEAST_PAIRS)
+    halves = half_differences_in(np.minimum(intensity, _CLIP), usable, boxes, (*_NEAR_LAGS, *_PLATEAU_LAGS), _MIN_PAIRS)
     areas = sorted(math.prod(_grain(along) for along in part) for part in halves.tolist())
     return areas[min(1, len(areas) - 1)]
 
 
 def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spacing_m: float) -> tuple[int, int]:
-    """Rows and columns of a block that holds about one grain, but is no longer than a quarter of a metre."""
+    """Choose rows and columns of a block that holds about one grain, but is no longer than a quarter of a metre."""
     rows, columns = (
         max(1, min(round(length), int(_LARGEST_BLOCK_M / spacing_m)))
         for length, spacing_m in zip(correlation, (row_spacing_m, column_spacing_m), strict=True)
@@ -86,7 +86,7 @@ def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spaci
 
 
 def block_means(plane: Plane, usable: NDArray[np.bool_], factors: tuple[int, int]) -> tuple[Plane, Plane]:
-    """Mean of the usable pixels of each block, 1 where there are none, and the fraction of a whole block they are.
+    """Average the usable pixels of each block, 1 where there are none; give the fraction of a whole block they are.
 
     plane, usable: (n_rows, n_columns). Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64; the last blocks
     may reach over the edge.
@@ -105,7 +105,9 @@ def _block_sums(plane: Plane, factors: tuple[int, int]) -> Plane:
 
 
 def looks_of_blocks(correlation: Correlation, factors: tuple[int, int]) -> float:
-    """Looks of the mean over a block of single-look pixels: one over its variance, for a Gaussian point-spread function.
+    """Compute the looks of the mean over a block of single-look pixels.
+
+    One over its variance, for a Gaussian point-spread function.
 
     Goodman, Speckle Phenomena in Optics, sec. 4.6: the correlation of intensity is exp(-lag^2 / (4 spread^2)) for a spread of the
     intensity's point-spread function.
@@ -124,7 +126,7 @@ def _spread(length: float) -> float:
 
 
 def _grain(halves: list[float]) -> float:
-    """From half the mean squared differences at _NEAR_LAGS and _PLATEAU_LAGS, NaN where not known."""
+    """Compute the grain from half the mean squared differences at _NEAR_LAGS and _PLATEAU_LAGS, NaN where not known."""
     plateau = [half for half in halves[len(_NEAR_LAGS) :] if not math.isnan(half)]
     if not plateau or max(plateau) <= 0.0:
         return 1.0

@@ -1,6 +1,6 @@
-"""Hot loops, each twice: plain C where a compiler was at hand at installation, numpy everywhere.
+"""Run hot loops, each implemented twice: plain C where a compiler was at hand at installation, numpy everywhere.
 
-Both give the same answer bit for bit unless a kernel says otherwise. `AUV_MCM_KERNELS=numpy` in the environment leaves the
+Both give the same answer bit for bit unless a kernel states otherwise. `AUV_MCM_KERNELS=numpy` in the environment leaves the
 C library alone; it is read once, at the first call of any kernel.
 """
 
@@ -18,27 +18,27 @@ VERSION: Final = 15  # of the C signatures; a library that reports another one i
 
 
 class Loaded(NamedTuple):
-    """The C library, or None and the reason why numpy serves instead."""
+    """Hold the C library, or None and the reason why numpy serves instead."""
 
     library: ctypes.CDLL | None
     reason: str
 
 
 def backend() -> Literal["c", "numpy"]:
-    """Which implementation the kernels run on in this process."""
+    """Name the implementation that the kernels run on in this process."""
     return "numpy" if loaded().library is None else "c"
 
 
 @functools.cache
 def loaded() -> Loaded:
-    """The C library, looked for once beside this file."""
+    """Load the C library once, from beside this file."""
     return load_library(Path(__file__).parent, "_kernels", VERSION, _declare)
 
 
 def load_library(folder: Path, name: str, version: int, declare: Callable[[ctypes.CDLL], None]) -> Loaded:
-    """The library `name` in `folder`, if it is there and reports `version` by its function auv_mcm<name>_version.
+    """Load the library `name` in `folder`, if it reports `version` by its function auv_mcm<name>_version.
 
-    `declare` tells it the argument types of its functions.
+    `declare` sets the argument types of its functions.
     """
     if os.environ.get("AUV_MCM_KERNELS", "") == "numpy":
         return Loaded(None, "AUV_MCM_KERNELS=numpy is set")
@@ -60,7 +60,10 @@ def load_library(folder: Path, name: str, version: int, declare: Callable[[ctype
 
 
 def c_function(name: str, *argument_types: Any) -> Callable[..., None] | None:
-    """The C function auv_mcm_<name> that returns nothing, None where numpy serves. Kernels ask once and keep it."""
+    """Give the C function auv_mcm_<name> that returns nothing, None where numpy serves.
+
+    Kernels fetch it once and keep it.
+    """
     library = loaded().library
     if library is None:
         return None

@@ -1,4 +1,4 @@
-"""The trained cascade's hot loops: codes, integral images modulo 2**32, and boosted stumps on the windows still alive.
+"""Run the trained cascade's hot loops: codes, integral images modulo 2**32, and boosted stumps on live windows.
 
 A stump compares sums s of codes over boxes in float32, in this order of operations: f(s_a) w_a < f(s_b) w_b, or for a contrast
 f(s_a) w_a - f(s_b) w_b < f(s_w) w_w, with f rounding to nearest. Scores are whole numbers, so that the order of adding up does not
@@ -31,7 +31,7 @@ _P, _I, _U = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32
 
 
 class Tables(NamedTuple):
-    """A model made for one pixel size and one length of rows.
+    """Hold a model made for one pixel size and one length of rows.
 
     stumps: (n_bands, n_stumps) STUMP. groups: (n_groups, 2) int32, number of stumps up to each group's end, and the score below which
     windows are dropped there. window: (n_bands, 4) int32 corners, as in STUMP, of the box of which at least `least` pixels (n_bands,)
@@ -46,7 +46,7 @@ class Tables(NamedTuple):
 
 
 class WindowField(NamedTuple):
-    """Integral images, and where in them windows may be centred.
+    """Hold integral images, and where in them windows may be centred.
 
     sums, counts: integral images of codes and of valid pixels, uint32 of one shape; corner: index of pixel (0, 0) in them, which leaves
     as much margin as boxes reach and one row more. usable: (n_rows, n_columns) bool. edges: (n_rows, n_bands + 1) int32 columns at which
@@ -61,7 +61,10 @@ class WindowField(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Windows alive, by band: band k holds [band_stop[k - 1], band_stop[k]). place, score: (n,) int32; band_stop: (n_bands,) int64."""
+    """Hold live windows by band: band k holds [band_stop[k - 1], band_stop[k]).
+
+    place, score: (n,) int32; band_stop: (n_bands,) int64.
+    """
 
     place: NDArray[np.int32]
     score: NDArray[np.int32]
@@ -69,7 +72,11 @@ class Windows(NamedTuple):
 
 
 class Opened(NamedTuple):
-    """windows: alive after the first groups, in a band by row and column. n_windows: weighed. n_alive: after each group, (n_groups,)."""
+    """Hold what the first groups left.
+
+    windows: alive after the first groups, in a band by row and column. n_windows: weighed. n_alive: after each group,
+    (n_groups,).
+    """
 
     windows: Windows
     n_windows: int
@@ -77,10 +84,10 @@ class Opened(NamedTuple):
 
 
 def encode(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Codes uint16 of intensities of any shape, and where they are valid, bool.
+    """Encode intensities of any shape as codes uint16, and give where they are valid, bool.
 
     A code is 1024 times the intensity, nearest and halves to even, 0 to 16384; 1024 where not valid. mask: same shape; its lowest bit
-    says that an echo was measured. NaN is never valid. Raises ValueError if the shapes differ.
+    marks that an echo was measured. NaN is never valid. Raises ValueError if the shapes differ.
     """
     _same_shape(intensity, mask)
     function = _c_encode()
@@ -93,14 +100,14 @@ def encode(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDA
 
 
 def encode_numpy(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """encode in numpy alone."""
+    """Do as encode, in numpy alone."""
     valid = ((mask & 1) != 0) & ~np.isnan(intensity)
     bounded = np.clip(np.where(valid, intensity, np.float32(1.0)), np.float32(0.0), np.float32(MAX_INTENSITY))
     return np.asarray(np.rint(bounded * np.float32(CODE_OF_MEAN)), dtype=np.uint16), valid
 
 
 def integral(values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32] | None = None) -> NDArray[np.uint32]:
-    """Integral image modulo 2**32 of a plane that goes on as `beyond` in its margins.
+    """Compute the integral image modulo 2**32 of a plane that goes on as `beyond` in its margins.
 
     values: (n_rows, n_columns) uint16, or bool. margins: rows either way, columns before, columns behind. out: where to put it, as is
     worth while many times over since fresh memory costs as much as the sums. Returns (n_rows + 2 rows + 1, n_columns + before + behind
@@ -123,13 +130,13 @@ def integral(values: NDArray[Any], margins: tuple[int, int, int], beyond: int, o
 
 
 def integral_shape(values: NDArray[Any], margins: tuple[int, int, int]) -> tuple[int, int]:
-    """Of the integral image of a plane with these margins."""
+    """Compute the shape of the integral image of a plane with these margins."""
     n_rows, n_columns = values.shape
     return n_rows + 2 * margins[0] + 1, n_columns + margins[1] + margins[2] + 1
 
 
 def integral_numpy(values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """integral in numpy alone."""
+    """Do as integral, in numpy alone."""
     rows, near, _ = margins
     padded = np.full((out.shape[0] - 1, out.shape[1] - 1), beyond, dtype=np.uint32)
     padded[rows : rows + values.shape[0], near : near + values.shape[1]] = values
@@ -166,7 +173,7 @@ def open_windows(field: WindowField, tables: Tables, n_groups: int) -> Opened:
 
 
 def open_windows_numpy(field: WindowField, tables: Tables, n_groups: int) -> Opened:
-    """open_windows in numpy alone."""
+    """Do as open_windows, in numpy alone."""
     sums, counts, corner, usable, edges = field
     n_bands = tables.window.shape[0]
     widths = np.diff(edges, axis=1)
@@ -188,7 +195,7 @@ def open_windows_numpy(field: WindowField, tables: Tables, n_groups: int) -> Ope
 
 
 def run_groups(sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int) -> tuple[Windows, NDArray[np.int64]]:
-    """Run groups [first, last) on windows. Returns those alive, their order kept, and how many were after each group, (last - first,).
+    """Run groups [first, last) on windows. Returns those alive, in order, and their number after each group.
 
     Raises ValueError unless places rise within each band and bands hold all windows.
     """
@@ -216,7 +223,7 @@ def run_groups(sums: NDArray[np.uint32], tables: Tables, windows: Windows, first
 def run_groups_numpy(
     sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int
 ) -> tuple[Windows, NDArray[np.int64]]:
-    """run_groups in numpy alone."""
+    """Do as run_groups, in numpy alone."""
     flat, n_alive = sums.ravel(), np.zeros(last - first, dtype=np.int64)
     places, scores = [windows.place[:0]], [windows.score[:0]]
     band_stop, begin = np.zeros_like(windows.band_stop), 0
@@ -242,8 +249,10 @@ def run_groups_numpy(
 
 
 def rank(score: NDArray[np.int32], n_first: int) -> NDArray[np.int32]:
-    """Indices of scores (n,) int32 from the highest down, of equal ones the first first: of the n_first highest, 1 at least, and of all
-    that equal the last of those; int32."""
+    """Rank scores (n,) int32 from the highest down, of equal ones the first first: int32 indices.
+
+    Ranked are the n_first highest, 1 or more, and all that equal the last of those.
+    """
     n_first = min(max(n_first, 1), score.size)
     function = _c_rank()
     if function is None or score.size == 0:
@@ -255,14 +264,17 @@ def rank(score: NDArray[np.int32], n_first: int) -> NDArray[np.int32]:
 
 
 def rank_numpy(score: NDArray[np.int32], n_first: int) -> NDArray[np.int32]:
-    """rank in numpy alone."""
+    """Do as rank, in numpy alone."""
     n_first = min(max(n_first, 1), score.size)
     order = np.argsort(-score.astype(np.int64), kind="stable").astype(np.int32)
     return order[: np.count_nonzero(score >= score[order[n_first - 1]])] if order.size else order
 
 
 def corners(boxes_px: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
-    """Offsets (..., 4) int32 of STUMP for boxes (..., 4): top, bottom, left, right in an integral image with rows of `stride`."""
+    """Compute offsets (..., 4) int32 of STUMP for boxes (..., 4).
+
+    Boxes are top, bottom, left, right in an integral image with rows of `stride`.
+    """
     top, bottom, left, right = np.moveaxis(boxes_px, -1, 0)
     offsets = (bottom * stride + right, top * stride + right, bottom * stride + left, top * stride + left)
     return np.ascontiguousarray(np.stack(offsets, axis=-1), dtype=np.int32)
@@ -288,7 +300,10 @@ def _first(windows: Windows) -> Windows:
 
 
 def _check_order(windows: Windows) -> None:
-    """The kernel weighs neighbours together, and would look for those that stand behind where there is no room for them."""
+    """Check the order of windows.
+
+    The kernel weighs neighbours together, and would read beyond its room for windows out of order.
+    """
     n, stops = len(windows.place), windows.band_stop
     if len(windows.score) != n or stops[0] < 0 or (stops[1:] < stops[:-1]).any() or stops[-1] != n:
         raise ValueError(f"bands that end at {stops.tolist()} do not hold {n} windows with {len(windows.score)} scores")

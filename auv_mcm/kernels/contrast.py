@@ -1,4 +1,5 @@
-"""What contrasts are made of: box sums on integral images, the background and variances around each pixel, and where a box may stand out.
+"""Compute what contrasts need: box sums on integral images, background, variances, and places where a box may stand
+out.
 
 Integral images are (n_rows + 1, n_columns + 1), element (i, j) the sum over the rows before i and columns before j, float64 added up along
 rows and then down, or int32. Boxes are half-open offsets from a pixel, (..., 4) int32: first and last row, first and last column; what
@@ -30,8 +31,11 @@ _P, _I, _W, _F, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_int32, ctypes.c_f
 
 
 class TileSums(NamedTuple):
-    """Integral images of a tile, (n_rows + 1, n_columns + 1): intensity where valid and number of valid pixels; the same of the sea
-    floor, without saturated pixels and with bright ones bounded. total, floor_total: float64; n_valid, n_floor: int32."""
+    """Hold integral images of a tile, (n_rows + 1, n_columns + 1).
+
+    Intensity where valid and number of valid pixels; the same of the sea floor, without saturated pixels and with
+    bright ones bounded. total, floor_total: float64; n_valid, n_floor: int32.
+    """
 
     total: NDArray[np.float64]
     floor_total: NDArray[np.float64]
@@ -40,12 +44,15 @@ class TileSums(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(n_rows, n_columns) of the tile."""
+        """Give (n_rows, n_columns) of the tile."""
         return self.total.shape[0] - 1, self.total.shape[1] - 1
 
 
 class Frame(NamedTuple):
-    """The background of a pixel: a box (4,) int32 without its hollow (4,) int32. least_count: valid pixels for it to be known."""
+    """Define the background of a pixel: a box (4,) int32 without its hollow (4,) int32.
+
+    least_count: minimum of valid pixels for it to be known.
+    """
 
     outer: Boxes
     hollow: Boxes
@@ -53,20 +60,23 @@ class Frame(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """A plane in blocks of n_rows x n_columns pixels, the last ones cut at the plane's edge."""
+    """Divide a plane into blocks of n_rows x n_columns pixels, the last ones cut at the plane's edge."""
 
     n_rows: int
     n_columns: int
 
     def shape(self, plane: tuple[int, int]) -> tuple[int, int]:
-        """Number of blocks of a plane down and across."""
+        """Give the number of blocks of a plane down and across."""
         return -(-plane[0] // self.n_rows), -(-plane[1] // self.n_columns)
 
 
 class Shadows(NamedTuple):
-    """Shadows that objects of several heights cast: half_rows (n_heights,) int64, rows to either side of a pixel. height_m: (n_heights,),
-    clearance_m: (n_heights, n_rows) float64, altitude over the object's top. length_m: least and most. least_share: of its pixels, more
-    than which must be valid."""
+    """Describe shadows that objects of several heights cast.
+
+    half_rows (n_heights,) int64, rows to either side of a pixel. height_m: (n_heights,), clearance_m: (n_heights,
+    n_rows) float64, altitude over the object's top. length_m: minimum and maximum. least_share: of its pixels, more
+    than which must be valid.
+    """
 
     half_rows: NDArray[np.int64]
     height_m: NDArray[np.float64]
@@ -76,32 +86,38 @@ class Shadows(NamedTuple):
     least_share: float
 
 
-def image_sums(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> TileSums:
-    """Integral images of a tile. intensity (n_rows, n_columns) is bounded by `most`, on the sea floor by floor_most."""
+def image_sums(intensity: Plane, mask: NDArray[np.uint8], bound: float, floor_bound: float) -> TileSums:
+    """Compute integral images of a tile.
+
+    intensity (n_rows, n_columns) is bounded by `bound`, on the sea floor by floor_bound.
+    """
     shape = (intensity.shape[0] + 1, intensity.shape[1] + 1)
     function = _c("contrast_sums", _I, _I, _P, _P, _W, _W, _F, _F, *[_P] * 4)
     if function is None:
-        return image_sums_numpy(intensity, mask, most, floor_most)
+        return image_sums_numpy(intensity, mask, bound, floor_bound)
     sums = TileSums(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.int32))
     intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
-    function(*intensity.shape, *_pointers(intensity, mask), VALID, SATURATED, most, floor_most, *_pointers(*sums))
+    function(*intensity.shape, *_pointers(intensity, mask), VALID, SATURATED, bound, floor_bound, *_pointers(*sums))
     return sums
 
 
-def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], most: float, floor_most: float) -> TileSums:
-    """image_sums in numpy alone."""
+def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], bound: float, floor_bound: float) -> TileSums:
+    """Do as image_sums, in numpy alone."""
     valid = (mask & VALID) != 0
     seabed = valid & ((mask & SATURATED) == 0)
-    bounded = np.where(valid, np.minimum(intensity, np.float32(most)), np.float32(0.0))
-    floor = np.where(seabed, np.minimum(bounded, np.float32(floor_most)), np.float32(0.0))
+    bounded = np.where(valid, np.minimum(intensity, np.float32(bound)), np.float32(0.0))
+    floor = np.where(seabed, np.minimum(bounded, np.float32(floor_bound)), np.float32(0.0))
     return TileSums(_integral(bounded, np.float64), _integral(floor, np.float64), _integral(valid, np.int32), _integral(seabed, np.int32))
 
 
-def background(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
-    """Mean of the sea floor in the frame around each pixel, at least least_mean; and where pixel and frame are valid and echo more."""
+def background(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: np.float32) -> tuple[Plane, Flags]:
+    """Average the sea floor in the frame around each pixel, min_mean or more.
+
+    Gives also where pixel and frame are valid and the mean is above it.
+    """
     function = _c("contrast_background", _I, _I, _P, _P, _P, _W, _P, _P, _D, _D, _I, *[_P] * 4)
     if function is None:
-        return background_numpy(sums, mask, frame, least_mean)
+        return background_numpy(sums, mask, frame, min_mean)
     mean, known = np.empty(sums.shape, dtype=np.float32), np.empty(sums.shape, dtype=np.bool_)
     pad, bands = _bands(sums, 2, frame.outer, frame.hollow)
     function(
@@ -110,54 +126,62 @@ def background(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, least_mean
         VALID,
         *_pointers(frame.outer, frame.hollow),
         frame.least_count,
-        float(least_mean),
+        float(min_mean),
         pad,
         *_pointers(*bands, mean, known),
     )
     return mean, known
 
 
-def background_numpy(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, least_mean: np.float32) -> tuple[Plane, Flags]:
-    """background in numpy alone."""
+def background_numpy(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: np.float32) -> tuple[Plane, Flags]:
+    """Do as background, in numpy alone."""
     total = _box(sums.floor_total, frame.outer) - _box(sums.floor_total, frame.hollow)
     count = _box(sums.n_floor, frame.outer) - _box(sums.n_floor, frame.hollow)
-    mean = np.maximum(np.maximum(total, 0.0) / np.maximum(count, 1), least_mean).astype(np.float32)
-    return mean, (count >= frame.least_count) & (mean > least_mean) & ((mask & VALID) != 0)
+    mean = np.maximum(np.maximum(total, 0.0) / np.maximum(count, 1), min_mean).astype(np.float32)
+    return mean, (count >= frame.least_count) & (mean > min_mean) & ((mask & VALID) != 0)
 
 
-def ratios(sums: TileSums, level: Plane, boxes: Boxes, least: float) -> Plane:
-    """Means of boxes (n_boxes, 4) over the level (n_rows, n_columns) of each pixel, at least `least`; (n_boxes, n_rows, n_columns)."""
+def ratios(sums: TileSums, level: Plane, boxes: Boxes, minimum: float) -> Plane:
+    """Compute means of boxes (n_boxes, 4) over the level (n_rows, n_columns) of each pixel, `minimum` or more.
+
+    Returns (n_boxes, n_rows, n_columns).
+    """
     function = _c("contrast_ratios", _I, _I, _P, _P, _P, _I, _P, _F, _I, *[_P] * 3)
     if function is None:
-        return ratios_numpy(sums, level, boxes, least)
+        return ratios_numpy(sums, level, boxes, minimum)
     found = np.empty((len(boxes), *sums.shape), dtype=np.float32)
     pad, bands = _bands(sums, 1, boxes)
-    function(*sums.shape, *_pointers(sums.total, sums.n_valid, level), len(boxes), *_pointers(boxes), least, pad, *_pointers(*bands, found))
+    function(
+        *sums.shape, *_pointers(sums.total, sums.n_valid, level), len(boxes), *_pointers(boxes), minimum, pad, *_pointers(*bands, found)
+    )
     return found
 
 
-def ratios_numpy(sums: TileSums, level: Plane, boxes: Boxes, least: float) -> Plane:
-    """ratios in numpy alone."""
+def ratios_numpy(sums: TileSums, level: Plane, boxes: Boxes, minimum: float) -> Plane:
+    """Do as ratios, in numpy alone."""
     means = [(_box(sums.total, box) / np.maximum(_box(sums.n_valid, box), 1)).astype(np.float32) for box in boxes]
-    return np.stack([np.maximum(mean / level, np.float32(least)) for mean in means])
+    return np.stack([np.maximum(mean / level, np.float32(minimum)) for mean in means])
 
 
-def local_variances(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, least: float) -> Plane:
-    """Variances of the values of three planes (3, n_rows, n_columns), clipped to +-clip, over the known pixels within `half` rows and
-    columns of each pixel; at least `least`. Of rows [start, stop), one or more; the others repeat the nearest of them."""
+def local_variances(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, minimum: float) -> Plane:
+    """Compute variances of the values of three planes (3, n_rows, n_columns) around each pixel.
+
+    Values are clipped to +-clip and taken over the known pixels within `half` rows and columns; variances are `minimum`
+    or more. Of rows [start, stop), one or more; the others repeat the nearest of them.
+    """
     function = _c("contrast_variances", *[_I] * 4, _P, _P, _I, _I, _F, _D, *[_P] * 3)
     if function is None:
-        return local_variances_numpy(planes, known, rows, half, clip, least)
+        return local_variances_numpy(planes, known, rows, half, clip, minimum)
     planes, known = np.ascontiguousarray(planes), np.ascontiguousarray(known)
     width = planes.shape[2] + 1
     variances = np.empty(planes.shape, dtype=np.float32)
     sums, n_known = np.zeros((6 * len(planes), width)), np.zeros(width, dtype=np.int32)
-    function(*planes.shape[1:], *rows, *_pointers(planes, known), *half, clip, least, *_pointers(sums, n_known, variances))
+    function(*planes.shape[1:], *rows, *_pointers(planes, known), *half, clip, minimum, *_pointers(sums, n_known, variances))
     return _beyond(variances, rows)
 
 
-def local_variances_numpy(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, least: float) -> Plane:
-    """local_variances in numpy alone."""
+def local_variances_numpy(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, minimum: float) -> Plane:
+    """Do as local_variances, in numpy alone."""
     box = np.array((-half[0], half[0] + 1, -half[1], half[1] + 1), dtype=np.int32)
     count = np.maximum(_box(_integral(known, np.int32), box), 1)
     variances = np.empty(planes.shape, dtype=np.float32)
@@ -165,7 +189,7 @@ def local_variances_numpy(planes: Plane, known: Flags, rows: tuple[int, int], ha
         clipped = np.clip(values, np.float32(-clip), np.float32(clip)) * known
         mean = _box(_integral(clipped, np.float64), box) / count
         mean_square = _box(_integral(clipped * clipped, np.float64), box) / count
-        variance[:] = np.maximum(mean_square - mean * mean, least)
+        variance[:] = np.maximum(mean_square - mean * mean, minimum)
     return _beyond(variances, rows)
 
 
@@ -176,7 +200,7 @@ def _beyond(planes: Plane, rows: tuple[int, int]) -> Plane:
 
 
 def extremes(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
-    """Lowest and highest value in each block of a plane without NaN, (blocks down, blocks across) each."""
+    """Find the lowest and highest value in each block of a plane without NaN, (blocks down, blocks across) each."""
     function = _c("contrast_extremes", _I, _I, _P, _I, _I, _P, _P)
     if function is None:
         return extremes_numpy(plane, blocks)
@@ -187,7 +211,7 @@ def extremes(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
 
 
 def extremes_numpy(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
-    """extremes in numpy alone."""
+    """Do as extremes, in numpy alone."""
     rows, columns = np.arange(0, plane.shape[0], blocks.n_rows), np.arange(0, plane.shape[1], blocks.n_columns)
     lowest, highest = (np.asarray(of.reduceat(of.reduceat(plane, rows, 0), columns, 1)) for of in (np.minimum, np.maximum))
     return lowest, highest
@@ -196,8 +220,9 @@ def extremes_numpy(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
 def bright_places(
     sums: TileSums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
-    """For each box (n_boxes, 4) the known pixels of rows [start, stop) around which its sum is at least limit times level times number of
-    valid pixels.
+    """Find, for each box (n_boxes, 4), the known pixels of rows [start, stop) around which it is bright.
+
+    Its sum is then at least limit times level times number of valid pixels.
 
     limits: for each box one for each block, (n_boxes, blocks down, blocks across) float64. Places rise.
     """
@@ -224,19 +249,22 @@ def bright_places(
 def bright_places_numpy(
     sums: TileSums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
-    """bright_places in numpy alone."""
+    """Do as bright_places, in numpy alone."""
     found = []
     for box, limit in zip(boxes, limits, strict=True):
-        least = _spread(limit, blocks, sums.shape) * level * _box(sums.n_valid, box)
-        found.append(_places_of((_box(sums.total, box) >= least) & known, rows))
+        minimum = _spread(limit, blocks, sums.shape) * level * _box(sums.n_valid, box)
+        found.append(_places_of((_box(sums.total, box) >= minimum) & known, rows))
     return tuple(found)
 
 
 def dark_places(
     sums: TileSums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
-    """For each height the pixels of rows [start, stop) where shadows begin whose sum is at most limit times level times number of valid
-    pixels. limits: (n_heights, blocks down, blocks across). Places rise."""
+    """Find, for each height, the pixels of rows [start, stop) where dark shadows begin. Places rise.
+
+    Their sum is at most limit times level times number of valid pixels. limits: (n_heights, blocks down, blocks
+    across).
+    """
     function = _c("contrast_dark", *[_I] * 4, *[_P] * 3, _I, *[_P] * 3, _F, *[_D] * 3, _P, *[_I] * 4, *[_P] * 5)
     if function is None:
         return dark_places_numpy(sums, level, rows, shadows, limits, blocks)
@@ -264,7 +292,7 @@ def dark_places(
 def dark_places_numpy(
     sums: TileSums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
-    """dark_places in numpy alone."""
+    """Do as dark_places, in numpy alone."""
     every_row, every_column = np.indices(sums.shape, sparse=True)
     found = []
     for k, half_rows in enumerate(shadows.half_rows.tolist()):
@@ -280,15 +308,17 @@ def dark_places_numpy(
 
 
 def shadow_columns(shadows: Shadows, k: int, row: NDArray[np.integer], column: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Lengths in columns of the shadows of height k that begin at pixels: h y / (H - h) on a flat bottom. row, column: of one broadcast
-    shape."""
+    """Compute lengths in columns of the shadows of height k that begin at pixels.
+
+    h y / (H - h) on a flat bottom. row, column: of one broadcast shape.
+    """
     ground_m = (column + 0.5) * shadows.column_m
     length_m = np.clip(shadows.height_m[k] * ground_m / shadows.clearance_m[k, row], *shadows.length_m)
     return np.asarray(np.maximum(np.rint(length_m / shadows.column_m), 1.0), dtype=np.intp)
 
 
 def box_means(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Mean of one box (n, 4) at each of n places, and its number of valid pixels, (n,) each."""
+    """Average one box (n, 4) at each of n places, and count its valid pixels, (n,) each."""
     function = _c("contrast_means", _I, _I, _P, _P, _I, *[_P] * 4)
     if function is None:
         return box_means_numpy(sums, places, boxes)
@@ -299,7 +329,7 @@ def box_means(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArray[np.
 
 
 def box_means_numpy(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """box_means in numpy alone."""
+    """Do as box_means, in numpy alone."""
     n_rows, n_columns = sums.shape
     row, column = np.divmod(places, n_columns)
     top, bottom = (np.clip(row + boxes[:, k], 0, n_rows) for k in (0, 1))
@@ -311,7 +341,7 @@ def box_means_numpy(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArr
 
 
 def peaks(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int) -> Places:
-    """Pixels of rows [start, stop) above -inf than which none within half_rows and half_columns is higher. Places rise."""
+    """Find pixels of rows [start, stop) above -inf that are highest within half_rows and half_columns. Places rise."""
     function = _c("contrast_peaks", *[_I] * 4, _P, _I, _I, _P, _P)
     if function is None:
         return peaks_numpy(plane, rows, half_rows, half_columns)
@@ -321,7 +351,7 @@ def peaks(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int
 
 
 def peaks_numpy(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int) -> Places:
-    """peaks in numpy alone."""
+    """Do as peaks, in numpy alone."""
     found = plane > -np.inf
     for row, column in zip(*np.nonzero(found), strict=True):
         near = plane[max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1]
@@ -336,7 +366,7 @@ def _integral(plane: NDArray[Any], dtype: type) -> NDArray[Any]:
 
 
 def _box(image: NDArray[Any], box: Boxes) -> NDArray[Any]:
-    """Sums over a box around every pixel."""
+    """Sum over a box around every pixel."""
     n_rows, n_columns = image.shape[0] - 1, image.shape[1] - 1
     top, bottom = (np.clip(np.arange(n_rows) + k, 0, n_rows) for k in box[:2])
     left, right = (np.clip(np.arange(n_columns) + k, 0, n_columns) for k in box[2:])
@@ -345,7 +375,7 @@ def _box(image: NDArray[Any], box: Boxes) -> NDArray[Any]:
 
 
 def _spread(values: NDArray[np.float64], blocks: Blocks, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Each pixel's block's value."""
+    """Give each pixel the value of its block."""
     rows, columns = (np.arange(n) // size for n, size in zip(shape, blocks, strict=True))
     return values[np.ix_(rows, columns)]
 
@@ -356,14 +386,17 @@ def _places_of(found: Flags, rows: tuple[int, int]) -> Places:
 
 
 def _bands(sums: TileSums, n: int, *boxes: NDArray[np.integer]) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.int32]]]:
-    """How far boxes reach along rows, and room for n differences of rows that much longer on either side."""
+    """Measure how far boxes reach along rows, and make room for n rows of differences that much longer on either side."""
     pad = max(int(np.abs(box).max()) for box in boxes)
     width = sums.shape[1] + 1 + 2 * pad
     return pad, (np.empty((n, width)), np.empty((n, width), dtype=np.int32))
 
 
 def _room(shape: tuple[int, int], rows: tuple[int, int], n: int) -> tuple[NDArray[np.uint8], Places, NDArray[np.int64]]:
-    """For a row's flags, for n times as many places as there can be and those that a chunk of flags passes over, and for their numbers."""
+    """Make room for a row's flags, for n times as many places as there can be, and for their numbers.
+
+    A chunk of flags passes over some places.
+    """
     n_columns = shape[1]
     return (
         np.zeros(n_columns + 8, dtype=np.uint8),

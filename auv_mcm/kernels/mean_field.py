@@ -1,4 +1,4 @@
-"""Mean-field approximation of a Potts field of three labels: every cell's probabilities given what its eight neighbours are likely to be.
+"""Approximate a Potts field of three labels by mean field: each cell's probabilities given its eight neighbours.
 
 A sweep sets all cells at once: p = softmin(cost - sum of the neighbours' weights times their probabilities).
 C and numpy agree to 1e-12: their exponentials may differ in the last bit.
@@ -36,9 +36,9 @@ def sweep(cost: Plane, weight: Plane, n_sweeps: int, probability: Plane) -> Plan
 
 
 def sweep_numpy(cost: Plane, weight: Plane, n_sweeps: int, probability: Plane) -> Plane:
-    """sweep in numpy alone."""
+    """Do as sweep, in numpy alone."""
     for _ in range(n_sweeps):
-        probability = softmin(cost - _heard(probability, weight))
+        probability = softmin(cost - _neighbour_sum(probability, weight))
     return probability
 
 
@@ -48,8 +48,8 @@ def softmin(cost: Plane) -> Plane:
     return np.asarray(probability / probability.sum(axis=0))
 
 
-def _heard(probability: Plane, weight: Plane) -> Plane:
-    """Weighted sum of the probabilities of the eight neighbours."""
+def _neighbour_sum(probability: Plane, weight: Plane) -> Plane:
+    """Sum the probabilities of the eight neighbours with their weights."""
     beside = np.zeros_like(probability)
     beside[:, :, 1:] += probability[:, :, :-1]
     beside[:, :, :-1] += probability[:, :, 1:]

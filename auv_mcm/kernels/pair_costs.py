@@ -1,6 +1,6 @@
 """Count, for each cell of a label field, shadow behind it and highlight before it in its own and the two rows beside it.
 
-What a highlight lacks of shadow behind it, and a shadow of highlight before it, is added to their costs by degrees:
+A highlight without shadow behind it, and a shadow without highlight before it, cost more, by degrees:
 cost = whole * (1 - min(1, number * share per pixel)). C and numpy round alike.
 """
 
@@ -22,17 +22,17 @@ SHADOW, HIGHLIGHT = 1, 2  # labels, as auv_mcm.confirm.region numbers them
 
 
 class Lack(NamedTuple):
-    """Nats that a label costs where nothing bears it out, and the share of it that each pixel of the other label takes off."""
+    """Set the nats that a label costs without support, and the share of it that each pixel of the other label removes."""
 
     whole: float
     share: float
 
 
 def pair_costs(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
-    """Weigh labels by what stands in the rows of a field, (3, n_rows, n_columns) float64; 0 for background.
+    """Weigh labels by their neighbours in the rows of a field, (3, n_rows, n_columns) float64; 0 for background.
 
-    labels: (n_rows, n_columns) uint8. reach: (n_columns,) int64, columns before each in which highlights bear out a shadow.
-    attached: columns behind each in which shadows bear out a highlight.
+    labels: (n_rows, n_columns) uint8. reach: (n_columns,) int64, columns before each in which highlights support a shadow.
+    attached: columns behind each in which shadows support a highlight.
     """
     function = _function()
     if function is None:
@@ -47,7 +47,7 @@ def pair_costs(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: in
 
 
 def pair_costs_numpy(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
-    """pair_costs in numpy alone."""
+    """Do as pair_costs, in numpy alone."""
     n_columns = labels.shape[1]
     columns = np.arange(n_columns)
     dark, bright = (_row_sums(labels == label) for label in (SHADOW, HIGHLIGHT))
@@ -60,7 +60,7 @@ def pair_costs_numpy(labels: NDArray[np.uint8], reach: NDArray[np.int64], attach
 
 
 def _row_sums(mask: NDArray[np.bool_]) -> Plane:
-    """Sums of the first 0, 1, ... n_columns of each row."""
+    """Sum the first 0, 1, ... n_columns of each row."""
     sums = np.zeros((mask.shape[0], mask.shape[1] + 1))
     np.cumsum(mask, axis=1, out=sums[:, 1:])
     return sums

@@ -28,7 +28,7 @@ WINDOW_PINGS: Final = 4
 class WindowTable(NamedTuple):
     """Hold the statistics of the n parts of a trace.
 
-    kept: (n,) bool, False for parts with a sample that is not finite or too large; the rest of those parts means nothing. mean, at_zero,
+    kept: (n,) bool, False for parts with a sample that is not finite or too large; the rest of those parts is undefined. mean, at_zero,
     covariance: (n, n_cells), at_zero as a share. cumulants: (n_strides, n, n_cells, 2, 2) by stride, part, cell and half of the windows:
     second and third. highest: (n,), at_highest: (n,) share of samples.
     """
@@ -78,7 +78,7 @@ def ping_windows(samples: Values, n_part: int, n_cells: int, lags: Sequence[int]
 
 
 def ping_windows_numpy(samples: Values, n_part: int, n_cells: int, lags: Sequence[int], largest: float) -> WindowTable:
-    """ping_windows in numpy alone."""
+    """Do as ping_windows, in numpy alone."""
     x = samples
     n_columns = x.shape[1]
     n_parts = n_columns // n_part

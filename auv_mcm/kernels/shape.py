@@ -1,4 +1,4 @@
-"""How badly a solid explains an image: minus the log likelihood of highlight, shadow and floor as its closed forms place them.
+"""Compute how badly a solid explains an image: minus the log likelihood of highlight, shadow and floor.
 
 Every ping of an image that a solid crosses has three stretches of flat-floor ground range: highlight from its front to its tangent
 point, shadow from there to where the shadow ends, floor elsewhere. Echoes are Gamma distributed about the mean of their stretch, of
@@ -13,7 +13,7 @@ A beam of finite width sees several slices at once: then a row is cut wherever t
 is mu = sum of w_k mu_k over the shares w_k that slices of highlight, shadow and floor have in it. Fields of independent scatterers add
 in power, so echoes of a piece are Gamma distributed still. The means are improved by Fisher scoring of their logarithms.
 
-C and numpy agree to 1e-9 of the number of pixels; numpy asks auv_mcm.solids.shapes for the slices.
+C and numpy agree to 1e-9 of the number of pixels; numpy takes the slices from auv_mcm.solids.shapes.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge,
 Array: TypeAlias = NDArray[np.float64]
 Solid: TypeAlias = Literal["sphere", "cylinder", "truncated_cone", "wedge"]
 
-FORBIDDEN: Final = 1e12  # cost of what is no explanation
-LEAST_MEAN: Final = 1e-6  # relative to the image's mean, so that a shadow without any echo has a logarithm
+FORBIDDEN: Final = 1e12  # nats: cost of a solid that does not explain the image
+MIN_MEAN: Final = 1e-6  # relative to the image's mean, so that a shadow without any echo has a logarithm
 FIELDS: Final[dict[Solid, tuple[str, ...]]] = {
     "sphere": ("radius_m", "burial_m"),
     "cylinder": ("radius_m", "length_m", "azimuth_rad", "burial_m"),
@@ -51,7 +51,7 @@ _CLASSES: Final[dict[Solid, Callable[..., Shape]]] = {
     "wedge": Wedge,
 }
 _NO_BOUND, _POSITIVE = -np.inf, float(np.finfo(np.float64).tiny)
-_LEAST: Final[dict[Solid, Array]] = {
+_MIN: Final[dict[Solid, Array]] = {
     "sphere": np.array([_POSITIVE, 0.0]),
     "cylinder": np.array([_POSITIVE, 0.0, _NO_BOUND, 0.0]),
     "truncated_cone": np.array([_POSITIVE, 0.0, _POSITIVE, 0.0]),
@@ -59,15 +59,15 @@ _LEAST: Final[dict[Solid, Array]] = {
 }
 _MAX_TAPS: Final = 3
 SCORING_STEPS: Final = 2  # of Fisher's; they leave 0.02 nats at the median, 0.5 at the 95th percentile
-_LEAST_HIGHLIGHT, _LEAST_SHADOW = 4.0, 8.0  # pixels
+_MIN_HIGHLIGHT, _MIN_SHADOW = 4.0, 8.0  # pixels
 _DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor
 _AT_ONCE: Final = 16  # hypotheses that numpy weighs together: more no longer fit the cache
-_CLEARANCE: Final = 1.2  # altitude over the height of a solid, at least
+_CLEARANCE: Final = 1.2  # minimum altitude over the height of a solid
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 
 
 class ImageRowSums(NamedTuple):
-    """Image as cumulative sums along its rows; row i was seen from (i + 1/2) row_spacing_m along the track.
+    """Hold an image as cumulative sums along its rows; row i was seen from (i + 1/2) row_spacing_m along the track.
 
     echoes: (n_rows, n_columns + 1) float64, of intensity where valid, relative to its mean. counts: likewise of valid pixels.
     samples_per_pixel: looks over correlation area. smear_m: by which highlights are drawn out at both ends.
@@ -86,7 +86,10 @@ class ImageRowSums(NamedTuple):
 
 
 class Beam(NamedTuple):
-    """Slices seen at once, one or three, symmetric: (n_taps,) float64 bearings from the middle and shares that sum to 1."""
+    """Describe slices seen at once, one or three, symmetric.
+
+    (n_taps,) float64 bearings from the middle and shares that sum to 1.
+    """
 
     bearing_rad: Array
     share: Array
@@ -96,8 +99,11 @@ PENCIL: Final = Beam(np.zeros(1), np.ones(1))
 
 
 class Costs(NamedTuple):
-    """cost: (n,) float64, nats against a floor without an object, negative if the solid explains more; FORBIDDEN if the solid reaches
-    the track, is nearly as high as the sonar, has no visible highlight (4 pixels, 1.3 times the floor) or shadow (8 pixels, 0.6 times).
+    """Hold costs of solids.
+
+    cost: (n,) float64, nats against a floor without an object, negative if the solid explains more; FORBIDDEN if the
+    solid reaches the track, is nearly as high as the sonar, has no visible highlight (4 pixels, 1.3 times the floor) or
+    shadow (8 pixels, 0.6 times).
 
     mean: (n, 3) float64 of highlight, shadow and floor, relative to the image's mean; NaN where the cost is FORBIDDEN.
     """
@@ -107,10 +113,10 @@ class Costs(NamedTuple):
 
 
 def shape_costs(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Costs:
-    """Costs of solids of one kind.
+    """Compute costs of solids of one kind.
 
     hypotheses: (n, 8) float64: place along the track (m, from the near edge of row 0), ground range (m), altitude over that of the image,
-    which was told and may be wrong, then FIELDS of the solid. With another altitude the ground range is true, not the image's.
+    which was measured and may be wrong, then FIELDS of the solid. With another altitude the ground range is true, not the image's.
     Raises ValueError for other shapes, sizes that are not positive, or a cone wider at its top than at its base.
     """
     hypotheses = np.ascontiguousarray(hypotheses, dtype=np.float64)
@@ -130,23 +136,24 @@ def shape_costs(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam
 
 
 def kind_of(solid: Solid) -> int:
-    """The number by which C knows a solid."""
+    """Give the number of a solid in C."""
     return _KINDS.index(solid)
 
 
 def solid_of(solid: Solid, fields: Array) -> Shape:
-    """The solid with these values of FIELDS along the last axis, as arrays (..., 1) to be set against pings."""
+    """Make the solid with these values of FIELDS along the last axis, as arrays (..., 1) to broadcast against pings."""
     return _CLASSES[solid](**{name: fields[..., k, np.newaxis] for k, name in enumerate(FIELDS[solid])})
 
 
 def single_solid(solid: Solid, fields: Array) -> Shape:
-    """The solid with these values of FIELDS, (5,) or the first of more."""
+    """Make the solid with these values of FIELDS, (5,) or the first of more."""
     return _CLASSES[solid](**dict(zip(FIELDS[solid], fields.tolist(), strict=False)))
 
 
 def intervals(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Array:
-    """Where highlights begin, shadows begin and shadows end in an image, (n, n_rows, n_taps, 3) float64 columns with edges at whole
-    numbers, cut at the image's edges; three times 0 where a slice misses the solid.
+    """Find where highlights begin, shadows begin and shadows end, (n, n_rows, n_taps, 3) float64 columns.
+
+    Edges are at whole numbers; columns are cut at the image's edges; three times 0 where a slice misses the solid.
 
     A wedge may turn its vertical face to the sonar. The face's foot, whose echo comes after that of the edge above it, ends the highlight.
     Raises ValueError as shape_costs does; hypotheses must be none that it forbids.
@@ -165,7 +172,7 @@ def intervals(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam =
 
 
 def intervals_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Array:
-    """intervals in numpy alone."""
+    """Do as intervals, in numpy alone."""
     n_rows, n_edges = image.echoes.shape
     along, across, altitude = (hypotheses[:, k, np.newaxis] for k in range(FIRST_FIELD))
     altitude = altitude * image.altitude_m
@@ -187,7 +194,7 @@ def intervals_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: 
 
 
 def shape_costs_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Costs:
-    """shape_costs in numpy alone."""
+    """Do as shape_costs, in numpy alone."""
     costs = Costs(np.full(len(hypotheses), FORBIDDEN), np.full((len(hypotheses), 3), np.nan))
     clear = hypotheses[:, 1] > reach_m(solid, hypotheses) * (1.0 + abs(image.shear))
     top = top_m(solid, hypotheses)
@@ -200,7 +207,7 @@ def shape_costs_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam
 
 
 def reach_m(solid: Solid, hypotheses: Array) -> Array:
-    """Horizontal radius about the place within which all of the solid lies, (n,)."""
+    """Compute the horizontal radius about the place within which all of the solid lies, (n,) m."""
     match solid:
         case "sphere" | "truncated_cone":
             return hypotheses[:, 3]
@@ -211,7 +218,7 @@ def reach_m(solid: Solid, hypotheses: Array) -> Array:
 
 
 def top_m(solid: Solid, hypotheses: Array) -> Array:
-    """Height of the solid over the floor, (n,)."""
+    """Compute the height of the solid over the floor, (n,) m."""
     match solid:
         case "sphere":
             return 2.0 * hypotheses[:, 3] - hypotheses[:, 4]
@@ -224,7 +231,7 @@ def top_m(solid: Solid, hypotheses: Array) -> Array:
 
 
 def up_to(sums: Array, column: Array) -> Array:
-    """Cumulative sums (n_rows, n_columns + 1) at fractional columns (..., n_rows, m), linear in between."""
+    """Interpolate cumulative sums (n_rows, n_columns + 1) at fractional columns (..., n_rows, m), linearly."""
     left = np.minimum(column.astype(np.intp), sums.shape[1] - 2)
     at = left + sums.shape[1] * np.arange(sums.shape[0])[:, np.newaxis]
     low, high = np.take(sums, at), np.take(sums, at + 1)
@@ -242,7 +249,10 @@ def _intervals_function() -> Callable[..., None] | None:
 
 
 def _wedge_foot(fields: Array, offset: Array) -> Array:
-    """Least ground range, from its place, of what a wedge covers of the floor in slices (n, m); NaN where they miss it."""
+    """Compute the minimum ground range, from its place, of the floor that a wedge covers.
+
+    In slices (n, m); NaN where they miss it.
+    """
     length, width, height, azimuth, burial = (fields[:, k, np.newaxis] for k in range(5))
     sides = (
         (np.cos(azimuth), np.sin(azimuth), (burial / height - 0.5) * length, 0.5 * length),
@@ -257,13 +267,13 @@ def _wedge_foot(fields: Array, offset: Array) -> Array:
 
 
 def _costs(ends: Array, image: ImageRowSums, beam: Beam) -> Costs:
-    """ends: (n, n_rows, n_taps, 3) columns."""
+    """Compute costs. ends: (n, n_rows, n_taps, 3) columns."""
     whole = np.array([image.counts[:, -1].sum(), image.echoes[:, -1].sum()])
     middle = ends[:, :, beam.share.size // 2]
     parts = [np.diff(up_to(sums, middle), axis=2).sum(axis=1) for sums in (image.counts, image.echoes)]
     count, total = (np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip(parts, whole, strict=True))
-    mean = np.maximum(np.divide(total, count, out=np.zeros(count.shape), where=count > 0.0), LEAST_MEAN)
-    visible = (count[:, 0] >= _LEAST_HIGHLIGHT) & (count[:, 1] >= _LEAST_SHADOW) & (count[:, 2] > 0.0)
+    mean = np.maximum(np.divide(total, count, out=np.zeros(count.shape), where=count > 0.0), MIN_MEAN)
+    visible = (count[:, 0] >= _MIN_HIGHLIGHT) & (count[:, 1] >= _MIN_SHADOW) & (count[:, 2] > 0.0)
     count, total, mean, share = count[visible], total[visible], mean[visible], np.eye(3)
     if beam.share.size > 1:
         count, total, share = _pieces(ends[visible], image, beam, whole)
@@ -279,7 +289,10 @@ def _costs(ends: Array, image: ImageRowSums, beam: Beam) -> Costs:
 
 
 def _pieces(ends: Array, image: ImageRowSums, beam: Beam, whole: Array) -> tuple[Array, Array, Array]:
-    """Counts (n, m), sums (n, m) and shares (n, m, 3) of pieces of rows of one mixture each, some empty; the last is all the rest."""
+    """Give counts (n, m), sums (n, m) and shares (n, m, 3) of pieces of rows of one mixture each.
+
+    Some are empty; the last is all the rest.
+    """
     seen = ends[:, :, :, 2].any(axis=(0, 2))
     ends = ends[:, seen]
     n, n_rows = ends.shape[:2]
@@ -296,7 +309,7 @@ def _pieces(ends: Array, image: ImageRowSums, beam: Beam, whole: Array) -> tuple
 
 
 def _improved(count: Array, total: Array, share: Array, mean: Array) -> Array:
-    """Means (n, 3) after one step of Fisher scoring."""
+    """Improve means (n, 3) by one step of Fisher scoring."""
     part = share * mean[:, np.newaxis]
     expected = part.sum(axis=2)
     part = part / expected[:, :, np.newaxis]
@@ -304,7 +317,7 @@ def _improved(count: Array, total: Array, share: Array, mean: Array) -> Array:
     information += (1e-9 * information.trace(axis1=1, axis2=2) + 1e-12)[:, np.newaxis, np.newaxis] * np.eye(3)
     excess = part.swapaxes(1, 2) @ (total / expected - count)[:, :, np.newaxis]
     step = np.linalg.solve(information, excess)[:, :, 0]
-    return np.asarray(np.maximum(mean * np.exp(np.clip(step, -1.0, 1.0)), LEAST_MEAN), dtype=np.float64)
+    return np.asarray(np.maximum(mean * np.exp(np.clip(step, -1.0, 1.0)), MIN_MEAN), dtype=np.float64)
 
 
 def _check(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam) -> None:
@@ -318,5 +331,5 @@ def _check(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam) -> 
     if beam.share.size % 2 == 0 or beam.share.size > _MAX_TAPS or beam.bearing_rad.shape != beam.share.shape:
         raise ValueError(f"a beam must have an odd number of slices up to {_MAX_TAPS}, not {beam.share.size}")
     fields = hypotheses[:, FIRST_FIELD : FIRST_FIELD + n_fields]
-    if not (fields >= _LEAST[solid]).all() or (solid == "truncated_cone" and (fields[:, 1] > fields[:, 0]).any()):
-        solid_of(solid, hypotheses[:, FIRST_FIELD:])  # says which size it is
+    if not (fields >= _MIN[solid]).all() or (solid == "truncated_cone" and (fields[:, 1] > fields[:, 0]).any()):
+        solid_of(solid, hypotheses[:, FIRST_FIELD:])  # raises an error that names the size

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, ImageRowSums, Solid, kind_of, shape_costs
-from auv_mcm.solids.box_search import APART, GROWTH, LEAST_STRIDE, SHRINKAGE, Optima, SearchBox, apart, directions, look_around, spread
+from auv_mcm.solids.box_search import APART, GROWTH, MIN_STRIDE, SHRINKAGE, Optima, SearchBox, apart, directions, look_around, spread
 from auv_mcm.solids.box_search import walk as walk_down
 
 ONE: Final = 0  # numbers of the factors; value k of a point is factor k + 1
@@ -27,12 +27,12 @@ SUNK: Final = 7
 RATIO: Final = 8
 
 _N_FACTORS: Final = 9
-_UNKNOWN, _OF_ONE_SLICE, _KNOWN = range(3)  # what C is told of the costs of starts
+_UNKNOWN, _OF_ONE_SLICE, _KNOWN = range(3)  # states of the costs of starts, passed to C
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 
 
 class WalkSpace(NamedTuple):
-    """Points of a box and what they stand for.
+    """Hold points of a box and what they stand for.
 
     terms: (8, 3) float64, coefficient and the numbers of two factors of each column. sigma: of the altitude's share and of what the last
     value is above 0, infinite where that is no burial. fixed_cost: nats, of every point.
@@ -46,7 +46,7 @@ class WalkSpace(NamedTuple):
 
 
 def hypotheses_at(terms: Array, points: Array) -> Array:
-    """Hypotheses (n, 8) for `shape_costs` from points (n, d); terms: of a WalkSpace."""
+    """Turn points (n, d) into hypotheses (n, 8) for `shape_costs`; terms: of a WalkSpace."""
     factors = np.ones((len(points), _N_FACTORS))
     factors[:, 1 : points.shape[1] + 1] = points
     factors[:, SUNK] = np.maximum(points[:, -1], 0.0)
@@ -56,7 +56,10 @@ def hypotheses_at(terms: Array, points: Array) -> Array:
 
 
 def costs_at(chart: WalkSpace, points: Array, image: ImageRowSums, beam: Beam) -> Array:
-    """Costs (n,) of points (n, d) with what an altitude that is wrong and a burial cost, half their squares in sigmas."""
+    """Compute costs (n,) of points (n, d), with those of a wrong altitude and a burial.
+
+    The latter are half their squares in sigmas.
+    """
     hypotheses = hypotheses_at(chart.terms, points)
     altitude = (hypotheses[:, 2] - 1.0) / chart.sigma[0]
     burial = np.maximum(points[:, -1], 0.0) / chart.sigma[1]
@@ -64,7 +67,7 @@ def costs_at(chart: WalkSpace, points: Array, image: ImageRowSums, beam: Beam) -
 
 
 class Walk(NamedTuple):
-    """How far a search goes: places that walk, steps of each, tries per step, and the first stride in grains."""
+    """Set how far a search goes: places that walk, steps of each, tries per step, and the first stride in grains."""
 
     n_walks: int
     n_steps: int
@@ -75,7 +78,7 @@ class Walk(NamedTuple):
 def search_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
     """Find the lowest costs from n_starts places spread over the box: the best of those that lie apart walk downhill.
 
-    The box must hold only points that stand for solids that can be.
+    The box must hold only points that stand for possible solids.
     """
     function = _function()
     if function is None:
@@ -85,13 +88,16 @@ def search_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, n_starts: i
 
 
 def search_shapes_numpy(chart: WalkSpace, image: ImageRowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
-    """search_shapes in numpy, but for the costs."""
+    """Do as search_shapes, in numpy, but for the costs."""
     starts = look_around(lambda points: costs_at(chart, points, image, beam), chart.box, n_starts, walk.n_walks)
     return _walked(chart, image, beam, starts, walk)
 
 
 def refine_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
-    """Walk on from the best of those found that lie apart, which a single slice was weighed for, with the costs of this beam."""
+    """Walk on with the costs of this beam from the best of those found that lie apart.
+
+    Those were weighed for a single slice.
+    """
     function = _function()
     if function is None:
         return refine_shapes_numpy(chart, image, beam, found, walk)
@@ -99,7 +105,7 @@ def refine_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, found: Opti
 
 
 def refine_shapes_numpy(chart: WalkSpace, image: ImageRowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
-    """refine_shapes in numpy, but for the costs."""
+    """Do as refine_shapes, in numpy, but for the costs."""
     starts = apart(found, chart.box, walk.n_walks)
     if beam.share.size > 1:
         starts = Optima(starts.unit, costs_at(chart, chart.box.points(starts.unit), image, beam))
@@ -125,7 +131,7 @@ def _run(
     span = box.high - box.low
     sides = np.array([box.low, span, box.wraps, box.grain / span])
     scalars = np.array([*image[2:], *chart.sigma, chart.fixed_cost])
-    strides = np.array([walk.first_stride, GROWTH, SHRINKAGE, LEAST_STRIDE, APART])
+    strides = np.array([walk.first_stride, GROWTH, SHRINKAGE, MIN_STRIDE, APART])
     ways = _directions(walk.n_steps, walk.n_tries, d)
     n_kept = min(n, walk.n_walks)
     unit, best, n_found = np.empty((n_kept, d)), np.empty(n_kept), np.empty(1, dtype=np.int64)

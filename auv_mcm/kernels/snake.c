@@ -484,7 +484,7 @@ typedef struct {
     int64_t n_accepted, n_evaluated;
 } Moved;
 
-/* Moves the pair through all stages of the schedule, if nothing keeps it from being moved: then fault (2) says what, see below. */
+/* Moves the pair through all stages of the schedule, if nothing keeps it from being moved: then fault (2) reports what, see below. */
 static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *moved, int64_t *fault)
 {
     static const int ORDER[2] = {SHADOW, HIGHLIGHT};

@@ -1,4 +1,4 @@
-"""Moves a highlight and a shadow polygon together until a description length stops falling.
+"""Move a highlight and a shadow polygon together until a description length stops falling.
 
 Both polygons are lists of (row, column) nodes in pixels, pixel (r, k) covering [r, r + 1) x [k, k + 1). A pixel is inside if its centre
 is, half-open on both axes. Sums over the inside come from row cumulative sums at the columns where edges cross row centres, so a moved
@@ -41,7 +41,7 @@ MAX_NODES: Final = 64
 NAMES: Final = ("highlight", "shadow")
 QUANTUM: Final = 2.0**-20
 """Intensities are whole multiples of this part of the window's mean."""
-_SPIKE: Final = 1e3  # times the median: brighter than any highlight; what is beyond would outweigh the rest of the window
+_SPIKE: Final = 1e3  # times the median: brighter than any highlight; brighter pixels would outweigh the rest of the window
 _BRIGHTEST: Final = 1e6  # times the window's mean; keeps sums over any window within 2^53 quanta
 _STEPS_PER_PX: Final = 16.0
 _NODES_PER_PX: Final = 2.0**20  # sums of coordinates, and halves of edges, stay exact
@@ -50,7 +50,7 @@ _NO_STAGES: Final = np.empty((0, 3))
 
 
 class WindowRowSums(NamedTuple):
-    """Cumulative sums along rows of a window.
+    """Hold cumulative sums along rows of a window.
 
     table: (n_rows, n_columns + 1, 2) float64, table[r, k] = sum over columns below k of (intensity over its mean, 1) where valid.
     mean: of the valid intensities, 0 if there are none or no echo among them; the table's intensities are then 0. Both of
@@ -62,7 +62,10 @@ class WindowRowSums(NamedTuple):
 
 
 def window_row_sums(intensity: NDArray[np.float64], valid: NDArray[np.bool_]) -> WindowRowSums:
-    """Row sums of a (n_rows, n_columns) window. Pixels that are not valid, or hold no finite number >= 0, count as not measured."""
+    """Sum the rows of a (n_rows, n_columns) window.
+
+    Pixels that are not valid, or hold no finite number >= 0, count as not measured.
+    """
     counted = valid & (intensity >= 0.0) & (intensity < np.inf)
     measured = np.where(counted, intensity, 0.0)
     n_counted = int(counted.sum())
@@ -87,7 +90,7 @@ def move_pair(
     highlight: NDArray[np.float64],
     shadow: NDArray[np.float64],
 ) -> Moved:
-    """The pair after all stages of the schedule.
+    """Move the pair through all stages of the schedule.
 
     table: of `window_row_sums`. schedule: (n_stages, 3) float64, each row the number of nodes to subdivide to, the length
     of moves in pixels (whole multiples of 1/16) and how many sweeps at most; length 0 prunes nodes instead.
@@ -134,7 +137,9 @@ def moved_of(nodes: NDArray[np.float64], n_nodes: list[int], out: list[float]) -
 
 
 def fault_of(table: NDArray[np.float64], settings: Settings, nodes: NDArray[np.float64]) -> int:
-    """What keeps a polygon (n, 2) from being moved: 0 nothing, 1 too small, clockwise or not measured, 2 not sound.
+    """Find what keeps a polygon (n, 2) from being moved.
+
+    0 nothing, 1 too small, clockwise or not measured, 2 not sound.
 
     table, settings and nodes as move_pair has them. Raises ValueError for shapes that do not fit and nodes outside the window.
     """
@@ -149,9 +154,9 @@ def fault_of(table: NDArray[np.float64], settings: Settings, nodes: NDArray[np.f
 
 
 def sides(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDArray[np.int64]:
-    """The columns at which a polygon's near and its far side cross each row, (2, n_rows) int64; -1 where they do not.
+    """Find the columns at which a polygon's near and far side cross each row, (2, n_rows) int64; -1 where they do not.
 
-    nodes: (n, 2) float64, finite. The near side is what runs up; of a polygon that crosses a row more than twice the last edge counts.
+    nodes: (n, 2) float64, finite. The near side runs up; of a polygon that crosses a row more than twice the last edge counts.
     Raises ValueError for nodes of another shape.
     """
     nodes = np.ascontiguousarray(nodes, dtype=np.float64)
@@ -166,7 +171,7 @@ def sides(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDArray[np
 
 
 def sides_numpy(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDArray[np.int64]:
-    """sides in numpy alone."""
+    """Do as sides, in numpy alone."""
     found = np.full((2, n_rows), -1, dtype=np.int64)
     for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True):
         rows, columns = snake_twin.crossings(a, b, n_rows, n_columns)
@@ -175,7 +180,7 @@ def sides_numpy(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDAr
 
 
 class _Ran(NamedTuple):
-    """What the C function left of both polygons."""
+    """Hold what the C function left of both polygons."""
 
     nodes: NDArray[np.float64]
     n_nodes: list[int]
@@ -221,7 +226,7 @@ def _c_sides() -> Callable[..., None] | None:
 
 @functools.cache
 def c_kernel() -> Callable[..., None] | None:
-    """The C function, None where the twin serves."""
+    """Give the C function, None where the twin serves."""
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
     return kernels.c_function("snake", integer, integer, pointer, pointer, integer, *[pointer] * 7)
 
@@ -242,7 +247,7 @@ def _check(table: NDArray[np.float64], schedule: NDArray[np.float64], parts: lis
 
 
 def refuse(faults: list[int], settings: Settings) -> None:
-    """Raise ValueError for polygons that cannot be moved. faults: of highlight and shadow, as fault_of has them."""
+    """Raise ValueError for polygons that cannot be moved. faults: of highlight and shadow, as fault_of gives them."""
     why = {
         1: f"covers fewer than {settings.min_area_px:g} pixels, none that was measured, or runs up its far side",
         2: "crosses itself, has coinciding nodes, or is crossed more than twice by a row",

@@ -24,8 +24,8 @@ from auv_mcm.kernels.snake_twin import EdgeSums, Moved, Settings
 Nodes = NDArray[np.float64]
 Schedule = tuple[tuple[int, float, int], ...]
 
-LEAST_SIDE_PX: Final = 4.0  # of a box; C knows it as well
-LEAST_ROWS: Final = 3  # in which pixels must have been measured; C knows it as well
+MIN_SIDE_PX: Final = 4.0  # of a box; equal in C
+MIN_ROWS: Final = 3  # in which pixels must have been measured; equal in C
 _NONE: Final = np.empty((0, 2))
 _NO_MOVES: Final[Schedule] = ()
 
@@ -92,7 +92,7 @@ def descend_numpy(
 
 
 def box(top: float, near: float, bottom: float, far: float, n_rows: int, n_columns: int) -> Nodes:
-    """Make a box in whole pixels within a window, at least LEAST_SIDE_PX each way, (4, 2) nodes."""
+    """Make a box in whole pixels within a window, at least MIN_SIDE_PX each way, (4, 2) nodes."""
     top, bottom = _interval(top, bottom, n_rows)
     near, far = _interval(near, far, n_columns)
     return np.array([(top, near), (top, far), (bottom, far), (bottom, near)])
@@ -100,8 +100,8 @@ def box(top: float, near: float, bottom: float, far: float, n_rows: int, n_colum
 
 def _interval(low: float, high: float, size: int) -> tuple[float, float]:
     low, high = float(round(min(max(low, 0.0), size))), float(round(min(max(high, 0.0), size)))
-    low = max(0.0, min(low, size - LEAST_SIDE_PX))
-    return low, max(high, low + LEAST_SIDE_PX)
+    low = max(0.0, min(low, size - MIN_SIDE_PX))
+    return low, max(high, low + MIN_SIDE_PX)
 
 
 def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -117,13 +117,13 @@ def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
         return False
     rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))
     n_measured = int(np.count_nonzero(table[rows, far, 1] - table[rows, near, 1] >= 1.0))
-    return n_measured >= max(min(LEAST_ROWS, len(rows)), 1)
+    return n_measured >= max(min(MIN_ROWS, len(rows)), 1)
 
 
 def _strip_before(shadow: Nodes, width_px: float, n_rows: int, n_columns: int) -> Nodes:
     """Make a strip on the near side of a shadow; none where the window begins."""
     near = math.floor(float(np.median(np.sort(shadow[:, 1])[: max(len(shadow) // 2, 1)])))
-    if near < LEAST_SIDE_PX:
+    if near < MIN_SIDE_PX:
         return _NONE
     return box(float(shadow[:, 0].min()), near - width_px, float(shadow[:, 0].max()), near, n_rows, n_columns)
 

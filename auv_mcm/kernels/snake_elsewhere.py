@@ -1,7 +1,8 @@
-"""Look for the like of a pair of contours elsewhere in a window: what the same polygons, shifted, would have for evidence there.
+"""Search a window for a repetition of a pair of contours: the evidence of the same polygons, shifted.
 
-Evidence of a polygon of N pixels with mean m over the window's is that of speckle for a highlight or a shadow, N (m - 1 - ln m), and none
-on the wrong side of 1. Ripples and grass hold dark patches behind bright ones, but the like of them a little farther on.
+Evidence of a polygon of N pixels with mean m over the window's is that of speckle for a highlight or a shadow, N (m - 1
+- ln m), and none on the wrong side of 1. Ripples and grass hold dark patches behind bright ones, but they repeat a
+little farther on.
 
 C and numpy agree to the last bit where numpy takes logarithms from the C library, and to 1e-12 otherwise.
 """
@@ -25,7 +26,7 @@ Nodes = NDArray[np.float64]
 Polygons = Sequence[tuple[int, Nodes]]
 
 _ROW_STEP, _COLUMN_STEP = 2, 4  # pixels between the places where contours are tried again
-_COMMON: Final = 0.95  # C knows it as well
+_COMMON: Final = 0.95  # equal in C
 _FAINTEST: Final = 1e-6
 
 
@@ -57,7 +58,7 @@ def elsewhere(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, fl
 
 
 def elsewhere_numpy(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, float]:
-    """elsewhere in numpy alone."""
+    """Do as elsewhere, in numpy alone."""
     n_rows, n_columns = table.shape[0], table.shape[1] - 1
     here = 0.0
     shifts = _shifts(np.concatenate([nodes for _, nodes in polygons]), n_rows, n_columns)
@@ -80,7 +81,7 @@ def elsewhere_numpy(table: NDArray[np.float64], polygons: Polygons) -> tuple[flo
 
 
 def _shifts(nodes: Nodes, n_rows: int, n_columns: int) -> NDArray[np.int64]:
-    """Shifts (row, column) that keep all nodes in the window and clear of where they are, (n, 2) int64."""
+    """Give shifts (row, column) that keep all nodes in the window and clear of where they are, (n, 2) int64."""
     (top, near), (bottom, far) = np.floor(nodes.min(axis=0)), np.ceil(nodes.max(axis=0))
     rows = np.arange(-int(top), n_rows - int(bottom) + 1, _ROW_STEP)
     columns = np.arange(-int(near), n_columns - int(far) + 1, _COLUMN_STEP)

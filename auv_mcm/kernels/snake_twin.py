@@ -1,4 +1,4 @@
-"""The moves of `kernels.snake` in Python: the same decisions as the C kernel, to be read and to be compared with."""
+"""Make the moves of `kernels.snake` in Python: the same decisions as the C kernel, to be read and compared with."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ _EDGE_WAYS: Final = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 
 class Settings(NamedTuple):
-    """What the criterion knows besides the image. Lengths in metres, costs in nats.
+    """Set the criterion apart from the image. Lengths in metres, costs in nats.
 
-    correlation_px: A_c. extent_*: along-track ends of highlight and shadow may differ by the tolerance; beyond it the square of sigmas
-    counts half. gap_*: the same for the mean gap between highlight and shadow. height_*: the same for the mean height that the shadow
-    implies, H (1 - r_start / r_end); beyond height_bound_m it is forbidden. min_area_px: least area of a polygon. faintest: least mean of
-    a region over that of the window; dimmest_highlight, brightest_shadow: what objects show at least. forbidden: cost per pixel of overlap
-    and per metre of height beyond the bound. window_*: sum, count and ln(number of pixels / A_c) of the whole window.
+    correlation_px: A_c. extent_*: along-track ends of highlight and shadow may differ by the tolerance; beyond it the
+    square of sigmas counts half. gap_*: the same for the mean gap between highlight and shadow. height_*: the same for
+    the mean height that the shadow implies, H (1 - r_start / r_end); beyond height_bound_m it is forbidden.
+    min_area_px: minimum area of a polygon. faintest: minimum mean of a region over that of the window;
+    dimmest_highlight, brightest_shadow: bounds on what objects show. forbidden: cost per pixel of overlap and per metre
+    of height beyond the bound. window_*: sum, count and ln(number of pixels / A_c) of the whole window.
     """
 
     row_spacing_m: float
@@ -55,7 +56,7 @@ class Settings(NamedTuple):
 
 
 class EdgeSums(NamedTuple):
-    """What edges add up over the rows they cross, and polygons over their edges. Downward edges count positive.
+    """Hold sums of edges over the rows they cross, and of polygons over their edges. Downward edges count positive.
 
     total, measured: intensity and number of measured pixels inside. area: pixels inside. far: columns of the far side. rows: crossed.
     gap, overlap: pixels between the polygon and the side of the other one that faces it, over the `shared` rows.
@@ -72,7 +73,10 @@ class EdgeSums(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """The pair: (n, 2) float64 nodes, (0, 2) where there is no polygon; criterion in nats; moves made and proposed; sums of both."""
+    """Hold the pair moved.
+
+    (n, 2) float64 nodes, (0, 2) where there is no polygon; criterion in nats; moves made and proposed; sums of both.
+    """
 
     highlight: Nodes
     shadow: Nodes
@@ -87,7 +91,7 @@ _NOTHING: Final = EdgeSums(*[0.0] * len(EdgeSums._fields))
 
 
 def crossings(a: Nodes, b: Nodes, n_rows: int, n_columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows whose centres the edge from node a to node b crosses, and the columns from which on pixels are beyond it; both (n,) int64."""
+    """Find rows whose centres the edge from a to b crosses, and the first columns of pixels beyond it; (n,) int64."""
     upper, lower = (a, b) if a[0] < b[0] else (b, a)
     if a[0] == b[0]:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
@@ -99,7 +103,10 @@ def crossings(a: Nodes, b: Nodes, n_rows: int, n_columns: int) -> tuple[NDArray[
 
 
 def sums_of(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, nodes: Nodes) -> list[EdgeSums]:
-    """Per edge of polygon `which`. bound: (n_rows,) float64, the facing side of the other polygon, -1 where there is none."""
+    """Sum per edge of polygon `which`.
+
+    bound: (n_rows,) float64, the facing side of the other polygon, -1 where there is none.
+    """
     return [_edge_sums(table, bound, which, a, b) for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True)]
 
 
@@ -119,7 +126,7 @@ def _edge_sums(table: NDArray[np.float64], bound: NDArray[np.float64], which: in
 
 
 def facing_side(other: Nodes, which: int, n_rows: int, n_columns: int) -> NDArray[np.float64]:
-    """Per row the column where the polygon `other` faces polygon `which`, -1 where it does not reach; (n_rows,) float64."""
+    """Find per row the column where the polygon `other` faces polygon `which`, (n_rows,) float64; -1 where it does not."""
     bound = np.full(n_rows, -1.0)
     for a, b in zip(other, np.roll(other, -1, axis=0), strict=True):
         if a[0] != b[0] and (b[0] > a[0]) == (which == SHADOW):
@@ -129,7 +136,7 @@ def facing_side(other: Nodes, which: int, n_rows: int, n_columns: int) -> NDArra
 
 
 def likelihood(settings: Settings, side: int, total: float, count: float) -> float:
-    """Negative log-likelihood of a region of single-look speckle at its best mean, per correlation area.
+    """Compute the negative log-likelihood of a region of single-look speckle at its best mean, per correlation area.
 
     The mean of a highlight is at least dimmest_highlight, that of a shadow at most brightest_shadow; the background's is free.
     """
@@ -143,13 +150,13 @@ def likelihood(settings: Settings, side: int, total: float, count: float) -> flo
 
 
 def parameter_code(settings: Settings, count: float) -> float:
-    """Nats to tell the mean of a region."""
+    """Compute the code length of a region's mean, nats."""
     samples = count / settings.correlation_px
     return 0.5 * math.log(samples) if samples > 1.0 else 0.0
 
 
 def polygon_cost(settings: Settings, which: int, nodes: Nodes, sums: EdgeSums) -> float:
-    """What a polygon costs by itself: its region's likelihood, its nodes, its mean."""
+    """Compute the cost of a polygon by itself: its region's likelihood, its nodes, its mean."""
     n = float(len(nodes))
     row_step, column_step = np.abs(np.roll(nodes, -1, axis=0) - nodes).sum(axis=0).tolist()
     spread = math.log(max(row_step / n * (column_step / n) / settings.correlation_px, 0.25))
@@ -158,7 +165,10 @@ def polygon_cost(settings: Settings, which: int, nodes: Nodes, sums: EdgeSums) -
 
 
 def height_m(settings: Settings, sums: EdgeSums) -> float:
-    """Height of what casts a shadow of mean length and place: z = H (1 - r_start / r_end) by similar triangles."""
+    """Compute the height of what casts a shadow of mean length and place, m.
+
+    z = H (1 - r_start / r_end) by similar triangles.
+    """
     far_m = settings.first_ground_range_m + sums.far / sums.rows * settings.column_spacing_m
     near_m = far_m - sums.area / sums.rows * settings.column_spacing_m
     up = settings.altitude_m
@@ -179,7 +189,10 @@ def shadow_cost(settings: Settings, sums: EdgeSums) -> float:
 
 
 def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: EdgeSums) -> float:
-    """What it costs that highlight and shadow do not fit each other. moved: of either, its gap and overlap being against the other."""
+    """Compute the cost of a mismatch of highlight and shadow.
+
+    moved: of either, its gap and overlap being against the other.
+    """
     top, bottom = (abs(end(highlight[:, 0]) - end(shadow[:, 0])) * settings.row_spacing_m for end in (np.min, np.max))
     cost = _beyond(float(top) - settings.extent_tolerance_m, settings.extent_sigma_m)
     cost += _beyond(float(bottom) - settings.extent_tolerance_m, settings.extent_sigma_m)
@@ -193,7 +206,7 @@ def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: Edge
 
 
 def criterion(settings: Settings, nodes: tuple[Nodes, Nodes], sums: tuple[EdgeSums, EdgeSums], moved: int) -> float:
-    """J of a pair. moved: the polygon whose sums hold gap and overlap."""
+    """Compute J of a pair. moved: the polygon whose sums hold gap and overlap."""
     present = [which for which in (HIGHLIGHT, SHADOW) if len(nodes[which])]
     cost = polygon_cost(settings, present[0], nodes[present[0]], sums[present[0]])
     if len(present) == 2:
@@ -210,17 +223,17 @@ def criterion(settings: Settings, nodes: tuple[Nodes, Nodes], sums: tuple[EdgeSu
 
 
 def no_object(settings: Settings) -> float:
-    """J of a window without any object."""
+    """Compute J of a window without any object."""
     return likelihood(settings, BACKGROUND, settings.window_sum, settings.window_count) + parameter_code(settings, settings.window_count)
 
 
 def is_sound(nodes: Nodes) -> bool:
-    """Whether a polygon is simple, has its nodes half a pixel apart and is crossed at most twice by each row."""
+    """Check that a polygon is simple, its nodes half a pixel apart, and each row crosses it at most twice."""
     return _sound(nodes, range(len(nodes)))
 
 
 def _sound(nodes: Nodes, edges: range) -> bool:
-    """is_sound where only `edges` can be at fault."""
+    """Check as is_sound where only `edges` can be at fault."""
     points = [(float(row), float(column)) for row, column in nodes]
     n = len(points)
     ways = [_sign(points[(i + 1) % n][0] - points[i][0]) for i in range(n)]
@@ -261,7 +274,7 @@ def _turn(a: _Point, b: _Point, c: _Point) -> float:
 
 
 def _meet(a: _Point, b: _Point, c: _Point, d: _Point) -> bool:
-    """Whether two segments have a point in common."""
+    """Check whether two segments have a point in common."""
     c_side, d_side, a_side, b_side = (_sign(_turn(*three)) for three in ((a, b, c), (a, b, d), (c, d, a), (c, d, b)))
     if c_side * d_side < 0 and a_side * b_side < 0:
         return True
@@ -274,7 +287,7 @@ def _within(a: _Point, b: _Point, point: _Point) -> bool:
 
 
 def fault_of(table: NDArray[np.float64], settings: Settings, nodes: Nodes) -> int:
-    """What keeps a polygon from being moved: 0 nothing, 1 too small, clockwise or not measured, 2 not sound."""
+    """Find what keeps a polygon from being moved: 0 nothing, 1 too small, clockwise or not measured, 2 not sound."""
     if len(nodes) == 0:
         return 0
     total = _total(sums_of(table, np.full(table.shape[0], -1.0), HIGHLIGHT, nodes))
@@ -291,7 +304,7 @@ def _total(edges: list[EdgeSums]) -> EdgeSums:
 
 
 class _Pair:
-    """The pair on its way. `sums` of a polygon hold gap and overlap as they were when it last moved."""
+    """Hold the pair on its way. `sums` of a polygon hold gap and overlap as they were when it last moved."""
 
     def __init__(self, table: NDArray[np.float64], settings: Settings, nodes: tuple[Nodes, Nodes]) -> None:
         self.table = table
@@ -311,7 +324,7 @@ class _Pair:
                 self.criterion = self.refreshed(which)
 
     def face(self, which: int) -> None:
-        """From now on polygon `which` moves and the other one stays."""
+        """Fix the other polygon and move polygon `which` from now on."""
         self.bound = facing_side(self.nodes[1 - which], which, self.table.shape[0], self.table.shape[1] - 1)
 
     def refreshed(self, which: int) -> float:
@@ -320,7 +333,7 @@ class _Pair:
         return self.value(which, self.nodes[which], self.sums[which])
 
     def value(self, which: int, nodes: Nodes, sums: EdgeSums) -> float:
-        """The criterion with other nodes for polygon `which`."""
+        """Compute the criterion with other nodes for polygon `which`."""
         both_nodes, both_sums = list(self.nodes), list(self.sums)
         both_nodes[which], both_sums[which] = nodes, sums
         return criterion(self.settings, (both_nodes[0], both_nodes[1]), (both_sums[0], both_sums[1]), which)
@@ -355,7 +368,10 @@ class _Pair:
         return moved
 
     def tried(self, which: int, nodes: Nodes, edges: list[EdgeSums], changed: range) -> float:
-        """The criterion of nodes that differ at the edges `changed`, infinite where it is no better or not allowed."""
+        """Compute the criterion of nodes that differ at the edges `changed`.
+
+        Infinite where it is no better or not allowed.
+        """
         n = len(nodes)
         window = self.table.shape[0], self.table.shape[1] - 1
         if not ((nodes >= 0.0) & (nodes <= window)).all():
@@ -371,7 +387,7 @@ class _Pair:
         return found if found < self.criterion and _sound(nodes, changed) else math.inf
 
     def subdivide(self, which: int, n: int) -> None:
-        """New nodes half-way along the longest edges, the first of equals, until there are n."""
+        """Add nodes half-way along the longest edges, the first of equals, until there are n."""
         while 0 < len(self.nodes[which]) < n:
             nodes = self.nodes[which]
             after = np.roll(nodes, -1, axis=0)
@@ -382,7 +398,7 @@ class _Pair:
             self.nodes[which] = np.insert(nodes, longest + 1, 0.5 * (nodes[longest] + after[longest]), axis=0)
 
     def prune(self, which: int) -> int:
-        """Nodes whose removal lowers the criterion most go, one after the other; returns how many went."""
+        """Remove nodes one by one whose removal lowers the criterion most; return how many went."""
         if len(self.nodes[which]) == 0:
             return 0
         self.face(which)
@@ -408,7 +424,7 @@ class _Pair:
 
 
 def move_pair(table: NDArray[np.float64], settings: Settings, schedule: NDArray[np.float64], highlight: Nodes, shadow: Nodes) -> Moved:
-    """As kernels.snake.move_pair, of float64 nodes that have been checked."""
+    """Do as kernels.snake.move_pair, of float64 nodes that have been checked."""
     pair = _Pair(table, settings, (highlight, shadow))
     for n_nodes, amplitude, n_sweeps in schedule.tolist():
         pair.settled.clear()

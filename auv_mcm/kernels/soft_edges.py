@@ -1,12 +1,12 @@
-"""Borders of a label field moved to where an image of finite resolution has them.
+"""Move borders of a label field to where an image of finite resolution has them.
 
 The mean intensity a sonar shows is the mean of each label smeared by the point-spread function: m = spread * level[x]. Under
 exponential speckle the cost of labels x is
 
     information sum_s (ln m_s + I_s / m_s) + sum_<s,t> weight_st [x_s != x_t]
 
-A likelihood without the smearing puts the border of a shadow where its intensity is the geometric kind of middle between shadow and
-sea floor, inside the true one by about the spread. Lowered here one pixel at a time, in raster order there and back; only pixels
+A likelihood without the smearing puts the border of a shadow near the geometric mean of shadow and sea floor,
+inside the true one by about the spread. Lowered here one pixel at a time, in raster order there and back; only pixels
 beside another label change, to one of the labels beside them, and only if the cost falls.
 
 C and numpy round alike: same operations, same order, no fused ones.
@@ -35,7 +35,10 @@ _P, _I, _R = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
 def point_spread(sigma: float) -> Plane:
-    """Gaussian of 1-sigma `sigma` pixels, cut at 2.5 sigma, its sum 1; (2 reach + 1,) float64; just 1 for sigma 0."""
+    """Sample a Gaussian of 1-sigma `sigma` pixels, cut at 2.5 sigma, its sum 1.
+
+    (2 reach + 1,) float64; just 1 for sigma 0.
+    """
     reach = math.ceil(_REACH * sigma)
     if reach == 0:
         return np.ones(1)
@@ -59,7 +62,7 @@ def smeared(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
 
 
 def smeared_numpy(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
-    """smeared in numpy alone."""
+    """Do as smeared, in numpy alone."""
     n_rows, n_columns = plane.shape
     rows, columns = (
         np.arange(-(len(spread) // 2), n + len(spread) // 2) for n, spread in ((n_rows, spread_rows), (n_columns, spread_columns))
@@ -90,7 +93,7 @@ def soft_edges(
     information: float,
     n_sweeps: int,
 ) -> Labels:
-    """The labels after at most n_sweeps (>= 1) sweeps, fewer once nothing changes; (n_rows, n_columns) uint8.
+    """Improve the labels in n_sweeps (>= 1) sweeps or fewer, until nothing changes; (n_rows, n_columns) uint8.
 
     intensity: (n_rows, n_columns) float64, not negative; usable: same shape bool, False for no data. labels: same shape uint8 of
     0, 1, 2. level: (3,) float64 > 0, mean intensity of each label. spread_rows, spread_columns: point spread along each axis,
@@ -122,13 +125,13 @@ def soft_edges_numpy(
     information: float,
     n_sweeps: int,
 ) -> Labels:
-    """soft_edges in numpy alone."""
+    """Do as soft_edges, in numpy alone."""
     start = _prepared(intensity, usable, labels, level, spread_rows, spread_columns, weight)
     return _soft_edges_in_place(start, level, weight, information, n_sweeps)
 
 
 class _Start(NamedTuple):
-    """Planes with room for the point spread around them, the mean that goes with the labels, and a copy of the labels."""
+    """Hold planes with room for the point spread, the mean that goes with the labels, and a copy of the labels."""
 
     data: Plane
     measured: Plane
@@ -177,7 +180,7 @@ def _soft_edges_in_place(start: _Start, level: Plane, weight: Plane, information
     data, measured, mean, spread, labels = start
     n_rows, n_columns = labels.shape
     high, wide = spread.shape
-    # Nearly every pixel stands among its own kind: only those that may not are looked at.
+    # Nearly every pixel lies among its own label: only the others are visited.
     padded = np.pad(labels, 1, mode="edge")
     views = [padded[1 + down : 1 + down + n_rows, 1 + right : 1 + right + n_columns] for down, right in _NEIGHBOURS]
     near = np.logical_or.reduce([view != labels for view in views])
@@ -211,7 +214,7 @@ def _soft_edges_in_place(start: _Start, level: Plane, weight: Plane, information
 
 
 def _true_places(mask: NDArray[np.bool_]) -> Iterator[int]:
-    """Where the mask is True, in order; what becomes True ahead meanwhile is met as well."""
+    """List where the mask is True, in order; places ahead that become True meanwhile are included."""
     at = 0
     while at < mask.size:
         at += int(mask[at:].argmax())

@@ -1,4 +1,4 @@
-"""How much pixels differ from others some lags away: half the mean squared difference, the variogram of geostatistics.
+"""Measure how pixels differ from others some lags away: half the mean squared difference, the variogram.
 
 Pairs with a pixel that is not usable are left out. C and numpy agree to 1e-12, relative: they add up in different orders.
 """
@@ -17,17 +17,17 @@ from auv_mcm import kernels
 Plane = NDArray[np.float64]
 
 
-def half_differences(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], least_pairs: int) -> Plane:
-    """Average along rows and along columns, (2, n_lags) float64; NaN where there are fewer than least_pairs pairs (>= 1).
+def half_differences(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], min_pairs: int) -> Plane:
+    """Average along rows and along columns, (2, n_lags) float64; NaN where there are fewer than min_pairs pairs (>= 1).
 
     plane: (n_rows, n_columns) float64, finite where usable, bool of the same shape. lags: pixels, 1 or more; the first of the two is
     from one row to those after it. Raises ValueError if the shapes differ.
     """
-    return np.asarray(half_differences_in(plane, usable, [(0, 0, *plane.shape)], lags, least_pairs)[0], dtype=np.float64)
+    return np.asarray(half_differences_in(plane, usable, [(0, 0, *plane.shape)], lags, min_pairs)[0], dtype=np.float64)
 
 
 def half_differences_in(
-    plane: Plane, usable: NDArray[np.bool_], boxes: Sequence[tuple[int, ...]], lags: Sequence[int], least_pairs: int
+    plane: Plane, usable: NDArray[np.bool_], boxes: Sequence[tuple[int, ...]], lags: Sequence[int], min_pairs: int
 ) -> Plane:
     """Average in each of several parts of a plane, (n_boxes, 2, n_lags) float64; see half_differences.
 
@@ -41,24 +41,24 @@ def half_differences_in(
     function = _function()
     if function is None:
         parts = [(slice(top, bottom), slice(near, far)) for top, near, bottom, far in boxes]
-        return np.array([half_differences_numpy(plane[part], usable[part], lags, least_pairs) for part in parts])
+        return np.array([half_differences_numpy(plane[part], usable[part], lags, min_pairs) for part in parts])
     plane, usable = np.ascontiguousarray(plane, dtype=np.float64), np.ascontiguousarray(usable, dtype=np.bool_)
     wanted, places = np.array(lags, dtype=np.int64), np.array(boxes, dtype=np.int64)
     shape = len(boxes), 2, len(lags)
     squares, numbers = np.zeros(shape), np.zeros(shape, dtype=np.int64)
     at = [array.ctypes.data for array in (plane, usable, places, wanted, squares, numbers)]
     function(n_columns, *at[:2], len(boxes), at[2], len(lags), *at[3:])
-    return np.where(numbers >= least_pairs, 0.5 * squares / np.maximum(numbers, 1), np.nan)
+    return np.where(numbers >= min_pairs, 0.5 * squares / np.maximum(numbers, 1), np.nan)
 
 
-def half_differences_numpy(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], least_pairs: int) -> Plane:
-    """half_differences in numpy alone."""
+def half_differences_numpy(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], min_pairs: int) -> Plane:
+    """Do as half_differences, in numpy alone."""
     halves = np.full((2, len(lags)), np.nan)
     for axis, (values, counted) in enumerate(((plane.T, usable.T), (plane, usable))):
         for k, lag in enumerate(lags):
             both = counted[:, lag:] & counted[:, :-lag]
             number = int(both.sum())
-            if number >= least_pairs:
+            if number >= min_pairs:
                 difference = np.where(both, values[:, lag:] - values[:, :-lag], 0.0)
                 halves[axis, k] = 0.5 * float((difference**2).sum()) / number
     return halves

@@ -1,4 +1,4 @@
-"""Labels of a grid that minimise a Potts energy: tree-reweighted message passing, and iterated conditional modes.
+"""Minimise a Potts energy over labels of a grid: tree-reweighted message passing, and iterated conditional modes.
 
     E(x) = sum_s unary[s, x_s] + sum_<s,t> weight_st [x_s != x_t]
 
@@ -34,7 +34,9 @@ _P, _I, _R = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
 class Minimum(NamedTuple):
-    """labels: (n_rows, n_columns) uint8, the best met; energy: theirs; lower_bound: no labelling has less.
+    """Hold the best labels met.
+
+    labels: (n_rows, n_columns) uint8; energy: theirs; lower_bound: no labelling has less.
 
     trace: (n_sweeps, 2) float64, lower bound and energy of the labels decoded after each sweep made.
     messages: (n_rows + 1, n_columns + 2, 3, 4) float64, a start for the same grid with slightly other costs.
@@ -87,7 +89,7 @@ def trws_numpy(
     tolerance: float = 0.0,
     messages: NDArray[np.float64] | None = None,
 ) -> Minimum:
-    """trws in numpy alone."""
+    """Do as trws, in numpy alone."""
     n_rows, n_columns, _ = unary.shape
     start = np.zeros((n_rows + 1, n_columns + 2, N_LABELS, N_EDGES)) if messages is None else messages.copy()
     return _trws_in_place(unary, weight, n_sweeps, tolerance, start)
@@ -114,7 +116,7 @@ def icm(unary: NDArray[np.float64], weight: NDArray[np.float64], labels: NDArray
 def icm_numpy(
     unary: NDArray[np.float64], weight: NDArray[np.float64], labels: NDArray[np.uint8], n_sweeps: int
 ) -> tuple[NDArray[np.uint8], int]:
-    """icm in numpy alone."""
+    """Do as icm, in numpy alone."""
     n_rows, n_columns, _ = unary.shape
     earlier, later = _edge_weights(n_rows, n_columns, weight)
     padded = np.zeros((n_rows + 2, n_columns + 2), dtype=np.uint8)
@@ -138,7 +140,7 @@ def icm_numpy(
 
 
 def energy_of(labels: NDArray[np.uint8], unary: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """E(labels); labels (n_rows, n_columns), unary (n_rows, n_columns, 3), weight (4,)."""
+    """Compute E(labels); labels (n_rows, n_columns), unary (n_rows, n_columns, 3), weight (4,)."""
     own = np.take_along_axis(unary, labels[:, :, None].astype(np.intp), axis=2).sum()
     pairs = (
         (labels[:, 1:], labels[:, :-1]),
@@ -182,9 +184,9 @@ def _trws_in_place(
             part = np.empty((len(row), N_EDGES))
             for e, (down, right) in enumerate(_EARLIER):
                 there = (row + 1 + down, column + 1 + right, slice(None), e)
-                sent, least = _sent((scaled - messages[there])[:, :, None], earlier[row, column, e : e + 1])
+                sent, minimum = _sent((scaled - messages[there])[:, :, None], earlier[row, column, e : e + 1])
                 messages[there] = sent[:, :, 0]
-                part[:, e] = least[:, 0] - share[row, column] * floor_cost
+                part[:, e] = minimum[:, 0] - share[row, column] * floor_cost
             bound[row, column] = floor_cost + ((part[:, 0] + part[:, 1]) + (part[:, 2] + part[:, 3]))
         labels, energy = _decoded(unary, earlier, messages, waves)
         trace.append((_summed(bound[::-1, ::-1]), energy))
@@ -209,8 +211,8 @@ def _gathered(
 
 
 def _sent(value: NDArray[np.float64], weight: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    least = value.min(axis=1)
-    return np.minimum(value - least[:, None], weight[:, None]), least
+    minimum = value.min(axis=1)
+    return np.minimum(value - minimum[:, None], weight[:, None]), minimum
 
 
 def _decoded(
@@ -249,7 +251,7 @@ def _against(
 
 
 def _edge_exists(n_rows: int, n_columns: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Of each cell its earlier and its later edges that stay in the grid, (n_rows, n_columns, 4) each."""
+    """Check which earlier and later edges of each cell stay in the grid, (n_rows, n_columns, 4) each."""
     row, column = np.mgrid[:n_rows, :n_columns]
     both = []
     for sense in (1, -1):
@@ -272,7 +274,7 @@ def _waves(n_rows: int, n_columns: int) -> list[tuple[NDArray[np.intp], NDArray[
 
 
 def _summed(plane: NDArray[np.float64]) -> float:
-    """One term after the other, as the C loop does; numpy's own sum pairs them."""
+    """Sum one term after the other, as the C loop does; numpy's own sum pairs them."""
     return float(np.add.accumulate(plane.ravel())[-1])
 
 

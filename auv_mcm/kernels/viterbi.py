@@ -1,9 +1,9 @@
-"""Best path through a grid of scores, one bin per ping: dynamic programming after Viterbi (1967).
+"""Find the best path through a grid of scores, one bin per ping: dynamic programming after Viterbi (1967).
 
 The path k maximises  sum_p score[p, k_p] - step_cost * |k_p - k_(p-1)|  over all paths with |k_p - k_(p-1)| <= max_step.
 Among equally good predecessors the smaller step wins, then the smaller bin; among equally good ends, the smaller bin.
 A score of -inf forbids a bin. A ping without data should score 0 everywhere: if every bin of a ping is forbidden, or none
-can be reached, nothing before it has a say any more.
+can be reached, the pings before it have no effect any more.
 
 After each ping the largest cost is taken off all of them, which changes no path and keeps the sums bounded however long
 the mission. C and numpy round alike: same candidates, same order, no fused operations.
@@ -18,7 +18,7 @@ from auv_mcm import kernels
 
 
 def viterbi_path(score: NDArray[np.float64], max_step: int, step_cost: float) -> NDArray[np.int64]:
-    """Best path through the whole of `score`.
+    """Find the best path through the whole of `score`.
 
     score: (n_pings, n_bins) float64. Returns (n_pings,) int64 bins.
     Raises ValueError if score is not 2-d, has no bins, or holds NaN or +inf, or if max_step or step_cost is negative.
@@ -55,7 +55,10 @@ def viterbi_forward(
 
 
 def backtrack(end: int, back: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The path that ends in bin `end` of the last ping. back: (n_pings, n_bins) int32. Returns (n_pings,) int64."""
+    """Trace the path that ends in bin `end` of the last ping.
+
+    back: (n_pings, n_bins) int32. Returns (n_pings,) int64.
+    """
     path = np.empty(back.shape[0], dtype=np.int64)
     bin_ = end
     for ping in range(back.shape[0] - 1, -1, -1):
@@ -65,7 +68,7 @@ def backtrack(end: int, back: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def viterbi_path_numpy(score: NDArray[np.float64], max_step: int, step_cost: float) -> NDArray[np.int64]:
-    """viterbi_path in numpy alone."""
+    """Do as viterbi_path, in numpy alone."""
     cost, back = viterbi_forward_numpy(np.zeros(score.shape[1]), score, max_step, step_cost)
     return backtrack(int(cost.argmax()), back)
 
@@ -73,7 +76,7 @@ def viterbi_path_numpy(score: NDArray[np.float64], max_step: int, step_cost: flo
 def viterbi_forward_numpy(
     previous_cost: NDArray[np.float64], score: NDArray[np.float64], max_step: int, step_cost: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """viterbi_forward in numpy alone."""
+    """Do as viterbi_forward, in numpy alone."""
     n_pings, n_bins = score.shape
     bins = np.arange(n_bins, dtype=np.int32)
     cost = previous_cost

@@ -1,4 +1,4 @@
-"""What every ping and every row of a waterfall goes through: sums along range, means between ranges, steps, boxes, masks.
+"""Process every ping and every row of a waterfall: sums along range, means between ranges, steps, boxes, masks.
 
 All in numpy's order of operations; logarithms, exponentials and angles, which no two libraries round alike, are taken by numpy outside.
 
@@ -31,7 +31,7 @@ _P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
 class Sampled(NamedTuple):
-    """Traces as cumulative sums (n_pings, n_samples + 1) float64, up to each sample's near edge.
+    """Hold traces as cumulative sums (n_pings, n_samples + 1) float64, up to each sample's near edge.
 
     intensity: of valid samples. weight: of validity, None where every sample is valid. clipped: of clipping, None where no sample is; may
     end after fewer samples where none beyond is clipped. first_m: slant range of the middle of sample 0; spacing_m: between samples.
@@ -45,7 +45,10 @@ class Sampled(NamedTuple):
 
 
 class Turning(NamedTuple):
-    """Rotation per ping, (n_pings,): pitch rate times altitude and yaw rate, over speed, float64; whether turning too fast, bool."""
+    """Hold the rotation per ping, (n_pings,).
+
+    Pitch rate times altitude and yaw rate, over speed, float64; whether turning too fast, bool.
+    """
 
     pitch: Values
     yaw: Values
@@ -53,7 +56,10 @@ class Turning(NamedTuple):
 
 
 def sums_to_the_end(values: Plane) -> Values:
-    """(n_rows, n_columns + 1) float64: less the sum of (n_rows, n_columns) values from each column to the last, added up from there."""
+    """Sum (n_rows, n_columns) values from each column to the last, negated.
+
+    (n_rows, n_columns + 1) float64, added up from there.
+    """
     function = _c("waterfall_sums", _I, _I, _P, _P)
     if function is None:
         return sums_to_the_end_numpy(values)
@@ -64,7 +70,7 @@ def sums_to_the_end(values: Plane) -> Values:
 
 
 def sums_to_the_end_numpy(values: Plane | Flags) -> Values:
-    """sums_to_the_end in numpy alone."""
+    """Do as sums_to_the_end, in numpy alone."""
     total = np.empty((values.shape[0], values.shape[1] + 1))
     total[:, -1] = 0.0
     np.cumsum(values[:, ::-1], axis=1, dtype=np.float64, out=total[:, -2::-1])
@@ -72,7 +78,7 @@ def sums_to_the_end_numpy(values: Plane | Flags) -> Values:
 
 
 def sums_of_counts(counts: NDArray[Any], intensity: Plane) -> Values:
-    """sums_to_the_end of intensity[counts].
+    """Apply sums_to_the_end to intensity[counts].
 
     counts: (n_rows, n_columns) uint8 or uint16; intensity: (256,) or (65536,) float32, of every count.
     """
@@ -93,7 +99,7 @@ def means(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Fla
     of those.
     """
     function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _I, _D, _D, *[_P] * 8)
-    if function is None or traces.intensity.shape[1] < 2:  # without samples there is nothing to point at
+    if function is None or traces.intensity.shape[1] < 2:  # without samples there is no array to point at
         return means_numpy(traces, edges_m, edge_row)
     edges_m, edge_row = np.ascontiguousarray(edges_m), np.ascontiguousarray(edge_row)
     n_pings, n_edges = traces.intensity.shape[0], edges_m.shape[1]
@@ -114,7 +120,7 @@ def means(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Fla
 
 
 def means_numpy(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Flags, Flags]:
-    """means in numpy alone."""
+    """Do as means, in numpy alone."""
     n_pings, n_samples = traces.intensity.shape[0], traces.intensity.shape[1] - 1
     position = (edges_m - traces.first_m) * (1.0 / traces.spacing_m) + 0.5
     width = np.diff(position, axis=1)[edge_row]
@@ -138,7 +144,9 @@ def means_numpy(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Value
 
 
 def row_medians(values: Values, usable: Flags | None, minimum: int) -> Values:
-    """Median of the usable values of each row, (n_rows,) float64; NaN where fewer than `minimum`, or none, are usable.
+    """Take the median of the usable values of each row, (n_rows,) float64.
+
+    NaN where fewer than `minimum`, or none, are usable.
 
     values: (n_rows, n_columns) finite; usable: the same shape, None where all are.
     """
@@ -159,7 +167,7 @@ def row_medians(values: Values, usable: Flags | None, minimum: int) -> Values:
 
 
 def row_medians_numpy(values: Values, usable: Flags | None, minimum: int) -> Values:
-    """row_medians in numpy alone."""
+    """Do as row_medians, in numpy alone."""
     n_rows, n_columns = values.shape
     if n_columns == 0:
         return np.full(n_rows, np.nan)
@@ -176,7 +184,7 @@ def row_medians_numpy(values: Values, usable: Flags | None, minimum: int) -> Val
 
 
 def scale_rows(values: Values, factor: Values, factor_row: Rows) -> Plane:
-    """values times factor[factor_row], (n_rows, n_columns) float32. factor: (n, n_columns)."""
+    """Multiply values by factor[factor_row], (n_rows, n_columns) float32. factor: (n, n_columns)."""
     function = _c("waterfall_scale", _I, _I, *[_P] * 4)
     if function is None:
         return scale_rows_numpy(values, factor, factor_row)
@@ -187,28 +195,29 @@ def scale_rows(values: Values, factor: Values, factor_row: Rows) -> Plane:
 
 
 def scale_rows_numpy(values: Values, factor: Values, factor_row: Rows) -> Plane:
-    """scale_rows in numpy alone."""
+    """Do as scale_rows, in numpy alone."""
     return (values * factor[factor_row]).astype(np.float32)
 
 
-def step_ratios(values: Values, valid: Flags, blank: int, window: int, least_step: float, twice_variance: float) -> Values:
-    """(n_pings, n_bins) float64: how much likelier a rise of the mean is at each bin than none; 0 where it cannot be.
+def step_ratios(values: Values, valid: Flags, blank: int, window: int, min_step: float, twice_variance: float) -> Values:
+    """Compute how much likelier a rise of the mean is at each bin than none, (n_pings, n_bins) float64; 0 where it
+    cannot be.
 
     Means are over the valid values of `window` bins from the bin on, of as many before it, and of all from bin `blank` on up to it. The
-    first must rise over the second, three of which are valid, and by least_step over the third. twice_variance: of single values.
+    first must rise over the second, three of which are valid, and by min_step over the third. twice_variance: of single values.
     """
     n_pings, n_bins = values.shape
     function = _c("waterfall_steps", _I, _I, _P, _P, _I, _I, _D, _D, *[_P] * 3)
     if function is None:
-        return step_ratios_numpy(values, valid, blank, window, least_step, twice_variance)
+        return step_ratios_numpy(values, valid, blank, window, min_step, twice_variance)
     values, valid = np.ascontiguousarray(values), np.ascontiguousarray(valid)
     score, total, count = np.zeros((n_pings, n_bins)), np.empty(n_bins + 1), np.empty(n_bins + 1)
-    function(n_pings, n_bins, *_pointers(values, valid), blank, window, least_step, twice_variance, *_pointers(total, count, score))
+    function(n_pings, n_bins, *_pointers(values, valid), blank, window, min_step, twice_variance, *_pointers(total, count, score))
     return score
 
 
-def step_ratios_numpy(values: Values, valid: Flags, blank: int, window: int, least_step: float, twice_variance: float) -> Values:
-    """step_ratios in numpy alone."""
+def step_ratios_numpy(values: Values, valid: Flags, blank: int, window: int, min_step: float, twice_variance: float) -> Values:
+    """Do as step_ratios, in numpy alone."""
     n_pings, n_bins = values.shape
     score = np.zeros((n_pings, n_bins))
     first, last = blank + 3, n_bins - window
@@ -229,7 +238,7 @@ def step_ratios_numpy(values: Values, valid: Flags, blank: int, window: int, lea
     column, _ = mean_of(np.full_like(bins, blank), bins)
     rise = after - near
     ratio = n_near * n_after / np.maximum(n_near + n_after, 1.0) * rise**2 / twice_variance
-    step = (rise > 0.0) & (after - column > least_step) & (n_near >= 3) & (n_after >= 0.5 * window)
+    step = (rise > 0.0) & (after - column > min_step) & (n_near >= 3) & (n_after >= 0.5 * window)
     score[:, first:last] = np.where(step, ratio, 0.0)
     return score
 
@@ -248,31 +257,35 @@ def add_votes(score: Values, ratios: Values, share: float, vote: float, evidence
 
 
 def add_votes_numpy(score: Values, ratios: Values, share: float, vote: float, evidence: float) -> None:
-    """add_votes in numpy alone."""
+    """Do as add_votes, in numpy alone."""
     side = share * ratios
     score += side * (vote / np.maximum(side.max(axis=1, keepdims=True), evidence))
 
 
-def average_rows(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, least: float) -> tuple[Plane, Masks]:
-    """Rows as means of the pings that they overlap, weighted by overlap: intensity float32 and mask uint8, (n_rows, n_columns) each.
+def average_rows(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, min_overlap: float) -> tuple[Plane, Masks]:
+    """Average the pings that rows overlap, weighted by overlap.
+
+    Returns intensity float32 and mask uint8, (n_rows, n_columns) each.
 
     intensity, mask: (n_pings, n_columns). source, overlap: (n_rows, n_steps), a ping's index and by how much a row overlaps it. A pixel is
-    valid where valid pings overlap it by `least` together; it takes over all other flags, if it is not valid all but SATURATED.
+    valid where valid pings overlap it by `min_overlap` together; it takes over all other flags, if it is not valid all but SATURATED.
     """
     n_rows, n_steps = source.shape
     n_columns = mask.shape[1]
     function = _c("waterfall_rows", *[_I] * 3, *[_P] * 4, _D, *[_P] * 4)
     if function is None:
-        return average_rows_numpy(intensity, mask, source, overlap, least)
+        return average_rows_numpy(intensity, mask, source, overlap, min_overlap)
     arrays = [np.ascontiguousarray(array) for array in (source, overlap, intensity, mask)]
     total, weight = np.empty(n_columns), np.empty(n_columns)
     rows, row_mask = np.empty((n_rows, n_columns), dtype=np.float32), np.empty((n_rows, n_columns), dtype=np.uint8)
-    function(n_rows, n_columns, n_steps, *_pointers(*arrays), least, *_pointers(total, weight, rows, row_mask))
+    function(n_rows, n_columns, n_steps, *_pointers(*arrays), min_overlap, *_pointers(total, weight, rows, row_mask))
     return rows, row_mask
 
 
-def average_rows_numpy(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, least: float) -> tuple[Plane, Masks]:
-    """average_rows in numpy alone."""
+def average_rows_numpy(
+    intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, min_overlap: float
+) -> tuple[Plane, Masks]:
+    """Do as average_rows, in numpy alone."""
     n_rows, n_columns = source.shape[0], mask.shape[1]
     total, weight = np.zeros((n_rows, n_columns)), np.zeros((n_rows, n_columns))
     flags = np.zeros((n_rows, n_columns), dtype=np.uint8)
@@ -282,7 +295,7 @@ def average_rows_numpy(intensity: Plane, mask: Masks, source: NDArray[np.int64],
         total[rows] += length * intensity[ping]
         weight[rows] += length * (mask[ping] & VALID)
         flags[rows] |= mask[ping] & (SATURATED | LOW_RESOLUTION | TURN)
-    valid = weight >= least
+    valid = weight >= min_overlap
     mean = np.divide(total, weight, out=np.zeros_like(total), where=valid)
     return mean.astype(np.float32), np.where(valid, flags | VALID, flags & (LOW_RESOLUTION | TURN)).astype(np.uint8)
 
@@ -290,7 +303,7 @@ def average_rows_numpy(intensity: Plane, mask: Masks, source: NDArray[np.int64],
 def bright_spots(
     logarithms: Plane, usable: Flags, half: tuple[int, int], above: float, highest: float, slack: float
 ) -> tuple[NDArray[np.int32], Values]:
-    """Usable pixels whose logarithm, and `slack`, reaches its limit or `highest`, and those limits.
+    """Find usable pixels whose logarithm, and `slack`, reaches its limit or `highest`, and those limits.
 
     A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where not usable. Pixels
     are indices, row times n_columns plus column, int32, and rise; limits float64.
@@ -301,20 +314,20 @@ def bright_spots(
     logarithms, usable = np.ascontiguousarray(logarithms), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
     room = np.empty(n_columns), np.empty(n_columns, dtype=np.uint8), *_box_room(n_columns, half[1])
-    n_places, n_at_most = np.empty(1, dtype=np.int64), usable.size // _USUAL_SHARE_OF_BRIGHT + 1
+    n_places, max_places = np.empty(1, dtype=np.int64), usable.size // _USUAL_SHARE_OF_BRIGHT + 1
     while True:
-        places, limits = np.empty(n_at_most, dtype=np.int32), np.empty(n_at_most)
+        places, limits = np.empty(max_places, dtype=np.int32), np.empty(max_places)
         found = _pointers(places, limits, n_places)
-        function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room), n_at_most, *found)
-        if n_places[0] <= n_at_most:
+        function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room), max_places, *found)
+        if n_places[0] <= max_places:
             return places[: n_places[0]], limits[: n_places[0]]
-        n_at_most = int(n_places[0])
+        max_places = int(n_places[0])
 
 
 def bright_spots_numpy(
     logarithms: Plane, usable: Flags, half: tuple[int, int], above: float, highest: float, slack: float
 ) -> tuple[NDArray[np.int32], Values]:
-    """bright_spots in numpy alone."""
+    """Do as bright_spots, in numpy alone."""
     mean, _ = _box_means(logarithms, usable, half)
     limit = mean + above
     found = np.flatnonzero(usable & (logarithms + slack >= np.minimum(limit, highest)))
@@ -322,8 +335,11 @@ def bright_spots_numpy(
 
 
 class Levelled(NamedTuple):
-    """intensity: (n_rows, n_columns) float32, over its mean, 0 where that is not known or the pixel not VALID; mask: the same shape, uint8,
-    VALID only where the mean is known. mean, float64, and known, bool: of some columns, (n_rows, n)."""
+    """Hold an image divided by its local mean.
+
+    intensity: (n_rows, n_columns) float32, over its mean, 0 where that is not known or the pixel not VALID; mask: the
+    same shape, uint8, VALID only where the mean is known. mean, float64, and known, bool: of some columns, (n_rows, n).
+    """
 
     intensity: Plane
     mask: Masks
@@ -331,30 +347,34 @@ class Levelled(NamedTuple):
     known: Flags
 
 
-def box_level(level: Plane, usable: Flags, half: tuple[int, int], least_share: float) -> tuple[Values, Flags]:
-    """Mean of the usable pixels within `half` rows and columns of each pixel, float64, and whether it is known: of the box, clipped at the
-    image's edge, least_share and one pixel at least must be usable, and the mean above 0. level: 0 where not usable."""
+def box_level(level: Plane, usable: Flags, half: tuple[int, int], min_share: float) -> tuple[Values, Flags]:
+    """Average the usable pixels within `half` rows and columns of each pixel, float64, and give where the mean is
+    known.
+
+    Of the box, clipped at the image's edge, min_share and one pixel at least must be usable, and the mean above 0.
+    level: 0 where not usable.
+    """
     function = _level_function()
     if function is None:
-        return box_level_numpy(level, usable, half, least_share)
+        return box_level_numpy(level, usable, half, min_share)
     level, usable = np.ascontiguousarray(level), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
     room = _level_room(n_columns, half[1])
     mean, known = np.empty(usable.shape), np.empty(usable.shape, dtype=np.bool_)
     pointers = _pointers(level, usable, *room, mean, known)
-    function(*usable.shape, *half, least_share, *pointers, n_columns, *[None] * 4, 0, *[None] * 3)
+    function(*usable.shape, *half, min_share, *pointers, n_columns, *[None] * 4, 0, *[None] * 3)
     return mean, known
 
 
-def box_level_numpy(level: Plane, usable: Flags, half: tuple[int, int], least_share: float) -> tuple[Values, Flags]:
-    """box_level in numpy alone."""
+def box_level_numpy(level: Plane, usable: Flags, half: tuple[int, int], min_share: float) -> tuple[Values, Flags]:
+    """Do as box_level, in numpy alone."""
     mean, count = _box_means(level, usable, half)
     rows, columns = (_clipped_length(length, reach) for length, reach in zip(usable.shape, half, strict=True))
-    return mean, (count >= np.maximum(least_share * np.outer(rows, columns), 1.0)) & (mean > 0.0)
+    return mean, (count >= np.maximum(min_share * np.outer(rows, columns), 1.0)) & (mean > 0.0)
 
 
 def divide_by_level(
-    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], least_share: float, columns: NDArray[np.int64]
+    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], min_share: float, columns: NDArray[np.int64]
 ) -> Levelled:
     """Divide an image by the box_level around each pixel, which is written out for some `columns` only.
 
@@ -362,7 +382,7 @@ def divide_by_level(
     """
     function = _level_function()
     if function is None:
-        return divide_by_level_numpy(intensity, mask, level, usable, half, least_share, columns)
+        return divide_by_level_numpy(intensity, mask, level, usable, half, min_share, columns)
     arrays = np.ascontiguousarray(intensity), np.ascontiguousarray(mask)
     level, usable, columns = np.ascontiguousarray(level), np.ascontiguousarray(usable), np.ascontiguousarray(columns)
     n_rows, n_columns = usable.shape
@@ -371,15 +391,15 @@ def divide_by_level(
     mean, known = np.empty((n_rows, columns.size)), np.empty((n_rows, columns.size), dtype=np.bool_)
     pointers = _pointers(level, usable, *room, *row)
     divided, some = _pointers(*arrays, ratio, masked), _pointers(columns, mean, known)
-    function(n_rows, n_columns, *half, least_share, *pointers, 0, *divided, columns.size, *some)
+    function(n_rows, n_columns, *half, min_share, *pointers, 0, *divided, columns.size, *some)
     return Levelled(ratio, masked, mean, known)
 
 
 def divide_by_level_numpy(
-    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], least_share: float, columns: NDArray[np.int64]
+    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], min_share: float, columns: NDArray[np.int64]
 ) -> Levelled:
-    """divide_by_level in numpy alone."""
-    mean, known = box_level_numpy(level, usable, half, least_share)
+    """Do as divide_by_level, in numpy alone."""
+    mean, known = box_level_numpy(level, usable, half, min_share)
     ratio = np.divide(intensity, mean, out=np.zeros(mask.shape), where=known & ((mask & VALID) != 0))
     masked = np.where(known, mask, mask & np.uint8(255 - VALID)).astype(np.uint8)
     return Levelled(ratio.astype(np.float32), masked, mean[:, columns], known[:, columns])
@@ -414,7 +434,7 @@ def ping_masks(
 def ping_masks_numpy(
     valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, coarse: Masks, coarse_row: Rows, max_ratio: float
 ) -> Masks:
-    """ping_masks in numpy alone."""
+    """Do as ping_masks, in numpy alone."""
     mask = valid * np.uint8(VALID)
     mask |= saturated * np.uint8(SATURATED)
     mask |= coarse[coarse_row]
@@ -450,7 +470,7 @@ def angle_sums(
 def angle_sums_numpy(
     angle: Values, angle_row: Rows, values: Values, usable: Flags, n_bins: int, centre: Values | None, clip: float
 ) -> tuple[NDArray[np.int64], Values]:
-    """angle_sums in numpy alone."""
+    """Do as angle_sums, in numpy alone."""
     bins, chosen = np.minimum(angle.astype(np.intp), n_bins - 1)[angle_row][usable], values[usable]
     if centre is not None:
         chosen = np.clip(chosen - centre[bins], -clip, clip)
@@ -458,7 +478,10 @@ def angle_sums_numpy(
 
 
 def along_curve(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
-    """Linear interpolation at angles >= 0 between levels (n,) at the middles of bins (n,), whole and rising, ends for what lies beyond."""
+    """Interpolate linearly at angles >= 0 between levels (n,) at the middles of bins (n,).
+
+    Bins are whole and rising; ends count for what lies beyond.
+    """
     function = _c("waterfall_curve", _I, _P, _P, _P, _I, *[_P] * 3)
     if function is None:
         return along_curve_numpy(angle, bins, level)
@@ -473,7 +496,7 @@ def along_curve(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
 
 
 def along_curve_numpy(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
-    """along_curve in numpy alone."""
+    """Do as along_curve, in numpy alone."""
     return np.asarray(np.interp(angle, bins + 0.5, level))
 
 
@@ -483,7 +506,7 @@ def _box_means(values: Plane, usable: Flags, half: tuple[int, int]) -> tuple[Val
 
 
 def _box_sums(plane: NDArray[Any], dtype: type, half: tuple[int, int]) -> NDArray[Any]:
-    """Sums within half rows and columns of each pixel, by an integral image added up along rows and then down."""
+    """Sum within half rows and columns of each pixel, by an integral image added up along rows and then down."""
     sums = np.zeros((plane.shape[0] + 1, plane.shape[1] + 1), dtype=dtype)
     np.cumsum(np.cumsum(plane, axis=1, dtype=dtype), axis=0, dtype=dtype, out=sums[1:, 1:])
     rows, columns = (np.arange(length) for length in plane.shape)
@@ -492,7 +515,7 @@ def _box_sums(plane: NDArray[Any], dtype: type, half: tuple[int, int]) -> NDArra
 
 
 def _box_room(n_columns: int, half_columns: int) -> tuple[Values, NDArray[np.int32]]:
-    """For what a box holds."""
+    """Make room for what a box holds."""
     wide = n_columns + 1 + 2 * (half_columns + 1)
     return np.empty(2 * (n_columns + 1) + wide + (_ROWS_SUMMED + 1) * n_columns), np.empty(2 * n_columns + wide, dtype=np.int32)
 
@@ -507,7 +530,10 @@ def _pointers(*arrays: NDArray[Any]) -> list[int]:
 
 
 def _address(array: NDArray[Any]) -> int:
-    """Where an array's numbers are: a quarter of the time that `array.ctypes.data` takes, which read-only arrays need."""
+    """Give where an array's numbers are.
+
+    A quarter of the time that `array.ctypes.data` takes, which read-only arrays need.
+    """
     return ctypes.addressof(_NOTHING.from_buffer(array.data)) if array.flags.writeable else int(array.ctypes.data)
 
 

@@ -1,4 +1,4 @@
-/* What the kernels share that the compiler, not the algorithm, asks for. */
+/* Share what the compiler, not the algorithm, requires of the kernels. */
 
 #ifndef AUV_MCM_WIDE_H
 #define AUV_MCM_WIDE_H

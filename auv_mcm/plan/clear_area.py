@@ -81,7 +81,7 @@ class ClearArea:
     ) -> Proposal:
         """State how the search of the area stands and, where the payload may command at all, plan from here.
 
-        clearance: of everything seen. more_time: as `replan` asks it.
+        clearance: of everything seen. more_time: as for `replan`.
         """
         plan = self._config.plan
         area = over_area(clearance, plan.area_deg, plan.cell_m)

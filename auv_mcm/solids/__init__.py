@@ -1,1 +1,1 @@
-"""Solids in closed form, and the search over their parameters: what kernels and the simulator share with classification."""
+"""Model solids in closed form, and search their parameters: shared by kernels, simulator and classification."""

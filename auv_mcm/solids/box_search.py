@@ -1,4 +1,4 @@
-"""Lowest points of a cost over a box: many starts spread evenly, then the best of them walk downhill.
+"""Find the lowest points of a cost over a box: many starts spread evenly, then the best of them walk downhill.
 
 Everything is the same in every run: starts and directions come from the additive recurrence of M. Roberts' generalised golden ratio.
 """
@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-APART: Final = 0.1  # of the box in some coordinate, between starts that are kept and between optima that are two
-LEAST_STRIDE: Final = 0.1  # grains
+APART: Final = 0.1  # share of the box in some coordinate, between starts that are kept and between distinct optima
+MIN_STRIDE: Final = 0.1  # grains
 GROWTH, SHRINKAGE = 1.5, 0.7  # of strides
 _RISE: Final = 10.0  # nats
 _FLATTEST, _STEEPEST = 0.05, 1e6
 
 
 class SearchBox(NamedTuple):
-    """low, high: (d,) float64. wraps: (d,) bool, whether what leaves at one side comes in at the other. grain: (d,) float64, how
-    far apart values are that hardly differ; walks measure their steps by it."""
+    """Define the box searched.
+
+    low, high: (d,) float64. wraps: (d,) bool, whether a coordinate is periodic. grain: (d,) float64, distance below
+    which values hardly differ; walks measure their steps by it.
+    """
 
     low: Array
     high: Array
@@ -31,16 +34,19 @@ class SearchBox(NamedTuple):
     grain: Array
 
     def points(self, unit: Array) -> Array:
-        """From coordinates of 0 to 1; those beyond wrap, or are reflected."""
+        """Map coordinates of 0 to 1 to points; those beyond wrap, or are reflected."""
         return np.asarray(self.low + self.folded(unit) * (self.high - self.low), dtype=np.float64)
 
     def folded(self, unit: Array) -> Array:
-        """Coordinates from 0 to 1 that stand for the same points."""
+        """Fold coordinates into 0 to 1 that stand for the same points."""
         return np.where(self.wraps, unit % 1.0, 1.0 - np.abs(1.0 - unit % 2.0))
 
 
 class Optima(NamedTuple):
-    """unit: (n, d) float64 coordinates from 0 to 1 in the box, best first. cost: (n,) float64."""
+    """Hold optima.
+
+    unit: (n, d) float64 coordinates from 0 to 1 in the box, best first. cost: (n,) float64.
+    """
 
     unit: Array
     cost: Array
@@ -48,7 +54,7 @@ class Optima(NamedTuple):
 
 @functools.lru_cache(maxsize=32)
 def spread(n: int, n_dimensions: int, first: int = 0) -> Array:
-    """Points first to first + n - 1 of a sequence that fills the unit cube evenly, (n, d), not to be written to."""
+    """Give points first to first + n - 1 of a sequence that fills the unit cube evenly, (n, d), read-only."""
     ratio = 2.0
     for _ in range(60):
         ratio = (1.0 + ratio) ** (1.0 / (n_dimensions + 1))
@@ -59,20 +65,23 @@ def spread(n: int, n_dimensions: int, first: int = 0) -> Array:
 
 
 def directions(n_steps: int, n_tries: int, n_dimensions: int) -> Array:
-    """Ways to try at each step of a walk, (n_steps, n_tries, d) float64 from -1 to 1."""
+    """Give directions to try at each step of a walk, (n_steps, n_tries, d) float64 from -1 to 1."""
     return 2.0 * spread(n_steps * n_tries, n_dimensions).reshape(n_steps, n_tries, n_dimensions) - 1.0
 
 
 def look_around(cost: Callable[[Array], Array], box: SearchBox, n_starts: int, n_kept: int) -> Optima:
-    """The best of n_starts places, each apart from better ones."""
+    """Find the best of n_starts places, each apart from better ones."""
     unit = spread(n_starts, box.low.size)
     return apart(Optima(unit, cost(box.points(unit))), box, n_kept)
 
 
 def walk(cost: Callable[[Array], Array], box: SearchBox, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float) -> Optima:
-    """Every place takes the best of n_tries steps if that is better, n_steps times; steps grow with success and shrink without.
+    """Walk each place n_steps times to the best of n_tries steps if that is better.
 
-    first_stride: in grains."""
+    Steps grow with success and shrink without.
+
+    first_stride: in grains.
+    """
     grain = box.grain / (box.high - box.low)
     unit, best = optima.unit, optima.cost
     n, d = unit.shape
@@ -85,18 +94,18 @@ def walk(cost: Callable[[Array], Array], box: SearchBox, optima: Optima, n_steps
         better = lowest < best
         unit = np.where(better[:, np.newaxis], there[np.arange(n), choice], unit)
         best = np.where(better, lowest, best)
-        strides = np.maximum(strides * np.where(better, GROWTH, SHRINKAGE), LEAST_STRIDE)
+        strides = np.maximum(strides * np.where(better, GROWTH, SHRINKAGE), MIN_STRIDE)
     return best_first(box, unit, best)
 
 
 def best_first(box: SearchBox, unit: Array, cost: Array) -> Optima:
-    """Places (n, d) that may lie beyond the box, and their costs (n,), as optima."""
+    """Sort places (n, d) that may lie beyond the box, with their costs (n,), into optima."""
     order = np.argsort(cost, kind="stable")
     return Optima(box.folded(unit)[order], cost[order])
 
 
 def apart(optima: Optima, box: SearchBox, n_kept: int) -> Optima:
-    """The n_kept best of those that differ from every better one."""
+    """Select the n_kept best of those that differ from every better one."""
     kept: list[int] = []
     for index in np.argsort(optima.cost, kind="stable").tolist():
         away = np.abs(optima.unit[kept] - optima.unit[index])
@@ -109,10 +118,12 @@ def apart(optima: Optima, box: SearchBox, n_kept: int) -> Optima:
 
 
 def curvature_covariance(cost: Callable[[Array], Array], box: SearchBox, point: Array) -> Array:
-    """Covariance (d, d) of a point where minus the log likelihood `cost` is least: the inverse of its second differences.
+    """Compute the covariance (d, d) of a point at the minimum of `cost`, a negative log likelihood.
 
-    Steps are a quarter to eight grains, the shortest at which the cost rises by ten nats: shorter ones feel single pixels. What is flat
-    up to eight grains is given a standard deviation of a few times that.
+    It is the inverse of the second differences.
+
+    Steps are a quarter to eight grains, the shortest at which the cost rises by ten nats: shorter ones follow single
+    pixels. A direction that is flat up to eight grains is given a standard deviation of a few times that.
     """
     d = point.size
     scales = 0.25 * 2.0 ** np.arange(6)

@@ -1,4 +1,4 @@
-"""The vertical slices of convex polyhedra that single pings see: polygons whose corners are where edges cross the slice.
+"""Compute the vertical slices of convex polyhedra that single pings see: polygons with corners on the edges.
 
 Coordinates as in `slices`. Leading axes of vertices are hypotheses and broadcast against the pings.
 """
@@ -18,20 +18,23 @@ Faces: TypeAlias = tuple[tuple[int, ...], ...]
 
 
 class _Incidence(NamedTuple):
-    """edges: (n_edges, 2) vertices they join; pairs: (n_pairs, 2) edges that have a face in common."""
+    """Hold which edges and faces meet.
+
+    edges: (n_edges, 2) vertices they join; pairs: (n_pairs, 2) edges that have a face in common.
+    """
 
     edges: NDArray[np.intp]
     pairs: NDArray[np.intp]
 
 
 def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range: Array, altitude: Array) -> Slice:
-    """Slice of what lies above the floor of a convex polyhedron.
+    """Compute the slice of a convex polyhedron above the floor.
 
     vertices: (..., n_vertices, 3) along-track and across-track from the object's place, and height. faces: indices of their vertices
     in circular order. offset, ground_range, altitude: arrays that broadcast against the leading axes of the vertices.
 
     A side of the polygon lies in a face and joins the crossings of two of its edges. All pairs of edges of a face are taken: those
-    that are no side lie within the polygon and change neither the farthest nor the nearest point.
+    that are not sides lie within the polygon and change neither the farthest nor the nearest point.
     """
     incidence = _incidence(faces)
     shape = np.broadcast_shapes(vertices.shape[:-2], offset.shape, ground_range.shape, altitude.shape)
@@ -62,7 +65,7 @@ def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range:
 
 
 def require_convex(vertices: Array, faces: Faces) -> None:
-    """Raises ValueError unless the faces are plane, close the surface, and have all vertices on one side."""
+    """Check that the faces are plane, close the surface, and have all vertices on one side. Raises ValueError."""
     n_vertices = vertices.shape[-2]
     if vertices.shape[-1] != 3 or not np.isfinite(vertices).all():
         raise ValueError(f"vertices_m must be finite and of shape (..., n_vertices, 3), got shape {vertices.shape}")
@@ -96,14 +99,14 @@ def _sides(face: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def _raised_to_floor(y: Array, z: Array, other_y: Array, other_z: Array) -> tuple[Array, Array]:
-    """The point, or where the line to another point above the floor leaves the floor if it lies below."""
+    """Raise a point below the floor to where its line to another point above the floor leaves the floor."""
     below = (z < 0.0) & (other_z >= 0.0)
     part = np.divide(z, z - other_z, out=np.zeros(z.shape), where=below)
     return y + part * (other_y - y), np.where(below, 0.0, z)
 
 
 def _square_distance(y0: Array, z0: Array, y1: Array, z1: Array, altitude: Array) -> Array:
-    """Of the sonar from the line between two points."""
+    """Compute the squared distance of the sonar from the line between two points."""
     run, rise = y1 - y0, z1 - z0
     square = run * run + rise * rise
     part = np.divide((altitude - z0) * rise - y0 * run, square, out=np.zeros(square.shape), where=square > 0.0)

@@ -1,6 +1,6 @@
-"""Highlight and shadow of simple solids on the sea floor, in closed form for every ping.
+"""Compute highlight and shadow of simple solids on the sea floor, in closed form for every ping.
 
-A side-scan sonar is a push-broom camera: each ping sees the vertical slice of the world across its track and nothing else, so the
+A side-scan sonar is a push-broom camera: each ping sees only the vertical slice of the world across its track, so the
 shadow is a perspective across the track and a parallel projection along it. A point at ground range y and height z casts its shadow to
 H y / (H - z). Treating all rays as parallel instead, as if the sonar were far away, moves the shadow's end by decimetres at 5 m
 altitude.
@@ -27,7 +27,7 @@ Real: TypeAlias = float | NDArray[np.float64]
 
 
 class Sphere(msgspec.Struct, frozen=True, kw_only=True):
-    """The centre is at radius_m - burial_m over the floor."""
+    """Describe a sphere. The centre is at radius_m - burial_m over the floor."""
 
     radius_m: Real
     burial_m: Real = 0.0
@@ -38,7 +38,10 @@ class Sphere(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Cylinder(msgspec.Struct, frozen=True, kw_only=True):
-    """Lying, with flat ends; the axis is at radius_m - burial_m over the floor. A length of 0 is an upright disc."""
+    """Describe a lying cylinder with flat ends.
+
+    The axis is at radius_m - burial_m over the floor. A length of 0 is an upright disc.
+    """
 
     radius_m: Real
     length_m: Real
@@ -51,7 +54,10 @@ class Cylinder(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TruncatedCone(msgspec.Struct, frozen=True, kw_only=True):
-    """Upright, no wider at the top than at its base; with equal radii an upright cylinder, with top_radius_m 0 a cone."""
+    """Describe an upright cone, no wider at the top than at its base.
+
+    With equal radii it is an upright cylinder, with top_radius_m 0 a cone.
+    """
 
     base_radius_m: Real
     top_radius_m: Real
@@ -66,7 +72,7 @@ class TruncatedCone(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Box(msgspec.Struct, frozen=True, kw_only=True):
-    """Upright; length_m is along the azimuth."""
+    """Describe an upright box; length_m is along the azimuth."""
 
     length_m: Real
     width_m: Real
@@ -80,7 +86,7 @@ class Box(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Wedge(msgspec.Struct, frozen=True, kw_only=True):
-    """A ramp: its top rises from the floor to height_m along the azimuth and ends in a vertical face."""
+    """Describe a ramp: its top rises from the floor to height_m along the azimuth and ends in a vertical face."""
 
     length_m: Real
     width_m: Real
@@ -94,8 +100,11 @@ class Wedge(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ConvexPolyhedron(msgspec.Struct, frozen=True, kw_only=True):
-    """vertices_m: (..., n_vertices, 3) float64 in the object's frame at azimuth 0 and without burial. faces: the indices of each
-    face's vertices in circular order."""
+    """Describe a convex polyhedron.
+
+    vertices_m: (..., n_vertices, 3) float64 in the object's frame at azimuth 0 and without burial. faces: the indices
+    of each face's vertices in circular order.
+    """
 
     vertices_m: NDArray[np.float64]
     faces: Faces
@@ -111,7 +120,7 @@ Shape: TypeAlias = Sphere | Cylinder | TruncatedCone | Box | Wedge | ConvexPolyh
 
 
 class SolidView(NamedTuple):
-    """What pings see of a solid: float64 arrays of the broadcast shape, NaN where a ping's slice misses it.
+    """Hold what pings see of a solid: float64 arrays of the broadcast shape, NaN where a slice misses it.
 
     front_slant_range_m: of its nearest point, where the highlight begins; on the image it lies before the object's foot.
     tangent_slant_range_m: of the last point lit, which the ray along the shadow's far end touches. A ray that grazes along an edge
@@ -133,7 +142,7 @@ def view_shape(
     slope_rad: ArrayLike = 0.0,
     squint_rad: ArrayLike = 0.0,
 ) -> SolidView:
-    """View of a solid by pings.
+    """Compute the view of a solid by pings.
 
     along_track_offset_m: of the ping from the object's place, positive after it has passed. ground_range_m: of that place from the
     track. altitude_m: of the sonar over the floor vertically below it. All broadcast; NaN in any of them gives NaN.
@@ -161,7 +170,7 @@ def view_shape(
     if np.any(seen.near_m <= 0.0):
         raise ValueError(
             f"an object reaches to {np.nanmin(seen.near_m):.3f} m from the point of the floor nearest to the sonar; "
-            "its whole slice must lie beyond that point on the side looked at: place it farther away"
+            "its whole slice must lie beyond that point on the side viewed: place it farther away"
         )
     below = seen.tangent_height_m < altitude
     reach = np.divide(altitude * seen.tangent_m, altitude - seen.tangent_height_m, out=np.full(below.shape, np.inf), where=below)
@@ -173,7 +182,10 @@ def view_shape(
 
 
 def flat_ground_range_m(slant_range_m: ArrayLike, altitude_m: ArrayLike) -> Array:
-    """Ground range float64 over a flat floor, sqrt((r - H)(r + H)), which keeps its digits near nadir; 0 for r < H."""
+    """Compute ground range float64 over a flat floor; 0 for r < H.
+
+    sqrt((r - H)(r + H)) keeps its digits near nadir.
+    """
     slant_range, altitude = np.asarray(slant_range_m, dtype=np.float64), np.asarray(altitude_m, dtype=np.float64)
     return np.asarray(np.sqrt(np.maximum((slant_range - altitude) * (slant_range + altitude), 0.0)), dtype=np.float64)
 
@@ -210,7 +222,10 @@ def _slice(shape: Shape, turn: Array, offset: Array, ground_range: Array, altitu
 
 
 def _placed(vertices: Array, azimuth: Array, burial: Array) -> Array:
-    """(..., n_vertices, 3) turned by the azimuth and lowered by the burial, both of which broadcast against the leading axes."""
+    """Turn vertices (..., n_vertices, 3) by the azimuth and lower them by the burial.
+
+    Both broadcast against the leading axes.
+    """
     cosine, sine = np.cos(azimuth)[..., np.newaxis], np.sin(azimuth)[..., np.newaxis]
     along, across, up = vertices[..., 0], vertices[..., 1], vertices[..., 2]
     turned = (along * cosine - across * sine, along * sine + across * cosine, up - burial[..., np.newaxis])

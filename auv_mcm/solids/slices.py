@@ -1,4 +1,4 @@
-"""The vertical slices of round solids that single pings see.
+"""Compute the vertical slices of round solids that single pings see.
 
 Coordinates within a slice: y is ground range from the sonar, z height over the floor, the sonar is at (0, H). All solids are convex,
 and so are their slices and what the floor z = 0 leaves of them. Two facts then replace all searching: the elevation (z - H) / y of
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_TINY: Final = 1e-300  # keeps 0 / 0 away where the quotient is clipped anyway
+_TINY: Final = 1e-300  # avoids 0 / 0 where the quotient is clipped anyway
 _STEPS: Final = 6  # of Newton's method; the starts are chosen so that it never overshoots, and gets by with four
 _CHORD: Final = 0.2928  # just under 1 - sqrt(1/2): (1 + v)^(-1/2) <= 1 - 0.2928 v for v from 0 to 1
 _LEVEL: Final = 1e-15  # sine or cosine that rounding alone makes
@@ -25,9 +25,9 @@ _UPRIGHT: Final = 1e-9  # taper below which the sides of a cone count as upright
 
 
 class Slice(NamedTuple):
-    """What matters of slices, arrays of one shape; NaN where the ping's slice misses the solid.
+    """Hold near end, front and tangent of slices, arrays of one shape; NaN where a slice misses the solid.
 
-    near_m: least ground range. front_slant_range_m: of the point nearest to the sonar. tangent_m, tangent_height_m: ground range and
+    near_m: minimum ground range. front_slant_range_m: of the point nearest to the sonar. tangent_m, tangent_height_m: ground range and
     height of the point that the ray along the far edge of the shadow touches.
     """
 
@@ -38,7 +38,7 @@ class Slice(NamedTuple):
 
 
 def sphere_slice(radius: Array, centre_height: Array, offset: Array, ground_range: Array, altitude: Array) -> Slice:
-    """A sphere: the slice is a circle."""
+    """Slice a sphere: the slice is a circle."""
     circle = np.sqrt(np.maximum((radius - offset) * (radius + offset), 0.0))
     hit = np.abs(offset) < radius
     zero, one = np.zeros(()), np.ones(())
@@ -48,7 +48,7 @@ def sphere_slice(radius: Array, centre_height: Array, offset: Array, ground_rang
 def cylinder_slice(
     radius: Array, length: Array, azimuth: Array, centre_height: Array, offset: Array, ground_range: Array, altitude: Array
 ) -> Slice:
-    """A lying cylinder with flat ends: the slice is an ellipse cut by two verticals.
+    """Slice a lying cylinder with flat ends: the slice is an ellipse cut by two verticals.
 
     Everything is done in the lateral coordinate l of the cylinder, in which it is a circle, because the ellipse's long semi-axis
     radius / |cos azimuth| has no bound.
@@ -60,7 +60,9 @@ def cylinder_slice(
 
 
 def cone_slice(base_radius: Array, top_radius: Array, height: Array, offset: Array, ground_range: Array, altitude: Array) -> Slice:
-    """An upright truncated cone on the floor, top_radius <= base_radius: the slice is bounded by a hyperbola and the flat top.
+    """Slice an upright truncated cone on the floor, top_radius <= base_radius.
+
+    The slice is bounded by a hyperbola and the flat top.
 
     With ρ² = y'² + u² (y' from the axis, u the offset) the lateral height is (R - ρ) / k, and the ray from the sonar touches it where
     u² - y_c y' = (R - kH) ρ, which is a sine in the polar angle of (y', u).
@@ -97,7 +99,7 @@ def cone_slice(base_radius: Array, top_radius: Array, height: Array, offset: Arr
 
 
 def _cone_front(base_radius: Array, k: Array, u: Array, ground_range: Array, altitude: Array) -> Array:
-    """How far before the axis the sloping side is nearest to the sonar, if the cone had neither top nor base.
+    """Compute how far before the axis the sloping side is nearest to the sonar, if it had neither top nor base.
 
     With x the inverse of that distance and m = R - kH: s x + m S(x) = T, where s = k² y_c, T = 1 + k² and S(x) = x / sqrt(1 + u²x²).
     The left side is concave for m >= 0 and convex for m < 0, so Newton's method from below, or from above, closes in from one side.
@@ -131,7 +133,9 @@ def _cone_front(base_radius: Array, k: Array, u: Array, ground_range: Array, alt
 def _arch_slice(
     radius: Array, centre_height: Array, lateral: Array, cosine: Array, ends: tuple[Array, Array], ground_range: Array, altitude: Array
 ) -> Slice:
-    """Slice {(y', z): l² + (z - centre)² <= radius², l = lateral + cosine y', ends[0] <= y' <= ends[1], z >= 0}, y' from y_c.
+    """Slice an arch, y' from y_c.
+
+    {(y', z): l² + (z - centre)² <= radius², l = lateral + cosine y', ends[0] <= y' <= ends[1], z >= 0}.
 
     cosine >= 0. In (l, z) the boundary is a circle and straight rays stay straight, so tangents are a circle's.
     """
@@ -161,7 +165,7 @@ def _arch_slice(
 
 
 def _arch_front(radius: Array, lateral: Array, cosine: Array, sonar: Array, rise: Array, ground_range: Array) -> Array:
-    """Where, from y_c, the point nearest to the sonar is if the ellipse had neither ends nor floor.
+    """Compute where, from y_c, the nearest point to the sonar is if the ellipse had neither ends nor floor.
 
     The multiplier t >= 0 of the ellipse's equation solves F(t) = (A / (c²t + 1))² + (B / (t + 1))² = 1 with A, B the sonar's lateral
     coordinate and rise over the radius. F^(-1/2) is concave, so Newton's method on it closes in from below (J. J. Moré and
@@ -192,7 +196,7 @@ def _half_chord(radius: Array, lateral: Array) -> Array:
 
 
 def _interval(offset: Array, slope: Array, half_width: Array) -> tuple[Array, Array]:
-    """The interval of y' in which |offset + slope y'| <= half_width; from inf to -inf if there is none."""
+    """Compute the interval of y' in which |offset + slope y'| <= half_width; from inf to -inf if there is none."""
     level = np.abs(slope) < _LEVEL
     steep = np.where(level, 1.0, np.abs(slope))
     offset = np.where(slope < 0.0, -offset, offset)

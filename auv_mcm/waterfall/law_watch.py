@@ -269,7 +269,7 @@ def _chosen(transfer: Transfer, odds: LawOdds, n_pings: int) -> Notice:
     return Notice(
         code="transfer.chosen",
         text=f"samples are taken as '{transfer.kind}': odds {_odds_text(odds, transfer.kind, next_likeliest)} against '{next_likeliest}' "
-        f"from {n_pings} pings; {_detail(transfer, odds)}. Set {keys} if the recorder's manual says otherwise.",
+        f"from {n_pings} pings; {_detail(transfer, odds)}. Set {keys} if the recorder's manual states otherwise.",
         for_the_record=is_settled,
     )
 

@@ -19,7 +19,7 @@ from auv_mcm.classify.beliefs import (
     DEMPSTER_BELOW,
     EVERYTHING,
     FRAME,
-    LEAST_IGNORANCE,
+    MIN_IGNORANCE,
     MINES,
     N_CLASSES,
     N_SUBSETS,
@@ -312,11 +312,11 @@ def test_the_same_seen_again_counts_once(mass: Array, n: int) -> None:
 
 
 def gain_bits(*views: ViewMass) -> float:
-    """What the views tell together beyond the first."""
+    """Compute the information of all views beyond the first."""
     return float(nonspecificity(combine(views[:1]).mass) - nonspecificity(combine(views).mass))
 
 
-def test_a_view_tells_the_more_the_farther_its_aspect_is_from_those_had() -> None:
+def test_a_view_adds_the_more_the_farther_its_aspect_is_from_those_viewed() -> None:
     gains = [gain_bits(seen(LIKELY_SPHERE, 0), seen(LIKELY_SPHERE, apart)) for apart in (0, 5, 10, 20, 30, 45, 90)]
     assert gains[0] == pytest.approx(0.0, abs=NEAR)
     assert all(less < more for less, more in itertools.pairwise(gains))
@@ -332,7 +332,7 @@ def test_the_opposite_side_is_news_only_of_a_shape_that_differs_there() -> None:
     assert gain_bits(*other) > 0.3
 
 
-def test_of_like_aspects_the_view_that_tells_most_counts_in_full_whenever_it_came() -> None:
+def test_of_like_aspects_the_view_that_adds_most_counts_in_full_whenever_it_came() -> None:
     poor = discount(LIKELY_CONE, 0.2)
     for views in ((poor, LIKELY_SPHERE), (LIKELY_SPHERE, poor)):
         fusion = combine([seen(views[0], 40), seen(views[1], 40)])
@@ -353,7 +353,7 @@ def test_conflict_chooses_the_rule() -> None:
     assert fused(0.61)[0][EVERYTHING] > 0.61
 
 
-def test_two_sure_views_that_contradict_each_other_leave_nothing_known_and_a_third_tells_which_is_odd() -> None:
+def test_two_sure_views_that_contradict_each_other_leave_nothing_known_and_a_third_shows_which_is_odd() -> None:
     two = combine([seen(SURE_CYLINDER, 0), seen(SURE_CLUTTER, 60)])
     assert DEMPSTER_BELOW < two.conflict < APART_FROM
     assert two.mass[EVERYTHING] > 0.85
@@ -376,7 +376,7 @@ def test_contradiction_from_the_same_aspect_is_seen_although_the_second_view_cou
 def test_no_source_can_veto_all_others() -> None:
     sure = mass_of(clutter=1.0)
     fusion = combine([seen(sure, 0), seen(discount(mass_of(cylinder=1.0), 0.5), 90)])
-    assert fusion.mass[EVERYTHING] > 0.4 * LEAST_IGNORANCE
+    assert fusion.mass[EVERYTHING] > 0.4 * MIN_IGNORANCE
     assert plausibility(fusion.mass)[subset("cylinder")] > 0.0
 
 
@@ -400,8 +400,8 @@ def test_what_is_no_mass_or_no_aspect_is_refused() -> None:
 
 
 def test_another_look_comes_from_the_middle_of_the_widest_gap_of_aspects() -> None:
-    def offered_deg(*had_deg: float) -> list[float]:
-        return [round(math.degrees(a), 9) for a in next_look_aspects(np.radians(had_deg))]
+    def offered_deg(*viewed_deg: float) -> list[float]:
+        return [round(math.degrees(a), 9) for a in next_look_aspects(np.radians(viewed_deg))]
 
     assert offered_deg() == []
     assert offered_deg(30.0) == [120.0]
@@ -412,10 +412,10 @@ def test_another_look_comes_from_the_middle_of_the_widest_gap_of_aspects() -> No
 
 
 @given(st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=6))
-def test_no_direction_is_farther_from_all_aspects_had_than_the_first_offered(had: list[float]) -> None:
+def test_no_direction_is_farther_from_all_aspects_viewed_than_the_first_offered(taken: list[float]) -> None:
     def nearest(direction: float) -> float:
-        return min(abs(math.remainder(direction - aspect, math.pi)) for aspect in had)
+        return min(abs(math.remainder(direction - aspect, math.pi)) for aspect in taken)
 
-    first = next_look_aspects(had)[0]
+    first = next_look_aspects(taken)[0]
     assert 0.0 <= first < math.pi
     assert all(nearest(direction) <= nearest(first) + 1e-8 for direction in np.linspace(0.0, math.pi, 60).tolist())

@@ -77,7 +77,7 @@ def test_the_source_papers_table_comes_out_of_the_comparison_rule() -> None:
         assert sum(beliefs) < 1.0
 
 
-def test_a_clear_cylinder_is_believed_one() -> None:
+def test_a_clear_cylinder_is_classified_as_one() -> None:
     mass = view_mass(TABLE_1["cylinder"], quality=0.9)
     assert bel(mass, "cylinder") > 0.5
     assert pl(mass, "cylinder") == pytest.approx(1.0)
@@ -85,7 +85,7 @@ def test_a_clear_cylinder_is_believed_one() -> None:
     assert pignistic(mass)[FRAME.index("clutter")] < 0.2
 
 
-def test_a_cone_that_could_be_a_sphere_is_believed_one_of_the_two() -> None:
+def test_a_cone_that_could_be_a_sphere_is_classified_as_one_of_the_two() -> None:
     mass = view_mass(TABLE_1["cone"], quality=0.9)
     assert bel(mass, "sphere", "truncated_cone") > 0.65
     assert mass[subset("sphere", "truncated_cone")] > 1.5 * mass[subset("truncated_cone")] > 0.0
@@ -136,7 +136,7 @@ def test_the_worse_a_view_the_less_it_believes() -> None:
     assert bel(view_mass(TABLE_1["cylinder"], 1.0), "cylinder") == beliefs[-1]
 
 
-def test_masses_are_the_products_of_what_is_said_of_each_class() -> None:
+def test_masses_are_the_products_of_what_is_stated_of_each_class() -> None:
     quality = 0.75
     mass = view_mass(TABLE_1["cone"], quality)
     lowest = min(item.nll for item in TABLE_1["cone"].values())
@@ -188,9 +188,9 @@ def test_sizes_are_plausible_inside_their_range_and_fade_over_three_tenths_of_it
     assert size_plausibility([0.85, 2.3, 1.1], [1.0] * 3, [2.0] * 3) == pytest.approx(0.25)
     assert size_plausibility([NAN, 2.3], [1.0] * 2, [2.0] * 2) == pytest.approx(0.5)
     np.testing.assert_allclose(size_plausibility([[1.2, 1.3], [0.1, 1.3]], [1.0, 1.0], [2.0, 2.0]), [1.0, 0.0])
-    with pytest.raises(ValueError, match="least_m <= most_m"):
+    with pytest.raises(ValueError, match="min_m <= max_m"):
         size_plausibility([1.0], [2.0], [1.0])
-    with pytest.raises(ValueError, match="least_m <= most_m"):
+    with pytest.raises(ValueError, match="min_m <= max_m"):
         size_plausibility([1.0], [0.0], [1.0])
 
 

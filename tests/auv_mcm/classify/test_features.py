@@ -76,15 +76,15 @@ def test_compressed_keeps_the_order(first: float, second: float) -> None:
 
 
 @given(anything, anything, st.floats(0.0, 1.0))
-def test_any_levels_of_a_detection_are_told_by_finite_numbers(highlight_db: float, shadow_db: float, p_mine: float) -> None:
+def test_any_levels_of_a_detection_are_described_by_finite_numbers(highlight_db: float, shadow_db: float, p_mine: float) -> None:
     features = detector_features(detection(highlight_db=highlight_db, shadow_db=shadow_db, p_mine=p_mine))
     assert all(map(math.isfinite, features.values()))
     assert abs(features["detector_odds"]) <= 6.0
 
 
-def test_a_detection_is_told_by_its_odds_its_levels_and_what_was_missing() -> None:
-    told = detector_features(detection(p_mine=0.8, highlight_db=9.0, shadow_db=NAN, reasons=("no_shadow", "in_turn")))
-    assert told == {
+def test_a_detection_is_described_by_its_odds_its_levels_and_what_was_missing() -> None:
+    reported = detector_features(detection(p_mine=0.8, highlight_db=9.0, shadow_db=NAN, reasons=("no_shadow", "in_turn")))
+    assert reported == {
         "detector_odds": pytest.approx(math.log(4.0)),
         "highlight_db": 9.0,
         "shadow_db": 0.0,
@@ -100,14 +100,14 @@ def test_a_detection_is_told_by_its_odds_its_levels_and_what_was_missing() -> No
 
 
 @given(anything, anything)
-def test_any_place_of_a_detection_is_told_by_finite_numbers(ground_range_m: float, altitude_m: float) -> None:
+def test_any_place_of_a_detection_is_described_by_finite_numbers(ground_range_m: float, altitude_m: float) -> None:
     assert_moderate(detector_features(detection(ground_range_m=ground_range_m, altitude_m=altitude_m)))
 
 
 # ---------------------------------------------------------------- contours
 
 
-def test_no_contours_at_all_are_told_as_little_evidence() -> None:
+def test_no_contours_at_all_count_as_little_evidence() -> None:
     features = contour_features(no_contours())
     assert_moderate(features)
     assert features["contour_without_highlight"] == features["contour_without_shadow"] == 1.0
@@ -116,7 +116,7 @@ def test_no_contours_at_all_are_told_as_little_evidence() -> None:
 
 
 @given(st.fixed_dictionaries(dict.fromkeys(("gain", "shadow_mean", "background_mean", "repetition"), anything)))
-def test_any_contours_are_told_by_finite_numbers(measured: dict[str, float]) -> None:
+def test_any_contours_are_described_by_finite_numbers(measured: dict[str, float]) -> None:
     features = contour_features(no_contours(highlight=SQUARE, shadow=SQUARE, height_m=0.4, **measured))
     assert all(map(math.isfinite, features.values()))
 
@@ -126,7 +126,7 @@ def test_heights_that_are_no_number_count_as_none(height_m: float) -> None:
     assert contour_features(no_contours(height_m=height_m))["contour_height_m"] == (height_m if math.isfinite(height_m) else 0.0)
 
 
-def test_contours_are_told_by_gain_repetition_darkness_and_rules() -> None:
+def test_contours_are_described_by_gain_repetition_darkness_and_rules() -> None:
     broken = sorted(REJECTING)
     measured: dict[str, Any] = {
         "highlight": SQUARE,
@@ -161,12 +161,12 @@ def outline(near: Sequence[float], far: Sequence[float], top: int = 5) -> np.nda
 
 
 def test_no_outlines_have_no_extent_and_do_not_bend() -> None:
-    told = outline_features(no_contours(), bare_floor())
-    assert_moderate(told)
-    assert all(told[name] == 0.0 for name in told if name.endswith("_m"))
+    reported = outline_features(no_contours(), bare_floor())
+    assert_moderate(reported)
+    assert all(reported[name] == 0.0 for name in reported if name.endswith("_m"))
 
 
-def test_outlines_are_told_by_extents_level_and_area() -> None:
+def test_outlines_are_described_by_extents_level_and_area() -> None:
     contours = no_contours(
         highlight=outline([10] * 8, [14] * 8),
         shadow=outline([14] * 6, [30] * 6),
@@ -174,36 +174,36 @@ def test_outlines_are_told_by_extents_level_and_area() -> None:
         background_mean=0.8,
         highlight_area_m2=0.16,
     )
-    told = outline_features(contours, bare_floor())
-    assert told["highlight_length_m"] == pytest.approx(0.8)
-    assert told["shadow_length_m"] == pytest.approx(0.6)
-    assert told["highlight_level"] == pytest.approx(math.log(5.0))
-    assert told["highlight_area"] == pytest.approx(math.log(0.17))
+    reported = outline_features(contours, bare_floor())
+    assert reported["highlight_length_m"] == pytest.approx(0.8)
+    assert reported["shadow_length_m"] == pytest.approx(0.6)
+    assert reported["highlight_level"] == pytest.approx(math.log(5.0))
+    assert reported["highlight_area"] == pytest.approx(math.log(0.17))
 
 
 @given(st.integers(4, 20), st.integers(-2, 2))
 def test_straight_edges_neither_bend_nor_jump_however_they_slant(n_rows: int, slant: int) -> None:
     near = [(45 if slant < 0 else 5) + slant * row for row in range(n_rows)]
     contours = no_contours(shadow=outline(near, [column + 8 for column in near]), highlight=outline(near, [60] * n_rows))
-    told = outline_features(contours, bare_floor())
+    reported = outline_features(contours, bare_floor())
     for name in ("highlight_front_bend_m", "shadow_end_bend_m", "shadow_front_roughness_m"):
-        assert told[name] == pytest.approx(0.0, abs=1e-9), name
+        assert reported[name] == pytest.approx(0.0, abs=1e-9), name
 
 
 def test_bends_and_jumps_are_those_of_a_polynomial_fit() -> None:
     near = [10, 12, 13, 13, 14, 13, 13, 12, 10, 11]
     far = [20, 25, 28, 30, 31, 30, 29, 26, 24, 20]
-    told = outline_features(no_contours(shadow=outline(near, far), highlight=outline(near, far)), bare_floor())
+    reported = outline_features(no_contours(shadow=outline(near, far), highlight=outline(near, far)), bare_floor())
     rows = np.arange(10.0)
     near_m, far_m = 0.05 * np.array(near), 0.05 * np.array(far)
-    assert told["highlight_front_bend_m"] == pytest.approx(abs(np.polyfit(rows, near_m, 2)[0]) * 100.0)
-    assert told["shadow_end_bend_m"] == pytest.approx(abs(np.polyfit(rows, far_m, 2)[0]) * 100.0)
-    assert told["shadow_front_roughness_m"] == pytest.approx((near_m - np.polyval(np.polyfit(rows, near_m, 1), rows)).std())
+    assert reported["highlight_front_bend_m"] == pytest.approx(abs(np.polyfit(rows, near_m, 2)[0]) * 100.0)
+    assert reported["shadow_end_bend_m"] == pytest.approx(abs(np.polyfit(rows, far_m, 2)[0]) * 100.0)
+    assert reported["shadow_front_roughness_m"] == pytest.approx((near_m - np.polyval(np.polyfit(rows, near_m, 1), rows)).std())
 
 
 def test_two_or_three_rows_cannot_bend() -> None:
-    told = outline_features(no_contours(shadow=outline([10, 20, 10], [30, 40, 30])), bare_floor())
-    assert told["shadow_end_bend_m"] == told["shadow_front_roughness_m"] == 0.0
+    reported = outline_features(no_contours(shadow=outline([10, 20, 10], [30, 40, 30])), bare_floor())
+    assert reported["shadow_end_bend_m"] == reported["shadow_front_roughness_m"] == 0.0
 
 
 # ---------------------------------------------------------------- solids
@@ -222,14 +222,14 @@ def test_no_solid_counts_as_less_than_a_poor_one() -> None:
     st.none() | anything,
     st.sampled_from([NO_LABELS, np.ones((2, 3), np.uint8)]),
 )
-def test_any_solids_are_told_by_finite_numbers(
+def test_any_solids_are_described_by_finite_numbers(
     solids: list[tuple[float, float, float]], contour_cost: float | None, labels: np.ndarray[Any, np.dtype[np.uint8]]
 ) -> None:
     fits = no_fits(fits=tuple(fit_of(*solid) for solid in solids), contour_cost=contour_cost)
     assert all(map(math.isfinite, shape_features(fits, labels).values()))
 
 
-def test_the_best_solid_and_the_best_of_usual_size_are_told_apart() -> None:
+def test_the_best_solid_and_the_best_of_usual_size_are_distinguished() -> None:
     """Costs -40 at an unusual size and -30 at a usual one: four nats per e-fold of plausibility turn the order."""
     fits = no_fits(fits=(fit_of(-40.0, 0.01, 1.1, ("at_bound",)), fit_of(-30.0)), contour_cost=-60.0)
     labels = np.array([[HIGHLIGHT, SHADOW, BACKGROUND, BACKGROUND]], dtype=np.uint8)
@@ -247,11 +247,11 @@ def test_the_best_solid_and_the_best_of_usual_size_are_told_apart() -> None:
     }
 
 
-def test_evidence_of_shape_is_told_by_range_as_well() -> None:
+def test_evidence_of_shape_is_described_by_range_as_well() -> None:
     before, shape = detector_features(detection()), shape_features(no_fits(fits=(fit_of(-40.0),)), NO_LABELS)
-    told = with_shape(before, shape)
-    assert told.keys() == {*before, *shape, "shape_evidence_by_range"}
-    assert told["shape_evidence_by_range"] == pytest.approx(math.log(9.0) * math.log(12.0 / 5.0))
+    reported = with_shape(before, shape)
+    assert reported.keys() == {*before, *shape, "shape_evidence_by_range"}
+    assert reported["shape_evidence_by_range"] == pytest.approx(math.log(9.0) * math.log(12.0 / 5.0))
 
 
 @given(st.floats(-200.0, 50.0), st.floats(0.1, 50.0))

@@ -91,16 +91,16 @@ def test_a_half_buried_sphere_is_found_buried() -> None:
     assert "buried" in fit.flags
 
 
-def test_an_altitude_told_too_high_is_noticed_and_not_taken_for_size() -> None:
+def test_an_altitude_reported_too_high_is_noticed_and_not_taken_for_size() -> None:
     region = closed_form_region(SHAPES["sphere"], 20.0, altitude_m=5.5)
-    told_m = 6.6
+    reported_m = 6.6
     edges = np.hypot(region.first_ground_range_m + 0.06 * np.arange(region.intensity.shape[1] + 1), 5.5)
-    start_m = math.sqrt(edges[0] ** 2 - told_m**2)
-    wanted = np.hypot(start_m + 0.06 * np.arange(region.intensity.shape[1] + 1), told_m)
+    start_m = math.sqrt(edges[0] ** 2 - reported_m**2)
+    wanted = np.hypot(start_m + 0.06 * np.arange(region.intensity.shape[1] + 1), reported_m)
     sums = np.concatenate((np.zeros((61, 1)), np.cumsum(region.intensity, axis=1)), axis=1)
     resampled = np.diff([np.interp(wanted, edges, row) for row in sums], axis=1)
-    told = msgspec.structs.replace(region, intensity=resampled, first_ground_range_m=start_m, altitude_m=told_m)
-    fit = of(fit_shapes(told, None, 1.0), "sphere")
+    reported = msgspec.structs.replace(region, intensity=resampled, first_ground_range_m=start_m, altitude_m=reported_m)
+    fit = of(fit_shapes(reported, None, 1.0), "sphere")
     assert isinstance(fit.best.shape, Sphere)
     assert fit.best.altitude_ratio < 0.95
     assert "altitude" in fit.flags

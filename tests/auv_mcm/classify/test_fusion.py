@@ -1,4 +1,4 @@
-"""What several views say together: new evidence counts, repeated evidence hardly, contradiction is told."""
+"""Fusion of several views: new evidence counts, repeated evidence hardly, contradiction is reported."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def odds(verdict: FusedViews) -> float:
     return math.log(verdict.p_mine / (1.0 - verdict.p_mine))
 
 
-def told(verdict: FusedViews) -> tuple[Any, ...]:
+def reported(verdict: FusedViews) -> tuple[Any, ...]:
     """All of it, where NaN is NaN."""
     return tuple(str(field) for field in verdict)
 
@@ -69,7 +69,7 @@ def test_one_view_keeps_its_p_mine_to_the_last_bit(
 
 
 @given(st.floats(0.0, 1.0))
-def test_one_view_without_a_close_look_keeps_its_p_mine_too(p_mine: float) -> None:
+def test_one_view_without_a_confirmation_keeps_its_p_mine_too(p_mine: float) -> None:
     assert fuse([detection(p_mine=p_mine)], PRIOR).p_mine == p_mine
 
 
@@ -85,12 +85,12 @@ def test_no_views_are_refused() -> None:
 @given(views, st.integers(0, 1000))
 def test_the_order_of_views_changes_not_a_bit(seen: list[Detection], seed: int) -> None:
     shuffled = np.random.Generator(np.random.PCG64(seed)).permutation(len(seen))
-    assert told(fuse(seen, PRIOR)) == told(fuse([seen[number] for number in shuffled], PRIOR))
+    assert reported(fuse(seen, PRIOR)) == reported(fuse([seen[number] for number in shuffled], PRIOR))
 
 
 def test_more_than_ten_views_in_any_order_are_the_same_too() -> None:
     seen = [looked_at(0.3 * number - 1.0, 31.0 * number, float(number), shape=like("cylinder", quality=0.5)) for number in range(12)]
-    assert told(fuse(seen, PRIOR)) == told(fuse(seen[::-1], PRIOR)) == told(fuse(seen[5:] + seen[:5], PRIOR))
+    assert reported(fuse(seen, PRIOR)) == reported(fuse(seen[::-1], PRIOR)) == reported(fuse(seen[5:] + seen[:5], PRIOR))
 
 
 @settings(max_examples=50)
@@ -109,7 +109,7 @@ def test_belief_sums_to_one_and_everything_is_a_number_in_its_range(seen: list[D
 @settings(max_examples=50)
 @given(views, st.floats(-6.0, 2.0))
 def test_class_belief_and_p_mine_agree(seen: list[Detection], prior: float) -> None:
-    """Bel(mine) <= p_mine <= Pl(mine); a contact called a mine has a kind of mine, or none where no view says anything of kinds."""
+    """Bel(mine) <= p_mine <= Pl(mine); a contact called a mine has a kind of mine, or none where no view has evidence of kinds."""
     verdict = fuse(seen, prior)
     of_mines = sum(verdict.belief[name] for name in FRAME if name != "clutter")
     assert of_mines <= verdict.p_mine + 1e-12
@@ -202,7 +202,7 @@ def test_the_opposite_side_is_new_evidence_of_the_kind_only_if_the_solid_looks_d
     # Beside one view with as much evidence of a mine, whose shadow leaves 0.7 for each of the three.
     alone = fuse([looked_at(odds(verdict) - likely, 10.0, 0.0, likely, shape)], likely)
     assert verdict.belief["wedge"] / alone.belief["wedge"] == pytest.approx(((1.0 - 0.3**n_counted) / 0.7) ** 3, abs=1e-3)
-    # Of a mine only the view from square to the first tells more.
+    # Of a mine only the view from square to the first adds evidence.
     assert odds(verdict) == pytest.approx(likely + log_ratio * (1.0 + NEWS * (apart_deg == 90.0)), abs=1e-6)
 
 
@@ -213,7 +213,7 @@ def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
     assert both.conflict < 0.3
 
 
-def test_views_of_a_mine_that_tell_different_kinds_still_tell_a_mine() -> None:
+def test_views_of_a_mine_that_show_different_kinds_still_show_a_mine() -> None:
     for quality in (0.6, 0.8, 0.95):
         seen = [
             looked_at(4.0, 0.0, shape=like("cylinder", quality=quality)),
@@ -248,7 +248,7 @@ def test_a_second_view_from_nowhere_known_adds_nothing() -> None:
 # ---------------------------------------------------------------- views that do not fit together
 
 
-def test_views_sure_of_opposite_things_are_not_fused_and_the_most_mine_like_speaks() -> None:
+def test_views_sure_of_opposite_classes_are_not_fused_and_the_most_mine_like_counts() -> None:
     mine, stone = looked_at(7.0, 0.0, shape=like("cylinder")), looked_at(-7.0, 90.0, 1.0)
     verdict = fuse([stone, mine], PRIOR)
     assert verdict.reasons == (CONTRADICTION,)
@@ -286,7 +286,7 @@ def test_a_contradiction_in_between_takes_a_little_off_the_better_view() -> None
 
 @settings(max_examples=30)
 @given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), aspects)
-def test_a_view_without_a_close_look_counts_by_its_p_mine(first: float, second: float, aspect: float) -> None:
+def test_a_view_without_a_confirmation_counts_by_its_p_mine(first: float, second: float, aspect: float) -> None:
     """As one with the same evidence and nothing to say about the kind."""
     close = [looked_at(first, 0.0), looked_at(second, aspect, 1.0)]
     far = [detection(p_mine=view.p_mine, aspect_deg=view.aspect_deg, time_s=view.time_s) for view in close]
@@ -307,7 +307,7 @@ def test_views_sure_beyond_their_digits_break_nothing() -> None:
 
 
 def widest_gap_middle_deg(directions: list[float]) -> float:
-    """By trying every tenth of a degree: the direction farthest from all had, opposite ones alike."""
+    """By trying every tenth of a degree: the direction farthest from all viewed, opposite ones alike."""
     tried = np.arange(0.0, 180.0, 0.1)
     apart = np.abs(tried[:, np.newaxis] - np.array(directions))
     apart = np.abs(apart - 180.0 * np.round(apart / 180.0))
@@ -322,7 +322,7 @@ def test_the_next_look_points_into_the_widest_gap_of_aspects(directions: list[fl
     expected = widest_gap_middle_deg(directions)
 
     def room_deg(direction: float) -> float:
-        return min(abs(math.remainder(direction - had, 180.0)) for had in directions)
+        return min(abs(math.remainder(direction - taken, 180.0)) for taken in directions)
 
     assert 1 <= len(verdict.next_look_deg) <= 2
     assert room_deg(verdict.next_look_deg[0]) == pytest.approx(room_deg(expected), abs=0.2)
@@ -342,16 +342,16 @@ def test_what_is_decided_is_not_looked_at_again() -> None:
     assert fuse(sure, PRIOR).next_look_deg == ()
 
 
-def test_a_view_from_nowhere_known_asks_for_no_direction() -> None:
+def test_a_view_from_nowhere_known_requests_no_direction() -> None:
     verdict = fuse([detection(p_mine=0.5, aspect_deg=NAN)], PRIOR)
     assert verdict.next_look_deg == ()
     assert verdict.p_mine == 0.5
 
 
-# ---------------------------------------------------------------- the class told
+# ---------------------------------------------------------------- the class reported
 
 
-def test_the_class_told_follows_shape_once_it_is_a_mine() -> None:
+def test_the_class_reported_follows_shape_once_it_is_a_mine() -> None:
     assert fuse([looked_at(5.0, 0.0, shape=like("wedge"))], PRIOR).classification == "wedge"
     assert fuse([looked_at(-5.0, 0.0, shape=like("wedge"))], PRIOR).classification == "clutter"
     assert fuse([looked_at(5.0, 0.0, shape=vacuous())], PRIOR).classification == "unknown"

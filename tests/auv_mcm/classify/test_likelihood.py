@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.likelihood import beam_of, image_row_sums, labels_cost, parameter_cost
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
-from auv_mcm.kernels.shape import FIELDS, FORBIDDEN, LEAST_MEAN, PENCIL, Beam, ImageRowSums, Solid, shape_costs, shape_costs_numpy, solid_of
+from auv_mcm.kernels.shape import FIELDS, FORBIDDEN, MIN_MEAN, PENCIL, Beam, ImageRowSums, Solid, shape_costs, shape_costs_numpy, solid_of
 from auv_mcm.solids.shapes import Cylinder, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
@@ -113,7 +113,7 @@ def cost_by_pixels(solid: Solid, hypothesis: Array, image: ImageRowSums) -> floa
     means = []
     for k in range(3):
         n, total = float((counts * share[..., k]).sum()), float((echoes * share[..., k]).sum())
-        means.append(max(total / n, LEAST_MEAN))
+        means.append(max(total / n, MIN_MEAN))
         cost += n * math.log(means[k]) + total / means[k] - n
     assert means[0] >= 1.3 * means[2]
     assert means[1] <= 0.6 * means[2]

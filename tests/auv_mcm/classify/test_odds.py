@@ -65,9 +65,9 @@ def test_every_step_has_weights_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("features", [{}, {"a": 1.0}, {"a": 1.0, "B": 1.0}])
-def test_features_that_are_missing_are_told(features: dict[str, float]) -> None:
+def test_features_that_are_missing_are_reported(features: dict[str, float]) -> None:
     with pytest.raises(
-        ValueError, match=re.escape(f"detector: fitted with {'b' if features else 'a'!r}, asked with {sorted(features)} alone")
+        ValueError, match=re.escape(f"detector: fitted with {'b' if features else 'a'!r}, called with {sorted(features)} alone")
     ):
         weighing({"a": 1.0, "b": 1.0}).log_ratio("detector", features)
 
@@ -130,7 +130,7 @@ def test_p_mine_has_the_prior_in_it_again(log_ratio: float, prior: float) -> Non
     assert weighing({}, prior=prior).p_mine(log_ratio) == pytest.approx(posterior / (1.0 + posterior), rel=1e-9)
 
 
-def test_a_view_that_tells_nothing_stays_at_the_rate_of_mines() -> None:
+def test_a_view_that_adds_nothing_stays_at_the_rate_of_mines() -> None:
     odds = weighing({"a": 0.0}, offset=math.log(3.0 / 97.0), prior=math.log(3.0 / 97.0))
     assert odds.p_mine(odds.log_ratio("detector", {"a": 7.0})) == pytest.approx(0.03)
 
@@ -174,9 +174,9 @@ def test_evidence_for_a_mine_names_no_kind_and_leaves_what_the_shape_says() -> N
     np.testing.assert_allclose(with_ratio(vacuous(), 3.0), mass_of_ratio(3.0), atol=1e-15)
     shape = conjunctive(vacuous(), vacuous())[0]
     shape[EVERYTHING], shape[subset("wedge", "clutter")] = 0.2, 0.8
-    told = with_ratio(shape, 8.0)
-    assert told[subset("wedge")] == pytest.approx(0.8 * 0.98, abs=0.01)
-    assert told[0] == 0.0
+    reported = with_ratio(shape, 8.0)
+    assert reported[subset("wedge")] == pytest.approx(0.8 * 0.98, abs=0.01)
+    assert reported[0] == 0.0
 
 
 # ---------------------------------------------------------------- files
@@ -230,7 +230,7 @@ def test_files_that_are_no_weights_are_refused_by_name(data: bytes) -> None:
         parse_odds(data, "/data/mine_odds.json")
 
 
-def test_what_is_wrong_inside_a_file_is_told_with_its_place() -> None:
+def test_what_is_wrong_inside_a_file_is_reported_with_its_place() -> None:
     with pytest.raises(BadInputError, match=r"Expected `float`, got `str` - at `\$\.shape\.offset`"):
         parse_odds(data_of(shape={"offset": "1", "weights": {}}), "f.json")
     with pytest.raises(BadInputError, match=r"unknown field `slope` - at `\$\.shape`"):
@@ -274,6 +274,6 @@ def test_the_shipped_weights_give_probabilities_for_any_features(detector: Detec
     odds = shipped_odds(detector)
     for step in (odds.detector, odds.contours, odds.shape):
         assert all(map(math.isfinite, (step.offset, *step.weights.values())))
-    asked = {name for tree in odds.shape.trees for name, _ in tree.ask}
-    features = {name: float(random.normal(0.0, 10.0)) for name in sorted(odds.shape.weights.keys() | asked)}
+    requested = {name for tree in odds.shape.trees for name, _ in tree.ask}
+    features = {name: float(random.normal(0.0, 10.0)) for name in sorted(odds.shape.weights.keys() | requested)}
     assert 0.0 < odds.p_mine(odds.log_ratio("shape", features)) < 1.0

@@ -25,11 +25,11 @@ def test_every_code_has_words(code: str) -> None:
 
 def test_one_code_has_one_meaning() -> None:
     assert REASONS.keys().isdisjoint(CLOSE_LOOK_REASONS)
-    told = [*REASONS.values(), *CLOSE_LOOK_REASONS.values()]
-    assert len(told) == len(set(told))
+    reported = [*REASONS.values(), *CLOSE_LOOK_REASONS.values()]
+    assert len(reported) == len(set(reported))
 
 
-def test_a_code_nobody_knows_is_told_by_its_name() -> None:
+def test_a_code_without_a_text_is_described_by_its_name() -> None:
     assert in_words("brand_new") == "brand new"
     assert bearing("brand_new") == "note"
 

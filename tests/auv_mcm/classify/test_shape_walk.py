@@ -112,7 +112,7 @@ def assert_same(fast: Optima, slow: Optima) -> None:
     np.testing.assert_array_equal(fast.cost, slow.cost)
 
 
-def test_a_search_finds_fewer_places_than_asked_for_where_no_more_lie_apart() -> None:
+def test_a_search_finds_fewer_places_than_requested_where_no_more_lie_apart() -> None:
     image = image_row_sums(closed_form_region(SHAPES["sphere"], 20.0), 1.0)
     assert image is not None
     walk = Walk(4000, 1, 1, first_stride=1.0)

@@ -18,7 +18,7 @@ from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side, Surve
 
 
 class Model(NamedTuple):
-    """A look finds what lies near with what probability its range says."""
+    """A view finds near objects with a probability that depends on range."""
 
     same_look_correlation: float = 0.8
     other_look_correlation: float = 0.1
@@ -87,7 +87,7 @@ def p_at(reported: Clearance, east: int, north: int) -> float:
 
 
 def one_by_one(patches: list[Reported], model: Model) -> dict[tuple[int, int], float]:
-    """Exponent per cell: passes in order, a look per pass and cell, each less what earlier ones told."""
+    """Exponent per cell: passes in order, a look per pass and cell, each reduced by what earlier ones have in common with it."""
     looks: dict[tuple[int, int], dict[int, list[tuple[float, float, float]]]] = defaultdict(lambda: defaultdict(list))
     last: dict[Side, tuple[int, float, float]] = {}
     n_passes = 0

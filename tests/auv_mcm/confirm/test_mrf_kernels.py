@@ -36,7 +36,7 @@ def energy_by_definition(labels: NDArray[np.uint8], unary: NDArray[np.float64], 
     return energy
 
 
-def least_energy(unary: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+def minimum_energy(unary: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
     n_rows, n_columns, _ = unary.shape
     every = np.array(list(itertools.product(range(3), repeat=n_rows * n_columns)), dtype=np.uint8).reshape(-1, n_rows, n_columns)
     energy = np.zeros(len(every))
@@ -62,10 +62,10 @@ def test_energy_is_the_sum_over_cells_and_edges(unary: NDArray[np.float64], weig
 @given(unary=grids(3, 3), weight=weights)
 @settings(deadline=None, max_examples=60)
 def test_bound_never_exceeds_the_least_energy_of_all_labellings(unary: NDArray[np.float64], weight: NDArray[np.float64]) -> None:
-    least = least_energy(unary, weight)
+    lowest = minimum_energy(unary, weight)
     minimum = trws(unary, weight, 30)
-    assert (minimum.trace[:, 0] <= least + 1e-9).all()
-    assert minimum.energy >= least - 1e-9
+    assert (minimum.trace[:, 0] <= lowest + 1e-9).all()
+    assert minimum.energy >= lowest - 1e-9
     assert minimum.energy == pytest.approx(energy_of(minimum.labels, unary, weight), abs=1e-9)
 
 
@@ -75,9 +75,9 @@ def test_finds_the_best_of_all_labellings_of_noisy_grids() -> None:
         unary = random.exponential(1.0, (3, 4, 3))
         weight = np.array([0.4, 0.3, 0.4, 0.3])
         minimum = trws(unary, weight, 60)
-        least = least_energy(unary, weight)
-        assert minimum.lower_bound <= least + 1e-9
-        assert minimum.energy == pytest.approx(least, rel=1e-3)
+        lowest = minimum_energy(unary, weight)
+        assert minimum.lower_bound <= lowest + 1e-9
+        assert minimum.energy == pytest.approx(lowest, rel=1e-3)
 
 
 @given(unary=grids(1, 9) | grids(9, 1), weight=weights)

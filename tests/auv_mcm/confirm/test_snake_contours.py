@@ -1,4 +1,4 @@
-"""Contours of drawn objects and of drawn sea floor, and the rules that tell them apart."""
+"""Contours of drawn objects and of drawn sea floor, and the rules that separate them."""
 
 from __future__ import annotations
 

@@ -254,7 +254,7 @@ def test_highlight_stays_before_the_shadow_and_beside_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("highlight", "shadow", "says"),
+    ("highlight", "shadow", "reason"),
     [
         (NONE, NONE, "neither"),
         (NONE, np.zeros((2, 2)), "3 to 64 nodes"),
@@ -266,9 +266,9 @@ def test_highlight_stays_before_the_shadow_and_beside_it() -> None:
         (np.array([(2.0, 9.0), (9.0, 9.0), (9.0, 9.0), (9.0, 2.0), (2.0, 2.0)]), NONE, "coinciding"),
     ],
 )
-def test_polygons_that_cannot_move_are_refused(highlight: Floats, shadow: Floats, says: str) -> None:
+def test_polygons_that_cannot_move_are_refused(highlight: Floats, shadow: Floats, reason: str) -> None:
     table, known = window(0)
-    with pytest.raises(ValueError, match=says):
+    with pytest.raises(ValueError, match=reason):
         snake.move_pair(table, known, SHORT, highlight, shadow)
 
 

@@ -1,4 +1,4 @@
-"""Clearing an area: legs until the required clearance is reached, or told not to be reachable; never outside fence and budget."""
+"""Clearing an area: legs until the required clearance is reached, or reported not reachable; never outside fence and budget."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Model(NamedTuple):
 
 
 class Mission:
-    """A vehicle that does at once what it is asked for, and a sonar that tells of a leg some time after its end, or never."""
+    """A vehicle that follows requests at once, and a sonar that shows a leg some time after its end, or never."""
 
     def __init__(
         self,

@@ -79,7 +79,7 @@ def brute_force(start: PlanePose, end: PlanePose, radius: float) -> float:
     """Shortest of all two-arc-and-straight and three-arc paths by scanning the first arc and finding sign changes.
 
     For each first arc of either turn the second and third part are over-determined by one equation, whose roots along the first arc are
-    bracketed on a grid and refined by bisection. Nothing here knows tangent formulas or which arcs are long.
+    bracketed on a grid and refined by bisection. No tangent formula is used here, nor which arcs are long.
     """
     best = math.inf
     for first in (-1.0, 1.0):

@@ -1,4 +1,4 @@
-"""When a vehicle is asked to look again: as soon as there is something to look at, in peace while it looks, and not for ever."""
+"""Requests for second views: as soon as a contact needs one, unchanged while a leg is run, and not for ever."""
 
 from __future__ import annotations
 

@@ -159,5 +159,5 @@ def test_a_look_adds_most_where_nothing_is_decided_and_nothing_where_it_sees_no_
     assert information_nats(0.5, 0.9) > information_nats(0.5, 0.6) > 0.0
     assert information_nats(0.5, 0.1) == pytest.approx(0.0, abs=1e-12)
     assert information_nats(0.0, 0.9) == information_nats(1.0, 0.9) == 0.0
-    # A sure sonar without false calls would leave ln 2 to nothing; with one false call in ten it tells most of it.
+    # A sure sonar without false calls would leave ln 2 to nothing; with one false call in ten it brings most of it.
     assert 0.3 < information_nats(0.5, 0.98) < math.log(2.0)

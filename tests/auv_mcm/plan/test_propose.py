@@ -1,4 +1,4 @@
-"""Plans proposed to a vehicle: no way leads out of the fence, whatever the contacts, and what is left out is told with its reason."""
+"""Plans proposed to a vehicle: no way leads out of the fence, whatever the contacts, and what is left out is reported with its reason."""
 
 from __future__ import annotations
 

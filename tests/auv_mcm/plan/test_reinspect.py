@@ -1,4 +1,4 @@
-"""Re-inspection plans: legs that look from where each contact asks for, sailable turns, short tours, anywhere on the globe."""
+"""Re-inspection plans: legs that view each contact from the direction it requests, sailable turns, short tours, anywhere on the globe."""
 
 from __future__ import annotations
 

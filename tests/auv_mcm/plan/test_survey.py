@@ -1,4 +1,4 @@
-"""Missions planned anew: no plan breaks a limit, whatever is asked; what is asked for is got where it can be, or else it is said why."""
+"""Missions planned anew: no plan breaks a limit, whatever is requested; a request is met where it can be, else the reason is given."""
 
 from __future__ import annotations
 

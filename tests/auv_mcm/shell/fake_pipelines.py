@@ -165,7 +165,7 @@ class Failing(Base):
 
 
 class Quoting(Base):
-    """Has a defect that quotes what a device said."""
+    """Has a defect that quotes what a device sent."""
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         raise ValueError("no such mode: x\x1b[2J\n2026-01-01T00:00:00.000Z INFO ready")

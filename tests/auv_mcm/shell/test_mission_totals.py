@@ -1,4 +1,4 @@
-"""What summary.json says of the search and of the area to be cleared."""
+"""Entries of summary.json on the search and on the area to be cleared."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Events:
 
 
 class Ports(Events):
-    """A live source of given events, which gives the rest when told to stop. It hands a byte per event to the recorder."""
+    """A live source of given events, which gives the rest when stopped. It hands a byte per event to the recorder."""
 
     def __init__(self, events: Sequence[SourceEvent | Exception], rest: Sequence[SourceEvent] = ()) -> None:
         super().__init__(events, lossless=False)
@@ -279,7 +279,7 @@ def test_a_live_source_is_recorded_and_stopped_gently(tmp_path: Path, caplog: py
 def test_nothing_is_recorded_unless_it_is_wanted(tmp_path: Path) -> None:
     class Unrecorded(Ports):
         def record_with(self, record: Record) -> None:
-            raise AssertionError("nobody asked for it")
+            raise AssertionError("it was not requested")
 
         def __init__(self) -> None:
             super().__init__(mission(10))
@@ -382,7 +382,7 @@ def test_contacts_lost_with_perception_are_reported_to_be_in_the_recording(tmp_p
     assert command[:2] == ["auv-mcm", "replay"]
     assert len(list(Session(Path(command[2])))) > 5
     assert "contacts_in_recording" in [notice["code"] for notice in summary(tmp_path / "latest")["notices"]]
-    assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "it said so itself"
+    assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "it was already reported"
 
 
 def test_a_restart_after_a_kill_says_how_to_get_what_was_not_announced(tmp_path: Path) -> None:

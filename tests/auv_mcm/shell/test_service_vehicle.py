@@ -1,4 +1,4 @@
-"""The service and a vehicle: contacts told once they are on disk, health as it is, legs asked for, and parted from on every way out."""
+"""The service and a vehicle: contacts reported once on disk, health as it is, legs requested, and control returned on every way out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FENCED = VehicleConfig(command=True, fence_deg=((42.99, 4.99), (42.99, 5.01), (4
 
 
 class Vehicle:
-    """What the service says to it, in order."""
+    """Record what the service reports to it, in order."""
 
     def __init__(self) -> None:
         self.authority = "listening"

@@ -67,7 +67,7 @@ def test_what_wraps_is_walked_across_and_what_does_not_is_reflected() -> None:
         assert space.points(found.unit)[0, 0] == pytest.approx(expected, abs=0.03)
 
 
-def test_points_near_across_the_seam_are_not_apart() -> None:
+def test_points_near_across_the_wrap_are_not_apart() -> None:
     optima = Optima(np.array([[0.99], [0.01], [0.5]]), np.array([0.0, 1.0, 2.0]))
     assert apart(optima, box(1, wraps=True), 3).cost.tolist() == [0.0, 2.0]
     assert apart(optima, box(1), 3).cost.tolist() == [0.0, 1.0, 2.0]

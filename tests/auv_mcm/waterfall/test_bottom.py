@@ -84,7 +84,7 @@ def test_a_step_of_6_db_is_followed_past_a_bright_fish_on_either_side(seed: int)
 def test_a_step_of_3_db_is_found_though_no_ping_alone_shows_it(seed: int) -> None:
     found = track([*two_sides(3.0, seed=seed)])
     assert rms_bins(found) <= 2.0
-    # Nothing proves it, and the stated error says so.
+    # It cannot be proved, and the stated error shows that.
     assert not found.seen.any()
     assert (np.abs(found.first_return_m - FIRST_RETURN_M) < found.sigma_m).all()
 

@@ -62,7 +62,7 @@ def pieces(length: int, cuts: list[int]) -> list[slice]:
 
 
 def stretch(along: list[float], ping: int, max_gap_m: float) -> tuple[float, float]:
-    """Track that one ping stands for, by the rule told in words."""
+    """Track that one ping stands for, by the rule as stated in words."""
     before = along[ping] - along[ping - 1] if ping else math.inf
     after = along[ping + 1] - along[ping] if ping + 1 < len(along) else math.inf
     if before > max_gap_m and after > max_gap_m:

@@ -40,7 +40,7 @@ def test_several_hundred_pings_decide_and_the_notice_states_the_odds() -> None:
 
 
 def test_decibels_that_are_hardly_known_await_more_pings() -> None:
-    """Spread as if smoothed and decimated, the samples tell the law at once and the decibels badly."""
+    """Spread as if smoothed and decimated, the samples show the law at once and the decibels badly."""
     smoothed = np.rint(np.random.default_rng(5).normal(120.0, 8.0, (600, 1200))).astype(np.uint8)
     number, verdict = verdicts_of(LawWatch(SonarConfig()), pings(smoothed))[0]
     assert number == 511

@@ -1,4 +1,4 @@
-"""Tiles: cores partition the rows, and what a core says does not depend on where the cuts lie."""
+"""Tiles: cores partition the rows, and the content of a core does not depend on where the cuts lie."""
 
 from __future__ import annotations
 

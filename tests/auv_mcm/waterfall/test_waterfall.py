@@ -1,4 +1,4 @@
-"""The waterfall stage as a whole: where echoes land, what the mask says, and what broken input does."""
+"""The waterfall stage as a whole: where echoes land, what the mask holds, and what broken input does."""
 
 from __future__ import annotations
 
