@@ -31,7 +31,7 @@ class PortSettings(NamedTuple):
 
     baud: of a serial line, None where bytes take no time. sides: what a sonar looks to. commands: what to send so that
     it pings as configured; ask_every_s: and how often, None for once. unit: how the navigation from here is mounted,
-    None if none is used. vehicle: the settings of a vehicle's dialect, None for what is no vehicle.
+    None if none is used. vehicle: the settings of a vehicle's dialect, None for other devices.
     """
 
     name: str

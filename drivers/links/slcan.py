@@ -71,7 +71,7 @@ class SlcanParser:
         return frames
 
     def _count(self, lines: bytes) -> None:
-        """Count lines that are no frames."""
+        """Count lines that are not frames."""
         n_refusals = lines.count(b"\a")
         n_answers, n_remote = len(_ANSWERS.findall(lines)), len(_REMOTES.findall(lines))
         n_bare = len(_BARE_BELLS.findall(lines)) if n_refusals else 0

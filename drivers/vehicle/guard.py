@@ -31,7 +31,7 @@ class Refusal(NamedTuple):
 class Fence:
     """Hold a polygon on the sea surface, its corners in either order; edges are the shortest lines between corners.
 
-    Raises UsageError for corners that are no polygon: fewer than three, edges that cross, no area, more than 50 km from
+    Raises UsageError for corners that form no polygon: fewer than three, edges that cross, no area, more than 50 km from
     their middle.
     """
 
@@ -87,7 +87,7 @@ class Fence:
 class Guard:
     """Check commands against the configured bounds. Without a fence everything is refused.
 
-    Raises UsageError for a fence that is no area.
+    Raises UsageError for a fence that encloses no area.
     """
 
     def __init__(self, config: VehicleConfig) -> None:

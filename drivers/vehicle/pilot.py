@@ -87,7 +87,7 @@ class Pilot(Generic[W]):
     vehicle.requested, .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of
     `ReportQueue`.
 
-    Raises UsageError for a fence that is no area.
+    Raises UsageError for a fence that encloses no area.
     """
 
     def __init__(self, talker: Talker[W], config: VehicleConfig, *, session: int, turn_radius_m: float = 10.0) -> None:

@@ -1,4 +1,4 @@
-"""A configuration of two ports, and what a sonar and a navigation unit send there."""
+"""Configure two ports, and make the traffic of a sonar and a navigation unit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def config_of(text: str = PORTS) -> Config:
 
 
 class Collected:
-    """A sink without bounds, and what it was given."""
+    """Collect everything in a sink without bounds."""
 
     def __init__(self) -> None:
         self.events: list[SourceEvent] = []
@@ -58,7 +58,7 @@ def stamp(time_s: float) -> Stamp:
 
 
 def profile(number: int, channel: int, time_s: float, results: Any = (0, 21845, 43690, 65535), range_m: float = RANGE_M) -> bytes:
-    """One side of one ping. results: (n,) uint16, 80 dB to full scale."""
+    """Encode one side of one ping. results: (n,) uint16, 80 dB to full scale."""
     samples = np.asarray(results, dtype=np.uint16)
     millimetres = round(1e3 * range_m)
     clock_ms = round(1e3 * (POWER_UP_S + time_s)) % 2**32
@@ -67,7 +67,7 @@ def profile(number: int, channel: int, time_s: float, results: Any = (0, 21845, 
 
 
 def fix(time_s: float, latitude_deg: float, longitude_deg: float, heading_rad: float = 0.0, speed_mps: float = 2.0) -> bytes:
-    """The sentences of one fix."""
+    """Return the sentences of one fix."""
     clock_s = (UTC_S + time_s) % 86_400.0
     records = (Gga(clock_s, latitude_deg, longitude_deg, 1), Hdt(heading_rad), Vtg(heading_rad, speed_mps))
     return b"".join(sentence(body_of(record)) for record in records)
@@ -88,7 +88,7 @@ def traffic(n_pings: int, seed: int = 1) -> Iterator[Chunk]:
 
 
 def time_of(number: int) -> float:
-    """UTC of the transmission of a ping."""
+    """Return the UTC of the transmission of a ping."""
     return UTC_S + number * INTERVAL_S
 
 

@@ -64,7 +64,7 @@ def test_what_is_given_up_is_counted() -> None:
 
 
 class Flood:
-    """A source whose decoding takes half a turn for each chunk."""
+    """Make a source whose decoding takes half a turn for each chunk."""
 
     def __init__(self) -> None:
         self.recorded: list[bytes] = []

@@ -1,4 +1,4 @@
-"""What is printed of the ports is what the decoders do."""
+"""Check that the printed interface is what the decoders do."""
 
 from __future__ import annotations
 

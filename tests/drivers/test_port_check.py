@@ -1,4 +1,4 @@
-"""The self-check of ports: what is there, whether it speaks, and what it says; a port in use is left alone."""
+"""Check the self-check of ports: devices present, silent or wrong; a port in use is left alone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def serial(path: Path, device: str, more: str = "") -> str:
 
 @asynccontextmanager
 async def spoken(path: Path, says: Callable[[], list[bytes]], every_s: float = 0.05) -> AsyncIterator[FakePort]:
-    """A device that says the same again and again."""
+    """Fake a device that repeats one message."""
     port = FakePort(path, 115200)
     port.plug()
 

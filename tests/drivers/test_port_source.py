@@ -31,7 +31,7 @@ ASKED = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: spor
 
 
 class Wire:
-    """A far end in memory."""
+    """Fake a far end in memory."""
 
     def __init__(self) -> None:
         self.note = ""
@@ -67,7 +67,7 @@ class Wire:
 
 
 class Bench:
-    """A source on wires in memory, and what came of it."""
+    """Run a source on wires in memory, and collect its events."""
 
     def __init__(self, text: str = PORTS, silent_s: float = 60.0) -> None:
         self.config: Config = config_of(text)

@@ -1,4 +1,4 @@
-"""The bytes of several ports as one stream of events: by their stamps alone, in time, and whatever a decoder does."""
+"""Check the bytes of several ports as one stream of events: by their stamps alone, in time, and with failing decoders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mission over serial ports, whole: what its recording comes to is what was found live."""
+"""Check a whole mission over serial ports: the replay of its recording gives the live result."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ async def served(config: Config, devices: Devices) -> Path:
 
 
 def write_svlog(recording: Path, path: Path) -> Path:
-    """What SonarView would have recorded of the same bytes: the sonar's packets, and between them what the unit said."""
+    """Write the same bytes as SonarView would: the sonar's packets, and between them the unit's sentences."""
     received = [recorded for recorded in Session(recording) if recorded.direction == "in"]
     first_s = 1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
     parts, framer, said = [svlog_head(first_s)], Framer(PingGrammar()), b""
@@ -181,7 +181,7 @@ def write_svlog(recording: Path, path: Path) -> Path:
 
 
 def write_topside_jsf(recording: Path, path: Path) -> Path:
-    """What EdgeTech's topside would have recorded: the sonar's messages, and what the unit said by the sonar's clock."""
+    """Write the same bytes as EdgeTech's topside would: the sonar's messages, with the unit's data by the sonar's clock."""
     received = [recorded for recorded in Session(recording) if recorded.direction == "in"]
     first_s = 1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
     parts, framer = [], Framer(JsfGrammar())

@@ -55,7 +55,7 @@ each_dialect = pytest.mark.parametrize(("text", "make"), DIALECTS, ids=[make.__n
 
 
 class Wire:
-    """The vehicle's computer, at the other end of a wire in memory."""
+    """Fake the vehicle's computer at the other end of a wire in memory."""
 
     def __init__(self, controller: FakeController[Any]) -> None:
         self.note = ""
@@ -103,7 +103,7 @@ class Wire:
 
 
 class Bench:
-    """A source with a vehicle at its port, and what came of it."""
+    """Run a source with a vehicle at its port, and collect its events."""
 
     def __init__(self, text: str, controller: FakeController[Any]) -> None:
         self.config: Config = config_of(VEHICLE + text)

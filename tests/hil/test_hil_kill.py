@@ -16,7 +16,7 @@ LINE = "contact C00012 updated: cylinder, p_mine 0.91, 43.0931026 5.8874099, 2 v
 
 
 def record(contact_id: str = "C00012", p_mine: float = 0.9123, longitude_deg: float = 5.88740988) -> bytes:
-    """A line of contacts.jsonl."""
+    """Write a line of contacts.jsonl."""
     feature = {
         "geometry": {"coordinates": [longitude_deg, 43.0931026]},
         "properties": {"id": contact_id, "class": "cylinder", "p_mine": p_mine},

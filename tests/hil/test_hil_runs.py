@@ -1,4 +1,4 @@
-"""A run of the real service between fake devices: its verdict, its exit code, and that nothing outlives it."""
+"""Check a run of the real service between fake devices: its report, its exit code, and that no process outlives it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PATIENCE_S = 60.0  # on a computer that has much else to do
 
 
 def short(folder: Path, old: str = "", new: str = "") -> Path:
-    """A scenario beside the log that it plays."""
+    """Write a scenario beside the log that it plays."""
     written(folder / "mission.xtf")
     path = folder / "short.yaml"
     path.write_text(SHORT.replace(old, new, 1), "utf-8")

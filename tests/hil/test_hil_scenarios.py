@@ -1,4 +1,4 @@
-"""The quick scenarios that ship: the real service between fake devices meets every expectation. All of them: auv-mcm hil --all."""
+"""Run the quick scenarios that ship: the real service between fake devices meets every expectation. All of them: auv-mcm hil --all."""
 
 from __future__ import annotations
 

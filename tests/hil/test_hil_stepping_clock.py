@@ -1,4 +1,4 @@
-"""A computer whose UTC is set while the service runs."""
+"""Check a computer whose UTC is set while the service runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An event loop whose time passes only when there is nothing to do, and then at once as far as its next timer."""
+"""Provide an event loop whose time passes only when there is nothing to do, and then at once as far as its next timer."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class LoopTime(asyncio.SelectorEventLoop):
 
 
 class LoopClock:
-    """The loop's time as that of a link."""
+    """Return the loop's time as that of a link."""
 
     def monotonic_s(self) -> float:
         return asyncio.get_running_loop().time()

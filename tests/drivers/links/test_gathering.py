@@ -30,14 +30,14 @@ ROUNDING_S: Final = 1e-9
 
 
 class Late(NamedTuple):
-    """A chunk, and for how long its first byte waited."""
+    """Hold a chunk, and for how long its first byte waited."""
 
     n_bytes: int
     waited_s: float
 
 
 class Far:
-    """The far end of a wire in this process, and what came of what it sent."""
+    """Run the far end of a wire in this process, and collect what arrives."""
 
     def __init__(self, link: Link[bytes], watch: Watch[bytes], wire: socket.socket) -> None:
         self.link, self.watch, self.wire = link, watch, wire
@@ -55,7 +55,7 @@ class Far:
         self._sent_s.append((len(self.sent), asyncio.get_running_loop().time()))
 
     def received(self) -> list[Late]:
-        """All chunks so far, which are what was sent."""
+        """Return all chunks so far, which are what was sent."""
         assert b"".join(self.watch.items) == self.sent
         late, start = [], 0
         for chunk, stamp in zip(self.watch.items, self.watch.stamps, strict=True):

@@ -20,7 +20,7 @@ UTC_S = 1_700_000_000
 
 
 class Kernel:
-    """A clock, and the newest of its pulses, each at a full second of UTC."""
+    """Fake a clock and its newest pulse, each at a full second of UTC."""
 
     def __init__(self) -> None:
         self.now_s = 500.0
@@ -40,7 +40,7 @@ class Kernel:
         return self.edge
 
     def pulse(self, at_s: int) -> None:
-        """A pulse happens at the monotonic time at_s, which is a full second of UTC too."""
+        """Emit a pulse at the monotonic time at_s, which is a full second of UTC too."""
         self.edge = KernelEdge(self.edge.sequence + 1, (UTC_S + at_s + self.utc_step_s) * NS)
 
 

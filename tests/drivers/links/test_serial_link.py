@@ -1,4 +1,4 @@
-"""A serial link against a device on a pseudo-terminal that does what cables do."""
+"""Check a serial link against a device on a pseudo-terminal with the faults of cables."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def link_at(path: Path, options: str = "") -> tuple[Link[bytes], Watch[bytes]]:
 
 @contextlib.asynccontextmanager
 async def plugged(folder: Path, options: str = "") -> AsyncIterator[tuple[FakePort, Link[bytes], Watch[bytes]]]:
-    """A device that is plugged in, and a link to it that is up."""
+    """Plug in a device, and bring up a link to it."""
     port = FakePort(folder / "tty", BAUD)
     port.plug()
     link, watch = link_at(port.path, options)
@@ -308,7 +308,7 @@ def test_a_port_in_use_is_reported_with_a_way_to_find_who_uses_it(tmp_path: Path
 
 
 def reason_for(path: Path) -> str:
-    """What a link says first about a path."""
+    """Return a link's first report on a path."""
 
     async def scenario() -> str:
         link, watch = link_at(path)

@@ -1,4 +1,4 @@
-"""The text of a CAN adapter: golden frames, damage, and cuts anywhere."""
+"""Check the text of a CAN adapter: golden frames, damage, and cuts anywhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What cables do to text: intact messages between the remains of others and noise, cut into chunks anywhere."""
+"""Damage text as cables do: intact messages between the remains of others and noise, cut into chunks anywhere."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T0 = Stamp(5_000_000_000, 1_700_000_000_000_000_000)
 
 
 def at(seconds: float) -> Stamp:
-    """A stamp so long after T0, on both clocks."""
+    """Return a stamp so long after T0, on both clocks."""
     return Stamp(T0.mono_ns + round(seconds * 1e9), T0.utc_ns + round(seconds * 1e9))
 
 

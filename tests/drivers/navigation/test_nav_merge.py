@@ -1,4 +1,4 @@
-"""One track out of several units: the best healthy one serves, nothing is repeated, nobody is believed who cannot know."""
+"""Check the merging of several units: the best healthy one serves, nothing is repeated, implausible units are rejected."""
 
 from __future__ import annotations
 

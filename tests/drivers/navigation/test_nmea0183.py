@@ -104,7 +104,7 @@ def read(data: bytes, stamp: Stamp = T0) -> list[NavFix]:
 
 
 def fields_of(fix: NavFix) -> dict[str, Any]:
-    """What a fix says of the vehicle, without what it does not say."""
+    """Return the fields that a fix reports of the vehicle."""
     fields = {name: getattr(fix, name) for name in fix.__struct_fields__[3:]}
     return {
         name: value for name, value in fields.items() if value not in (None, False) and value == value and name not in ("valid", "age_s")

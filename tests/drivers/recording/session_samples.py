@@ -1,4 +1,4 @@
-"""A session's description and made-up traffic of its ports."""
+"""Make a session's description and traffic of its ports."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def traffic(seed: int, n_chunks: int, max_bytes: int = 60) -> list[Recorded]:
 
 
 def write_session(folder: Path, chunks: list[Recorded], per_flush: int, *, file_bytes: int = 1 << 30, close: bool = True) -> SessionWriter:
-    """A session as the recorder writes it, made durable after every per_flush chunks."""
+    """Write a session as the recorder does, made durable after every per_flush chunks."""
     writer = SessionWriter(folder, description(), file_bytes=file_bytes)
     for k, chunk in enumerate(chunks, 1):
         writer.add(chunk)
@@ -53,7 +53,7 @@ def write_session(folder: Path, chunks: list[Recorded], per_flush: int, *, file_
 
 
 class FullDisk(DurableFile):
-    """A file on a disk with room for `room_bytes` more: it takes what fits of a write, and then nothing."""
+    """Fake a file on a disk with room for `room_bytes` more: it takes what fits of a write, and then nothing."""
 
     room_bytes = 0
 

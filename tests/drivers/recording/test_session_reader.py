@@ -1,4 +1,4 @@
-"""Sessions read back: whole, cut off at any byte, damaged, and what is none."""
+"""Read sessions back: whole, cut off at any byte, damaged, and other files."""
 
 from __future__ import annotations
 

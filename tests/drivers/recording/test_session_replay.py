@@ -1,4 +1,4 @@
-"""A recorded session replayed gives what the service was given."""
+"""Check that a replayed session gives what the service was given."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ NOW: Final = Stamp(5, 7)
 
 
 def profile(**changes: Any) -> OsMonoProfile:
-    """A profile to port of ping 7, four results over 50 m, at 123.456 s, but for the changes."""
+    """Make a profile to port of ping 7, four results over 50 m, at 123.456 s, but for the changes."""
     made = OsMonoProfile(
         ping_number=7,
         start_mm=0,
@@ -36,7 +36,7 @@ def profile(**changes: Any) -> OsMonoProfile:
 
 
 def items_of(decoder: SonarDecoder, *chunks: bytes) -> list[SonarFrame | SonarReply]:
-    """All that the decoder makes of the chunks, up to the end of the stream."""
+    """Decode all chunks, up to the end of the stream."""
     return [item for chunk in chunks for item in decoder.feed(chunk, NOW)] + decoder.finish()
 
 

@@ -1,4 +1,4 @@
-"""Two sides of one transmission become one frame; nothing else does, and no side is lost."""
+"""Check that two sides of one transmission, and only they, become one frame, and that no side is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The Ping Protocol as the reference library and published bytes have it, and frames whose samples mean what the device said."""
+"""Check the Ping Protocol against the reference library and published bytes, and the scale of the frames' samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every sonar by its name."""
+"""Check that every sonar is found by its name."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ class AnyOrder(RuleBasedStateMachine):
             assert oracle(self.history, self.now_s) == self.authority.state
 
     def teardown(self) -> None:
-        """A vehicle that speaks, answers every request, and lets itself be commanded is commanded in bounded time."""
+        """Check that a vehicle that answers and grants every request is commanded in bounded time."""
         self.connect()
         start_s = self.now_s
         self.wanted = True

@@ -74,7 +74,7 @@ REPORT = ContactReport(
 
 
 class Bench:
-    """A dialect and what the vehicle's end of the bus hears of it."""
+    """Run a dialect, and collect what the vehicle's end of the bus hears."""
 
     def __init__(self, can_settings: CanSettings | None = None) -> None:
         self.dialect = Conversation(can_settings or CanSettings())

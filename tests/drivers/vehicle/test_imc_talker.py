@@ -1,4 +1,4 @@
-"""What is said to an IMC vehicle, and what is made of its answers."""
+"""Check the messages to an IMC vehicle, and the interpretation of its answers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ LEARNS, KNOWS, INVITED = ImcSettings(), ImcSettings(vehicle_id=VEHICLE, acknowle
 
 
 class Talk:
-    """A dialect whose wire is open, and what was said."""
+    """Run a dialect whose wire is open, and collect its messages."""
 
     def __init__(self, settings: ImcSettings = KNOWS, now_s: float = 100.0) -> None:
         self.dialect = Conversation(settings)

@@ -1,4 +1,4 @@
-"""The payload commands only while the vehicle lets it, inside the bounds, and gives control back on every way out."""
+"""Check that the payload commands only while granted, inside the bounds, and releases control on every way out."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ def stamp(now_s: float) -> Stamp:
 
 
 def calls(now_s: float, *events: VehicleEvent) -> VehicleMessage:
-    """One message of the vehicle that means all this."""
+    """Make one message of the vehicle with this content."""
     return VehicleMessage(events, stamp(now_s))
 
 
