@@ -59,7 +59,7 @@ def test_the_chain_looks_at_what_the_detector_asked_for_finds(
         asked.append((name, seed, detector))
         raise UsageError("enough")
 
-    monkeypatch.setattr(scenes, "fly", fly)
+    monkeypatch.setattr(scenes, "fly_mission", fly)
     with pytest.raises(UsageError, match="enough"):
         run_with("--scenes", "flat", "--seeds", "1", "--workers", "1", *arguments)
     assert asked == [("flat", FIRST_SEED, detector)]
