@@ -40,7 +40,7 @@ if [ -n "$missing" ]; then
     extras=$(echo "$*" | tr ' ' ',')
     echo "deploy: installing auv-mcm[$extras] into .venv (a few minutes the first time)"
     command -v "${CC:-cc}" >/dev/null || echo "deploy: no C compiler found: numpy will do the work of the C kernels, more slowly"
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[$extras]"
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[$extras]"
     for extra in "$@"; do
         echo "$asked" >".venv/installed-$extra"
     done

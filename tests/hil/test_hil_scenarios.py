@@ -11,11 +11,10 @@ import pytest
 
 from sim_replay.hil.scenario import shipped
 
-# The longest first, for several at a time. One of each kind of fault and of vehicle wire, 20 s of processor time or less each.
+# The longest first, for several at a time. One of each kind of fault, 20 s of processor time or less each; vehicles on other wires are in
+# `auv-mcm hil --all`, and their protocols in tests/drivers/vehicle.
 QUICK = (
     "vehicle_imc",
-    "vehicle_can",
-    "vehicle_bluefin",
     "vehicle_flood",
     "vehicle_service_killed",
     "garbage",
