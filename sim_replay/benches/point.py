@@ -39,6 +39,7 @@ from sim_replay.augment.augment_log import augment
 from sim_replay.benches.froc import scattered
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
+from sim_replay.logs.open_log import open_log
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import FIRST_SEED, SCENES
 from sim_replay.scoring.calibration import calibration_error
@@ -115,10 +116,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code. Raises UsageError for scenes that are not there."""
+    """Fly, judge and print; returns the exit code. Raises UsageError for unknown scenes, BadInputError for an unreadable log."""
     names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
+    for log in arguments.log:
+        open_log(log, Config())  # one that cannot be read is rejected before any mission is flown
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     log_seeds = range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
     lines: list[Line] = [(name, seed) for name in names for seed in seeds]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from auv_mcm.contacts.background import shipped_background
+from auv_mcm.errors import BadInputError
+from sim_replay.benches import point
 from sim_replay.benches.point import judged, reached, report, within_mission
 from tests.sim_replay.fitting.test_background_fit import drawn_mission
 
@@ -46,3 +51,12 @@ def test_the_report_has_a_row_per_domain_and_density_asked() -> None:
     lines = report(missions, shipped_background(), in_markdown=True).splitlines()
     for name, n_tables in (("flat", 4), ("reef", 4), ("all simulated", 4), ("all recorded", 4)):
         assert sum(line.startswith(f"| {name} |") for line in lines) == n_tables
+
+
+def test_a_log_that_cannot_be_read_is_rejected_before_any_mission_is_flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (empty := tmp_path / "empty.xtf").touch()
+    parser = argparse.ArgumentParser()
+    point.add_arguments(parser)
+    monkeypatch.setattr(point, "run_tasks", lambda *_: pytest.fail("a mission is flown"))
+    with pytest.raises(BadInputError, match="is empty"):
+        point.run(parser.parse_args(["--log", str(empty)]))
