@@ -93,7 +93,7 @@ def confirm_detection(
     `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
     without_skips: those that are switched off.
     """
-    p_detector = odds.p_mine(_detector_ratio(detection, odds))
+    p_detector = detector_p_mine(detection, odds)
     if detection.surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
         return without_confirmation(detection, odds, "not_looked_at")
     region = region_of(detection, detection.surroundings, beam_width_rad)
@@ -122,12 +122,17 @@ def confirm_detection(
 
 def is_worth_confirming(detection: Detection, odds: MineOdds, config: ConfirmConfig) -> bool:
     """Decide whether p_mine from the detector's measurements reaches the lowest that is confirmed."""
-    return odds.p_mine(_detector_ratio(detection, odds)) >= config.min_p_mine
+    return detector_p_mine(detection, odds) >= config.min_p_mine
+
+
+def detector_p_mine(detection: Detection, odds: MineOdds) -> float:
+    """Compute p_mine from the detector's measurements alone."""
+    return odds.p_mine(_detector_ratio(detection, odds))
 
 
 def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> Detection:
     """Return the detection with p_mine from the detector's measurements alone, and the reason why."""
-    p_detector = odds.p_mine(_detector_ratio(detection, odds))
+    p_detector = detector_p_mine(detection, odds)
     return msgspec.structs.replace(
         detection, p_mine=p_detector, p_by_step={"detector": p_detector}, reasons=(*detection.reasons, reason), surroundings=None
     )

@@ -19,9 +19,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from auv_mcm.budget import Allowance, pay_looks, tile_allowance
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
-from auv_mcm.confirmation import confirm_detection, is_worth_confirming, without_confirmation
+from auv_mcm.confirmation import confirm_detection, detector_p_mine, is_worth_confirming, without_confirmation
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.contacts.operating_point import CallWatch, OperatingPoint
@@ -98,7 +99,12 @@ class Pipeline:
         gate = shipped_gate() if config.confirm.enabled else None
         if model is not None and "cascade-rejection" in without_skips:
             model = rejecting_last(model)
-        self._detect_in = detect or partial(detect_tile, config=config, model=model, gate=gate, without_skips=without_skips)
+        own = partial(detect_tile, config=config, model=model, gate=gate, without_skips=without_skips)
+        self._detect_in: Callable[[Tile, int | None], TileDetections] = (
+            (lambda tile, max_evaluations: own(tile, max_evaluations=max_evaluations)) if detect is None else lambda tile, _: detect(tile)
+        )
+        self._room = 1.0
+        self._n_new_samples = 0  # stored, since the last tiles
         self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(
@@ -139,6 +145,11 @@ class Pipeline:
         """Contacts at least so likely to be mines that say from where another look would tell more."""
         return self._ledger.asking(min_p_mine)
 
+    def leave_room(self, room: float) -> None:
+        """Let the tiles to come take that share, 0 to 1, of the time that passes over them; at 1, as at first, the configuration alone
+        bounds them. For a service that is behind."""
+        self._room = room
+
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         """Take one event; return what became final because of it."""
         if isinstance(event, Notice):
@@ -150,6 +161,7 @@ class Pipeline:
         prepared = self._prepare(event)
         if prepared is None:
             return []
+        self._n_new_samples += sum(trace.samples.size for trace in (prepared.port, prepared.starboard) if trace is not None)
         events: list[PipelineEvent] = [*self._check_samples(prepared)]
         with self._timed("law"):
             verdict = self._law.add(prepared)
@@ -241,9 +253,10 @@ class Pipeline:
     def _look(self, tiles: list[Tile]) -> list[PipelineEvent]:
         if not tiles:
             return []
+        allowances = self._allowances(tiles)
         with self._timed("detect"):
-            found = list(self._threads.map(self._detect, tiles)) if self._threads is not None else [self._detect(tile) for tile in tiles]
-        events: list[PipelineEvent] = []
+            found = list((map if self._threads is None else self._threads.map)(self._detect, tiles, allowances))
+        events: list[PipelineEvent] = self._too_dear(tiles, allowances)
         settled: list[list[Detection]] = []
         for tile, result in zip(tiles, found, strict=True):
             events.append(tile)
@@ -252,7 +265,7 @@ class Pipeline:
                 events += self._failed(result, "detection", tile)
                 patch, result = uncovered(tile), TileDetections((), 0, 0)
             else:
-                patch = caught(partial(self._cover, tile, evaluated_fraction(result)))
+                patch = caught(partial(self._cover, tile, 1.0 if result is None else result.covered_share))
             if isinstance(patch, Defect):
                 events += self._failed(patch, "coverage", tile)
                 patch = uncovered(tile)
@@ -265,12 +278,13 @@ class Pipeline:
             self._counts["detect.candidate"] += len(result.detections)
             if result.n_over_budget and not self._counts["detect.over_budget"]:
                 events.append(_over_budget(tile, result))
-            if result.n_cut and not self._counts["detect.windows_cut"]:
-                events.append(_windows_cut(tile, result))
             self._counts["detect.gated"] += len(result.faint.rows)
             self._counts["detect.windows"] += result.n_windows
             self._counts["detect.evaluations"] += result.n_evaluations
             self._counts["detect.windows_cut"] += result.n_cut
+            if result.covered_share < 1.0 and not self._counts["budget.tile_limited"] and self._room >= 1.0:
+                events.append(_tile_limited(tile, result))
+            self._counts["budget.tile_limited"] += result.covered_share < 1.0
             self._counts["detect.windows_rejected"] += result.n_rejected
             self._counts["detect.pixels_bounded"] += result.n_bounded
             self._counts["detect.tiles_clear_contrasts"] += result.clear_contrasts
@@ -305,10 +319,32 @@ class Pipeline:
             self._grid = CoverageGrid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
         return self._grid
 
-    def _detect(self, tile: Tile) -> TileDetections | Defect | None:
+    def _detect(self, tile: Tile, allowance: Allowance) -> TileDetections | Defect | None:
         """What was found; None if there is nothing to see."""
         looks_anyway = "empty-tiles" in self._without_skips
-        return caught(lambda: self._detect_in(tile) if looks_anyway or worth_looking(tile) else None)
+        return caught(lambda: self._detect_within(tile, allowance) if looks_anyway or worth_looking(tile) else None)
+
+    def _detect_within(self, tile: Tile, allowance: Allowance) -> TileDetections:
+        """What was found within a tile's budget, with surroundings for the close looks that it pays."""
+        found = self._detect_in(tile, allowance.comparisons())
+        config = self._config.confirm
+        if not config.enabled or "look-budget" in self._without_skips:
+            return found
+        min_p_mine = 0.0 if "detector-odds" in self._without_skips else config.min_p_mine
+        return pay_looks(found, allowance, partial(detector_p_mine, odds=self._odds), min_p_mine)
+
+    def _allowances(self, tiles: list[Tile]) -> list[Allowance]:
+        """Give each of the tiles that come together its budget."""
+        n_samples, self._n_new_samples = self._n_new_samples / len(tiles), 0
+        n_sides = len({tile.side for tile in tiles})
+        return [tile_allowance(tile, n_samples, n_sides, self._config.budget, self._room) for tile in tiles]
+
+    def _too_dear(self, tiles: list[Tile], allowances: list[Allowance]) -> list[PipelineEvent]:
+        """Count tiles whose cheapest pass is beyond their budget; the first one by the configuration alone is reported."""
+        dear = [(tile, one) for tile, one in zip(tiles, allowances, strict=True) if one.cheapest_us > one.total_us]
+        is_first = not self._counts["budget.cheapest_pass_over"] and self._room >= 1.0
+        self._counts["budget.cheapest_pass_over"] += len(dear)
+        return [_cheapest_pass_over(*dear[0])] if dear and is_first else []
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
         """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
@@ -345,9 +381,10 @@ class Pipeline:
         # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
         takes_all = config.min_p_mine <= 0.0 or "detector-odds" in self._without_skips
         worthwhile = [takes_all or is_worth_confirming(detection, self._odds, config) for detection in detections]
-        best_first = sorted(
-            (d for d, worth in zip(detections, worthwhile, strict=True) if worth), key=lambda d: (-d.p_mine, d.row, d.column)
-        )
+        wanted = [d for d, worth in zip(detections, worthwhile, strict=True) if worth]
+        best_first = sorted((d for d in wanted if d.surroundings is not None), key=lambda d: (-d.p_mine, d.row, d.column))
+        unpaid = [d for d in wanted if d.surroundings is None]
+        self._counts["confirm.beyond_budget"] += len(unpaid)
         most = len(best_first) if "look-limit" in self._without_skips else config.max_per_tile
         chosen, rest = best_first[:most], best_first[most:]
         mapped = map if self._threads is None else self._threads.map
@@ -362,7 +399,8 @@ class Pipeline:
             self._counts["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
             self._counts["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
         looked_at += [without_confirmation(detection, self._odds, "look_failed") for detection, _ in defects]
-        return looked_at + [without_confirmation(detection, self._odds, "over_budget") for detection in rest], len(rest), defects
+        left_out = [without_confirmation(detection, self._odds, "over_budget") for detection in rest + unpaid]
+        return looked_at + left_out, len(rest), defects
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
@@ -383,16 +421,24 @@ def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
     )
 
 
-def evaluated_fraction(result: TileDetections | None) -> float:
-    """Of the places to look at in a tile, those that the budget allowed for."""
-    return 1.0 if result is None or not result.n_windows else 1.0 - result.n_cut / result.n_windows
-
-
-def _windows_cut(tile: Tile, result: TileDetections) -> Notice:
+def _cheapest_pass_over(tile: Tile, allowance: Allowance) -> Notice:
+    share = "unknown" if allowance.total_us <= 0.0 else f"{allowance.cheapest_us / allowance.total_us:.2g} times what budget.duty allows"
     return Notice(
-        code="detect.windows_cut",
-        text=f"the budget of comparisons ended before {result.n_cut} of {result.n_windows} places of a tile had been looked at (the most "
-        "likely ones were). They are not covered. Raise detect.max_evaluations_per_tile if the computer can afford it. More are counted.",
+        code="budget.cheapest_pass_over",
+        text=f"the cheapest pass over a tile, which is always done, costs {share} by the price list: nothing is left for the cascade "
+        "and close looks. Raise budget.duty, or measure this computer with 'auv-mcm calibrate budget'. More are counted.",
+        place=f"{tile.side} tile {tile.index}",
+    )
+
+
+def _tile_limited(tile: Tile, result: TileDetections) -> Notice:
+    cut = (
+        f"before the cascade had been through {result.n_cut} of its {result.n_windows} places" if result.n_cut else "before all close looks"
+    )
+    return Notice(
+        code="budget.tile_limited",
+        text=f"a tile's budget ended {cut}; the likeliest came first, and it earns {result.covered_share:.0%} of its coverage. Raise "
+        "budget.duty if the computer can afford it. More are counted.",
         place=f"{tile.side} tile {tile.index}",
     )
 

@@ -19,6 +19,7 @@ SkipName: TypeAlias = Literal[
     "candidate-limit",
     "detector-odds",
     "look-limit",
+    "look-budget",
     "contour-odds",
     "hopeless-solids",
 ]
@@ -71,8 +72,8 @@ SKIPS: Final[tuple[Skip, ...]] = (
     ),
     Skip(
         "cascade-budget",
-        "windows beyond the budget of comparisons, the least likely ones",
-        "they earn no coverage",
+        "windows beyond the tile's budget, the least likely ones",
+        "contrasts still serve there, and the tile earns less coverage",
         "detect.windows_cut",
         "bytes while 0",
     ),
@@ -102,6 +103,13 @@ SKIPS: Final[tuple[Skip, ...]] = (
         "close looks beyond the maximum per tile, the least likely ones",
         "a notice says so, and the contact carries over_budget",
         "confirm.over_budget",
+        "bytes while 0",
+    ),
+    Skip(
+        "look-budget",
+        "close looks beyond the tile's budget, the least likely ones",
+        "the contact carries over_budget, and the tile earns less coverage",
+        "confirm.beyond_budget",
         "bytes while 0",
     ),
     Skip(

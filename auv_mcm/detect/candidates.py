@@ -99,8 +99,9 @@ def by_both(
     """Find the best of the windows that pass the trained cascade, and peaks of contrast that it rejects, each with the score of both.
 
     A cascade knows what it was trained on. What stands out clearly and is nothing like it is no less worth a look, with odds that say so.
-    max_evaluations: the cascade's budget, None for none; the peaks' scores come out of it first. gate, min_p_mine: what cannot become a
-    contact of that p_mine is dropped, and of the contrast only clear peaks are looked for. Without a gate nothing is dropped.
+    max_evaluations: the cascade's budget, None for none. The peaks' scores are made whatever it is, so that a tile whose windows are all
+    beyond it is served by contrasts, and come out of it first. gate, min_p_mine: what cannot become a contact of that p_mine is dropped,
+    and of the contrast only clear peaks are looked for. Without a gate nothing is dropped.
     """
     clear_alone = gate is not None and min_p_mine > 0.0 and "faint-contrasts" not in without_skips
     p_false_alarm = min(config.p_false_alarm, _CLEAR_PEAK_P) if clear_alone else config.p_false_alarm
@@ -108,8 +109,8 @@ def by_both(
     peaks = contrast.peaks(STEP_M)
     plane = core_plane(tile)
     most = _most(config, without_skips)
-    peak_scores, n_spent = _scores_of(plane, model, peaks, most, max_evaluations)
-    passed = run_plane(plane, model, None if max_evaluations is None else max_evaluations - n_spent)
+    peak_scores, n_spent = _scores_of(plane, model, peaks, most)
+    passed = run_plane(plane, model, None if max_evaluations is None else max(max_evaluations - n_spent, 0))
     half_rows, half_columns = STEP_M / tile.row_spacing_m, STEP_M / tile.column_spacing_m
     # Where nothing around echoes no comparison holds, and a cascade passes all windows or none.
     heard = contrast.background[passed.rows, passed.columns] > NO_ECHO
@@ -152,18 +153,14 @@ def _most(config: DetectConfig, without_skips: Skips) -> int:
     return _NO_LIMIT if "candidate-limit" in without_skips else config.max_candidates_per_tile
 
 
-def _scores_of(
-    plane: CodePlane, model: CascadeModel, peaks: Sequence[Peak], most: int, max_evaluations: int | None
-) -> tuple[NDArray[np.int32], int]:
+def _scores_of(plane: CodePlane, model: CascadeModel, peaks: Sequence[Peak], most: int) -> tuple[NDArray[np.int32], int]:
     """Score each peak's best window within AROUND_PX by the cascade, whatever it rejects: (n_peaks,) int32, and the evaluations that took.
 
-    Peaks beyond the budget, or the first `most`, get the score of the calibration's lowest odds.
+    Peaks beyond the first `most` get the score of the calibration's lowest odds.
     """
     offsets = [(row, column) for row in range(-_AROUND_PX[0], _AROUND_PX[0] + 1) for column in range(-_AROUND_PX[1], _AROUND_PX[1] + 1)]
     each = len(offsets) * model.n_stumps
     n_scored = min(len(peaks), most)
-    if max_evaluations is not None:
-        n_scored = min(n_scored, max_evaluations // each)
     scores = np.full(len(peaks), model.calibration.score[0], dtype=np.int32)
     if n_scored:
         around = np.array(offsets)

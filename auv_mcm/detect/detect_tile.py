@@ -41,6 +41,8 @@ class TileDetections(NamedTuple):
     n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left since its budget was
     used up, of n_windows, n_rejected: windows that it rejected before its last group; all 0 where contrasts alone serve.
     n_bounded: pixels whose contrast was not weighed. clear_contrasts: only clear peaks of contrast were looked for.
+    covered_share: of the tile's coverage that is earned, 0 to 1; less than 1 where the tile's budget left out windows or close looks, as
+    `auv_mcm.budget` says. A detection whose close look is beyond the budget has no surroundings.
     """
 
     detections: tuple[Detection, ...]
@@ -53,6 +55,7 @@ class TileDetections(NamedTuple):
     n_rejected: int = 0
     n_bounded: int = 0
     clear_contrasts: bool = False
+    covered_share: float = 1.0
 
 
 def worth_looking(tile: Tile) -> bool:
@@ -62,18 +65,25 @@ def worth_looking(tile: Tile) -> bool:
 
 
 def detect_tile(
-    tile: Tile, config: Config, model: CascadeModel | None = None, gate: Gate | None = None, *, without_skips: Skips = NO_SKIPS
+    tile: Tile,
+    config: Config,
+    model: CascadeModel | None = None,
+    gate: Gate | None = None,
+    *,
+    max_evaluations: int | None = None,
+    without_skips: Skips = NO_SKIPS,
 ) -> TileDetections:
     """Find the objects whose score peaks in the tile's core. Positions are NaN-free; detections without a known pose are counted instead.
 
     model: the trained cascade; contrasts serve without one. gate: drops what cannot become a contact that is reported, before it is
-    measured; without one everything is measured. without_skips: those that are switched off.
+    measured; without one everything is measured. max_evaluations: comparisons that the cascade may make, best windows first, None for
+    all. without_skips: those that are switched off.
     """
     min_p_mine = config.contacts.min_p_mine
     if model is None:
         found = by_contrast(tile, config.detect, gate, min_p_mine, without_skips)
     else:
-        budget = None if "cascade-budget" in without_skips else config.detect.max_evaluations_per_tile
+        budget = None if "cascade-budget" in without_skips else max_evaluations
         found = by_both(tile, model, config.detect, budget, gate, min_p_mine, without_skips)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]

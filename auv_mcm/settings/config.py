@@ -16,6 +16,7 @@ from msgspec import Meta, inspect
 
 from auv_mcm.clean_text import clean, is_clean
 from auv_mcm.errors import UsageError
+from auv_mcm.settings.budget_settings import BudgetConfig
 from auv_mcm.settings.port_settings import ArmLength, PortConfig, check_together
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
@@ -138,14 +139,6 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
             "'auv-mcm calibrate performance' wrote",
         ),
     ] = "shipped"
-    max_evaluations_per_tile: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=10**12,
-            description="comparisons that the cascade may make per tile and side, best places first; what it did not get to is not covered",
-        ),
-    ] = 40_000_000
 
     p_false_alarm: Annotated[
         float,
@@ -274,6 +267,7 @@ class Config(_Section, frozen=True, kw_only=True):
     detect: DetectConfig = DetectConfig()
     confirm: ConfirmConfig = ConfirmConfig()
     contacts: ContactsConfig = ContactsConfig()
+    budget: BudgetConfig = BudgetConfig()
     plan: PlanConfig = PlanConfig()
     vehicle: VehicleConfig = VehicleConfig()
     service: ServiceConfig = ServiceConfig()
@@ -302,10 +296,24 @@ def parse_config(text: str, place: str) -> Config:
     """
     data = load_mapping(text, place, f"expected sections such as 'sonar:' with indented keys. {_HELP}")
     _refuse_control_characters(data, "", place)
+    _refuse_removed_keys(data, place)
     try:
         return msgspec.convert(_without_empty(data, inspect.type_info(Config)), Config)
     except msgspec.ValidationError as error:
         raise UsageError(f"{place}: {explain_validation_error(error, Config)}. {_HELP}") from error
+
+
+def _refuse_removed_keys(data: Any, place: str) -> None:
+    """Raise UsageError for a key of former versions, naming what took its place."""
+    for (section, key), instead in _REMOVED.items():
+        if isinstance(data.get(section), dict) and key in data[section]:
+            raise UsageError(f"{place}: {section}.{key} is gone: {instead}. Remove the key. {_HELP}")
+
+
+_REMOVED: Final = {
+    ("detect", "max_evaluations_per_tile"): "budget.duty now bounds all work on a tile together, and 'auv-mcm calibrate budget' measures "
+    "what this computer affords",
+}
 
 
 def config_yaml(config: Config) -> str:

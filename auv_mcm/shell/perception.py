@@ -85,6 +85,8 @@ class Perceiving(Protocol):
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
 
+    def leave_room(self, room: float) -> None: ...
+
     def feed(self, event: SourceEvent) -> list[PipelineEvent]: ...
 
     def finish(self) -> list[PipelineEvent]: ...
@@ -217,8 +219,13 @@ class Perception:
         self._to_undo.callback(asyncio.get_running_loop().remove_reader, self._connection.fileno())
         await self.answer()
 
-    async def feed(self, event: SourceEvent) -> None:
-        """Hand one event to the worker, waiting for room. Raises PerceptionError, or ValueError for a ping larger than the ring."""
+    async def feed(self, event: SourceEvent, room: float = 1.0) -> None:
+        """Hand one event to the worker, waiting for space in the ring.
+
+        room: with a ping, share of the time that the work on tiles may take from it on; see Pipeline.leave_room.
+
+        Raises PerceptionError, or ValueError for a ping larger than the ring.
+        """
         n_bytes = sum(trace.samples.nbytes + _ALIGNMENT for trace in _traces(event))
         if n_bytes > self._ring.n_bytes:
             raise ValueError(f"a ping of {n_bytes} bytes does not fit into the ring of {self._ring.n_bytes} bytes")
@@ -232,7 +239,7 @@ class Perception:
             self._room.clear()
             await self._room.wait()
         self._in_flight.append(bool(n_bytes))
-        self._send(self._in_ring(event, offset) if isinstance(event, Ping) else event)
+        self._send(self._in_ring(event, offset, room) if isinstance(event, Ping) else event)
 
     def ask(self, request: PlanRequest) -> bool:
         """Request a plan from the contacts known by then.
@@ -274,7 +281,7 @@ class Perception:
         self._process.join()
         self._process.close()
 
-    def _in_ring(self, ping: Ping, offset: int) -> _RingPing:
+    def _in_ring(self, ping: Ping, offset: int, room: float) -> _RingPing:
         def place(trace: EchoTrace | None) -> _RingTrace | None:
             nonlocal offset
             if trace is None:
@@ -286,7 +293,7 @@ class Perception:
             return placed
 
         port, starboard = place(ping.port), place(ping.starboard)
-        return _RingPing(msgspec.structs.replace(ping, port=None, starboard=None), port, starboard)
+        return _RingPing(msgspec.structs.replace(ping, port=None, starboard=None), port, starboard, room)
 
     def _send(self, message: Any) -> None:
         self._raise_if_dead()
@@ -340,6 +347,7 @@ class _RingPing(NamedTuple):
     rest: Ping  # without its traces
     port: _RingTrace | None
     starboard: _RingTrace | None
+    room: float
 
 
 class _Failure(NamedTuple):
@@ -373,11 +381,14 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
         gc.collect()
         gc.freeze()
         connection.send(Fed((), {}, {}, ()))
-        is_disk_sound = True
+        is_disk_sound, room = True, 1.0
         while (message := connection.recv()) is not None:
             if isinstance(message, PlanRequest):
                 connection.send(Planned(_proposal(pipeline, searched, area, message, config)))
                 continue
+            if isinstance(message, _RingPing) and message.room != room:
+                room = message.room
+                pipeline.leave_room(room)
             event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
             place = getattr(event, "place", "") or place
             if area is not None and isinstance(event, Ping):

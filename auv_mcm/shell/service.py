@@ -55,6 +55,9 @@ _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
 _ATTEND_S: Final = 0.5  # s between two updates of the vehicle
 _SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
+_SHED_FROM, _SHED_ALL = 0.25, 0.5
+"""Shares of the queue of pings: from the first on, work on tiles is shed; from the second on all but the cheapest pass. Tiles take half a
+minute to come and a second to work off, which does not fill a quarter of the queue."""
 _CLUTTER: Final = 1
 _NO_CLUTTER: Final = 2
 
@@ -244,7 +247,7 @@ class Service:
         try:
             while (event := await queue.get()) is not None:
                 try:
-                    await perception.feed(event)
+                    await perception.feed(event, self._room(queue) if isinstance(event, Ping) else 1.0)
                 except ValueError as error:
                     self._counters["service.ping_too_large"] += 1
                     log.error("ping skipped: %s", error)
@@ -255,6 +258,19 @@ class Service:
             await perception.finish()
         except AuvMcmError:
             return  # what perception answered before it failed comes first; _publish meets the failure in its turn
+
+    def _room(self, queue: EventQueue) -> float:
+        """Give the share of the time that work on tiles may take, 0 to 1: less than 1 while perception is behind.
+
+        A source that waits for perception never drops a ping, so that nothing needs to be shed.
+        """
+        filled = queue.pings / self._config.service.queue_pings
+        if self._source.lossless or filled <= _SHED_FROM:
+            return 1.0
+        self._counters["service.work_shed"] += 1
+        if self._counters["service.work_shed"] == 1:
+            self._announce(_work_shed(queue.pings))
+        return max((_SHED_ALL - filled) / (_SHED_ALL - _SHED_FROM), 0.0)
 
     async def _publish(self, perception: Perception, journal: Journal) -> None:
         """Write answers of perception to the journal, then to the console."""
@@ -430,6 +446,15 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
             raise KeyboardInterrupt from None
 
     return asyncio.run(main())
+
+
+def _work_shed(n_waiting: int) -> Notice:
+    return Notice(
+        code="service.work_shed",
+        text=f"perception is behind, {n_waiting} pings wait: until it has caught up work on the least likely places of tiles is left out, "
+        "which then earn less coverage. Set budget.duty to what this computer affords, which 'auv-mcm calibrate budget' measures, or use "
+        "coarser pixels. Pings with less work are counted.",
+    )
 
 
 def _session_folder(parent: Path, clock: Clock) -> Path:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import math
 import statistics
 import tempfile
 import time
@@ -35,7 +36,7 @@ from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, FeatureBox, band_edges
 from auv_mcm.detect.cascade.codes import CodePlane, codes_of, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, Calibration, CascadeModel, Stump, check_model, parse_model
 from auv_mcm.detect.cascade.run import CascadeResult, opening_groups, run_plane, tables_of
-from auv_mcm.detect.cascade.speed import budget_for, measure_speed
+from auv_mcm.detect.cascade.speed import measure_speed
 from auv_mcm.detect.contrasts import Contrasts, contrasts
 from auv_mcm.detect.prescreen import Peak, ScoreMaps, find_peaks, score_tile
 from auv_mcm.errors import BadInputError
@@ -122,7 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
     against = {name: against_opencv(stages, image, arguments.repeat) for name, image in drawn_tiles(SHAPE).items()}
     print("\n".join(_opencv_lines(against)) + "\n")
     speed = measure_speed(model, ROW_M, COLUMN_M)
-    budget = budget_for(speed, _PERIOD_S, 0.1)
+    budget = math.floor(0.1 * _PERIOD_S * speed)
     print(f"{speed / 1e6:.0f} million evaluations per second where nothing is rejected")
     if (worst := tiles[-1]).budget:
         share = (worst.plane_ms + worst.run_ms) * 1e-3 * speed / worst.budget

@@ -74,6 +74,9 @@ class BusyPipeline:
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         return ()
 
+    def leave_room(self, room: float) -> None:
+        """Work as much as ever."""
+
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         end_s = time.thread_time() + _BUSY_S
         while isinstance(event, Ping) and time.thread_time() < end_s:

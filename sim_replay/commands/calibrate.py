@@ -14,14 +14,13 @@ from auv_mcm.commands import Commands, add_config_option, command, read_config, 
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
 
-_SIDES: Final = 2
 _LAST_SEED: Final = 2**32 - 1
 
 _BUDGET: Final = (
-    "Measures how many comparisons of the trained cascade one core makes in a second, where nothing is rejected early, and\n"
-    "sets detect.max_evaluations_per_tile so that the cascade takes at most the share of the time that --duty allows, at the\n"
-    "highest speed over ground. Contrasts and confirmation, which have limits of their own, are not part of that share. Run\n"
-    "it on the vehicle's computer, with nothing else running."
+    "Measures what each unit of the chain's work costs on one core: stored samples, pixels, comparisons of the cascade, peaks\n"
+    "measured, moves of contours, hypotheses on solids. --write puts these prices and the duty into a configuration. A mission\n"
+    "counts its work by them and never looks at a clock. Run it on the vehicle's computer, with nothing else running; it takes\n"
+    "half a minute. --speed is for the summary of what the duty buys; a mission goes by its own speed."
 )
 
 
@@ -31,7 +30,7 @@ def add(commands: Commands) -> None:
         "calibrate",
         "measure this computer, or the payload's own performance",
         "background:   how the background of non-mines scores, from simulated missions; the file that ships was fitted so\n"
-        "budget:       the detector's budget that this computer can afford; also without the word, with --speed\n"
+        "budget:       what the chain's work costs on this computer; also without the word, with --speed\n"
         "gate:         which places of a tile can become contacts and are worth measuring, from simulated missions; the file\n"
         "              that ships was fitted so\n"
         "odds:         what each measurement of a detection says about the odds of a mine, from simulated missions; the\n"
@@ -83,7 +82,7 @@ def _add_budget(kinds: Commands) -> None:
     parser = command(
         kinds,
         "budget",
-        "measure this computer and write the detector's budget that it can afford",
+        "measure what the chain's work costs on this computer",
         _BUDGET,
         ["auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml"],
     )
@@ -94,8 +93,10 @@ def _add_budget(kinds: Commands) -> None:
 def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     add_config_option(parser)
     parser.add_argument("--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s")
-    parser.add_argument("--duty", metavar="SHARE", type=_between(0.0, 1.0), default=0.25, help="of one core's time (default 0.25)")
-    parser.add_argument("--write", metavar="FILE", type=Path, help="new file for the configuration with that budget")
+    parser.add_argument(
+        "--duty", metavar="SHARE", type=_between(0.0, 1.0), default=0.25, help="budget.duty: of one core's time (default 0.25)"
+    )
+    parser.add_argument("--write", metavar="FILE", type=Path, help="new file for the configuration with those prices and that duty")
 
 
 def _add_gate(kinds: Commands) -> None:
@@ -185,24 +186,19 @@ def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Nam
 def _run_budget(arguments: argparse.Namespace) -> int:
     import msgspec
 
-    from auv_mcm.detect.cascade.choose import configured_model
-    from auv_mcm.detect.cascade.speed import budget_for, measure_speed
     from auv_mcm.settings.config import config_yaml
+    from sim_replay.fitting.measure_prices import look_work, measure_prices, price_words
 
     config = read_config(arguments.config)
-    model = configured_model(config)
-    if model is None:
-        raise UsageError("detect.model is none: contrasts alone have no budget to calibrate")
-    grid = config.waterfall
-    period_s = grid.tile_rows * grid.row_spacing_m / arguments.speed / _SIDES
-    evaluations_per_s = measure_speed(model, grid.row_spacing_m, grid.column_spacing_m)
-    budget = budget_for(evaluations_per_s, period_s, arguments.duty)
-    print(f"{evaluations_per_s / 1e6:.0f} million comparisons per second; a tile every {period_s:.1f} s at {arguments.speed:g} m/s")
-    print(f"detect.max_evaluations_per_tile: {budget}")
+    _check_new(arguments.write, "--write")
+    found = measure_prices(config)
+    budget = msgspec.structs.replace(found.prices, duty=arguments.duty)
+    for name in budget.__struct_fields__:
+        print(f"budget.{name}: {getattr(budget, name):g}")
+    print(look_work(found.n_units))
+    print(price_words(budget, config, arguments.speed, arguments.duty))
     if arguments.write is not None:
-        detect = msgspec.structs.replace(config.detect, max_evaluations_per_tile=budget)
-        text = config_yaml(msgspec.structs.replace(config, detect=detect))
-        write_new(arguments.write, text)
+        write_new(arguments.write, config_yaml(msgspec.structs.replace(config, budget=budget)))
     return 0
 
 
@@ -283,14 +279,14 @@ def _run_seabed(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check_new(out: Path | None) -> None:
+def _check_new(out: Path | None, option: str = "--out") -> None:
     """Raises UsageError for a file that cannot be made, before much is done for it."""
     if out is None:
         return
     if out.exists():
-        raise UsageError(f"--out {out} exists and is left alone: name a new file, or remove that one")
+        raise UsageError(f"{option} {out} exists and is left alone: name a new file, or remove that one")
     if not out.parent.is_dir():
-        raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")
+        raise UsageError(f"{option} {out}: there is no folder {out.parent}. Make it first")
 
 
 def _show(done: int, of: int) -> None:

@@ -37,6 +37,10 @@ WORK: Final = frozenset({"reader.pings", "reader.joined_log", "ping.received", "
 
 MEANINGS: Final = {
     "detect.candidate": "places bright or dark enough to look at closely",
+    "detect.windows_cut": "places beyond a tile's budget, where contrasts served without the cascade",
+    "confirm.beyond_budget": "detections beyond a tile's budget, not looked at closely",
+    "budget.tile_limited": "tiles whose budget left something out, which earn less coverage",
+    "budget.cheapest_pass_over": "tiles whose cheapest pass is beyond their budget",
     "detect.over_budget": "candidates beyond a tile's budget, not looked at",
     "detect.suppressed": "candidates merged into a stronger one beside them",
     "detect.tile_skipped_nothing_to_see": "tiles without a valid pixel, skipped",
@@ -60,6 +64,7 @@ MEANINGS: Final = {
     "service.event_dropped": "results dropped because the receiver was too slow",
     "service.journal_failed": "results that could not be written to disk",
     "service.ping_dropped": "pings dropped because perception was too slow",
+    "service.work_shed": "pings with which less work was allowed because perception was behind",
     "service.ping_too_large": "pings larger than the buffer between processes",
     "transfer.turned": "times that samples turned out to be stored in another way than they were taken for",
     "bottom.not_seen": "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours",

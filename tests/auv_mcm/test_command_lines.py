@@ -23,6 +23,7 @@ import pytest
 from auv_mcm.cli import _parser, main
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample, Ping
+from auv_mcm.settings.budget_settings import BudgetConfig
 from auv_mcm.settings.config import config_yaml, parse_config
 from drivers.recording.start_recording import start_recording
 from drivers.sonar.ping_protocol import commands as ping_commands
@@ -30,6 +31,7 @@ from drivers.sonar.sonar_decoder import SonarSettings
 from sim_replay.commands.bench import BENCHES
 from sim_replay.fakes.navigation import NAVIGATION_UNITS
 from sim_replay.fakes.sonar import DeviceTime, PingProtocolSonar
+from sim_replay.fitting.measure_prices import PriceList
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
@@ -208,7 +210,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         *(f"sim_replay.{module}.run" for module, _ in BENCHES.values()),
     ):
         monkeypatch.setattr(place, reached)
-    monkeypatch.setattr("auv_mcm.detect.cascade.speed.measure_speed", lambda *_: 1e8)
+    monkeypatch.setattr("sim_replay.fitting.measure_prices.measure_prices", lambda *_: PriceList(BudgetConfig(), {}))
     return tmp_path / "here"
 
 

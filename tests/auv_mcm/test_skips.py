@@ -15,6 +15,7 @@ from auv_mcm.cli import main
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact
+from auv_mcm.settings.budget_settings import BudgetConfig
 from auv_mcm.settings.config import Config, ConfirmConfig, ContactsConfig, DetectConfig, WaterfallConfig
 from auv_mcm.skips import ALL_SKIPS, NO_SKIPS, SKIPS, Skip, SkipName, Skips
 from tests.auv_mcm.test_pipeline_properties import mission
@@ -22,10 +23,11 @@ from tests.sim_replay.logs.xtf_logs import written
 
 TIGHT: Final[dict[SkipName, Config]] = {
     "empty-tiles": Config(waterfall=WaterfallConfig(tile_rows=64, max_ping_gap_m=0.05)),
-    "cascade-budget": Config(detect=DetectConfig(max_evaluations_per_tile=3_000_000)),
+    "cascade-budget": Config(budget=BudgetConfig(duty=1e-4)),
     "candidate-limit": Config(detect=DetectConfig(max_candidates_per_tile=2)),
     "detector-odds": Config(contacts=ContactsConfig(min_p_mine=0.0)),
     "look-limit": Config(confirm=ConfirmConfig(max_per_tile=0)),
+    "look-budget": Config(budget=BudgetConfig(duty=1e-4)),
     "contour-odds": Config(contacts=ContactsConfig(min_p_mine=0.0), confirm=ConfirmConfig(min_p_mine=0.002)),
 }
 """Configurations under which a skip leaves something out of the short mission, where the default leaves out nothing."""

@@ -292,12 +292,10 @@ def told(result: TileDetections) -> list[object]:
 
 @pytest.mark.parametrize("max_evaluations", [None, 60_000])
 def test_the_same_tile_gives_the_same_bits_alone_and_among_threads(max_evaluations: int | None) -> None:
-    detect = CONFIG.detect if max_evaluations is None else msgspec.structs.replace(CONFIG.detect, max_evaluations_per_tile=max_evaluations)
-    config = Config(detect=detect)
     tiles = [tile_of(with_object(speckle(k))) for k in range(2)]
-    alone = [told(detect_tile(tile, config, MODEL)) for tile in tiles]
+    alone = [told(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)) for tile in tiles]
     with ThreadPoolExecutor(2) as threads:
-        together = list(threads.map(lambda tile: told(detect_tile(tile, config, MODEL)), tiles))
+        together = list(threads.map(lambda tile: told(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)), tiles))
     assert together == alone
 
 

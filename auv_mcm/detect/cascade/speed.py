@@ -1,8 +1,7 @@
-"""How many evaluations a tile may cost: from the speed of this computer and the share of its time that detection may take."""
+"""Measure how many evaluations of a cascade one core of this computer makes in a second."""
 
 from __future__ import annotations
 
-import math
 import statistics
 import time
 from typing import Final
@@ -18,20 +17,6 @@ _SHAPE: Final = (512, 1024)
 _FIRST_RETURN_M: Final = 6.0
 _N_FINISHED: Final = 20_000  # windows that go all the way
 _ANY_SCORE: Final = -MAX_STUMPS * MAX_LEAF
-
-
-def budget_for(evaluations_per_s: float, tile_period_s: float, duty: float) -> int:
-    """Evaluations that keep one core busy for a share `duty` (0 to 1) of the time that passes between tiles.
-
-    tile_period_s: along-track length of a tile's core over the speed, divided by the number of sides.
-    Raises ValueError for numbers that are not finite or negative, and for a duty above 1.
-    """
-    if not (0.0 <= evaluations_per_s < math.inf and 0.0 <= tile_period_s < math.inf and 0.0 <= duty <= 1.0):
-        raise ValueError(
-            f"evaluations_per_s {evaluations_per_s} and tile_period_s {tile_period_s} must be finite and not negative, duty "
-            f"{duty} from 0 to 1"
-        )
-    return math.floor(evaluations_per_s * tile_period_s * duty)
 
 
 def measure_speed(model: CascadeModel, row_spacing_m: float, column_spacing_m: float, n_runs: int = 5) -> float:

@@ -40,6 +40,9 @@ class ChainSetting(NamedTuple):
 
 
 PLAIN: Final = "plain script"
+BUDGET: Final = "budget"
+DUTIES: Final = (0.002, 0.01, 0.02, 0.03, 0.04, 0.06, 0.1, 0.2)
+"""From 1 % to all of what the dearest tiles of the named scenes and recorded lines need, a fifth of one core."""
 REASON: Final = "the cascade, the gate and the odds were fitted at this point, so that p_mine is calibrated here and nowhere else"
 """Why the default operating point is the default, beside what the measurement says."""
 
@@ -109,7 +112,7 @@ def chain_settings() -> tuple[ChainSetting, ...]:
         ChainSetting(PLAIN, "reference", "", _same, is_plain_script=True),
         ChainSetting("contrasts alone", "reference", "", _untrained),
         ChainSetting("cascade alone", "reference", "", _unconfirmed),
-        *(_turned("cascade budget", "detect", "max_evaluations_per_tile", n) for n in (400_000, 2_000_000, 4_000_000, 10_000_000)),
+        *(_turned(BUDGET, "budget", "duty", duty) for duty in DUTIES),
         *(_turned("lowest p_mine reported", "contacts", "min_p_mine", p) for p in (0.0, 0.001, 0.05)),
         *(_turned("lowest p_mine looked at", "confirm", "min_p_mine", p) for p in (0.001, 0.05)),
         *(_turned("candidates per tile", "detect", "max_candidates_per_tile", n) for n in (8, 32)),

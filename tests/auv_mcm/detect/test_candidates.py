@@ -72,9 +72,19 @@ def test_a_budget_is_kept_and_what_it_cut_is_counted() -> None:
     part = found(scene(), whole.n_evaluations // 2)
     assert part.n_evaluations <= whole.n_evaluations // 2
     assert part.n_cut > 0
-    result = detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL)
+    result = detect_tile(scene(), CONFIG, MODEL, max_evaluations=0)
     assert result.n_cut == result.n_windows
-    assert detect_tile(scene(), Config(detect=DetectConfig(max_evaluations_per_tile=0)), MODEL, without_skips={"cascade-budget"}).n_cut == 0
+    assert detect_tile(scene(), CONFIG, MODEL, max_evaluations=0, without_skips={"cascade-budget"}).n_cut == 0
+
+
+def test_without_any_budget_clear_peaks_of_contrast_keep_the_cascades_score() -> None:
+    whole, none = found(scene()).candidates, found(scene(), 0).candidates
+    for row, column in PLACES:
+        here, before = (
+            next(c for c in some if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5)
+            for some in (none, whole)
+        )
+        assert here.cascade_score == before.cascade_score == 3.0
 
 
 def test_detections_carry_the_cascades_score_and_rank_by_it() -> None:

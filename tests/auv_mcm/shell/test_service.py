@@ -316,6 +316,21 @@ def test_a_slow_pipeline_makes_a_live_source_lose_pings_and_counts_them(tmp_path
     assert counters["service.ping_dropped"] > 0
 
 
+@pytest.mark.parametrize("lossless", [True, False])
+def test_where_pings_would_be_lost_work_is_shed_first_and_that_is_said_once(lossless: bool, tmp_path: Path) -> None:
+    lines: list[str] = []
+    results = serve(tmp_path, Events(mission(200), lossless=lossless), fake.Slow, queue_pings=200, console=lines.append)
+    counters = summary(results)["counters"]
+    assert counters["ping.received"] == 200
+    assert "service.ping_dropped" not in counters
+    assert sum(line.startswith("notice service.work_shed") for line in lines) == (not lossless)
+    if lossless:
+        assert not {"service.work_shed", "fake.work_shed"} & counters.keys()
+    else:
+        assert 0 < counters["fake.work_shed"] <= counters["service.work_shed"] < 200
+        assert counters["fake.caught_up"] == 1
+
+
 @pytest.mark.parametrize(("lossless", "warns"), [(True, False), (False, True)])
 def test_perception_at_work_is_a_warning_only_where_pings_may_be_lost(
     lossless: bool, warns: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture

@@ -1,0 +1,127 @@
+"""Plan how much work a tile may cost: a price list, a share of one core, and the order in which work is done.
+
+Work is counted, never timed: so many microseconds per unit of work, from the configuration. The same log and configuration therefore
+give the same bytes on every computer and under any load; `auv-mcm calibrate budget` measures the prices of a computer.
+
+    the cheapest pass: waterfall, contrasts and their clearest peaks, sea floor, coverage, measuring      always done
+    the cascade's windows, best first                                                                   with what is left
+    close looks, likeliest first                                                                        only if no window was cut
+
+A stage gets nothing before all work of the stage before it is paid. The windows of a smaller budget are therefore among those of a larger
+one, and so are the looks: whatever is done with a smaller budget is done with a larger one as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from auv_mcm.detect.detect_tile import TileDetections
+from auv_mcm.records import Detection, Tile
+from auv_mcm.settings.budget_settings import BudgetConfig
+
+MOVES_PER_LOOK: Final = 140
+"""Moves of contour nodes that a close look makes, on average over looks on the named scene `rough`: 142 there."""
+HYPOTHESES_PER_LOOK: Final = 6600
+"""Hypotheses on solids that a close look weighs, on average over looks on the named scene `rough`: 6627 there."""
+CHEAPER_STAGE_WORTH: Final = 0.5
+"""Share of coverage that is left where a stage stopped at its cheaper predecessor: contrasts without the cascade, the cascade without a
+close look. Measured by `auv-mcm bench chain --knobs budget`: see docs/run-time.md."""
+_US_PER_S: Final = 1e6
+
+
+class Allowance(NamedTuple):
+    """What may be spent on a tile, µs of work by the price list; infinite without a limit.
+
+    total_us: the tile's budget. cheapest_us: price of the cheapest pass, which is always done, measuring left out.
+    """
+
+    total_us: float
+    cheapest_us: float
+    prices: BudgetConfig
+
+    @property
+    def left_us(self) -> float:
+        """What is left beyond the cheapest pass."""
+        return max(self.total_us - self.cheapest_us, 0.0)
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether anything can be beyond the budget."""
+        return self.total_us < math.inf
+
+    def comparisons(self) -> int | None:
+        """Comparisons that the cascade may make; None without a limit."""
+        return math.floor(self.left_us / self.prices.comparison_us) if self.is_limited else None
+
+    def n_looks(self, n_evaluations: int, n_measured: int) -> int:
+        """Close looks that are paid after so many comparisons and so many peaks measured."""
+        left_us = self.left_us - n_evaluations * self.prices.comparison_us - n_measured * self.prices.peak_us
+        return max(math.floor(left_us / look_price_us(self.prices)), 0)
+
+
+def look_price_us(prices: BudgetConfig) -> float:
+    """Price a close look, µs: contours, Markov field and solids, as much of each as a look takes on average."""
+    return prices.field_us + MOVES_PER_LOOK * prices.contour_move_us + HYPOTHESES_PER_LOOK * prices.hypothesis_us
+
+
+def tile_allowance(tile: Tile, n_samples: float, n_sides: int, budget: BudgetConfig, room: float = 1.0) -> Allowance:
+    """Give a tile its budget: the time that the vehicle took to sail past its core, times the duty, over the number of sides.
+
+    n_samples: stored samples that went into it. room: share of that time, 0 to 1, that a service which is behind has left; 1 changes
+    nothing. A tile whose times are unknown has no time: the cheapest pass is all that is done.
+    """
+    cheapest_us = n_samples * budget.sample_us + tile.mask.size * budget.pixel_us
+    if budget.duty is None and room >= 1.0:
+        return Allowance(math.inf, cheapest_us, budget)
+    duty = (1.0 if budget.duty is None else budget.duty) * min(max(room, 0.0), 1.0)
+    return Allowance(duty * tile_duration_s(tile) * _US_PER_S / max(n_sides, 1), cheapest_us, budget)
+
+
+def tile_duration_s(tile: Tile) -> float:
+    """Time that passed over the core of a tile, s; 0 where it is unknown."""
+    times = tile.pose.time_s[tile.core_start : tile.core_stop]
+    times = times[np.isfinite(times)]
+    n_rows = tile.core_stop - tile.core_start
+    if len(times) < 2:
+        return 0.0
+    # Rows stand for the time around them: n rows last for n steps, not n - 1.
+    return max(float(times.max() - times.min()), 0.0) * n_rows / max(n_rows - 1, 1)
+
+
+def pay_looks(result: TileDetections, allowance: Allowance, p_mine: Callable[[Detection], float], min_p_mine: float) -> TileDetections:
+    """Let the likeliest detections of a tile have a close look, as many as are paid, and say what share of its coverage is earned.
+
+    p_mine: of a detection before a close look, which may not depend on other tiles; the others beyond those paid, of at least min_p_mine,
+    lose their surroundings, without which there is no look. No look is paid where windows were cut.
+    """
+    if not allowance.is_limited:
+        return result
+    p_each = [p_mine(detection) for detection in result.detections]
+    wanted = sorted((k for k, p in enumerate(p_each) if p >= min_p_mine), key=lambda k: (-p_each[k], k))
+    n_looks = 0 if result.n_cut else allowance.n_looks(result.n_evaluations, len(result.detections))
+    beyond = frozenset(wanted[n_looks:])
+    total = math.fsum(p_each[k] for k in wanted)
+    left_out = math.fsum(p_each[k] for k in wanted[n_looks:]) / total if total > 0.0 else 0.0
+    return result._replace(
+        detections=tuple(
+            msgspec.structs.replace(detection, surroundings=None) if k in beyond else detection
+            for k, detection in enumerate(result.detections)
+        ),
+        covered_share=covered_share(result.n_windows, result.n_cut, 1.0 - left_out),
+    )
+
+
+def covered_share(n_windows: int, n_cut: int, looked_at: float) -> float:
+    """Give the share of a tile's coverage that is earned, 0 to 1, when n_cut of n_windows were cut.
+
+    looked_at: share of the mines to be expected among detections worth a close look that had one; 0 where windows were cut, since no look
+    is made there and nothing is known of those that would be worth one. More windows and more looks never earn less.
+    """
+    cut = n_cut / n_windows if n_windows else 0.0
+    looked_at = 0.0 if n_cut else looked_at
+    return (1.0 - (1.0 - CHEAPER_STAGE_WORTH) * cut) * (1.0 - (1.0 - CHEAPER_STAGE_WORTH) * (1.0 - looked_at))

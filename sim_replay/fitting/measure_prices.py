@@ -1,0 +1,187 @@
+"""Measure on this computer what each unit of the chain's work costs: the price list of `budget:` in the configuration."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from functools import partial
+from typing import Final, NamedTuple
+
+import msgspec
+
+from auv_mcm.budget import HYPOTHESES_PER_LOOK, MOVES_PER_LOOK, Allowance, look_price_us
+from auv_mcm.classify.fit import SOLIDS, Effort
+from auv_mcm.classify.odds import MineOdds, shipped_odds
+from auv_mcm.confirmation import Examination, ExaminationStep, confirm_detection, examine, is_worth_confirming, region_of
+from auv_mcm.detect.cascade.choose import configured_model, fitting
+from auv_mcm.detect.cascade.model import CascadeModel
+from auv_mcm.detect.cascade.speed import measure_speed
+from auv_mcm.detect.detect_tile import OVERLAP_M, detect_tile, worth_looking
+from auv_mcm.detect.gate import shipped_gate
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import Detection, Ping, Tile
+from auv_mcm.settings.budget_settings import BudgetConfig
+from auv_mcm.settings.config import Config
+from sim_replay.missions import config_for
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Scene
+from sim_replay.simulator.scene_file import read_scene
+
+SCENE: Final = "rough"
+"""The named scene that prices are measured on: of all it has most places to measure and to look at."""
+_SEED: Final = 600
+_LEG_M: Final = 120.0
+_MAX_LOOKS: Final = 60
+_WAY_TO_TILES: Final = ("intake", "law", "waterfall")
+_OF_PIXELS: Final = ("seabed", "coverage")
+_OF_CONTOURS: Final[tuple[ExaminationStep, ...]] = ("first contours", "second contours")
+_DIGITS: Final = 3
+_SIDES: Final = 2
+_US_PER_S: Final = 1e6
+
+Clock = Callable[[], float]
+
+
+class PriceList(NamedTuple):
+    """Prices, and how many units of work they were measured on."""
+
+    prices: BudgetConfig
+    n_units: dict[str, int]
+
+
+def measure_prices(config: Config, clock: Clock = time.thread_time) -> PriceList:
+    """Fly a short mission over rough ground through the chain of this configuration, and divide the time of each stage by its work.
+
+    clock: processor time, s.
+    """
+    scene = _short(read_scene(SCENE))
+    config = msgspec.structs.replace(config_for(scene), detect=config.detect, waterfall=config.waterfall)
+    model, _ = fitting(configured_model(config), config)
+    odds = shipped_odds("contrast" if model is None else "cascade")
+    tiles: list[Tile] = []
+    looked_at: list[Detection] = []
+
+    def look(detection: Detection) -> Detection:
+        if is_worth_confirming(detection, odds, config.confirm):
+            looked_at.append(detection)
+        return confirm_detection(detection, math.radians(config.sonar.beam_width_deg), odds, config.confirm)
+
+    pipeline = Pipeline(config, timer=clock, look=look)
+    n_samples = 0
+    for event in Mission(scene).events():
+        if isinstance(event, Ping):
+            n_samples += sum(trace.samples.size for trace in (event.port, event.starboard) if trace is not None)
+        tiles += [found for found in pipeline.feed(event) if isinstance(found, Tile)]
+    tiles += [found for found in pipeline.finish() if isinstance(found, Tile)]
+    n_pixels = sum(tile.mask.size for tile in tiles)
+    speed = math.nan if model is None else measure_speed(model, config.waterfall.row_spacing_m, config.waterfall.column_spacing_m)
+    comparison_s = BudgetConfig().comparison_us / _US_PER_S if model is None else 1.0 / speed
+    bare_s, peak_s, n_peaks = _detection_costs(tiles, config, model, comparison_s, clock)
+    looks_s, n_work = _look_costs(looked_at[:_MAX_LOOKS], config, odds, clock)
+    costs_s = pipeline.costs_s
+    contours_s = sum(looks_s[step] for step in _OF_CONTOURS)
+    other_s = sum(looks_s.values()) - contours_s - looks_s["solids"]
+    prices = BudgetConfig(
+        sample_us=_price_us(sum(costs_s[stage] for stage in _WAY_TO_TILES), n_samples),
+        pixel_us=_price_us(bare_s + sum(costs_s.get(stage, 0.0) for stage in _OF_PIXELS), n_pixels),
+        comparison_us=_price_us(comparison_s, 1),
+        peak_us=_price_us(peak_s, n_peaks),
+        contour_move_us=_price_us(contours_s, n_work["moves"]),
+        field_us=_price_us(other_s, n_work["looks"]),
+        hypothesis_us=_price_us(looks_s["solids"], n_work["hypotheses"]),
+    )
+    return PriceList(prices, {"samples": n_samples, "pixels": n_pixels, "peaks": n_peaks, **n_work})
+
+
+def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: float, n_columns: int = 1000) -> str:
+    """Say what a duty buys at a speed over ground, for a tile of so many columns."""
+    grid = config.waterfall
+    period_s = grid.tile_rows * grid.row_spacing_m / speed_mps / _SIDES
+    n_pixels = (grid.tile_rows + 2 * math.ceil(OVERLAP_M / grid.row_spacing_m)) * n_columns
+    bare = Allowance(duty * period_s * _US_PER_S, n_pixels * prices.pixel_us, prices)
+    n_comparisons = bare.comparisons() or 0
+    return (
+        f"at {speed_mps:g} m/s a tile every {period_s:.1f} s; {duty:.0%} of one core is {bare.total_us / 1e3:.0f} ms of work on each. "
+        f"Of that, for {n_columns} columns:\n"
+        f"  {bare.cheapest_us / 1e3:.0f} ms for the cheapest pass, and {prices.sample_us:g} us for each stored sample\n"
+        f"  {bare.left_us / 1e3:.0f} ms more, in which the cascade could make {n_comparisons / 1e6:.0f} million comparisons\n"
+        f"  or {bare.n_looks(0, 0)} close looks of {look_price_us(prices) / 1e3:.1f} ms be made"
+    )
+
+
+def _short(scene: Scene) -> Scene:
+    assert isinstance(scene.track.plan, Lawnmower)
+    plan = msgspec.structs.replace(scene.track.plan, n_legs=1, leg_m=_LEG_M)
+    return msgspec.structs.replace(scene, seed=_SEED, track=msgspec.structs.replace(scene.track, plan=plan))
+
+
+def _detection_costs(
+    tiles: list[Tile], config: Config, model: CascadeModel | None, comparison_s: float, clock: Clock
+) -> tuple[float, float, int]:
+    """Time detection without measuring or the cascade, and measuring; s each, with the number of peaks measured."""
+    unmeasured = msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, max_candidates_per_tile=0))
+    gate = shipped_gate()
+    bare_s, whole_s, n_peaks = 0.0, 0.0, 0
+    for tile in filter(worth_looking, tiles):
+        began_s = clock()
+        bare = detect_tile(tile, unmeasured, model, gate)
+        between_s = clock()
+        whole = detect_tile(tile, config, model, gate)
+        bare_s += between_s - began_s - bare.n_evaluations * comparison_s
+        whole_s += clock() - between_s - whole.n_evaluations * comparison_s
+        n_peaks += len(whole.detections)
+    return max(bare_s, 0.0), max(whole_s - bare_s, 0.0), n_peaks
+
+
+def _look_costs(
+    detections: list[Detection], config: Config, odds: MineOdds, clock: Clock
+) -> tuple[dict[ExaminationStep, float], Counter[str]]:
+    """Time the steps of close looks, s, and count their work."""
+    spent: dict[ExaminationStep, float] = defaultdict(float)
+    work: Counter[str] = Counter()
+    examined = partial(_examined, config=config, odds=odds, clock=clock, spent=spent)
+    for detection in detections:
+        found = examined(detection)
+        if found is not None:
+            work["looks"] += 1
+            work["moves"] += found.contours.n_moves
+            work["hypotheses"] += 0 if found.fits is None else hypotheses_of(Effort(), sum(fit.refined for fit in found.fits.fits))
+    return spent, work
+
+
+def hypotheses_of(effort: Effort, n_refined: int) -> int:
+    """Count the hypotheses that a search for solids weighs, of which n_refined are refined with the beam."""
+    each = effort.n_starts + effort.n_walks * effort.n_steps * effort.n_tries
+    return len(SOLIDS) * each + n_refined * effort.n_fine_walks * effort.n_fine_steps * effort.n_fine_tries
+
+
+def _examined(
+    detection: Detection, config: Config, odds: MineOdds, clock: Clock, spent: dict[ExaminationStep, float]
+) -> Examination | None:
+    if detection.surroundings is None:
+        return None
+    mark = clock()
+
+    def done(step: ExaminationStep) -> None:
+        nonlocal mark
+        now = clock()
+        spent[step] += now - mark
+        mark = now
+
+    region = region_of(detection, detection.surroundings, math.radians(config.sonar.beam_width_deg))
+    return examine(detection, region, odds, config.confirm.min_p_mine, done)
+
+
+def _price_us(cost_s: float, n_units: int) -> float:
+    """Price of a unit, to three digits; never nothing, for a clock may be coarse."""
+    price_us = max(cost_s, 1e-9) / max(n_units, 1) * _US_PER_S
+    return float(f"{price_us:.{_DIGITS}g}")
+
+
+def look_work(n_work: dict[str, int]) -> str:
+    """Say how many moves and hypotheses a look took here, beside the averages that looks are priced with."""
+    n_looks = max(n_work.get("looks", 0), 1)
+    moves, hypotheses = n_work.get("moves", 0) / n_looks, n_work.get("hypotheses", 0) / n_looks
+    return f"a look made {moves:.0f} moves and weighed {hypotheses:.0f} hypotheses (priced: {MOVES_PER_LOOK} and {HYPOTHESES_PER_LOOK})"

@@ -1,0 +1,67 @@
+"""Prices of the chain's work, measured: every one is there, and what they buy is said."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from auv_mcm.budget import HYPOTHESES_PER_LOOK, look_price_us
+from auv_mcm.classify.fit import Effort
+from auv_mcm.cli import main
+from auv_mcm.settings.budget_settings import BudgetConfig
+from auv_mcm.settings.config import Config, parse_config
+from sim_replay.fitting import measure_prices as prices
+from sim_replay.fitting.measure_prices import PriceList, hypotheses_of, price_words
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene_file import read_scene
+
+
+def test_each_stage_is_priced_by_the_work_it_did(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that goes one step whenever it is read: prices are then counts of readings over counts of work."""
+    ticks = itertools.count()
+    monkeypatch.setattr(prices, "_LEG_M", 60.0)
+    monkeypatch.setattr(prices, "_MAX_LOOKS", 5)
+    monkeypatch.setattr(prices, "measure_speed", lambda *_: 5e8)
+    monkeypatch.setattr(prices, "read_scene", lambda name: _sparse(read_scene(name)))
+    found = prices.measure_prices(Config(), lambda: 1e-3 * next(ticks))
+    assert found.prices.duty is None
+    assert found.prices.comparison_us == pytest.approx(0.002)
+    assert found.n_units["looks"] == 5
+    assert found.n_units["samples"] > 0
+    # Reading the clock is all that a look's steps cost: one step of the clock for solids, per look that got so far.
+    assert found.prices.hypothesis_us <= 5 * 1e3 / found.n_units["hypotheses"] * 1.01
+    assert all(getattr(found.prices, name) > 0.0 for name in found.prices.__struct_fields__ if name != "duty")
+
+
+def _sparse(scene: Scene) -> Scene:
+    return msgspec.structs.replace(
+        scene, scatter=tuple(msgspec.structs.replace(some, count=max(1, some.count // 3)) for some in scene.scatter)
+    )
+
+
+def test_the_hypotheses_that_a_look_is_priced_with_are_those_of_the_search() -> None:
+    assert hypotheses_of(Effort(), 0) < HYPOTHESES_PER_LOOK < hypotheses_of(Effort(), 4)
+
+
+def test_what_a_duty_buys_is_said() -> None:
+    words = price_words(BudgetConfig(), Config(), 2.0, 0.25)
+    assert "a tile every 15.4 s; 25% of one core is 3840 ms" in words
+    assert f"close looks of {look_price_us(BudgetConfig()) / 1e3:.1f} ms" in words
+
+
+@pytest.mark.parametrize("word", [["budget"], []])
+def test_the_command_writes_a_configuration_with_prices_and_duty(
+    word: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured = BudgetConfig(peak_us=777.0)
+    monkeypatch.setattr(prices, "measure_prices", lambda config: PriceList(measured, {"looks": 2, "moves": 280, "hypotheses": 13_000}))
+    out = tmp_path / "calibrated.yaml"
+    assert main(["calibrate", *word, "--speed", "2", "--duty", "0.2", "--write", str(out)]) == 0
+    assert parse_config(out.read_text("utf-8"), "out") == Config(budget=msgspec.structs.replace(measured, duty=0.2))
+    said = capsys.readouterr().out
+    assert "budget.peak_us: 777" in said
+    assert "a look made 140 moves and weighed 6500 hypotheses" in said
+    assert main(["calibrate", *word, "--speed", "2", "--write", str(out)]) == 2  # what is there is left alone
