@@ -335,9 +335,10 @@ class Pipeline:
 
     def _allowances(self, tiles: list[Tile]) -> list[Allowance]:
         """Give each of the tiles that come together its budget."""
-        n_samples, self._n_new_samples = self._n_new_samples / len(tiles), 0
+        n_rows = [tile.core_stop - tile.core_start for tile in tiles]
+        per_row, self._n_new_samples = self._n_new_samples / max(sum(n_rows), 1), 0
         n_sides = len({tile.side for tile in tiles})
-        return [tile_allowance(tile, n_samples, n_sides, self._config.budget, self._room) for tile in tiles]
+        return [tile_allowance(tile, per_row * n, n_sides, self._config.budget, self._room) for tile, n in zip(tiles, n_rows, strict=True)]
 
     def _too_dear(self, tiles: list[Tile], allowances: list[Allowance]) -> list[PipelineEvent]:
         """Count tiles whose cheapest pass is beyond their budget; the first one by the configuration alone is reported."""

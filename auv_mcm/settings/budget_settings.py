@@ -26,7 +26,7 @@ class BudgetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ),
     ] = None
     sample_us: Annotated[float, _price("a stored sample on its way into a tile")] = 0.24
-    pixel_us: Annotated[float, _price("a pixel's contrast, sea floor and coverage")] = 0.16
+    pixel_us: Annotated[float, _price("contrast, sea floor and coverage of a pixel in a tile's core")] = 0.26
     comparison_us: Annotated[float, _price("a comparison of the cascade")] = 0.001
     peak_us: Annotated[float, _price("measuring a peak")] = 1400.0
     contour_move_us: Annotated[float, _price("a move of a contour's node")] = 35.0

@@ -18,7 +18,7 @@ from auv_mcm.confirmation import Examination, ExaminationStep, confirm_detection
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.cascade.speed import measure_speed
-from auv_mcm.detect.detect_tile import OVERLAP_M, detect_tile, worth_looking
+from auv_mcm.detect.detect_tile import detect_tile, worth_looking
 from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Ping, Tile
@@ -75,7 +75,7 @@ def measure_prices(config: Config, clock: Clock = time.thread_time) -> PriceList
             n_samples += sum(trace.samples.size for trace in (event.port, event.starboard) if trace is not None)
         tiles += [found for found in pipeline.feed(event) if isinstance(found, Tile)]
     tiles += [found for found in pipeline.finish() if isinstance(found, Tile)]
-    n_pixels = sum(tile.mask.size for tile in tiles)
+    n_pixels = sum((tile.core_stop - tile.core_start) * tile.mask.shape[1] for tile in tiles)
     speed = math.nan if model is None else measure_speed(model, config.waterfall.row_spacing_m, config.waterfall.column_spacing_m)
     comparison_s = BudgetConfig().comparison_us / _US_PER_S if model is None else 1.0 / speed
     bare_s, peak_s, n_peaks = _detection_costs(tiles, config, model, comparison_s, clock)
@@ -99,8 +99,7 @@ def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: fl
     """Say what a duty buys at a speed over ground, for a tile of so many columns."""
     grid = config.waterfall
     period_s = grid.tile_rows * grid.row_spacing_m / speed_mps / _SIDES
-    n_pixels = (grid.tile_rows + 2 * math.ceil(OVERLAP_M / grid.row_spacing_m)) * n_columns
-    bare = Allowance(duty * period_s * _US_PER_S, n_pixels * prices.pixel_us, prices)
+    bare = Allowance(duty * period_s * _US_PER_S, grid.tile_rows * n_columns * prices.pixel_us, prices)
     n_comparisons = bare.comparisons() or 0
     return (
         f"at {speed_mps:g} m/s a tile every {period_s:.1f} s; {duty:.0%} of one core is {bare.total_us / 1e3:.0f} ms of work on each. "

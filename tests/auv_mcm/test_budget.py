@@ -12,7 +12,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.budget import CHEAPER_STAGE_WORTH, Allowance, covered_share, look_price_us, pay_looks, tile_allowance, tile_duration_s
+from auv_mcm.budget import (
+    CHEAPER_STAGE_WORTH,
+    RESERVED_LOOKS,
+    Allowance,
+    covered_share,
+    look_price_us,
+    pay_looks,
+    tile_allowance,
+    tile_duration_s,
+)
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.confirmation import detector_p_mine
 from auv_mcm.contacts.export import contacts_geojson
@@ -125,11 +134,18 @@ def test_with_more_budget_each_place_is_found_or_a_stronger_one_beside_it(which:
 @settings(deadline=None, max_examples=30)
 def test_no_more_work_is_planned_than_is_paid(which: int, left_us: float) -> None:
     prices, found = BudgetConfig(), within(which, left_us)
-    looks_us = len(looked_at(found)) * look_price_us(prices)
-    peaks_us = len(found.detections) * prices.peak_us
-    if looks_us:
-        assert found.n_evaluations * prices.comparison_us + peaks_us + looks_us <= left_us
-    assert found.n_cut or found.n_evaluations * prices.comparison_us <= max(left_us, 0.0)
+    n_looks, peaks_us = len(looked_at(found)), len(found.detections) * prices.peak_us
+    planned_us = found.n_evaluations * prices.comparison_us + n_looks * look_price_us(prices)
+    # Measuring is always done, and so are the reserved looks with the whole cascade.
+    assert found.n_cut == found.n_windows or planned_us <= left_us
+    assert n_looks <= RESERVED_LOOKS or planned_us + peaks_us <= left_us
+
+
+@given(which=st.integers(0, 3), left_us=budgets)
+@settings(deadline=None, max_examples=30)
+def test_the_whole_cascade_never_goes_without_close_looks(which: int, left_us: float) -> None:
+    found = within(which, left_us)
+    assert found.n_cut or len(looked_at(found)) >= min(RESERVED_LOOKS, len(looked_at(within(which, math.inf))))
 
 
 def test_the_budgets_of_these_tests_go_from_the_cheapest_pass_to_everything() -> None:
@@ -198,7 +214,8 @@ def test_a_tiles_budget_is_the_time_that_passes_over_its_core() -> None:
     assert tile_duration_s(tile) == pytest.approx(128 * tile.row_spacing_m / speed_mps, rel=0.1)
     given = tile_allowance(tile, 1000.0, 2, BudgetConfig(duty=0.1))
     assert given.total_us == pytest.approx(0.1 * tile_duration_s(tile) * 1e6 / 2)
-    assert given.cheapest_us == pytest.approx(1000.0 * BudgetConfig().sample_us + tile.mask.size * BudgetConfig().pixel_us)
+    n_pixels = 128 * tile.mask.shape[1]
+    assert given.cheapest_us == pytest.approx(1000.0 * BudgetConfig().sample_us + n_pixels * BudgetConfig().pixel_us)
     assert tile_allowance(tile, 1000.0, 2, BudgetConfig(duty=0.1), 0.5).total_us == pytest.approx(0.5 * given.total_us)
     assert tile_allowance(tile, 1000.0, 2, BudgetConfig()).comparisons() is None
 

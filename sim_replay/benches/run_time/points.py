@@ -41,7 +41,7 @@ class ChainSetting(NamedTuple):
 
 PLAIN: Final = "plain script"
 BUDGET: Final = "budget"
-DUTIES: Final = (0.002, 0.01, 0.02, 0.03, 0.04, 0.06, 0.1, 0.2)
+DUTIES: Final = (0.002, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.2)
 """From 1 % to all of what the dearest tiles of the named scenes and recorded lines need, a fifth of one core."""
 REASON: Final = "the cascade, the gate and the odds were fitted at this point, so that p_mine is calibrated here and nowhere else"
 """Why the default operating point is the default, beside what the measurement says."""
