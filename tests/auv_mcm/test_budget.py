@@ -41,8 +41,9 @@ from sim_replay.simulator.scene_file import read_scene
 
 DUTIES = (1e-4, 0.03, 0.06, 0.09, 0.13, 0.2, 1.0)
 """From less than the cheapest pass to more than everything."""
-BUDGETS_US = (0.0, *np.geomspace(2e3, 3e6, 24).tolist(), math.inf)
-"""Of a tile, beyond the cheapest pass."""
+_WINDOWS_FROM_US = RESERVED_LOOKS * look_price_us(BudgetConfig())
+BUDGETS_US = (0.0, *np.geomspace(2e3, 3e6, 16).tolist(), *(_WINDOWS_FROM_US + np.linspace(1e3, 9e3, 9)).tolist(), math.inf)
+"""Of a tile, beyond the cheapest pass; some of them pay for a part of the cascade."""
 REACH_M = 1.3  # thrice the distance at which two places are one: windows are thinned, moved to the clearest pixel, and thinned again
 MIN_P_MINE = Config().confirm.min_p_mine
 
@@ -89,11 +90,7 @@ def within(which: int, left_us: float) -> TileDetections:
 def looked_at(found: TileDetections) -> set[tuple[float, float]]:
     """Places worth a close look that get one."""
     odds = shipped_odds("cascade")
-    return {
-        (d.row, d.column)
-        for d in found.detections
-        if d.surroundings is not None and detector_p_mine(d, odds) >= MIN_P_MINE and not found.n_cut
-    }
+    return {(d.row, d.column) for d in found.detections if d.surroundings is not None and detector_p_mine(d, odds) >= MIN_P_MINE}
 
 
 def confirmed(pipeline: Pipeline) -> dict[tuple[str, float, float], float]:
@@ -155,6 +152,7 @@ def test_the_budgets_of_these_tests_go_from_the_cheapest_pass_to_everything() ->
     assert none.detections
     assert none.covered_share == CHEAPER_STAGE_WORTH**2
     assert (whole.n_cut, whole.covered_share) == (0, 1.0)
+    assert any(0 < within(0, left_us).n_cut < whole.n_windows for left_us in BUDGETS_US)
     assert len(looked_at(whole)) > 3
     assert any(0 < len(looked_at(within(0, left_us))) < len(looked_at(whole)) for left_us in BUDGETS_US)
 
