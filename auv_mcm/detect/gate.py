@@ -1,8 +1,9 @@
 """Decide before measuring which places of a tile can become contacts.
 
-The score of the cascade, the contrast and the range are known of every place; measuring it and confirming what was measured costs a
-thousand times as much. A linear forecast of the log-odds that confirmation ends with, and the margin by which those of a contact have
-exceeded it, say which places cannot reach the lowest p_mine that is reported. They are counted and go no further.
+The score of the cascade, the contrast and the range are known of every place; measuring it and confirming what was
+measured costs a thousand times as much. A linear forecast of the log-odds that confirmation ends with, and the margin
+by which those of a contact have exceeded it, say which places cannot reach the lowest p_mine that is reported. They are
+counted and go no further.
 """
 
 from __future__ import annotations
@@ -73,7 +74,10 @@ def place_features(
 
 
 def may_reach(forecast: Forecast | None, min_p_mine: float, features: Mapping[Feature, Values]) -> NDArray[np.bool_]:
-    """Decide which of n places may end with a p_mine of at least `min_p_mine`, (n,) bool; all without a forecast or for a minimum of 0."""
+    """Decide which of n places may end with a p_mine of at least `min_p_mine`, (n,) bool.
+
+    All may without a forecast or for a minimum of 0.
+    """
     n_places = len(features["range"])
     if forecast is None or min_p_mine <= 0.0:
         return np.ones(n_places, dtype=np.bool_)

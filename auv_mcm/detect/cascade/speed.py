@@ -1,4 +1,4 @@
-"""How many evaluations a tile may cost: from the speed of this computer and the share of its time that detection may take."""
+"""Derive how many evaluations a tile may cost from this computer's speed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ANY_SCORE: Final = -MAX_STUMPS * MAX_LEAF
 
 
 def budget_for(evaluations_per_s: float, tile_period_s: float, duty: float) -> int:
-    """Evaluations that keep one core busy for a share `duty` (0 to 1) of the time that passes between tiles.
+    """Compute the evaluations that keep one core busy for a share `duty` (0 to 1) of a tile's period.
 
     tile_period_s: along-track length of a tile's core over the speed, divided by the number of sides.
     Raises ValueError for numbers that are not finite or negative, and for a duty above 1.
@@ -35,10 +35,12 @@ def budget_for(evaluations_per_s: float, tile_period_s: float, duty: float) -> i
 
 
 def measure_speed(model: CascadeModel, row_spacing_m: float, column_spacing_m: float, n_runs: int = 5) -> float:
-    """Evaluations per second of one core of this computer, from codes to result, where nothing is ever rejected: median of n_runs.
+    """Measure evaluations per second of one core, from codes to result: median of n_runs.
 
-    A tile where much is rejected makes fewer evaluations per second, but takes less time in all. Only survivors without neighbours that
-    go all the way would take longer, up to twice; real ones hang together.
+    Nothing is rejected in these runs.
+
+    A tile where much is rejected makes fewer evaluations per second, but takes less time in all. Only survivors without
+    neighbours that go all the way would take longer, up to twice; real ones hang together.
     """
     random = np.random.Generator(np.random.PCG64(1))
     intensity = random.exponential(size=_SHAPE).astype(np.float32)
