@@ -94,7 +94,7 @@ def write_new(path: Path, text: str) -> None:
         with open(path, "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError as error:
-        raise UsageError(f"{path} exists and is left alone: name a new file, or remove that one") from error
+        raise UsageError(f"{path} exists and is not overwritten: name a new file, or remove it") from error
     except OSError as error:
         raise UsageError(f"{path} cannot be written: {error.strerror}") from error
     print(f"written: {path}")

@@ -96,4 +96,4 @@ def parse_gate(data: bytes, place: str) -> Gate:
     try:
         return msgspec.json.decode(data, type=Gate)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate gate'") from error
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate gate'") from error

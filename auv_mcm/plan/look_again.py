@@ -215,7 +215,7 @@ class LookAgain:
         for contact_id, reason in proposal.refused:
             if contact_id not in self._raised:
                 self._raised.add(contact_id)
-                text = f"no second look at {contact_id} is proposed: {reason}"
+                text = f"no second view of {contact_id} is proposed: {reason}"
                 self._notices.append(Notice(code="look_refused", text=text, for_the_record="report it" not in reason))
         if proposal.area is not None:
             self.area = proposal.area

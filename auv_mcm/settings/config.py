@@ -214,11 +214,11 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
     max_contacts: Annotated[int, Meta(ge=0, le=1000, description="maximum number of contacts to view again")] = 12
     min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="minimum p_mine of a contact to view again")] = 0.2
     turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
-    stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second look, m")] = 12.0
+    stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second view, m")] = 12.0
     leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
     area_deg: Annotated[
         tuple[tuple[Latitude, Longitude], ...],
-        Meta(description="corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second looks alone"),
+        Meta(description="corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second views alone"),
     ] = ()
     required_clearance: Annotated[
         float, Meta(ge=0.5, le=0.99, description="probability, over the area, with which mines in it are to be found")

@@ -146,7 +146,7 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             n_lines = _n_lines(evidence, re.compile(rule.matching), rule.between_s)
             return _limited(rule, n_lines, f"lines with '{rule.matching}'{_window(rule.between_s)}")
         case SettingsRule():
-            reported = [str(report.details["told"]) for report in evidence.reports[rule.device] if report.what == "settings"]
+            reported = [str(report.details["applied"]) for report in evidence.reports[rule.device] if report.what == "settings"]
             n_explained = sum(rule.containing in settings for settings in reported)
             return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
         case DeviceRule():

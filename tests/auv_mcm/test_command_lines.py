@@ -1,7 +1,8 @@
 """Every command line in the README, the docs, the scripts and `--help` does what it says.
 
-Lines that are cheap run as they stand, in a folder that holds what they read. Those that need minutes or hours run up to the first step of
-their work, which a stand-in then ends with `Reached`: the line was understood, and what it names was found.
+Lines that are cheap run as they stand, in a folder that holds what they read. Those that need minutes or hours run up
+to the first step of their work, which a stand-in then ends with `Reached`: the line was understood, and what it names
+was found.
 """
 
 from __future__ import annotations
@@ -167,7 +168,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def record(folder: Path) -> None:
-    """What the service would record of the scene's mission, told by a sonar and a navigation unit."""
+    """Record the scene's mission as the service would, from a sonar and a navigation unit."""
     sonar, unit = PingProtocolSonar(), NAVIGATION_UNITS["nmea0183"]()
     for command in ping_commands(SonarSettings(range_m=25.0, n_samples=400)):
         sonar.heard(command, DeviceTime(0.0, 1_700_000_000.0))

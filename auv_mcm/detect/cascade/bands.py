@@ -27,7 +27,7 @@ WINDOW_FAR_M: Final = 1.0
 WINDOW_SHADOWS: Final = 1.2
 """What a box may reach: so far along the track either way, towards the sonar, and away from it plus so many shadows."""
 
-_LEAST_CLEARANCE_M: Final = 0.3  # of the sonar above the reference height
+_MIN_CLEARANCE_M: Final = 0.3  # of the sonar above the reference height
 _SNAP_PX: Final = 1e-6  # what rounding of metres to binary may take from a half
 
 
@@ -71,7 +71,7 @@ def band_edges(
     The first and the last band take all beyond. first_return_m: (n_rows,) float64, altitude of each row; NaN counts as
     the lowest possible.
     """
-    clearance_m = np.fmax(np.asarray(first_return_m, dtype=np.float64) - reference_height_m, _LEAST_CLEARANCE_M)
+    clearance_m = np.fmax(np.asarray(first_return_m, dtype=np.float64) - reference_height_m, _MIN_CLEARANCE_M)
     ground_range_m = (clearance_m / reference_height_m)[:, np.newaxis] * shadow_edges_m()[1:-1]
     edges = np.empty((clearance_m.size, N_BANDS + 1), dtype=np.int32)
     edges[:, 0], edges[:, -1] = 0, n_columns

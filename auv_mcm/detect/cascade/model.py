@@ -159,15 +159,15 @@ class _Versioned(msgspec.Struct):
 
 def _faults(model: CascadeModel) -> Iterator[str]:
     if not model.groups or not all(model.groups):
-        yield "every cascade needs at least one group, and every group one stump"
+        yield "a cascade needs one group or more, and every group one stump or more"
     if model.n_stumps > MAX_STUMPS:
-        yield f"{model.n_stumps} stumps, but at most {MAX_STUMPS} keep the score within its range"
+        yield f"{model.n_stumps} stumps are more than the maximum of {MAX_STUMPS} that keeps the score within its range"
     if len(model.reject) != len(model.groups):
         yield f"reject has {len(model.reject)} thresholds for {len(model.groups)} groups; each group needs one"
     for name in ("row_spacing_m", "column_spacing_m"):
         lowest, highest = getattr(model, name)
         if not lowest <= highest:
-            yield f"{name} goes from {lowest} to {highest}; the first number must not be the larger one"
+            yield f"{name} goes from {lowest} to {highest}; write the smaller number first"
     yield from _calibration_faults(model.calibration)
     for index, expected in enumerate(model.expected_pd):
         if not expected.near_m < expected.far_m:

@@ -27,7 +27,7 @@ OPENING_STUMPS: Final = 16
 MARGIN_M: Final = 1.0
 """How far beyond a tile's core windows are centred, so that a peak in the core is compared with all its neighbours."""
 
-_LEAST_SHARE: Final = (3, 5)  # of a window that must be valid
+_MIN_SHARE: Final = (3, 5)  # of a window that must be valid
 _SLICES: Final = 1024  # of the ranked windows, the last of which are not started if they might not be finished
 
 
@@ -136,7 +136,7 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
     table["leaf"] = [(stump.above, stump.below) for stump in stumps]
     table["contrast"] = contrast
     stops = np.cumsum([len(group) for group in model.groups])
-    numerator, denominator = _LEAST_SHARE
+    numerator, denominator = _MIN_SHARE
     return Tables(
         stumps=table,
         groups=np.array(list(zip(stops, model.reject, strict=True)), dtype=np.int32),

@@ -17,7 +17,7 @@ from sim_replay.scoring.calibration import calibration_error
 
 Array = NDArray[np.float64]
 
-LEAST_LOOKS: Final = 30  # with fewer, a share carries no information
+MIN_LOOKS: Final = 30  # with fewer, a share carries no information
 _N_BINS: Final = 8
 _MEAN_DEVIATION: Final = math.sqrt(2.0 / math.pi)  # of a normal distribution, in standard deviations
 
@@ -66,9 +66,9 @@ class JudgedPredictions(NamedTuple):
     other: PerformanceShare | None
 
     @property
-    def told(self) -> tuple[PerformancePlace, ...]:
+    def judged(self) -> tuple[PerformancePlace, ...]:
         """Return the places with enough looks to judge."""
-        return tuple(place for place in self.places if place.share.n >= LEAST_LOOKS)
+        return tuple(place for place in self.places if place.share.n >= MIN_LOOKS)
 
 
 def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredictions:

@@ -1,4 +1,6 @@
-"""The service and a vehicle: contacts reported once on disk, health as it is, legs requested, and control returned on every way out."""
+"""The service and a vehicle: contacts reported once on disk, health as it is, legs requested, and control returned on
+every way out.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ class Vehicle:
 
     def __init__(self) -> None:
         self.authority = "listening"
-        self.counters: Counter[str] = Counter({"vehicle.told": 1})
+        self.counters: Counter[str] = Counter({"vehicle.reports_told": 1})
         self.reports: list[tuple[str, Any]] = []
         self.on_contact: Callable[[Contact], None] = lambda contact: None
 
@@ -141,7 +143,7 @@ def test_contacts_are_reported_once_they_are_on_disk_and_the_vehicle_is_left_in_
     assert not ports.is_served
     summary = json.loads((results / "summary.json").read_bytes())
     assert summary["vehicle"] == "vehicle=listening"
-    assert summary["counters"]["vehicle.told"] == 1
+    assert summary["counters"]["vehicle.reports_told"] == 1
 
 
 def test_what_is_wrong_is_reported_and_that_it_is_well_again(tmp_path: Path) -> None:
