@@ -275,7 +275,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def strength(self) -> float:
-        """What the detector that served ranks its detections by.
+        """Return what the detector that served ranks its detections by.
 
         Contrast alone, or the cascade's score and contrast together.
         """

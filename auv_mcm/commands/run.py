@@ -1,4 +1,4 @@
-"""The live service."""
+"""Run the live service."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class PlacedRecords(Generic[T]):
 
     @property
     def n_in_memory(self) -> int:
-        """Records that the disk did not take."""
+        """Count the records that the disk did not take."""
         return len(self._in_memory)
 
     def numbers(self) -> NDArray[np.int64]:

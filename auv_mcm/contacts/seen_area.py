@@ -25,7 +25,7 @@ class SeenArea:
 
     @property
     def km2(self) -> float:
-        """Area covered so far, km²."""
+        """Return the area covered so far, km²."""
         return self._m2 * 1e-6
 
     def add(self, patch: CoveragePatch) -> None:

@@ -40,7 +40,7 @@ class Forecast(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     margin_nats: _Nats
 
     def log_odds(self, features: Mapping[Feature, Values]) -> Values:
-        """(n,) forecast for features (n,). Raises KeyError for a feature that is missing."""
+        """Forecast the log-odds for features (n,). Raises KeyError for a feature that is missing."""
         total = np.full(len(features["range"]), self.offset)
         for name, weight in self.weights.items():
             total += weight * features[name]

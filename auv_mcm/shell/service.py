@@ -330,7 +330,7 @@ class Service:
                 self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
 
     async def _watch_lag(self) -> None:
-        """How late the loop wakes up: what a byte at a port waits."""
+        """Measure how late the loop wakes up: what a byte at a port waits."""
         while True:
             requested_s = self._clock.monotonic_s()
             await asyncio.sleep(_LAG_PROBE_S)

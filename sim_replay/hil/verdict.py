@@ -217,8 +217,10 @@ def _reopened(rule: Reopened, reports: Sequence[Report]) -> tuple[str, str, bool
 
 
 def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
-    """Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as
-    missing."""
+    """Compare contacts with those of a replay.
+
+    Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as missing.
+    """
     expected = f"contacts as replayed, within {rule.within_m:g} m and {rule.p_mine_within:g} in p_mine, of the same class"
     replayed = evidence.replayed or ()
     problems = []

@@ -123,6 +123,6 @@ def _holds(version: str, comparison: str, limit: str) -> bool:
 
 
 def _numbers(version: str) -> tuple[int, ...]:
-    """The numbers of a release, e.g. (4, 10, 0) of 4.10.0rc1."""
+    """Read the numbers of a release, e.g. (4, 10, 0) of 4.10.0rc1."""
     release = re.match(r"[0-9]+(\.[0-9]+)*", version)
     return tuple(int(part) for part in release[0].split(".")) if release else (0,)

@@ -103,8 +103,10 @@ def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> Per
 
 
 def mean_error(places: tuple[PerformancePlace, ...]) -> tuple[float, float, float]:
-    """Mean absolute error over places, at least one, each counting the same; and what it would be by chance, and by
-    missions, alone."""
+    """Average the absolute error over places, 1 or more, each counting the same.
+
+    And what it would be by chance, and by missions, alone.
+    """
     errors = [(place.share.error, place.share.by_chance, place.share.by_mission) for place in places]
     error, by_chance, by_mission = np.mean(errors, axis=0).tolist()
     return error, by_chance, by_mission
