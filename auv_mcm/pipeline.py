@@ -117,26 +117,26 @@ class Pipeline:
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """All contacts reported so far, by id, called by what was found so far."""
+        """Read all contacts reported so far, by id, called by what was found so far."""
         return tuple(map(self._calls.point.marked, self._ledger.contacts))
 
     @property
     def operating_point(self) -> OperatingPoint:
-        """Which contacts are called, by what was found so far."""
+        """Return what is called a mine, by what was found so far."""
         return self._calls.point
 
     @property
     def counters(self) -> Counter[str]:
-        """Everything refused, skipped or degraded so far, by dotted name; only what happened at least once."""
+        """Count what was rejected, skipped or degraded so far, by dotted name; zeros are left out."""
         return +(self._counts + self._intake.navigation_counters)
 
     @property
     def places(self) -> dict[str, Any]:
-        """Places that the detector saw, by range and strength, reported or not: as `PlaceCounts.table` lays them out."""
+        """Count the places that the detector saw, reported or not, as `PlaceCounts.table` lays them out."""
         return self._places.table()
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
-        """Contacts at least so likely to be mines that say from where another look would tell more."""
+        """List likely mines for which a further view from a known direction would help."""
         return self._ledger.asking(min_p_mine)
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
@@ -164,7 +164,7 @@ class Pipeline:
         return events + self._take(prepared)
 
     def finish(self) -> list[PipelineEvent]:
-        """Everything still in the chain, at the end of the stream. Calling it again returns nothing."""
+        """Release what is still in the chain at the end of the stream. Calling it again returns nothing."""
         if self._finished:
             return []
         self._finished = True
@@ -183,7 +183,7 @@ class Pipeline:
         return [*events, *self._calls.take_notices()]
 
     def _prepare(self, ping: Ping) -> Ping | None:
-        """The ping without what cannot be an echo trace; None if nothing is left."""
+        """Strip the ping of what cannot be an echo trace; None if nothing is left."""
         port, starboard = self._usable(ping.port, "port"), self._usable(ping.starboard, "starboard")
         if port is None and starboard is None:
             self._counts["ping.without_samples"] += 1
@@ -299,7 +299,7 @@ class Pipeline:
         return [defect_notice(defect, what, "That tile is not covered; the mission goes on.", place)]
 
     def _cells_around(self, tile: Tile) -> CoverageGrid | None:
-        """The mission's cells, whose plane touches the Earth where its first tile that can be placed begins."""
+        """Give the mission's cells, whose plane touches the Earth where its first tile with a position begins."""
         if self._grid is None and (placed := np.flatnonzero(placed_rows(tile))).size:
             latitude_deg, longitude_deg = (float(part[placed[0]]) for part in (tile.pose.latitude_deg, tile.pose.longitude_deg))
             self._grid = CoverageGrid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
@@ -311,7 +311,7 @@ class Pipeline:
         return caught(lambda: self._detect_in(tile) if looks_anyway or worth_looking(tile) else None)
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
-        """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
+        """Confirm what has become final, tile by tile, and report the contacts that come of it."""
         events: list[PipelineEvent] = []
         final: list[Detection] = []
         with self._timed("confirm"):
@@ -377,7 +377,7 @@ class Pipeline:
 def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
     return Notice(
         code="confirm.over_budget",
-        text=f"{n_over_budget} detections beyond the budget of a tile were not looked at closely; they keep the detector's p_mine. "
+        text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's p_mine. "
         "Raise confirm.max_per_tile if the computer can afford it. More are counted.",
         place=f"{detection.side}, ping {detection.ping_number}",
     )
