@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -101,6 +101,7 @@ OBJECTS = st.builds(
 
 @settings(max_examples=30)
 @given(drawn_object=OBJECTS, bright=st.floats(4.5, 60.0), dark=st.floats(0.0, 0.04))
+@example(drawn_object=Drawn(40, 80, 3, 4, 46), bright=5.0, dark=0.0)
 def test_on_an_even_floor_place_size_and_height_are_right_to_the_pixel(drawn_object: Drawn, bright: float, dark: float) -> None:
     found = measured(make_tile(draw(even(), drawn_object, bright, dark)), drawn_object)
     assert found.has_highlight
@@ -111,7 +112,8 @@ def test_on_an_even_floor_place_size_and_height_are_right_to_the_pixel(drawn_obj
     extent_error = 2.0 if drawn_object.ellipse else 1.5  # the ends of a small ellipse are single pixels
     assert found.along_m / ROW_M == pytest.approx(drawn_object.rows, abs=extent_error)
     assert found.across_m / COLUMN_M == pytest.approx(drawn_object.columns, abs=extent_error)
-    assert found.shadow_length_m / COLUMN_M == pytest.approx(drawn_object.shadow_columns, abs=2.0)
+    # Two pixels to the rounding of metres: a shadow may be measured exactly two short.
+    assert found.shadow_length_m / COLUMN_M == pytest.approx(drawn_object.shadow_columns, abs=2.0 + 1e-9)
     assert found.height_m == pytest.approx(drawn_object.height_m, rel=drawn_object.height_error)
 
 
