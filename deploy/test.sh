@@ -29,7 +29,7 @@ say "hardware in the loop has found"
 wait "$hil" || { cat "$beside/hil"; exit 1; }
 cat "$beside/hil"
 say "documentation, warnings are errors"
-.venv/bin/python -m mkdocs build --strict --config-file deploy/site/mkdocs.yml
+sh deploy/site.sh
 say "auv-mcm check"
 .venv/bin/auv-mcm check
 

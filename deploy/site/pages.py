@@ -20,11 +20,15 @@ from auv_mcm.settings.config import Config, config_yaml, port_keys
 from auv_mcm.skips import SKIPS
 from deploy.site.raised import ROOT, counted_names, notices_by_code, raised_notices
 from drivers.describe import example_text, interface_text
+from sim_replay.benches.run_time.results import POINT_HEADER, point_rows, read_results
 from sim_replay.commands.bench import BENCHES
 from sim_replay.report.report_words import MEANINGS
+from sim_replay.text_tables import markdown
 
 EXAMPLES: Final = Path("examples")
 """Folder of the examples below the documents."""
+HISTORY: Final = ROOT / "auv_mcm" / "docs" / "benchmarks"
+"""Folder of the results of `sh deploy/bench.sh`, a file per version."""
 _HELP_COLUMNS: Final = "110"  # width of help texts, characters
 _MADE: Final = "<!-- Made from the code as the site is built. -->\n"
 
@@ -37,6 +41,7 @@ def reference_pages() -> dict[str, str]:
         "reference/notices.md": notices_page(),
         "reference/counters.md": counters_page(),
         "reference/wire-interfaces.md": wire_interfaces_page(),
+        "benchmarks.md": benchmarks_page(),
     }
 
 
@@ -174,6 +179,26 @@ def wire_interfaces_page() -> str:
             *("```yaml", example_text().partition("\n# All keys of a port:")[0].rstrip(), "```", ""),
         ]
     )
+
+
+def benchmarks_page(history: Path = HISTORY) -> str:
+    """Tabulate what each version's run of the bench found, the newest version first."""
+    lines = [
+        *(f"{_MADE}# Benchmark history", ""),
+        "Run time against error of each version on the same two simulated missions, beside a plain script in the same run. `sh",
+        "deploy/bench.sh` measures this version, says what moved beyond noise since the one before, and keeps the result. Compare",
+        "the ratio to the plain script: computers differ and are busy. [More points and targets](run-time.md).",
+        "",
+    ]
+    for path in sorted(history.glob("*.json"), key=lambda path: [int(part) for part in path.stem.split(".")], reverse=True):
+        results = read_results(path)
+        machine = results.machine
+        lines += [f"## {path.stem}", ""]
+        lines.append(
+            f"{machine.date}, {machine.processor}, {machine.cores} cores, kernels {machine.kernels}; {', '.join(results.missions)};"
+        )
+        lines += [f"medians of {results.repeat} repeats.", "", markdown(POINT_HEADER, point_rows(results)), ""]
+    return "\n".join(lines)
 
 
 def example_pages(documents: Path) -> dict[str, str]:

@@ -11,16 +11,17 @@ from typing import Any, Final
 
 import pytest
 
+from auv_mcm import __version__
 from auv_mcm.cli import main
 from auv_mcm.shell.registry import COMMANDS
-from deploy.site.pages import commands_page, configuration_page, counters_page, notices_page, project_pages
+from deploy.site.pages import HISTORY, benchmarks_page, commands_page, configuration_page, counters_page, notices_page, project_pages
 from deploy.site.raised import counted_names, notices_by_code, raised_notices
+from sim_replay.benches.run_time.results import read_results
 from sim_replay.commands.bench import BENCHES
 from tests.auv_mcm.test_command_lines import SCENE
 
 ROOT: Final = Path(__file__).parents[2]
 DOCS: Final = ROOT / "auv_mcm" / "docs"
-BUILD: Final = ".venv/bin/python -m mkdocs build --strict --config-file deploy/site/mkdocs.yml"
 NOTICES: Final = notices_by_code(raised_notices())
 
 
@@ -35,8 +36,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_site_is_built_by_the_test_command_with_warnings_as_errors() -> None:
-    assert BUILD in (ROOT / "deploy" / "test.sh").read_text("utf-8")
-    assert BUILD in (DOCS / "index.md").read_text("utf-8")
+    assert "mkdocs build --strict" in (ROOT / "deploy" / "site.sh").read_text("utf-8")
+    assert "\nsh deploy/site.sh\n" in (ROOT / "deploy" / "test.sh").read_text("utf-8")
 
 
 def test_every_key_of_the_configuration_is_on_its_page(capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,6 +120,15 @@ def test_the_page_of_files_names_what_a_simulation_writes(results: Path) -> None
     truth = json.loads((results.parent / "sim" / "truth.json").read_bytes())
     assert table_keys("truth.json") == set(truth)
     assert table_keys("truth.json", "| key of an object |") == set(truth["objects"][0])
+
+
+def test_the_benchmark_history_has_this_version_and_every_file_of_it_can_be_compared() -> None:
+    page = benchmarks_page()
+    assert f"## {__version__}\n" in page
+    for path in HISTORY.glob("*.json"):
+        found = read_results(path)
+        assert found.missions == ("flat 9600", "mixed 9600")  # others cannot be compared
+        assert found.point("default") is not None
 
 
 def test_links_of_project_pages_hold_in_the_site() -> None:
