@@ -15,7 +15,7 @@ EXAMPLE: Final = Path(__file__).parent / "example_package"
 
 
 def write_package(folder: Path, name: str, entry_points: dict[str, dict[str, str]], modules: dict[str, str] | None = None) -> None:
-    """Write what tells Python that a package is installed. modules: source texts by module name."""
+    """Write the metadata by which Python finds an installed package. modules: source texts by module name."""
     info = folder / f"{name.replace('-', '_')}-1.2.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
