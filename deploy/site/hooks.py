@@ -15,7 +15,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     examples = list(example_pages(Path(config.docs_dir)))
     if examples and config.nav is not None:
         titles = [next(iter(item)) if isinstance(item, dict) else "" for item in config.nav]
-        config.nav.insert(titles.index("How to") + 1, {"Examples": examples})
+        config.nav.insert(titles.index("How to") + 1, {"Examples": ["examples.md", *examples]})
     return config
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -118,7 +119,9 @@ class AddedLog:
 
     @property
     def bytes_read(self) -> int:
-        return 0 if self._file is None or self._file.closed else min(self._file.tell(), self._size_bytes)
+        if self._file is None or self._file.closed:
+            return 0
+        return min(self._file.seek(0, os.SEEK_CUR), self._size_bytes)
 
     @property
     def counters(self) -> Counter[str]:
