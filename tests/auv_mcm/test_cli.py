@@ -170,6 +170,7 @@ def test_check_reports_every_part_and_passes_here(capsys: pytest.CaptureFixture[
         "numpy",
         "mcap",
         "C kernels",
+        "plug-ins",
         "simulator kernels",
         "configuration",
         "clock",

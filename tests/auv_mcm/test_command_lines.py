@@ -14,6 +14,7 @@ import re
 import shlex
 import shutil
 import sys
+import tomllib
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -38,7 +39,7 @@ from tests.manual_clock import ManualClock
 from tests.sim_replay.logs.sonar_logs import run_of, write_jsf
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "auv_mcm" / "docs").glob("*.md"))]
+PAGES = [*(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")), *sorted((ROOT / "auv_mcm" / "docs").rglob("*.md"))]
 SCRIPTS = sorted((ROOT / "deploy").glob("*.sh"))
 PROGRAMS = ("auv-mcm ", "python -m ", "sh deploy/")
 
@@ -251,14 +252,19 @@ def run_command(arguments: Sequence[str]) -> None:
                 main([*arguments, "--help"])
             assert helped.value.code == 0
     else:
-        assert code == 0 or arguments == ["run"], arguments  # the service asks for its source
+        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"]), arguments  # mere names: these ask for what to run
 
 
 def run_module(name: str, arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
     if name == "pytest":
-        assert all((ROOT / path).exists() for path in arguments)
+        assert all((ROOT / path).exists() for path in arguments if not path.startswith("-"))
         return
-    run = importlib.import_module(name).main
+    if name == "pip":
+        extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+        assert set(re.findall(r"[\w]+(?=[\],])", arguments[-1])) <= set(extras)
+        return
+    module = importlib.import_module(name)
+    run = (module if hasattr(module, "main") else importlib.import_module(f"{name}.__main__")).main
     if not arguments:
         arguments = ["--help"]  # a mere name of it
     monkeypatch.setattr(sys, "argv", [name, *arguments])
