@@ -70,7 +70,7 @@ class _Track:
         self._along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
 
     def along_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.interp(time_s, self._time_s, self._along_m)
+        return np.asarray(np.interp(time_s, self._time_s, self._along_m), dtype=np.float64)
 
 
 class _Announced(NamedTuple):
@@ -99,7 +99,8 @@ def measure_latency(line: BenchMission) -> MissionLatency:
     pipeline.finish()
     times_s, track = np.array(ping_s), _Track(navigation)
     along_m = track.along_m(times_s)
-    first_waits, finished_waits = [], []
+    first_waits: list[Wait] = []
+    finished_waits: list[Wait] = []
     n_early = 0
     for view, target in _target_views(pipeline.contacts, line.truth.objects):
         beam_m = view.slant_range_m * math.radians(line.config.sonar.beam_width_deg)
