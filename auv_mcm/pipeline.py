@@ -32,6 +32,7 @@ from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, w
 from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.detect.place_counts import PlaceCounts
 from auv_mcm.detect.suppress import Suppressor
+from auv_mcm.early import EarlyLook
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.records import (
@@ -66,6 +67,7 @@ class Pipeline:
     `look` and `seabed` take the place of detection in a tile, of confirmation of a detection, and of the kinds of sea floor in a tile, to
     compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
+    early: look at the newest rows before their tile is complete and announce early contacts; all else is the same without.
 
     The models that `config.detect` names are read here, once. Raises BadInputError if one cannot be.
     """
@@ -81,6 +83,7 @@ class Pipeline:
         look: Callable[[Detection], Detection] | None = None,
         seabed: Callable[[Tile], SeabedCells | None] | None = None,
         kept: Contacts | None = None,
+        early: bool = False,
     ) -> None:
         self._config = config
         self._without_skips = without_skips
@@ -111,6 +114,7 @@ class Pipeline:
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
         self._places = PlaceCounts()
+        self._early = EarlyLook(config, model, gate, self._odds, self._odds.prior if config.confirm.enabled else 0.0) if early else None
         self._grid: CoverageGrid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
@@ -128,7 +132,8 @@ class Pipeline:
     @property
     def counters(self) -> Counter[str]:
         """Count what was rejected, skipped or degraded so far, by dotted name; zeros are left out."""
-        return +(self._counts + self._intake.navigation_counters)
+        early = Counter[str]() if self._early is None else self._early.counters
+        return +(self._counts + self._intake.navigation_counters + early)
 
     @property
     def places(self) -> dict[str, Any]:
@@ -236,7 +241,21 @@ class Pipeline:
                 with self._timed("waterfall"):
                     tiles = self._waterfall.add(self._intake.place_along_track(item))
                 events += self._look(tiles)
+                events += self._look_early(self._waterfall)
         return events
+
+    def _look_early(self, waterfall: Waterfall) -> list[PipelineEvent]:
+        """Look at rows whose tile is not complete. What fails here is announced when the tile is complete."""
+        if self._early is None:
+            return []
+        with self._timed("early"):
+            found = caught(partial(self._early.look, waterfall.newest))
+        if not isinstance(found, Defect):
+            return [*found]
+        self._counts["pipeline.early_look_failed"] += 1
+        if self._counts["pipeline.early_look_failed"] > 1:
+            return []
+        return [defect_notice(found, "the early look", "Contacts come when their tile is complete; the mission goes on.", "newest rows")]
 
     def _look(self, tiles: list[Tile]) -> list[PipelineEvent]:
         if not tiles:
@@ -326,6 +345,9 @@ class Pipeline:
             changed = self._ledger.add(final)
         with self._timed("calls"):
             events += self._calls.announce(changed, self._ledger.numbered)
+        if self._early is not None:
+            settled_to_row = {side: suppressor.settled_to_row for side, suppressor in self._suppressors.items()}
+            events += self._early.resolve(settled_to_row, final, changed)
         return [*events, *self._calls.take_notices()]
 
     def _looks_failed(self, defects: list[tuple[Detection, Defect]]) -> list[PipelineEvent]:

@@ -330,6 +330,46 @@ def contact_number(name: str) -> int:
     return int(name[1:])
 
 
+EARLY_NUMBERS: Final = 1_000_000
+"""Numbers of early contacts where only a number goes, as on the wire to a vehicle, begin after this; no mission has so many contacts."""
+
+
+def early_id(number: int) -> str:
+    """Give the id of a mission's early contact, numbered from 1."""
+    return f"E{number:05d}"
+
+
+def report_number(name: str) -> int:
+    """Give the number that stands for a contact or an early contact on a wire. Raises ValueError for an id of neither."""
+    if name.startswith("E") and name[1:].isdecimal():
+        return EARLY_NUMBERS + int(name[1:])
+    return contact_number(name)
+
+
+EarlyState: TypeAlias = Literal["found", "became", "withdrawn"]
+
+
+class EarlyContact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """An object that a first look shows before its tile is finished; it is announced, and stands in no result.
+
+    contact: one view of it, under an id of its own (`early_id`). state: `found` comes first, and once the tile is
+    finished `became`, with the id of the contact that it is, or `withdrawn`.
+    """
+
+    contact: Contact
+    state: EarlyState
+    became: str = ""
+
+    @property
+    def reported(self) -> Contact:
+        """The contact to report to a vehicle: without views, a class and p_mine once its tile is finished."""
+        if self.state == "found":
+            return self.contact
+        return msgspec.structs.replace(
+            self.contact, p_mine=0.0, classification="unknown", belief={"unknown": 1.0}, views=(), aspects_deg=()
+        )
+
+
 SeabedType: TypeAlias = Literal["flat", "ripple", "rough", "vegetation", "unknown"]
 SEABED_TYPES: Final[tuple[SeabedType, ...]] = get_args(SeabedType)
 """`rough` is rock, stones and coarse ground; `unknown` is unlike all that was learnt."""
@@ -415,4 +455,4 @@ class Waypoint(msgspec.Struct, frozen=True, kw_only=True):
     why: str
 
 
-PipelineEvent: TypeAlias = Tile | Contact | CoveragePatch | Notice
+PipelineEvent: TypeAlias = Tile | Contact | EarlyContact | CoveragePatch | Notice

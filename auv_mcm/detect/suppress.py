@@ -54,6 +54,8 @@ class Suppressor:
         # As they came: settled, but still surroundings of waiting ones or of those to come.
         self._recent: list[Detection] = []
         self._faint = NO_FAINT_PLACES
+        self.settled_to_row = -math.inf
+        """Everything before this row of the mission grid is settled."""
 
     def add(self, detections: tuple[Detection, ...], complete_to_row: float, faint: FaintPlaces = NO_FAINT_PLACES) -> list[Detection]:
         """Take a tile's detections; return those that are final now, in order of rows.
@@ -91,6 +93,7 @@ class Suppressor:
             self._counters["detect.suppressed"] += len(chain) - len(best)
             settled += [self._in_surroundings(detection, around) for detection in best]
         self._waiting = sorted(waiting, key=_order)
+        self.settled_to_row = min([horizon, *(d.row for d in waiting)])
         first_needed = min([known_to, *(d.row for d in waiting)]) - surroundings
         still_waiting = {id(d) for d in waiting}
         self._recent = [d for d in known if d.row >= first_needed and id(d) not in still_waiting]

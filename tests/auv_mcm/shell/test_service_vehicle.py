@@ -224,3 +224,20 @@ def test_no_request_goes_to_a_vehicle_that_is_out_of_reach(tmp_path: Path) -> No
     serve(tmp_path, ports, lambda: time.monotonic() > until, fake.Undecided)
     assert "contact" in ports.vehicle.words()
     assert "plan" not in ports.vehicle.words()
+
+
+def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_their_contact_and_request_no_leg(tmp_path: Path) -> None:
+    def take(contact: Contact) -> None:
+        if contact.id.startswith("E"):
+            assert contact.id in (tmp_path / "latest" / "early.jsonl").read_text()
+            reported.append((contact.id, contact.p_mine))
+        else:
+            reported.append((contact.id, 0.25))
+
+    reported: list[tuple[str, float]] = []
+    ports = Ports()
+    ports.vehicle.on_contact = take
+    serve(tmp_path, ports, lambda: len(reported) >= 8, fake.Early)
+    assert [each for each in reported if each[0].startswith("E")] == [("E00001", 0.6), ("E00002", 0.6), ("E00001", 0.0), ("E00002", 0.0)]
+    assert reported.index(("C0003", 0.25)) < reported.index(("E00001", 0.0))
+    assert "plan" not in ports.vehicle.words()
