@@ -3,6 +3,7 @@
 # Needs Python 3.11 or later; a C compiler is used if there is one.
 set -eu
 cd "$(dirname "$0")/.."
+unset PYTHONDONTWRITEBYTECODE # each of hundreds of processes would compile all that it imports
 sh deploy/venv.sh bench dev docs
 
 say() {

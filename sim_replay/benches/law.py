@@ -7,8 +7,8 @@ auv-mcm bench law --log LOG ...         what recorded logs are taken for, and wh
 
 Each floor is simulated once per seed and number of looks, in linear units; every recorder then stores those same echoes
 in its own way. The figures in `auv_mcm/waterfall/law.py`, `decibels.py`, `even.py`,
-`texture.py` and `quiet.py` were set on seeds 1
-to 4 of flat, ripple, rough and seagrass: other seeds show what is new to them, other scenes what is of another kind.
+`texture.py` and `quiet.py` were set on seeds 1 to 4 of flat, ripple, rough and seagrass: other seeds show what is new
+to them, other scenes what is of another kind.
 """
 
 from __future__ import annotations
