@@ -1,4 +1,6 @@
-"""Text from devices, logs and file names, made safe to show: what could move a cursor, forge a line or reorder text is written out.
+"""Make text from devices, logs and file names safe to show.
+
+What could move a cursor, forge a line or reorder text is written out.
 
 Such a character becomes its escape, for example `\\x1b`, so that a person sees that it was there.
 """
@@ -11,9 +13,10 @@ import re
 import types
 from typing import Final, TypeAlias
 
-# C0, DEL and C1 controls; marks and overrides that reorder text (Unicode Standard Annex 9, "Trojan Source" CVE-2021-42574); line and
-# paragraph separators; invisible operators, the byte order mark and tags; halves of surrogate pairs, which file names that are no UTF-8
-# have in Python and which no encoding takes; and the noncharacters that XML 1.0 forbids.
+# C0, DEL and C1 controls; marks and overrides that reorder text (Unicode Standard Annex 9, "Trojan Source"
+# CVE-2021-42574); line and paragraph separators; invisible operators, the byte order mark and tags; halves of surrogate
+# pairs, which file names that are no UTF-8 have in Python and which no encoding takes; and the noncharacters that XML
+# 1.0 forbids.
 _UNSAFE: Final = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff\ufffe\uffff\U000e0000-\U000e007f]"
 )
@@ -31,7 +34,10 @@ def clean(text: str) -> str:
 
 
 def clean_lines(text: str) -> str:
-    """Write out control characters but keep the lines, and indent those after the first, so that none passes for a line of its own."""
+    """Write out control characters but keep the lines.
+
+    Lines after the first are indented, so that none passes for a line of its own.
+    """
     first, *others = text.split("\n")
     return "\n".join([clean(first), *(line if line.startswith("  ") else f"  {line}" for line in map(clean, others))])
 

@@ -1,4 +1,4 @@
-"""The auv-mcm command. Everything heavy is imported by the subcommand that needs it."""
+"""Define the auv-mcm command. Everything heavy is imported by the subcommand that needs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only source of time, and the time stamp of bytes."""
+"""Define the only source of time, and the time stamp of bytes."""
 
 from __future__ import annotations
 
@@ -7,17 +7,20 @@ from typing import NamedTuple, Protocol
 
 
 class Clock(Protocol):
-    """Two readings: one for durations, one for time stamps. Neither stands in for the other."""
+    """Read time twofold: for durations, and for time stamps. Neither stands in for the other."""
 
     def monotonic_s(self) -> float:
-        """Seconds since an arbitrary start; never steps back, so deadlines and ages are measured with it."""
+        """Read seconds since an arbitrary start.
+
+        Never steps back, so deadlines and ages are measured with it.
+        """
 
     def utc_s(self) -> float:
-        """UTC seconds since 1970; may step when the system's clock is set."""
+        """Read UTC seconds since 1970; may step when the system's clock is set."""
 
 
 class SystemClock:
-    """The computer's own clocks."""
+    """Read the computer's own clocks."""
 
     def monotonic_s(self) -> float:
         return time.monotonic()

@@ -38,7 +38,7 @@ from auv_mcm.snippet import unpack_snippet
 _QUALITY: Final = 0.95  # of a view that nothing speaks against
 _POOR_QUALITY: Final = 0.6
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
-_LEAST_PIXELS: Final = 8  # along either axis; contours need as many
+_MIN_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
 
@@ -47,10 +47,10 @@ _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 
 
 class Thoroughness(NamedTuple):
-    """How much each step of a look tries; the odds are fitted with the default.
+    """How much each step of a confirmation tries; the odds are fitted with the default.
 
-    coarse, fine: schedules of contours, (nodes added, stride in pixels, rounds) per stage. n_sweeps: maximum of the Markov field.
-    effort: of the search for solids.
+    coarse, fine: schedules of contours, (nodes added, stride in pixels, rounds) per stage. n_sweeps: maximum of the
+    Markov field. effort: of the search for solids.
     """
 
     coarse: Schedule = COARSE
@@ -87,7 +87,9 @@ def confirm_detection(
     thoroughness: Thoroughness = _USUAL,
     without_skips: Skips = NO_SKIPS,
 ) -> Detection:
-    """Return the detection with p_mine after confirmation, with a Confirmation if its odds allowed one, without surroundings.
+    """Return the detection with p_mine after confirmation, without surroundings.
+
+    It has a Confirmation if its odds allowed one.
 
     p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
     `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
@@ -97,7 +99,7 @@ def confirm_detection(
     if detection.surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
         return without_confirmation(detection, odds, "not_looked_at")
     region = region_of(detection, detection.surroundings, beam_width_rad)
-    if min(region.intensity.shape) < _LEAST_PIXELS:
+    if min(region.intensity.shape) < _MIN_PIXELS:
         return without_confirmation(detection, odds, "region_too_small")
     try:
         require_sound(region)
@@ -149,7 +151,10 @@ def evidence_of(examination: Examination, odds: MineOdds) -> float:
 
 
 def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
-    """Compute the evidence in nats; in the shadow of another object there is none for a mine, since nothing can be seen."""
+    """Compute the evidence in nats.
+
+    In the shadow of another object there is none for a mine, since nothing can be seen.
+    """
     ratio = odds.log_ratio(step, features)
     return min(ratio, 0.0) if "in_shadow" in contours.reasons else ratio
 
@@ -214,7 +219,9 @@ def examine(
 
 
 def labels_near(labels: NDArray[np.uint8], region: Region) -> NDArray[np.uint8] | None:
-    """The connected highlight and shadow labels that have most pixels close to the detection, all else background; None if none are.
+    """Keep the connected highlight and shadow labels with most pixels close to the detection.
+
+    All else is background; None if none are.
 
     labels: (n_rows, n_columns) uint8.
     """
@@ -247,7 +254,10 @@ def contour_cost(image: ImageRowSums | None, region: Region, contours: Contours,
 
 
 def shape_mass(fits: ShapeFits, poor: bool) -> NDArray[np.float64]:
-    """(32,) which mines a view may show, without a word on clutter: that is weighed from everything together."""
+    """Weigh which mines a view may show, (32,).
+
+    Clutter is weighed from everything together instead.
+    """
     evidence: dict[ContactClass, ClassEvidence] = {
         fit.solid: ClassEvidence(nll=fit.best.cost, plausibility=fit.plausibility) for fit in fits.fits
     }
@@ -260,8 +270,8 @@ def _confirmation(detection: Detection, surroundings: Surroundings, examination:
     reasons = (*contours.reasons, *(() if fits is None else fits.flags), *(() if best is None else best.flags))
     if examination.segmentation is not None:
         reasons = (*reasons, *examination.segmentation.flags)
-    told = frozenset((*detection.reasons, *reasons))
-    mass = vacuous() if fits is None else shape_mass(fits, poor=not told.isdisjoint(_POOR))
+    all_reasons = frozenset((*detection.reasons, *reasons))
+    mass = vacuous() if fits is None else shape_mass(fits, poor=not all_reasons.isdisjoint(_POOR))
     # Whole pixels lie between the two pictures.
     top = round(surroundings.row - detection.snippet_row)
     near = round(surroundings.column - detection.snippet_column)
@@ -299,7 +309,10 @@ def _model(fit: ShapeFit, corner: NDArray[np.float64]) -> ShapeModel:
 
 
 def _outline(near: NDArray[np.float64], far: NDArray[np.float64], corner: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 2) outline around the columns from near to far (n_rows,) of the rows that have any: down the near side, up the far one."""
+    """Draw an outline (n, 2) around the columns from near to far (n_rows,) of the rows that have any.
+
+    It runs down the near side and up the far one.
+    """
     rows = np.flatnonzero(far > near)
     if rows.size == 0:
         return _NONE

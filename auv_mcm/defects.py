@@ -1,8 +1,8 @@
 """Keep a mission going when the processing of one piece of it fails.
 
-An exception from a stage is a defect of this program, or memory that ran out. Live, losing one tile is better than losing the mission: the
-piece is counted, reported and not covered. Developers still see the exception: each one raises a DefectWarning, which tests and
-`python -W error::ResourceWarning` turn into an error.
+An exception from a stage is a defect of this program, or memory that ran out. Live, losing one tile is better than
+losing the mission: the piece is counted, reported and not covered. Developers still see the exception: each one raises
+a DefectWarning, which tests and `python -W error::ResourceWarning` turn into an error.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ class DefectWarning(ResourceWarning):
 
 
 class Defect(NamedTuple):
-    """An exception raised by a stage, in words. text: its type, message, and where in the code it was raised."""
+    """An exception raised by a stage, in words.
+
+    text: its type, message, and where in the code it was raised.
+    """
 
     text: str
     error: Exception
@@ -40,7 +43,10 @@ def caught(stage: Callable[[], R]) -> R | Defect:
 
 
 def defect_notice(defect: Defect, what: str, consequence: str, place: str) -> Notice:
-    """The notice about a defect in one piece, warning developers on the way. what: the work that failed; consequence: what follows."""
+    """Word the notice of a defect in one piece, warning developers on the way.
+
+    what: the work that failed; consequence: what follows.
+    """
     try:
         warnings.warn(DefectWarning(f"{what} failed at {place}: {defect.text}"), stacklevel=2)
     except DefectWarning as warning:

@@ -1,4 +1,4 @@
-"""The exceptions of this project.
+"""Define the exceptions of this project.
 
 AuvMcmError
 ├── UsageError      bad command line or configuration (exit code 2); e.g. an unknown configuration key

@@ -1,4 +1,7 @@
-"""From a stream of pings and navigation to blocks of pings with poses: ordering, segments, waiting for navigation."""
+"""Turn a stream of pings and navigation into blocks of pings with poses.
+
+By ordering, cutting segments, and waiting for navigation.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ class PingBlock(NamedTuple):
     pitch_rate_rad_s: NDArray[np.float64]
 
     def piece(self, first: int, stop: int) -> PingBlock:
-        """Pings [first, stop)."""
+        """Cut out pings [first, stop)."""
         if (first, stop) == (0, len(self.pings)):
             return self
         rows = slice(first, stop)
@@ -47,13 +50,16 @@ class PingBlock(NamedTuple):
 
 
 class SegmentEnd(NamedTuple):
-    """The next block does not continue the one before. transfer: what its samples are from there on, None for what they were."""
+    """The end of a segment: the next block does not continue the one before.
+
+    transfer: what its samples are from there on, None for no change.
+    """
 
     transfer: Transfer | None = None
 
 
 class Intake:
-    """Releases blocks of equally laid-out pings once navigation around them is final.
+    """Release blocks of equally laid-out pings once navigation around them is final.
 
     Depends on the events and their times alone, so the same stream gives the same blocks however it was cut up.
     """
@@ -84,12 +90,12 @@ class Intake:
         return self._refused + self._navigation.counters
 
     def add_navigation(self, sample: NavSample) -> list[Notice]:
-        """Take a sample; return what a person should know about navigation."""
+        """Take a sample; return the notices about navigation that it raises."""
         self._navigation.add(sample)
         return self.take_notices()
 
     def take_notices(self) -> list[Notice]:
-        """What a person should know about pings and navigation since the last call."""
+        """Return the notices about pings and navigation raised since the last call."""
         notices, self._notices = self._notices + self._navigation.take_notices(), []
         return notices
 
@@ -104,7 +110,7 @@ class Intake:
         leap, self._leap = self._leap, None
         if leap is None:
             if ping.time_s - self._newest_s > self._longest_hole_s and math.isfinite(self._newest_s):
-                self._leap = ping  # a hole in time, or one bad stamp: the next ping tells
+                self._leap = ping  # a hole in time, or one bad stamp: the next ping decides
                 return []
             return self._accept(ping)
         if ping.time_s < leap.time_s:
@@ -132,7 +138,7 @@ class Intake:
         return done + self._release(everything=False)
 
     def flush(self) -> list[PingBlock | SegmentEnd]:
-        """Everything still waiting, and the end of the segment."""
+        """Release everything still waiting, and the end of the segment."""
         leap, self._leap = self._leap, None
         late = [] if leap is None else self._accept(leap)
         released = [*late, *self._release(everything=True), SegmentEnd()]
@@ -144,7 +150,7 @@ class Intake:
         self._pending.append(SegmentEnd(transfer))
 
     def start_segment(self, along_m: float) -> None:
-        """The next block's first ping lies just after this along-track distance."""
+        """Start a segment: the next block's first ping lies just after this along-track distance."""
         self._along_m = along_m + self._config.waterfall.max_ping_gap_m
         self._previous_speed_mps = math.nan
 
@@ -176,7 +182,10 @@ class Intake:
         return self._navigation.span_s[1] >= final_s and self._navigation.ready_until_s >= final_s
 
     def _next_run(self, *, everything: bool) -> list[Ping]:
-        """The next block's pings; empty while later pings may still join them, unless `everything` has to go."""
+        """Take the next block's pings.
+
+        Returns none of them while later pings may still join, unless `everything` has to go.
+        """
         if self._run or (len(self._pending) < BLOCK_PINGS and not everything):
             return self._run
         run: list[Ping] = []
@@ -193,7 +202,7 @@ class Intake:
         return run
 
     def _blocks(self, pings: list[Ping]) -> list[PingBlock | SegmentEnd]:
-        """The pings with their poses, in pieces with a segment's end between where the position steps to another place."""
+        """Give pings their poses, in pieces with a segment's end between where the position steps to another place."""
         block = self._block(pings)
         n_steps = self._navigation.n_steps_before(block.poses.time_s)
         pieces: list[PingBlock | SegmentEnd] = []
@@ -230,7 +239,7 @@ class Intake:
         )
 
     def _compare_altitude(self, pings: list[Ping], poses: PoseTrack) -> None:
-        """Altitudes of a block against the range of its pings, which have one layout."""
+        """Compare altitudes of a block with the range of its pings, which have one layout."""
         if self._beyond_range is not None:
             return
         altitude_m = np.where(np.isfinite(poses.altitude_m), poses.altitude_m, [ping.altitude_m for ping in pings])
@@ -255,7 +264,7 @@ class Intake:
         self._notices.append(self._beyond_range)
 
     def place_along_track(self, block: PingBlock) -> PingBlock:
-        """The block with its along-track distances: speed over ground integrated over time, strictly increasing."""
+        """Give the block its along-track distances: speed over ground integrated over time, strictly increasing."""
         times, speed = block.poses.time_s, block.poses.speed_mps
         along: NDArray[np.float64] = np.empty(len(times))
         if math.isnan(self._previous_speed_mps):
@@ -270,7 +279,10 @@ class Intake:
 
 
 def _rate(change: NDArray[np.float64], span_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change per second; zero where there is hardly any time to see one, as with navigation that came and went."""
+    """Compute the change per second.
+
+    Zero where there is hardly any time to see one, as with navigation that came and went.
+    """
     return np.divide(change, span_s, out=np.zeros(change.shape), where=span_s > 0.5 * _RATE_HALF_SPAN_S)
 
 

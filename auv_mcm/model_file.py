@@ -1,4 +1,4 @@
-"""A fitted model that a configuration key names: the one that ships with the package, or a file."""
+"""Read a fitted model that a configuration key names: the one that ships with the package, or a file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ Model = TypeVar("Model")
 def read_model(key: str, name: str, parse: Callable[[bytes, str], Model], shipped: Callable[[], Model], else_: str = "") -> Model:
     """Read the model that a configuration key names: `shipped`, or the path of a file.
 
-    key: for messages, e.g. detect.model. parse: bytes and the place for messages to a model. else_: for messages, other names that the key
-    takes. Raises BadInputError naming key and file where it cannot be read, and as parse does.
+    key: for messages, e.g. detect.model. parse: bytes and the place for messages to a model. else_: for messages, other
+    names that the key takes. Raises BadInputError naming key and file where it cannot be read, and as parse does.
     """
     if name == SHIPPED:
         return shipped()

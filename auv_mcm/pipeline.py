@@ -33,6 +33,7 @@ from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, w
 from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.detect.place_counts import PlaceCounts
 from auv_mcm.detect.suppress import Suppressor
+from auv_mcm.early import EarlyLook
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.records import (
@@ -67,6 +68,7 @@ class Pipeline:
     `look` and `seabed` take the place of detection in a tile, of confirmation of a detection, and of the kinds of sea floor in a tile, to
     compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
+    early: look at the newest rows before their tile is complete and announce early contacts; all else is the same without.
 
     The models that `config.detect` names are read here, once. Raises BadInputError if one cannot be.
     """
@@ -82,6 +84,7 @@ class Pipeline:
         look: Callable[[Detection], Detection] | None = None,
         seabed: Callable[[Tile], SeabedCells | None] | None = None,
         kept: Contacts | None = None,
+        early: bool = False,
     ) -> None:
         self._config = config
         self._without_skips = without_skips
@@ -117,32 +120,34 @@ class Pipeline:
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
         self._places = PlaceCounts()
+        self._early = EarlyLook(config, model, gate, self._odds, self._odds.prior if config.confirm.enabled else 0.0) if early else None
         self._grid: CoverageGrid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """All contacts reported so far, by id, called by what was found so far."""
+        """Read all contacts reported so far, by id, called by what was found so far."""
         return tuple(map(self._calls.point.marked, self._ledger.contacts))
 
     @property
     def operating_point(self) -> OperatingPoint:
-        """Which contacts are called, by what was found so far."""
+        """Return what is called a mine, by what was found so far."""
         return self._calls.point
 
     @property
     def counters(self) -> Counter[str]:
-        """Everything refused, skipped or degraded so far, by dotted name; only what happened at least once."""
-        return +(self._counts + self._intake.navigation_counters)
+        """Count what was rejected, skipped or degraded so far, by dotted name; zeros are left out."""
+        early = Counter[str]() if self._early is None else self._early.counters
+        return +(self._counts + self._intake.navigation_counters + early)
 
     @property
     def places(self) -> dict[str, Any]:
-        """Places that the detector saw, by range and strength, reported or not: as `PlaceCounts.table` lays them out."""
+        """Count the places that the detector saw, reported or not, as `PlaceCounts.table` lays them out."""
         return self._places.table()
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
-        """Contacts at least so likely to be mines that say from where another look would tell more."""
+        """List likely mines for which a further view from a known direction would help."""
         return self._ledger.asking(min_p_mine)
 
     def leave_room(self, room: float) -> None:
@@ -176,7 +181,7 @@ class Pipeline:
         return events + self._take(prepared)
 
     def finish(self) -> list[PipelineEvent]:
-        """Everything still in the chain, at the end of the stream. Calling it again returns nothing."""
+        """Release what is still in the chain at the end of the stream. Calling it again returns nothing."""
         if self._finished:
             return []
         self._finished = True
@@ -195,7 +200,7 @@ class Pipeline:
         return [*events, *self._calls.take_notices()]
 
     def _prepare(self, ping: Ping) -> Ping | None:
-        """The ping without what cannot be an echo trace; None if nothing is left."""
+        """Strip the ping of what cannot be an echo trace; None if nothing is left."""
         port, starboard = self._usable(ping.port, "port"), self._usable(ping.starboard, "starboard")
         if port is None and starboard is None:
             self._counts["ping.without_samples"] += 1
@@ -248,7 +253,21 @@ class Pipeline:
                 with self._timed("waterfall"):
                     tiles = self._waterfall.add(self._intake.place_along_track(item))
                 events += self._look(tiles)
+                events += self._look_early(self._waterfall)
         return events
+
+    def _look_early(self, waterfall: Waterfall) -> list[PipelineEvent]:
+        """Look at rows whose tile is not complete. What fails here is announced when the tile is complete."""
+        if self._early is None or self._room < 1.0:  # a service that is behind drops this first
+            return []
+        with self._timed("early"):
+            found = caught(partial(self._early.look, waterfall.newest))
+        if not isinstance(found, Defect):
+            return [*found]
+        self._counts["pipeline.early_look_failed"] += 1
+        if self._counts["pipeline.early_look_failed"] > 1:
+            return []
+        return [defect_notice(found, "the early look", "Contacts come when their tile is complete; the mission goes on.", "newest rows")]
 
     def _look(self, tiles: list[Tile]) -> list[PipelineEvent]:
         if not tiles:
@@ -313,7 +332,7 @@ class Pipeline:
         return [defect_notice(defect, what, "That tile is not covered; the mission goes on.", place)]
 
     def _cells_around(self, tile: Tile) -> CoverageGrid | None:
-        """The mission's cells, whose plane touches the Earth where its first tile that can be placed begins."""
+        """Give the mission's cells, whose plane touches the Earth where its first tile with a position begins."""
         if self._grid is None and (placed := np.flatnonzero(placed_rows(tile))).size:
             latitude_deg, longitude_deg = (float(part[placed[0]]) for part in (tile.pose.latitude_deg, tile.pose.longitude_deg))
             self._grid = CoverageGrid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
@@ -348,7 +367,7 @@ class Pipeline:
         return [_cheapest_pass_over(*dear[0])] if dear and is_first else []
 
     def _conclude(self, settled: list[list[Detection]]) -> list[PipelineEvent]:
-        """Look closely at what has become final, tile by tile, and tell the contacts that come of it."""
+        """Confirm what has become final, tile by tile, and report the contacts that come of it."""
         events: list[PipelineEvent] = []
         final: list[Detection] = []
         with self._timed("confirm"):
@@ -363,6 +382,9 @@ class Pipeline:
             changed = self._ledger.add(final)
         with self._timed("calls"):
             events += self._calls.announce(changed, self._ledger.numbered)
+        if self._early is not None:
+            settled_to_row = {side: suppressor.settled_to_row for side, suppressor in self._suppressors.items()}
+            events += self._early.resolve(settled_to_row, final, changed)
         return [*events, *self._calls.take_notices()]
 
     def _looks_failed(self, defects: list[tuple[Detection, Defect]]) -> list[PipelineEvent]:
@@ -416,7 +438,7 @@ class Pipeline:
 def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
     return Notice(
         code="confirm.over_budget",
-        text=f"{n_over_budget} detections beyond the budget of a tile were not looked at closely; they keep the detector's p_mine. "
+        text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's p_mine. "
         "Raise confirm.max_per_tile if the computer can afford it. More are counted.",
         place=f"{detection.side}, ping {detection.ping_number}",
     )

@@ -23,7 +23,8 @@ NAN: Final = float("nan")
 # Bits of Tile.mask. A pixel counts in statistics when VALID is set and SATURATED is not.
 VALID: Final = 1  # an echo was measured here and nothing speaks against it
 SATURATED: Final = 2  # clipped: a lower bound, good evidence of a highlight, never background
-LOW_RESOLUTION: Final = 4  # grazing too steep (several pixels from one sample) or too shallow: no detection, no coverage
+# grazing too steep (several pixels from one sample) or too shallow: no detection, no coverage
+LOW_RESOLUTION: Final = 4
 TURN: Final = 8  # pixel spacing distorted by a turn: no coverage; what is found there says so
 
 
@@ -50,7 +51,9 @@ class Transfer(NamedTuple):
 
 
 class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """One transmission. `time_s` is UTC seconds since 1970 of the transmit instant; `place` names file and ping for messages.
+    """One transmission.
+
+    `time_s` is UTC seconds since 1970 of the transmit instant; `place` names file and ping for messages.
 
     transfer: what the samples are, where the sonar's own protocol says so.
     """
@@ -80,10 +83,13 @@ class NavSample(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
-    """Ask a person to do something, or report that this is settled: `code` is stable for scripts, `text` says what, where and what to do.
+    """Ask a person to do something, or report that this is settled.
+
+    `code` is stable for scripts, `text` says what, where and what to do.
 
     Control characters in text and place, which may come from devices and file names, are written out as escapes.
-    for_the_record: nobody has to do anything. The text stands among the remarks of the summary and of the report, not among the notices.
+    for_the_record: nobody has to do anything. The text stands among the remarks of the summary and of the report, not
+    among the notices.
     """
 
     code: str
@@ -102,10 +108,10 @@ SourceEvent: TypeAlias = Ping | NavSample | Notice
 class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Vehicle poses at n instants; every array has shape (n,) and dtype float64 (`stale`: bool).
 
-    Positions are those of the vehicle's navigation reference point. `heading_rad` is unwrapped along the track.
-    `stale` marks instants farther from a navigation sample than the permitted gap, whose values are the nearest known ones, and instants
-    at which fixes dispute the position. `position_sigma_m` is the 1-sigma per axis that age and disputes add to the error of a fix itself;
-    left out, it is 0.
+    Positions are those of the vehicle's navigation reference point. `heading_rad` is unwrapped along the track. `stale`
+    marks instants farther from a navigation sample than the permitted gap, whose values are the nearest known ones, and
+    instants at which fixes dispute the position. `position_sigma_m` is the 1-sigma per axis that age and disputes add
+    to the error of a fix itself; left out, it is 0.
     """
 
     time_s: NDArray[np.float64]
@@ -131,14 +137,14 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """A metric piece of one side's waterfall on the mission-fixed along-track grid.
 
-    intensity: (n_rows, n_columns) float32, linear, local seabed mean about 1, 0 where not VALID.
-    mask: (n_rows, n_columns) uint8, the bits above.
-    first_row: mission grid index of row 0; rows [core_start, core_stop) (local indices) belong to this tile alone,
-    the others are overlap. Column j covers ground range [j, j + 1) * column_spacing_m.
-    pose, first_return_m, first_return_sigma_m, ping_number: per row. first_return_m is the slant range of the first bottom
-    return and its 1-sigma, (n_rows,) float64. ping_number: (n_rows,) int64, -1 where the row has no ping.
-    level: (n_rows, n) float32, nats: the local mean that was divided out, against the mission's mean so far at the same grazing angle (that
-    of logarithms, so that speckle adds its own constant), in n equal parts of the columns, NaN where unknown; None for a tile by itself.
+    intensity: (n_rows, n_columns) float32, linear, local seabed mean about 1, 0 where not VALID. mask: (n_rows,
+    n_columns) uint8, the bits above. first_row: mission grid index of row 0; rows [core_start, core_stop) (local
+    indices) belong to this tile alone, the others are overlap. Column j covers ground range [j, j + 1) *
+    column_spacing_m. pose, first_return_m, first_return_sigma_m, ping_number: per row. first_return_m is the slant
+    range of the first bottom return and its 1-sigma, (n_rows,) float64. ping_number: (n_rows,) int64, -1 where the row
+    has no ping. level: (n_rows, n) float32, nats: the local mean that was divided out, against the mission's mean so
+    far at the same grazing angle (that of logarithms, so that speckle adds its own constant), in n equal parts of the
+    columns, NaN where unknown; None for a tile by itself.
     """
 
     side: Side
@@ -158,10 +164,11 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Surroundings(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The sea floor around a detection, wide enough for any mine's shadow; kept until the detection has been looked at closely.
+    """The sea floor around a detection, wide enough for any mine's shadow; kept until the detection is confirmed.
 
-    codes: (n_rows, n_columns) uint8 codes of `auv_mcm.snippet`, 0 where nothing was measured. row, column: the detection inside it,
-    fractional. first_ground_range_m: near edge of column 0. first_return_m: slant range of the first bottom return there.
+    codes: (n_rows, n_columns) uint8 codes of `auv_mcm.snippet`, 0 where nothing was measured. row, column: the
+    detection inside it, fractional. first_ground_range_m: near edge of column 0. first_return_m: slant range of the
+    first bottom return there.
     """
 
     codes: NDArray[np.uint8]
@@ -177,7 +184,8 @@ ContactClass: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge
 class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """The solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.solids.shapes`.
 
-    highlight, shadow: (n, 2) float64 outlines (row, column) in pixels of the detection's snippet; (0, 2) where there is none.
+    highlight, shadow: (n, 2) float64 outlines (row, column) in pixels of the detection's snippet; (0, 2) where there is
+    none.
     """
 
     classification: ContactClass
@@ -188,14 +196,14 @@ class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What confirmation of one detection found.
+    """The results of confirming one detection.
 
-    log_ratio: evidence for a mine against clutter, nats. shape_mass: (32,) float64 of `auv_mcm.classify.beliefs`, which kinds of
-    mine it may be; mass: the same with log_ratio. half_turn_symmetric: the best solid looks alike from the opposite side. labels: (n, m)
-    uint8 of `auv_mcm.confirm.region` for the pixels of the snippet; (0, 0) where the field was not solved. highlight, shadow: (n, 2)
-    float64 contours (row, column) in pixels of the snippet; (0, 2) where there is none. model: None if no solid explains the view.
-    rejected: the contours cannot be those of a mine, for the codes in `reasons`. n_not_refined: solids whose search ended before the
-    beam was taken into account.
+    log_ratio: evidence for a mine against clutter, nats. shape_mass: (32,) float64 of `auv_mcm.classify.beliefs`, which
+    kinds of mine it may be; mass: the same with log_ratio. half_turn_symmetric: the best solid looks alike from the
+    opposite side. labels: (n, m) uint8 of `auv_mcm.confirm.region` for the pixels of the snippet; (0, 0) where the
+    field was not solved. highlight, shadow: (n, 2) float64 contours (row, column) in pixels of the snippet; (0, 2)
+    where there is none. model: None if no solid explains the view. rejected: the contours cannot be those of a mine,
+    for the codes in `reasons`. n_not_refined: solids whose search ended before the beam was taken into account.
     """
 
     log_ratio: float
@@ -212,7 +220,7 @@ class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 Detector: TypeAlias = Literal["cascade", "contrast"]
-"""What proposes places to look at: the trained cascade, or contrasts of highlight and shadow alone."""
+"""What proposes places to measure: the trained cascade, or contrasts of highlight and shadow alone."""
 
 CONTRAST_SHARE: Final = 0.4
 """What one deviation of contrast is worth in units of the cascade's score, as the odds fitted to both have it."""
@@ -225,12 +233,12 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     row, column: highlight centroid on the mission grid (fractional pixels, row 0 at mission start). Sizes in metres;
     height_m from the shadow's length, NaN if no shadow was seen. score: evidence of highlight and shadow together, in
-    standard deviations of the sea floor around. cascade_score: of the trained cascade, half a log-odds, NaN where it did not serve.
-    aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8
-    codes of `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
-    snippet_column: the centroid inside it.
-    covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone; p_by_step: after each step of confirmation (`detector`,
-    `contours`, `shape`) that was taken. surroundings: until then. confirmation: None if there was no confirmation, which `reasons` tells.
+    standard deviations of the sea floor around. cascade_score: of the trained cascade, half a log-odds, NaN where it
+    did not serve. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8 codes of
+    `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
+    snippet_column: the centroid inside it. covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone;
+    p_by_step: after each step of confirmation (`detector`, `contours`, `shape`) that was taken. surroundings: until
+    then. confirmation: None if there was no confirmation; `reasons` states why.
     """
 
     side: Side
@@ -267,7 +275,10 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def strength(self) -> float:
-        """What the detector that served ranks its detections by: contrast alone, or the cascade's score and contrast together."""
+        """Return what the detector that served ranks its detections by.
+
+        Contrast alone, or the cascade's score and contrast together.
+        """
         return self.score if math.isnan(self.cascade_score) else self.cascade_score + CONTRAST_SHARE * self.score
 
 
@@ -275,11 +286,12 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """An object on the sea floor, from one or more detections. `belief` sums to 1 over classes plus `unknown`.
 
     covariance_m2: (2, 2) float64 east/north of the fused position. views: its detections, in order of time.
-    aspects_deg: compass direction from sonar to object per view, [0, 360). *_sigma_m: 1-sigma of the sizes, NaN where no shape was
-    fitted. conflict: how far the views contradict each other, 0..1, NaN for one view. next_look_deg: compass directions to look from, the
-    most telling first, each standing for its opposite as well; empty if another look would hardly change the decision.
-    false_alarms_per_km2: density of non-mines at least as mine-like that is to be expected in this mission, NaN where it is not known;
-    false_alarms_95_per_km2: its 95 % interval. called: whether that is no more than the operator accepts; None before it was decided.
+    aspects_deg: compass direction from sonar to object per view, [0, 360). *_sigma_m: 1-sigma of the sizes, NaN where
+    no shape was fitted. conflict: how far the views contradict each other, 0..1, NaN for one view. next_look_deg:
+    compass directions to view from, the most informative first, each standing for its opposite as well; empty if
+    a further view would hardly change the decision. false_alarms_per_km2: density of non-mines at least as mine-like that
+    is to be expected in this mission, NaN where it is not known; false_alarms_95_per_km2: its 95 % interval. called:
+    whether that is no more than the operator accepts; None before it was decided.
     """
 
     id: str
@@ -307,15 +319,55 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def contact_id(number: int) -> str:
-    """The id of a mission's contact, numbered from 1 in the order of first views."""
+    """Write the id of a mission's contact, numbered from 1 in the order of first views."""
     return f"C{number:05d}"
 
 
 def contact_number(name: str) -> int:
-    """The number in an id. Raises ValueError for one that is not C and a number."""
+    """Read the number in an id. Raises ValueError for an id that is not C and a number."""
     if not (name.startswith("C") and name[1:].isdecimal()):
-        raise ValueError(f"'{name}' is no id of a contact: it is not C and a number")
+        raise ValueError(f"'{name}' is not a contact id: write C and a number, as in C12")
     return int(name[1:])
+
+
+EARLY_NUMBERS: Final = 1_000_000
+"""Numbers of early contacts where only a number goes, as on the wire to a vehicle, begin after this; no mission has so many contacts."""
+
+
+def early_id(number: int) -> str:
+    """Give the id of a mission's early contact, numbered from 1."""
+    return f"E{number:05d}"
+
+
+def report_number(name: str) -> int:
+    """Give the number that stands for a contact or an early contact on a wire. Raises ValueError for an id of neither."""
+    if name.startswith("E") and name[1:].isdecimal():
+        return EARLY_NUMBERS + int(name[1:])
+    return contact_number(name)
+
+
+EarlyState: TypeAlias = Literal["found", "became", "withdrawn"]
+
+
+class EarlyContact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """An object that a first look shows before its tile is finished; it is announced, and stands in no result.
+
+    contact: one view of it, under an id of its own (`early_id`). state: `found` comes first, and once the tile is
+    finished `became`, with the id of the contact that it is, or `withdrawn`.
+    """
+
+    contact: Contact
+    state: EarlyState
+    became: str = ""
+
+    @property
+    def reported(self) -> Contact:
+        """The contact to report to a vehicle: without views, a class and p_mine once its tile is finished."""
+        if self.state == "found":
+            return self.contact
+        return msgspec.structs.replace(
+            self.contact, p_mine=0.0, classification="unknown", belief={"unknown": 1.0}, views=(), aspects_deg=()
+        )
 
 
 SeabedType: TypeAlias = Literal["flat", "ripple", "rough", "vegetation", "unknown"]
@@ -324,12 +376,13 @@ SEABED_TYPES: Final[tuple[SeabedType, ...]] = get_args(SeabedType)
 
 
 class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What kind of sea floor one side of one tile shows, in square cells.
+    """The seabed types that one side of one tile shows, in square cells.
 
-    Cell (i, j) covers the tile's core from i * cell_m[0] on along track, and ground range [j, j + 1) * cell_m[1]; the last ones may be cut
-    short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32, posterior probability of it, 0
-    where too little was measured to tell (the kind is `unknown` there). ripple_rad float32: compass direction in which crests follow one
-    another, [0, pi), wavelength_m float32: their distance; both NaN where there are no ripples.
+    Cell (i, j) covers the tile's core from i * cell_m[0] on along track, and ground range [j, j + 1) * cell_m[1]; the
+    last ones may be cut short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32,
+    posterior probability of it, 0 where too little was measured to decide (the kind is `unknown` there). ripple_rad
+    float32: compass direction in which crests follow one another, [0, pi), wavelength_m float32: their distance; both
+    NaN where there are no ripples.
     """
 
     cell_m: tuple[float, float]
@@ -340,12 +393,15 @@ class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What one side of one tile surveyed, in square cells of the mission's own plane, which touches the ellipsoid at the origin.
+    """The cells that one side of one tile surveyed, in the mission's own plane.
 
-    Every array is (n,). Cell (east_index, north_index) int32 spans [index, index + 1) * cell_m. fraction float32: of its area that earned
-    coverage here, times what the detector's budget allowed for. Means over that area, float32: ground_range_m, altitude_m, look_rad
-    (compass direction from the sonar to it, [0, 2 pi)). seabed uint8: index into SEABED_TYPES of the kind that most of it is; confidence
-    float32; ripple_rad, wavelength_m float32 as in `SeabedCells`.
+    The cells are square; the plane touches the ellipsoid at the origin.
+
+    Every array is (n,). Cell (east_index, north_index) int32 spans [index, index + 1) * cell_m. fraction float32: of
+    its area that earned coverage here, times what the detector's budget allowed for. Means over that area, float32:
+    ground_range_m, altitude_m, look_rad (compass direction from the sonar to it, [0, 2 pi)). seabed uint8: index into
+    SEABED_TYPES of the kind that most of it is; confidence float32; ripple_rad, wavelength_m float32 as in
+    `SeabedCells`.
     """
 
     origin_latitude_deg: float
@@ -366,10 +422,11 @@ class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Sea floor that one side of one tile really covered.
 
-    rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise.
-    covered_m2: area of pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
-    `stale_navigation`, `saturated`, `shadow` of something high, `over_budget`, `failed` processing). evaluated_fraction: of its places to
-    look at, those that the detector's budget allowed for. cells: the same area cell by cell; None where no row could be placed on Earth.
+    rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise. covered_m2: area of
+    pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
+    `stale_navigation`, `saturated`, `shadow` of something high, `over_budget`, `failed` processing).
+    evaluated_fraction: of its places to look at, those that the detector's budget allowed for. cells: the same area
+    cell by cell; None where no row could be placed on Earth.
     """
 
     side: Side
@@ -384,7 +441,10 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True):
-    """One point of a proposed leg. `kind`: `start`, `turn`, `leg_entry`, `leg_exit`; `contact_id` names what the leg looks at."""
+    """One point of a proposed leg.
+
+    `kind`: `start`, `turn`, `leg_entry`, `leg_exit`; `contact_id` names what the leg looks at.
+    """
 
     leg: int
     kind: str
@@ -395,4 +455,4 @@ class Waypoint(msgspec.Struct, frozen=True, kw_only=True):
     why: str
 
 
-PipelineEvent: TypeAlias = Tile | Contact | CoveragePatch | Notice
+PipelineEvent: TypeAlias = Tile | Contact | EarlyContact | CoveragePatch | Notice

@@ -1,6 +1,9 @@
-"""Open files so that no link, pipe or device stands in for them: not for a result that is written, nor for a log that is read.
+"""Open files so that no link, pipe or device stands in for them.
 
-Whoever may write to the directory of the results could otherwise put a link there and have the service overwrite another file.
+Not for a result that is written, nor for a log that is read.
+
+Whoever may write to the directory of the results could otherwise put a link there and have the service overwrite
+another file.
 """
 
 from __future__ import annotations
@@ -39,15 +42,17 @@ def _refuse_irregular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
-        raise BadInputError(f"{path} is no regular file. Copy it to a disk first.")
+        raise BadInputError(f"{path} is not a regular file but a pipe, a socket or a device. Copy it to a disk first.")
 
 
 @contextlib.contextmanager
 def replacing(path: Path, *, directory: int | None = None, durable: bool = True) -> Iterator[BinaryIO]:
-    """Write a new file, which takes the place of `path` once it is whole; of one that fails nothing is left. Raises OSError.
+    """Write a new file, which takes the place of `path` once it is whole; of one that fails nothing is left.
 
-    Until then it has a name that nobody can foresee. A link at `path` is replaced, not followed. directory: the descriptor that `path`
-    starts from, if not the working directory. durable: on disk when the block ends.
+    Raises OSError.
+
+    Until then it has a name that nobody can foresee. A link at `path` is replaced, not followed. directory: the
+    descriptor that `path` starts from, if not the working directory. durable: on disk when the block ends.
     """
     temporary = path.with_name(f".{secrets.token_hex(8)}.new")
     descriptor = os.open(temporary, _NEW, 0o666, dir_fd=directory)
@@ -79,7 +84,10 @@ def own_directory(path: Path) -> Iterator[int]:
 
 
 def open_for_append(path: Path) -> BinaryIO:
-    """Open a file, made if it is not there, to write behind its end, unbuffered. Raises OSError, also for a link or a pipe."""
+    """Open a file, made if it is not there, to write behind its end, unbuffered.
+
+    Raises OSError, also for a link or a pipe.
+    """
 
     def opener(name: str, flags: int) -> int:
         return os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)

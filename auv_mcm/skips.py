@@ -1,7 +1,9 @@
-"""Register every skip of the chain: work that is left out early because it cannot, or hardly can, change what is reported.
+"""Register every skip of the chain.
 
-A skip has a name to switch it off with, a counter in `summary.json`, and a proof: the same bytes without it, or a bound whose figure
-`auv-mcm bench chain --skips` measures. What a stage decides after it has done its work is no skip.
+Work that is left out early because it cannot, or hardly can, change what is reported.
+
+A skip has a name to switch it off with, a counter in `summary.json`, and a proof: the same bytes without it, or a bound
+whose figure `auv-mcm bench chain --skips` measures. What a stage decides after it has done its work is no skip.
 """
 
 from __future__ import annotations
@@ -30,9 +32,11 @@ ALL_SKIPS: Final[frozenset[SkipName]] = frozenset(get_args(SkipName))
 
 
 class Skip(NamedTuple):
-    """One skip. leaves_out: which work. because: why that is no loss. counter: what counts it. proof: `bytes` where the contacts are the
-    same without it whatever the mission, `bytes while 0` where they are as long as the counter is 0, `bound` where they may differ by as
-    much as the bench shows."""
+    """One skip. leaves_out: which work. because: why that is no loss. counter: what counts it.
+
+    proof: `bytes` where the contacts are the same without it whatever the mission, `bytes while 0` where they are as
+    long as the counter is 0, `bound` where they may differ by as much as the bench shows.
+    """
 
     name: SkipName
     leaves_out: str

@@ -1,4 +1,4 @@
-"""Snippets of sonar picture small enough to keep one with every contact of a long mission: a byte per pixel, logarithmic.
+"""Pack snippets of sonar picture small enough to keep one with every contact: a byte per pixel, logarithmic.
 
 Code 0 is no echo; code n >= 1 is -40 dB + (n - 1) / 4 dB about the local seabed mean, up to +23.5 dB.
 """
@@ -15,7 +15,10 @@ _PER_DB: Final = 4.0
 
 
 def pack_snippet(intensity: NDArray[Any]) -> NDArray[np.uint8]:
-    """Linear intensity (n, m) in units of the seabed mean as codes, rounded to an eighth of a decibel; not positive or NaN is no echo."""
+    """Pack linear intensity (n, m) in units of the seabed mean into codes, rounded to an eighth of a decibel.
+
+    Not positive or NaN is no echo.
+    """
     values = np.asarray(intensity, dtype=np.float32)
     echo = values > 0.0
     level_db = 10.0 * np.log10(values, out=np.full(values.shape, _FLOOR_DB / 10.0, dtype=np.float32), where=echo)
@@ -23,7 +26,7 @@ def pack_snippet(intensity: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def unpack_snippet(codes: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Linear intensity (n, m) float32 of codes; 0 where there was no echo."""
+    """Unpack codes to linear intensity (n, m) float32; 0 where there was no echo."""
     return np.asarray(_INTENSITY[codes])
 
 

@@ -22,17 +22,17 @@ class SourceUri(NamedTuple):
 
 
 class VehiclePilot(Protocol):
-    """The pilot at its port; nothing here waits or raises."""
+    """Talk to the vehicle at its port; nothing here waits or raises."""
 
     @property
     def authority(self) -> str:
-        """down, listening, requested, granted or revoked."""
+        """Return the state of control: down, listening, requested, granted or revoked."""
 
     @property
     def counters(self) -> Counter[str]: ...
 
     def health(self) -> str:
-        """For the health line."""
+        """Describe the vehicle's port for the health line."""
 
     def take_notices(self) -> list[Notice]: ...
 
@@ -40,7 +40,7 @@ class VehiclePilot(Protocol):
         """Report a contact that is new or has changed."""
 
     def propose(self, plan: tuple[Waypoint, ...]) -> None:
-        """Takes the place of the plan before; () withdraws it."""
+        """Propose a plan, in place of the one before; () withdraws it."""
 
     def report_health(self, state: Health, text: str) -> None: ...
 
@@ -49,7 +49,7 @@ class VehiclePilot(Protocol):
 
 
 class EventSink(Protocol):
-    """Where a source puts its events: the service's queue."""
+    """Take the events of a source: the service's queue."""
 
     async def put(self, event: SourceEvent) -> None:
         """Append an event once there is room."""
@@ -59,7 +59,10 @@ class EventSink(Protocol):
 
 
 class Source(Protocol):
-    """Where pings and navigation come from. A lossless one puts its events, and waits for room; the others push them."""
+    """Provide pings and navigation.
+
+    A lossless source puts its events, and waits for room; the others push them.
+    """
 
     @property
     def lossless(self) -> bool: ...
@@ -68,7 +71,7 @@ class Source(Protocol):
         """Give every event to `sink`, and return once none follows. Called once. Raises AuvMcmError."""
 
     def counters(self) -> Counter[str]:
-        """What it skipped or mended so far."""
+        """Count what it skipped or mended so far."""
 
 
 Record: TypeAlias = "Callable[[str, Literal['in', 'out'], Stamp, bytes], None]"
@@ -77,7 +80,7 @@ Record: TypeAlias = "Callable[[str, Literal['in', 'out'], Stamp, bytes], None]"
 
 @runtime_checkable
 class LiveSource(Source, Protocol):
-    """Ports, which never end by themselves."""
+    """Read ports, which never end by themselves."""
 
     def record_with(self, record: Record) -> None:
         """Hand every byte to `record`. Called once, before `run`."""
@@ -86,21 +89,21 @@ class LiveSource(Source, Protocol):
         """Close the ports; `run` then gives what was held back, and returns."""
 
     def health(self) -> str:
-        """How each port is, for the health line."""
+        """Describe how each port is, for the health line."""
 
     def faults(self) -> list[str]:
-        """What is wrong with ports, in a few words each."""
+        """List what is wrong with ports, in a few words each."""
 
     @property
     def vehicle(self) -> VehiclePilot | None:
-        """The vehicle's end, if there is one."""
+        """Return the vehicle's end, if there is one."""
 
     async def serve_vehicle(self) -> None:
         """Talk to the vehicle until cancelled, whether or not `run` has begun or returned."""
 
 
 class Recorder(Protocol):
-    """Keeps what live ports received and were sent."""
+    """Keep what live ports received and were sent."""
 
     @property
     def counters(self) -> Counter[str]: ...

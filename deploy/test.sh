@@ -3,7 +3,8 @@
 # Needs Python 3.11 or later; a C compiler is used if there is one.
 set -eu
 cd "$(dirname "$0")/.."
-sh deploy/venv.sh bench dev
+unset PYTHONDONTWRITEBYTECODE # each of hundreds of processes would compile all that it imports
+sh deploy/venv.sh bench dev docs
 
 say() {
     echo "test: $*"
@@ -28,6 +29,8 @@ cat "$beside/mypy"
 say "hardware in the loop has found"
 wait "$hil" || { cat "$beside/hil"; exit 1; }
 cat "$beside/hil"
+say "documentation, warnings are errors"
+sh deploy/site.sh
 say "auv-mcm check"
 .venv/bin/auv-mcm check
 

@@ -1,8 +1,9 @@
 #!/bin/sh
-# Make or refresh .venv at the root of this checkout: sh deploy/venv.sh EXTRA... (bench, dev)
-# Does nothing if what is installed is what this checkout asks for. PYTHON names the interpreter, default python3.
+# Make or refresh .venv at the root of this checkout: sh deploy/venv.sh EXTRA... (bench, dev, docs)
+# Does nothing if what is installed is what this checkout asks for. PYTHON names the interpreter, default python3; VENV the folder.
 set -eu
 cd "$(dirname "$0")/.."
+venv=${VENV:-.venv}
 
 fail() {
     echo "deploy: $*" >&2
@@ -24,24 +25,24 @@ else
 fi
 
 version=$("$PYTHON" -c 'import platform; print(platform.python_version())')
-if [ "$(.venv/bin/python -c 'import platform; print(platform.python_version())' 2>/dev/null)" != "$version" ]; then
+if [ "$("$venv/bin/python" -c 'import platform; print(platform.python_version())' 2>/dev/null)" != "$version" ]; then
     "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null ||
         fail "Python $version cannot make virtual environments. On Debian or Ubuntu: sudo apt-get install python3-venv (or python${version%.*}-venv)."
-    echo "deploy: making .venv with Python $version"
-    "$PYTHON" -m venv --clear .venv
+    echo "deploy: making $venv with Python $version"
+    "$PYTHON" -m venv --clear "$venv"
 fi
 
 asked=$(cat pyproject.toml setup.py auv_mcm/kernels/*.c sim_replay/simulator/*.c | cksum)
 missing=
 for extra in "$@"; do
-    [ "$(cat ".venv/installed-$extra" 2>/dev/null)" = "$asked" ] || missing=yes
+    [ "$(cat "$venv/installed-$extra" 2>/dev/null)" = "$asked" ] || missing=yes
 done
 if [ -n "$missing" ]; then
     extras=$(echo "$*" | tr ' ' ',')
-    echo "deploy: installing auv-mcm[$extras] into .venv (a few minutes the first time)"
+    echo "deploy: installing auv-mcm[$extras] into $venv (a few minutes the first time)"
     command -v "${CC:-cc}" >/dev/null || echo "deploy: no C compiler found: numpy will do the work of the C kernels, more slowly"
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[$extras]"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[$extras]"
     for extra in "$@"; do
-        echo "$asked" >".venv/installed-$extra"
+        echo "$asked" >"$venv/installed-$extra"
     done
 fi

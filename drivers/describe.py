@@ -10,6 +10,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any, Final, NamedTuple, get_args
 
 from auv_mcm.settings.config import Config, port_keys
+from auv_mcm.settings.plugins import find_device
 from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitName
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, BluefinSettings, IverSettings, ReconSettings
 from drivers.links import pulse
@@ -145,6 +146,8 @@ def _port_lines(port: PortSettings) -> list[str]:
 
 
 def _device_lines(device: str) -> list[str]:
+    if device not in _LANGUAGES:
+        return [f"device {device}: of another package, {find_device(device)}, whose documentation describes its messages"]
     language = _LANGUAGES[device]
     first, *rest = inspect.cleandoc(language.about.__doc__ or "").splitlines()
     lines = [f"device {device}: {first}", *(f"  {line}".rstrip() for line in rest)]

@@ -10,20 +10,17 @@ from msgspec import structs
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice
 from auv_mcm.settings.config import Config, SonarConfig
-from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings, PortConfig, Sides, SonarPortConfig
-from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
+from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, Sides, SonarPortConfig, device_kind
 from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, UdpAddress, parse_link_uri
 from drivers.navigation.nav_protocols import CAN_PROTOCOL
 from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.sonar.sonar_decoder import SonarSettings
 from drivers.sonar.sonars import sonar_named
 from drivers.vehicle.guard import Guard
-from drivers.vehicle.vehicles import VEHICLES, VehicleSettings, vehicle_settings_of
+from drivers.vehicle.vehicles import VehicleSettings, vehicle_named, vehicle_settings_of
 
 PULSE: Final = "pulse"
 """Device of a port that only marks when a second begins."""
-
-_BUS_DEVICES: Final = {CAN_PROTOCOL, *(name for name, vehicle in VEHICLES.items() if vehicle.is_bus)}
 
 
 class PortSettings(NamedTuple):
@@ -100,8 +97,8 @@ def _ports(port: PortConfig, key: str, sonar: SonarConfig) -> tuple[PortSettings
 def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
     address = _address(port.link, f"{key}.link", port.device)
     baud = _baud(address)
-    is_sonar = port.device in SONAR_NAMES
-    is_vehicle = port.device in VEHICLE_NAMES
+    kind = device_kind(port.device)
+    is_sonar, is_vehicle = kind == "sonar", kind == "vehicle"
     unit = port.navigation if is_sonar or is_vehicle else port.navigation or NavUnitSettings()
     if unit is not None and unit.baud is None:
         unit = structs.replace(unit, baud=baud)
@@ -117,7 +114,7 @@ def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
         commands=commands,
         ask_every_s=sonar.ping_interval_s if asked and commands else None,
         unit=unit,
-        vehicle=vehicle_settings_of(port) if is_vehicle else None,
+        vehicle=vehicle_settings_of(port, key) if is_vehicle else None,
     )
 
 
@@ -132,8 +129,9 @@ def _address(link: str, key: str, device: str) -> LinkAddress:
     """Parse the address of a link that carries what the device speaks."""
     address = parse_link_uri(link, key)
     is_bus = isinstance(address, CanAddress | SlcanAddress)
-    if is_bus != (device in _BUS_DEVICES) or isinstance(address, PulseAddress):
-        needed = "a slcan:// or socketcan:// link" if device in _BUS_DEVICES else "a serial://, tcp:// or udp:// link"
+    needs_bus = device == CAN_PROTOCOL or (device_kind(device) == "vehicle" and vehicle_named(device).is_bus)
+    if is_bus != needs_bus or isinstance(address, PulseAddress):
+        needed = "a slcan:// or socketcan:// link" if needs_bus else "a serial://, tcp:// or udp:// link"
         raise UsageError(f"{key} '{link}': a device '{device}' cannot be there; give it {needed}")
     return address
 

@@ -1,1 +1,1 @@
-"""Everything that stands in for the sea: a simulator, log readers, replay, scoring, reports, benches."""
+"""Stand in for the sea: a simulator, log readers, replay, scoring, reports, benches."""

@@ -1,4 +1,4 @@
-"""The part of the self-check that only the bench needs."""
+"""Check what only the bench needs, as part of the self-check."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recorded mission through the pipeline, in this process, into a folder of results."""
+"""Replay a recorded mission through the pipeline, in this process, into a folder of results."""
 
 from __future__ import annotations
 
@@ -51,18 +51,21 @@ def replay(
     clock: Clock | None = None,
     progress: Progress = lambda fraction: None,
 ) -> dict[str, Any]:
-    """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`, replacing an earlier replay's.
+    """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`.
 
-    without_skips: those of `auv_mcm.skips` that are switched off.
-    speed: times real time; inf does not wait. progress: called with the fraction done, 0..1. Returns what summary.json holds.
-    Raises UsageError for a folder that cannot be written to, BadInputError if there is nothing to replay.
+    Results of an earlier replay are replaced.
+
+    without_skips: those of `auv_mcm.skips` that are switched off. speed: times real time; inf does not wait. progress:
+    called with the fraction done, 0..1. Returns what summary.json holds. Raises UsageError for a folder that cannot be
+    written to, BadInputError if there is nothing to replay.
     """
     clock = clock or SystemClock()
     mission = open_mission(logs, config, chunk_bytes)
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
     tally, gathered, pace = Tally(), _Gathered(config), Pace(speed, clock)
     make_results_directory(folder)
-    (folder / "summary.json").unlink(missing_ok=True)  # written last: its presence says that the other files belong together
+    # written last: its presence says that the other files belong together
+    (folder / "summary.json").unlink(missing_ok=True)
     costs_s = {"read": 0.0, "pictures": 0.0}
     started_s = read_s = clock.monotonic_s()
     for event in mission.events():
@@ -174,7 +177,7 @@ class _Track:
 
 
 class _Gathered:
-    """What the pipeline said, as far as the results need it; tiles leave only small pictures."""
+    """Gather what the pipeline reported, as far as the results need it; tiles leave only small pictures."""
 
     def __init__(self, config: Config) -> None:
         self.coverage: list[CoveragePatch] = []

@@ -20,7 +20,7 @@ TRUTH_NAME: Final = "truth.json"
 
 
 class Simulated(NamedTuple):
-    """What was written."""
+    """Counts of what was written."""
 
     log: Path
     truth: Path
@@ -32,9 +32,12 @@ class Simulated(NamedTuple):
 
 
 def simulate(scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[float], None] = lambda fraction: None) -> Simulated:
-    """Write mission.xtf and truth.json into `out`, made if it is not there. Equal scenes give equal bytes, whatever the threads.
+    """Write mission.xtf and truth.json into `out`, made if it is not there.
 
-    progress: called with the fraction flown, 0..1. Raises UsageError for a scene that cannot be or a directory that cannot be made.
+    Equal scenes give equal bytes, whatever the threads.
+
+    progress: called with the fraction flown, 0..1. Raises UsageError for a scene that cannot be or a directory that
+    cannot be made.
     """
     folder = make_directory(out)
     mission = Mission(scene, threads=threads)
@@ -60,12 +63,12 @@ def simulate(scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[f
         duration_s=last_s - scene.track.start_time_s,
         area_km2=facts["area_km2"],
         n_objects=len(facts["objects"]),
-        n_targets=sum(thing["is_target"] for thing in facts["objects"]),
+        n_targets=sum(one["is_target"] for one in facts["objects"]),
     )
 
 
 def _expected_s(track: Track) -> float:
-    """About how long the plan takes."""
+    """Estimate how long the plan takes, s."""
     legs = planned_legs(track.plan)
     turning_s = 2.0 * math.pi / math.radians(track.turn_rate_deg_s)
     return sum(leg.length_m for leg in legs) / track.speed_mps + turning_s * (len(legs) - 1)

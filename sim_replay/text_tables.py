@@ -1,4 +1,4 @@
-"""Tables of benches: in columns for a terminal, or in Markdown, and how rates are written in them."""
+"""Write tables of benches, in columns for a terminal or in Markdown, and rates in them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ NOTHING: Final = "-"
 
 
 def share_cell(share: Proportion) -> str:
-    """A share with its interval."""
+    """Write a share with its interval."""
     return NOTHING if share.value is None else f"{share.value:.2f} ({share.low:.2f}-{share.high:.2f})"
 
 
 def density_cell(density: Density) -> str:
-    """A number per km² with its interval."""
+    """Write a number per km² with its interval."""
     if density.per_km2 is None or density.low is None or density.high is None:
         return NOTHING
     return f"{density.per_km2:.0f} ({density.low:.0f}-{density.high:.0f})"

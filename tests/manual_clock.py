@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class ManualClock:
-    """Time as a recorded mission tells it: `utc_s` is the last log time, `monotonic_s` the sum of its forward steps.
+    """Give time as a recorded mission has it: `utc_s` is the last log time, `monotonic_s` the sum of its forward steps.
 
     A log whose time steps back sets UTC back, yet no measured duration becomes negative.
     """

@@ -35,7 +35,8 @@ def module_of(path: Path) -> str:
 
 def graph() -> dict[str, set[str]]:
     """Map every module of the product to the modules of it that it imports."""
-    modules = {module_of(path): path for top in TOPS for path in sorted((ROOT / top).rglob("*.py"))}
+    paths = [path for top in TOPS for path in sorted((ROOT / top).rglob("*.py")) if "docs" not in path.parts]  # examples use all parts
+    modules = {module_of(path): path for path in paths}
 
     def nearest(name: str) -> str | None:
         while name and name not in modules:

@@ -142,7 +142,7 @@ def parse_odds(data: bytes, place: str) -> MineOdds:
     try:
         return msgspec.json.decode(data, type=MineOdds)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate odds'") from error
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate odds'") from error
 
 
 def share_of_ratio(log_ratio: float) -> float:

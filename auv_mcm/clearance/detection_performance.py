@@ -172,7 +172,7 @@ def parse_performance(data: bytes, place: str) -> Performance:
     try:
         return msgspec.json.decode(data, type=Performance)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate performance'") from error
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate performance'") from error
 
 
 def configured_performance(config: Config) -> Performance:

@@ -1,4 +1,4 @@
-"""The subcommands of the payload, a module each, and what all subcommands share. Whatever is heavy they import when they run."""
+"""Define the subcommands of the payload, a module each, and what all share; heavy imports happen when they run."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ class Parser(argparse.ArgumentParser):
 
 
 def command(commands: Commands, name: str, does: str, more: str, examples: Sequence[str]) -> argparse.ArgumentParser:
-    """A subcommand's parser. does: in a few words, more: in full; examples: command lines."""
+    """Add a subcommand; return its parser.
+
+    does: in a few words, more: in full; examples: command lines.
+    """
     return commands.add_parser(
         name,
         help=does,
@@ -71,7 +74,10 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def read_config(path: Path | None) -> Config:
-    """The configuration in a file, or the defaults. Raises UsageError for one that cannot be read or is not valid."""
+    """Read the configuration in a file, or the defaults.
+
+    Raises UsageError for a file that cannot be read or is not valid.
+    """
     from auv_mcm.settings.config import Config, parse_config
     from auv_mcm.settings.strict_yaml import read_text
 
@@ -94,7 +100,7 @@ def write_new(path: Path, text: str) -> None:
         with open(path, "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError as error:
-        raise UsageError(f"{path} exists and is left alone: name a new file, or remove that one") from error
+        raise UsageError(f"{path} exists and is not overwritten: name a new file, or remove it") from error
     except OSError as error:
         raise UsageError(f"{path} cannot be written: {error.strerror}") from error
     print(f"written: {path}")

@@ -1,4 +1,4 @@
-"""The configuration, explained."""
+"""Explain, write and check the configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The live service."""
+"""Run the live service."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def add(commands: Commands) -> None:
         "run the live service until its source ends or SIGINT or SIGTERM arrives",
         "The source is service.source of the configuration: ports for the devices in its section ports, whose every byte\n"
         "is recorded beside the results; replay:///path/to/mission.xtf?speed=1 plays a recorded mission (speed: times\n"
-        "real time, or max). A port may lead to the vehicle, which is told of contacts and, where vehicle.command allows\n"
-        "it, asked to look again. Contacts go to the console once they are on disk, in contacts.jsonl of\n"
+        "real time, or max). A vehicle at a port receives contact reports and, where vehicle.command\n"
+        "allows it, requests for further views. Contacts go to the console once they are on disk, in contacts.jsonl of\n"
         "a new session directory below service.output_directory; clutter stays off the console. Health lines go to\n"
         "standard error.\n"
         "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",

@@ -1,1 +1,1 @@
-"""Contacts: association of detections into objects on the sea floor, and their export to files people and programs read."""
+"""Associate detections into objects on the sea floor, and export them to files that people and programs read."""

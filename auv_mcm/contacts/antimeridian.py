@@ -1,4 +1,4 @@
-"""Lines and polygons cut at the antimeridian, as RFC 7946 section 3.1.9 asks: nothing drawn may cross longitude 180.
+"""Cut lines and polygons at the antimeridian: nothing drawn may cross longitude 180 (RFC 7946 section 3.1.9).
 
 Input longitudes may be wrapped or continuous; two neighbouring vertices are taken the short way round. Rings are simple
 (not crossing themselves), which every coverage outline and error ellipse is.
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 Line: TypeAlias = NDArray[np.float64]  # (n, 2) longitude, latitude in degrees
 
 _NUDGE_DEG = 1e-11  # a ring's vertex on the cut itself moves by a micrometre, so that every crossing is a proper one
-_LEAST_WIDTH_DEG = 1e-10  # thinner pieces come from the nudge
+_MIN_WIDTH_DEG = 1e-10  # thinner pieces come from the nudge
 
 
 def split_line(line: Line) -> list[Line]:
-    """Pieces of a (n, 2) line with longitudes in [-180, 180], in order, none crossing the antimeridian."""
+    """Split a (n, 2) line with longitudes in [-180, 180] into pieces, in order, none crossing the antimeridian."""
     points = _continuous(line)
     pieces: list[Line] = []
     piece = [points[0]]
@@ -38,7 +38,9 @@ def split_line(line: Line) -> list[Line]:
 
 
 def split_ring(ring: Line) -> list[Line]:
-    """Closed counter-clockwise rings with longitudes in [-180, 180] that together cover a (n, 2) ring's inside.
+    """Split a (n, 2) ring into rings that together cover its inside.
+
+    The rings are closed and counter-clockwise, with longitudes in [-180, 180].
 
     A ring that runs once around a pole is closed over that pole.
     """
@@ -61,7 +63,7 @@ def split_ring(ring: Line) -> list[Line]:
         else:
             pieces.extend(_shifted(list(part), world) for part in _half(polygon, cut, west=True))
             rest.extend(_half(polygon, cut, west=False))
-    return [_closed(piece) for piece in pieces if np.ptp(piece[:, 0]) > _LEAST_WIDTH_DEG and _doubled_area(piece) != 0.0]
+    return [_closed(piece) for piece in pieces if np.ptp(piece[:, 0]) > _MIN_WIDTH_DEG and _doubled_area(piece) != 0.0]
 
 
 def _continuous(line: Line) -> Line:
@@ -86,10 +88,11 @@ def _crossing(before: NDArray[np.float64], after: NDArray[np.float64], cut: floa
 
 
 def _half(polygon: Line, cut: float, *, west: bool) -> list[Line]:
-    """The parts of an open simple polygon on one side of a meridian.
+    """Cut out the parts of an open simple polygon on one side of a meridian.
 
-    The outline falls into chains on this side, each from one crossing of the meridian to another. With crossings sorted by
-    latitude, the stretches 0-1, 2-3, ... of the meridian lie inside the polygon: these are the edges that join the chains.
+    The outline falls into chains on this side, each from one crossing of the meridian to another. With crossings sorted
+    by latitude, the stretches 0-1, 2-3, ... of the meridian lie inside the polygon: these are the edges that join the
+    chains.
     """
     keep = polygon[:, 0] < cut if west else polygon[:, 0] >= cut
     if not keep.any():

@@ -1,12 +1,13 @@
-"""Estimate how densely non-mines lie that look at least as mine-like as a contact, from what a mission has found so far.
+"""Estimate how densely non-mines lie that look as mine-like as a contact or more.
 
-The log-odds of a mission's contacts are a mixture of two groups (B. Efron, "Large-scale simultaneous hypothesis testing: the choice of a
-null hypothesis", JASA 99, 2004): a background, dense at low log-odds and thinning out upwards, and mines. Contacts per bin of log-odds
-are Poisson counts of mean area * (background + mines). The logarithm of the background's density is linear between knots, with a normal
-prior over its values there: its mean and covariance are those of missions whose truth is known. So a short mission gets what training
-expects, and a long one what it shows by itself. The density of mines is not known: a broad prior lets them be rare or many, so that mines
-among few contacts are not taken for background. For each of a ladder of densities of mines the background has Laplace's approximation
-(L. Tierney and J. Kadane, JASA 81, 1986) about its mode, found by Fisher scoring; the evidence of each weighs them.
+The log-odds of a mission's contacts are a mixture of two groups (B. Efron, "Large-scale simultaneous hypothesis
+testing: the choice of a null hypothesis", JASA 99, 2004): a background, dense at low log-odds and thinning out upwards,
+and mines. Contacts per bin of log-odds are Poisson counts of mean area * (background + mines). The logarithm of the
+background's density is linear between knots, with a normal prior over its values there: its mean and covariance are
+those of missions whose truth is known. So a short mission gets what training expects, and a long one what it shows by
+itself. The density of mines is not known: a broad prior lets them be rare or many, so that mines among few contacts are
+not taken for background. For each of a ladder of densities of mines the background has Laplace's approximation (L.
+Tierney and J. Kadane, JASA 81, 1986) about its mode, found by Fisher scoring; the evidence of each weighs them.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ KNOTS_NATS: Final[Array] = np.array([LOWEST_NATS, -3.5, -2.25, -0.75, 1.0, 3.0])
 MINES_PER_KM2: Final = 30.0
 """Median of the prior of mines that lie in a mission's area."""
 MINES_SPREAD: Final = 2.0
-"""Standard deviation of the prior's logarithm: 0.5 to 1600 mines per km² with 95 %, as mines are rare at sea and many on a test range."""
+"""Standard deviation of the prior's logarithm: 0.5 to 1600 mines per km² with 95 %, as mines are rare at sea and many
+on a test range.
+"""
 _MINES_STEPS: Final[Array] = np.linspace(-2.5, 2.5, 11, dtype=np.float64)  # standard deviations
 
 _CONFIDENCE_SIGMAS: Final = 1.959964  # of the central 95 %
@@ -51,10 +54,10 @@ _Nats = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
 
 
 class BackgroundPrior(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Hold what missions with known truth say of the background and of mines.
+    """Hold what missions with known truth show of the background and of mines.
 
-    mean, covariance: of the logarithm of the density, contacts per km² and nat, at KNOTS_NATS, from mission to mission. mine_mean_nats,
-    mine_sd_nats: of the log-odds of contacts on mines.
+    mean, covariance: of the logarithm of the density, contacts per km² and nat, at KNOTS_NATS, from mission to mission.
+    mine_mean_nats, mine_sd_nats: of the log-odds of contacts on mines.
     """
 
     mean: tuple[_Nats, ...]
@@ -72,9 +75,10 @@ class BackgroundPrior(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 class ReachedPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Compare what was asked with what was reached on missions with known truth.
+    """Compare the false alarms requested with those reached on missions with known truth.
 
-    n_asked: false alarms that asked_per_km2 makes on the area; n_reached: those there were. n_called: targets called, of n_targets.
+    n_asked: false alarms that asked_per_km2 makes on the area; n_reached: those there were. n_called: targets called,
+    of n_targets.
     """
 
     asked_per_km2: float
@@ -93,7 +97,10 @@ class LeftOutScene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class BackgroundModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Hold a prior for the odds of either detector, what they were fitted on, and how the cascade's does on scenes left out."""
+    """Hold a prior for the odds of either detector, and what the priors were fitted on.
+
+    And what the cascade's reaches on scenes left out.
+    """
 
     fitted_on: str
     cascade: BackgroundPrior
@@ -114,10 +121,10 @@ class FalseAlarms(NamedTuple):
 
 
 class Background(NamedTuple):
-    """Say how densely non-mines lie that reach each of LEVELS_NATS, as logarithms of contacts per km², (N_BINS,) each.
+    """Hold how densely non-mines lie that reach each of LEVELS_NATS, as logarithms of contacts per km², (N_BINS,) each.
 
-    middle: the middle of the estimate; low, high: its 95 % interval. All fall from level to level. mines_per_km2: middle of what is
-    believed of mines.
+    middle: the middle of the estimate; low, high: its 95 % interval. All fall from level to level. mines_per_km2:
+    middle of what is believed of mines.
     """
 
     middle: Array
@@ -126,12 +133,18 @@ class Background(NamedTuple):
     mines_per_km2: float
 
     def false_alarms(self, log_odds: float) -> FalseAlarms:
-        """Read the density of non-mines with at least these log-odds of a mine; below the lowest level that of the lowest."""
+        """Read the density of non-mines with these log-odds of a mine or more.
+
+        Below the lowest level it is that of the lowest.
+        """
         middle, low, high = (math.exp(float(np.interp(log_odds, LEVELS_NATS, part))) for part in (self.middle, self.low, self.high))
         return FalseAlarms(middle, low, high)
 
     def level_nats(self, per_km2: float) -> float:
-        """Find the lowest log-odds that no more than so many non-mines reach: -inf where all do, inf where more reach every level."""
+        """Find the lowest log-odds that no more than so many non-mines reach.
+
+        -inf where all do, inf where more reach every level.
+        """
         asked = math.log(per_km2)
         if asked >= self.middle[0]:
             return -math.inf
@@ -152,8 +165,9 @@ def estimate_background(
 ) -> Background:
     """Estimate the background of a mission from its contacts, mines among them.
 
-    counts: (N_BINS,) contacts per bin of log-odds, as `counted_log_odds` gives them. area_km2: searched for them, overlap counted once.
-    reported_from_nats: the lowest log-odds reported; lower bins tell nothing. Raises ValueError for counts or an area that cannot be.
+    counts: (N_BINS,) contacts per bin of log-odds, as `counted_log_odds` gives them. area_km2: searched for them,
+    overlap counted once. reported_from_nats: the lowest log-odds reported; lower bins carry no information. Raises
+    ValueError for counts or an area that cannot be.
     """
     n, observed_km2 = _observed(counts, area_km2, reported_from_nats)
     log_mines = math.log(MINES_PER_KM2) + MINES_SPREAD * _MINES_STEPS
@@ -171,14 +185,20 @@ def estimate_background(
 
 
 def known_background(counts: ArrayLike, area_km2: float, prior: BackgroundPrior) -> tuple[Array, Array]:
-    """Estimate the background from contacts that are known to be no mines: (n_knots,) log-densities and their covariance."""
+    """Estimate the background from contacts that are known not to be mines.
+
+    (n_knots,) log-densities and their covariance.
+    """
     n, observed_km2 = _observed(counts, area_km2, LOWEST_NATS)
     values, covariance, _ = _modes(n, observed_km2, np.zeros((1, N_BINS)), prior)
     return values[0], covariance[0]
 
 
 def expected_background(prior: BackgroundPrior) -> tuple[Array, Array]:
-    """Compute what training expects: the logarithm of the density that reaches each level, and its standard deviation, (N_BINS,)."""
+    """Compute what training expects.
+
+    The logarithm of the density that reaches each level, and its standard deviation, (N_BINS,).
+    """
     return _log_survival(np.array(prior.mean), np.array(prior.covariance))
 
 
@@ -192,11 +212,14 @@ def parse_background(data: bytes, place: str) -> BackgroundModel:
     try:
         return msgspec.json.decode(data, type=BackgroundModel)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate background'") from error
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate background'") from error
 
 
 def interpolation(log_odds: Array) -> Array:
-    """Weigh the knots, (n, n_knots), so that weights @ values is linear between the knots, and goes on so beyond the last one."""
+    """Weigh the knots, (n, n_knots), so that weights @ values is linear between the knots.
+
+    It goes on so beyond the last one.
+    """
     last = np.clip(np.searchsorted(KNOTS_NATS, log_odds, side="right") - 1, 0, len(KNOTS_NATS) - 2)
     share = (log_odds - KNOTS_NATS[last]) / (KNOTS_NATS[last + 1] - KNOTS_NATS[last])
     weights = np.zeros((len(log_odds), len(KNOTS_NATS)))
@@ -215,7 +238,7 @@ def _observed(counts: ArrayLike, area_km2: float, reported_from_nats: float) -> 
     if n.shape != (N_BINS,) or not (np.isfinite(n).all() and (n >= 0.0).all()):
         raise ValueError(f"counts must be {N_BINS} numbers of contacts, got shape {n.shape}")
     if not (math.isfinite(area_km2) and area_km2 >= 0.0):
-        raise ValueError(f"an area of {area_km2} km² cannot be")
+        raise ValueError(f"the area searched must be finite and not negative, got {area_km2} km²")
     # Contacts can be placed where nothing counts as covered, as in a turn: they need some area to have come from.
     area_km2 = max(area_km2, n.any() * _MIN_AREA_KM2)
     is_reported = reported_from_nats - 1e-9 <= LEVELS_NATS
@@ -234,10 +257,12 @@ def _mine_shares(prior: BackgroundPrior) -> Array:
 
 
 def _modes(n: Array, area_km2: Array, mines_per_km2: Array, prior: BackgroundPrior) -> tuple[Array, Array, Array]:
-    """Find the background's most probable values at the knots for each of n_modes densities of mines, (n_modes, N_BINS).
+    """Find the background's most probable values at the knots.
 
-    Returns values (n_modes, n_knots), their covariance (n_modes, n_knots, n_knots) and the logarithm of the evidence (n_modes,), but for a
-    constant.
+    For each of n_modes densities of mines, (n_modes, N_BINS).
+
+    Returns values (n_modes, n_knots), their covariance (n_modes, n_knots, n_knots) and the logarithm of the evidence
+    (n_modes,), but for a constant.
     """
     mean, precision = np.array(prior.mean), np.linalg.inv(np.array(prior.covariance))
     mines = area_km2 * mines_per_km2
@@ -272,7 +297,10 @@ def _modes(n: Array, area_km2: Array, mines_per_km2: Array, prior: BackgroundPri
 
 
 def _log_survival(values: Array, covariance: Array) -> tuple[Array, Array]:
-    """Compute the logarithm of the density that reaches each level, and its standard deviation to first order, (N_BINS,)."""
+    """Compute the logarithm of the density that reaches each level, (N_BINS,).
+
+    And its standard deviation to first order.
+    """
     per_bin = BIN_NATS * np.exp(_WEIGHTS @ values)
     reaching = np.cumsum(per_bin[::-1])[::-1]
     slopes = np.cumsum((per_bin[:, np.newaxis] * _WEIGHTS)[::-1], axis=0)[::-1] / reaching[:, np.newaxis]

@@ -41,7 +41,10 @@ def view_reasons(view: Detection) -> tuple[str, ...]:
 
 
 def sigma_m(contact: Contact) -> float:
-    """Compute the 1-sigma horizontal position error, m: the semi-major axis of the error ellipse, NaN where it is unknown."""
+    """Compute the 1-sigma horizontal position error, m.
+
+    The semi-major axis of the error ellipse, NaN where it is unknown.
+    """
     (east2, both), (_, north2) = np.asarray(contact.covariance_m2, dtype=np.float64).tolist()
     if not all(map(math.isfinite, (east2, both, north2))):
         return NAN
@@ -49,7 +52,9 @@ def sigma_m(contact: Contact) -> float:
 
 
 def error_ellipse(contact: Contact) -> tuple[float, float, float]:
-    """Compute the 1-sigma semi-axes, m, major first, and the major axis' direction, degrees clockwise from north in [0, 180).
+    """Compute the 1-sigma semi-axes, m, major first, and the direction of the major axis.
+
+    The direction is in degrees clockwise from north, in [0, 180).
 
     All are NaN where the covariance is unknown.
     """
@@ -62,7 +67,9 @@ def error_ellipse(contact: Contact) -> tuple[float, float, float]:
 
 
 def error_ellipse_ring_m(contact: Contact, sigmas: float = ELLIPSE_SIGMAS, n_points: int = 36) -> NDArray[np.float64]:
-    """Draw the error ellipse around a contact: (n_points + 1, 2) float64 east and north, m, closed and counter-clockwise.
+    """Draw the error ellipse around a contact.
+
+    (n_points + 1, 2) float64 east and north, m, closed and counter-clockwise.
 
     All are NaN where the covariance is unknown.
     """

@@ -1,7 +1,8 @@
-"""Normalised sonar intensity as a picture for people, and the picture that goes with each contact.
+"""Draw normalised sonar intensity as a picture for people, and the picture that goes with each contact.
 
-Display only: detection works on linear intensity. The mapping is fixed, -15..+12 dB about the local seabed mean, so that equal echoes look
-equal in every picture. A display byte holds two bits of condition and six of level; one table of 256 colours draws it.
+Display only: detection works on linear intensity. The mapping is fixed, -15..+12 dB about the local seabed mean, so
+that equal echoes look equal in every picture. A display byte holds two bits of condition and six of level; one table of
+256 colours draws it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ TURNED: Final = 2  # condition of a pixel in a turn
 
 
 def snippet_picture(view: Detection) -> Bytes:
-    """(n, m, 3) blue-green-red picture of a detection's surroundings with square pixels, as seen from above with the vehicle moving up.
+    """Draw a detection's surroundings, (n, m, 3) blue-green-red, with square pixels.
+
+    As seen from above with the vehicle moving up.
 
     Later pings are above; range grows to the right on starboard and to the left on port.
     """
@@ -45,7 +48,9 @@ def snippet_picture(view: Detection) -> Bytes:
 
 
 def in_picture(view: Detection, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where places (n, 2) (row, column) of a detection's snippet lie in its picture: (n, 2) right, down as shares of width and height.
+    """Convert places (n, 2) (row, column) of a detection's snippet to its picture.
+
+    Returns (n, 2) right, down as shares of width and height.
 
     Pixel (r, k) of the snippet covers [r, r + 1) x [k, k + 1).
     """
@@ -54,19 +59,22 @@ def in_picture(view: Detection, points: NDArray[np.float64]) -> NDArray[np.float
 
 
 def snippet_png(view: Detection) -> bytes:
-    """The picture of `snippets/<id>.png`, at the resolution of the waterfall."""
+    """Encode the picture of `snippets/<id>.png`, at the resolution of the waterfall."""
     return encoded(snippet_picture(view), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 3])
 
 
 def display_levels(intensity: NDArray[Any]) -> Bytes:
-    """Levels 1..63 of linear intensity in units of the seabed mean; not finite and not positive values become 1."""
+    """Convert linear intensity in units of the seabed mean to levels 1..63.
+
+    Not finite and not positive values become 1.
+    """
     level_db = 10.0 * np.log10(np.fmax(intensity, np.float32(1e-6)))
     scaled = (level_db - FLOOR_DB) * ((LEVELS - 1) / (CEILING_DB - FLOOR_DB)) + 1.5
     return np.asarray(np.clip(scaled, 1.0, LEVELS), dtype=np.uint8)
 
 
 def encoded(picture: NDArray[np.uint8], kind: str, options: list[int]) -> bytes:
-    """A blue-green-red picture as an image file of `kind` (".png", ".jpg")."""
+    """Encode a blue-green-red picture as an image file of `kind` (".png", ".jpg")."""
     done, data = cv2.imencode(kind, picture, options)
     if not done:
         raise RuntimeError(f"OpenCV could not encode a {picture.shape} picture as {kind}")
@@ -74,7 +82,10 @@ def encoded(picture: NDArray[np.uint8], kind: str, options: list[int]) -> bytes:
 
 
 def _colour_table() -> Bytes:
-    """256 colours, blue-green-red: copper for plain echoes, dimmed where resolution is low, violet in turns, blue-grey without echo."""
+    """Make the table of 256 colours, blue-green-red.
+
+    Copper for plain echoes, dimmed where resolution is low, violet in turns, blue-grey without echo.
+    """
     stops = np.array([[10, 7, 6], [66, 32, 17], [150, 82, 33], [222, 152, 70], [255, 240, 208]], dtype=np.float64)
     where = np.linspace(0.0, 1.0, len(stops))
     copper = np.column_stack([np.interp(np.linspace(0.0, 1.0, LEVELS), where, stops[:, channel]) for channel in range(3)])

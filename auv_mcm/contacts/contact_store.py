@@ -1,10 +1,12 @@
-"""Store the contacts of a mission in an append-only file, each view once, each version of a contact as a head with its views' places.
+"""Store the contacts of a mission in an append-only file.
+
+Each view is stored once, each version of a contact as a head with its views' places.
 
 Perception writes. The service knows each contact by the place of its newest version, and reads.
 
-What bounds the file: a view is written once and takes several kB, mostly pictures; a head takes less than 0.7 kB and 40 bytes per view.
-There is one head per view, for a contact changes with each. So the heads of old versions, all in the file that is of no more use, are a
-tenth or so of it.
+What bounds the file: a view is written once and takes several kB, mostly pictures; a head takes less than 0.7 kB and 40
+bytes per view. There is one head per view, for a contact changes with each. So the heads of old versions, all in the
+file that is of no more use, are a tenth or so of it.
 """
 
 from __future__ import annotations
@@ -23,14 +25,16 @@ _ID: Final = "S12"  # numpy's kind for ids, with room for eleven digits
 
 
 class _Version(msgspec.Struct, frozen=True, array_like=True):
-    """A version of a contact: without its views and with their places, or, in memory, with its views and no places."""
+    """A version of a contact: its head with its views' places or, in memory, with its views and no places."""
 
     head: Contact
     views: tuple[RecordPlace, ...]
 
 
 class ContactStore:
-    """Contacts by the number in their id, each as it was when it last changed. No method raises for a disk that is full or gone.
+    """Contacts by the number in their id, each as it was when it last changed.
+
+    No method raises for a disk that is full or gone.
 
     file: takes the records; a contact that it does not take is held in memory, packed.
     """
@@ -42,7 +46,7 @@ class ContactStore:
 
     @property
     def n_in_memory(self) -> int:
-        """Contacts that the disk did not take."""
+        """Count the contacts that the disk did not take."""
         return self._versions.n_in_memory
 
     def add(self, contact: Contact) -> None:
@@ -50,7 +54,10 @@ class ContactStore:
         self._write(contact, [None] * len(contact.views))
 
     def add_view(self, contact: Contact, view: Detection) -> None:
-        """Write a version of a contact that has one view more than the one before: `view`, itself among the contact's views."""
+        """Write a version of a contact that has one view more than the one before.
+
+        view: the new one, itself among the contact's views.
+        """
         known = self._view_places(contact_number(contact.id))
         if len(known) != len(contact.views) - 1:
             self.add(contact)  # the version before is in memory, or cannot be read
@@ -59,7 +66,9 @@ class ContactStore:
         self._write(contact, [*known[:at], None, *known[at:]])
 
     def keep(self, contact: Contact, place: RecordPlace | None) -> None:
-        """Take a version that another process wrote: its place or, if there is none, the contact itself, to be held in memory.
+        """Take a version that another process wrote.
+
+        Its place or, if there is none, the contact itself, to be held in memory.
 
         Raises ValueError for an id that is not C and a number.
         """
@@ -70,7 +79,10 @@ class ContactStore:
         return self._versions.place(number)
 
     def __getitem__(self, number: int) -> Contact:
-        """Read a contact; its arrays cannot be written to. Raises OSError if the disk does not give it back, KeyError without it."""
+        """Read a contact; its arrays cannot be written to.
+
+        Raises OSError if the disk does not give it back, KeyError without it.
+        """
         version = self._versions[number]
         if not version.views:
             return version.head
@@ -78,7 +90,7 @@ class ContactStore:
         return msgspec.structs.replace(version.head, views=views)
 
     def in_order(self) -> Iterable[Contact]:
-        """Give all contacts in the order in which they are exported, one at a time; may be gone through again and again."""
+        """Iterate over all contacts in the order in which they are exported; may be repeated."""
         numbers = self._versions.numbers()
         # Ids are texts: C100000 comes before C10001. As bytes of one length they take a fraction of what strings do.
         ids = np.fromiter((contact_id(int(number)).encode("ascii") for number in numbers), dtype=_ID, count=len(numbers))

@@ -1,4 +1,7 @@
-"""Store the coverage of a mission: patches in an append-only file, without the cells, which the map of the search has taken up."""
+"""Store the coverage of a mission: patches in an append-only file, without their cells.
+
+The map of the search has taken the cells up.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,10 @@ from auv_mcm.records import CoveragePatch
 
 
 class StoredPatch(NamedTuple):
-    """A patch that was written, or that the disk did not take. order: in which it is exported, see `coverage_order`."""
+    """A patch that was written, or that the disk did not take.
+
+    order: in which it is exported, see `coverage_order`.
+    """
 
     order: tuple[int, str, float]
     patch: RecordPlace | CoveragePatch
@@ -27,7 +33,7 @@ def store_patch(file: RecordFile, patch: CoveragePatch) -> StoredPatch:
 
 
 class CoverageStore:
-    """Patches of a mission, each at its place in a file or, where the disk did not take it, in memory, packed."""
+    """Hold the patches of a mission, each at its place in a file or, where the disk did not take it, packed in memory."""
 
     def __init__(self, file: RecordFile) -> None:
         self._patches = PlacedRecords(file, CoveragePatch)
@@ -35,7 +41,7 @@ class CoverageStore:
 
     @property
     def n_in_memory(self) -> int:
-        """Patches that the disk did not take."""
+        """Count the patches that the disk did not take."""
         return self._patches.n_in_memory
 
     def keep(self, stored: StoredPatch) -> None:
@@ -44,5 +50,5 @@ class CoverageStore:
         self._orders.append(stored.order)
 
     def in_order(self) -> Iterable[CoveragePatch]:
-        """Give all patches in the order in which they are exported, one at a time; may be gone through again and again."""
+        """Iterate over all patches in the order in which they are exported; may be repeated."""
         return Selection(self._patches.__getitem__, sorted(range(len(self._orders)), key=self._orders.__getitem__))

@@ -1,10 +1,10 @@
-"""Contacts, coverage and waypoints as text: GeoJSON (RFC 7946), CSV (RFC 4180) and KML 2.2.
+"""Write contacts, coverage and way-points as text: GeoJSON (RFC 7946), CSV (RFC 4180) and KML 2.2.
 
-Pure functions of records. Equal records give equal bytes: keys have a fixed order, features are sorted, numbers are rounded
-to what they can mean (1e-9 degrees is 0.1 mm). An unknown number is `null` in JSON and an empty cell in CSV.
+Pure functions of records. Equal records give equal bytes: keys have a fixed order, features are sorted, numbers are
+rounded to what they can mean (1e-9 degrees is 0.1 mm). An unknown number is `null` in JSON and an empty cell in CSV.
 
-What there may be very many of can also be had in parts, a record at a time, from records that come in order: contacts in that of
-`contact_order`, patches in that of `coverage_order`.
+What there may be very many of can also be had in parts, a record at a time, from records that come in order: contacts
+in that of `contact_order`, patches in that of `coverage_order`.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def snippet_path(contact: Contact) -> str:
-    """Where a contact's picture lies, relative to the file that names it."""
+    """Name the path of a contact's picture, relative to the file that names it."""
     return f"snippets/{contact.id}.png"
 
 
 def iso_time(time_s: float) -> str | None:
-    """UTC seconds since 1970 as ISO 8601 with milliseconds and Z; None if not a time of the years 1 to 9999."""
+    """Write UTC seconds since 1970 as ISO 8601 with milliseconds and Z; None if not a time of the years 1 to 9999."""
     try:
         moment = _EPOCH + timedelta(milliseconds=round(time_s * 1000.0))
     except (OverflowError, ValueError):
@@ -59,12 +59,15 @@ def iso_time(time_s: float) -> str | None:
 
 
 def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
-    """A FeatureCollection with one point per contact, sorted by id; a contact without a position has a null geometry.
+    """Write a FeatureCollection with one point per contact, sorted by id.
 
-    `sigma_m` is the semi-major axis of the 1-sigma error ellipse; `covariance_m2` is [[east-east, east-north], [east-north, north-north]].
-    `side`, `ground_range_m`, `score` and the snippet are those of the view with the greatest score. `views` are in order of time;
-    `log_ratio` and `belief` of one that was not looked at closely are null. `false_alarms_per_km2` is the density of non-mines at least as
-    mine-like that the mission's own background makes expected, with its 95 % interval; `called` says that the operator accepts as many.
+    A contact without a position has a null geometry.
+
+    `sigma_m` is the semi-major axis of the 1-sigma error ellipse; `covariance_m2` is [[east-east, east-north],
+    [east-north, north-north]]. `side`, `ground_range_m`, `score` and the snippet are those of the view with the
+    greatest score. `views` are in order of time; `log_ratio` and `belief` of one that was not confirmed are
+    null. `false_alarms_per_km2` is the density of non-mines at least as mine-like that the mission's own background
+    makes expected, with its 95 % interval; `called` says that the operator accepts as many.
     """
     return b"".join(contacts_geojson_parts(sorted(contacts, key=contact_order)))
 
@@ -87,7 +90,10 @@ def coverage_order(patch: CoveragePatch) -> tuple[int, str, float]:
 
 
 def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
-    """A FeatureCollection of the way-points in sailing order, then one line per leg from where the one before ended."""
+    """Write a FeatureCollection of the way-points in sailing order.
+
+    Then comes one line per leg from where the one before ended.
+    """
     features = []
     for order, waypoint in enumerate(waypoints):
         properties: dict[str, Json] = {
@@ -121,7 +127,8 @@ CSV_COLUMNS: Final = (
 def contacts_csv_parts(contacts: Iterable[Contact]) -> Iterator[str]:
     """Write a row of column names and one per contact, in parts. contacts: in `contact_order`.
 
-    Lists are joined by blanks, reasons by semicolons. Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    Lists are joined by blanks, reasons by semicolons. Text that a spreadsheet would take for a formula gets an
+    apostrophe in front.
     """
     yield _csv_row(CSV_COLUMNS)
     for contact in contacts:
@@ -129,7 +136,9 @@ def contacts_csv_parts(contacts: Iterable[Contact]) -> Iterator[str]:
 
 
 def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterator[str]:
-    """Write a KML document: mine-like contacts and the rest in two folders, each contact with a table and its 2-sigma error ellipse.
+    """Write a KML document: mine-like contacts and the rest in two folders.
+
+    Each contact has a table and its 2-sigma error ellipse.
 
     contacts: in `contact_order`, gone through several times.
     """
@@ -250,7 +259,7 @@ def _csv_cells(contact: Contact) -> list[Any]:
 
 
 def _belief(belief: Mapping[str, float]) -> dict[str, Json]:
-    """Classes in the order of the record, whatever others after them."""
+    """Sort classes in the order of the record, whatever others after them."""
     known = {name: belief[name] for name in get_args(ContactClass) if name in belief}
     return {name: rounded(share, PROBABILITY_DIGITS) for name, share in (known | dict(belief)).items()}
 
@@ -322,7 +331,7 @@ def _kml_table(contact: Contact) -> str:
 
 
 def _sizes(contact: Contact) -> tuple[tuple[float, float], ...]:
-    """Length, width and height, each with its 1-sigma."""
+    """List length, width and height, each with its 1-sigma."""
     return (
         (contact.length_m, contact.length_sigma_m),
         (contact.width_m, contact.width_sigma_m),

@@ -1,4 +1,4 @@
-"""GeoJSON (RFC 7946) as this package writes it: a feature a line, keys in a fixed order, numbers rounded to what they can mean.
+"""Write GeoJSON (RFC 7946): a feature a line, keys in a fixed order, numbers rounded to what they can mean.
 
 An unknown number is `null`. 1e-9 degrees is 0.1 mm.
 """
@@ -23,12 +23,12 @@ PROBABILITY_DIGITS: Final = 4
 
 
 def collection(features: Iterable[Mapping[str, Json]]) -> bytes:
-    """One feature per line, so that people can read and compare the file line by line."""
+    """Write one feature per line, so that people can read and compare the file line by line."""
     return b"".join(collection_parts(features))
 
 
 def collection_parts(features: Iterable[Mapping[str, Json]]) -> Iterator[bytes]:
-    """The same a feature at a time."""
+    """Write a collection a feature at a time."""
     before = '{"type":"FeatureCollection","features":['
     end = "]}\n"
     for feature in features:
@@ -63,5 +63,5 @@ def rounded_longitude(longitude_deg: float) -> float | None:
 
 
 def rounded(value: float, digits: int) -> float | None:
-    """Rounded, never -0; None for anything not finite."""
+    """Round a number, never to -0; None for anything not finite."""
     return round(float(value), digits) + 0.0 if math.isfinite(value) else None

@@ -1,9 +1,12 @@
-"""The ledger of contacts: which detections are views of the same object, and what they say together.
+"""Associate detections into contacts, and combine the views of each.
 
-Two detections of one passage are two objects: suppression has already merged echoes of one, and nothing lies to port and to
-starboard at once. A detection of another passage joins a contact within the gate of Mahalanobis distance, one-to-one over what arrives
-together, or opens a new one. Of several contacts it joins the one that it fits best by place and by kind: the two ends of a cylinder may
-have made a likely mine and a speck beside it, and what now looks like a mine is another view of the former.
+Which detections are views of the same object, and what they show together.
+
+Two detections of one passage are two objects: suppression has already merged echoes of one, and nothing lies to port
+and to starboard at once. A detection of another passage joins a contact within the gate of Mahalanobis distance,
+one-to-one over what arrives together, or opens a new one. Of several contacts it joins the one that it fits best by
+place and by kind: the two ends of a cylinder may have made a likely mine and a speck beside it, and what now looks like
+a mine is another view of the former.
 """
 
 from __future__ import annotations
@@ -25,13 +28,18 @@ from auv_mcm.settings.config import ContactsConfig
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_RAD: Final = math.radians(45.0)
 _IMPOSSIBLE: Final = 1e6
-_LEAST_SAME_KIND: Final = 1e-3  # probability, however much two views differ: one of them may be of the end that tells nothing
-_LEAST_COVARIANCE_M2: Final = 1e-4 * np.eye(2)  # no centroid is known better than to a centimetre, whatever the errors configured
+# probability, however much two views differ: one of them may be of the end that shows nothing
+_MIN_SAME_KIND: Final = 1e-3
+# no centroid is known better than to a centimetre, whatever the errors configured
+_MIN_COVARIANCE_M2: Final = 1e-4 * np.eye(2)
 _SEARCH_M: Final = 1e-3  # beyond the gate, so that rounding leaves nothing out
 
 
 class Contacts(Protocol):
-    """Contacts by the number in their id, in memory or in a `ContactStore`. Reading may raise OSError, writing must not."""
+    """Hold contacts by the number in their id, in memory or in a `ContactStore`.
+
+    Reading may raise OSError, writing must not.
+    """
 
     def __getitem__(self, number: int, /) -> Contact: ...
 
@@ -43,7 +51,7 @@ class Contacts(Protocol):
 
 
 class ContactsInMemory(dict[int, Contact]):
-    """Contacts of a short mission, as they are."""
+    """Hold the contacts of a short mission in memory."""
 
     def add(self, contact: Contact) -> None:
         """Take a new contact."""
@@ -55,7 +63,7 @@ class ContactsInMemory(dict[int, Contact]):
 
 
 class Ledger:
-    """Contacts of one mission, in order of first view.
+    """Hold the contacts of one mission, in order of first view.
 
     prior: log-odds of a mine that every detection's p_mine contains. kept: where contacts go, empty; in memory if None.
     """
@@ -67,17 +75,18 @@ class Ledger:
         self._n_contacts = 0
         self._frame: LocalFrame | None = None
         self._positions_m = np.empty((0, 2))  # (at least as many as contacts, 2)
-        self._asking_p = np.empty(0)  # p_mine of contacts that ask for another look, NaN of the others
-        self._reported = bytearray()  # by place in the ledger: 1 for contacts that have reached the lowest p_mine reported
+        self._asking_p = np.empty(0)  # p_mine of contacts for which a further view would help, NaN of the others
+        # by place in the ledger: 1 for contacts that have reached the lowest p_mine reported
+        self._reported = bytearray()
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """All contacts that have been reported and can be read, by id."""
+        """Read all contacts that have been reported and can be read, by id."""
         return tuple(self._read([number for number, reported in enumerate(self._reported) if reported]).values())
 
     @property
     def n_unreported(self) -> int:
-        """Contacts that have never reached the lowest p_mine reported."""
+        """Count the contacts that have never reached the lowest p_mine reported."""
         return self._reported.count(0)
 
     def numbered(self, numbers: Sequence[int]) -> list[Contact]:
@@ -85,13 +94,14 @@ class Ledger:
         return list(self._read([number - 1 for number in numbers]).values())
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
-        """Contacts at least so likely to be mines that say from where another look would tell more."""
+        """List likely mines for which a further view from a known direction would help."""
         return tuple(self._read(np.flatnonzero(self._asking_p[: self._n_contacts] >= min_p_mine).tolist()).values())
 
     def add(self, detections: list[Detection]) -> list[Contact]:
         """Take the detections that became final together, in any order; return the contacts to report, by id.
 
-        A contact is reported from the first time that its p_mine reaches the lowest one configured, and whenever it changes after that.
+        A contact is reported from the first time that its p_mine reaches the lowest one configured, and whenever it
+        changes after that.
         """
         if not detections:
             return []
@@ -136,7 +146,7 @@ class Ledger:
         return np.asarray(self._frame.to_enu(latitude, longitude, 0.0)[..., :2])
 
     def _near(self, places_m: NDArray[np.float64]) -> dict[int, Contact]:
-        """Contacts within the gate of any of the places, (n, 2), by their place in the ledger, in its order."""
+        """Find contacts within the gate of any of the places, (n, 2), by their place in the ledger, in its order."""
         positions_m, reach_m = self._positions_m[: self._n_contacts], self._config.max_gate_m + _SEARCH_M
         around = (positions_m >= np.fmin.reduce(places_m) - reach_m) & (positions_m <= np.fmax.reduce(places_m) + reach_m)
         candidates = np.flatnonzero(around.all(axis=1))
@@ -147,7 +157,10 @@ class Ledger:
         return self._read(candidates[within].tolist())
 
     def _read(self, numbers: Sequence[int]) -> dict[int, Contact]:
-        """Contacts by their place in the ledger, without those that the disk does not give back: what is seen there is new."""
+        """Read contacts by their place in the ledger.
+
+        Those that the disk does not give back are left out: what is seen there is new.
+        """
         contacts: dict[int, Contact] = {}
         for number in numbers:
             with contextlib.suppress(OSError):
@@ -155,7 +168,7 @@ class Ledger:
         return contacts
 
     def _assign(self, detections: list[Detection], places_m: NDArray[np.float64], near: dict[int, Contact]) -> list[int | None]:
-        """Per detection the contact it belongs to, one of those near, or None for a new one."""
+        """Assign each detection the contact it belongs to, one of those near, or None for a new one."""
         matches: list[int | None] = [None] * len(detections)
         numbers = list(near)
         cost = np.full((len(detections), len(near)), _IMPOSSIBLE)
@@ -166,7 +179,7 @@ class Ledger:
                 contact = near[numbers[column]]
                 if any(_same_look(detection, view) for view in contact.views):
                     continue
-                spread = detection.covariance_m2 + contact.covariance_m2 + _LEAST_COVARIANCE_M2
+                spread = detection.covariance_m2 + contact.covariance_m2 + _MIN_COVARIANCE_M2
                 distance2 = float(offset[column] @ np.linalg.solve(spread, offset[column]))
                 if distance2 <= self._config.gate_chi2:
                     cost[row, column] = distance2
@@ -181,7 +194,8 @@ class Ledger:
             for at, contact_column in np.argwhere(in_reach).tolist():
                 matches[at] = numbers[possible[contact_column]]
             return matches
-        from scipy.optimize import linear_sum_assignment  # late: takes 0.4 s to load, and seldom do detections compete for a contact
+        # late: takes 0.4 s to load, and seldom do detections compete for a contact
+        from scipy.optimize import linear_sum_assignment
 
         # A new contact costs as much as the worst match allowed, so that no good match is given up for two bad ones.
         opening = np.full((len(detections), len(detections)), self._config.gate_chi2)
@@ -192,19 +206,25 @@ class Ledger:
 
 
 def _with_room(column: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """The column with room for n values, and as many again where it has to grow."""
+    """Give the column room for n values, and as many again where it has to grow."""
     if n <= len(column):
         return column
     return np.concatenate([column, np.empty((2 * n - len(column), *column.shape[1:]))])
 
 
 def _unlike(p: float, q: float) -> float:
-    """What two views of one thing cost beside their distance: twice the negative logarithm of both being a mine or neither."""
-    return -2.0 * math.log(max(p * q + (1.0 - p) * (1.0 - q), _LEAST_SAME_KIND))
+    """Compute the cost of joining two views beside their distance.
+
+    It is twice the negative logarithm of the probability that both are a mine or neither.
+    """
+    return -2.0 * math.log(max(p * q + (1.0 - p) * (1.0 - q), _MIN_SAME_KIND))
 
 
 def _passages(detections: list[Detection]) -> list[list[Detection]]:
-    """Detections in order of time, split where the vehicle turned away or was silent: what follows may show the same objects again."""
+    """Sort detections by time, split where the vehicle turned away or was silent.
+
+    What follows may show the same objects again.
+    """
     passages: list[list[Detection]] = []
     for detection in sorted(detections, key=lambda d: (d.time_s, d.side, d.column)):
         passage = passages[-1] if passages else []
@@ -224,7 +244,10 @@ def _turned_rad(a: Detection, b: Detection) -> float:
 
 
 def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) -> Contact:
-    """What views of one object, in order of time, say together, under the id `name`. prior: log-odds that each view's p_mine contains."""
+    """Combine the views of one object, in order of time, into a contact with the id `name`.
+
+    prior: log-odds that each view's p_mine contains.
+    """
     latitude, longitude, covariance = _fused_position(views)
     verdict = fuse(views, prior)
     size = _dimensions(views, verdict.classification)
@@ -253,12 +276,12 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
 
 
 def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
-    """Latitude, longitude and east/north covariance of the views' positions, weighted by their inverse covariances."""
+    """Average latitude and longitude of views by their inverse covariances; return them with the east/north covariance."""
     if len(views) == 1:
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
     positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
-    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]) + _LEAST_COVARIANCE_M2)
+    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]) + _MIN_COVARIANCE_M2)
     covariance = np.linalg.inv(information.sum(axis=0))
     east_north = covariance @ np.einsum("nij,nj->i", information, positions)
     latitude, longitude, _ = frame.to_geodetic(np.array([east_north[0], east_north[1], 0.0]))
@@ -266,14 +289,17 @@ def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray
 
 
 def _dimensions(views: tuple[Detection, ...], classification: ContactClass) -> Dimensions:
-    """Those of the solid of the class told in the view that shows it best; of a contact without one, what its views measured."""
+    """Choose the sizes of the solid of the contact's class in the view that shows it best.
+
+    Without such a solid, the sizes that its views measured.
+    """
     models = [
         (view.p_mine, -view.time_s, view.confirmation.model)
         for view in views
         if view.confirmation and view.confirmation.model and view.confirmation.model.classification == classification
     ]
     if models:
-        return dimensions(max(models, key=lambda told: told[:2])[2])
+        return dimensions(max(models, key=lambda model: model[:2])[2])
     best = max(views, key=lambda v: (v.score, -v.time_s))
     return Dimensions(max(v.length_m for v in views), best.width_m, _median_known([v.height_m for v in views]))
 

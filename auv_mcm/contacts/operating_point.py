@@ -1,4 +1,4 @@
-"""Call contacts mines where no more non-mines are to be expected as mine-like as they are than the operator accepts."""
+"""Call contacts mines where the expected non-mines as mine-like as they are stay within what the operator accepts."""
 
 from __future__ import annotations
 
@@ -26,8 +26,10 @@ from auv_mcm.detect.belief import odds_of
 from auv_mcm.records import NAN, Contact, CoveragePatch, Notice, contact_number
 from auv_mcm.settings.config import ContactsConfig
 
-_GROWTH: Final = 0.1  # of contacts or area, after which the background is estimated anew: about 150 estimates in a mission
-_TURNED_NATS: Final = 0.25  # by which the level must have passed a contact for its call to be announced again: a bin of log-odds
+# of contacts or area, after which the background is estimated anew: about 150 estimates in a mission
+_GROWTH: Final = 0.1
+# by which the level must have passed a contact for its call to be announced again: a bin of log-odds
+_TURNED_NATS: Final = 0.25
 _UNLIKE_SIGMAS: Final = 6.0  # of training missions: of 19 simulated and recorded missions left out the highest has 3.8
 _UNLIKE_P_MINE: Final = (0.05, 0.2)
 
@@ -39,8 +41,8 @@ _CALLED: Final = 2
 class OperatingPoint(NamedTuple):
     """Hold what is accepted, and the background that a mission has shown so far.
 
-    asked_per_km2: false alarms accepted. n_contacts, area_km2: what the background was estimated from. background: None where there is
-    no prior for the odds, as without confirmation; contacts of p_mine 0.2 or more are called then.
+    asked_per_km2: false alarms accepted. n_contacts, area_km2: what the background was estimated from. background: None
+    where there is no prior for the odds, as without confirmation; contacts of p_mine 0.2 or more are called then.
     """
 
     asked_per_km2: float
@@ -50,7 +52,7 @@ class OperatingPoint(NamedTuple):
 
     @property
     def level_nats(self) -> float:
-        """The lowest log-odds called, those of p_mine 0.01 at least: less is not counted. inf where nothing is called."""
+        """Find the lowest log-odds called, those of p_mine 0.01 at the minimum; inf where nothing is called."""
         if self.background is None:
             return odds_of(MINE_LIKE_P)
         return max(self.background.level_nats(self.asked_per_km2), LOWEST_NATS)
@@ -86,13 +88,16 @@ class MarkedContacts:
 
 
 class CallWatch:
-    """Follow a mission's contacts and area, keep the estimate of its background, and say which contacts to announce.
+    """Follow a mission's contacts and area, keep the estimate of its background, and choose which contacts to announce.
 
     Uses nothing but what came before. Memory: 9 bytes per contact.
     """
 
     def __init__(self, config: ContactsConfig, prior: BackgroundPrior | None) -> None:
-        """prior: of the log-odds of the detector that serves; None where there is none."""
+        """Start with an empty mission.
+
+        prior: of the log-odds of the detector that serves; None where there is none.
+        """
         self._asked_per_km2 = config.false_alarms_per_km2
         self._reported_from_nats = odds_of(config.min_p_mine)
         self._prior = prior
@@ -107,7 +112,7 @@ class CallWatch:
 
     @property
     def point(self) -> OperatingPoint:
-        """The operating point as it was estimated last."""
+        """Return the operating point as it was estimated last."""
         return self._point or self._estimated()
 
     def cover(self, patch: CoveragePatch) -> None:
@@ -117,10 +122,12 @@ class CallWatch:
     def announce(
         self, changed: Sequence[Contact], read: Callable[[Sequence[int]], Iterable[Contact]], *, is_last: bool = False
     ) -> list[Contact]:
-        """Mark contacts that are new or changed, and add those whose call has turned since it was announced; all by number.
+        """Mark contacts that are new or changed, and add those whose call has turned since it was announced.
 
-        read: gives contacts by number. is_last: nothing follows, so that the background is estimated from everything and every call that
-        differs from the last one announced is announced.
+        All by number.
+
+        read: gives contacts by number. is_last: nothing follows, so that the background is estimated from everything
+        and every call that differs from the last one announced is announced.
         """
         for contact in changed:
             self._learn(contact_number(contact.id), odds_of(contact.p_mine))
@@ -136,7 +143,7 @@ class CallWatch:
         return sorted(announced, key=lambda contact: contact_number(contact.id))
 
     def take_notices(self) -> list[Notice]:
-        """Return what a person should know since the last time."""
+        """Return the notices raised since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
@@ -175,7 +182,7 @@ class CallWatch:
         return np.flatnonzero(is_called | is_dropped).tolist()
 
     def _compare(self, background: Background, prior: BackgroundPrior) -> None:
-        """Report once that far more of the background looks like mines than on any sea floor learnt from."""
+        """Report once that far more of the background looks like mines than on any sea floor of the training set."""
         expected, spread = expected_background(prior)
         for p_mine in _UNLIKE_P_MINE:
             at = int(np.searchsorted(LEVELS_NATS, odds_of(p_mine)))
@@ -187,7 +194,7 @@ class CallWatch:
 def _unlike(p_mine: float, per_km2: float, usual_per_km2: float) -> Notice:
     return Notice(
         code="contacts.background_unlike",
-        text=f"about {per_km2:.2g} contacts per km² that are probably no mines reach p_mine {p_mine:g}; on the sea floors learnt from "
-        f"{usual_per_km2:.2g} do. The sea floor or the recorder is unlike all of them, and p_mine may not hold. Look at the pictures of "
-        "some contacts; check sonar.transfer, sonar.full_scale and the gain; go by 'called' rather than by p_mine.",
+        text=f"about {per_km2:.2g} contacts per km² reach p_mine {p_mine:g} but are probably not mines; {usual_per_km2:.2g} do on the sea "
+        "floors of the training set. The sea floor or the recorder is unlike all of those, and p_mine may be wrong. Look at the "
+        "pictures of some contacts; check sonar.transfer, sonar.full_scale and the gain; go by 'called' rather than by p_mine.",
     )

@@ -32,7 +32,7 @@ class PlacedRecords(Generic[T]):
 
     @property
     def n_in_memory(self) -> int:
-        """Records that the disk did not take."""
+        """Count the records that the disk did not take."""
         return len(self._in_memory)
 
     def numbers(self) -> NDArray[np.int64]:
@@ -64,7 +64,10 @@ class PlacedRecords(Generic[T]):
 
 
 class Selection(Generic[T]):
-    """Records in the order of their numbers given, read one at a time and anew each time, without those that cannot be read."""
+    """Iterate over records in the order of the numbers given, without those that cannot be read.
+
+    They are read one at a time, and anew in each iteration.
+    """
 
     def __init__(self, read: Callable[[int], T], numbers: Iterable[int]) -> None:
         self._read = read

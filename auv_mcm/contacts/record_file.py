@@ -1,7 +1,7 @@
 """Append records to a file without a name, which goes with the processes that hold it, however they end.
 
-One process appends. A process that is spawned with the file inherits it; either end reads any record whose place it knows, at any time, for
-nothing that has a place is overwritten.
+One process appends. A process that is spawned with the file inherits it; either end reads any record whose place it
+knows, at any time, for nothing that has a place is overwritten.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 class RecordPlace(NamedTuple):
-    """Where a record lies in its file, in bytes."""
+    """The place of a record in its file, in bytes."""
 
     start: int
     size: int
 
 
 class RecordFile:
-    """A file of records. n_unreadable: how often the disk did not give a record back.
+    """Append records to a file and read them. n_unreadable: how often the disk did not give a record back.
 
     file: raw and open for reading and writing; None where there is no disk: it takes nothing then.
     """
@@ -72,7 +72,7 @@ class RecordFile:
             self._file.close()
 
     def _write(self, data: bytes) -> None:
-        """Raises OSError."""
+        """Write all bytes. Raises OSError."""
         if self._file is None:
             raise OSError(errno.ENOENT, "there is no file")
         written = 0
@@ -86,7 +86,10 @@ class RecordFile:
 
 
 def temporary_record_file(folder: Path | None = None) -> RecordFile:
-    """Open a record file on the disk of `folder`, that of temporary files if None; where none can be opened it takes nothing."""
+    """Open a record file on the disk of `folder`, that of temporary files if None.
+
+    Where none can be opened it takes nothing.
+    """
     with contextlib.suppress(OSError):
         return RecordFile(tempfile.TemporaryFile(dir=folder, buffering=0))
     return RecordFile(None)

@@ -15,7 +15,8 @@ _BLOCK: Final = 64  # cells on the side of a block: 16 kB each, 256 m at cells o
 class SeenArea:
     """Sum coverage patches over the cells of the mission's plane: of each cell no more counts than its whole area.
 
-    Cells lie in blocks that come into being where something was covered. So memory grows with the area, about 0.3 MB per km².
+    Cells lie in blocks that come into being where something was covered. So memory grows with the area, about 0.3 MB
+    per km².
     """
 
     def __init__(self) -> None:
@@ -24,7 +25,7 @@ class SeenArea:
 
     @property
     def km2(self) -> float:
-        """Area covered so far, km²."""
+        """Return the area covered so far, km²."""
         return self._m2 * 1e-6
 
     def add(self, patch: CoveragePatch) -> None:

@@ -1,1 +1,1 @@
-"""Training-free detection: highlight and shadow against the local sea floor, in units of its own speckle."""
+"""Detect without training: highlight and shadow against the local sea floor, in units of its own speckle."""

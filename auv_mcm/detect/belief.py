@@ -1,7 +1,8 @@
-"""How mine-like a measured candidate is, from its score, its size and its surroundings; and the words for it.
+"""Weigh how mine-like a measured candidate is, from its score, its size and its surroundings; hold the words for it.
 
-Log-odds add: evidence of highlight and shadow (the score), plausibility of size and height, crowding by equals nearby. The
-constants are set on simple simulated missions; `auv-mcm score` says per tenth of the result how many contacts are targets.
+Log-odds add: evidence of highlight and shadow (the score), plausibility of size and height, crowding by equals nearby.
+The constants are set on simple simulated missions; `auv-mcm score` prints per tenth of the result how many contacts are
+targets.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ REASONS: Final[dict[str, str]] = {
     "no_shadow": "a bright echo without a shadow: flat, buried, or a patch of rougher bottom",
     "too_large": "longer than any mine sought",
     "too_small": "smaller than any mine sought, or a few bright speckles",
-    "implausible_height": "shadow length says a height no mine sought has",
+    "implausible_height": "the shadow's length implies a height that no mine sought has",
     "crowded": "one of many alike nearby, as in boulder fields",
     "extended": "part of a structure many metres long, such as a wreck or an outcrop",
     "in_turn": "seen in a turn: shape and position are distorted",
@@ -39,12 +40,15 @@ REASONS: Final[dict[str, str]] = {
 
 
 def contrast_odds(score: float) -> float:
-    """Log-odds of a mine-like object from contrasts alone. score: in standard deviations."""
+    """Compute the log-odds of a mine-like object from contrasts alone. score: in standard deviations."""
     return min(max(_PER_DEVIATION * (score - _EVEN_SCORE), -_BOUND), _BOUND)
 
 
 def with_measurement(odds: float, measured: Measurement, max_object_m: float) -> tuple[float, tuple[str, ...]]:
-    """Log-odds of a mine-like object with what was measured of it, and the codes of what spoke for or against it (keys of REASONS)."""
+    """Add what was measured to the log-odds of a mine-like object.
+
+    Returns the log-odds, nats, and the codes of what spoke for or against it (keys of REASONS).
+    """
     reasons: list[str] = []
     if measured.has_highlight and measured.has_shadow:
         reasons.append("highlight_and_shadow")
@@ -73,14 +77,16 @@ def with_measurement(odds: float, measured: Measurement, max_object_m: float) ->
 
 
 def crowding(n_neighbours: int) -> float:
-    """Log-odds taken off for other candidates at least about as strong within a few metres."""
+    """Compute the log-odds taken off for other candidates about as strong or stronger within a few metres."""
     return min(_PER_NEIGHBOUR * max(n_neighbours - _CROWD_FREE, 0), _CROWD_BOUND)
 
 
 def probability(odds: float) -> float:
+    """Convert log-odds, nats, to a probability."""
     return 1.0 / (1.0 + math.exp(-odds))
 
 
 def odds_of(p: float) -> float:
+    """Convert a probability, kept 1e-6 away from 0 and 1, to log-odds, nats."""
     bounded = min(max(p, 1e-6), 1.0 - 1e-6)
     return math.log(bounded / (1.0 - bounded))

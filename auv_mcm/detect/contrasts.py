@@ -1,12 +1,13 @@
-"""The scores of prescreen where they matter, the same to the bit: peaks over a threshold, and the clearest pixel around given ones.
+"""Score contrasts, bit for bit as prescreen does, where they matter: at peaks and around given places.
 
-Hardly any pixel's score reaches the threshold, so bounds that cost little come first. In blocks of pixels the variances have extremes,
-and a box there reaches a given deviate only if its mean passes a bound in closed form; one comparison of box sums tells which do. First
-the boxes that may be bright: elsewhere a highlight is worth no more than a faint one. What the best highlight of those that look at
-a shadow leaves to reach is how dark that shadow must be. Only boxes beyond the bounds are weighed, by the functions of prescreen.
+Hardly any pixel's score reaches the threshold, so cheap bounds come first. In blocks of pixels the variances have
+extremes, and a box there reaches a given deviate only if its mean passes a bound in closed form; one comparison of box
+sums finds the boxes that do. First come the boxes that may be bright: elsewhere a highlight is worth no more than a
+faint one. The best highlight of those whose shadow may be at a place bounds from below how dark that shadow must be.
+Only boxes beyond the bounds are scored, by the functions of prescreen.
 
-Bounds are taken SLACK of a deviate wide. Rounding moves no deviate by more than 3e-3 up to 1e7 looks, far more than variances of
-MIN_LOG_VARIANCE can stand for.
+Bounds are taken SLACK of a deviate wide. Rounding moves no deviate by more than 3e-3 up to 1e7 looks, far more than
+variances of MIN_LOG_VARIANCE can stand for.
 """
 
 from __future__ import annotations
@@ -40,14 +41,13 @@ from auv_mcm.kernels.contrast import (
 from auv_mcm.kernels.contrast import peaks as peaks_of
 from auv_mcm.records import LOW_RESOLUTION, Tile
 
-_FAINT_HIGHLIGHT: Final = 2.2  # deviates, at the least
-_BELOW_THRESHOLD: Final = (
-    0.8  # of a score: fainter highlights are found by their shadows; the least processor time on flat and rough floors
-)
+_FAINT_HIGHLIGHT: Final = 2.2  # deviates, minimum
+# Of a score: fainter highlights are found by their shadows. Minimizes the processor time on flat and rough floors.
+_BELOW_THRESHOLD: Final = 0.8
 SLACK: Final = 0.01
-LEAST_THRESHOLD: Final = 2.5
-"""Of a score, below which all pixels are weighed: bounds would hold back too few."""
-_LEAST_SHADOW: Final = 0.7  # fainter ones are weighed where a highlight makes up for them
+MIN_THRESHOLD: Final = 2.5
+"""Of a score, below which all pixels are scored: bounds would hold back too few."""
+_MIN_SHADOW: Final = 0.7  # fainter ones are scored where a highlight makes up for them
 _BLOCK: Final = (8, 32)
 
 Values = NDArray[np.float32]
@@ -57,9 +57,10 @@ Bounds = NDArray[np.float64]
 class Contrasts(NamedTuple):
     """A tile's floor and its scores that reach the threshold.
 
-    background, known, thin, small, large, score: (n_rows, n_columns); variances of ln I over boxes of three sizes, in the rows scored, and
-    the score where it is at least the threshold, -inf elsewhere. rows: [start, stop) of those scored. shadows: of all sizes looked for.
-    n_bounded: pixels of the rows scored that were not weighed, since bounds hold them below the threshold.
+    background, known, thin, small, large, score: (n_rows, n_columns); variances of ln I over boxes of three sizes, in
+    the rows scored, and the score where it is at least the threshold, -inf elsewhere. rows: [start, stop) of those
+    scored. shadows: of all sizes searched for. n_bounded: pixels of the rows scored that were skipped, since bounds
+    hold them below the threshold.
     """
 
     tile: Tile
@@ -76,11 +77,14 @@ class Contrasts(NamedTuple):
     n_bounded: int = 0
 
     def floor(self, row: int, column: int) -> Floor:
-        """The sea floor around a pixel of the rows scored."""
+        """Describe the sea floor around a pixel of the rows scored."""
         return Floor(float(self.background[row, column]), float(self.small[row, column]))
 
     def peaks(self, radius_m: float) -> list[Peak]:
-        """Local maxima over the threshold in the tile's core, best first; as prescreen.find_peaks finds them in all scores."""
+        """Find local maxima over the threshold in the tile's core, best first.
+
+        Finds what prescreen.find_peaks finds in all scores.
+        """
         tile = self.tile
         half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
         score = np.where((tile.mask & LOW_RESOLUTION) != 0, np.float32(-np.inf), self.score)
@@ -90,7 +94,10 @@ class Contrasts(NamedTuple):
         return sorted(found, key=lambda p: (-p.score, p.row, p.column))
 
     def clearest(self, rows: Sequence[int], columns: Sequence[int], half_rows: int, half_columns: int) -> list[Peak]:
-        """The highest score within half_rows and half_columns of each pixel, of equal ones the first; -inf where nothing can be said."""
+        """Find the highest score within half_rows and half_columns of each pixel, the first of equal ones.
+
+        The score is -inf where contrast cannot be computed.
+        """
         parts = [
             (slice(max(row - half_rows, 0), row + half_rows + 1), slice(max(column - half_columns, 0), column + half_columns + 1))
             for row, column in zip(rows, columns, strict=True)
@@ -113,9 +120,11 @@ class Contrasts(NamedTuple):
 
 
 def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Contrasts:
-    """Find all that prescreen.score_tile and find_peaks say of scores with at most that tail probability (> 0, < 0.5) in pure speckle.
+    """Score all pixels of a tile that reach a tail probability (> 0, < 0.5) in pure speckle.
 
-    bounded: weigh only pixels that may reach it; the result is the same.
+    Finds what prescreen.score_tile and find_peaks find of such scores.
+
+    bounded: score only pixels that may reach the threshold; the result is the same.
     """
     grid = PixelGrid(tile.row_spacing_m, tile.column_spacing_m)
     margin = round(prescreen.MARGIN_M / tile.row_spacing_m) + 1
@@ -132,7 +141,7 @@ def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Cont
     score = np.full(tile.mask.shape, -np.inf, dtype=np.float32)
     found = Contrasts(tile, grid, rows, _shadows(tile, grid), sums, level, known, thin, small, large, score)
     threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
-    weighs_all = threshold < LEAST_THRESHOLD or not bounded
+    weighs_all = threshold < MIN_THRESHOLD or not bounded
     places, values = _all_scores(found) if weighs_all else _high_scores(found, float(threshold))
     high = values >= threshold
     score.ravel()[places[high]] = values[high]
@@ -140,7 +149,7 @@ def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Cont
 
 
 def scores_at(tile: Contrasts, places: Places) -> Values:
-    """Scores of some pixels of the rows scored, where the background is known."""
+    """Score some pixels of the rows scored, where the background is known."""
     return combined(_highlights_at(tile, places), _shadows_at(tile, places))
 
 
@@ -150,7 +159,11 @@ def _all_scores(tile: Contrasts) -> tuple[Places, Values]:
 
 
 def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
-    """Places, among them all whose scores reach the threshold, and their scores; those of others may be too high, below the threshold."""
+    """Score all places that may reach the threshold.
+
+    Returns places, among them all whose scores reach it, and scores; those of others may be too high, but below the
+    threshold.
+    """
     blocks = Blocks(_BLOCK[0], max(_BLOCK[1], tile.grid.columns(prescreen.SHADOW_LAG_M)))
     ranges = _ranges(tile, blocks)
     faint = max(_FAINT_HIGHLIGHT, threshold - _BELOW_THRESHOLD)
@@ -160,11 +173,11 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
     lit = np.flatnonzero(flat >= np.float32(faint)).astype(np.int32)
     needed = threshold * prescreen.PAIR_NORM - SLACK
     gain = worth(flat[lit])
-    left = np.maximum(needed - _best_in_view(tile, blocks, lit, gain, faint_worth), _LEAST_SHADOW)
+    left = np.maximum(needed - _best_in_view(tile, blocks, lit, gain, faint_worth), _MIN_SHADOW)
     shadow = _dark(tile, blocks, ranges, left).ravel()
 
-    # Bright enough to need hardly any shadow, and none has been seen: then how little there is counts.
-    unseen = lit[(gain > needed - _LEAST_SHADOW) & (shadow[lit] < np.float32(_LEAST_SHADOW))]
+    # Bright enough to need hardly any shadow, and none was found: then the exact deviate of the darkest one counts.
+    unseen = lit[(gain > needed - _MIN_SHADOW) & (shadow[lit] < np.float32(_MIN_SHADOW))]
     if unseen.size:
         shadow[unseen] = _shadows_at(tile, unseen)
     likely = (gain + saturate_shadow(shadow[lit]) >= needed) | (glint(flat[lit]) >= threshold - SLACK)
@@ -175,7 +188,7 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
 
 
 class _Ranges(NamedTuple):
-    """Lowest and highest in each block: variances over the thin and the small box, and the power of area."""
+    """Hold the bounds in each block of variances over thin and small boxes, and of the power of area."""
 
     thin: tuple[Bounds, Bounds]
     small: tuple[Bounds, Bounds]
@@ -194,25 +207,28 @@ def _double(*pairs: tuple[Values, Values]) -> list[tuple[Bounds, Bounds]]:
 
 
 def _inverse_looks(tile: Contrasts, ranges: _Ranges, n_rows: int, area: float | Bounds) -> tuple[Bounds, Bounds]:
-    """Bounds in each block of 1 / (9 looks), the variance of a box mean's cube root."""
+    """Bound 1 / (9 looks), the variance of a box mean's cube root, in each block."""
     one_row = n_rows == 1
     low, high = ranges.thin if one_row else ranges.small
     growth = np.log(area / tile.grid.centred(prescreen.THIN_BOX_M if one_row else prescreen.SMALL_BOX_M)[1])
     slow, fast = (np.where(growth < 0.0, 1.0, decay) * growth for decay in ranges.decay)
-    least, most = (2.0 / 9.0 * variance for variance in (low * np.exp(-fast), high * np.exp(-slow)))
-    return least / (1.0 + np.sqrt(1.0 + 9.0 * least)), most / (1.0 + np.sqrt(1.0 + 9.0 * most))
+    low_bound, high_bound = (2.0 / 9.0 * variance for variance in (low * np.exp(-fast), high * np.exp(-slow)))
+    return low_bound / (1.0 + np.sqrt(1.0 + 9.0 * low_bound)), high_bound / (1.0 + np.sqrt(1.0 + 9.0 * high_bound))
 
 
 def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges, faint: float) -> Values:
-    """Deviates of the brightest box where it may be `faint` or more, less or -inf elsewhere."""
+    """Compute the deviate of the brightest box where it may be `faint` or more.
+
+    Elsewhere the value is less, or -inf.
+    """
     highlight = np.full(tile.background.shape, -np.inf, dtype=np.float32)
     flat = highlight.ravel()
     around, _ = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
     boxes, areas = zip(*(tile.grid.centred(size_m) for size_m in prescreen.HIGHLIGHTS_M), strict=True)
     limits = []
     for box, area in zip(boxes, areas, strict=True):
-        least, most = _inverse_looks(tile, ranges, box[1] - box[0], float(area))
-        root = (1.0 - most + (faint - SLACK) * np.sqrt(least)) / (1.0 - around)
+        low_bound, high_bound = _inverse_looks(tile, ranges, box[1] - box[0], float(area))
+        root = (1.0 - high_bound + (faint - SLACK) * np.sqrt(low_bound)) / (1.0 - around)
         limits.append(np.maximum(root - SLACK, 0.0) ** 3)
     wanted = np.array(boxes, dtype=np.int32), np.stack(limits)
     for k, places in enumerate(bright_places(tile.sums, tile.background, tile.known, tile.rows, *wanted, blocks)):
@@ -221,12 +237,13 @@ def _bright(tile: Contrasts, blocks: Blocks, ranges: _Ranges, faint: float) -> V
 
 
 def _best_in_view(tile: Contrasts, blocks: Blocks, lit: Places, gain: Values, faint_worth: float) -> Bounds:
-    """The most that a highlight is worth, in each block, among the pixels whose shadows may start there."""
+    """Bound the worth of a highlight, in each block, among the pixels whose shadows may start there."""
     best = np.full(blocks.shape(tile.sums.shape), faint_worth)
     row, column = np.divmod(lit, tile.sums.shape[1])
     lag = tile.grid.columns(prescreen.SHADOW_LAG_M)
     strength = gain.astype(np.float64)
-    # Shadows start 1 to `lag` columns behind, in the row or one beside it: at most two blocks either way, so that corners will do.
+    # Shadows start 1 to `lag` columns behind, in the row or one beside it: at most two blocks either way, so that
+    # corners will do.
     for row_off in (-1, 1):
         down = np.clip(row + row_off, 0, tile.sums.shape[0] - 1) // blocks.n_rows
         for column_off in (1, lag):
@@ -236,7 +253,10 @@ def _best_in_view(tile: Contrasts, blocks: Blocks, lit: Places, gain: Values, fa
 
 
 def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Values:
-    """What the darkest shadow behind each pixel deviates by, dark positive, where that may be `left` or more, less or 0 elsewhere."""
+    """Compute the deviate of the darkest shadow behind each pixel, dark positive.
+
+    Exact where it may be `left` or more; less, or 0, elsewhere.
+    """
     darkest = np.zeros(tile.background.shape, dtype=np.float32)
     flat = darkest.ravel()
     _, around = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
@@ -246,8 +266,8 @@ def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Val
     limits = []
     for k, width in enumerate((2 * tile.shadows.half_rows + 1).tolist()):
         longest = shadow_columns(lowest, k, np.arange(left.shape[0])[:, None], last[None, :])
-        least, _ = _inverse_looks(tile, ranges, width, (width * longest).astype(np.float64))
-        root = (1.0 - least - (left - SLACK) * np.sqrt(least)) / (1.0 - around)
+        low_bound, _ = _inverse_looks(tile, ranges, width, (width * longest).astype(np.float64))
+        root = (1.0 - low_bound - (left - SLACK) * np.sqrt(low_bound)) / (1.0 - around)
         limits.append((np.maximum(root, 0.0) + SLACK) ** 3)
     for k, places in enumerate(dark_places(tile.sums, tile.background, tile.rows, tile.shadows, np.stack(limits), blocks)):
         flat[places] = np.minimum(flat[places], _shadow_deviates(tile, _Spots.at(tile, places), k))
@@ -258,7 +278,7 @@ def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Val
 
 
 class _Spots(NamedTuple):
-    """The sea floor at n places, (n,) each."""
+    """Hold the sea floor at n places, (n,) each."""
 
     places: Places
     per_background: Values
@@ -267,7 +287,7 @@ class _Spots(NamedTuple):
 
     @staticmethod
     def at(tile: Contrasts, places: Places) -> _Spots:
-        """Those of a tile."""
+        """Read the sea floor of a tile at some places."""
         wanted = places.astype(np.intp)
         level, thin, small, large = (plane.ravel().take(wanted) for plane in (tile.background, tile.thin, tile.small, tile.large))
         areas = [tile.grid.centred(size_m)[1] for size_m in (prescreen.THIN_BOX_M, prescreen.SMALL_BOX_M, prescreen.LARGE_BOX_M)]
@@ -296,7 +316,7 @@ def _shadow_deviates(tile: Contrasts, spots: _Spots, k: int) -> Values:
 
 
 def _highlights_at(tile: Contrasts, places: Places) -> Values:
-    """Deviate of the brightest box at each place."""
+    """Compute the deviate of the brightest box at each place."""
     spots = _Spots.at(tile, places)
     highlight = np.full(len(places), -np.inf, dtype=np.float32)
     for k, _ in enumerate(prescreen.HIGHLIGHTS_M):
@@ -305,7 +325,7 @@ def _highlights_at(tile: Contrasts, places: Places) -> Values:
 
 
 def _shadows_at(tile: Contrasts, places: Places) -> Values:
-    """What the darkest shadow behind each place deviates by, dark positive."""
+    """Compute the deviate of the darkest shadow behind each place, dark positive."""
     n_rows, n_columns = tile.sums.shape
     lag = tile.grid.columns(prescreen.SHADOW_LAG_M)
     # A row and lag columns more on each side, where no shadow is weighed.
@@ -341,7 +361,7 @@ def _shadows(tile: Tile, grid: PixelGrid) -> Shadows:
 
 
 def _scored(tile: Contrasts, places: NDArray[np.integer]) -> Places:
-    """Those in the rows scored."""
+    """Select the places in the rows scored."""
     n_columns = tile.sums.shape[1]
     return places[(places >= tile.rows[0] * n_columns) & (places < tile.rows[1] * n_columns)].astype(np.int32)
 

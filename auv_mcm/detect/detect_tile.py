@@ -59,7 +59,7 @@ class TileDetections(NamedTuple):
 
 
 def worth_looking(tile: Tile) -> bool:
-    """Whether any core pixel can hold a detection: all masked or near nadir means there is nothing to score."""
+    """Check whether any core pixel can hold a detection, neither masked nor near nadir."""
     core = tile.mask[tile.core_start : tile.core_stop]
     return bool(((core & (VALID | LOW_RESOLUTION)) == VALID).any())
 
@@ -169,7 +169,7 @@ def _placed(tile: Tile, config: Config, candidates: list[Candidate], measured: l
 
 
 def _surroundings(tile: Tile, peak: Peak, measured: Measurement) -> Surroundings:
-    """ROWS_M about the score's peak, which does not depend on where the tile was cut."""
+    """Cut ROWS_M about the score's peak, which does not depend on where the tile was cut."""
     n_rows, n_columns = tile.mask.shape
     column_m = tile.column_spacing_m
     first_return_m = float(tile.first_return_m[peak.row])

@@ -1,8 +1,9 @@
 """Decide before measuring which places of a tile can become contacts.
 
-The score of the cascade, the contrast and the range are known of every place; measuring it and confirming what was measured costs a
-thousand times as much. A linear forecast of the log-odds that confirmation ends with, and the margin by which those of a contact have
-exceeded it, say which places cannot reach the lowest p_mine that is reported. They are counted and go no further.
+The score of the cascade, the contrast and the range are known of every place; measuring it and confirming what was
+measured costs a thousand times as much. A linear forecast of the log-odds that confirmation ends with, and the margin
+by which those of a contact have exceeded it, say which places cannot reach the lowest p_mine that is reported. They are
+counted and go no further.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Forecast(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     margin_nats: _Nats
 
     def log_odds(self, features: Mapping[Feature, Values]) -> Values:
-        """(n,) forecast for features (n,). Raises KeyError for a feature that is missing."""
+        """Forecast the log-odds for features (n,). Raises KeyError for a feature that is missing."""
         total = np.full(len(features["range"]), self.offset)
         for name, weight in self.weights.items():
             total += weight * features[name]
@@ -73,7 +74,10 @@ def place_features(
 
 
 def may_reach(forecast: Forecast | None, min_p_mine: float, features: Mapping[Feature, Values]) -> NDArray[np.bool_]:
-    """Decide which of n places may end with a p_mine of at least `min_p_mine`, (n,) bool; all without a forecast or for a minimum of 0."""
+    """Decide which of n places may end with a p_mine of at least `min_p_mine`, (n,) bool.
+
+    All may without a forecast or for a minimum of 0.
+    """
     n_places = len(features["range"])
     if forecast is None or min_p_mine <= 0.0:
         return np.ones(n_places, dtype=np.bool_)
@@ -92,4 +96,4 @@ def parse_gate(data: bytes, place: str) -> Gate:
     try:
         return msgspec.json.decode(data, type=Gate)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate gate'") from error
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate gate'") from error

@@ -1,7 +1,7 @@
-"""Integral images: box sums of any size at four look-ups a pixel (Crow 1984).
+"""Sum boxes of any size with four look-ups a pixel, on integral images (Crow 1984).
 
-Sums are float64 with the origin at the tile's corner, so they stay exact to 1e-10 however long the mission; float32 sums lose
-percents within one tile.
+Sums are float64 with the origin at the tile's corner, so they stay exact to 1e-10 however long the mission; float32
+sums lose percents within one tile.
 """
 
 from __future__ import annotations
@@ -15,13 +15,17 @@ from numpy.typing import NDArray
 
 
 class PaddedIntegral:
-    """Integral image of one tile plane, padded so that boxes reaching out of the tile are clipped at its edge.
+    """Integrate one tile plane, padded so that boxes reaching out of the tile are clipped at its edge.
 
-    Boxes are given by half-open offsets from each pixel: rows [row_start, row_stop), columns [column_start, column_stop).
+    Boxes are given by half-open offsets from each pixel: rows [row_start, row_stop), columns [column_start,
+    column_stop).
     """
 
     def __init__(self, plane: NDArray[Any], pad_rows: int, pad_columns: int) -> None:
-        """plane: (n_rows, n_columns) float32, float64 or uint8. pad_*: the farthest a box may reach, pixels."""
+        """Integrate a plane, (n_rows, n_columns) float32, float64 or uint8.
+
+        pad_*: the farthest a box may reach, pixels.
+        """
         self._shape = (plane.shape[0], plane.shape[1])
         self._pad = (pad_rows, pad_columns)
         total = np.asarray(cv2.integral(np.ascontiguousarray(plane), sdepth=cv2.CV_64F), dtype=np.float64)
@@ -30,7 +34,7 @@ class PaddedIntegral:
         )
 
     def band(self, start: int, stop: int) -> PaddedIntegral:
-        """The same sums for rows [start, stop) of the tile alone, which now count from 0; boxes still reach beyond them.
+        """Give the same sums for rows [start, stop) of the tile alone, counted from 0; boxes still reach beyond them.
 
         Work on a few dozen rows at a time stays in the processor's cache; whole planes do not.
         """
@@ -46,12 +50,15 @@ class PaddedIntegral:
         return band[:, pad + column_stop : pad + column_stop + n_columns] - band[:, pad + column_start : pad + column_start + n_columns]
 
     def rows(self, row_start: int, row_stop: int) -> NDArray[np.float64]:
-        """Sum over rows [i + row_start, i + row_stop) and all columns before each padded column edge, (n_rows, n_columns + 1 + 2 pad)."""
+        """Sum over rows [i + row_start, i + row_stop) and all columns before each padded column edge.
+
+        Returns (n_rows, n_columns + 1 + 2 pad) float64.
+        """
         n_rows, pad = self._shape[0], self._pad[0]
         return self._sum[pad + row_stop : pad + row_stop + n_rows] - self._sum[pad + row_start : pad + row_start + n_rows]
 
     def box_varying(self, row_start: int, row_stop: int, column_start: int, lengths: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Sum over rows [row_start, row_stop) and columns [column_start, column_start + length) with a length per pixel.
+        """Sum over rows [row_start, row_stop) and columns from column_start on, with a length per pixel.
 
         lengths: (n_rows, n_columns) intp, at most the column pad minus column_start.
         """

@@ -1,4 +1,4 @@
-"""Measures one candidate: which pixels are its highlight and its shadow, where it is, how long, wide and high."""
+"""Measure one candidate: which pixels are its highlight and its shadow, where it is, how long, wide and high."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROWS_M: Final = 4.0
 _NEAR_M: Final = 3.0
 _FAR_M: Final = 8.0
 
-_BRIGHT_STEP: Final = 0.7  # nats above the background at least (3 dB)
+_BRIGHT_STEP: Final = 0.7  # nats above the background, minimum (3 dB)
 _DARK_STEP: Final = -1.0  # nats below it
 _STEP_DEVIATIONS: Final = 2.0
 _SNIPPET_M: Final = 2.5
@@ -28,19 +28,21 @@ _BRIDGE_M: Final = 0.3  # speckle peaks inside a shadow
 _LOW_OBJECT_M: Final = 0.1  # the shadows of such are the shortest that smoothing must leave
 _LONGEST_BLUR_M: Final = 0.5
 _DARK_CLIP: Final = 2.0  # of the background: a highlight must not be smoothed into the shadow behind it
-_PROFILE_M: Final = 1.2  # of the shadow next to the object tell its extent along track
+_PROFILE_M: Final = 1.2  # of the shadow next to the object give its extent along track
 _HALF_DEPTH: Final = 0.5
 _FOOTPRINTS_TO_SIGMA: Final = 1.0 / math.sqrt(8.0 * math.log(2.0))
 _KEPT_OF_POINT: Final = 0.1
-_THREE_ROWS: Final = math.sqrt(8.0 * math.log(2.0) * 2.0 / 3.0)  # at half power, the Gaussian as wide as the mean of three
+# at half power, the Gaussian as wide as the mean of three
+_THREE_ROWS: Final = math.sqrt(8.0 * math.log(2.0) * 2.0 / 3.0)
 _HALVINGS: Final = 30
 
 
 class Measurement(NamedTuple):
-    """All rows and columns are fractional, tile-local; lengths in metres; decibels against the local background.
+    """Hold what was measured of one candidate.
 
-    row, column: highlight centroid, or where the shadow starts if there is no highlight. height_m and shadow_length_m are NaN
-    without a shadow. along_m: extent along track; across_m: extent of the highlight across track.
+    Rows and columns are fractional and tile-local; lengths in metres; decibels against the local background. row,
+    column: highlight centroid, or where the shadow starts if there is no highlight. height_m and shadow_length_m are
+    NaN without a shadow. along_m: extent along track; across_m: extent of the highlight across track.
     """
 
     row: float
@@ -62,7 +64,7 @@ class Measurement(NamedTuple):
 
 
 class _Extent(NamedTuple):
-    """Rows [first, stop) of a part of the region, and what they say about its length."""
+    """Rows [first, stop) of a part of the region, and what they imply about its length."""
 
     first: int
     stop: int
@@ -81,7 +83,10 @@ class _Roi(NamedTuple):
 
 
 def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Measurement:
-    """Segment the surroundings of `peak` and measure the object; deterministic, no error on any tile content. floor: around the peak."""
+    """Segment the surroundings of `peak` and measure the object; deterministic, no error on any tile content.
+
+    floor: the sea floor around the peak. beam_width_rad: two-way, at half power.
+    """
     n_rows, n_columns = tile.mask.shape
     row_m, column_m = tile.row_spacing_m, tile.column_spacing_m
     reach_rows = round(ROWS_M / row_m)
@@ -120,12 +125,12 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
         top_m = (columns.start + top) * column_m
         far_m = (columns.start + stop) * column_m
         shadow_length_m = (stop - start) * column_m
-        # The ray that grazes the last lit point goes on to the shadow's end: heights are to ranges as the triangle says.
+        # The ray that grazes the last lit point goes on to the shadow's end: similar triangles give the height.
         height_m = altitude_m * (1.0 - math.hypot(top_m, altitude_m) / math.hypot(far_m, altitude_m))
     ground_m = (columns.start + column + 0.5) * column_m
     footprint_m = math.hypot(ground_m, altitude_m) * beam_width_rad
     along_m = max((_length(extent, row_m, footprint_m) for extent in extents), default=row_m)
-    # At the end of a track the tile cuts an object off, which says nothing about its length.
+    # At the end of a track the tile cuts an object off, which carries no information about its length.
     border = any(
         (extent.first == 0 and peak.row >= reach_rows) or (extent.stop == roi.valid.shape[0] and peak.row + reach_rows < n_rows)
         for extent in extents
@@ -153,7 +158,7 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
 
 
 def _snippet_cut(row: float, column: float, shadow_length_m: float, row_m: float, column_m: float) -> tuple[slice, slice]:
-    """The part of the region worth keeping as a picture: the object, its shadow and some of the sea floor around."""
+    """Cut out the part of the region to keep as a picture: the object, its shadow and some of the sea floor around."""
     half_rows, near = round(_SNIPPET_M / row_m), round(_SNIPPET_M / column_m)
     behind = near + (0 if math.isnan(shadow_length_m) else round(shadow_length_m / column_m))
     middle, centre = round(row), round(column)
@@ -161,7 +166,7 @@ def _snippet_cut(row: float, column: float, shadow_length_m: float, row_m: float
 
 
 def _blur_pixels(length_m: float, pixel_m: float) -> int:
-    """An odd number of pixels over which to smooth what varies over `length_m` and more, 3 at least."""
+    """Choose an odd number of pixels over which to smooth what varies over `length_m` or more, 3 at the minimum."""
     return max(3, 2 * round(0.5 * (min(length_m, _LONGEST_BLUR_M) / pixel_m - 1.0)) + 1)
 
 
@@ -175,7 +180,7 @@ def _region(tile: Tile, level: float, peak: Peak, rows: slice, columns: slice, b
 
 
 def _log_mean(intensity: NDArray[np.float32], valid: NDArray[np.bool_], n_rows: int, n_columns: int) -> NDArray[np.float32]:
-    """Logarithm of the mean over the valid pixels of a box around each pixel; 0 where few are valid."""
+    """Compute the logarithm of the mean over the valid pixels of a box around each pixel; 0 where few are valid."""
     total = cv2.blur(intensity, (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
     weight = cv2.blur(valid.astype(np.float32), (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
     mean = np.divide(total, weight, out=np.ones_like(total), where=weight > 0.3)
@@ -183,7 +188,7 @@ def _log_mean(intensity: NDArray[np.float32], valid: NDArray[np.bool_], n_rows: 
 
 
 def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
-    """The mask with holes of up to `gap` columns between its pixels of a row filled."""
+    """Fill holes of up to `gap` columns between pixels of the mask in the same row."""
     padded = np.pad(mask.view(np.uint8), ((0, 0), (0, gap)))
     kernel = np.ones((1, gap + 1), dtype=np.uint8)
     # Opposite anchors: with one in the middle a kernel of even length would shift the mask.
@@ -192,7 +197,7 @@ def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
 
 
 def _component_near(mask: NDArray[np.bool_], row: int, column: int, half_rows: int, half_columns: int) -> NDArray[np.bool_] | None:
-    """The connected part of `mask` that has most pixels in the window around (row, column); ties go to the first label."""
+    """Find the connected part of `mask` with most pixels near (row, column); ties go to the first label."""
     _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
     window = labels[max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1]
     counts = np.bincount(window.ravel())
@@ -205,7 +210,7 @@ def _component_near(mask: NDArray[np.bool_], row: int, column: int, half_rows: i
 def _shadow_behind(
     dark: NDArray[np.bool_], highlight: NDArray[np.bool_] | None, row: int, column: int, row_m: float, column_m: float
 ) -> NDArray[np.bool_] | None:
-    """The dark part that starts close behind the highlight's far edge, cut off where it lies up-range of (row, column)."""
+    """Find the dark part close behind the highlight's far edge, cut off up-range of (row, column)."""
     far_edge = column if highlight is None else column + int(np.flatnonzero(highlight[row, column:])[-1])
     window = far_edge + round(_MAX_GAP_M / column_m) - column
     behind = dark.copy()
@@ -214,7 +219,7 @@ def _shadow_behind(
 
 
 def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:
-    """The pixel of a part where contrast is highest, less 0.05 nats for every pixel away from the peak; the first on ties."""
+    """Find a part's pixel of highest contrast, less 0.05 nats for every pixel away from the peak; the first on ties."""
     distance = np.hypot((np.arange(part.shape[0]) - roi.row)[:, None], (np.arange(part.shape[1]) - roi.column)[None, :])
     value = np.where(part, roi.contrast - 0.05 * distance, -np.inf)
     row, column = np.unravel_index(int(np.argmax(value)), part.shape)
@@ -222,31 +227,35 @@ def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _weighted_extent(roi: _Roi, part: NDArray[np.bool_], bright_step: float) -> tuple[float, float, _Extent, int]:
-    """Centre of a highlight in rows and columns, and its extent in them."""
+    """Compute the centre of a highlight in rows and columns, its extent in rows, and its width in columns."""
     rows, columns = np.nonzero(part)
     contrast = roi.contrast[rows, columns].astype(np.float64)
     # Weights bounded in dB terms: one glint must not pull the centre of a long object to itself.
     weight = np.maximum(contrast, 0.1)
     total = weight.sum()
-    # The 3 x 3 mean just outside a wide object still holds a third of its echo: strong ones look a pixel larger on every side.
-    seam = 2 if math.log((math.exp(float(contrast.max())) - 1.0) / 3.0 + 1.0) > bright_step else 0
+    # The 3 x 3 mean just outside a wide object still holds a third of its echo: strong ones look a pixel larger on
+    # every side.
+    rim = 2 if math.log((math.exp(float(contrast.max())) - 1.0) / 3.0 + 1.0) > bright_step else 0
     first, stop = int(rows.min()), int(rows.max()) + 1
     excess = math.exp(float(contrast.max())) - 1.0
-    extent = _Extent(first, stop, max(stop - first - seam, 1), 0.0, (math.exp(bright_step) - 1.0) / excess)
-    return float(rows @ weight / total), float(columns @ weight / total), extent, max(int(np.ptp(columns)) + 1 - seam, 1)
+    extent = _Extent(first, stop, max(stop - first - rim, 1), 0.0, (math.exp(bright_step) - 1.0) / excess)
+    return float(rows @ weight / total), float(columns @ weight / total), extent, max(int(np.ptp(columns)) + 1 - rim, 1)
 
 
 def _far_edge(part: NDArray[np.bool_], row: int) -> float:
-    """One past the farthest column of a part in the row nearest to `row` that has any."""
+    """Find one past the farthest column of a part in the row nearest to `row` that has any."""
     rows = np.flatnonzero(part.any(axis=1))
     nearest = rows[int(np.argmin(np.abs(rows - row)))]
     return float(part.shape[1] - part[nearest, ::-1].argmax())
 
 
 def _shadow_extent(roi: _Roi, shadow: NDArray[np.bool_], row: int, interval: tuple[int, int], reach: int) -> _Extent:
-    """Rows around `row` that are at least half as dark as the darkest of them, on average over the columns next to the object.
+    """Find the rows around `row` that are half as dark as the darkest of them or darker.
 
-    The mean over columns tells a shadow's sides where single pixels are speckle: those run together into dark areas of any size.
+    Darkness is averaged over the columns next to the object.
+
+    The mean over columns shows a shadow's sides where single pixels are speckle, which runs together into dark areas of
+    any size.
     """
     columns = slice(interval[0], max(interval[0] + 1, min(interval[1], interval[0] + reach)))
     total = np.minimum(roi.intensity[:, columns], np.float32(_DARK_CLIP)).sum(axis=1, dtype=np.float64)
@@ -267,14 +276,17 @@ def _shadow_extent(roi: _Roi, shadow: NDArray[np.bool_], row: int, interval: tup
 
 
 def _beyond(depth: NDArray[np.float64], row: int, step: int, edge: float) -> float:
-    """How far beyond the centre of `row` the depth falls below `edge`, in rows; half a row at the end of the picture."""
+    """Interpolate how far beyond the centre of `row` the depth falls below `edge`, in rows.
+
+    Half a row at the end of the picture.
+    """
     if not 0 <= row + step < depth.shape[0] or depth[row] <= edge:
         return 0.5
     return float((depth[row] - edge) / (depth[row] - depth[row + step]))
 
 
 def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tuple[float, float]:
-    """First and one-past-last column of the shadow in the rows around the object's centre: medians over rows."""
+    """Find first and one-past-last column of the shadow around the object's centre: medians over rows."""
     rows = np.flatnonzero(shadow.any(axis=1))
     near = rows[np.abs(rows - row) <= half_rows]
     if near.size == 0:
@@ -285,7 +297,7 @@ def _shadow_interval(shadow: NDArray[np.bool_], row: int, half_rows: int) -> tup
 
 
 def _decibels(roi: _Roi, part: NDArray[np.bool_]) -> float:
-    """Mean intensity of a part over the background, dB, floored at -40."""
+    """Compute the mean intensity of a part over the background, dB, floored at -40."""
     mean = float(roi.intensity[part].mean(dtype=np.float64))
     return 10.0 * math.log10(max(mean, 1e-4))
 
@@ -295,15 +307,16 @@ def _length(extent: _Extent, row_m: float, footprint_m: float) -> float:
 
 
 def without_footprint(extent_m: float, footprint_m: float, level: float) -> float:
-    """Length along track of an even object whose image through the beam is `extent_m` long where it has faded to `level`.
+    """Compute the length along track, m, of an even object whose image through the beam is `extent_m` long at `level`.
 
-    footprint_m: the two-way beam at half power, taken as Gaussian. level: 0 < level < 1, contrast at the edges of the image over contrast
-    in its middle, both against the background; so it holds for highlights (intensity less background) and shadows (background less
-    intensity). The image of an object of length L at x from its middle is erf((x + L/2) / (s sqrt 2)) - erf((x - L/2) / (s sqrt 2))
-    with s = footprint / sqrt(8 ln 2), and L is found by halving, at most the image itself. A point, whose image is footprint
-    sqrt(log2(1 / level)) long, and anything shorter keeps a tenth of its image.
+    footprint_m: the two-way beam at half power, taken as Gaussian. level: 0 < level < 1, contrast at the edges of the
+    image over contrast in its middle, both against the background; so it holds for highlights (intensity less
+    background) and shadows (background less intensity). The image of an object of length L at x from its middle is
+    erf((x + L/2) / (s sqrt 2)) - erf((x - L/2) / (s sqrt 2)) with s = footprint / sqrt(8 ln 2), and L is found by
+    halving, the image itself at the maximum. A point, whose image is footprint sqrt(log2(1 / level)) long, and anything
+    shorter keeps a tenth of its image.
     """
-    least_m = _KEPT_OF_POINT * extent_m
+    min_m = _KEPT_OF_POINT * extent_m
     per_m = 1.0 / max(math.sqrt(2.0) * _FOOTPRINTS_TO_SIGMA * footprint_m, 1e-9)
     half_m = 0.5 * extent_m
 
@@ -311,9 +324,9 @@ def without_footprint(extent_m: float, footprint_m: float, level: float) -> floa
         inner, outer = (half_m - 0.5 * length_m) * per_m, (half_m + 0.5 * length_m) * per_m
         return (math.erf(outer) - math.erf(inner)) / (2.0 * math.erf(0.5 * length_m * per_m))
 
-    shortest, longest = least_m, extent_m
+    shortest, longest = min_m, extent_m
     if faded(shortest) >= level:
-        return least_m
+        return min_m
     for _ in range(_HALVINGS):
         middle = 0.5 * (shortest + longest)
         shortest, longest = (middle, longest) if faded(middle) < level else (shortest, middle)

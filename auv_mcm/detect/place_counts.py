@@ -1,4 +1,4 @@
-"""Count the places of a mission by ground range and strength, whether they were measured or not: what statistics of false alarms need."""
+"""Count the places of a mission by ground range and strength, measured or not, for statistics of false alarms."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from auv_mcm.records import Tile
 
 RANGE_BAND_M: Final = 10.0
 STRENGTH_STEP: Final = 0.5
-"""Of the detector's strength: the cascade's score and a share of the contrast, or the contrast alone, in its deviates."""
+"""Of the detector's strength: the cascade's score and a share of the contrast, or the contrast alone, in its deviates.
+"""
 
 
 class PlaceCounts:
-    """Histogram of strengths in bands of ground range."""
+    """Count strengths in bands of ground range."""
 
     def __init__(self) -> None:
         self._counts: Counter[tuple[int, int]] = Counter()
@@ -30,7 +31,10 @@ class PlaceCounts:
         self._counts.update(zip(bands, steps, strict=True))
 
     def table(self) -> dict[str, Any]:
-        """Lay the histogram out for JSON: near edge of the band, m, then lower edge of the strength, then the number of places."""
+        """Lay the histogram out for JSON.
+
+        Keys are the near edge of the band, m, then the lower edge of the strength; values are numbers of places.
+        """
         counts: dict[str, dict[str, int]] = {}
         for (band, step), n_places in sorted(self._counts.items()):
             counts.setdefault(f"{band * RANGE_BAND_M:g}", {})[f"{step * STRENGTH_STEP:g}"] = n_places

@@ -1,10 +1,10 @@
-"""Scores every pixel of a tile as the centre of an object's highlight with its shadow behind, by box means on integral images.
+"""Score every pixel of a tile as the centre of a highlight with a shadow behind, by box means.
 
-The sea floor sets its own scale. The variance of the logarithm of box means is measured around each pixel at two box sizes, as
-equivalent looks: it holds speckle, its correlation from pixel to pixel, and texture, and how it falls from the small to the
-large box says how many independent samples other boxes have. Ratios of box means to the background then become standard
-deviations in closed form. Highlights and shadows of several sizes are tried, shadows in multiples of what an object of given
-height casts at that range and altitude.
+The sea floor sets its own scale. The variance of the logarithm of box means is measured around each pixel at two box
+sizes, as equivalent looks: it holds speckle, its correlation from pixel to pixel, and texture, and how it falls from
+the small to the large box says how many independent samples other boxes have. Ratios of box means to the background
+then become standard deviations in closed form. Highlights and shadows of several sizes are tried, shadows in multiples
+of what an object of given height casts at that range and altitude.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ HIGHLIGHTS_M: Final = ((0.12, 0.18), (0.36, 0.24), (0.36, 0.48), (0.84, 0.36), (
 # Along track and height of the object that casts it, metres.
 SHADOWS_M: Final = ((0.12, 0.1), (0.12, 0.2), (0.36, 0.1), (0.36, 0.2), (0.36, 0.35), (0.84, 0.35), (0.84, 0.7))
 SHADOW_LENGTH_M: Final = (0.18, 6.0)
-LEAST_ALTITUDE_M: Final = 0.05
-SHADOW_LAG_M: Final = 0.6  # from the highlight's centre to where the shadow starts, at most
+MIN_ALTITUDE_M: Final = 0.05
+SHADOW_LAG_M: Final = 0.6  # from the highlight's centre to where the shadow starts, maximum
 
-# Background: a frame around the object, narrow enough to follow the sea floor, hollow so that the object stays out of it.
+# Background: a frame around the object, narrow enough to follow the sea floor, hollow so that the object stays out of
+# it.
 FRAME_ROWS_M: Final = 1.5
 _FRAME_NEAR_M: Final = 1.0
 _FRAME_FAR_M: Final = 2.0
@@ -51,8 +52,9 @@ LOG_CLIP: Final = 1.2  # bright objects and shadows must not pass for texture
 MIN_DECAY: Final = 0.3  # less is measured where a structure, not texture, spans the large boxes
 MIN_LOG_VARIANCE: Final = 1e-3
 
-# A shadow is the better witness: speckle, glints and texture make bright spots, hardly anything else makes dark ones. But they seldom
-# make brighter ones than this, and from there on a highlight counts like a shadow: far off it often is all that can be seen.
+# A shadow is the better witness: speckle, glints and texture make bright spots, hardly anything else makes dark ones.
+# But they seldom make brighter ones than this, and from there on a highlight counts like a shadow: far off it often is
+# all that can be seen.
 HIGHLIGHT_WEIGHT: Final = 0.5
 PAIR_NORM: Final = float(np.hypot(HIGHLIGHT_WEIGHT, 1.0))
 CLEAR_HIGHLIGHT: Final = 4.0
@@ -76,8 +78,9 @@ CONTEXT_M: Final = LOOKS_ROWS_M + FRAME_ROWS_M + 1.0
 class ScoreMaps(NamedTuple):
     """Per pixel, each (n_rows, n_columns) float32.
 
-    score: of the best pair of boxes, in standard deviations that one pair has on pure sea floor; -inf where nothing can be said.
-    highlight, shadow: deviates, a shadow counts positive. background: mean intensity. small_box_variance: of ln I.
+    score: of the best pair of boxes, in standard deviations that one pair has on pure sea floor; -inf where it
+    cannot be computed. highlight, shadow: deviates, a shadow counts positive. background: mean intensity. small_box_variance: of
+    ln I.
     """
 
     score: NDArray[np.float32]
@@ -106,7 +109,7 @@ class Peak(NamedTuple):
 
 
 class PixelGrid(NamedTuple):
-    """A tile's pixels: lengths in whole pixels, at least one, and boxes as half-open offsets from a pixel."""
+    """A tile's pixels: lengths in whole pixels, 1 at the minimum, and boxes as half-open offsets from a pixel."""
 
     row_m: float
     column_m: float
@@ -118,12 +121,12 @@ class PixelGrid(NamedTuple):
         return max(1, round(length_m / self.column_m))
 
     def centred(self, size_m: tuple[float, float]) -> tuple[tuple[int, int, int, int], int]:
-        """Half-open offsets of a box around a pixel, and its area in pixels."""
+        """Return the half-open offsets of a box around a pixel, and its area in pixels."""
         half_row, half_column = self.rows(size_m[0]) // 2, self.columns(size_m[1]) // 2
         return (-half_row, half_row + 1, -half_column, half_column + 1), (2 * half_row + 1) * (2 * half_column + 1)
 
     def frame(self) -> tuple[tuple[int, int, int, int], tuple[int, int, int, int], int]:
-        """The background's frame and its hollow as half-open offsets, and the area between them in pixels."""
+        """Return the background's frame and its hollow as half-open offsets, and the area between them in pixels."""
         hollow_rows = self.rows(_HOLLOW_ROWS_M)
         hollow = (-hollow_rows, hollow_rows + 1, -self.columns(_HOLLOW_NEAR_M), self.columns(_HOLLOW_FAR_M))
         # On a coarse grid the frame stays at least a pixel wide.
@@ -134,7 +137,7 @@ class PixelGrid(NamedTuple):
 
 
 class _Boxes:
-    """Masked box means on some rows of a tile, in whole pixels around each pixel."""
+    """Average boxes of valid pixels on some rows of a tile, in whole pixels around each pixel."""
 
     def __init__(self, tile: Tile) -> None:
         valid = (tile.mask & VALID) != 0
@@ -149,7 +152,7 @@ class _Boxes:
         self._seabed_weight = self._weight if (seabed == valid).all() else PaddedIntegral(seabed.view(np.uint8), *pad)
 
     def band(self, rows: slice) -> _Boxes:
-        """The same on rows [start, stop) of the tile alone."""
+        """Restrict the boxes to rows [start, stop) of the tile."""
         part = copy.copy(self)
         part._intensity = self._intensity.band(rows.start, rows.stop)
         part._weight = self._weight.band(rows.start, rows.stop)
@@ -158,19 +161,23 @@ class _Boxes:
         return part
 
     def mean(self, *box: int) -> NDArray[np.float32]:
-        """Mean intensity over the valid pixels of a box, 0 where there are none."""
+        """Average the intensity over the valid pixels of a box, 0 where there are none."""
         return (self._intensity.box(*box) / np.maximum(self._weight.box(*box), 1.0)).astype(np.float32)
 
     def shadow_mean(self, half_rows: int, lengths: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Mean intensity from each pixel on over `lengths` columns, and the number of valid pixels it comes from."""
+        """Average the intensity from each pixel on over `lengths` columns.
+
+        Returns the mean and the number of valid pixels.
+        """
         varying = (-half_rows, half_rows + 1, 0, lengths)
         weight = self._weight.box_varying(*varying)
         return (self._intensity.box_varying(*varying) / np.maximum(weight, 1.0)).astype(np.float32), weight
 
     def background(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Mean over the frame around each pixel, and where enough of it holds echoes.
+        """Average the frame around each pixel; return the mean, and where enough of the frame holds echoes.
 
-        Saturated pixels stay out and bright ones are bounded: an object longer than the hollow must not raise its own background.
+        Saturated pixels stay out and bright ones are bounded: an object longer than the hollow must not raise its own
+        background.
         """
         outer, hollow, area = self.grid.frame()
         total = self._seabed.box(*outer) - self._seabed.box(*hollow)
@@ -181,8 +188,10 @@ class _Boxes:
 
 
 class Spread(NamedTuple):
-    """How much box means vary on the sea floor around each pixel of a band, float32: variances of the logarithm for the thin and the
-    small box, and the power of area with which larger boxes vary less."""
+    """Hold how much box means vary on the sea floor around each pixel of a band, float32.
+
+    Variances of the logarithm for the thin and the small box, and the power of area with which larger boxes vary less.
+    """
 
     thin: NDArray[np.float32]
     small: NDArray[np.float32]
@@ -191,14 +200,20 @@ class Spread(NamedTuple):
     small_area: int
 
     def looks(self, n_rows: int, area: NDArray[np.float32] | float) -> NDArray[np.float32]:
-        """Equivalent looks of the mean over a box; what is smaller than the boxes measured holds speckle alone, which falls with area."""
+        """Compute the equivalent looks of the mean over a box.
+
+        What is smaller than the boxes measured holds speckle alone, which falls with area.
+        """
         variance, measured_area = (self.thin, self.thin_area) if n_rows == 1 else (self.small, self.small_area)
         growth = np.log(np.asarray(area, dtype=np.float32) / np.float32(measured_area))
         return equivalent_looks(variance * np.exp(-np.where(growth < 0.0, np.float32(1.0), self.decay) * growth))
 
 
 def score_tile(tile: Tile) -> ScoreMaps:
-    """Score maps of one tile. Overlap rows more than MARGIN_M from the core lend their pixels but are not scored themselves."""
+    """Score every pixel of one tile.
+
+    Overlap rows more than MARGIN_M from the core lend their pixels but are not scored themselves.
+    """
     shape = tile.mask.shape
     margin = round(MARGIN_M / tile.row_spacing_m) + 1
     scored = slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, shape[0]))
@@ -230,39 +245,42 @@ def score_tile(tile: Tile) -> ScoreMaps:
 
 
 def decay_of(small: NDArray[np.float32], large: NDArray[np.float32], area_ratio: float) -> NDArray[np.float32]:
-    """Power of area with which variances fall from the small box to the large one, whose areas are in the ratio given."""
-    # On a grid too coarse to tell the two boxes apart both variances are equal, and any growth of area will do.
+    """Compute the power of area with which variances fall from the small to the large box.
+
+    area_ratio: of the large box over the small one.
+    """
+    # On a grid too coarse to separate the two boxes both variances are equal, and any growth of area will do.
     per_area = np.float32(1.0 / np.log(max(area_ratio, 2.0)))
     return np.asarray(np.clip(np.log(small / large) * per_area, MIN_DECAY, 1.0), dtype=np.float32)
 
 
 def combined(highlight: NDArray[np.float32], shadow: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Score of a highlight's and a shadow's deviates, float32 of any shape."""
+    """Combine a highlight's and a shadow's deviates into a score, float32 of any shape."""
     pair = (worth(highlight) + saturate_shadow(shadow)) * np.float32(1.0 / PAIR_NORM)
     return np.asarray(np.maximum(pair, glint(highlight)))
 
 
 def worth(highlight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What a highlight's deviate adds to a pair."""
+    """Compute what a highlight's deviate adds to a pair."""
     bright = saturate(highlight, _HIGHLIGHT_KNEE)
     clear = np.maximum(bright - np.float32(CLEAR_HIGHLIGHT), np.float32(0.0))
     return np.asarray(HIGHLIGHT_WEIGHT * bright + (1.0 - HIGHLIGHT_WEIGHT) * clear)
 
 
 def saturate_shadow(shadow: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What a shadow's deviate adds to a pair."""
+    """Compute what a shadow's deviate adds to a pair."""
     return saturate(shadow, _SHADOW_KNEE)
 
 
 def glint(highlight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Score of a highlight without a shadow."""
+    """Score a highlight without a shadow."""
     return saturate(highlight - np.float32(GLINT_DISCOUNT), _GLINT_KNEE)
 
 
 def _deviates(
     boxes: _Boxes, tile: Tile, rows: slice, background: NDArray[np.float32], spread: Spread
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Deviate of the brightest box centred on each pixel of the rows, and of the darkest shadow that starts there."""
+    """Compute the deviates of the brightest box centred on each pixel, and of the darkest shadow that starts there."""
     per_background = np.float32(1.0) / background
     background_looks = spread.looks(2, float(boxes.grid.frame()[2]))
     highlight = np.full(background.shape, -np.inf, dtype=np.float32)
@@ -283,10 +301,10 @@ def _deviates(
 
 
 def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: float) -> list[Peak]:
-    """Local maxima above the threshold in the tile's core, best first; ties by row, then column.
+    """Find local maxima above the threshold in the tile's core, best first; ties by row, then column.
 
-    A peak is the highest score within `radius_m`, at most MARGIN_M, along rows and columns. Pixels of low resolution (near
-    nadir) hold none and outshine none.
+    A peak is the highest score within `radius_m`, at most MARGIN_M, along rows and columns. Pixels of low resolution
+    (near nadir) hold none and outshine none.
     """
     threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
     half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
@@ -307,7 +325,7 @@ def saturate(deviate: NDArray[np.float32], knee: float) -> NDArray[np.float32]:
 
 
 class _Neighbourhood:
-    """Statistics over the known pixels within a few metres of each pixel."""
+    """Compute statistics over the known pixels within a few metres of each pixel."""
 
     def __init__(self, boxes: _Boxes, known: NDArray[np.bool_]) -> None:
         rows, columns = boxes.grid.rows(LOOKS_ROWS_M), boxes.grid.columns(LOOKS_COLUMNS_M)
@@ -319,7 +337,7 @@ class _Neighbourhood:
     def log_variance(
         self, boxes: _Boxes, bands: list[slice], box: tuple[int, int, int, int], background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Variance of ln(box mean over background), clipped, (n_rows, n_columns) float32."""
+        """Compute the variance of ln(box mean over background), clipped, (n_rows, n_columns) float32."""
         logarithm = np.empty(background.shape, dtype=np.float32)
         for rows in bands:
             ratio = np.maximum(boxes.band(rows).mean(*box) / background[rows], np.float32(1e-3))
@@ -335,20 +353,29 @@ class _Neighbourhood:
 
 
 def clearance_m(tile: Tile, height_m: float) -> NDArray[np.float64]:
-    """Altitude over the top of an object of `height_m` in each row, (n_rows,) float64, bounded where there is hardly any."""
-    altitude_m = np.maximum(tile.first_return_m, LEAST_ALTITUDE_M)
+    """Compute the altitude over the top of an object of `height_m` in each row, m.
+
+    (n_rows,) float64, bounded from below.
+    """
+    altitude_m = np.maximum(tile.first_return_m, MIN_ALTITUDE_M)
     return np.maximum(altitude_m - height_m, 0.3 * altitude_m)
 
 
 def _shadow_columns(tile: Tile, rows: slice, height_m: float) -> NDArray[np.intp]:
-    """Length in columns (rows, n_columns) of the shadow an object of `height_m` casts: h y / (H - h) on a flat bottom."""
+    """Compute the shadow's length in columns, (rows, n_columns), of an object of `height_m`.
+
+    It is h y / (H - h) on a flat bottom.
+    """
     ground_m = ((np.arange(tile.mask.shape[1]) + 0.5) * tile.column_spacing_m)[None, :]
     length_m = height_m * ground_m / clearance_m(tile, height_m)[rows, None]
     return np.maximum(np.rint(np.clip(length_m, *SHADOW_LENGTH_M) / tile.column_spacing_m), 1.0).astype(np.intp)
 
 
 def darkest_behind(deviate: NDArray[np.float32], lag_columns: int) -> NDArray[np.float32]:
-    """Minimum over shadows that start 1 to `lag_columns` columns farther out, in the row itself or a neighbouring one."""
+    """Find the minimum over shadows that start 1 to `lag_columns` columns farther out.
+
+    In the row itself or a neighbouring one.
+    """
     n_columns = deviate.shape[1]
     padded = np.pad(deviate, ((1, 1), (0, lag_columns + 1)), constant_values=0.0)
     lowest = cv2.erode(padded, np.ones((3, lag_columns), dtype=np.uint8), anchor=(0, 1), borderType=cv2.BORDER_REPLICATE)

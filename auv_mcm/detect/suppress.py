@@ -1,8 +1,9 @@
-"""Non-maximum suppression in metres over a whole pass, independent of where tiles were cut.
+"""Suppress all but the best of detections close together, in metres over a whole pass, wherever tiles were cut.
 
-Detections close together are one object seen more than once: the best one stays. Greedy suppression spreads along chains, so a
-chain of neighbours is settled at once, when no later row can add to it or to its surroundings. Where clutter is so dense that
-chains would never end, borders fixed on the mission grid end them; across a border the stronger of two hides the weaker.
+Detections close together are one object seen more than once: the best one stays. Greedy suppression spreads along
+chains, so a chain of neighbours is settled at once, when no later row can add to it or to its surroundings. Where
+clutter is so dense that chains would never end, borders fixed on the mission grid end them; across a border the
+stronger of two hides the weaker.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ _BESIDE_STRUCTURE_ODDS: Final = 0.7
 
 
 class Suppressor:
-    """Settles the detections of one side in the order of rows; feed every tile's detections with the row where its core stops."""
+    """Settle the detections of one side in the order of rows.
+
+    Feed every tile's detections with the row where its core stops.
+    """
 
     def __init__(self, config: DetectConfig, row_spacing_m: float, counters: Counter[str]) -> None:
         self._config = config
@@ -47,15 +51,18 @@ class Suppressor:
         self._counters = counters
         self._link_m = max(_LINK_M, config.suppression_m)
         self._waiting: list[Detection] = []
-        self._recent: list[Detection] = []  # as they came; settled, but still surroundings of waiting ones or of those to come
+        # As they came: settled, but still surroundings of waiting ones or of those to come.
+        self._recent: list[Detection] = []
         self._faint = NO_FAINT_PLACES
+        self.settled_to_row = -math.inf
+        """Everything before this row of the mission grid is settled."""
 
     def add(self, detections: tuple[Detection, ...], complete_to_row: float, faint: FaintPlaces = NO_FAINT_PLACES) -> list[Detection]:
         """Take a tile's detections; return those that are final now, in order of rows.
 
-        faint: places that are no detections but crowd them, on the mission grid.
-        complete_to_row: mission grid row before which no later tile has a score peak; the object a peak belongs to may have its
-        centre up to ROWS_M before it.
+        faint: places that are no detections but crowd them, on the mission grid. complete_to_row: mission grid row
+        before which no later tile has a score peak; the object a peak belongs to may have its centre up to ROWS_M
+        before it.
         """
         self._waiting = sorted([*self._waiting, *detections], key=_order)
         self._faint = FaintPlaces(*(np.concatenate(pair) for pair in zip(self._faint, faint, strict=True)))
@@ -86,6 +93,7 @@ class Suppressor:
             self._counters["detect.suppressed"] += len(chain) - len(best)
             settled += [self._in_surroundings(detection, around) for detection in best]
         self._waiting = sorted(waiting, key=_order)
+        self.settled_to_row = min([horizon, *(d.row for d in waiting)])
         first_needed = min([known_to, *(d.row for d in waiting)]) - surroundings
         still_waiting = {id(d) for d in waiting}
         self._recent = [d for d in known if d.row >= first_needed and id(d) not in still_waiting]
@@ -117,7 +125,7 @@ class Suppressor:
 
 
 class _Neighbours(NamedTuple):
-    """Detections, and beside them faint places, whose row, column and strength come behind theirs, (n,) each."""
+    """Hold detections and, behind them in each array, the faint places beside them, (n,) each."""
 
     detections: list[Detection]
     stretches: NDArray[np.int64]
@@ -133,18 +141,18 @@ class _Neighbours(NamedTuple):
         return _Neighbours(detections, stretches, rows, columns, strength)
 
     def on_other_stretches(self, detection: Detection, stretch: int) -> Iterator[Detection]:
-        """Go through detections across a border from one that are near enough to be of the same object."""
+        """Iterate over detections across a border from one that are near enough to be of the same object."""
         near = np.abs(self.rows[: len(self.detections)] - detection.row) * detection.row_spacing_m < _LONGEST_OBJECT_M
         return (self.detections[k] for k in np.flatnonzero(near & (self.stretches != stretch)))
 
     def distance_m(self, detection: Detection) -> NDArray[np.float64]:
-        """Distance of all from a detection, (n,)."""
+        """Compute the distances of all from a detection, m, (n,)."""
         along_m = (self.rows - detection.row) * detection.row_spacing_m
         return np.hypot(along_m, (self.columns - detection.column) * detection.column_spacing_m)
 
 
 def _stretch(detection: Detection) -> int:
-    """Number of the stretch of track between two borders."""
+    """Number the stretch of track between two borders."""
     return math.floor(detection.row * detection.row_spacing_m / _BORDER_M)
 
 
@@ -168,9 +176,9 @@ def _same_object(detection: Detection, better: Detection, reach_m: float) -> boo
 
 
 def _outline(kept: list[Detection], chain: list[Detection]) -> list[Detection]:
-    """A structure as a few detections along it that carry its whole size, and what in or beside it is mine-like by itself.
+    """Reduce a structure to a few detections with its whole size, and to what is mine-like by itself.
 
-    Something laid beside a wreck must not vanish in it, but a wreck must not fill the contact list either.
+    An object laid beside a wreck must not vanish in it, but a wreck must not fill the contact list either.
     """
     rows_m = [d.row * d.row_spacing_m for d in chain]
     columns_m = [d.column * d.column_spacing_m for d in chain]
@@ -193,7 +201,10 @@ def _order(detection: Detection) -> tuple[float, float, float]:
 
 
 def _chains(detections: list[Detection], link_m: float) -> list[list[Detection]]:
-    """Groups in which each member is within `link_m` of another on the same stretch; sorted by row as `detections` are."""
+    """Group detections so that each is within `link_m` of another on the same stretch.
+
+    Groups are sorted by row as `detections` are.
+    """
     parent = list(range(len(detections)))
 
     def root(index: int) -> int:
@@ -218,7 +229,10 @@ def _chains(detections: list[Detection], link_m: float) -> list[list[Detection]]
 
 
 def _is_structure(chain: list[Detection], max_object_m: float) -> bool:
-    """Many detections hanging together over more than an object's length, several of them too large by themselves."""
+    """Decide whether detections form a structure, such as a wreck or an outcrop.
+
+    That is many over more than an object's length, several of them too large.
+    """
     if len(chain) < _STRUCTURE_MEMBERS:
         return False
     rows_m = [d.row * d.row_spacing_m for d in chain]

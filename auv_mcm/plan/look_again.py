@@ -215,12 +215,13 @@ class LookAgain:
         for contact_id, reason in proposal.refused:
             if contact_id not in self._raised:
                 self._raised.add(contact_id)
-                text = f"no second look at {contact_id} is proposed: {reason}"
+                text = f"no second view of {contact_id} is proposed: {reason}"
                 self._notices.append(Notice(code="look_refused", text=text, for_the_record="report it" not in reason))
         if proposal.area is not None:
             self.area = proposal.area
-            if code := next((code for begin, code in _CODES.items() if self.area.verdict.startswith(begin)), ""):
-                self._raise_once(code, f"{self.area.words()}: {self.area.verdict}")
+            for begin, code in _CODES.items():
+                if self.area.verdict.startswith(begin):
+                    self._raise_once(code, f"{self.area.words()}: {self.area.verdict}")
         if self._on_leg is not None:  # the vehicle reached it while the plan was made
             self._changed = True
             return None

@@ -54,9 +54,9 @@ def survey_words(
 def contact_words(legs: ContactLegs) -> str:
     """Explain a leg past a contact."""
     contact = legs.contact
-    looks = "one look" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} looks"
+    looks = "one view" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} views"
     towards = round(legs.look_deg) % 360
     return (
-        f"second look at {contact.id} towards {towards:03d}° or {(towards + 180) % 360:03d}°, {legs.stand_off_m:.0f} m to the side: "
+        f"second view of {contact.id} towards {towards:03d}° or {(towards + 180) % 360:03d}°, {legs.stand_off_m:.0f} m to the side: "
         f"p_mine {contact.p_mine:.2f} is undecided after {looks}"
     )

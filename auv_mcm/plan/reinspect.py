@@ -75,7 +75,7 @@ def plan_reinspection(
     `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each point, [0, 2 pi).
     Turns are planned a little wider than `turn_radius_m` so that the circles that touch the sides of the way-point polygon from inside
     are not tighter than it either. may_run: whether a leg from place to place is wanted; others are planned only where a contact
-    leaves no choice. Equal input gives equal plans. Empty if no contact needs a second look.
+    leaves no choice. Equal input gives equal plans. Empty if no contact needs a second view.
 
     Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
@@ -192,9 +192,9 @@ def _true_course(here_deg: tuple[float, float], there_deg: tuple[float, float]) 
 
 def _reason(leg: _Leg, config: PlanConfig) -> str:
     contact = leg.contact
-    looks = "one look" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} looks"
+    looks = "one view" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} views"
     look_deg = round(leg.track_deg + (90.0 if leg.look_side == "starboard" else -90.0)) % 360
     return (
-        f"second look at {contact.id}: p_mine {contact.p_mine:.2f} is undecided after {looks}; this leg looks towards {look_deg:03d}°, "
+        f"second view of {contact.id}: p_mine {contact.p_mine:.2f} is undecided after {looks}; this leg looks towards {look_deg:03d}°, "
         f"in the widest gap between the directions viewed, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
     )

@@ -151,7 +151,7 @@ def parse_seabed_model(data: bytes, place: str) -> SeabedModel:
     try:
         return msgspec.json.decode(data, type=SeabedModel)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Make the file anew with 'auv-mcm calibrate seabed'") from error
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate seabed'") from error
 
 
 def configured_seabed_model(config: Config) -> SeabedModel:

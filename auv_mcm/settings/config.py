@@ -17,7 +17,7 @@ from msgspec import Meta, inspect
 from auv_mcm.clean_text import clean, is_clean
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.budget_settings import BudgetConfig
-from auv_mcm.settings.port_settings import ArmLength, PortConfig, check_together
+from auv_mcm.settings.port_settings import ArmLength, PortConfig, check_together, device_kind
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
 
@@ -207,11 +207,11 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
     max_contacts: Annotated[int, Meta(ge=0, le=1000, description="maximum number of contacts to view again")] = 12
     min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="minimum p_mine of a contact to view again")] = 0.2
     turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
-    stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second look, m")] = 12.0
+    stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second view, m")] = 12.0
     leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
     area_deg: Annotated[
         tuple[tuple[Latitude, Longitude], ...],
-        Meta(description="corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second looks alone"),
+        Meta(description="corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second views alone"),
     ] = ()
     required_clearance: Annotated[
         float, Meta(ge=0.5, le=0.99, description="probability, over the area, with which mines in it are to be found")
@@ -277,7 +277,7 @@ class Config(_Section, frozen=True, kw_only=True):
         check_together(self.ports)
         if self.vehicle.command and self.plan.area_deg and _are_apart(self.plan.area_deg, self.vehicle.fence_deg):
             raise ValueError("plan: area_deg lies outside vehicle.fence_deg, where no leg can be sailed: correct one of them")
-        if self.vehicle.command and self.ports and all(port.device not in VEHICLE_NAMES for port in self.ports):
+        if self.vehicle.command and self.ports and all(device_kind(port.device) != "vehicle" for port in self.ports):
             raise ValueError(f"vehicle: command is true, but no port has a vehicle's device ({', '.join(VEHICLE_NAMES)}): add one")
 
 
@@ -413,7 +413,11 @@ def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
 def _kind(kind: inspect.Type) -> str:
     """Describe in words what a key takes."""
     if isinstance(kind, inspect.Metadata):
+        if examples := (kind.extra_json_schema or {}).get("examples"):
+            return f"one of {', '.join(map(str, examples))}, or one that another package adds"
         kind = kind.type
+    if isinstance(kind, inspect.DictType):
+        return "keys with values"
     if isinstance(kind, inspect.LiteralType):
         return "one of " + ", ".join(str(value) for value in kind.values)
     if isinstance(kind, inspect.BoolType):

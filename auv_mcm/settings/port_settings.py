@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, TypeAlias, get_args
+import difflib
+from typing import Annotated, Any, Final, Literal, TypeAlias, get_args
 
 import msgspec
 from msgspec import Meta
 
+from auv_mcm.errors import UsageError
+from auv_mcm.settings.plugins import find_device, find_plugins
 from auv_mcm.settings.vehicle_settings import (
     VEHICLE_NAMES,
     BluefinSettings,
@@ -14,7 +17,6 @@ from auv_mcm.settings.vehicle_settings import (
     ImcSettings,
     IverSettings,
     ReconSettings,
-    VehicleName,
 )
 
 ArmLength: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0)]
@@ -26,6 +28,10 @@ QUANTITIES: Final[tuple[Quantity, ...]] = get_args(Quantity)
 SonarName: TypeAlias = Literal["ping_protocol", "jsf", "sportscan"]
 NavUnitName: TypeAlias = Literal["nmea0183", "pixse", "pd6", "water_linked", "nmea2000"]
 SONAR_NAMES: Final[tuple[SonarName, ...]] = get_args(SonarName)
+NAV_UNIT_NAMES: Final[tuple[NavUnitName, ...]] = get_args(NavUnitName)
+DEVICE_NAMES: Final = (*SONAR_NAMES, *NAV_UNIT_NAMES, *VEHICLE_NAMES)
+"""Devices that are built in; other packages add more, see `auv_mcm.settings.plugins`."""
+DeviceKind: TypeAlias = Literal["sonar", "navigation", "vehicle"]
 Sides: TypeAlias = Literal["as_told", "swapped", "port", "starboard"]
 
 
@@ -106,7 +112,7 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
 
     name: Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="in messages, counters and recordings")]
     link: Annotated[str, Meta(description="the wire, e.g. serial:///dev/ttyUSB0?baud=115200 or tcp://192.168.2.92:51200")]
-    device: Annotated[SonarName | NavUnitName | VehicleName, Meta(description="what speaks there")]
+    device: Annotated[str, Meta(examples=[*DEVICE_NAMES], description="what speaks there")]
     sonar: SonarPortConfig | None = None
     navigation: Annotated[
         NavUnitSettings | None,
@@ -117,9 +123,17 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
     iver: IverSettings | None = None
     recon: ReconSettings | None = None
     vehicle_can: CanSettings | None = None
+    options: Annotated[
+        dict[str, Any] | None,
+        Meta(description="settings of a vehicle's dialect that another package adds; its documentation lists them"),
+    ] = None
 
     def __post_init__(self) -> None:
-        if self.sonar is not None and self.device not in SONAR_NAMES:
+        try:
+            kind = device_kind(self.device)
+        except UsageError as error:
+            raise ValueError(f"port '{self.name}': {error}") from error
+        if self.sonar is not None and kind != "sonar":
             raise ValueError(f"port '{self.name}': a device '{self.device}' is no sonar and takes no section 'sonar'")
         unit = self.navigation
         if unit is not None and unit.gives_utc and self.device != "nmea0183":
@@ -129,6 +143,29 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
         for name in VEHICLE_NAMES:
             if name != self.device and getattr(self, name) is not None:
                 raise ValueError(f"port '{self.name}': a section '{name}' is for a device '{name}', and this one is a '{self.device}'")
+        if self.options is not None and (kind != "vehicle" or self.device in VEHICLE_NAMES):
+            text = f"port '{self.name}': a section 'options' is for a vehicle's dialect that another package adds"
+            raise ValueError(f"{text}, and '{self.device}' is not one: remove it")
+
+
+def device_kind(device: str) -> DeviceKind:
+    """Return what kind of device a name stands for, built in or added by another package.
+
+    Raises UsageError for an unknown name, with those that are known, and for a name that is added twice.
+    """
+    if device in SONAR_NAMES:
+        return "sonar"
+    if device in NAV_UNIT_NAMES:
+        return "navigation"
+    if device in VEHICLE_NAMES:
+        return "vehicle"
+    plugin = find_device(device)
+    if plugin is not None and plugin.kind != "logs":
+        return plugin.kind
+    known = [*DEVICE_NAMES, *(plugin.name for plugin in find_plugins() if plugin.kind != "logs")]
+    near = difflib.get_close_matches(device, known, n=1)
+    hint = f"did you mean {near[0]}? " if near else ""
+    raise UsageError(f"device '{device}' is unknown ({hint}valid: {', '.join(known)}). Correct it, or install the package that adds it")
 
 
 def check_together(ports: tuple[PortConfig, ...]) -> None:
@@ -137,13 +174,13 @@ def check_together(ports: tuple[PortConfig, ...]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"two ports are called '{name}': give each a name of its own")
-    vehicles = [port.name for port in ports if port.device in VEHICLE_NAMES]
+    vehicles = [port.name for port in ports if device_kind(port.device) == "vehicle"]
     if len(vehicles) > 1:
         raise ValueError(f"the ports {' and '.join(vehicles)} are both a vehicle's: leave one of them, for there is one vehicle to talk to")
     clocks = [port.name for port in ports if port.navigation is not None and port.navigation.gives_utc]
     if len(clocks) > 1:
         raise ValueError(f"the ports {' and '.join(clocks)} both have navigation.gives_utc: leave it to the better one")
-    sonars = [port for port in ports if port.device in SONAR_NAMES]
+    sonars = [port for port in ports if device_kind(port.device) == "sonar"]
     sides = sorted(port.sonar.sides if port.sonar is not None else "as_told" for port in sonars)
     if len(sonars) > 1 and sides != ["port", "starboard"]:
         raise ValueError(

@@ -34,15 +34,16 @@ def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch
 
 
 def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
-    """State the operating point: what was asked, from which p_mine on that calls, and the background of the mission behind it.
+    """State the operating point: what was asked, from which p_mine on that calls, and the background of the mission
+    behind it.
 
-    called_from_p_mine: None where no p_mine is high enough. expected_per_km2: false alarms among what is called, with the 95 % interval.
-    background_per_km2: non-mines that reach a p_mine.
+    called_from_p_mine: None where no p_mine is high enough. expected_per_km2: false alarms among what is called, with
+    the 95 % interval. background_per_km2: non-mines that reach a p_mine.
     """
     if point is None:
         return {}
     level = point.level_nats
-    told: dict[str, Any] = {
+    totals: dict[str, Any] = {
         "asked_per_km2": point.asked_per_km2,
         "called_from_p_mine": None if level == math.inf else round(probability(level), 6),
         "contacts_counted": point.n_contacts,
@@ -50,11 +51,11 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
     }
     if point.background is not None:
         expected = point.background.false_alarms(level) if level < math.inf else FalseAlarms(0.0, 0.0, 0.0)
-        told["expected_per_km2"] = {name: round(value, 3) for name, value in zip(("middle", "low", "high"), expected, strict=True)}
-        told["background_per_km2"] = {
+        totals["expected_per_km2"] = {name: round(value, 3) for name, value in zip(("middle", "low", "high"), expected, strict=True)}
+        totals["background_per_km2"] = {
             f"{p:g}": round(point.background.false_alarms(odds_of(p)).per_km2, 3) for p in (LOWEST_P_MINE, 0.1, 0.2, 0.5, 0.8)
         }
-    return {"operating_point": told}
+    return {"operating_point": totals}
 
 
 def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:

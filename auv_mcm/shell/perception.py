@@ -45,6 +45,7 @@ from auv_mcm.records import (
     Contact,
     CoveragePatch,
     Detection,
+    EarlyContact,
     EchoTrace,
     Notice,
     Ping,
@@ -100,17 +101,18 @@ def standard_pipeline(config: Config, kept: Contacts) -> Perceiving:
     """Make the standard pipeline, imported only in the process that runs it."""
     from auv_mcm.pipeline import Pipeline
 
-    return Pipeline(config, kept=kept)
+    return Pipeline(config, kept=kept, early=True)
 
 
 class Fed(NamedTuple):
     """Answer one event, or the end of the mission, with what became final because of it.
 
-    events: contacts, without what their pictures are made of, and notices. snippets: a PNG picture per contact id. places: in the file
-    of records, of the contacts by number, without those that the disk did not take. patches: coverage, in that file too.
+    events: contacts, early ones among them, without what their pictures are made of, and notices. snippets: a PNG
+    picture per contact id. places: in the file of records, of the contacts by number, without those that the disk did
+    not take. patches: coverage, in that file too.
     """
 
-    events: tuple[Contact | Notice, ...]
+    events: tuple[Contact | EarlyContact | Notice, ...]
     snippets: dict[str, bytes]
     places: dict[int, RecordPlace]
     patches: tuple[StoredPatch, ...]
@@ -466,18 +468,22 @@ def _answer(events: list[PipelineEvent], store: ContactStore, records: RecordFil
     contacts = [event for event in events if isinstance(event, Contact)]
     places = {number: store.place(number) for number in (contact_number(contact.id) for contact in contacts)}
     return Fed(
-        events=tuple(_without_pictures(event) for event in events if isinstance(event, Contact | Notice)),
+        events=tuple(_without_pictures(event) for event in events if isinstance(event, Contact | EarlyContact | Notice)),
         snippets=_snippets(contacts),
         places={number: place for number, place in places.items() if place is not None},
         patches=tuple(store_patch(records, event) for event in events if isinstance(event, CoveragePatch)),
     )
 
 
-def _without_pictures(event: Contact | Notice) -> Contact | Notice:
+def _without_pictures(event: Contact | EarlyContact | Notice) -> Contact | EarlyContact | Notice:
     """Leave out of a contact what its pictures are made of; that is most of it, and the worker makes them."""
-    if isinstance(event, Notice):
-        return event
-    return msgspec.structs.replace(event, views=tuple(map(_without_picture, event.views)))
+    if isinstance(event, EarlyContact):
+        return msgspec.structs.replace(event, contact=_bare(event.contact))
+    return event if isinstance(event, Notice) else _bare(event)
+
+
+def _bare(contact: Contact) -> Contact:
+    return msgspec.structs.replace(contact, views=tuple(map(_without_picture, contact.views)))
 
 
 def _without_picture(view: Detection) -> Detection:

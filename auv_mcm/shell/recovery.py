@@ -18,6 +18,8 @@ RECORDING: Final = "recording"
 """The folder, among the results, for what live ports received and were sent."""
 JOURNAL: Final = "contacts.jsonl"
 """The file, among the results, of contacts as they were announced."""
+EARLY_JOURNAL: Final = "early.jsonl"
+"""The file of early contacts as they were announced, and of what became of them; there is none without early contacts."""
 SUMMARY: Final = "summary.json"
 """The file that is written last: its presence shows that the session came to its end."""
 

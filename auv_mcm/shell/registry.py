@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from auv_mcm.settings.plugins import PluginKind
 
 SOURCES: Final[dict[str, str]] = {"ports": "drivers.port_source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
 """Openers of sources, by the scheme of `service.source`."""
@@ -15,6 +18,14 @@ PORTS_INTERFACE: Final = "drivers.describe:interface_text"
 PORT_CHECK: Final = "drivers.port_check:port_findings"
 BENCH_CHECK: Final = "sim_replay.bench_check:bench_findings"
 DESCRIBE_LOG: Final = "sim_replay.logs.open_log:describe_log"
+
+PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
+    "sonar": "drivers.sonar.sonars:sonar_of",
+    "navigation": "drivers.navigation.nav_protocols:nav_maker_of",
+    "vehicle": "drivers.vehicle.vehicles:vehicle_of",
+    "logs": "sim_replay.logs.log_reader:reader_of",
+}
+"""What imports and checks a plug-in of each kind."""
 
 COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",

@@ -33,13 +33,23 @@ from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.operating_point import MarkedContacts, OperatingPoint
 from auv_mcm.contacts.record_file import temporary_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
-from auv_mcm.records import Contact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
+from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, point_totals, search_totals
 from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
-from auv_mcm.shell.recovery import JOURNAL, RECORDING, SUMMARY, Ballast, all_written, in_recording, results_missing, unfinished_session
+from auv_mcm.shell.recovery import (
+    EARLY_JOURNAL,
+    JOURNAL,
+    RECORDING,
+    SUMMARY,
+    Ballast,
+    all_written,
+    in_recording,
+    results_missing,
+    unfinished_session,
+)
 from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
 from auv_mcm.shell.snippet_files import Snippets
 from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
@@ -99,6 +109,7 @@ class Service:
         self._vehicle_link: VehicleLink | None = None
         self._n_dropped_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
+        self._early_journal: Journal | None = None  # begins with the first early contact
 
     def stop(self) -> None:
         """Stop the source; `run` then works off the queue, writes everything and returns."""
@@ -171,6 +182,7 @@ class Service:
             self._records.close()
         for what, write in (
             ("contacts are missing from the journal", journal.close),
+            ("early contacts are missing from their journal", self._close_early_journal),
             ("pictures of contacts are missing", self._snippets.write),
         ):
             try:
@@ -286,6 +298,11 @@ class Service:
                     self._contacts.keep(contact, answer.places.get(contact_number(contact.id)))
                 if self._vehicle_link is not None:
                     self._vehicle_link.report(contacts)
+            early = [event for event in answer.events if isinstance(event, EarlyContact)]
+            if early:
+                await self._make_early_durable(early)
+                if self._vehicle_link is not None:
+                    self._vehicle_link.report_early(early)
             for patch in answer.patches:
                 self._coverage.keep(patch)
             for event in answer.events:
@@ -311,6 +328,26 @@ class Service:
         except OSError as error:
             self._counters["service.snippets_failed"] += 1
             log.error("pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror)
+
+    async def _make_early_durable(self, contacts: list[EarlyContact]) -> None:
+        now = iso_time(self._clock.utc_s())
+        records = [
+            {"time": now, "state": early.state, "became": early.became, "contact": contact_feature(early.contact)} for early in contacts
+        ]
+        try:
+            await self._on_disk(partial(self._append_early, records))
+        except (OSError, AuvMcmError) as error:
+            self._counters["service.early_journal_failed"] += 1
+            log.error("early contacts announced below are not on disk: %s: %s. Free space on the disk.", self._folder, error)
+
+    def _append_early(self, records: list[dict[str, Any]]) -> None:
+        if self._early_journal is None:
+            self._early_journal = Journal(self._folder / EARLY_JOURNAL)
+        self._early_journal.append(records)
+
+    def _close_early_journal(self) -> None:
+        if self._early_journal is not None:
+            self._early_journal.close()
 
     async def _on_disk(self, write: Callable[[], None]) -> None:
         """A slow disk must not hold up the ports."""
@@ -338,6 +375,13 @@ class Service:
                     f"contact {event.id} {word}: {event.classification}, p_mine {event.p_mine:.2f}, "
                     f"{event.latitude_deg:.7f} {event.longitude_deg:.7f}, {len(event.views)} views"
                 )
+            case EarlyContact(contact=contact, state="found"):
+                self._say(
+                    f"early contact {contact.id}: {contact.classification}, p_mine {contact.p_mine:.2f}, "
+                    f"{contact.latitude_deg:.7f} {contact.longitude_deg:.7f}"
+                )
+            case EarlyContact(contact=contact):
+                self._say(f"early contact {contact.id} {'is ' + event.became if event.became else 'withdrawn'}")
             case Notice():
                 self._notices.append(event)
                 if event.for_the_record:
@@ -346,7 +390,7 @@ class Service:
                 self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
 
     async def _watch_lag(self) -> None:
-        """How late the loop wakes up: what a byte at a port waits."""
+        """Measure how late the loop wakes up: what a byte at a port waits."""
         while True:
             requested_s = self._clock.monotonic_s()
             await asyncio.sleep(_LAG_PROBE_S)

@@ -13,7 +13,7 @@ from typing import Any, Final
 from auv_mcm.clean_text import clean
 from auv_mcm.clock import Clock
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
-from auv_mcm.records import NAN, Contact, NavSample, Notice, SourceEvent, Waypoint
+from auv_mcm.records import NAN, Contact, EarlyContact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.source import Health, VehiclePilot
 
@@ -74,6 +74,11 @@ class VehicleLink:
         for contact in contacts:
             self.vehicle.report(contact)
             self._look_again.learn(contact)
+
+    def report_early(self, contacts: Iterable[EarlyContact]) -> None:
+        """Report early contacts that are on disk to the vehicle alone: nothing is planned for what may be withdrawn."""
+        for early in contacts:
+            self.vehicle.report(early.reported)
 
     def attend(self, faults: Sequence[str], ask: Callable[[PlanRequest], bool]) -> list[Notice]:
         """Report and request what is due, twice a second while perception runs. ask: has a plan made, for `take`."""

@@ -17,9 +17,12 @@ from auv_mcm.waterfall.log_gamma import LOOKS, LOOKS_PRIOR, log_std_and_skewness
 from auv_mcm.waterfall.shape import Shape
 from auv_mcm.waterfall.speckle import Speckle
 
-USUAL_DB_PER_COUNT: Final = 0.33  # of 8 bits over 70 to 100 dB
 _DB_PER_NAT: Final = 10.0 / math.log(10.0)
-_DB_PER_COUNT_SIGMA: Final = 0.35  # nats: 8 bits over 50 to 130 dB are 1.3 sigma away
+# 8 bits span from 50 to 130 dB, and no span within that is likelier than another: what recorders document is spread over
+# all of it, and a narrower prior makes 0.2 dB per count of 4 to 8 looks over rippled or patchy floors a third too many.
+USUAL_DB_PER_COUNT: Final = 0.32
+_LEVEL_NATS: Final = 0.46
+_BEYOND_SIGMA: Final = 0.15  # nats
 # Between the 1st and 99th percentile of a record, water column included; other sample formats.
 _USUAL_SPAN_DB: Final = 45.0
 _SPAN_SIGMA: Final = 0.5  # nats
@@ -47,7 +50,7 @@ class _Model(NamedTuple):
 _EVEN: Final = _Model(0.96, 0.02, 0.045)
 _QUIET: Final = _Model(1.0, 0.025, 0.05)
 # Of even regions to quiet cells, which lose a tenth where 5 % of their samples are cut off.
-_MAX_STD_RATIO: Final = 1.25
+_MAX_STD_RATIO: Final = 1.12
 
 
 class Decibels(NamedTuple):
@@ -70,9 +73,9 @@ def estimate_decibels(speckle: Speckle) -> Decibels:
     if not even and not speckle.quiet:
         return Decibels(NAN, (NAN, NAN), LOOKS_PRIOR)
     if 1.0 < speckle.highest <= _EIGHT_BITS and not speckle.negative:
-        middle, spread = math.log(USUAL_DB_PER_COUNT), _DB_PER_COUNT_SIGMA
+        middle, level, spread = math.log(USUAL_DB_PER_COUNT), _LEVEL_NATS, _BEYOND_SIGMA
     else:
-        middle, spread = math.log(_USUAL_SPAN_DB / max(speckle.span_counts, 1e-6)), _SPAN_SIGMA
+        middle, level, spread = math.log(_USUAL_SPAN_DB / max(speckle.span_counts, 1e-6)), 0.0, _SPAN_SIGMA
     log_db = middle + _DB_GRID_NATS
     # Rows are decibels per count, columns looks.
     lawful = unlawful = np.zeros((len(log_db), len(LOOKS)))
@@ -82,7 +85,8 @@ def estimate_decibels(speckle: Speckle) -> Decibels:
             lawful, unlawful = lawful + as_law, unlawful + as_none
     best = max(lawful.max(), unlawful.max())
     likelihood = (1.0 - _UNLAWFUL_SHARE) * np.exp(lawful - best) + _UNLAWFUL_SHARE * np.exp(unlawful - best)
-    posterior = likelihood * np.exp(-0.5 * ((log_db - middle) / spread) ** 2)[:, None] * LOOKS_PRIOR
+    beyond = np.maximum(np.abs(log_db - middle) - level, 0.0)
+    posterior = likelihood * np.exp(-0.5 * (beyond / spread) ** 2)[:, None] * LOOKS_PRIOR
     by_db = posterior.sum(axis=1)
     if not by_db.sum() > 0.0:
         return Decibels(NAN, (NAN, NAN), LOOKS_PRIOR)

@@ -8,14 +8,15 @@ than it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.kernels.ping_windows import STRIDES, WINDOW_PINGS
+from auv_mcm.kernels.ping_windows import STRIDES
 from auv_mcm.waterfall.shape import Shape
+from auv_mcm.waterfall.texture import speckle_variance
 
 Floats = NDArray[np.float64]
 
@@ -32,12 +33,15 @@ _N_GROUPS: Final = 8
 _SIGMA_PER_MAD: Final = 1.4826  # of a normal distribution
 _MAX_GROWTH: Final = 1.12  # of the variance from one stride to the next, beyond which speckle lasts over pings
 _STRIDE_TWO: Final = STRIDES.index(2)
-_ROUNDS: Final = 3  # of solving for slope and correlation in turn; the third changes the variance by less than 0.5 %
-# What cannot be taken away of texture, per share by which the variances of speckle and of both larger strides differ:
-# 0.02 over flat floors of single looks, 0.3 of 8 looks, above 1 where ripples leave nothing even.
-_TEXTURE_LOG_STD_SIGMA: Final = 0.05
-_TEXTURE_SKEWNESS_SIGMA: Final = 0.1  # of the skewness
-_MIN_SPECKLE_SHARE: Final = 0.5  # minimum share of the variance at stride 2, whatever the extrapolation gives
+# Regions that hold more texture, by which its growth from stride 1 to 2 is measured: up to twice the even level, beyond
+# which it is of other kinds.
+_UNEVEN_LEVEL: Final = 2.0
+_MIN_UNEVEN: Final = 16
+# Of ln variance: of all even regions together, whatever their number, and of one half region with 13 samples in range
+# of which every second is independent.
+_VARIANCE_SIGMA: Final = 0.01
+_HALF_REGION_SIGMA: Final = 0.16
+_TEXTURE_SKEWNESS_SIGMA: Final = 0.1  # of the skewness, per texture's share of the variance at stride 2
 
 
 def relative_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64]) -> Shape | None:
@@ -48,7 +52,7 @@ def relative_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64]) ->
     if len(mean) < _MIN_REGIONS:
         return None
     scaled = cumulants / np.stack([mean**2, mean**3], axis=-1)[:, None, :]
-    shapes = [_shape(_even_values(each[None], each, place, _EVEN_SHARE, _RELATIVE_TRIM), _first) for each in scaled[_STRIDE_TWO:]]
+    shapes = [_shape(_even_values(each[None], each, place)[0]) for each in scaled[_STRIDE_TWO:]]
     for index in range(len(shapes) - 1):
         if shapes[index + 1].std ** 2 < _MAX_GROWTH * shapes[index].std ** 2:
             return shapes[index]
@@ -58,18 +62,30 @@ def relative_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64]) ->
 def log_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64], *, is_cut: bool) -> Shape | None:
     """Measure the samples themselves in the most even regions, without texture.
 
-    Arguments and result are those of relative_shape, and is_cut: the recorder stores nothing below zero.
+    Arguments and result are those of relative_shape, but halves of regions hold alternate cells of range, and is_cut:
+    the recorder stores nothing below zero.
     """
     if len(mean) < _MIN_REGIONS:
         return None
     at_two = cumulants[_STRIDE_TWO]
-    values = _even_values(cumulants, at_two, place, _LOG_EVEN_SHARE, _LOG_TRIM)
-    shape = _shape(values, _without_texture)
-    variances = [shape.std**2, *(float(_trimmed(each, _LOG_TRIM)[0]) for each in values[_STRIDE_TWO:])]
-    texture = max(variances) / min(variances) - 1.0
-    shape = shape._replace(
-        log_std_sigma=math.hypot(shape.log_std_sigma, _TEXTURE_LOG_STD_SIGMA * texture),
-        skewness_sigma=math.hypot(shape.skewness_sigma, _TEXTURE_SKEWNESS_SIGMA * texture * abs(shape.skewness)),
+    chosen, level = _even_regions(at_two, _LOG_EVEN_SHARE, _LOG_TRIM)
+    values = _in_order(cumulants, chosen, place)
+    totals = np.array([_trimmed(each, _LOG_TRIM) for each in values])
+    variance_sigma = math.hypot(_VARIANCE_SIGMA, _HALF_REGION_SIGMA / math.sqrt(values.shape[1]))
+    speckle = speckle_variance(totals[:, 0], _uneven_variances(cumulants, chosen, level), variance_sigma)
+    # Speckle that lasts over pings loses about as much of its third cumulant as of its variance.
+    short = slice(0, _STRIDE_TWO + 1)
+    share = speckle.variance * speckle.left[_STRIDE_TWO] / totals[_STRIDE_TWO, 0]
+    third = totals[short, 1].sum() / speckle.left[short].sum()
+    skewness = float(third / speckle.variance**1.5)
+    groups = np.array([_group_totals(each) for each in values[short]])
+    skewnesses = groups[..., 1].sum(axis=0) / (speckle.left[short].sum() * (share * groups[_STRIDE_TWO, :, 0]) ** 1.5)
+    texture = _TEXTURE_SKEWNESS_SIGMA * (1.0 / share - 1.0)
+    shape = Shape(
+        math.sqrt(speckle.variance),
+        skewness,
+        0.5 * speckle.log_sigma,
+        math.hypot(_error_of_mean(skewnesses), texture * skewness, 1.5 * speckle.log_sigma * skewness),
     )
     if not is_cut:
         return shape
@@ -77,25 +93,49 @@ def log_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64], *, is_c
     return shape._replace(mean=float(np.median(mean[even])))
 
 
-def _even_values(cumulants: Floats, by_half: Floats, place: NDArray[np.int64], share: float, trim: float) -> Floats:
-    """Pick each half of regions that the other half, by_half (n, 2, 2), shows to be even: (n_strides, n_even, 2)."""
-    n_even = min(max(round(share * len(place)), _MIN_EVEN), len(place))
-    level = np.mean([_trimmed(by_half[_lowest(by_half[:, half, 0], n_even), 1 - half], trim)[0] for half in range(2)])
-    chosen, places = [], []
+def _even_regions(by_half: Floats, share: float, trim: float) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], float]:
+    """Choose the regions that each half of their windows, by_half (n, 2, 2), shows to be even.
+
+    Returns those chosen by either half, increasing, and the variance of the most even share.
+    """
+    n_even = min(max(round(share * len(by_half)), _MIN_EVEN), len(by_half))
+    lowest = [_lowest(by_half[:, half, 0], n_even) for half in range(2)]
+    level = float(np.mean([_trimmed(by_half[lowest[half], 1 - half], trim)[0] for half in range(2)]))
+    even = [np.flatnonzero(by_half[:, half, 0] <= _EVEN_LEVEL * level) for half in range(2)]
+    first, second = (even[half] if len(even[half]) >= n_even else lowest[half] for half in range(2))
+    return (first, second), level
+
+
+def _in_order(cumulants: Floats, chosen: Sequence[NDArray[np.int64]], place: NDArray[np.int64]) -> Floats:
+    """Take the halves that did not choose, (n_strides, n_even, 2), in the order of their place."""
+    values = np.concatenate([cumulants[:, chosen[half], 1 - half] for half in range(2)], axis=1)
+    return values[:, np.argsort(place[np.concatenate(chosen)], kind="stable")]
+
+
+def _uneven_variances(cumulants: Floats, even: Sequence[NDArray[np.int64]], level: float) -> Floats | None:
+    """Measure variances (n_strides,) of regions less even than those chosen; None where there are too few."""
+    parts = []
     for half in range(2):
-        variance = by_half[:, half, 0]
-        even = np.flatnonzero(variance <= _EVEN_LEVEL * level)
-        if len(even) < n_even:
-            even = _lowest(variance, n_even)
-        chosen.append(cumulants[:, even, 1 - half])
-        places.append(place[even])
-    return np.concatenate(chosen, axis=1)[:, np.argsort(np.concatenate(places), kind="stable")]
+        variance = cumulants[_STRIDE_TWO, :, half, 0]
+        is_uneven = (variance > _EVEN_LEVEL * level) & (variance <= _UNEVEN_LEVEL * level)
+        is_uneven[even[half]] = False
+        parts.append(cumulants[:, is_uneven, 1 - half])
+    values = np.concatenate(parts, axis=1)
+    if values.shape[1] < _MIN_UNEVEN:
+        return None
+    return np.array([_trimmed(each, _LOG_TRIM)[0] for each in values])
 
 
-def _shape(values: Floats, cumulants_of: Callable[[Floats], tuple[float, float]]) -> Shape:
-    """Join the cumulants of values (n_strides, n, 2), with sigmas from groups of them."""
-    second, third = cumulants_of(values)
-    groups = np.array([cumulants_of(group) for group in np.array_split(values, _N_GROUPS, axis=1)])
+def _even_values(cumulants: Floats, by_half: Floats, place: NDArray[np.int64]) -> Floats:
+    """Pick each half of regions that the other half, by_half (n, 2, 2), shows to be even: (n_strides, n_even, 2)."""
+    chosen, _ = _even_regions(by_half, _EVEN_SHARE, _RELATIVE_TRIM)
+    return _in_order(cumulants, chosen, place)
+
+
+def _shape(values: Floats) -> Shape:
+    """Join the cumulants of values (n, 2), with sigmas from groups of them."""
+    second, third = _trimmed(values, _RELATIVE_TRIM)
+    groups = _group_totals(values, _RELATIVE_TRIM)
     return Shape(
         float(np.sqrt(second)),
         float(third / second**1.5),
@@ -104,35 +144,9 @@ def _shape(values: Floats, cumulants_of: Callable[[Floats], tuple[float, float]]
     )
 
 
-def _first(values: Floats) -> tuple[float, float]:
-    second, third = _trimmed(values[0], _RELATIVE_TRIM)
-    return float(second), float(third)
-
-
-def _without_texture(values: Floats) -> tuple[float, float]:
-    """Solve for second and third cumulant of speckle from those of windows of stride 1, 2 and 4, values (3, n, 2).
-
-    Texture adds variance in proportion to the stride, as its covariance first falls off linearly. Speckle that lasts
-    over pings, with correlation q^(lag^2), loses variance in windows of short strides. The three strides give speckle,
-    slope and q. Texture hardly adds to the third cumulant, which is that of stride 2.
-    """
-    one, two, four = (_trimmed(each, _LOG_TRIM) for each in values)
-    slope = max(0.5 * (four[0] - two[0]), 0.0)
-    for _ in range(_ROUNDS):
-        ratio = (one[0] - slope) / max(two[0] - 2.0 * slope, 1e-3 * two[0])
-        left_two, left_four = (float(np.interp(ratio, _LEFT_ONE_TO_TWO, left)) for left in (_LEFT[1], _LEFT[2]))
-        speckle = max((2.0 * two[0] - four[0]) / (2.0 * left_two - left_four), _MIN_SPECKLE_SHARE * two[0])
-        slope = max(0.5 * (two[0] - left_two * speckle), 0.0)
-    return float(speckle), float(two[1])
-
-
-# Share of the variance left in windows of each stride, of speckle of correlation q from ping to ping: 1 less the mean
-# of q^(lag^2) over the six pairs of a window.
-_CORRELATION: Final = np.linspace(0.75, 0.0, 151)
-_N_PAIRS: Final = WINDOW_PINGS * (WINDOW_PINGS - 1) / 2
-_LAGS: Final = range(1, WINDOW_PINGS)
-_LEFT: Final = [1.0 - sum((WINDOW_PINGS - k) * _CORRELATION ** ((k * stride) ** 2) for k in _LAGS) / _N_PAIRS for stride in STRIDES]
-_LEFT_ONE_TO_TWO: Final = _LEFT[0] / _LEFT[1]  # grows as q falls
+def _group_totals(values: Floats, trim: float = _LOG_TRIM) -> Floats:
+    """Take the trimmed means of groups of values (n, 2): (n_groups, 2)."""
+    return np.array([_trimmed(group, trim) for group in np.array_split(values, _N_GROUPS)])
 
 
 def _lowest(values: Floats, n: int) -> NDArray[np.int64]:

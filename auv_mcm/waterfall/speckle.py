@@ -75,6 +75,9 @@ def summarise(blocks: Sequence[Regions]) -> Speckle:
     min_variance = _MIN_VARIANCE if integer else _TINY**2
     share = joined.cell_share
     halves = (cumulants * share[:, :, None, None]).sum(axis=2)
+    # Windows of neighbouring pings share pings, whatever half they are in; cells of range share next to no speckle.
+    by_cell = cumulants.mean(axis=3)
+    by_cells = np.stack([_over_cells(by_cell[:, :, first::2], share[:, first::2]) for first in range(2)], axis=2)
     mean, at_zero = (joined.mean * share).sum(axis=1), (joined.at_zero * share).sum(axis=1)
     variance = halves[_STRIDE_TWO, :, :, 0]
     varied = (halves[..., 0] > min_variance).all(axis=(0, 2))
@@ -94,8 +97,8 @@ def summarise(blocks: Sequence[Regions]) -> Speckle:
     slope, slope_sigma = _slope(mean[linear], variance[linear].mean(axis=1))
     return Speckle(
         relative_shape(halves[:, linear], mean[linear], joined.place[linear]),
-        log_shape(halves[:, logarithmic], mean[logarithmic], joined.place[logarithmic], is_cut=is_cut),
-        quiet_shapes(blocks, joined, cumulants.mean(axis=3), min_variance, is_cut=is_cut),
+        log_shape(by_cells[:, logarithmic], mean[logarithmic], joined.place[logarithmic], is_cut=is_cut),
+        quiet_shapes(blocks, joined, by_cell, min_variance, is_cut=is_cut),
         slope,
         slope_sigma,
         int(np.count_nonzero(linear | logarithmic)),
@@ -103,6 +106,11 @@ def summarise(blocks: Sequence[Regions]) -> Speckle:
         float(span),
         negative=lowest < 0.0,
     )
+
+
+def _over_cells(cumulants: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Average cumulants (n_strides, n, n_cells, 2) over cells by their share (n, n_cells) of samples."""
+    return np.asarray((cumulants * share[:, :, None]).sum(axis=2) / share.sum(axis=1, keepdims=True))
 
 
 def _slope(mean: NDArray[np.float64], variance: NDArray[np.float64]) -> tuple[float, float]:

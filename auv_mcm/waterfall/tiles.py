@@ -48,6 +48,27 @@ class TileCutter:
         self._pieces, self._n_rows = [], 0
         return tiles
 
+    def newest(self, from_row: int, min_rows: int, n_behind: int, n_ahead: int) -> list[Tile]:
+        """Give the rows from `from_row` on, or from the first that is held, as tiles that belong to no partition; it leaves all as it is.
+
+        The newest `n_ahead` rows and up to `n_behind` rows before are overlap. Empty where the core would have fewer than `min_rows` rows.
+        """
+        core_start, core_stop = max(from_row, self._first_row), self._stop_row - n_ahead
+        if core_stop - core_start < max(min_rows, 1):
+            return []
+        start = max(core_start - n_behind, self._first_row)
+        pieces: list[Swath] = []
+        n_rows = 0
+        for swath in reversed(self._pieces):
+            pieces.append(swath)
+            n_rows += swath.n_rows
+            if n_rows >= self._stop_row - start:
+                break
+        rows = concatenate_swaths(pieces[::-1])
+        piece = slice_swath(rows, slice(n_rows - (self._stop_row - start), None))
+        index = (core_start - self._origin) // self._config.tile_rows
+        return [self._tile(side, index, start, core_start - start, core_stop - start, piece) for side in SIDES if side in piece.sides]
+
     def next_segment_row(self) -> int:
         """Give the first row another segment may start at, so that no two tiles share an index."""
         return self._next_boundary()

@@ -71,6 +71,10 @@ class Waterfall:
         self._held = None
         return tiles + self._cutter.close()
 
+    def newest(self, from_row: int, min_rows: int, n_behind: int, n_ahead: int) -> list[Tile]:
+        """Give the newest rows as tiles before theirs are complete; see `TileCutter.newest`."""
+        return self._cutter.newest(from_row, min_rows, n_behind, n_ahead)
+
     def next_segment_m(self) -> float:
         """Give the along-track distance at which the next segment may start."""
         return self._cutter.next_segment_row() * self._config.waterfall.row_spacing_m

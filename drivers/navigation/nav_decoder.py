@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import msgspec
 
@@ -52,10 +52,12 @@ class NavFix(msgspec.Struct, frozen=True, kw_only=True):
     speed_sigma_mps: float = NAN
 
 
+@runtime_checkable
 class NavDecoder(Protocol):
-    """Decode bytes of one link to fixes.
+    """Decode bytes of one link to fixes. Never raises, whatever the bytes.
 
-    Never raises, whatever the bytes; `counters` count what was refused, by dotted name.
+    counters: by dotted name, NAME.messages for every message that was whole and NAME.refused.REASON for what was
+    refused. Notices and the self-check judge by the first whether a port can be read.
     """
 
     @property

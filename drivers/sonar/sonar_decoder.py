@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import msgspec
 
@@ -65,14 +65,22 @@ class SonarSettings(msgspec.Struct, frozen=True, kw_only=True):
     subsystem: int | None = None
 
 
+@runtime_checkable
 class SonarDecoder(Protocol):
-    """Decode bytes of one link. Never raises, whatever the bytes; `counters` count what was refused, by dotted name."""
+    """Decode bytes of one link. Never raises, whatever the bytes.
+
+    counters: by dotted name, NAME.messages for every message that was whole and NAME.refused.REASON for what was
+    refused. Notices and the self-check judge by the first whether a port can be read.
+    """
 
     @property
     def counters(self) -> Counter[str]: ...
 
     def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
-        """Return what a chunk completes, in order. stamp: when its last byte was read."""
+        """Return what a chunk completes, in order; bytes of a message may come in any number of chunks.
+
+        stamp: when the chunk's last byte was read.
+        """
         ...
 
     def finish(self) -> list[SonarFrame | SonarReply]:

@@ -1,4 +1,7 @@
-"""List the sonars with a driver, by their names in the configuration."""
+"""List the sonars with a driver, by their names in the configuration.
+
+Other packages add sonars through entry points of the group `auv_mcm.sonar`, each naming a `SonarDevice`.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,10 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import SonarConfig
+from auv_mcm.settings.plugins import Plugin, load_plugin
 from drivers.clocks import MILLISECOND_COUNTER_S
+from drivers.plugin_device import called, checked, device_plugin
 from drivers.sonar import imagenex, jsf, ping_protocol
 from drivers.sonar.sonar_decoder import SonarDecoder, SonarSettings
 
@@ -16,9 +20,10 @@ from drivers.sonar.sonar_decoder import SonarDecoder, SonarSettings
 class SonarDevice(NamedTuple):
     """Describe how to communicate with one kind of sonar.
 
-    decoder: makes a decoder for one link or log. commands: what to send so that it pings as configured. sets_range,
-    sets_gain, sets_enable: what of the settings reaches the device. asked_per_ping: it pings only when the commands are
-    sent, once for each time. counter_period_s: after which its counter of time starts again at 0; None if it has none.
+    decoder: makes a decoder for one link or log. commands: what to send so that it pings as configured, () for nothing;
+    raises UsageError for settings that the device cannot have. sets_range, sets_gain, sets_enable: what of the settings
+    reaches the device. asked_per_ping: it pings only when the commands are sent, once for each time. counter_period_s:
+    seconds after which its counter of time starts again at 0; None if it has none.
     """
 
     decoder: Callable[[SonarConfig], SonarDecoder]
@@ -42,7 +47,23 @@ SONARS: Final[Mapping[str, SonarDevice]] = MappingProxyType(
 
 
 def sonar_named(name: str) -> SonarDevice:
-    """Return the driver of a sonar. Raises UsageError for an unknown name."""
-    if name not in SONARS:
-        raise UsageError(f"unknown sonar '{name}'. Known: {', '.join(SONARS)}")
-    return SONARS[name]
+    """Return the driver of a sonar, built in or of another package.
+
+    Raises UsageError for an unknown name, and for a driver of another package that cannot be loaded.
+    """
+    if name in SONARS:
+        return SONARS[name]
+    return sonar_of(device_plugin("sonar", name, ", ".join(SONARS)))
+
+
+def sonar_of(plugin: Plugin) -> SonarDevice:
+    """Import the sonar of another package. Raises UsageError if it cannot be used."""
+    device = load_plugin(plugin, SonarDevice)
+    return device._replace(
+        decoder=checked(plugin, device.decoder, SonarDecoder),
+        commands=lambda settings: _commands(plugin, device, settings),
+    )
+
+
+def _commands(plugin: Plugin, device: SonarDevice, settings: SonarSettings) -> tuple[bytes, ...]:
+    return called(plugin, lambda: tuple(bytes(memoryview(command)) for command in device.commands(settings)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import enum
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import msgspec
 
@@ -193,6 +193,7 @@ class VehicleMessage(NamedTuple):
     of_vehicle: bool = True
 
 
+@runtime_checkable
 class VehicleDecoder(Protocol[Wntra]):
     """Decode bytes or frames of one vehicle to messages.
 
@@ -215,6 +216,7 @@ class VehicleDecoder(Protocol[Wntra]):
         ...
 
 
+@runtime_checkable
 class Talker(Protocol[W]):
     """Talk to one vehicle in its protocol; W: bytes, or CanFrame on a bus.
 

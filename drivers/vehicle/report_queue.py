@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from auv_mcm.contacts.contact import sigma_m
-from auv_mcm.records import Contact, contact_number
+from auv_mcm.records import Contact, report_number
 from drivers.vehicle.dialect import ContactReport
 
 MAX_CONTACTS: Final = 10_000
@@ -79,7 +79,7 @@ class ReportQueue:
         return len(self._pending.keys() | self._repeats.keys() | set(self._unacknowledged.values()))
 
     def add(self, contact: Contact) -> None:
-        """Queue a contact that is new or has changed. Raises ValueError for an id that is not C and a number."""
+        """Queue a contact that is new or has changed. Raises ValueError for an id that is not C or E and a number."""
         report = report_of(contact, self._session)
         queued = self._contacts.get(report.number)
         if not math.isfinite(report.latitude_deg + report.longitude_deg):
@@ -187,11 +187,11 @@ class ReportQueue:
 def report_of(contact: Contact, session: int) -> ContactReport:
     """Make the report of a contact, revision 0. Contacts carry no depth of the sea floor.
 
-    Raises ValueError for an id that is not C and a number.
+    Raises ValueError for an id that is not C or E and a number.
     """
     return ContactReport(
         session=session,
-        number=contact_number(contact.id),
+        number=report_number(contact.id),
         revision=0,
         time_s=contact.time_s,
         latitude_deg=contact.latitude_deg,

@@ -265,8 +265,10 @@ class _Loop:
             self._fly_on([], here)
 
     def _fly_on(self, legs: list[Leg], here: _Flown) -> None:
-        """The legs, each from where the vehicle has settled on its line, and then back towards the middle of the area,
-        to wait there."""
+        """Fly the legs, then back towards the middle of the area to wait.
+
+        Each leg starts from where the vehicle has settled on its line.
+        """
         run_in_m = RUN_IN_S * self._scene.track.speed_mps
         legs = [Leg(*leg.at(run_in_m, 0.0), leg.direction_rad, leg.length_m - run_in_m) for leg in legs]
         (east, north), middle = (legs[-1].end if legs else (here.east_m, here.north_m)), 0.5 * self._order.side_m

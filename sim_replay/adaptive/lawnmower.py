@@ -65,8 +65,10 @@ def worst_seabed(model: LookModel, limits: Limits) -> SeabedType:
 
 
 def expected_clearance(legs: Sequence[Leg], side_m: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits) -> float:
-    """Mean p_detected over the square, were it everywhere the assumed mixture; of a further look counts what
-    `ClearanceMap` counts."""
+    """Average p_detected over the square, were it everywhere the assumed mixture.
+
+    Of a further look counts what `ClearanceMap` counts.
+    """
     near_m, far_m = limits.swath
     middle = (np.arange(math.ceil(side_m / _CELL_M)) + 0.5) * side_m / math.ceil(side_m / _CELL_M)
     east, north = (part.ravel() for part in np.meshgrid(middle, middle))

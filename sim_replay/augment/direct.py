@@ -132,8 +132,9 @@ def _block_variogram(level: Array, usable: Bools, lag: int) -> Array:
 def fit_levels(
     intensity: Array, valid: Bools, elevation_m: Array, reflectivity: Array, altitude_m: Array, along_m: Array, column_spacing_m: float
 ) -> SeafloorScene:
-    """The scene of a known relief, with the beam pattern and then the reflectivity that suit a smoothed image; mean
-    reflectivity is 1.
+    """Fit the beam pattern and then the reflectivity of a scene of known relief to a smoothed image.
+
+    Mean reflectivity is 1.
 
     Beam pattern: mean echo over what the relief facing the sonar and the reflectivity so far account for, in half
     degrees of depression. Reflectivity: the same over a few metres. What the relief shadows or turns away counts in
@@ -173,8 +174,9 @@ def _fit_beam(depression: Array, intensity: Array, accounted: Array) -> BeamPatt
 
 
 def _slope_table(looks: float) -> Array:
-    """Mean slope given the square root of the echo over level floor's, even from 0 to 4, per half degree of
-    depression: (180, 161) float64.
+    """Tabulate mean slope, (180, 161) float64.
+
+    Given the square root of the echo over level floor's, even from 0 to 4, per half degree of depression.
 
     Prior of the slope: normal. Likelihood of the echo: Gamma of mean sin(depression + arctan(slope)) and shape `looks`.
     """

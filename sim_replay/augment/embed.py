@@ -1,5 +1,4 @@
-"""Targets put into a recorded log: the floor around each place is recovered, the target stands on it, and what changes
-is heard anew.
+"""Embed targets into a recorded log: recover the floor around each place, put the target on it, render what changes.
 
 Coiras, Mignotte, Petillot, Bell and Lebart, "Supervised target detection and classification by training on augmented
 reality data", IET Radar, Sonar & Navigation 1(1), 2007. Outside of highlight and shadow the recorded echo is scaled by
@@ -128,8 +127,10 @@ def embed(
 
 
 def passes_over_object(track: PingTrack, placement: Placement) -> list[tuple[int, Side, float, float]]:
-    """Ping, side, ground range and distance ahead of that ping for every pass that sees an object, the one it was
-    placed by first."""
+    """List every pass that sees an object, the one it was placed by first.
+
+    Each with ping, side, ground range and distance ahead of that ping.
+    """
     own = [(placement.ping, placement.side, placement.ground_range_m, 0.0)]
     for ping, side, ground_range_m in track.looks(placement.scene_object.east_m, placement.scene_object.north_m):
         along_m, stretch = track.along_m[ping], track.stretch[ping]

@@ -225,8 +225,7 @@ def _quantiles(*sources: Sequence[Floats]) -> Floats:
 
 
 def _speckle_width(sea_floor: Sequence[Floats], axis: int) -> float:
-    """Width of the Gaussian point-spread function whose speckle is as correlated between neighbours as the recorded
-    one."""
+    """Fit the width of a Gaussian point-spread function to the recorded speckle's correlation between neighbours."""
     covariance = np.zeros(_FAR_LAGS[1] + 1)
     for intensity in sea_floor:
         n = intensity.shape[axis]
@@ -246,8 +245,10 @@ def _speckle_width(sea_floor: Sequence[Floats], axis: int) -> float:
 
 
 def _looks(sea_floor: Sequence[Floats]) -> int:
-    """Looks whose ln I varies as the recorded one does within short windows with their trend taken off: var ln I =
-    psi'(L)."""
+    """Estimate the looks whose ln I varies as the recorded one does within short windows: var ln I = psi'(L).
+
+    The windows' trend is taken off.
+    """
     ramp = np.arange(_LOG_WINDOW) - 0.5 * (_LOG_WINDOW - 1)
     variances = []
     for intensity in sea_floor:

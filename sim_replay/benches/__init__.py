@@ -1,1 +1,1 @@
-"""Benches: what things cost and how true they are, error beside time."""
+"""Measure accuracy and cost of the stages side by side."""

@@ -1,8 +1,11 @@
-"""Whether replanning on the way clears an area with less track than a lawnmower laid beforehand, over missions on mixed sea floor.
+"""Measure whether replanning clears an area with less track than a lawnmower laid beforehand.
 
-Both are flown through the same simulated worlds with the same chain; looks are worth the same to both planners. What lies where is not
-known when the lawnmower is laid: it is the shortest that is expected to do what is ordered even on the worst sea floor, and is flown to its
-end. The replanned flight goes on until the order is met and its map is as good as the lawnmower would have made it, and a little better.
+Over missions on mixed sea floor.
+
+Both are flown through the same simulated worlds with the same chain; looks are worth the same to both planners. What
+lies where is not known when the lawnmower is laid: it is the shortest that is expected to do what is ordered even on
+the worst sea floor, and is flown to its end. The replanned flight goes on until the order is met and its map is as good
+as the lawnmower would have made it, and a little better.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--missions", type=count, default=30, help="worlds, each flown both ways (default 30)")
     parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first world (default {FIRST_SEED})")
     parser.add_argument("--workers", type=count, default=2, help="worlds flown at once (default 2)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write what came of each mission to FILE")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result of each mission to FILE")
     parser.add_argument(
         "--picture", type=Path, metavar="FILE", help="draw the first world, flown both ways, to FILE (PNG), and fly no other"
     )
@@ -70,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def fly_both(seed: int) -> Compared:
-    """One world, both ways."""
+    """Fly one world both ways."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     return compare(seed)
 

@@ -1,10 +1,10 @@
-"""What embedding targets costs, and whether embedded targets look like targets that were there.
+"""Measure what embedding targets costs, and whether embedded targets look like native ones.
 
-auv-mcm bench augment   targets per minute, and how well a classifier tells embedded from native targets
+auv-mcm bench augment   targets per minute, and how well a classifier separates embedded from native targets
 
-Missions are simulated twice, with targets and without; into the second the same targets are embedded at the same places. A logistic
-regression on plain image statistics of chips around them learns on some missions to tell which is which, and is tried on the others. 50 %:
-it cannot. Only the sea floor, stones and sonar that the simulator has are judged.
+Missions are simulated twice, with targets and without; into the second the same targets are embedded at the same
+places. A logistic regression on plain image statistics of chips around them learns on some missions to separate them,
+and is tried on the others. 50 %: it cannot. Only the sea floor, stones and sonar that the simulator has are judged.
 """
 
 from __future__ import annotations
@@ -58,7 +58,12 @@ class ChipStatistics(NamedTuple):
 
 
 class ClassifierVerdict(NamedTuple):
-    """accuracy: of the classifier on missions it has not learned from; sigma: what chance makes of it. n_chips: it was tried on."""
+    """How well a classifier separates chips.
+
+    accuracy: on missions it was not trained on; sigma: of the accuracy by chance.
+
+    n_chips: it was tried on.
+    """
 
     accuracy: float
     sigma: float
@@ -66,15 +71,15 @@ class ClassifierVerdict(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench augment`."""
+    """Add the options of `auv-mcm bench augment`."""
     parser.add_argument("--scenes", nargs="+", default=["flat", "ripple"], help="named scenes or scene files (default flat ripple)")
     parser.add_argument("--missions", type=count, default=4, help="missions per scene, at least 2 (default 4)")
     parser.add_argument("--targets", type=count, default=40, help="targets per mission (default 40)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measures and prints; returns the exit code."""
-    print("scene        targets  embedded per minute  told apart  (2 sigma)")
+    """Measure and print; returns the exit code."""
+    print("scene        targets  embedded per minute   separated  (2 sigma)")
     for name in arguments.scenes:
         parts, n_targets, seconds = [], 0, 0.0
         for number in range(max(arguments.missions, 2)):
@@ -94,10 +99,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number: int) -> tuple[ChipStatistics, float]:
-    """Chips of both kinds from one mission over a scene's floor, and how long embedding took, s."""
+    """Cut chips of both kinds from one mission over a scene's floor; return them with the time that embedding took, s."""
     plan = Lawnmower(heading_deg=20.0, n_legs=1, leg_m=_LEG_M)
     floor = replace(scene, seed=seed, scatter=(), objects=(), faults=(), navigation_error=EXACT, track=replace(scene.track, plan=plan))
-    rocks, targets = _things(floor, seed, n_targets)
+    rocks, targets = _rocks_and_targets(floor, seed, n_targets)
     with_targets = simulate(replace(floor, objects=(*rocks, *targets)), folder / "native")
     without = simulate(replace(floor, objects=rocks), folder / "bare")
     config = Config(sonar=SonarConfig(beam_width_deg=scene.sonar.beam_width_deg))
@@ -115,8 +120,8 @@ def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number:
     return ChipStatistics(np.array(rows), embedded, np.full(len(rows), number)), taken_s
 
 
-def _things(scene: Scene, seed: int, n_targets: int) -> tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]]:
-    """Rocks, and targets, on places of a grid along the only leg, each somewhere in its cell."""
+def _rocks_and_targets(scene: Scene, seed: int, n_targets: int) -> tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]]:
+    """Place rocks and targets on a grid along the only leg, each somewhere in its cell."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0x42454E43])))
     farthest_m = 0.85 * math.sqrt(scene.sonar.range_m**2 - scene.track.altitude_m**2)
     nearest_m = 1.0 * scene.track.altitude_m
@@ -126,7 +131,7 @@ def _things(scene: Scene, seed: int, n_targets: int) -> tuple[tuple[SceneObject,
     chosen = random.permutation(len(cells))[: _ROCKS + n_targets]
     places = [(cells[k][0] + random.uniform(0.0, 2.0), cells[k][1] + random.uniform(-1.0, 1.0)) for k in chosen]
 
-    def thing(kind: TargetKind | None, place: tuple[float, float]) -> SceneObject:
+    def scene_object(kind: TargetKind | None, place: tuple[float, float]) -> SceneObject:
         return SceneObject(
             kind=kind or "rock",
             leg=0,
@@ -137,22 +142,22 @@ def _things(scene: Scene, seed: int, n_targets: int) -> tuple[tuple[SceneObject,
             strength_db=float(random.uniform(-22.0, -11.0)),
         )
 
-    rocks = tuple(thing(None, place) for place in places[:_ROCKS])
-    return rocks, tuple(thing(_KINDS[k % len(_KINDS)], place) for k, place in enumerate(places[_ROCKS:]))
+    rocks = tuple(scene_object(None, place) for place in places[:_ROCKS])
+    return rocks, tuple(scene_object(_KINDS[k % len(_KINDS)], place) for k, place in enumerate(places[_ROCKS:]))
 
 
 def _placements(scene: Scene, targets: Sequence[SceneObject], track: PingTrack) -> tuple[Placement, ...]:
-    """The native targets as a spec would place them, with the contrast that their strength has on the floor they lie on."""
+    """Describe the native targets as a spec would place them, with the contrast that they have on their floor."""
     world = SimulatedFloor(scene.world, scene.seed)
     tables = floor_tables(scene, world.covers)
     heading = math.radians(20.0)
     wanted = []
-    for thing in targets:
-        assert thing.along_m is not None
-        assert thing.across_m is not None
-        assert thing.strength_db is not None
-        east = thing.along_m * math.sin(heading) + thing.across_m * math.cos(heading)
-        north = thing.along_m * math.cos(heading) - thing.across_m * math.sin(heading)
+    for target in targets:
+        assert target.along_m is not None
+        assert target.across_m is not None
+        assert target.strength_db is not None
+        east = target.along_m * math.sin(heading) + target.across_m * math.cos(heading)
+        north = target.along_m * math.cos(heading) - target.across_m * math.sin(heading)
         to_east, to_north, _ = track.frame.to_enu(scene.origin.latitude_deg, scene.origin.longitude_deg, 0.0)
         for ping, side, ground_range_m in track.looks(east + float(to_east), north + float(to_north))[:1]:
             height_m = float(track.first_return_m[ping])
@@ -160,23 +165,26 @@ def _placements(scene: Scene, targets: Sequence[SceneObject], track: PingTrack) 
             floor = float(tables[int(world.seabed_at(east, north)), int(sine * TABLE_SIZE)])
             wanted.append(
                 EmbeddedTarget(
-                    kind=thing.kind,  # type: ignore[arg-type]  # one of _KINDS
+                    kind=target.kind,  # type: ignore[arg-type]  # one of _KINDS
                     side=side,
                     ping=int(track.number[ping]),
                     ground_range_m=ground_range_m,
-                    azimuth_deg=thing.azimuth_deg,
-                    burial_m=thing.burial_m,
-                    contrast_db=thing.strength_db - 10.0 * math.log10(floor),
+                    azimuth_deg=target.azimuth_deg,
+                    burial_m=target.burial_m,
+                    contrast_db=target.strength_db - 10.0 * math.log10(floor),
                 )
             )
     return place_targets(TargetSpec(targets=tuple(wanted)), track)
 
 
-# --- telling them apart ---
+# --- separating them ---
 
 
 def chip(survey: Survey, track: PingTrack, placement: Placement) -> Floats:
-    """Natural logarithm of the intensity around a target, (n_pings, n_columns) over ground range, its median taken off."""
+    """Cut the natural logarithm of the intensity around a target, less its median.
+
+    (n_pings, n_columns) over ground range.
+    """
     stretch, row = survey.stretches[int(track.stretch[placement.ping])], int(track.row[placement.ping])
     pings = slice(max(row - _CHIP_PINGS, 0), min(row + _CHIP_PINGS + 1, stretch.n_pings))
     trace = stretch.trace(row, placement.side)
@@ -192,7 +200,10 @@ def chip(survey: Survey, track: PingTrack, placement: Placement) -> Floats:
 
 
 def statistics_of(image: Floats) -> Floats:
-    """Plain statistics of an image: distribution, gradients, correlation, texture at several scales, of it all and of its middle."""
+    """Compute plain statistics of an image, whole and middle: distribution, gradients, correlation, texture.
+
+    Texture is taken at several scales.
+    """
     middle = image[_CHIP_PINGS - 5 : _CHIP_PINGS + 6]
     values: list[float] = []
     for part in (image, middle):
@@ -215,7 +226,7 @@ def statistics_of(image: Floats) -> Floats:
 
 
 def discriminate(chips: ChipStatistics) -> ClassifierVerdict:
-    """Accuracy of a classifier of embedded and native chips; each mission is judged by what the others taught."""
+    """Compute the accuracy of a classifier of embedded and native chips; each mission is left out of its training."""
     right = 0
     for mission in np.unique(chips.mission):
         here = chips.mission == mission
@@ -228,7 +239,7 @@ def discriminate(chips: ChipStatistics) -> ClassifierVerdict:
 
 
 def _logistic_regression(features: Floats, truth: NDArray[np.bool_]) -> Floats:
-    """Weights, the last that of one, by Newton's method; the squares of all but that are held small."""
+    """Fit weights, the last that of the constant, by Newton's method; squares of all others are penalised."""
     rows = _with_one(features)
     penalty = np.diag([_RIDGE] * features.shape[1] + [1e-6])
     weights = np.zeros(rows.shape[1])

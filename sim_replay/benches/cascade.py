@@ -1,16 +1,21 @@
-"""What a trained cascade costs: a tile where there is little to see, one where there is much, and one where nothing is rejected.
+"""Measure what a trained cascade costs on three kinds of tile.
+
+Where there is little to see, where there is much, and where nothing is rejected.
 
 auv-mcm bench cascade [--model FILE] [--repeat N]
 
-One thread, CPU time, medians of interleaved repetitions; tiles of 1024 by 1024 pixels of 0.12 by 0.05 m seen from 6 m. Without a model a
-drawn one serves: random comparisons of what lies in an object's place with what lies around, and thresholds that let 4 of 10 windows
-of plain sea floor pass each time. Beside every time stands whether numpy finds the same windows with the same scores.
+One thread, CPU time, medians of interleaved repetitions; tiles of 1024 by 1024 pixels of 0.12 by 0.05 m seen from 6 m.
+Without a model a drawn one serves: random comparisons of what lies in an object's place with what lies around, and
+thresholds that let 4 of 10 windows of plain sea floor pass each time. Beside every time stands whether numpy finds the
+same windows with the same scores.
 
-Contrasts, which run beside a cascade, have a table of their own: scored at all pixels and weighed only where they can reach the default
-threshold, and whether both find the same. Below it stands what cascade and contrasts together cost on the quiet tile over the busy one.
+Contrasts, which run beside a cascade, have a table of their own: scored at all pixels and weighed only where they can
+reach the default threshold, and whether both find the same. Below it stands what cascade and contrasts together cost on
+the quiet tile over the busy one.
 
-OpenCV runs the same stumps on the same pixels, for the one band of shadow lengths that a file of its own can hold. It visits every other
-row, every other column, and every fourth where its first stage rejects: windows per second are those it really visits.
+OpenCV runs the same stumps on the same pixels, for the one band of shadow lengths that a file of its own can hold. It
+visits every other row, every other column, and every fourth where its first stage rejects: windows per second are those
+it really visits.
 """
 
 from __future__ import annotations
@@ -74,7 +79,10 @@ Image = NDArray[np.float32]
 
 
 class TileRow(NamedTuple):
-    """One kind of tile. budget: None for none. plane_ms: codes and integral images; run_ms: the cascade. same: numpy finds the same."""
+    """Costs on one kind of tile. budget: None for none. plane_ms: codes and integral images; run_ms: the cascade.
+
+    same: numpy finds the same.
+    """
 
     name: str
     result: CascadeResult
@@ -85,7 +93,10 @@ class TileRow(NamedTuple):
 
 
 class ContrastRow(NamedTuple):
-    """Contrasts on one kind of tile. everywhere_ms: all pixels scored; ms: only where it matters. same: scores, floor and peaks alike."""
+    """Costs of contrasts on one kind of tile. everywhere_ms: all pixels scored; ms: only where it matters.
+
+    same: scores, floor and peaks alike.
+    """
 
     name: str
     n_peaks: int
@@ -95,7 +106,10 @@ class ContrastRow(NamedTuple):
 
 
 class AgainstOpenCv(NamedTuple):
-    """Million windows per second, and how many windows one finds and the other does not, of those that both visit."""
+    """Speed and agreement with OpenCV.
+
+    Million windows per second, and how many windows one finds and the other does not, of those that both visit.
+    """
 
     ours: float
     opencv: float
@@ -105,7 +119,7 @@ class AgainstOpenCv(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench cascade`."""
+    """Add the options of `auv-mcm bench cascade`."""
     parser.add_argument("--model", type=Path, metavar="FILE", help="a trained cascade (default: a drawn one)")
     parser.add_argument("--repeat", type=count, default=9, help="repetitions of each step (default 9)")
 
@@ -133,7 +147,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def drawn_tiles(shape: tuple[int, int]) -> dict[str, Image]:
-    """Single-look speckle on plain sea floor, on ripples of 1.2 m, and on a field of boulders, one on every 2.5 square metres."""
+    """Draw single-look speckle on plain sea floor, on ripples of 1.2 m, and on a field of boulders.
+
+    One boulder on every 2.5 square metres.
+    """
     random = np.random.Generator(np.random.PCG64(21))
     speckle = random.exponential(size=shape)
     across_m, along_m = np.arange(shape[1]) * COLUMN_M, np.arange(shape[0])[:, np.newaxis] * ROW_M
@@ -153,14 +170,14 @@ def drawn_tiles(shape: tuple[int, int]) -> dict[str, Image]:
 
 
 def code_plane_of(image: Image) -> CodePlane:
-    """All of it valid."""
+    """Make the code plane of a drawn tile, all of it valid."""
     everywhere = np.ones(image.shape, dtype=np.bool_)
     first_return_m = np.full(image.shape[0], _FIRST_RETURN_M)
     return make_plane(codes_of(image, everywhere), everywhere, everywhere, first_return_m, ROW_M, COLUMN_M)
 
 
 def drawn_model(kind: str) -> CascadeModel:
-    """Comparisons of highlight, shadow and surroundings drawn at random, "soft" or "stages", for the drawn tiles."""
+    """Draw comparisons of highlight, shadow and surroundings at random, "soft" or "stages", for the drawn tiles."""
     random = np.random.Generator(np.random.PCG64(22))
     groups = tuple(tuple(_drawn_stump(random) for _ in range(size)) for size in _SIZES)
     model = CascadeModel(
@@ -187,7 +204,10 @@ def drawn_model(kind: str) -> CascadeModel:
 
 
 def tile_rows(model: CascadeModel, shape: tuple[int, int], n_repeats: int) -> list[TileRow]:
-    """Every drawn tile, and the quiet one with thresholds that reject nothing and a budget for the opening and some windows more."""
+    """Measure every drawn tile, and the quiet one with thresholds that reject nothing.
+
+    The latter has a budget for the opening and some windows more.
+    """
     images = drawn_tiles(shape)
     sizes, first, n_pixels = [len(group) for group in model.groups], opening_groups(model), shape[0] * shape[1]
     endless = msgspec.structs.replace(model, reject=(_ANY_SCORE,) * len(sizes))
@@ -205,7 +225,7 @@ def tile_rows(model: CascadeModel, shape: tuple[int, int], n_repeats: int) -> li
 
 
 def contrast_rows(shape: tuple[int, int], n_repeats: int) -> list[ContrastRow]:
-    """Contrasts on every drawn tile at the default threshold."""
+    """Measure contrasts on every drawn tile at the default threshold."""
     p_false_alarm = DetectConfig().p_false_alarm
 
     def everywhere(tile: Tile) -> tuple[ScoreMaps, list[Peak]]:
@@ -231,7 +251,7 @@ def contrast_rows(shape: tuple[int, int], n_repeats: int) -> list[ContrastRow]:
 
 
 def tile_of(image: Image) -> Tile:
-    """All of it valid and of the core, from nowhere in particular."""
+    """Make a tile of an image, all of it valid and of the core."""
     unknown = np.full(len(image), np.nan)
     pose = PoseTrack(
         time_s=unknown,
@@ -263,7 +283,10 @@ def tile_of(image: Image) -> Tile:
 
 
 def same_in_numpy(plane: CodePlane, model: CascadeModel, result: CascadeResult) -> bool:
-    """Whether numpy alone gives every window of a result its score, and passes no other window if the budget did not cut."""
+    """Check that numpy alone gives every window of a result its score.
+
+    And passes no other window if the budget did not cut.
+    """
     usable = plane.usable
     if result.n_cut:
         usable = np.zeros_like(usable)
@@ -274,12 +297,12 @@ def same_in_numpy(plane: CodePlane, model: CascadeModel, result: CascadeResult) 
     tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
     windows = open_windows_numpy(WindowField(plane.sums, plane.counts, corner, usable, edges), tables, len(model.groups)).windows
     order = np.argsort(windows.place)
-    told = corner + result.rows * stride + result.columns
-    return np.array_equal(windows.place[order], told) and np.array_equal(windows.score[order], result.scores)
+    expected = corner + result.rows * stride + result.columns
+    return np.array_equal(windows.place[order], expected) and np.array_equal(windows.score[order], result.scores)
 
 
 def against_opencv(model: CascadeModel, image: Image, n_repeats: int) -> AgainstOpenCv:
-    """A model of stages on an image in whole greys, all of it in one band."""
+    """Run a model of stages and OpenCV on an image in whole greys, all of it in one band."""
     greys = np.minimum(np.rint(image * (CODE_OF_MEAN / _CODES_PER_GREY)), 255.0).astype(np.uint8)
     exported = opencv_cascade(model, _BAND, ROW_M, COLUMN_M)
     size = (exported.n_columns, exported.n_rows)
@@ -314,7 +337,10 @@ def against_opencv(model: CascadeModel, image: Image, n_repeats: int) -> Against
 
 
 def visited_by_opencv(begun: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which windows it looks at, given which pass the first stage: every other one, and after one that does not the next but one."""
+    """Select the windows that OpenCV visits, given which pass the first stage.
+
+    Every other one, and after one that does not pass the next but one.
+    """
     visited = np.zeros_like(begun)
     for row in range(0, begun.shape[0], 2):
         column = 0
@@ -325,9 +351,12 @@ def visited_by_opencv(begun: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def cpu_ms(steps: Sequence[Callable[[], object]], n_repeats: int) -> list[float]:
-    """Median CPU time of this thread in each step, the repetitions interleaved so that whatever else runs disturbs all alike.
+    """Measure the median CPU time of this thread in each step, ms.
 
-    Before each measured step runs the same one unmeasured, as tiles follow upon tiles: memory is where the step before has left it.
+    Repetitions are interleaved so that whatever else runs disturbs all alike.
+
+    Before each measured step runs the same one unmeasured, as tiles follow upon tiles: memory is where the step before
+    has left it.
     """
     times_ms: list[list[float]] = [[] for _ in steps]
     for _ in range(n_repeats):
@@ -354,7 +383,10 @@ class _Job(NamedTuple):
 
 
 def _in_one_band(codes: NDArray[np.uint16], inside: tuple[slice, slice], model: CascadeModel, n_groups: int) -> tuple[CodePlane, Opened]:
-    """The first groups on windows centred `inside`, as if all of the tile were in one band and however much of a window is valid."""
+    """Run the first groups on windows centred `inside`, as if all of the tile were in one band.
+
+    Windows count however much of them is valid.
+    """
     everywhere, usable = np.ones(codes.shape, dtype=np.bool_), np.zeros(codes.shape, dtype=np.bool_)
     usable[inside] = True
     plane = make_plane(codes, everywhere, usable, np.full(len(codes), _FIRST_RETURN_M), ROW_M, COLUMN_M)
@@ -374,7 +406,10 @@ def _map_of(plane: CodePlane, opened: Opened) -> NDArray[np.bool_]:
 
 
 def _drawn_stump(random: np.random.Generator) -> Stump:
-    """Highlight or shadow of some size in an object's place against a box beside it; more often than not it tells an object."""
+    """Draw a comparison of highlight or shadow in an object's place with a box beside it.
+
+    Most of those drawn separate objects.
+    """
     low, high = sorted(random.uniform(-0.45, 0.45, 2).tolist())
     beside = WINDOW if random.random() < 0.5 else FeatureBox(*((0.5, 1.0) if random.random() < 0.5 else (-1.0, -0.5)), -0.8, 0.0, 0.8, 0.8)
     sure = int(random.integers(100, 500))
@@ -397,7 +432,7 @@ def _read(path: Path) -> CascadeModel:
 
 
 def _step_lines(n_repeats: int) -> list[str]:
-    """Codes and integral images, with their twins in numpy and OpenCV's image of bytes."""
+    """Measure codes and integral images, with their twins in numpy and OpenCV's image of bytes."""
     image = drawn_tiles(SHAPE)["quiet"]
     mask = np.ones(SHAPE, dtype=np.uint8)
     codes = encode(image, mask)[0]

@@ -1,7 +1,10 @@
-"""Cost of the whole chain on one core, from file to contacts, per stage and at two mission lengths.
+"""Measure the cost of the whole chain on one core, from file to contacts.
 
-Processor time, medians over fresh processes. On a shared machine it moves by half; compare figures of one run only. With --beside a second
-log, as of a busy scene beside a quiet one, both run in turn and the ratio of the two is printed too.
+Per stage and at two mission lengths.
+
+Processor time, medians over fresh processes. On a shared machine it moves by half; compare figures of one run only.
+With --beside a second log, as of a busy scene beside a quiet one, both run in turn and the ratio of the two is printed
+too.
 """
 
 from __future__ import annotations
@@ -99,7 +102,7 @@ def _run_chain(log: Path, *options: str) -> dict[str, Any]:
 
 
 def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
-    """File to contacts in this process, on one core."""
+    """Run from file to contacts in this process, on one core."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     from auv_mcm import kernels
@@ -131,7 +134,7 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
 
 
 def tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
-    """The log end to end until `duration_s` is reached, each copy later in time and farther along its own line."""
+    """Repeat the log end to end until `duration_s` is reached, each copy later in time and farther along its own line."""
     events = [event for event in open_log(log, Config()) if isinstance(event, NavSample | Ping)]
     times = [event.time_s for event in events if isinstance(event, Ping)]
     period_s = times[-1] - times[0] + statistics.median(np.diff(times).tolist())
@@ -158,7 +161,7 @@ def stored_sample_type(log: Path) -> Any:
 
 
 def main() -> int:
-    """One run over a log in this process, told as JSON."""
+    """Run over a log in this process and print the result as JSON."""
     parser = Parser(prog="python -m sim_replay.benches.chain", description=main.__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("--exhaustive", action="store_true")

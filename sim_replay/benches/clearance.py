@@ -1,4 +1,4 @@
-"""Judge what the payload says of mines left, with the sea floor as it estimates it, on the named scenes.
+"""Compare the mines left that the payload reports, by its own map of the sea floor, with the truth of named scenes.
 
 auv-mcm bench clearance                           flies, judges and prints
 """
@@ -58,7 +58,9 @@ class ClearanceTask(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
-    """One mission. n_targets: seen on legs; n_found: near a contact called mine-like. by_tables: sum of p_detected where they lie.
+    """One judged mission.
+
+    n_targets: seen on legs; n_found: near a contact called mine-like. by_tables: sum of p_detected where they lie.
 
     p_doubtful: sum of p_mine over contacts not called. p_detected: mean over what was searched.
     """
@@ -75,7 +77,7 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
         return self.n_targets - self.n_found
 
     def expected(self, share: float = DOUBTFUL_SHARE) -> float:
-        """Mines left, with a share of the doubtful sum."""
+        """Compute the mines left, with a share of the doubtful sum."""
         return share * self.p_doubtful + without_contact(self.p_detected)
 
     def is_inside(self, share: float = DOUBTFUL_SHARE) -> bool:
@@ -95,7 +97,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code. Raises UsageError for unknown scenes and a file that cannot be written."""
+    """Fly, judge and print; returns the exit code.
+
+    Raises UsageError for unknown scenes and a file that cannot be written.
+    """
     names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
@@ -166,7 +171,10 @@ def fitted_share(missions: Sequence[JudgedClearance]) -> float:
 
 
 def report(missions: Sequence[JudgedClearance], in_markdown: bool = False) -> str:
-    """Lay out missions by scene and all together. The share that the scene's estimates use is fitted on the other scenes alone."""
+    """Lay out missions by scene and all together.
+
+    The share that the scene's estimates use is fitted on the other scenes alone.
+    """
     names = list(dict.fromkeys(mission.scene for mission in missions))
     shares = {name: fitted_share([mission for mission in missions if mission.scene != name] or missions) for name in names}
     rows = []

@@ -1,4 +1,7 @@
-"""Cost of confirming a detection, whole and step by step: processor time of each look, the best of some repetitions in one process."""
+"""Measure the cost of confirming a detection, whole and step by step.
+
+Processor time of each confirmation, the best of some repetitions in one process.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ EFFORTS: Final = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_log(parser)
-    parser.add_argument("--efforts", action="store_true", help="how far p_mine moves where the search for solids tries less")
+    parser.add_argument("--efforts", action="store_true", help="measure how far p_mine moves with less search for solids")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -51,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def detections_looked_at(log: Path, config: Config) -> list[Detection]:
-    """Collect the detections that a mission hands to confirmation and that get a close look."""
+    """Collect the detections that a mission hands to confirmation and that are confirmed."""
     taken: list[Detection] = []
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
 
@@ -69,7 +72,7 @@ def detections_looked_at(log: Path, config: Config) -> list[Detection]:
 
 
 def look_costs_s(detection: Detection, config: Config, repeat: int, clock: Callable[[], float]) -> dict[str, float]:
-    """Time one look and each step that it takes, s; the best of `repeat` times each."""
+    """Time one confirmation and each of its steps, s; the best of `repeat` times each."""
     if detection.surroundings is None:
         raise ValueError("a detection without surroundings cannot be looked at")
     beam_width_rad, odds = math.radians(config.sonar.beam_width_deg), _odds_for(detection)
@@ -103,7 +106,7 @@ def _odds_for(detection: Detection) -> MineOdds:
 
 
 def p_mine_by_effort(detection: Detection, config: Config) -> list[float]:
-    """Compute p_mine of one look with each of EFFORTS."""
+    """Compute p_mine of one confirmation with each of EFFORTS."""
     if detection.surroundings is None:
         raise ValueError("a detection without surroundings cannot be looked at")
     beam_width_rad, odds = math.radians(config.sonar.beam_width_deg), _odds_for(detection)

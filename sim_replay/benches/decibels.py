@@ -1,4 +1,4 @@
-"""What wrong decibels per count cost in detection.
+"""Measure what wrong decibels per count cost in detection.
 
 auv-mcm bench decibels      flies named scenes with a logarithmic recorder, reads the same pings with decibels per count
                             that are right, estimated, and wrong by known factors, and prints what is found
@@ -42,7 +42,7 @@ class MisreadMission(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=1, help=f"missions of each scene, from seed {FIRST_SEED} (default 1)")
-    parser.add_argument("--scene", action="append", choices=named_scenes(), help=f"may be given again (default {', '.join(SCENES)})")
+    parser.add_argument("--scene", action="append", choices=named_scenes(), help=f"named scene, repeatable (default {', '.join(SCENES)})")
     parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
 

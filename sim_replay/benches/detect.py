@@ -1,4 +1,7 @@
-"""Cost of the detector's contrasts per tile, and of measuring what they find: processor time, medians over repetitions in one process."""
+"""Measure the cost of contrasts per tile, and of measuring what they find.
+
+Processor time, medians over repetitions in one process.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast messages are found in a stream of bytes, what garbage costs, and whether damage ever costs more than what it hit.
+"""Measure how fast messages are found in bytes, what garbage costs, and whether damage costs only what it hit.
 
 auv-mcm bench framers [--faults N] [--pings N] [--junk BYTES] [--seed N]
 """
@@ -51,7 +51,9 @@ _LONGEST_FAULT_BYTES: Final = 64
 _MAX_CHUNK_BYTES: Final = 400
 _CHUNK_BYTES: Final = 4096
 MAX_S_PER_MB: Final = 0.3
-"""Processor time that a framer may take for a megabyte, whatever it is: 9 % of a core at 921600 baud with nothing to spare."""
+"""Processor time that a framer may take for a megabyte, whatever it is: 9 % of a core at 921600 baud with nothing to
+spare.
+"""
 
 _N_SAMPLES: Final = 1200
 _ARRIVED: Final = Stamp(0, 0)
@@ -59,10 +61,10 @@ _VEHICLE_CAN_ADDRESS: Final = 96
 
 
 class FramedWire(NamedTuple):
-    """One wire format, as the fault campaign sees it.
+    """One wire format under the fault campaign.
 
-    messages: n intact messages as bytes, no two alike. read: runs a new framer over the chunks, to the end of the stream, and gives an
-    equal item for equal messages.
+    messages: n intact messages as bytes, no two alike. read: runs a new framer over the chunks, to the end of the
+    stream, and gives an equal item for equal messages.
     """
 
     name: str
@@ -79,8 +81,10 @@ class Damaged(NamedTuple):
 
 
 class CampaignRow(NamedTuple):
-    """Messages of all streams of one wire. n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes.
-    n_false: of those, messages that nobody sent."""
+    """Messages of all streams of one wire. n_lost: intact ones that were not read.
+
+    n_other: read from damaged or repeated bytes. n_false: of those, messages that nobody sent.
+    """
 
     name: str
     n_faults: int
@@ -92,9 +96,10 @@ class CampaignRow(NamedTuple):
 
 
 def damaged(messages: list[bytes], n_faults: int, random: np.random.Generator) -> Damaged:
-    """Faults at random places of the joined messages, as cables and drivers make them.
+    """Damage the joined messages at random places, as cables and drivers do.
 
-    Bits flip, bytes get lost, are repeated or come from nowhere (at random, or as a piece of a message), and messages lose their end.
+    Bits flip, bytes get lost, are repeated or come from nowhere (at random, or as a piece of a message), and messages
+    lose their end.
     """
     stream = b"".join(messages)
     ends = np.cumsum([len(message) for message in messages])
@@ -134,7 +139,7 @@ def damaged(messages: list[bytes], n_faults: int, random: np.random.Generator) -
 
 
 def cut(stream: bytes, random: np.random.Generator) -> Iterator[bytes]:
-    """The stream in chunks of any length."""
+    """Cut the stream into chunks of any length."""
     start = 0
     while start < len(stream):
         stop = start + int(random.integers(1, _MAX_CHUNK_BYTES + 1))
@@ -143,7 +148,7 @@ def cut(stream: bytes, random: np.random.Generator) -> Iterator[bytes]:
 
 
 def n_missing(wanted: list[Hashable], found: list[Hashable]) -> int:
-    """How many of `wanted` do not come in `found` in this order; what else comes between does not matter."""
+    """Count those of `wanted` that do not come in `found` in this order, whatever else comes between."""
     n_lost, position = 0, 0
     for item in wanted:
         try:
@@ -154,7 +159,7 @@ def n_missing(wanted: list[Hashable], found: list[Hashable]) -> int:
 
 
 def campaign(wire: FramedWire, n_faults: int, seed: int) -> CampaignRow:
-    """At least so many faults on streams of the wire's messages. The same seed makes the same faults."""
+    """Inject a minimum number of faults into streams of the wire's messages; equal seeds inject equal faults."""
     n_done = n_messages = n_intact = n_lost = n_other = n_false = 0
     stream_seed = 0
     while n_done < n_faults:
@@ -178,7 +183,7 @@ def campaign(wire: FramedWire, n_faults: int, seed: int) -> CampaignRow:
 
 
 def read_with(grammar: Callable[[], Grammar[Any]], key: Callable[[Any], Hashable]) -> Callable[[Iterable[bytes]], list[Hashable]]:
-    """`Wire.read` of a grammar of drivers.framing. key: of a message, equal for equal messages."""
+    """Make `Wire.read` of a grammar of drivers.framing. key: of a message, equal for equal messages."""
 
     def read(chunks: Iterable[bytes]) -> list[Hashable]:
         framer = Framer(grammar())
@@ -230,7 +235,7 @@ def _nmea_messages(random: np.random.Generator, n: int) -> list[bytes]:
 
 
 def _pixse_messages(random: np.random.Generator, n: int) -> list[bytes]:
-    """Bursts of a PHINS, each sentence a message."""
+    """Make bursts of a PHINS, each sentence a message."""
     bursts: list[sentences.Record] = []
     while len(bursts) < n:
         number = len(bursts)
@@ -253,14 +258,16 @@ def _water_linked_messages(random: np.random.Generator, n: int) -> list[bytes]:
             continue
         covariance = tuple(random.uniform(0.0, 1e-6, 9))
         validity_us = 1_700_000_000_000_000 + 125_000 * number
-        told_us = validity_us + 80_000
+        reported_us = validity_us + 80_000
         forward, starboard, down = random.normal(0.0, 1.0, 3).tolist()
-        records.append(dvl_water_linked.Velocity(forward, starboard, down, True, 7.5, 0.002, covariance, validity_us, told_us, 125.0, 0))
+        records.append(
+            dvl_water_linked.Velocity(forward, starboard, down, True, 7.5, 0.002, covariance, validity_us, reported_us, 125.0, 0)
+        )
     return [dvl_water_linked.message_of(record) for record in records]
 
 
 def _pd6_messages(random: np.random.Generator, n: int) -> list[bytes]:
-    """Groups of a DVL, each line a message."""
+    """Make groups of a DVL, each line a message."""
     lines: list[dvl_pd6.Line] = []
     while len(lines) < n:
         number = len(lines)
@@ -274,23 +281,23 @@ def _pd6_messages(random: np.random.Generator, n: int) -> list[bytes]:
 
 
 def _imc_messages(random: np.random.Generator, n: int) -> list[bytes]:
-    """Packets of a vehicle in either byte order, some of kinds that are not known here."""
+    """Make packets of a vehicle in either byte order, some of kinds that the reader does not know."""
     wired = []
     for number in range(n):
         order: imc_messages.Order = ">" if random.random() < 0.2 else "<"
-        told: imc_messages.ImcMessage
+        message: imc_messages.ImcMessage
         if number % 4 == 0:
-            told = imc_messages.EstimatedState(*random.uniform(-1.5, 1.5, 2), *random.normal(0.0, 10.0, 18))
+            message = imc_messages.EstimatedState(*random.uniform(-1.5, 1.5, 2), *random.normal(0.0, 10.0, 18))
         elif number % 4 == 1:
-            told = imc_messages.PlanControlState(3, f"survey {number}", man_id="T" * int(random.integers(20)))
+            message = imc_messages.PlanControlState(3, f"survey {number}", man_id="T" * int(random.integers(20)))
         elif number % 4 == 2:
             reference = imc_messages.Reference(1, lat=random.uniform(-1.5, 1.5), lon=random.uniform(-3.0, 3.0))
-            told = imc_messages.FollowRefState(0x6000, 255, reference, 2, 1)
+            message = imc_messages.FollowRefState(0x6000, 255, reference, 2, 1)
         else:
             wired.append(to_wire(ImcPacket(276, random.bytes(int(random.integers(200))), 0x1E, time_s=float(number), order=order)))
             continue
-        payload = imc_messages.encode(told, order)
-        wired.append(to_wire(ImcPacket(imc_messages.number_of(type(told)), payload, 0x1E, time_s=float(number), order=order)))
+        payload = imc_messages.encode(message, order)
+        wired.append(to_wire(ImcPacket(imc_messages.number_of(type(message)), payload, 0x1E, time_s=float(number), order=order)))
     return wired
 
 
@@ -348,7 +355,7 @@ def _slcan_read(chunks: Iterable[bytes]) -> list[Hashable]:
 
 
 def _fast_packet_messages(random: np.random.Generator, n: int) -> list[bytes]:
-    """Messages of 43 bytes, as a GNSS position has, and more, of three units by way of an slcan adapter."""
+    """Make messages of 43 bytes, as a GNSS position has, and more, of three units by way of an slcan adapter."""
     pgn = n2k_messages.encode(n2k_messages.GnssPosition(*[math.nan] * 14))[0]
     assert pgn in FAST_PACKET_GROUPS
     wired = []
@@ -371,18 +378,18 @@ def _fast_packet_read(chunks: Iterable[bytes]) -> list[Hashable]:
 
 
 def _vehicle_can_messages(random: np.random.Generator, n: int) -> list[bytes]:
-    """Reports, commands and statuses of a payload, of 11, 4 and 1 frames, by way of an slcan adapter."""
+    """Make reports, commands and statuses of a payload, of 11, 4 and 1 frames, by way of an slcan adapter."""
     wired = []
     for number in range(n):
-        told: can_messages.Record
+        message: can_messages.Record
         if number % 3 == 0:
             place = random.uniform(-80.0, 80.0), 1.0, random.uniform(-179.0, 179.0)
-            told = can_messages.ReportMessage(1, number, 7, 1, 1e9, *place, 0.5, 18.0, 0, 1, *random.random(12))
+            message = can_messages.ReportMessage(1, number, 7, 1, 1e9, *place, 0.5, 18.0, 0, 1, *random.random(12))
         elif number % 3 == 1:
-            told = can_messages.GoToMessage(random.uniform(-80.0, 80.0), 1.5, random.uniform(-179.0, 179.0), 3.0, 5.0, 1, 3.0, number, 1)
+            message = can_messages.GoToMessage(random.uniform(-80.0, 80.0), 1.5, random.uniform(-179.0, 179.0), 3.0, 5.0, 1, 3.0, number, 1)
         else:
-            told = can_messages.PayloadStatus(1, 3, 1, 1, number)
-        wired.append(b"".join(map(slcan_encode, can_messages.encode(told, _VEHICLE_CAN_ADDRESS, number))))
+            message = can_messages.PayloadStatus(1, 3, 1, 1, number)
+        wired.append(b"".join(map(slcan_encode, can_messages.encode(message, _VEHICLE_CAN_ADDRESS, number))))
     return wired
 
 
@@ -411,7 +418,7 @@ WIRES: Final = (
 
 
 def made_profile(number: int, n_results: int, random: np.random.Generator) -> OsMonoProfile:
-    """One side of a ping of an Omniscan 450, speckle on a scale of 80 dB; channels alternate."""
+    """Make one side of a ping of an Omniscan 450, speckle on a scale of 80 dB; channels alternate."""
     power_db = -30.0 + 10.0 * np.log10(random.standard_exponential(n_results) + 1e-6)
     results = np.clip((power_db + 90.0) / 80.0 * 65535.0, 0.0, 65535.0).astype(np.uint16)
     return OsMonoProfile(
@@ -434,7 +441,7 @@ def made_profile(number: int, n_results: int, random: np.random.Generator) -> Os
 
 
 def made_side(number: int, n_samples: int, random: np.random.Generator) -> SideScanData:
-    """One side of a ping of an EdgeTech sonar, speckle of amplitude; its two sides have consecutive numbers."""
+    """Make one side of a ping of an EdgeTech sonar, speckle of amplitude; its two sides have consecutive numbers."""
     header = SideScanHeader(
         time_s=1_700_000_000 + number // 2 // 15,
         ping_number=number // 2,
@@ -448,7 +455,7 @@ def made_side(number: int, n_samples: int, random: np.random.Generator) -> SideS
 
 
 def _seconds(step: Callable[[], object]) -> float:
-    """Of this thread, the least of three runs."""
+    """Time this thread, s, the minimum of three runs."""
     times = []
     for _ in range(3):
         began = time.thread_time()
@@ -458,7 +465,10 @@ def _seconds(step: Callable[[], object]) -> float:
 
 
 def speed_lines(n_pings: int) -> list[str]:
-    """Messages per second, framed alone and decoded to samples, for pings of 1200 samples a side in chunks of 4 KiB."""
+    """Measure messages per second, framed alone and decoded to samples.
+
+    Pings of 1200 samples a side in chunks of 4 KiB.
+    """
     random = np.random.Generator(np.random.PCG64(1))
     ping = b"".join(ping_messages.encode(made_profile(i, _N_SAMPLES, random)) for i in range(2 * n_pings))
     jsf = b"".join(jsf_messages.encode_data(made_side(i, _N_SAMPLES, random), 21, i & 1) for i in range(2 * n_pings))
@@ -509,7 +519,7 @@ def _brping(stream: bytes) -> Callable[[], object]:
 
 
 class JunkRow(NamedTuple):
-    """Of one wire: the junk that costs most, and its processor time per megabyte."""
+    """The junk that costs most on one wire, and its processor time per megabyte."""
 
     name: str
     junk: str
@@ -517,7 +527,7 @@ class JunkRow(NamedTuple):
 
 
 def _junk_of(wire: str) -> dict[str, bytes]:
-    """Pieces to be repeated, by name; those of `WORST_BYTES`, and nothing but noise and zeros."""
+    """Make pieces to be repeated, by name; those of `WORST_BYTES`, and nothing but noise and zeros."""
     noise = np.random.Generator(np.random.PCG64(2)).bytes(1 << 16)
     return {"noise": noise, "zeros": bytes(1 << 16), **WORST_BYTES[wire]}
 
@@ -533,7 +543,7 @@ def junk_row(wire: str, n_bytes: int) -> JunkRow:
 
 
 def junk_lines(rows: list[JunkRow]) -> list[str]:
-    """A row per wire, and whether all are within the allowance."""
+    """Lay out a row per wire, and whether all are within the allowance."""
     lines = [f"{'junk, processor time':<16}{'s per MB':>10}  of the worst, which is"]
     lines += [f"{row.name:<16}{row.s_per_mb:>10.3f}  {row.junk}" for row in rows]
     above = [row.name for row in rows if row.s_per_mb > MAX_S_PER_MB]
@@ -595,24 +605,27 @@ FEEDS: Final[dict[str, Callable[[], Callable[[bytes], object]]]] = {
 
 
 def campaign_lines(rows: list[CampaignRow]) -> list[str]:
-    """A row per wire; nothing may be lost."""
+    """Lay out a row per wire; nothing may be lost."""
     heads = ("faults", "messages", "intact", "lost", "other", "false")
     lines = [f"{'damaged streams':<16}" + "".join(f"{head:>10}" for head in heads)]
     lines += [f"{row.name:<16}" + "".join(f"{cell:>10}" for cell in row[1:]) for row in rows]
     lines.append("lost: intact messages that were not read. other: read once more, or where only bytes were hit that do not matter,")
-    return [*lines, "or from damage that no checksum tells. false: of those, messages that nobody sent"]
+    return [*lines, "or from damage that no checksum detects. false: of those, messages that nobody sent"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench framers`."""
+    """Add the options of `auv-mcm bench framers`."""
     parser.add_argument("--faults", type=count, default=10_000, help="faults per wire format")
     parser.add_argument("--pings", type=count, default=200, help="pings of the speed measurement")
     parser.add_argument("--junk", type=count, default=1_000_000, help="bytes of each kind of junk")
-    parser.add_argument("--seed", type=count, default=1, help="of the faults")
+    parser.add_argument("--seed", type=count, default=1, help="seed of the faults")
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Print the tables; returns the exit code, 1 if an intact message was lost or junk takes more processor time than is allowed."""
+    """Print the tables; returns the exit code.
+
+    It is 1 if an intact message was lost or junk takes more processor time than is allowed.
+    """
     print("\n".join([*speed_lines(chosen.pings), ""]))
     junk = [junk_row(wire, chosen.junk) for wire in FEEDS]
     print("\n".join([*junk_lines(junk), ""]), flush=True)

@@ -1,7 +1,9 @@
-"""What each detector and each step after it finds at a given rate of false alarms, on missions that nothing was trained or tuned on.
+"""Measure what each detector and each step finds at a given rate of false alarms.
 
-Simulated missions with seeds of their own, one scene of which shows a sea floor that no model was trained on, and recorded lines with
-embedded targets, none of which any model was trained on. All systems see the same pings.
+On missions that nothing was trained or tuned on.
+
+Simulated missions with seeds of their own, one scene of which shows a sea floor that no model was trained on, and
+recorded lines with embedded targets, none of which any model was trained on. All systems see the same pings.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import HELD_OUT, SCENES, config_for, unconfirmed, untrained_alone
 from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
-from sim_replay.scoring.baseline import rival_contacts
+from sim_replay.scoring.baseline import baseline_contacts
 from sim_replay.scoring.intervals import proportion
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator import mission as simulated
@@ -59,7 +61,7 @@ _TARGETS_PER_LINE: Final = 8  # and as many rocks
 _APART_M: Final = 5.0
 _STEPS: Final[dict[str, LookStep]] = {"confirmation": "contours", "chain": "shape"}
 SYSTEMS: Final = {
-    "rival": "plain threshold",
+    "baseline": "plain threshold",
     "contrast": "contrasts, nothing trained",
     "classical": "classical features",
     "stages": "stage cascade",
@@ -103,14 +105,14 @@ Line: TypeAlias = HeldOutSimulatedLine | HeldOutAugmentedLine
 
 
 class Rock(NamedTuple):
-    """A rock that the chain has a contact for, or has not (n_views 0): whether it is called, and from how many views."""
+    """A rock with or without (n_views 0) a contact: whether it is called, and from how many views."""
 
     n_views: int
     called: bool
 
 
 class FlownLine(NamedTuple):
-    """What every system of SYSTEMS reports of one line."""
+    """The contacts of every system of SYSTEMS on one line."""
 
     group: str
     reported: dict[str, ScoredMission]
@@ -156,20 +158,20 @@ def run(arguments: argparse.Namespace) -> int:
     print(laid_out(_HEADER, [_row(group, SYSTEMS[system], score) for (group, system), score in scores.items()]))
     print()
     groups = dict.fromkeys(group for group, _ in scores)
-    print(laid_out(_OUTDONE_HEADER, [_outdone_row(group, scores[group, "chain"], scores[group, "rival"]) for group in groups]))
+    print(laid_out(_OUTDONE_HEADER, [_outdone_row(group, scores[group, "chain"], scores[group, "baseline"]) for group in groups]))
     print()
     print(laid_out(_ROCK_HEADER, list(_rock_rows(list(joined.from_iterable(one.rocks for one in flown))))))
     if arguments.json is not None:
-        told = {f"{group} {system}": json.loads(score_json(score)) for (group, system), score in scores.items()}
+        encoded = {f"{group} {system}": json.loads(score_json(score)) for (group, system), score in scores.items()}
         try:
-            write_file(arguments.json, json.dumps(told, indent=1).encode())
+            write_file(arguments.json, json.dumps(encoded, indent=1).encode())
         except OSError as error:
             raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
     return 0
 
 
 def fly_line(line: Line) -> FlownLine:
-    """One line as all systems report it."""
+    """Fly one line with all systems."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     if isinstance(line, HeldOutSimulatedLine):
         scene = msgspec.structs.replace(read_scene(line.name), seed=line.seed)
@@ -182,7 +184,10 @@ def fly_line(line: Line) -> FlownLine:
 
 
 def best_pd(score: Score, limit_per_km2: float, *, on_objects: bool = True) -> str:
-    """The best Pd with at most so many false alarms per km², with its interval; those on known clutter count if `on_objects`."""
+    """Find the best Pd within so many false alarms per km², with its interval.
+
+    Those on known clutter count if `on_objects`.
+    """
     if score.area_km2 <= 0.0:
         return share_cell(proportion(0, score.n_targets))
     allowed = [
@@ -193,17 +198,20 @@ def best_pd(score: Score, limit_per_km2: float, *, on_objects: bool = True) -> s
     return share_cell(max(allowed, key=lambda pd: pd.count, default=proportion(0, score.n_targets)))
 
 
-def outdone(score: Score, rival: Score) -> tuple[int, int]:
-    """How many thresholds of the rival find any target, and for how many of them a threshold of the other finds as many or more with as
-    many or fewer false alarms, and not the same of both."""
-    found = [(point.pd.count, point.false_alarms.count) for point in rival.froc if point.pd.count]
+def outdone(score: Score, baseline: Score) -> tuple[int, int]:
+    """Count the baseline's thresholds that find any target, and those that the other system outdoes.
+
+    A threshold is outdone if one of the other finds as many or more with as many or fewer false alarms, and not the
+    same of both.
+    """
+    found = [(point.pd.count, point.false_alarms.count) for point in baseline.froc if point.pd.count]
     ours = [(point.pd.count, point.false_alarms.count) for point in score.froc]
     beaten = [any(one != other and one[0] >= other[0] and one[1] <= other[1] for one in ours) for other in found]
     return len(found), sum(beaten)
 
 
 def comparison_model(name: str) -> bytes:
-    """A model that is there to be compared with, by its name in this package."""
+    """Read a model for comparison by its name in this package."""
     return resources.files("sim_replay.benches").joinpath("models", f"{name}.json").read_bytes()
 
 
@@ -228,8 +236,7 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
             pipeline.feed(event)
     for pipeline in pipelines.values():
         pipeline.finish()
-    told = truth_of()
-    truth = parse_truth(told, place)
+    truth = parse_truth(truth_of(), place)
     contacts: dict[str, Sequence[Contact]] = {name: pipeline.contacts for name, pipeline in pipelines.items()}
     prior = shipped_odds("cascade").prior
     for system, step in _STEPS.items():
@@ -237,7 +244,7 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
     reported = {
         name: ScoredMission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()
     }
-    reported["rival"] = ScoredMission(tuple(rival_contacts(kept)), truth, place)
+    reported["baseline"] = ScoredMission(tuple(baseline_contacts(kept)), truth, place)
     return FlownLine(line.group, reported, tuple(_rocks(pipelines["chain"].contacts, reported["chain"])))
 
 
@@ -255,11 +262,11 @@ def scattered(seed: int) -> TargetSpec:
 
 
 def _rocks(contacts: Sequence[Contact], mission: ScoredMission) -> Iterator[Rock]:
-    """Every rock, with the most mine-like contact within the gate of it."""
-    for thing in mission.truth.objects:
-        if thing.kind != "rock" or thing.looks == ():
+    """List every rock, with the most mine-like contact within the gate of it."""
+    for truth_object in mission.truth.objects:
+        if truth_object.kind != "rock" or truth_object.looks == ():
             continue
-        frame = LocalFrame(latitude_deg=thing.latitude_deg, longitude_deg=thing.longitude_deg)
+        frame = LocalFrame(latitude_deg=truth_object.latitude_deg, longitude_deg=truth_object.longitude_deg)
         near = []
         for contact in contacts:
             east_m, north_m, _ = frame.to_enu(contact.latitude_deg, contact.longitude_deg, 0.0)
@@ -271,7 +278,7 @@ def _rocks(contacts: Sequence[Contact], mission: ScoredMission) -> Iterator[Rock
 
 
 def _groups(flown: Sequence[FlownLine]) -> Iterator[tuple[str, list[FlownLine]]]:
-    """Missions by scene or log, then pooled: simulated ones on sea floors like those trained on, and recorded ones."""
+    """Group missions by scene or log, then pool simulated ones on floors like those trained on, and recorded ones."""
     names = list(dict.fromkeys(one.group for one in flown))
     for name in names:
         yield name, [one for one in flown if one.group == name]
@@ -291,8 +298,8 @@ def _row(group: str, system: str, score: Score) -> list[str]:
     return [_title(group), system, str(score.n_targets), f"{score.area_km2:.3f}", *pds, share_cell(at.pd), density_cell(at.false_alarms)]
 
 
-def _outdone_row(group: str, chain: Score, rival: Score) -> list[str]:
-    n_thresholds, n_outdone = outdone(chain, rival)
+def _outdone_row(group: str, chain: Score, baseline: Score) -> list[str]:
+    n_thresholds, n_outdone = outdone(chain, baseline)
     return [_title(group), str(n_thresholds), str(n_outdone)]
 
 

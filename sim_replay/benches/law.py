@@ -1,11 +1,14 @@
-"""How often the law of a recorder is recognised, and how well its decibels per count, over simulated floors, recorders and looks.
+"""Measure how often a recorder's law is recognised, and the error of its decibels per count.
+
+Over simulated floors, recorders and looks.
 
 auv-mcm bench law                       simulates, decides as a mission does, prints tables
 auv-mcm bench law --log LOG ...         what recorded logs are taken for, and whether anything is doubted
 
 Each floor is simulated once per seed and number of looks, in linear units; every recorder then stores those same echoes
-in its own way. The figures in `auv_mcm/waterfall/law.py`, `decibels.py`, `even.py` and `quiet.py` were set on seeds 1 to
-4 of flat, ripple, rough and seagrass: other seeds show what is new to them, other scenes what is of another kind.
+in its own way. The figures in `auv_mcm/waterfall/law.py`, `decibels.py`, `even.py`,
+`texture.py` and `quiet.py` were set on seeds 1 to 4 of flat, ripple, rough and seagrass: other seeds show what is new
+to them, other scenes what is of another kind.
 """
 
 from __future__ import annotations
@@ -76,9 +79,12 @@ STORES: Final = tuple(Store(law, db_per_count, bits, clips) for (law, db_per_cou
 
 
 class JudgedLaw(NamedTuple):
-    """One mission. decided, ended: transfer after the first verdict, and after the last ping. db_interval: 5 to 95 % of
-    decibels per count from all its pings, NaN without usable samples. doubts: codes of what was said against the law when
-    it was configured rightly. cpu_s: processor time of watching it with nothing configured."""
+    """One mission. decided, ended: transfer after the first verdict, and after the last ping.
+
+    db_interval: 5 to 95 % of decibels per count from all its pings, NaN without usable samples. doubts: codes of what
+    was said against the law when it was configured rightly. cpu_s: processor time of watching it with nothing
+    configured.
+    """
 
     scene: str
     seed: int
@@ -92,7 +98,10 @@ class JudgedLaw(NamedTuple):
 
 
 def floor_intensity(scene_name: str, seed: int, looks: int, n_pings: int = N_PINGS) -> NDArray[np.float64]:
-    """Received intensity (n_pings, 2, n_samples) of the first pings of a named scene, 1 where its plain floor is in mid-range."""
+    """Simulate the intensity (n_pings, 2, n_samples) of the first pings of a scene.
+
+    It is 1 where the plain floor of the scene is in mid-range.
+    """
     scene = read_scene(scene_name)
     recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
     scene = msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, looks=looks, recorder=recorder))
@@ -102,7 +111,7 @@ def floor_intensity(scene_name: str, seed: int, looks: int, n_pings: int = N_PIN
 
 
 def stored(intensity: NDArray[np.float64], store: Store) -> NDArray[Any]:
-    """Counts of intensities, (n_pings, 2, n_samples)."""
+    """Store intensities as counts, (n_pings, 2, n_samples)."""
     if store.db_per_count is None:
         quiet, loud, full = _LEVELS[store.law, store.bits]
         counts = (loud if store.clips else quiet) * (np.sqrt(intensity) if store.law == "amplitude" else intensity)
@@ -116,7 +125,7 @@ def stored(intensity: NDArray[np.float64], store: Store) -> NDArray[Any]:
 
 
 def judge_law(scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np.float64], rate_hz: float = 14.0) -> JudgedLaw:
-    """Let a mission of these echoes be decided, and doubted when configured rightly."""
+    """Recognise the law of a mission of these echoes, and doubt it when configured rightly."""
     pings = [
         Ping(
             number=number,
@@ -143,7 +152,7 @@ def _watched(sonar: SonarConfig, pings: Sequence[Ping]) -> tuple[list[Transfer],
 
 
 def judged_missions(task: tuple[str, int, int]) -> list[JudgedLaw]:
-    """All recorders over one floor: scene, seed, looks."""
+    """Judge all recorders over one floor: scene, seed, looks."""
     scene, seed, looks = task
     intensity = floor_intensity(scene, seed, looks)
     return [judge_law(scene, seed, looks, store, intensity.copy()) for store in STORES]
@@ -151,14 +160,14 @@ def judged_missions(task: tuple[str, int, int]) -> list[JudgedLaw]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=4, help=f"floors of each scene, from seed {FIRST_SEED} (default 4)")
-    parser.add_argument("--scene", action="append", choices=named_scenes(), help=f"may be given again (default {', '.join(FLOORS)})")
+    parser.add_argument("--scene", action="append", choices=named_scenes(), help=f"named scene, repeatable (default {', '.join(FLOORS)})")
     parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
-    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="recorded log to look at instead; may be given again")
+    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="recorded log to judge instead, repeatable")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate and judge, or look at logs; returns the exit code. Raises BadInputError for a log that cannot be read."""
+    """Simulate and judge, or read logs; returns the exit code. Raises BadInputError for a log that cannot be read."""
     if arguments.log is not None:
         for path in arguments.log:
             _print_log(path)
@@ -219,13 +228,13 @@ def _row(name: str, missions: Sequence[JudgedLaw]) -> tuple[str, ...]:
 
 
 def decibel_errors(missions: Sequence[JudgedLaw]) -> NDArray[np.float64]:
-    """Relative error of decibels per count at the end of the missions whose logarithm was recognised."""
+    """Compute the relative error of decibels per count at the end of missions whose logarithm was recognised."""
     known = [(m.ended.db_per_count, m.store.db_per_count) for m in missions if m.ended.kind == "log"]
     return np.array([found / true - 1.0 for found, true in known if true is not None])
 
 
 def interval_coverage(missions: Sequence[JudgedLaw]) -> float:
-    """Share of the missions with a logarithm whose interval of decibels per count holds the true ones."""
+    """Compute the share of missions with a logarithm whose interval of decibels per count holds the true ones."""
     logs = [(m.db_interval, m.store.db_per_count) for m in missions if m.store.db_per_count is not None]
     return float(np.mean([low <= true <= high for (low, high), true in logs]))
 

@@ -1,4 +1,4 @@
-"""The log that a bench of the chain runs over."""
+"""Provide the log that a bench of the chain runs over."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def add_log(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def given_or_flown(log: Path | None) -> Iterator[tuple[Path, Path]]:
-    """The log given, or one of a simulated mission, and a folder for further files that is gone afterwards."""
+    """Return the log given, or one of a simulated mission, and a folder for further files that is removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
         yield log or _flown(Path(folder)), Path(folder)
 

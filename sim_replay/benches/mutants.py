@@ -1,10 +1,11 @@
-"""Damaged logs through the real command: none may crash it, hang it, take its memory, or make it report what cannot be.
+"""Run damaged logs through the real command: none may crash it, hang it, exhaust its memory, or corrupt its results.
 
 auv-mcm bench mutants LOG... [--mutants N] [--seed N] [--pings N] [--keep DIR]
 
-Every mutant is replayed by a process of its own. It passes if that ends with code 0 or 3 within 20 s of processor time and 400 MB, without
-a traceback or a failed tile, and if what it writes is strict JSON with finite numbers and every contact lies near a position of the log,
-within three of its sigmas. A log without side scan passes with code 3. Exit code 5 if a mutant fails.
+Every mutant is replayed by a process of its own. It passes if that ends with code 0 or 3 within 20 s of processor time
+and 400 MB, without a traceback or a failed tile, and if what it writes is strict JSON with finite numbers and every
+contact lies near a position of the log, within three of its sigmas. A log without side scan passes with code 3. Exit
+code 5 if a mutant fails.
 """
 
 from __future__ import annotations
@@ -37,18 +38,21 @@ MAX_CPU_S: Final = 20.0
 MAX_RSS_MB: Final = 400.0
 GOOD_CODES: Final = (0, 3)
 
-_NEAR_M: Final = 200.0  # from the nearest position of the log: twice the greatest range of the shared logs and seconds of track
+# from the nearest position of the log: twice the greatest range of the shared logs and seconds of track
+_NEAR_M: Final = 200.0
 _SIGMAS: Final = 3.0
 _PROGRESS: Final = 50  # mutants per line of progress
 _COMBINED: Final = 4  # every so many mutants combine two kinds
-_ADDRESS_SPACE_BYTES: Final = 6 << 30  # spares the computer where a mutant takes all; numpy and OpenCV reserve 2 GB that they do not use
+# spares the computer where a mutant takes all; numpy and OpenCV reserve 2 GB that they do not use
+_ADDRESS_SPACE_BYTES: Final = 6 << 30
 _PRELOADED: Final = ("auv_mcm.pipeline", "sim_replay.replay", "sim_replay.logs.recorded")  # once, not by every process
 
 
 class Mutant(NamedTuple):
     """Hold the outcome of one damaged log.
 
-    code: negative if a signal ended the process; cpu_s and rss_mb are NaN then. failures: why it does not pass, empty if it does.
+    code: negative if a signal ended the process; cpu_s and rss_mb are NaN then. failures: why it does not pass, empty
+    if it does.
     """
 
     number: int
@@ -63,13 +67,13 @@ class Mutant(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF log to damage")
     parser.add_argument("--mutants", metavar="N", type=count, default=300, help="damaged logs in all (default 300)")
-    parser.add_argument("--seed", metavar="N", type=count, default=1, help="of the damage (default 1)")
-    parser.add_argument("--pings", metavar="N", type=count, default=461, help="packets of each log, at most, from its start (default 461)")
-    parser.add_argument("--keep", metavar="DIR", type=Path, help="where mutants that fail are kept, with what was written of them")
+    parser.add_argument("--seed", metavar="N", type=count, default=1, help="seed of the damage (default 1)")
+    parser.add_argument("--pings", metavar="N", type=count, default=461, help="maximum packets of each log, from its start (default 461)")
+    parser.add_argument("--keep", metavar="DIR", type=Path, help="folder for mutants that fail, with their results")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises SelfCheckError if a mutant fails."""
+    """Replay all mutants and print; returns the exit code. Raises SelfCheckError if a mutant fails."""
     mutants: list[Mutant] = []
     logs = {path: path.read_bytes() for path in arguments.logs}
     with tempfile.TemporaryDirectory(prefix="auv-mcm-mutants-") as scratch:
@@ -102,7 +106,7 @@ def kinds_of(number: int) -> tuple[str, ...]:
 
 
 def judge_mutant(number: int, log: str, kinds: tuple[str, ...], data: bytes, scratch: Path, keep: Path | None = None) -> Mutant:
-    """Replay one damaged log in a process of its own and look at what comes of it."""
+    """Replay one damaged log in a process of its own and judge the outcome."""
     path, out, console, usage = (scratch / name for name in ("mutant.xtf", "out", "console.txt", "usage.json"))
     path.write_bytes(data)
     usage.unlink(missing_ok=True)
@@ -133,7 +137,10 @@ def judge_mutant(number: int, log: str, kinds: tuple[str, ...], data: bytes, scr
 
 
 def _replay(path: Path, out: Path, console: Path, usage: Path) -> None:
-    """The command in this process, within the limits; what it prints goes to `console`, what it cost to `usage`."""
+    """Run the command in this process, within the limits.
+
+    What it prints goes to `console`, what it cost to `usage`.
+    """
     from auv_mcm.cli import main
 
     resource.setrlimit(resource.RLIMIT_CPU, (round(MAX_CPU_S) + 1, round(MAX_CPU_S) + 2))
@@ -179,7 +186,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _fixes_m(log: Path) -> NDArray[np.float64]:
-    """(n, 3) Earth-centred positions that a log gives."""
+    """Read the Earth-centred positions of a log, m, (n, 3)."""
     fixes = []
     try:
         for event in XtfLog(log, SonarConfig()):
@@ -192,7 +199,7 @@ def _fixes_m(log: Path) -> NDArray[np.float64]:
 
 
 def table(mutants: Sequence[Mutant]) -> list[str]:
-    """Lines of the table: one per kind of damage, a combined mutant under its first, and all together."""
+    """Lay out a line per kind of damage, a combined mutant under its first, and one of all together."""
     by_kind: dict[str, list[Mutant]] = defaultdict(list)
     for mutant in mutants:
         by_kind[mutant.kinds[0]].append(mutant)

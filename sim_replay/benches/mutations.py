@@ -1,4 +1,4 @@
-"""Damaged copies of XTF logs, reproducible from a seed: bytes, packets, header fields, navigation, clocks and samples."""
+"""Damage copies of XTF logs, reproducibly from a seed: bytes, packets, header fields, navigation, clocks and samples."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Change = Callable[[XtfPieces, Random], "XtfPieces | bytes"]
 
 
 def split(data: bytes, max_packets: int) -> XtfPieces:
-    """The pieces of an undamaged log: its header and at most so many of its first packets."""
+    """Split an undamaged log into its header and its first packets, up to a maximum."""
     packets: list[bytearray] = []
     offset = FILE_HEADER_BYTES
     while offset + 14 <= len(data) and len(packets) < max_packets:
@@ -48,7 +48,7 @@ def split(data: bytes, max_packets: int) -> XtfPieces:
 
 
 def mutated(log: XtfPieces, kinds: Sequence[str], random: Random) -> bytes:
-    """The log after changes of these kinds, one after the other; a kind that works on packets comes before one that works on bytes."""
+    """Change the log in these ways, in order; kinds that work on packets come before kinds that work on bytes."""
     log = XtfPieces(bytearray(log.header), [bytearray(packet) for packet in log.packets])
     for kind in sorted(kinds, key=lambda kind: kind in BYTES):
         changed = CHANGES[kind](log, random)
@@ -62,12 +62,12 @@ def mutated(log: XtfPieces, kinds: Sequence[str], random: Random) -> bytes:
 
 
 def _pings(log: XtfPieces) -> list[Any]:
-    """The headers of the pings, which write through to the packets."""
+    """View the headers of the pings, which write through to the packets."""
     return [pyxtf.XTFPingHeader.from_buffer(packet) for packet in log.packets if packet[2] == _SONAR and len(packet) >= _PING_HEADER_BYTES]
 
 
 def _some(random: Random, n: int) -> slice:
-    """A stretch of 1 to n pings."""
+    """Choose a stretch of 1 to n pings."""
     length = max(1, min(n, round(math.exp(random.uniform(0.0, math.log(max(n, 2)))))))
     first = int(random.integers(0, n - length + 1)) if n else 0
     return slice(first, first + length)
@@ -81,7 +81,7 @@ def _move(header: Any, north_deg: float, east_deg: float) -> None:
 
 
 def _jump(random: Random) -> tuple[float, float]:
-    """North and east of a jump of 10 m to 90 degrees, in degrees; all orders of magnitude are equally likely."""
+    """Draw north and east of a jump of 10 m to 90 degrees, in degrees; all orders of magnitude are equally likely."""
     length_deg = math.exp(random.uniform(math.log(_SHORTEST_JUMP_M), math.log(_LONGEST_JUMP_M))) / _METRES_PER_DEGREE
     direction = random.uniform(0.0, 2.0 * math.pi)
     return length_deg * math.cos(direction), length_deg * math.sin(direction)
@@ -139,7 +139,7 @@ def _drifting_fixes(log: XtfPieces, random: Random) -> XtfPieces:
 
 
 def _set_fields(*names: str) -> Change:
-    """A change that gives one of the fields one value, over a stretch of pings or in all."""
+    """Set one of the fields to one value, over a stretch of pings or in all."""
 
     def change(log: XtfPieces, random: Random) -> XtfPieces:
         name = names[int(random.integers(len(names)))]
@@ -206,7 +206,7 @@ def _near_pole_or_antimeridian(log: XtfPieces, random: Random) -> XtfPieces:
 
 
 def _clock(log: XtfPieces, random: Random) -> XtfPieces:
-    """A clock that stops, runs backwards, leaps, or says anything."""
+    """Make a clock stop, run backwards, leap, or give any value."""
     pings = _pings(log)
     part = pings[_some(random, len(pings))]
     how = int(random.integers(4))
@@ -264,7 +264,7 @@ def _channel_fields(log: XtfPieces, random: Random) -> XtfPieces:
 
 
 def _samples(log: XtfPieces, random: Random) -> XtfPieces:
-    """Samples that are zero, full scale, noise, stuck, or anything, over a stretch of pings."""
+    """Make samples zero, full scale, noise, stuck, or anything, over a stretch of pings."""
     how = int(random.integers(4))
     for packet in log.packets[_some(random, len(log.packets))]:
         start = _PING_HEADER_BYTES + _CHANNEL_HEADER_BYTES

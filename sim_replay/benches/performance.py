@@ -1,4 +1,4 @@
-"""How well the tables of performance predict what looks find, on missions held out from fitting them."""
+"""Measure how well the tables of performance predict what looks find, on missions held out from fitting them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
 from sim_replay.fitting.detection_performance.fit_performance import outcomes
-from sim_replay.fitting.detection_performance.judge import LEAST_LOOKS, JudgedPredictions, PerformanceShare, judge_predictions, mean_error
+from sim_replay.fitting.detection_performance.judge import MIN_LOOKS, JudgedPredictions, PerformanceShare, judge_predictions, mean_error
 from sim_replay.scoring.intervals import wilson_interval
 from sim_replay.text_tables import NOTHING, columns, markdown
 
@@ -36,7 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code. Raises UsageError for a plot that cannot be written, BadInputError for bad tables."""
+    """Fly, judge and print; returns the exit code.
+
+    Raises UsageError for a plot that cannot be written, BadInputError for bad tables.
+    """
     performance = _read(arguments.tables)
     if arguments.plot is not None:
         if arguments.plot.suffix.lower() != ".png":
@@ -61,17 +64,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def report(found: JudgedPredictions, in_markdown: bool = False) -> str:
-    """The judgement in words and tables."""
+    """Lay out the judgement in words and tables."""
     laid_out = markdown if in_markdown else columns
     lines = [
         f"{found.n_looks} looks in {found.n_missions} missions",
         f"Brier score {found.brier:.4f}, of one probability for all {found.brier_constant:.4f}",
         f"calibration error {found.calibration_error:.3f}",
     ]
-    if found.told:
-        error, by_chance, by_mission = mean_error(found.told)
+    if found.judged:
+        error, by_chance, by_mission = mean_error(found.judged)
         lines.append(
-            f"mean absolute error over {len(found.told)} kinds and bands with {LEAST_LOOKS} looks or more: {error:.3f}; "
+            f"mean absolute error over {len(found.judged)} kinds and bands with {MIN_LOOKS} looks or more: {error:.3f}; "
             f"right tables would have {by_chance:.3f} by chance, {by_mission:.3f} with missions as different as these"
         )
     header = ("sea floor", "ground range", "looks", "predicted", "realised", "error", "by chance", "by missions")
@@ -84,7 +87,10 @@ def report(found: JudgedPredictions, in_markdown: bool = False) -> str:
 
 
 def plot_performance(found: JudgedPredictions, path: Path) -> None:
-    """Realised against predicted: groups of looks with 95 % intervals, and kinds and bands. Raises UsageError if it cannot be written."""
+    """Plot realised against predicted: groups of looks with 95 % intervals, and kinds and bands.
+
+    Raises UsageError if it cannot be written.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -93,7 +99,7 @@ def plot_performance(found: JudgedPredictions, path: Path) -> None:
     axes = figure.add_subplot()
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
     for name, colour in _COLOURS.items():
-        chosen = [place.share for place in found.told if place.seabed == name]
+        chosen = [place.share for place in found.judged if place.seabed == name]
         axes.scatter(
             [share.predicted for share in chosen],
             [share.realised for share in chosen],

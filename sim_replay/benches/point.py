@@ -1,10 +1,10 @@
-"""Judge the operating point on missions that its prior was not fitted on: false alarms reached beside those asked, and Pd.
+"""Judge the operating point on missions that its prior was not fitted on: false alarms reached and requested, and Pd.
 
 auv-mcm bench point                               flies, judges and prints
 auv-mcm bench point --log LINE.xtf                the same with targets embedded in a recorded line
 
-A named scene is judged by the prior that the other scenes give; recorded lines by the one that ships, which was fitted on simulated
-missions alone.
+A named scene is judged by the prior that the other scenes give; recorded lines by the one that ships, which was fitted
+on simulated missions alone.
 """
 
 from __future__ import annotations
@@ -90,9 +90,10 @@ class Judged(NamedTuple):
 class Reached(NamedTuple):
     """Missions pooled at an operating point.
 
-    n_on_objects: false alarms on objects of the truth, such as rocks. n_without_mines: false alarms where mines' contacts are taken out.
-    n_inside: missions whose false alarms lie in the 95 % interval of the estimate, of n_judged that call some contacts and not all. best:
-    targets that the best threshold of p_mine calls with as many false alarms.
+    n_on_objects: false alarms on objects of the truth, such as rocks. n_without_mines: false alarms where mines'
+    contacts are taken out. n_inside: missions whose false alarms lie in the 95 % interval of the estimate, of n_judged
+    that call some contacts and not all. best: targets that the best threshold of p_mine calls with as many false
+    alarms.
     """
 
     n_asked: float
@@ -116,7 +117,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code. Raises UsageError for unknown scenes, BadInputError for an unreadable log."""
+    """Fly, judge and print; returns the exit code.
+
+    Raises UsageError for unknown scenes, BadInputError for an unreadable log.
+    """
     names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
@@ -176,7 +180,10 @@ def reached(missions: Sequence[Judged], asked_per_km2: float) -> Reached:
 
 
 def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Compute p_mine as it is, and as mines and background of the mission itself would have it, (n,) each, and what is a mine."""
+    """Compute p_mine as it is, and as the mission's own mines and background would have it.
+
+    Returns both, (n,) each, and what is a mine.
+    """
     log_odds = np.concatenate([one.mission.background, one.mission.mines])
     reaching = np.exp(one.background.middle)
     background = np.maximum(reaching - np.append(reaching[1:], 0.0), 1e-300)

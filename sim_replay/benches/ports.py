@@ -1,10 +1,13 @@
-"""What the service costs at a serial line that is full: from its start to the first ping, processor time, and how late pings are.
+"""Measure what the service costs at a full serial line.
+
+From its start to the first ping, processor time, and how late pings are.
 
 auv-mcm bench ports [--only PART ...] [--seconds S] [--repeat N] [--baud BAUD]
 
-A sonar sends both sides of its pings, or garbage, at the full rate of a pseudo-terminal's line. Bytes get there 64 at a time, each such
-packet as soon as it is due, as from a USB adapter: a reader on an idle computer is then woken for each. Figures are medians over runs,
-each of a new service; its perception's time is not counted, and in the last rows it is kept busy. Compare figures of one computer only.
+A sonar sends both sides of its pings, or garbage, at the full rate of a pseudo-terminal's line. Bytes get there 64 at a
+time, each such packet as soon as it is due, as from a USB adapter: a reader on an idle computer is then woken for each.
+Figures are medians over runs, each of a new service; its perception's time is not counted, and in the last rows it is
+kept busy. Compare figures of one computer only.
 """
 
 from __future__ import annotations
@@ -55,7 +58,10 @@ _WATCHED: Final = ("-m", "sim_replay.benches.ports_watched")
 
 
 class StartUp(NamedTuple):
-    """Seconds from the start of the process. ready: perception is there; decoded, taken: the first ping, by the service, by perception."""
+    """Seconds from the start of the process.
+
+    ready: perception is there; decoded, taken: the first ping, by the service, by perception.
+    """
 
     ready_s: float
     decoded_s: float
@@ -63,7 +69,7 @@ class StartUp(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """Of a service's own process. share: of a core, all threads. wake_ups_hz: of its event loop."""
+    """Processor time of a service's own process. share: of a core, all threads. wake_ups_hz: of its event loop."""
 
     share: float
     wake_ups_hz: float
@@ -72,8 +78,9 @@ class Cost(NamedTuple):
 class Latency(NamedTuple):
     """From a ping's last byte at the port until it was queued for perception, ms at _SPIKES.
 
-    perception_share: of a core, meanwhile. waited_share: of the time, in which the service's event loop waited for a core, as it does where
-    other programs run. n_lost: bytes, of a bench that was itself kept from running; pings next to them come late.
+    perception_share: of a core, meanwhile. waited_share: of the time, in which the service's event loop waited for a
+    core, as it does where other programs run. n_lost: bytes, of a bench that was itself kept from running; pings next
+    to them come late.
     """
 
     n_pings: int
@@ -84,9 +91,12 @@ class Latency(NamedTuple):
 
 
 class PacedLine:
-    """The far end of a serial line at a pseudo-terminal. Messages leave at the line's rate, in packets, while it is entered.
+    """The far end of a serial line at a pseudo-terminal.
 
-    sent_s: by message, the instant of the monotonic clock just before its last byte was there to be read. n_lost: bytes that nobody took.
+    Messages leave at the line's rate, in packets, while it is entered.
+
+    sent_s: by message, the instant of the monotonic clock just before its last byte was there to be read. n_lost: bytes
+    that nobody took.
     """
 
     def __init__(self, messages: Sequence[bytes], baud: int) -> None:
@@ -131,7 +141,7 @@ class PacedLine:
 
 
 class Served:
-    """A service as a process of its own, in a group with all that it starts, and when it said what."""
+    """Run a service as a process of its own, in a group with all that it starts, and time its output."""
 
     def __init__(self, arguments: Sequence[str], folder: Path) -> None:
         self.folder = folder
@@ -148,7 +158,7 @@ class Served:
         return self._process.pid
 
     def said_s(self, text: str) -> float:
-        """The instant of the monotonic clock at which it said so. Raises HardwareError if it does not."""
+        """Return the instant of the monotonic clock at which a line was printed. Raises HardwareError if it never was."""
         deadline_s = time.monotonic() + _READY_S
         while time.monotonic() < deadline_s:
             running = self._process.poll() is None
@@ -161,7 +171,7 @@ class Served:
         raise HardwareError(f"the service did not say '{text.strip()}', but: {' / '.join(line for _, line in self._lines[-3:])}")
 
     def stop(self) -> None:
-        """End it in order. Raises HardwareError if it does not."""
+        """End it in order. Raises HardwareError if it does not end."""
         self._process.terminate()
         try:
             code = self._process.wait(_END_S)
@@ -187,14 +197,14 @@ class Served:
 
 @contextmanager
 def served(line: PacedLine, folder: Path, baud: int, *, watched: bool = False) -> Iterator[Served]:
-    """A new service at a line. watched: perception is busy, and `queued.json` is written, as of `ports_watched`."""
+    """Start a new service at a line. watched: perception is busy, and `queued.json` is written, as of `ports_watched`."""
     folder.mkdir()
     config = folder / "service.yaml"
-    told = {
+    settings = {
         "service": {"source": "ports", "output_directory": str(folder / "results")},
         "ports": [{"name": "sonar", "link": f"serial://{line.path}?baud={baud}", "device": "ping_protocol"}],
     }
-    config.write_bytes(msgspec.yaml.encode(told))
+    config.write_bytes(msgspec.yaml.encode(settings))
     service = Served((*_WATCHED, str(config), str(folder / "queued.json")) if watched else (*_RUN, str(config)), folder)
     try:
         yield service
@@ -204,15 +214,15 @@ def served(line: PacedLine, folder: Path, baud: int, *, watched: bool = False) -
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", nargs="+", choices=_PARTS, default=_PARTS, metavar="PART", help=f"what to measure: {', '.join(_PARTS)}")
-    parser.add_argument("--seconds", type=count, default=15, help="of each run (default 15)")
+    parser.add_argument("--seconds", type=count, default=15, help="length of each run, s (default 15)")
     parser.add_argument("--repeat", type=count, default=3, help="runs of each kind (default 3)")
     parser.add_argument(
-        "--baud", type=int, default=921_600, choices=(115_200, 230_400, 460_800, 921_600), help="of the line (default 921600)"
+        "--baud", type=int, default=921_600, choices=(115_200, 230_400, 460_800, 921_600), help="baud rate of the line (default 921600)"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises HardwareError for a service that does not do what it should."""
+    """Measure and print; returns the exit code. Raises HardwareError for a service that does not do what it should."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a bench that is ended ends its service, too
     baud, seconds, repeat = int(arguments.baud), int(arguments.seconds), int(arguments.repeat)
     kinds = {kind: messages for part in arguments.only for kind, messages in _TRAFFIC.get(part, {}).items()}
@@ -225,8 +235,8 @@ def run(arguments: argparse.Namespace) -> int:
         if "start" in arguments.only:
             _print_starts([start_up(next(folders), baud) for _ in range(repeat)])
         for kind, messages in kinds.items():
-            told = messages(round((seconds + _SPARE_S) * baud / _BITS_PER_BYTE))
-            costs = [cost(told, seconds, next(folders), baud) for _ in range(repeat)]
+            chunks = messages(round((seconds + _SPARE_S) * baud / _BITS_PER_BYTE))
+            costs = [cost(chunks, seconds, next(folders), baud) for _ in range(repeat)]
             share, wake_ups_hz = (statistics.median(figures) for figures in zip(*costs, strict=True))
             print(f"{kind:<34}{100.0 * share:>8.1f} % of a core, woken {wake_ups_hz:.0f} times a second", flush=True)
         if "latency" in arguments.only:
@@ -262,7 +272,7 @@ def start_up(folder: Path, baud: int) -> StartUp:
 
 
 def cost(messages: Sequence[bytes], seconds: float, folder: Path, baud: int) -> Cost:
-    """What a service takes with these messages on the line."""
+    """Measure what a service takes with these messages on the line."""
     with PacedLine(messages, baud) as line, served(line, folder, baud) as service:
         service.said_s("ready: ")
         time.sleep(_SETTLE_S)
@@ -273,7 +283,7 @@ def cost(messages: Sequence[bytes], seconds: float, folder: Path, baud: int) -> 
 
 
 def latency(seconds: float, folder: Path, baud: int) -> Latency:
-    """How late pings are in the queue of a service whose perception is busy."""
+    """Measure how late pings are in the queue of a service whose perception is busy."""
     with (
         PacedLine(pings(round((seconds + _SPARE_S) * baud / _BITS_PER_BYTE)), baud) as line,
         served(line, folder, baud, watched=True) as service,
@@ -294,7 +304,7 @@ def latency(seconds: float, folder: Path, baud: int) -> Latency:
 
 
 def pings(n_bytes: int) -> list[bytes]:
-    """About so many bytes of pings, a message for each of their two sides."""
+    """Make about so many bytes of pings, a message for each of their two sides."""
     random = np.random.Generator(np.random.PCG64(1))
     profiles = [made_profile(side, _N_SAMPLES, random) for side in range(2)]
     size = len(ping_messages.encode(profiles[0]))
@@ -314,7 +324,7 @@ def _beginnings(n_bytes: int) -> list[bytes]:
 
 
 def _promises(n_bytes: int) -> list[bytes]:
-    """Headers of long messages that never come."""
+    """Make headers of long messages that never come."""
     head = ping_messages.HEADER.pack(ping_messages.SYNC, 1000, ping_messages.ASCII_TEXT, 0, 0)
     return [head * (n_bytes // len(head))]
 
@@ -328,7 +338,7 @@ _TRAFFIC: Final[dict[str, dict[str, Callable[[int], list[bytes]]]]] = {"pings": 
 
 
 def _first_decoded_s(recording: Path) -> float:
-    """The instant of the monotonic clock at which the bytes came that completed the first ping."""
+    """Find the instant of the monotonic clock at which the bytes came that completed the first ping."""
     session = Session(recording)
     intake = PortIntake(recorded_config(session))
     for port, direction, stamp, data in session:
@@ -338,18 +348,18 @@ def _first_decoded_s(recording: Path) -> float:
 
 
 def _cpu_s(pid: int) -> float:
-    """Processor time that a process has taken, all threads."""
+    """Read the processor time that a process has taken, all threads."""
     fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _waited_s(pid: int) -> float:
-    """For how long the main thread of a process could have run, but had no core."""
+    """Read for how long the main thread of a process could have run, but had no core."""
     return int(Path(f"/proc/{pid}/schedstat").read_text("ascii").split()[1]) / 1e9
 
 
 def _n_wake_ups(pid: int) -> int:
-    """How often the main thread of a process has gone to sleep, to be woken."""
+    """Count how often the main thread of a process has gone to sleep, to be woken."""
     return int(re.findall(r"\nvoluntary_ctxt_switches:\s+(\d+)", Path(f"/proc/{pid}/status").read_text("ascii"))[0])
 
 
@@ -358,7 +368,10 @@ def _children(pid: int) -> list[int]:
 
 
 def _sort_ms() -> float:
-    """How fast a core is now: others that share its caches, and whoever runs this virtual computer, make every wake-up dearer."""
+    """Measure how fast a core is now, ms for a sort.
+
+    Others that share its caches, and whoever runs this virtual computer, make every wake-up dearer.
+    """
     values = np.random.Generator(np.random.PCG64(1)).random(_N_SORTED)
     times = []
     for _ in range(5):

@@ -1,6 +1,6 @@
-"""The service with its ports watched, for the bench of ports: it notes when each ping was queued for perception, which is kept busy.
+"""Run the service and note when each ping was queued for perception, which is kept busy; for the bench of ports.
 
-python -m sim_replay.benches.ports_watched CONFIG QUEUED    writes QUEUED, in JSON, when it was told to stop
+python -m sim_replay.benches.ports_watched CONFIG QUEUED    writes QUEUED, in JSON, when its stop was requested
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ _N_SORTED: Final = 1 << 15
 
 
 class WatchedPorts(PortSource):
-    """The live source. queued_s: by number of ping, the instant of the monotonic clock at which the service had queued it."""
+    """The live source.
+
+    queued_s: by number of ping, the instant of the monotonic clock at which the service had queued it.
+    """
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -43,7 +46,7 @@ class WatchedPorts(PortSource):
 
 
 class _WatchedSink:
-    """The queue of the service, and the instant at which each ping was in it."""
+    """Keep the queue of the service, and the instant at which each ping was in it."""
 
     def __init__(self, sink: EventSink, queued_s: dict[int, float]) -> None:
         self._sink = sink

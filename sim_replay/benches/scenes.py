@@ -1,4 +1,4 @@
-"""How much the chain finds in the named scenes, what each of its steps adds, and how much a plain script finds in the same pings."""
+"""Measure what the chain and each of its steps find in the named scenes, and what the baseline finds in the same pings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, P
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.missions import FIRST_SEED, SCENES, config_for, served_by, untrained_alone
 from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
-from sim_replay.scoring.baseline import rival_contacts
+from sim_replay.scoring.baseline import baseline_contacts
 from sim_replay.scoring.intervals import density
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -34,7 +34,7 @@ from sim_replay.text_tables import NOTHING, columns, density_cell, markdown, sha
 
 _LIMIT_PER_KM2: Final = 100.0
 
-System: TypeAlias = Literal["chain", "detector", "rival"]
+System: TypeAlias = Literal["chain", "detector", "baseline"]
 SYSTEMS: Final[tuple[System, ...]] = get_args(System)
 STEPS: Final[tuple[LookStep, ...]] = get_args(LookStep)
 _DETECTED: Final[dict[Detector, str]] = {
@@ -71,15 +71,19 @@ _STEP_HEADER: Final = (
 
 
 class FlownMission(NamedTuple):
-    """One mission as all systems reported it. detector: contrasts alone, without confirmation. steps: the chain as far as that step.
+    """One mission as all systems reported it.
 
-    n_looks: confirmations that went as far as each step; looks_s: time of each that went through all. costs_s: time on one core for all
-    that was done up to each step, the detector's under `alone`. survey_s: duration of the mission.
+    detector: contrasts alone, without confirmation. steps: the chain as far as that step.
+
+    steps: the chain as far as that step.
+
+    n_looks: confirmations that went as far as each step; looks_s: time of each that went through all. costs_s: time on
+    one core for all that was done up to each step, the detector's under `alone`. survey_s: duration of the mission.
     """
 
     chain: ScoredMission
     detector: ScoredMission
-    rival: ScoredMission
+    baseline: ScoredMission
     steps: dict[LookStep, ScoredMission]
     n_looks: dict[LookStep, int]
     looks_s: tuple[float, ...]
@@ -96,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--detector",
         choices=get_args(Detector),
         default="cascade",
-        help="what the chain looks closely at: detections of the trained cascade, or of contrasts, as for a sonar without a model "
+        help="what the chain confirms: detections of the trained cascade, or of contrasts, as for a sonar without a model "
         "(default cascade)",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
@@ -144,16 +148,16 @@ def run(arguments: argparse.Namespace) -> int:
     print()
     print(laid_out(_SEABED_HEADER, list(_seabed_rows({system: scores[last, system] for system in SYSTEMS}))))
     if arguments.json is not None:
-        told = {f"{name} {system}": json.loads(score_json(score)) for (name, system), score in scores.items()}
+        reported = {f"{name} {system}": json.loads(score_json(score)) for (name, system), score in scores.items()}
         try:
-            write_file(arguments.json, json.dumps(told, indent=1).encode())
+            write_file(arguments.json, json.dumps(reported, indent=1).encode())
         except OSError as error:
             raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
     return 0
 
 
 def fly_mission(name: str, seed: int, detector: Detector) -> FlownMission:
-    """One mission through a named scene, seen by all systems, the chain with one of the detectors."""
+    """Fly one mission through a named scene with all systems, the chain with one of the detectors."""
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
     config = served_by(detector, config_for(scene))
@@ -179,15 +183,15 @@ def fly_mission(name: str, seed: int, detector: Detector) -> FlownMission:
     place = f"{name}, seed {seed}"
     truth = parse_truth(mission.truth(), place)
 
-    def told(contacts: Sequence[Contact]) -> ScoredMission:
+    def reported(contacts: Sequence[Contact]) -> ScoredMission:
         return ScoredMission(parse_contacts(json.loads(contacts_geojson(contacts)), place), truth, place)
 
     pings = [event.time_s for event in kept if isinstance(event, Ping)]
     return FlownMission(
-        chain=told(chain.contacts),
-        detector=told(alone.contacts),
-        rival=ScoredMission(tuple(rival_contacts(kept)), truth, place),
-        steps={step: told([as_after(contact, step, odds.prior) for contact in chain.contacts]) for step in STEPS},
+        chain=reported(chain.contacts),
+        detector=reported(alone.contacts),
+        baseline=ScoredMission(tuple(baseline_contacts(kept)), truth, place),
+        steps={step: reported([as_after(contact, step, odds.prior) for contact in chain.contacts]) for step in STEPS},
         n_looks={step: sum(len(looks_s[later]) for later in STEPS if _ORDER[later] >= _ORDER[step]) for step in STEPS},
         looks_s=tuple(looks_s["shape"]),
         costs_s=_costs_s(alone.costs_s, chain.costs_s, looks_s),
@@ -196,7 +200,7 @@ def fly_mission(name: str, seed: int, detector: Detector) -> FlownMission:
 
 
 def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
-    """The contact as it would be if no view had been looked at beyond a step."""
+    """Return the contact as it would be if no view had been confirmed beyond a step."""
     views = [
         msgspec.structs.replace(
             view, p_mine=[p for name, p in view.p_by_step.items() if _ORDER[name] <= _ORDER[step]][-1], confirmation=None
@@ -207,7 +211,10 @@ def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
 
 
 def _costs_s(alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s: Mapping[LookStep, Sequence[float]]) -> dict[str, float]:
-    """Seconds up to and with each step; contours of looks that went on cost what those of looks that ended there did."""
+    """Compute seconds up to and with each step.
+
+    Contours of confirmations that went on cost what those of confirmations that ended there did.
+    """
     found = sum(cost for stage, cost in chain_s.items() if stage != "confirm")
     odds, ended, whole = (sum(looks_s[step]) for step in STEPS)
     contours = ended + min(ended / max(len(looks_s["contours"]), 1) * len(looks_s["shape"]), whole)
@@ -220,7 +227,7 @@ def _costs_s(alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s
 
 
 def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int, detector: Detector) -> Iterator[tuple[str, FlownMission]]:
-    """Every scene with every seed, in order."""
+    """Fly every scene with every seed, in order."""
     tasks = [(name, seed, detector) for name in names for seed in seeds]
     if workers == 1:
         yield from ((name, fly_mission(name, seed, detector)) for name, seed, _ in tasks)
@@ -260,11 +267,11 @@ def _step_rows(missions: Sequence[FlownMission], detector: Detector) -> Iterator
     hours = sum(mission.survey_s for mission in missions) / 3600.0
     alone = score_missions([mission.detector for mission in missions])
     wanted = _KEPT * (alone.at_threshold.pd.value or 0.0)
-    told: list[tuple[str, str, str, Score]] = [("contrasts alone, nothing trained", "alone", "", alone)]
+    rows_of: list[tuple[str, str, str, Score]] = [("contrasts alone, nothing trained", "alone", "", alone)]
     for step, words in zip(STEPS, (_DETECTED[detector], *_LOOKED), strict=True):
         n_looks = str(sum(mission.n_looks[step] for mission in missions))
-        told.append((words, step, n_looks, score_missions([mission.steps[step] for mission in missions])))
-    for words, cost, n_looks, score in told:
+        rows_of.append((words, step, n_looks, score_missions([mission.steps[step] for mission in missions])))
+    for words, cost, n_looks, score in rows_of:
         headline = next(headline for headline in score.headlines if headline.limit_per_km2 == _LIMIT_PER_KM2)
         enough = next((point for point in score.froc if (point.pd.value or 0.0) >= wanted), None)
         seconds = sum(mission.costs_s[cost] for mission in missions) / hours

@@ -1,4 +1,4 @@
-"""Compare the live map of the sea floor with what the simulator put there, on the named scenes, all cells, and what it costs.
+"""Compare the live map of the sea floor with the truth of the named scenes, all cells, and measure its cost.
 
 auv-mcm bench seabed                              flies, scores and prints
 auv-mcm bench seabed --model FILE                 scores a model of 'auv-mcm calibrate seabed'
@@ -54,7 +54,10 @@ class SeabedTask(NamedTuple):
 
 
 class Scored(NamedTuple):
-    """Hold the score of one mission: confusion (n_types, n_types) in m², truth down; stage_s: median processor time per tile."""
+    """Hold the score of one mission: confusion (n_types, n_types) in m², truth down.
+
+    stage_s: median processor time per tile.
+    """
 
     confusion_m2: Array
     stage_s: float
@@ -69,12 +72,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the areas to FILE")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing")
-    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="log to draw; may be given again")
+    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="log to draw, repeatable")
     parser.add_argument("--tiles", type=count, default=6, help="tiles drawn of each log, from its beginning (default 6)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Score and print, or draw; returns the exit code. Raises UsageError for unknown scenes and files that cannot be written."""
+    """Score and print, or draw; returns the exit code.
+
+    Raises UsageError for unknown scenes and files that cannot be written.
+    """
     if (arguments.picture is None) != (arguments.log is None):
         raise UsageError("--picture draws what --log names: give both, or neither to score")
     data = _model_bytes(arguments.model)

@@ -1,9 +1,10 @@
-"""What the simulator costs, and how far off its shadows end for that.
+"""Measure what the simulator costs, and the error of its shadows at that cost.
 
 auv-mcm bench simulate   CPU time of one core, medians of interleaved repetitions
 
-The rendering figures are 1000 pings of 1000 samples over 50 m by 50 m of rippled sand with relief, one side, in blocks of 64, as many
-rows as a mission makes at a time. Source paper: 7 s for 1000 by 1000 on a Core 2 Duo. The mission is flown in a process of its own.
+The rendering figures are 1000 pings of 1000 samples over 50 m by 50 m of rippled sand with relief, one side, in blocks
+of 64, as many rows as a mission makes at a time. Source paper: 7 s for 1000 by 1000 on a Core 2 Duo. The mission is
+flown in a process of its own.
 """
 
 from __future__ import annotations
@@ -56,13 +57,13 @@ Speckle: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.uint64]], NDArray
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `auv-mcm bench simulate`."""
+    """Add the options of `auv-mcm bench simulate`."""
     parser.add_argument("--repeat", type=count, default=15, help="repetitions of each step (default 15)")
     parser.add_argument("--minutes", type=duration_min, default=30.0, help="length of the mission that is streamed (default 30)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measures and prints; returns the exit code."""
+    """Measure and print; returns the exit code."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     print(f"CPU time of one core, C library: {backend.simulator_library().reason}, median of {arguments.repeat} interleaved repetitions\n")
@@ -95,7 +96,7 @@ def _scene(cell_m: float, beam_lines: int) -> Scene:
 
 
 def _task(what: Scene, world: SimulatedFloor) -> RayTask:
-    """Pings to starboard every 5 cm along the western side of the square."""
+    """Place pings to starboard every 5 cm along the western side of the square."""
     depth_m = what.world.depth_m - _ALTITUDE_M
     norths = np.arange(_N_PINGS) * (_SWATH_M / _N_PINGS)
     poses = [SonarPose(0.0, 0.0, float(north), depth_m, 0.0, 0.0, 0.0, 0.0, what.track.speed_mps, 0) for north in norths]
@@ -115,7 +116,7 @@ def _task(what: Scene, world: SimulatedFloor) -> RayTask:
 
 
 def _render_all(task: RayTask, work: Callable[..., Rendered], speckle: Speckle | None) -> None:
-    """Energy of all pings; with speckle, recorded samples as well."""
+    """Render the energy of all pings; with speckle, recorded samples as well."""
     sonar = task.scene.sonar
     bin_m = sonar.range_m / sonar.n_samples
     r = bin_ranges_m(sonar)
@@ -143,8 +144,10 @@ def _render_all(task: RayTask, work: Callable[..., Rendered], speckle: Speckle |
 
 
 def _medians_ms(steps: dict[str, Callable[[], None]], repeat: int) -> dict[str, float]:
-    """Each step once per round, so that all meet the same state of the machine, and once before it counts, so that none meets another's
-    memory in the cache."""
+    """Time each step once per round, ms, so that all meet the same state of the machine.
+
+    One round before it counts, so that none meets another's memory in the cache.
+    """
     times: dict[str, list[float]] = {name: [] for name in steps}
     for _ in range(repeat):
         for name, step in steps.items():
@@ -204,7 +207,10 @@ _SOLIDS: Final[dict[ObjectKind, Callable[[PlacedObject], Shape]]] = {
 
 
 def _shadow_errors_m(cell_m: float) -> NDArray[np.float64]:
-    """How far beyond the closed form shadows of usual mine shapes end, at 10 to 30 m on a level floor, by rays through their middles."""
+    """Measure how far beyond the closed form shadows of usual mine shapes end, m.
+
+    At 10 to 30 m on a level floor, by rays through their middles.
+    """
     shape = (1, NODES, NODES)
     size = 2 * math.ceil(45.0 / cell_m / (NODES - 1) + 1)
     level = Patches(
@@ -221,8 +227,8 @@ def _shadow_errors_m(cell_m: float) -> NDArray[np.float64]:
     errors = []
     for kind, solid in _SOLIDS.items():
         for turn, ground_range_m in enumerate(np.linspace(10.0, 30.0, 41).tolist()):
-            thing = SceneObject(kind=kind, east_m=ground_range_m, north_m=0.0, azimuth_deg=37.0 * turn % 360.0)
-            (placed,) = place_objects(Scene(objects=(thing,), track=Track(plan=Lawnmower())))
+            scene_object = SceneObject(kind=kind, east_m=ground_range_m, north_m=0.0, azimuth_deg=37.0 * turn % 360.0)
+            (placed,) = place_objects(Scene(objects=(scene_object,), track=Track(plan=Lawnmower())))
             lit = render_pings(
                 ray,
                 level,
@@ -271,16 +277,17 @@ def _print_mission(minutes: float) -> None:
     if result.returncode != 0:
         last = result.stderr.strip().splitlines()[-1:] or ["no message"]
         raise BadInputError(f"the mission's process ended with {result.returncode}: {last[0]}")
-    told: dict[str, Any] = json.loads(result.stdout)
+    summary: dict[str, Any] = json.loads(result.stdout)
     print(
-        f"mission of {told['duration_s'] / 60.0:.0f} min, two sides of {told['n_samples']} samples, {told['beam_lines']} rays per ping and "
-        f"side, sand: {told['pings']} pings in {told['cost_s']:.1f} s, {told['duration_s'] / told['cost_s']:.0f} x real time, "
-        f"peak memory {told['peak_memory_mb']:.0f} MB ({told['memory_before_mb']:.0f} MB before it starts)"
+        f"mission of {summary['duration_s'] / 60.0:.0f} min, two sides of {summary['n_samples']} samples, "
+        f"{summary['beam_lines']} rays per ping and side, sand: {summary['pings']} pings in {summary['cost_s']:.1f} s, "
+        f"{summary['duration_s'] / summary['cost_s']:.0f} x real time, "
+        f"peak memory {summary['peak_memory_mb']:.0f} MB ({summary['memory_before_mb']:.0f} MB before it starts)"
     )
 
 
 def _fly(minutes: float) -> dict[str, Any]:
-    """One mission in this process, events thrown away as they come."""
+    """Fly one mission in this process and discard its events as they come."""
     before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     leg_m = 400.0
     plain = Scene(track=Track(plan=Lawnmower(leg_m=leg_m)))

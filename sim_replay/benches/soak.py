@@ -1,9 +1,10 @@
-"""The service for long and to its sudden end: memory, counters and tasks over a mission at a multiple of real time; what SIGKILL costs.
+"""Run the service for long, and to a sudden end: memory, counters and tasks over a mission, and what SIGKILL costs.
 
 auv-mcm bench soak [--minutes MIN] [--speed X]   the real service between fake devices; memory over time, counters, tasks
 auv-mcm bench soak --kills N [--seed N]          killed N times: at most a second of the recording and no announced contact may be lost
 
-Service, perception and devices are processes of their own on virtual ports, as of auv-mcm hil. Exit code 5 if anything has died or is lost.
+Service, perception and devices are processes of their own on virtual ports, as of auv-mcm hil. Exit code 5 if anything
+has died or is lost.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ from sim_replay.logs.session_reader import Session, recorded_config
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene_file import read_scene
 
-MOST_LOST_S: Final = 1.0
+MAX_LOST_S: Final = 1.0
 """What a recording may lack at its end."""
 
-_FLOWN_MPS: Final = 12.0  # at a multiple of real time; faster, no navigation unit could tell it
+_FLOWN_MPS: Final = 12.0  # at a multiple of real time; faster, no navigation unit could report it
 _LONGEST_LEG_M: Final = 300.0
 _TARGET_EVERY_M: Final = 15.0
 _KILL_LEG_M: Final = 180.0  # contacts come half-way, so that devices still send when the service is killed
@@ -53,7 +54,7 @@ _AFTER_CONTACT_S: Final = 1.0
 _SETTLE_S: Final = 0.5  # between `ready` and the first bytes
 _POLL_S: Final = 0.02
 _SAMPLE_S: Final = 0.5
-_MOST_ROWS: Final = 12
+_MAX_ROWS: Final = 12
 _PATIENCE_S: Final = 60.0  # for the last contacts of a mission, on a computer that has much else to do
 _BYTES_PER_MB: Final = 1e6
 _HEALTH: Final = re.compile(r"^(\S+)Z INFO health pings=(\d+) .*contacts=(\d+) clutter=(\d+) .*ports=(\S+)", re.MULTILINE)
@@ -69,7 +70,7 @@ _SERVICE: Final[dict[str, Any]] = {
         {"name": "nav", "link": "{nav}", "device": "nmea2000"},
     ],
 }
-_HASTY: Final[dict[str, Any]] = {  # contacts come soon, and the service tells often how far it is
+_HASTY: Final[dict[str, Any]] = {  # contacts come soon, and the service reports its progress often
     **_SERVICE,
     "service": {"source": "ports", "health_period_s": 0.5},
     "waterfall": {"tile_rows": 64},
@@ -90,7 +91,7 @@ _EXPECTED: Final = {  # counters of a sound run between these devices
     "port.*.frames": "traffic",
     "port.nav.n2k.claims": "units on a bus name themselves",
     "port.nav.slcan.answers": "the adapter takes its commands",
-    "port.nav.slcan.refusals": "the adapter is told to close first, as it may be open",
+    "port.nav.slcan.refusals": "the adapter is ordered to close first, as it may be open",
     "port.sonar.commands_sent": "settings of the sonar",
     "port.sonar.sonar.accepted": "settings of the sonar",
     "session.*_recorded": "the recording",
@@ -98,7 +99,10 @@ _EXPECTED: Final = {  # counters of a sound run between these devices
 
 
 class Memory(NamedTuple):
-    """Resident memory, at an instant of the run. n_contacts: known by then, clutter included, as the last health line had it."""
+    """Resident memory, at an instant of the run.
+
+    n_contacts: known by then, clutter included, as the last health line had it.
+    """
 
     at_s: float
     service_bytes: int
@@ -107,7 +111,7 @@ class Memory(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """Memory of a run until it was told to stop, and the most of either process after that, when the results are written."""
+    """Memory of a run until its stop was requested, and the maximum of either process while results are written."""
 
     memory: list[Memory]
     ending: list[Memory]
@@ -116,30 +120,30 @@ class Watched(NamedTuple):
 class KillOutcome(NamedTuple):
     """What was left of a service that was killed.
 
-    lost_s: from the last recorded byte to the kill. n_pings: in the recording; n_pings_told: that the service had told of a second before
-    the kill. n_holes: messages missing or damaged within the recording. n_contacts: announced on the console; not_in_journal: those of them
-    that contacts.jsonl lacks.
+    lost_s: from the last recorded byte to the kill. n_pings: in the recording; n_pings_reported: that the service had
+    reported a second before the kill. n_holes: messages missing or damaged within the recording. n_contacts: announced
+    on the console; not_in_journal: those of them that contacts.jsonl lacks.
     """
 
     at_s: float
     lost_s: float
     n_bytes: int
     n_pings: int
-    n_pings_told: int
+    n_pings_reported: int
     n_holes: int
     n_contacts: int
     not_in_journal: tuple[str, ...]
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What must not be, in words; empty if nothing."""
+        """List what must not be, in words; empty if nothing."""
         found = []
-        if not self.lost_s <= MOST_LOST_S:
-            found.append(f"the last {self.lost_s:.2f} s of the recording are lost, more than {MOST_LOST_S:g} s")
+        if not self.lost_s <= MAX_LOST_S:
+            found.append(f"the last {self.lost_s:.2f} s of the recording are lost, more than {MAX_LOST_S:g} s")
         if self.n_holes:
             found.append(f"{self.n_holes} messages are missing within the recording")
-        if self.n_pings < self.n_pings_told:
-            found.append(f"the recording has {self.n_pings} pings, but {self.n_pings_told} were told a second before")
+        if self.n_pings < self.n_pings_reported:
+            found.append(f"the recording has {self.n_pings} pings, but {self.n_pings_reported} were reported a second before")
         found += [f"announced but not in contacts.jsonl: {line}" for line in self.not_in_journal]
         return tuple(found)
 
@@ -148,12 +152,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--minutes", type=duration_min, default=5.0, help="length of the mission (default 5)")
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")
-    parser.add_argument("--speed", type=int, choices=range(3, 13), default=6, help="of the mission, times real time (default 6)")
-    parser.add_argument("--seed", type=count, default=1, help="of the moments (default 1)")
+    parser.add_argument("--speed", type=int, choices=range(3, 13), default=6, help="speed of the mission, times real time (default 6)")
+    parser.add_argument("--seed", type=count, default=1, help="seed of the moments of the kills (default 1)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Raises SelfCheckError for a task that died, or more lost than may be."""
+    """Run the parts chosen and print; returns the exit code.
+
+    Raises SelfCheckError for a task that died, or more lost than may be.
+    """
     with tempfile.TemporaryDirectory(prefix="auv-mcm-soak-") as name:
         if arguments.kills is not None:
             _bench_kills(arguments.kills, arguments.seed, Path(name))
@@ -163,7 +170,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def killed(n_kills: int, seed: int, folder: Path) -> Iterator[KillOutcome]:
-    """Run and kill the service n_kills times; every other time right after a contact was announced, when most is at stake.
+    """Run and kill the service n_kills times; every other time right after a contact was announced.
+
+    Then most is at stake.
 
     Raises HardwareError for a run that ends before its kill.
     """
@@ -177,16 +186,16 @@ def killed(n_kills: int, seed: int, folder: Path) -> Iterator[KillOutcome]:
 
 
 def not_in_journal(console: Sequence[str], journal: bytes) -> tuple[str, ...]:
-    """Lines of the console that announce a contact which no whole line of contacts.jsonl holds with the same figures."""
+    """List the console's lines of contacts which no whole line of contacts.jsonl holds with the same figures."""
     held = []
     for record in journal.split(b"\n")[:-1]:  # what has no end was cut off, and never announced
         feature = json.loads(record)["contact"]
         held.append((feature["properties"], feature["geometry"]["coordinates"]))
     missing = []
     for line in console:
-        if (told := _CONTACT.match(line)) is None:
+        if (matched := _CONTACT.match(line)) is None:
             continue
-        contact_id, classification, *figures = told.groups()
+        contact_id, classification, *figures = matched.groups()
         p_mine, latitude_deg, longitude_deg = map(float, figures[:3])
         if not any(
             properties["id"] == contact_id
@@ -201,12 +210,12 @@ def not_in_journal(console: Sequence[str], journal: bytes) -> tuple[str, ...]:
 
 
 def _bench_kills(n_kills: int, seed: int, folder: Path) -> None:
-    print(f"{'kill':>4}{'after s':>9}{'lost s':>8}{'bytes':>9}{'pings':>7}{'told':>6}{'contacts':>10}  problems")
+    print(f"{'kill':>4}{'after s':>9}{'lost s':>8}{'bytes':>9}{'pings':>7}{'reported':>10}{'contacts':>10}  problems")
     kills = []
     for kill in killed(n_kills, seed, folder):
         kills.append(kill)
         print(
-            f"{len(kills):>4}{kill.at_s:>9.2f}{kill.lost_s:>8.2f}{kill.n_bytes:>9}{kill.n_pings:>7}{kill.n_pings_told:>6}{kill.n_contacts:>10}"
+            f"{len(kills):>4}{kill.at_s:>9.2f}{kill.lost_s:>8.2f}{kill.n_bytes:>9}{kill.n_pings:>7}{kill.n_pings_reported:>10}{kill.n_contacts:>10}"
             f"  {'; '.join(kill.problems) or 'none'}",
             flush=True,
         )
@@ -235,13 +244,13 @@ def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> KillOutcome:
     n_holes = sum(session.counters[name] for name in holes)
     pings = [event for event in open_log(results / "recording", recorded_config(session)) if isinstance(event, Ping)]
     console = [line.text for line in evidence.lines]
-    told = [n_pings for at_s, n_pings in _health(console) if at_s <= struck.utc_s - MOST_LOST_S]
+    reported = [n_pings for at_s, n_pings in _health(console) if at_s <= struck.utc_s - MAX_LOST_S]
     return KillOutcome(
         at_s=struck.after_ready_s,
         lost_s=struck.mono_s - max((recorded.stamp.mono_ns for recorded in heard), default=0) / 1e9,
         n_bytes=sum(len(recorded.data) for recorded in heard),
         n_pings=len(pings),
-        n_pings_told=max(told, default=0),
+        n_pings_reported=max(reported, default=0),
         n_holes=n_holes,
         n_contacts=sum(_CONTACT.match(line) is not None for line in console),
         not_in_journal=not_in_journal(console, (results / "contacts.jsonl").read_bytes()),
@@ -307,11 +316,11 @@ def _print_memory(memory: Sequence[Memory], speed: float) -> None:
     if len(memory) < 4:
         raise SelfCheckError("the run was too short to measure memory over time; give more --minutes")
     print(f"{'s':>8}{'service MB':>12}{'perception MB':>15}{'contacts':>10}")
-    for index in np.unique(np.linspace(0, len(memory) - 1, _MOST_ROWS).astype(int)):
+    for index in np.unique(np.linspace(0, len(memory) - 1, _MAX_ROWS).astype(int)):
         at_s, service_bytes, perception_bytes, n_contacts = memory[index]
         print(f"{at_s:>8.1f}{service_bytes / _BYTES_PER_MB:>12.1f}{perception_bytes / _BYTES_PER_MB:>15.1f}{n_contacts:>10}")
     # The first half fills caches. Medians, since memory that is used for a moment comes and goes.
-    late = np.array([np.median(part, axis=0) for part in np.array_split(np.asarray(memory[len(memory) // 2 :]), _MOST_ROWS) if len(part)])
+    late = np.array([np.median(part, axis=0) for part in np.array_split(np.asarray(memory[len(memory) // 2 :]), _MAX_ROWS) if len(part)])
     mission_h = (late[:, 0] - late[0, 0]) * speed / 3600.0
     service, perception, contacts = np.polynomial.polynomial.polyfit(mission_h, late[:, 1:], 1)[1]
     print(
@@ -324,11 +333,11 @@ def _print_memory(memory: Sequence[Memory], speed: float) -> None:
 
 
 def print_counters(evidence: Evidence) -> list[str]:
-    """Print all; the names of those that a sound run has no reason for."""
+    """Print all counters, and return the names of those that a sound run has no reason for."""
     unexplained = []
-    told = {name: report.details for name, reports in evidence.reports.items() for report in reports if report.what == "counters"}
+    counters_of = {name: report.details for name, reports in evidence.reports.items() for report in reports if report.what == "counters"}
     expected = dict(_EXPECTED)
-    for name, counters in told.items():
+    for name, counters in counters_of.items():
         if counters.get(_OVERRUN, 0):
             expected |= {
                 f"port.{name}.*.{what}": "messages that lost bytes on the line" for what in ("bytes_skipped", "refused.*", "lone_*")
@@ -339,7 +348,7 @@ def print_counters(evidence: Evidence) -> list[str]:
         if why is None:
             unexplained.append(f"{name} {n}")
         print(f"{n:>10}  {name:<36}{why or 'UNEXPLAINED'}")
-    for name, counters in told.items():
+    for name, counters in counters_of.items():
         if n := counters.get("device.skipped", 0):
             print(f"{n:>10}  events that the fake device '{name}' left out, since the computer was too slow")
         if n := counters.get(_OVERRUN, 0):
@@ -348,7 +357,7 @@ def print_counters(evidence: Evidence) -> list[str]:
 
 
 def found_dead(evidence: Evidence) -> list[str]:
-    """What did not live to the end of a run, with what says so."""
+    """List what did not live to the end of a run, with the evidence."""
     lines = [line.text for line in evidence.lines]
     dead = [] if evidence.exit_code == 0 else [f"the service ended with {evidence.exit_code}"]
     dead += [line if line != _TRACEBACK else _raised(lines[index + 1 :]) for index, line in enumerate(lines) if _DEAD.search(line)]
@@ -362,7 +371,7 @@ def found_dead(evidence: Evidence) -> list[str]:
 
 
 def _raised(lines: Sequence[str]) -> str:
-    """The error that a traceback ends with, and where it was raised, given the lines behind its head."""
+    """Find the error that a traceback ends with, and where it was raised, given the lines behind its head."""
     n_frames = next((index for index, line in enumerate(lines) if not line.startswith(" ")), len(lines))
     places = [line.strip() for line in lines[:n_frames] if line.lstrip().startswith("File ")]
     return f"{' '.join(lines[n_frames : n_frames + 1])} ({', '.join(places[-1:])})"
@@ -388,7 +397,7 @@ def _resident_bytes(pid: int) -> int:
 
 
 def _resident_bytes_or_0(pid: int) -> int:
-    """0 for a process that has ended."""
+    """Read the resident memory, bytes; 0 for a process that has ended."""
     try:
         return _resident_bytes(pid)
     except (FileNotFoundError, ProcessLookupError):
@@ -396,17 +405,17 @@ def _resident_bytes_or_0(pid: int) -> int:
 
 
 def _console(folder: Path) -> str:
-    """What the service has said so far. Raises FileNotFoundError before it has begun."""
+    """Read what the service has printed so far. Raises FileNotFoundError before it has begun."""
     return (folder / SERVICE_LOG).read_text("utf-8", "replace")
 
 
 def _n_contacts(console: str) -> int:
-    told = list(_HEALTH.finditer(console))
-    return int(told[-1][3]) + int(told[-1][4]) if told else 0
+    matched = list(_HEALTH.finditer(console))
+    return int(matched[-1][3]) + int(matched[-1][4]) if matched else 0
 
 
 def _service_pid(folder: Path) -> int | None:
-    """The process that serves the configuration in the folder."""
+    """Find the process that serves the configuration in the folder."""
     configuration = os.fsencode(folder / "service.yaml")
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):
@@ -416,14 +425,14 @@ def _service_pid(folder: Path) -> int | None:
 
 
 def _health(console: Sequence[str]) -> Iterator[tuple[float, int]]:
-    """UTC and pings taken, of each health line."""
+    """Read UTC and pings taken of each health line."""
     for line in console:
         if (match := _HEALTH.match(line)) is not None:
             yield datetime.fromisoformat(match[1]).replace(tzinfo=UTC).timestamp(), int(match[2])
 
 
 def _mission(folder: Path, duration_s: float, vehicle_mps: float) -> tuple[Path, float]:
-    """A log of flat sand with targets on either side all along, about so long; its real duration."""
+    """Simulate a log of flat sand with targets on either side all along, about so long; return its real duration, s."""
     way_m = duration_s * vehicle_mps
     n_legs = math.ceil(way_m / _LONGEST_LEG_M)
     leg_m = way_m / n_legs
@@ -449,7 +458,7 @@ def _mission(folder: Path, duration_s: float, vehicle_mps: float) -> tuple[Path,
 
 
 def _read(log: Path, duration_s: float, speed: float, service: dict[str, Any], patience_s: float) -> Read:
-    """The run of a mission to its end, and patience_s more."""
+    """Follow the run of a mission to its end, and patience_s more."""
     scenario = Scenario(
         about="a long run",
         log=str(log.resolve()),
@@ -460,6 +469,6 @@ def _read(log: Path, duration_s: float, speed: float, service: dict[str, Any], p
             "nav": Device(device="nmea2000", link="slcan", baud=4_000_000, bus_bitrate=1_000_000),
         },
         service=service,
-        expectations=(Expectation(test="told to stop it ends", expected=ExitCode()),),
+        expectations=(Expectation(test="ends when stopped", expected=ExitCode()),),
     )
     return Read("soak", log.parent, scenario)

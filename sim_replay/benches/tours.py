@@ -1,8 +1,8 @@
-"""Plans of survey and second looks: how near to the optimum, and in what time.
+"""Measure plans of survey and second views: how near to the optimum, and in what time.
 
-Tours of few contacts are held to the exact optimum under a budget, survey plans to their own upper bound. Times are processor time of this
-process, medians over drawn worlds; on a shared machine they move by half, so each is told as well in multiples of multiplying two matrices
-of 400 rows, measured in the same run.
+Tours of few contacts are held to the exact optimum under a budget, survey plans to their own upper bound. Times are
+processor time of this process, medians over drawn worlds; on a shared machine they move by half, so each is given as
+well in multiples of multiplying two matrices of 400 rows, measured in the same run.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _tour_rows(n_worlds: int) -> list[str]:
     rows = [
-        "second looks under a budget, gain as a share of the exact optimum",
+        "second views under a budget, gain as a share of the exact optimum",
         f"{'contacts':>9}{'median':>9}{'worst':>9}{'bound / optimum':>17}",
     ]
     for n_contacts in (3, 5, 7, 9):
@@ -99,7 +99,7 @@ def _survey_rows(n_worlds: int, yardstick_ms: float) -> list[str]:
 
 
 def _world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> SurveyState:
-    """A square whose eastern part is rippled, and contacts strewn over it."""
+    """Draw a square whose eastern part is rippled, and contacts strewn over it."""
     clearance = clearance_over(unsearched(_ORIGIN.latitude_deg, _ORIGIN.longitude_deg, _CELL_M), 0, 0, (_SIDE_CELLS, _SIDE_CELLS))
     clearance.seabed[:] = SEABED_TYPES.index("flat")
     edge = int(generator.integers(0, _SIDE_CELLS))
@@ -137,7 +137,7 @@ def _contact(name: str, latitude_deg: float, longitude_deg: float, p_mine: float
 
 
 def _optimum_m2(world: SurveyState, limits: Limits) -> float:
-    """The most that looks can gain, by exact tours through every set of contacts."""
+    """Compute the maximum that views can gain, by exact tours through every set of contacts."""
     looks = contact_legs(world.contacts, world.clearance, world.performance, limits)
     if not looks:
         return 0.0

@@ -1,1 +1,1 @@
-"""The subcommands of the bench, a module each. Whatever is heavy they import when they run."""
+"""Define the subcommands of the bench, a module each; heavy imports happen when they run."""

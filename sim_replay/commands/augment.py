@@ -1,4 +1,4 @@
-"""Targets in a recorded log."""
+"""Embed targets into a recorded log."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ def add(commands: Commands) -> None:
         ],
     )
     parser.add_argument("log", metavar="LOG", type=Path, help="XTF file with side-scan pings; other formats are not written")
-    parser.add_argument("--targets", metavar="SPEC", type=Path, required=True, help="YAML file: what to put where, or how much of it")
+    parser.add_argument(
+        "--targets", metavar="SPEC", type=Path, required=True, help="YAML file: targets one by one, or how many to draw where"
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
-    parser.add_argument("--seabed", metavar="NAME", help="what the sea floor is, as the truth and scores should name it")
+    parser.add_argument("--seabed", metavar="NAME", help="seabed type to name in the truth and in scores")
     add_config_option(parser)
     parser.set_defaults(command=_run)
 

@@ -1,4 +1,4 @@
-"""Benches."""
+"""Run a bench."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "chain": ("benches.run_time.bench", "run time against error of the whole chain, beside a plain script"),
     "waterfall": ("benches.chain", "the whole chain, cost per stage"),
     "detect": ("benches.detect", "the detector's cost per tile"),
-    "confirmation": ("benches.confirmation", "a close look's cost, step by step"),
+    "confirmation": ("benches.confirmation", "the cost of confirmation, step by step"),
     "simulate": ("benches.simulate", "the simulator's cost"),
     "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "froc": ("benches.froc", "every detector and each step after it, on missions held out from all training"),
     "segmentation": ("studies.segmentation", "Markov-field segmentation, error beside time"),
     "snakes": ("studies.snakes", "contours, error beside time"),
     "shapes": ("studies.shapes", "classification by shape, error beside time"),
-    "beliefs": ("studies.beliefs", "what views make one believe"),
+    "beliefs": ("studies.beliefs", "what belief several views lead to"),
     "images": ("studies.real_images", "outlines and calls on real pictures"),
     "cascade": ("benches.cascade", "the trained cascade's speed and budgets"),
     "inversion": ("studies.inversion", "relief recovered from images, error beside time"),
-    "augment": ("benches.augment", "whether embedded targets can be told from simulated ones"),
+    "augment": ("benches.augment", "whether embedded targets can be separated from simulated ones"),
     "framers": ("benches.framers", "message framing: speed, garbage, and what damage costs"),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
     "ports": ("benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
@@ -32,11 +32,11 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
     "decibels": ("benches.decibels", "what wrong decibels per count cost in detection"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
-    "clearance": ("benches.clearance", "mines left as estimated against those really left"),
+    "clearance": ("benches.clearance", "mines left, estimated against true"),
     "performance": ("benches.performance", "predicted against realised detection, by sea floor and range"),
-    "point": ("benches.point", "false alarms at the operating point beside those asked, and Pd, on domains left out"),
+    "point": ("benches.point", "false alarms at the operating point against those requested, and Pd, on domains left out"),
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
-    "tours": ("benches.tours", "plans of survey and second looks: how near to the optimum, in what time"),
+    "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
     "figure9": ("studies.figure9", "the source paper's examples of classical detection"),
 }
@@ -63,6 +63,6 @@ def _run(chosen: argparse.Namespace) -> int:
         if not (error.name or "").startswith("sim_replay.studies"):
             raise
         raise UsageError(f"'{chosen.bench}' is a study, which is not installed: run it from a checkout of the sources") from error
-    parser = Parser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure: {does}.")
+    parser = Parser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure {does}.")
     bench.add_arguments(parser)
     return int(bench.run(parser.parse_args(chosen.arguments)))

@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
         "              weights that ship were fitted so\n"
         "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
         "              'detect.performance' of the configuration loads the file\n"
-        "seabed:       what kinds of sea floor look like, from simulated missions; 'detect.seabed_model' loads the file\n\n"
+        "seabed:       how seabed types look, from simulated missions; 'detect.seabed_model' loads the file\n\n"
         "The detector's cascade has a command of its own, 'auv-mcm train'.",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
@@ -127,7 +127,7 @@ def _add_odds(kinds: Commands) -> None:
         ],
     )
     parser.add_argument(
-        "--detector", choices=("cascade", "contrast"), default="cascade", help="whose detections to weigh (default cascade)"
+        "--detector", choices=("cascade", "contrast"), default="cascade", help="detector whose odds to fit (default cascade)"
     )
     parser.add_argument("--seeds", metavar="N", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument(
@@ -135,7 +135,7 @@ def _add_odds(kinds: Commands) -> None:
     )
     parser.add_argument("--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)")
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="where the weights go, JSON")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the weights, JSON")
     parser.set_defaults(command=_run_odds)
 
 
@@ -143,9 +143,9 @@ def _add_performance(kinds: Commands) -> None:
     parser = command(
         kinds,
         "performance",
-        "learn how likely a look finds a mine",
-        "Flies simulated missions full of targets over all kinds of sea floor, and fits the probability that one look finds a\n"
-        "mine to what became of each look. The same seeds make the same tables, here or on a dask cluster.",
+        "fit the probability that one look finds a mine",
+        "Flies simulated missions full of targets over all seabed types, and fits the probability that one look finds a mine\n"
+        "to the outcome of each look. The same seeds make the same tables, here or on a dask cluster.",
         [
             "auv-mcm calibrate performance --out performance.json",
             "auv-mcm calibrate performance --seeds 800-803 --flights 1",
@@ -161,7 +161,7 @@ def _add_seabed(kinds: Commands) -> None:
     parser = command(
         kinds,
         "seabed",
-        "learn what kinds of sea floor look like",
+        "fit the look of seabed types",
         "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. Seeds from\n"
         "4000 on fly missions like the named scenes, lower ones know nothing of them. The same seeds make the same model.",
         ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json"],
@@ -171,7 +171,7 @@ def _add_seabed(kinds: Commands) -> None:
 
 
 def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
-    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for what was learnt, JSON")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for the result, JSON")
     parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help=f"seeds of the missions (default {seeds})")
     parser.add_argument("--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
@@ -280,11 +280,11 @@ def _run_seabed(arguments: argparse.Namespace) -> int:
 
 
 def _check_new(out: Path | None, option: str = "--out") -> None:
-    """Raises UsageError for a file that cannot be made, before much is done for it."""
+    """Check early that a file can be made. Raises UsageError if it cannot."""
     if out is None:
         return
     if out.exists():
-        raise UsageError(f"{option} {out} exists and is left alone: name a new file, or remove that one")
+        raise UsageError(f"{option} {out} exists and is not overwritten: name a new file, or remove it")
     if not out.parent.is_dir():
         raise UsageError(f"{option} {out}: there is no folder {out.parent}. Make it first")
 

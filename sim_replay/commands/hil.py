@@ -1,4 +1,4 @@
-"""The real service between fake devices that fail on demand."""
+"""Run the real service between fake devices that fail on demand."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _run(arguments: argparse.Namespace) -> int:
             print(f"{name:18} {read_scenario(name).scenario.about}")
         return 0
     if arguments.all and arguments.scenarios:
-        raise UsageError("--all runs every scenario that ships: name no SCENARIO beside it")
+        raise UsageError("--all runs every scenario that ships: leave the SCENARIO names out")
     names = shipped() if arguments.all else arguments.scenarios
     if not names:
         raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")

@@ -1,4 +1,4 @@
-"""A recorded mission through the chain."""
+"""Replay a recorded mission through the chain."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
         metavar="LOG",
         nargs="+",
         type=Path,
-        help="XTF, JSF or svlog file, or a recorded session: its folder or an .mcap file of it; what it is goes by its content",
+        help="XTF, JSF or svlog file, or a recorded session: its folder or an .mcap file of it; the format is recognised by content",
     )
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
     add_config_option(parser)

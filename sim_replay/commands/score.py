@@ -1,4 +1,4 @@
-"""Contacts against the truth."""
+"""Score contacts against the truth."""
 
 from __future__ import annotations
 
@@ -21,11 +21,13 @@ def add(commands: Commands) -> None:
             "auv-mcm score r1/contacts.geojson s1/truth.json r2/contacts.geojson s2/truth.json --json score.json --plot froc.png",
         ],
     )
-    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="CONTACTS TRUTH, as often as there are missions")
+    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="contacts.geojson and truth.json of each mission, in pairs")
     parser.add_argument(
-        "--gate-m", metavar="M", type=float, default=2.0, help="farther from an object a contact is no call of it (default 2)"
+        "--gate-m", metavar="M", type=float, default=2.0, help="maximum distance of a contact from its object, m (default 2)"
     )
-    parser.add_argument("--threshold", metavar="P", type=float, default=0.5, help="p_mine from which a contact is a call (default 0.5)")
+    parser.add_argument(
+        "--threshold", metavar="P", type=float, default=0.5, help="minimum p_mine of a contact that counts as a call (default 0.5)"
+    )
     parser.add_argument("--json", metavar="PATH", type=Path, help="write everything as JSON, too")
     parser.add_argument("--plot", metavar="PATH", type=Path, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)")
     parser.set_defaults(command=_run)

@@ -1,4 +1,4 @@
-"""A simulated mission."""
+"""Simulate a mission."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("scene", metavar="SCENE", nargs="?", help="YAML file, or name of a scene that ships with the package")
     parser.add_argument("--out", metavar="DIR", type=Path, help="directory for the results, made if it is not there")
-    parser.add_argument("--seed", metavar="N", type=whole(0, 2**32 - 1), help="instead of the scene's own: another sea, other objects")
+    parser.add_argument(
+        "--seed", metavar="N", type=whole(0, 2**32 - 1), help="seed to use instead of the scene's own: other speckle, other drawn objects"
+    )
     parser.add_argument(
         "--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work; the bytes are the same (default 1)"
     )

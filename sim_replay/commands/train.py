@@ -1,4 +1,4 @@
-"""Training of the detector's cascade."""
+"""Train the detector's cascade."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def add(commands: Commands) -> None:
         ],
     )
     parser.add_argument("spec", nargs="?", type=Path, metavar="SPEC", help="YAML file: what to render (default: the set that ships)")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the model goes, JSON")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="new file for the model, JSON")
     parser.add_argument("--tiles", type=Path, metavar="DIR", help="folder of the tiles; rendered into it unless it holds those of the spec")
     parser.add_argument(
         "--kind",

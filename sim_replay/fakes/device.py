@@ -57,10 +57,10 @@ class FakeDevice:
     details): what happens, as it happens. wait(late_s): lets the whole mission wait for a device that is late; None:
     the device leaves out what is too late.
 
-    Reports: `ready` (uri, of its wire), `settings` (told: what the host set a sonar to, when it changed), `fault` and
-    `mended` (do), `reopened` (after_s: from the cable's return until the host had opened the wire), `done`. counters:
-    device.messages, .skipped (events left out, since wire or computer were busy), .flood_bytes, .latest_ms (the latest
-    that an event was through, after it was due), and those of the wire, its damage and the controller.
+    Reports: `ready` (uri, of its wire), `settings` (applied: what the host set a sonar to, when it changed), `fault`
+    and `mended` (do), `reopened` (after_s: from the cable's return until the host had opened the wire), `done`.
+    counters: device.messages, .skipped (events left out, since wire or computer were busy), .flood_bytes, .latest_ms
+    (the latest that an event was through, after it was due), and those of the wire, its damage and the controller.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class FakeDevice:
         before = self._sonar.settings
         answers = self._sonar.heard(data, self._time(time.monotonic()))
         if self._sonar.settings != before:
-            self._report("settings", {"told": self._sonar.settings})
+            self._report("settings", {"applied": self._sonar.settings})
         return answers
 
     async def _fail(self, fault: Fault, tasks: asyncio.TaskGroup) -> None:

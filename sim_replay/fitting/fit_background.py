@@ -1,9 +1,9 @@
 """Fit how a mission's background of non-mines scores, from mission to mission: `auv-mcm calibrate background`.
 
-Simulated missions over the named scenes, but for those held out, are flown with seeds that the odds were not fitted on: on their own
-missions odds are too good. The truth says which contacts are mines. Mean and covariance of the background's log-density follow by
-expectation maximization over missions; as scenes are few, the covariance is drawn to a smooth one. Each scene is judged by the prior that
-the others give.
+Simulated missions over the named scenes, but for those held out, are flown with seeds that the odds were not fitted on:
+on their own missions odds are too good. The truth says which contacts are mines. Mean and covariance of the
+background's log-density follow by expectation maximization over missions; as scenes are few, the covariance is drawn to
+a smooth one. Each scene is judged by the prior that the others give.
 """
 
 from __future__ import annotations
@@ -56,10 +56,11 @@ _DIGITS: Final = 4
 
 
 class SortedContacts(NamedTuple):
-    """Tell the contacts of one mission apart by what they are, as log-odds.
+    """Hold the contacts of one mission sorted by what they are, as log-odds.
 
-    everything: (n,) all contacts; background: (k,) those on no target; mines: (m,) those on targets. n_targets: that a pass saw.
-    area_km2: as the payload itself knows it; truth_km2: as the truth has it. on_objects: (k,) bool, background on an object of the truth.
+    everything: (n,) all contacts; background: (k,) those on no target; mines: (m,) those on targets. n_targets: that a
+    pass saw. area_km2: as the payload itself knows it; truth_km2: as the truth has it. on_objects: (k,) bool,
+    background on an object of the truth.
     """
 
     scene: str
@@ -126,7 +127,10 @@ def flown(task: Task) -> SortedContacts:
 
 
 def fit_prior(missions: Sequence[SortedContacts]) -> BackgroundPrior:
-    """Fit a prior to missions with known truth. Raises UsageError for missions without contacts on mines or without area."""
+    """Fit a prior to missions with known truth.
+
+    Raises UsageError for missions without contacts on mines or without area.
+    """
     mines = np.concatenate([mission.mines for mission in missions]) if missions else np.empty(0)
     area_km2 = sum(mission.area_km2 for mission in missions)
     if len(mines) < 2 or area_km2 <= 0.0:
@@ -176,7 +180,8 @@ def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
 def calibrate_background(seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None) -> BackgroundModel:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the model.
 
-    n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError as fit_prior does.
+    n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError
+    as fit_prior does.
     """
     tasks = background_tasks(seeds)
     missions = list(run_tasks(flown, tasks, Farm(n_workers), lambda done: show(done, len(tasks))))
@@ -184,7 +189,9 @@ def calibrate_background(seeds: Sequence[int], n_workers: int, show: Callable[[i
 
 
 def background_tasks(seeds: Sequence[int]) -> list[Task]:
-    """List the missions to fly: every named scene that is not held out, by the cascade with all seeds and by contrasts with the first."""
+    """List the missions to fly: every named scene that is not held out, by the cascade with all seeds and by contrasts
+    with the first.
+    """
     of_detector: tuple[tuple[Detector, Sequence[int]], ...] = (("cascade", seeds), ("contrast", seeds[:1]))
     return [(name, seed, detector) for detector, own in of_detector for name in SCENES if name not in HELD_OUT for seed in own]
 
@@ -212,7 +219,8 @@ def background_json(model: BackgroundModel) -> str:
 def _never_opposed(covariance: Array) -> Array:
     """Take out negative covariances, so that more background at some log-odds never makes less expected at others.
 
-    A few scenes do not tell a small negative correlation from none. The nearest covariance with eigenvalues above 0 follows.
+    A few scenes cannot separate a small negative correlation from none. The nearest covariance with eigenvalues above 0
+    follows.
     """
     values, axes = np.linalg.eigh(np.maximum(covariance, 0.0))
     return np.asarray((axes * np.maximum(values, _MIN_VARIANCE)) @ axes.T)

@@ -103,8 +103,10 @@ def crowded(scene: Scene, times: int) -> Scene:
 
 
 def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
-    """All detections of one mission through a named scene, with `crowd` times as many mines and rocks, by one of the
-    detectors."""
+    """Collect all detections of one mission through a named scene by one of the detectors.
+
+    With `crowd` times as many mines and rocks.
+    """
     scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
     config = _looking_at_everything(served_by(detector, config_for(scene)))
     beam_width_rad = math.radians(config.sonar.beam_width_deg)

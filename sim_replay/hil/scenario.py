@@ -1,5 +1,7 @@
-"""Scenarios: what is at which wire, what goes wrong, and what is expected of the service then. One YAML file each,
-read strictly."""
+"""Read scenarios strictly: what is at which wire, what goes wrong, and what is expected of the service then.
+
+One YAML file each.
+"""
 
 from __future__ import annotations
 
@@ -286,8 +288,10 @@ def shipped() -> list[str]:
 
 
 def read_scenario(name: str) -> Read:
-    """A scenario from a file, or a shipped one by its name. Raises UsageError with the key's path for whatever is
-    wrong with it."""
+    """Read a scenario from a file, or a shipped one by its name.
+
+    Raises UsageError with the key's path for whatever is wrong with it.
+    """
     path = SCENARIOS / f"{name}{_SUFFIX}" if name in shipped() else Path(name)
     if path.is_dir():
         raise UsageError(f"{path} is a folder. Give the {_SUFFIX} file of one scenario; {_EXAMPLE}")
@@ -314,8 +318,7 @@ def parse_scenario(text: str, place: str) -> Scenario:
 
 
 def service_yaml(scenario: Scenario, uris: Mapping[str, str], results: Path) -> str:
-    """The service's configuration as a file, with the addresses of the devices' wires and the folder for its
-    results."""
+    """Write the service's configuration, with the addresses of the devices' wires and the folder for its results."""
     filled = _filled(scenario.service, uris)
     filled["service"] = {**(filled.get("service") or {}), _SET_BY_US: str(results)}
     return yaml.safe_dump(filled, sort_keys=False, allow_unicode=True)

@@ -146,7 +146,7 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             n_lines = _n_lines(evidence, re.compile(rule.matching), rule.between_s)
             return _limited(rule, n_lines, f"lines with '{rule.matching}'{_window(rule.between_s)}")
         case SettingsRule():
-            reported = [str(report.details["told"]) for report in evidence.reports[rule.device] if report.what == "settings"]
+            reported = [str(report.details["applied"]) for report in evidence.reports[rule.device] if report.what == "settings"]
             n_explained = sum(rule.containing in settings for settings in reported)
             return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
         case DeviceRule():
@@ -217,8 +217,10 @@ def _reopened(rule: Reopened, reports: Sequence[Report]) -> tuple[str, str, bool
 
 
 def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
-    """Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as
-    missing."""
+    """Compare contacts with those of a replay.
+
+    Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as missing.
+    """
     expected = f"contacts as replayed, within {rule.within_m:g} m and {rule.p_mine_within:g} in p_mine, of the same class"
     replayed = evidence.replayed or ()
     problems = []

@@ -1,21 +1,23 @@
-"""Open recorded logs; the format goes by a file's content, never by its name."""
+"""Open recorded logs; the format goes by a file's content, never by its name.
+
+Other packages add formats, see `log_reader`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterator
+import re
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, Literal, Protocol, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from msgspec import structs
 
-from auv_mcm.errors import BadInputError
-from auv_mcm.records import SourceEvent
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, SonarName, SonarPortConfig
+from sim_replay.logs.log_reader import AddedFormat, AddedLog, Log, added_formats
 
 CHUNK_BYTES: Final = 1 << 18
 
@@ -28,6 +30,8 @@ FORMAT_NAMES: Final[dict[LogFormat, str]] = {
 }
 
 _XTF_FIRST: Final = b"\x7b"
+_JSON_FIRST: Final = re.compile(rb'\{\s*["}]')  # text that begins like an XTF file
+_XTF_HEADER_BYTES: Final = 1024  # some of them always 0
 _MCAP_FIRST: Final = b"\x89MCAP0\r\n"
 _JSF_FIRST: Final = b"\x01\x16"
 _SVLOG_FIRST: Final = b"BR"
@@ -38,37 +42,17 @@ _HEADER_PRIORITY, _MOTION_PRIORITY, _NMEA_PRIORITY = 1, 2, 3
 _UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from other ports
 
 
-class Log(Protocol):
-    """Read one recorded log. Iterate for its events in order of time; every iteration starts anew, with new counters."""
-
-    @property
-    def sizes_bytes(self) -> dict[Path, int]:
-        """Return the size of each file in use, in order of time."""
-        ...
-
-    @property
-    def bytes_read(self) -> int: ...
-
-    @property
-    def counters(self) -> Counter[str]:
-        """Count what reading skipped or mended so far."""
-        ...
-
-    def first_time_s(self) -> float:
-        """Find the time of the first ping, s since 1970. Raises BadInputError for a log that cannot be used."""
-        ...
-
-    def __iter__(self) -> Iterator[SourceEvent]: ...
-
-
 def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
-    """Open an XTF, JSF or svlog file, or a recorded session: its folder, or one .mcap file of it.
+    """Open an XTF, JSF or svlog file, a recorded session (its folder, or one .mcap file of it), or a file of a format
+    that another package reads.
 
     Ports are decoded as `config` states, a session's as they were recorded where it is silent. `chunk_bytes` sizes the
-    read buffer and nothing else. Raises BadInputError for what is none of these or holds no side scan, UsageError where
-    the subsystem must be chosen.
+    read buffer of built-in formats and nothing else. Raises BadInputError for what is none of these or holds no side
+    scan, UsageError where the subsystem must be chosen or several packages read the format.
     """
     match log_format(path):
+        case AddedFormat() as added:
+            return AddedLog(path, added, config)
         case "xtf":
             from sim_replay.logs.xtf import XtfLog
 
@@ -81,8 +65,11 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
             return _open_session(path, config)
 
 
-def log_format(path: Path) -> LogFormat:
-    """Recognise the format of a log by its content. Raises BadInputError for other files and unreadable ones."""
+def log_format(path: Path) -> LogFormat | AddedFormat:
+    """Recognise the format of a log by its content.
+
+    Raises BadInputError for other files and unreadable ones, UsageError where several packages read the format.
+    """
     from drivers.recording.session_layout import FILE_PATTERN
 
     if path.is_dir():
@@ -99,13 +86,26 @@ def log_format(path: Path) -> LogFormat:
     if not head:
         raise BadInputError(f"{path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again.")
     found = _format_of(head)
-    if found is None:
+    if found is not None:
+        return found
+    added, problems = added_formats(head)
+    if len(added) > 1:
+        names = " and ".join(str(one.plugin) for one in added)
+        raise UsageError(f"{path}: several packages read this format: {names}. Uninstall all but one of them.")
+    if not added:
         raise BadInputError(
             f"{path} is not a readable log: it begins with 0x{head[:4].hex()}, and no message of a known format is "
             f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog "
-            "(0x4252) and sessions that 'auv-mcm run' recorded (.mcap or their folder). Export the log as one of these."
+            "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), and formats of plug-ins ('auv-mcm check' lists "
+            "them). Export the log as one of these."
+            + "".join(f"\nA plug-in that may know it does not work: {problem}." for problem in problems)
         )
-    return found
+    return added[0]
+
+
+def format_title(found: LogFormat | AddedFormat) -> str:
+    """Return the name of a format for people."""
+    return found.title if isinstance(found, AddedFormat) else FORMAT_NAMES[found]
 
 
 def describe_log(path: Path, config: Config) -> str:
@@ -115,7 +115,7 @@ def describe_log(path: Path, config: Config) -> str:
     if not math.isfinite(first_s):
         raise BadInputError(f"{path} holds no ping. Check that a sonar was connected.")
     when = datetime.fromtimestamp(first_s, UTC).isoformat(" ", "seconds")
-    return f"{FORMAT_NAMES[log_format(path)]}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
+    return f"{format_title(log_format(path))}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
 
 
 def session_config(paths: list[Path]) -> Config | None:
@@ -132,12 +132,12 @@ def is_session(path: Path) -> bool:
     """Check whether `path` is the folder or a file of a recorded session; False if it cannot be read."""
     try:
         return log_format(path) == "session"
-    except BadInputError:
+    except (BadInputError, UsageError):
         return False
 
 
 def _format_of(head: bytes) -> LogFormat | None:
-    if head.startswith(_XTF_FIRST):
+    if head.startswith(_XTF_FIRST) and not (_JSON_FIRST.match(head) and 0 not in head[:_XTF_HEADER_BYTES]):
         return "xtf"
     if head.startswith(_MCAP_FIRST):
         return "session"

@@ -15,7 +15,8 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.source import EventSink, SourceUri
-from sim_replay.logs.open_log import CHUNK_BYTES, Log, is_session, open_log
+from sim_replay.logs.log_reader import Log
+from sim_replay.logs.open_log import CHUNK_BYTES, is_session, open_log
 
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
 _BATCH: Final = 32  # events read at once off the event loop

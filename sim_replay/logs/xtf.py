@@ -377,7 +377,7 @@ class XtfLog:
             self.counters[code] += 1
             if empty:
                 text = "a ping has no samples or no slant range; such pings are skipped and counted"
-                self._raise_notice_once(code, text, self._place(packet.offset))
+                self._raise_notice_once("reader.ping_empty", text, self._place(packet.offset))
             return None
         if empty:
             self.counters["reader.side_empty"] += 1

@@ -1,4 +1,4 @@
-"""The mission report: `PictureCollector` watches tiles stream by, `write_report` makes one self-contained HTML page at the end."""
+"""Report a mission: `PictureCollector` collects pictures of tiles, `write_report` makes one self-contained page."""
 
 from sim_replay.report.page import MissionRecord, render_report, write_report
 from sim_replay.report.pictures import PictureCollector

@@ -1,4 +1,4 @@
-"""A card per contact: pictures, what it is called and why, what each view says, and from where to look next."""
+"""Make a card per contact: pictures, its call and the reason, each view's evidence, and the next view to take."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
 from sim_replay.report.pictures import PictureStrip
 
-_PICTURE_BYTES: Final = 1_200_000  # of pictures of contacts in the page; further contacts are told in words, their files lie in snippets/
-_MOST_VIEWS: Final = 8
-_LEAST_TOLD: Final = 0.005
+_PICTURE_BYTES: Final = (
+    # of pictures of contacts in the page; further contacts are described in words, their files lie in snippets/
+    1_200_000
+)
+_MAX_VIEWS: Final = 8
+_MIN_SHARE_SHOWN: Final = 0.005
 _OPEN_FROM: Final = 0.1
 _SOLIDS: Final = frozenset({"cylinder", "sphere", "truncated_cone", "wedge"})
 _COMPASS: Final = 44.0  # radius of its rose, drawing units
@@ -34,7 +37,10 @@ class Reason(NamedTuple):
 
 
 class ViewLine(NamedTuple):
-    """What one view says. number: in order of time, from 1. beliefs, evidence, model: empty if it was not looked at closely."""
+    """The evidence of one view. number: in order of time, from 1.
+
+    beliefs, evidence, model: empty if it was not confirmed.
+    """
 
     number: int
     place: str
@@ -46,7 +52,7 @@ class ViewLine(NamedTuple):
 
 
 class Arrow(NamedTuple):
-    """A look towards the contact on the compass: from the rim to near the middle, and where its number stands."""
+    """A view of the contact on the compass: from the rim to near the middle, and where its number stands."""
 
     path: str
     text: str
@@ -55,7 +61,7 @@ class Arrow(NamedTuple):
 
 
 class Compass(NamedTuple):
-    told: str
+    label: str
     arrows: list[Arrow]
     next_look: str  # SVG path data
 
@@ -81,7 +87,7 @@ class Card(NamedTuple):
 
 
 def cards(contacts: Sequence[Contact], strips: Sequence[PictureStrip], waypoints: Sequence[Waypoint]) -> list[Card]:
-    """Cards in the order of `contacts`; pictures go to the first, as many as the page has room for."""
+    """Make cards in the order of `contacts`; pictures go to the first, as many as the page has room for."""
     legs = {point.contact_id: point.leg for point in waypoints if point.kind == "leg_exit"}
     left = _PICTURE_BYTES
     made = []
@@ -97,12 +103,12 @@ def cards(contacts: Sequence[Contact], strips: Sequence[PictureStrip], waypoints
 
 
 def band(p_mine: float) -> str:
-    """Style class of a p_mine: four steps are told apart by colour at a glance."""
+    """Choose the style class of a p_mine: four steps differ in colour at a glance."""
     return "p4" if p_mine >= 0.8 else "p3" if p_mine >= 0.5 else "p2" if p_mine >= 0.2 else "p1"
 
 
 def place_m(view: Detection) -> tuple[float, float]:
-    """Metres along track from the mission's first grid row, and across track, starboard positive."""
+    """Compute metres along track from the mission's first grid row, and across track, starboard positive."""
     across_m = view.column * view.column_spacing_m
     return view.row * view.row_spacing_m, across_m if view.side == "starboard" else -across_m
 
@@ -115,12 +121,12 @@ def strips_with(contact: Contact, strips: Sequence[PictureStrip]) -> list[int]:
 def _card(
     contact: Contact, shown: Detection | None, picture: ViewPicture | None, strips: Sequence[PictureStrip], legs: Mapping[str, int]
 ) -> Card:
-    told = _views_told(contact)
-    views = [_view_line(number, view) for number, view in told]
+    listed = _listed_views(contact)
+    views = [_view_line(number, view) for number, view in listed]
     beliefs = _shares(contact.belief)
     if len(views) == 1 and [_rounded(share) for share in views[0].beliefs] == [_rounded(share) for share in beliefs]:
         views = [views[0]._replace(beliefs=[])]  # one view is all there is: once is enough
-    told_with_views = {reason.text for line in views for reason in line.reasons}
+    listed_with_views = {reason.text for line in views for reason in line.reasons}
     called, because = _verdict(contact)
     number = next((number for number, view in enumerate(contact.views, start=1) if view is shown), 0)
     return Card(
@@ -133,32 +139,32 @@ def _card(
         pictured=f"view {number} of {len(contact.views)}" if len(contact.views) > 1 else "",
         facts=_facts(contact),
         beliefs=beliefs,
-        reasons=[reason for reason in _reasons(contact.reasons) if reason.text not in told_with_views],
+        reasons=[reason for reason in _reasons(contact.reasons) if reason.text not in listed_with_views],
         views=views,
         n_more_views=len(contact.views) - len(views),
         agreement=words.agreement(contact.conflict) if math.isfinite(contact.conflict) else "",
         next_look=_next_look(contact),
-        compass=_compass(contact, [number for number, _ in told]),
+        compass=_compass(contact, [number for number, _ in listed]),
         strips=strips_with(contact, strips),
         leg=legs.get(contact.id),
     )
 
 
 def _shown_view(contact: Contact) -> Detection | None:
-    """Of the views looked at closely the one with the greatest score, else of all."""
+    """Choose the view with the greatest score, of those with a confirmation if there are any."""
     close = tuple(view for view in contact.views if view.confirmation is not None and view.snippet.size)
     return max(close, key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s), default=best_view(contact))
 
 
-def _views_told(contact: Contact) -> list[tuple[int, Detection]]:
-    """Numbered views in order of time; of very many those with the greatest scores."""
+def _listed_views(contact: Contact) -> list[tuple[int, Detection]]:
+    """Number the views in order of time; of very many keep those with the greatest scores."""
     numbered = list(enumerate(contact.views, start=1))
-    strongest = sorted(numbered, key=lambda one: (-one[1].score if math.isfinite(one[1].score) else math.inf, one[0]))[:_MOST_VIEWS]
+    strongest = sorted(numbered, key=lambda one: (-one[1].score if math.isfinite(one[1].score) else math.inf, one[0]))[:_MAX_VIEWS]
     return sorted(strongest, key=lambda one: one[0])
 
 
 def _verdict(contact: Contact) -> tuple[str, str]:
-    """What the contact is called, and the shortest true reason."""
+    """Word the contact's call, and the shortest true reason."""
     close = [view.confirmation for view in contact.views if view.confirmation is not None]
     rejected = sum(found.rejected for found in close)
     solid = words.class_name(contact.classification)
@@ -167,7 +173,7 @@ def _verdict(contact: Contact) -> tuple[str, str]:
     )
     called = "Mine-like" if is_mine_like(contact) else "Not mine-like"
     if not close:
-        return called, "judged by the strength of echo and shadow alone; no view was looked at closely."
+        return called, "judged by the strength of echo and shadow alone; no view was confirmed."
     if not is_mine_like(contact):
         if rejected:
             return called, f"in {_of(rejected, contact)} the contours cannot be those of a mine."
@@ -190,7 +196,7 @@ def _view_line(number: int, view: Detection) -> ViewLine:
     direction, time = _compass_deg(view.aspect_deg), words.utc(view.time_s, "%H:%M:%S")
     place = f"{view.side}, {words.metres(view.ground_range_m, 1)} off, looking towards {direction}, {time}"
     if found is None:
-        return ViewLine(number, place, "Not looked at closely", [], "", "", _reasons(view.reasons))
+        return ViewLine(number, place, "Not confirmed", [], "", "", _reasons(view.reasons))
     verdict, model = "Contours rejected" if found.rejected else "Contours of an object", ""
     if found.model is not None:
         model = f"Best model: {words.class_name(found.model.classification)}, {words.model_sizes(found.model.sizes, found.model.sigma)}"
@@ -206,15 +212,15 @@ def _view_line(number: int, view: Detection) -> ViewLine:
 
 
 def _reasons(codes: Sequence[str]) -> list[Reason]:
-    """What speaks for a mine, what against, and then what limits both."""
-    told = [Reason(bearing(code), in_words(code)) for code in codes]
-    return sorted(told, key=lambda reason: ("for", "against", "note").index(reason.bearing))
+    """Sort what speaks for a mine, what against, and then what limits both."""
+    reasons = [Reason(bearing(code), in_words(code)) for code in codes]
+    return sorted(reasons, key=lambda reason: ("for", "against", "note").index(reason.bearing))
 
 
 def _shares(belief: Mapping[str, float]) -> list[Share]:
-    """Greatest first, the unknown last."""
-    told = [Share(name, words.class_name(name), 100.0 * share) for name, share in belief.items() if share >= _LEAST_TOLD]
-    return sorted(told, key=lambda share: (share.name == "unknown", -share.percent))
+    """Sort the belief: greatest first, the unknown last."""
+    shares = [Share(name, words.class_name(name), 100.0 * share) for name, share in belief.items() if share >= _MIN_SHARE_SHOWN]
+    return sorted(shares, key=lambda share: (share.name == "unknown", -share.percent))
 
 
 def _rounded(share: Share) -> tuple[str, int]:
@@ -224,14 +230,14 @@ def _rounded(share: Share) -> tuple[str, int]:
 def _next_look(contact: Contact) -> str:
     if not contact.next_look_deg:
         looked = any(view.confirmation is not None for view in contact.views)
-        return "another look would hardly change what it is called" if looked else ""
+        return "a further view would hardly change the call" if looked else ""
     first = contact.next_look_deg[0]
     line = f"along {_compass_deg(first)} or {_compass_deg(first + 180.0)}"
     off = [abs(math.remainder(aspect - first, 180.0)) for aspect in contact.aspects_deg if math.isfinite(aspect)]
-    why = [f"the nearest look so far was {min(off):.0f}° off"] if off else []
+    why = [f"the nearest view so far was {min(off):.0f}° off"] if off else []
     likely = sorted(((share, name) for name, share in contact.belief.items() if share >= _OPEN_FROM and name != "unknown"), reverse=True)
     if contact.belief.get("unknown", 0.0) >= 0.5:
-        why.append("most is still unknown")
+        why.append("most of the belief is still unknown")
     elif len(likely) > 1:
         why.append(f"it is open between {words.listed([words.class_name(name) for _, name in likely[:3]])}")
     return f"{line}: {words.listed(why)}" if why else line
@@ -242,7 +248,7 @@ def _compass_deg(direction_deg: float) -> str:
 
 
 def _compass(contact: Contact, numbers: Sequence[int]) -> Compass | None:
-    """Looks had as arrows towards the contact in the middle, the next proposed as a line through it; north is up."""
+    """Draw views as arrows towards the contact in the middle, the next proposed as a line through it; north is up."""
     looks = [(number, contact.views[number - 1].aspect_deg) for number in numbers]
     looks = [(number, aspect) for number, aspect in looks if math.isfinite(aspect)]
     if not contact.next_look_deg and len(looks) < 2:
@@ -259,8 +265,8 @@ def _compass(contact: Contact, numbers: Sequence[int]) -> Compass | None:
         turn = math.radians(contact.next_look_deg[0])
         end = _COMPASS * math.sin(turn), -_COMPASS * math.cos(turn)
         line = f"M{_at((-end[0], -end[1]))}L{_at(end)}"
-    told = "Looked towards it: " + (words.listed([_compass_deg(aspect) for _, aspect in looks]) or "directions not known")
-    return Compass(told, arrows, line)
+    label = "Look angles so far: " + (words.listed([_compass_deg(aspect) for _, aspect in looks]) or "directions not known")
+    return Compass(label, arrows, line)
 
 
 def _at(point: tuple[float, float]) -> str:

@@ -1,4 +1,7 @@
-"""The mission's map as shapes for an inline SVG: track, coverage, contacts with error ellipses and proposed legs, true to scale."""
+"""Draw the mission's map as shapes for an inline SVG, true to scale.
+
+Track, coverage, contacts with error ellipses and proposed legs.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +20,10 @@ from sim_replay.report.report_words import degrees_minutes
 Points: TypeAlias = NDArray[np.float64]  # (n, 2) east, north in metres, or right, down in drawing units
 
 WIDTH: Final = 1100.0
-_LEAST_HEIGHT: Final = 380.0
-_MOST_HEIGHT: Final = 900.0
+_MIN_HEIGHT: Final = 380.0
+_MAX_HEIGHT: Final = 900.0
 _MARGIN: Final = 46.0
-_LEAST_SPAN_M: Final = 60.0
+_MIN_SPAN_M: Final = 60.0
 _MINUTE_STEPS: Final = [factor * 10.0**power for power in range(-4, 2) for factor in (1.0, 2.0, 5.0)] + [60.0, 120.0, 300.0, 600.0]
 
 
@@ -50,7 +53,7 @@ class Label(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """Everything drawn, in drawing units; paths are SVG path data."""
+    """Shapes of the map, in drawing units; paths are SVG path data."""
 
     height: float
     track: str
@@ -81,7 +84,10 @@ class _Projection(NamedTuple):
 def draw_chart(
     track_deg: Points, contacts: Sequence[Contact], patches: Iterable[CoveragePatch], waypoints: Sequence[Waypoint]
 ) -> Chart | None:
-    """The map of a mission, None if it has no position at all. track_deg: (n, 2) latitude, longitude, NaN where the track breaks."""
+    """Draw the map of a mission; None if it has no position at all.
+
+    track_deg: (n, 2) latitude, longitude, NaN where the track breaks.
+    """
     located = [contact for contact in contacts if math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)]
     contacts_deg = np.array([(contact.latitude_deg, contact.longitude_deg) for contact in located]).reshape(-1, 2)
     rings_deg = [ring[:, ::-1] for patch in patches for ring in patch.rings_deg if np.isfinite(ring).all()]
@@ -119,15 +125,15 @@ def _plane(frame: LocalFrame, places_deg: Points) -> Points:
 
 def _fitted(frame: LocalFrame, plane: Points) -> _Projection:
     low, high = plane.min(axis=0), plane.max(axis=0)
-    span = np.maximum(high - low, _LEAST_SPAN_M)
+    span = np.maximum(high - low, _MIN_SPAN_M)
     middle = (low + high) / 2.0
-    scale = min((WIDTH - 2.0 * _MARGIN) / span[0], (_MOST_HEIGHT - 2.0 * _MARGIN) / span[1])
-    height = max(_LEAST_HEIGHT, span[1] * scale + 2.0 * _MARGIN)
+    scale = min((WIDTH - 2.0 * _MARGIN) / span[0], (_MAX_HEIGHT - 2.0 * _MARGIN) / span[1])
+    height = max(_MIN_HEIGHT, span[1] * scale + 2.0 * _MARGIN)
     return _Projection(frame, middle[0] - WIDTH / 2.0 / scale, middle[1] + height / 2.0 / scale, float(scale), float(height))
 
 
 def svg_path(points: Points) -> str:
-    """SVG path data to a tenth of a unit, points that fall together dropped."""
+    """Write SVG path data to a tenth of a unit, without points that fall together."""
     tenths = np.round(points * 10.0)
     if len(tenths) > 1:
         tenths = tenths[np.concatenate([[True], (np.diff(tenths, axis=0) != 0.0).any(axis=1)])]
@@ -140,7 +146,10 @@ def _unbroken(points: Points) -> list[Points]:
 
 
 def _markers(contacts: Sequence[Contact], places: Points, projection: _Projection) -> tuple[Marker, ...]:
-    """Least likely first, so that mines are drawn on top; labels only where they do not cover each other, most likely first."""
+    """Draw contacts, the least likely first, so that mines are on top.
+
+    Labels only where they do not cover each other, the most likely first.
+    """
     order = sorted(range(len(contacts)), key=lambda number: (-contacts[number].p_mine, contacts[number].id))
     likely = [places[number].tolist() for number in order if is_mine_like(contacts[number])]
     taken: list[tuple[float, float, float, float]] = [(right - 5, down - 5, right + 5, down + 5) for right, down in likely]
@@ -202,14 +211,14 @@ class _ScaleBar(TypedDict):
 
 
 def _scale_bar(units_per_m: float) -> _ScaleBar:
-    most_m = 200.0 / units_per_m
-    power = 10.0 ** math.floor(math.log10(most_m))
-    metres = max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= most_m)
+    max_m = 200.0 / units_per_m
+    power = 10.0 ** math.floor(math.log10(max_m))
+    metres = max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= max_m)
     return {"scale_m": metres, "scale_units": metres * units_per_m}
 
 
 def _graticule(projection: _Projection) -> _Graticule:
-    """Parallels and meridians as lines across the drawing, labelled where they enter at the left and at the bottom."""
+    """Draw parallels and meridians across the drawing, labelled where they enter at the left and at the bottom."""
     frame, scale = projection.frame, projection.units_per_m
     edge = np.linspace(0.0, 1.0, 17)
     across, along = WIDTH / scale * edge, projection.height / scale * edge

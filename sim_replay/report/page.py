@@ -1,4 +1,4 @@
-"""The mission report: one HTML file that needs nothing else, for a person to read on a screen or on paper."""
+"""Write the mission report: one HTML file that needs nothing else, for a person to read on a screen or on paper."""
 
 from __future__ import annotations
 
@@ -26,16 +26,18 @@ from sim_replay.report.pictures import PictureCollector, PictureStrip
 _NOTICES_PER_CODE: Final = 5
 MAX_CARDS: Final = 100
 MAX_ROWS: Final = 1000
-"""Contacts in a line of the table below the cards. With MAX_CARDS and the limits of pictures the page stays below 5 MB."""
-_LEAST_BOX_M: Final = 3.0
+"""Contacts in a line of the table below the cards. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
+"""
+_MIN_BOX_M: Final = 3.0
 
 
 class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What the page says about the mission as a whole.
+    """The facts of the mission as a whole.
 
-    start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none. track_latitude_deg, track_longitude_deg: (n,) float64,
-    a few thousand positions at most, NaN where the track breaks. costs: seconds per stage, in the order to show them. searched: what
-    `search_totals` says, clearance_png: the picture of it; both empty if nothing was.
+    start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none. track_latitude_deg,
+    track_longitude_deg: (n,) float64, a few thousand positions at most, NaN where the track breaks. costs: seconds per
+    stage, in the order to show them. searched: what `search_totals` says, clearance_png: the picture of it; both empty
+    if nothing was.
     """
 
     name: str
@@ -65,7 +67,8 @@ def write_report(
 ) -> None:
     """Write the page to `path`.
 
-    The MAX_CARDS contacts most likely to be mines get a card, the next MAX_ROWS a line, the rest is in the contact files alone.
+    The MAX_CARDS contacts most likely to be mines get a card, the next MAX_ROWS a line, the rest is in the contact
+    files alone.
     """
     page = render_report(mission, contacts, patches, waypoints, notices, counters, pictures)
     write_file(path, page.encode("utf-8", "replace"))
@@ -80,7 +83,7 @@ def render_report(
     counters: Mapping[str, float],
     pictures: PictureCollector,
 ) -> str:
-    """The page as text."""
+    """Render the page as text."""
     import jinja2  # bench extra: pictures must be at hand without it
     from markupsafe import Markup
 
@@ -124,7 +127,7 @@ def render_report(
 
 
 def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[str, str, str]]:
-    """Headline figures: value, name, detail."""
+    """List headline figures: value, name, detail."""
     span_s = mission.stop_s - mission.start_s
     likely = sum(is_mine_like(contact) for contact in contacts)
     facts = [
@@ -157,7 +160,7 @@ def _contact_row(contact: Contact, strips: Sequence[PictureStrip]) -> ContactRow
 
 
 def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Figures of the search: value, name, detail."""
+    """List figures of the search: value, name, detail."""
     if not searched:
         return []
     left, at_p = searched["mines_left"], searched["km2_at_p"]
@@ -173,7 +176,7 @@ def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _mines_left(searched: Mapping[str, Any]) -> str:
-    """Say where the number of mines left comes from."""
+    """Explain where the number of mines left comes from."""
     if not searched:
         return ""
     left = searched["mines_left"]
@@ -209,7 +212,7 @@ class _Box(NamedTuple):
 
 
 def _strip_view(strip: PictureStrip, contacts: Sequence[Contact], times: tuple[NDArray[np.float64], NDArray[np.float64]]) -> dict[str, Any]:
-    """A strip with its overlays in per cent of the picture."""
+    """Lay overlays over a strip, in per cent of the picture."""
     length_m, width_m = strip.stop_m - strip.start_m, 2.0 * strip.half_width_m
 
     def top(row_m: float) -> float:
@@ -254,7 +257,7 @@ def _strip_view(strip: PictureStrip, contacts: Sequence[Contact], times: tuple[N
 
 
 def _box_m(size_m: float) -> float:
-    return max(_LEAST_BOX_M, 1.6 * size_m) if math.isfinite(size_m) else _LEAST_BOX_M
+    return max(_MIN_BOX_M, 1.6 * size_m) if math.isfinite(size_m) else _MIN_BOX_M
 
 
 def _clock(row_m: float, times: tuple[NDArray[np.float64], NDArray[np.float64]]) -> str:
@@ -275,7 +278,7 @@ def _costs(costs: Mapping[str, float]) -> list[tuple[str, str, float]]:
 
 
 def _legend() -> dict[str, Any]:
-    """The colour scale of the strips."""
+    """Draw the colour scale of the strips."""
     colours = [f"#{red:02x}{green:02x}{blue:02x}" for blue, green, red in COLOURS.tolist()]
     return {
         "gradient": ", ".join(colours[1:64:6]),

@@ -1,4 +1,6 @@
-"""Pictures of one view for the page: plain, with every pixel told apart, and with contours and the outlines of the best model.
+"""Draw pictures of one view for the page.
+
+Plain, with every pixel classified, and with contours and the outlines of the best model.
 
 What is drawn over the sonar picture are shapes, sharp at any size and on paper; the picture itself is in the page once.
 """
@@ -23,7 +25,7 @@ _BARS_M: Final = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2)
 
 
 class Stroke(NamedTuple):
-    """style: class of the page's style. path: SVG path data. text: what it is."""
+    """A line of a picture. style: class of the page's style. path: SVG path data. text: what it is."""
 
     style: str
     path: str
@@ -38,8 +40,10 @@ class Panel(NamedTuple):
 
 
 class ViewPicture(NamedTuple):
-    """One view, oriented as in the strips. width, height: drawing units, a hundred per metre. left, top: of the centroid, per cent.
-    bar: length of the scale bar, per cent of the width."""
+    """One view, oriented as in the strips. width, height: drawing units, a hundred per metre.
+
+    left, top: of the centroid, per cent. bar: length of the scale bar, per cent of the width.
+    """
 
     uri: str
     width: float
@@ -53,20 +57,23 @@ class ViewPicture(NamedTuple):
 
     @property
     def n_bytes(self) -> int:
-        """Of text; contours are drawn twice, the first time as the dark line under them."""
+        """Count the bytes of text; contours are drawn twice, the first time as the dark line under them."""
         strokes = [stroke for panel in self.panels for stroke in panel.strokes]
         return len(self.uri) + sum(len(stroke.path) * (2 if stroke.style.startswith("o-") else 1) for stroke in strokes)
 
 
 def view_picture(view: Detection, *, panels: bool) -> ViewPicture:
-    """With `panels` one panel per thing found; without, one picture with contours and model if there are any."""
+    """Draw one view: a panel per result of confirmation with `panels`, else one picture.
+
+    The one picture has contours and model if there are any.
+    """
     height_m, width_m = view.snippet.shape[0] * view.row_spacing_m, view.snippet.shape[1] * view.column_spacing_m
     centroid = in_picture(view, np.array([[view.snippet_row, view.snippet_column]]))[0]
     bar_m = next((step for step in _BARS_M if step <= 0.4 * width_m), 0.1)
     found = outlines(view, view.confirmation) if view.confirmation else ()
     labels = labelled_panel(view, view.confirmation.labels) if view.confirmation else ()
-    plain, told_apart, contoured = Panel("As seen", ()), Panel("Pixels told apart", labels), Panel(_contour_title(found), found)
-    separate = plain, *(panel for panel in (told_apart, contoured) if panel.strokes)
+    plain, classified, contoured = Panel("As seen", ()), Panel("Pixels classified", labels), Panel(_contour_title(found), found)
+    separate = plain, *(panel for panel in (classified, contoured) if panel.strokes)
     return ViewPicture(
         uri=f"data:image/jpeg;base64,{base64.b64encode(snippet_jpeg(view)).decode('ascii')}",
         width=max(width_m * _UNITS_PER_M, 1.0),
@@ -81,7 +88,7 @@ def view_picture(view: Detection, *, panels: bool) -> ViewPicture:
 
 
 def outlines(view: Detection, found: Confirmation) -> tuple[Stroke, ...]:
-    """Contours of echo and shadow, and the outlines of the best model in one stroke."""
+    """Draw the contours of echo and shadow, and the outlines of the best model in one stroke."""
     strokes = [
         Stroke("o-echo", _closed(view, found.highlight), "echo"),
         Stroke("o-shadow", _closed(view, found.shadow), "shadow"),
@@ -93,7 +100,7 @@ def outlines(view: Detection, found: Confirmation) -> tuple[Stroke, ...]:
 
 
 def labelled_panel(view: Detection, labels: NDArray[np.uint8]) -> tuple[Stroke, ...]:
-    """Pixels of echo and of shadow, as areas."""
+    """Draw the pixels of echo and of shadow as areas."""
     strokes = (Stroke("l-echo", _runs(view, labels == HIGHLIGHT), "echo"), Stroke("l-shadow", _runs(view, labels == SHADOW), "shadow"))
     return tuple(stroke for stroke in strokes if stroke.path)
 
@@ -112,7 +119,7 @@ def _closed(view: Detection, contour: NDArray[np.float64]) -> str:
 
 
 def _runs(view: Detection, chosen: NDArray[np.bool_]) -> str:
-    """A rectangle per run of chosen pixels in a row; equal runs of adjacent rows are one."""
+    """Draw a rectangle per run of chosen pixels in a row; equal runs of adjacent rows are one."""
     edges = np.diff(np.pad(chosen.astype(np.int8), ((0, 1), (1, 1))), axis=1)
     begun: dict[tuple[int, int], int] = {}
     corners: list[tuple[int, int]] = []

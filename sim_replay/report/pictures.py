@@ -1,7 +1,7 @@
-"""Waterfall strips of a mission, reduced to display bytes while tiles stream by.
+"""Collect waterfall strips of a mission, reduced to display bytes while tiles stream by.
 
-A mission of any length fits a fixed number of bytes: when they are used up, all pictures are reduced by two and the mission goes on at half
-the resolution.
+A mission of any length fits a fixed number of bytes: when they are used up, all pictures are reduced by two and the
+mission goes on at half the resolution.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from auv_mcm.contacts.contact_picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
 MAX_PIXELS: Final = 40_000_000
-MAX_JPEG_BYTES: Final = 1_900_000  # 2.5 MB in the page: enough to find a place, where each contact has a picture of its own
+# 2.5 MB in the page: enough to find a place, where each contact has a picture of its own
+MAX_JPEG_BYTES: Final = 1_900_000
 _MAX_SWATH_PIXELS: Final = 1600
 _STRIP_ASPECT: Final = 1.25  # a strip's length along track over the swath's width
 _QUALITIES: Final = (86, 74, 60, 48)
@@ -55,7 +56,7 @@ class _Piece(NamedTuple):
 
 
 class PictureCollector:
-    """Keeps small pictures of the tiles it is shown, never more than `max_pixels` bytes of them."""
+    """Keep small pictures of the tiles it is given, never more than `max_pixels` bytes of them."""
 
     def __init__(self, max_pixels: int = MAX_PIXELS) -> None:
         self._max_pixels = max_pixels
@@ -91,12 +92,15 @@ class PictureCollector:
             self._halve()
 
     def times(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Along-track metres from the first grid row, ascending, and the UTC seconds the vehicle was there: two arrays of equal length."""
+        """List along-track metres from the first grid row, ascending, and the UTC seconds of the vehicle there.
+
+        Two arrays of equal length.
+        """
         marks = sorted(self._marks.items())
         return np.array([row * self._row_spacing_m for row, _ in marks]), np.array([time_s for _, time_s in marks])
 
     def strips(self, max_bytes: int = MAX_JPEG_BYTES) -> tuple[PictureStrip, ...]:
-        """The mission in strips of about equal length, their pictures together at most `max_bytes`."""
+        """Cut the mission into strips of about equal length, their pictures within `max_bytes` together."""
         while True:
             for quality in _QUALITIES:
                 strips = self._drawn(quality)
@@ -155,12 +159,12 @@ class PictureCollector:
 
 
 def snippet_jpeg(view: Detection) -> bytes:
-    """A contact's picture at its own resolution, for the page."""
+    """Encode a contact's picture at its own resolution, for the page."""
     return encoded(snippet_picture(view), ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
 def _reduced(intensity: NDArray[np.float32], mask: Bytes, rows: int, columns: int) -> Bytes:
-    """Area averages of linear intensity over blocks of rows x columns pixels, as display bytes."""
+    """Average linear intensity over blocks of rows x columns pixels, as display bytes."""
     valid = (mask & VALID) != 0
     total, count, bits = np.where(valid, intensity, np.float32(0.0)), valid, mask
     if rows > 1 or columns > 1:
@@ -175,7 +179,7 @@ def _reduced(intensity: NDArray[np.float32], mask: Bytes, rows: int, columns: in
 
 
 def _coarser(pixels: Bytes, rows: int, columns: int) -> Bytes:
-    """Mean level of the echoes and the gravest condition of blocks of display bytes."""
+    """Take the mean level of the echoes and the gravest condition of blocks of display bytes."""
     phases = _phases(pixels, rows, columns)
     total = sum((phase & LEVELS for phase in phases), start=np.zeros((1, 1), dtype=np.uint16))
     count = sum(((phase & LEVELS) > 0 for phase in phases), start=np.zeros((1, 1), dtype=np.uint16))
@@ -185,7 +189,10 @@ def _coarser(pixels: Bytes, rows: int, columns: int) -> Bytes:
 
 
 def _phases(image: NDArray[Any], rows: int, columns: int) -> list[NDArray[Any]]:
-    """The rows x columns images made of every rows-th row and columns-th column, after padding with zeros to whole blocks."""
+    """Split an image into the rows x columns images of every rows-th row and columns-th column.
+
+    It is padded with zeros to whole blocks first.
+    """
     padded = np.pad(image, ((0, -image.shape[0] % rows), (0, -image.shape[1] % columns)))
     return [padded[row::rows, column::columns] for row in range(rows) for column in range(columns)]
 

@@ -1,4 +1,4 @@
-"""Plain words for the page: numbers with units, positions as read on a chart, and what each counter means to a person."""
+"""Word numbers with units, positions as read on a chart, and what each counter means to a person."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ STAGES: Final = {
 WORK: Final = frozenset({"reader.pings", "reader.joined_log", "ping.received", "detect.candidate", "detect.suppressed"})
 
 MEANINGS: Final = {
-    "detect.candidate": "places bright or dark enough to look at closely",
+    "detect.candidate": "places bright or dark enough to measure",
     "detect.windows_cut": "places beyond a tile's budget, where contrasts served without the cascade",
-    "confirm.beyond_budget": "detections beyond a tile's budget, not looked at closely",
+    "confirm.beyond_budget": "detections beyond a tile's budget, not confirmed",
     "budget.tile_limited": "tiles whose budget left something out, which earn less coverage",
     "budget.cheapest_pass_over": "tiles whose cheapest pass is beyond their budget",
-    "detect.over_budget": "candidates beyond a tile's budget, not looked at",
+    "detect.over_budget": "candidates beyond the limit of a tile, not measured",
     "detect.suppressed": "candidates merged into a stronger one beside them",
     "detect.tile_skipped_nothing_to_see": "tiles without a valid pixel, skipped",
     "detect.without_position": "detections left out because their position is not known",
@@ -66,40 +66,40 @@ MEANINGS: Final = {
     "service.ping_dropped": "pings dropped because perception was too slow",
     "service.work_shed": "pings with which less work was allowed because perception was behind",
     "service.ping_too_large": "pings larger than the buffer between processes",
-    "transfer.turned": "times that samples turned out to be stored in another way than they were taken for",
+    "transfer.turned": "changes of the sample law after pings had been read by another one",
     "bottom.not_seen": "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours",
-    "navigation.not_finite": "navigation values that were no numbers and were left out",
-    "navigation.ping_stale": "pings too far from a navigation sample: their position is not trusted, they earn no coverage",
-    "navigation.position_jump": "position fixes left out because the vehicle cannot have moved that far",
-    "navigation.position_out_of_range": "positions that do not exist on Earth, left out",
-    "navigation.position_refix": "times a jump was believed after several fixes agreed on the new place",
+    "navigation.not_finite": "navigation values that were not numbers, dropped",
+    "navigation.ping_stale": "pings too far from a navigation sample: their position is uncertain, they earn no coverage",
+    "navigation.position_jump": "position fixes rejected because the vehicle cannot have moved that far",
+    "navigation.position_out_of_range": "positions that do not exist on Earth, rejected",
+    "navigation.position_refix": "times a jump was accepted after several fixes agreed on the new place",
     "navigation.position_zero": "positions of exactly zero: a navigation unit that had no fix yet",
     "navigation.speed_unknown": "pings without a speed, neither measured nor derivable",
-    "navigation.time_backwards": "navigation samples older than the one before, left out",
-    "navigation.time_leap": "navigation samples whose clock leapt, left out",
-    "navigation.time_not_finite": "navigation samples without a usable time, left out",
-    "navigation.time_repeated": "navigation values with the time of the one before, left out",
+    "navigation.time_backwards": "navigation samples older than the one before, dropped",
+    "navigation.time_leap": "navigation samples whose clock leapt, dropped",
+    "navigation.time_not_finite": "navigation samples without a usable time, dropped",
+    "navigation.time_repeated": "navigation values with the time of the one before, dropped",
     "navigation.zero_with_position": "values of exactly zero that came with a position and were taken for not measured",
     "ping.clock_stepped_back": "times the ping clock stepped back for good: a new stretch begins",
     "ping.gap": "holes between pings: nothing there is covered",
-    "ping.no_side_scan_channel": "pings without a side-scan channel, left out",
-    "ping.time_backwards": "pings older than the one before, left out",
-    "ping.time_not_finite": "pings without a usable time, left out",
-    "ping.time_repeated": "pings with the time of the one before, left out",
+    "ping.no_side_scan_channel": "pings without a side-scan channel, dropped",
+    "ping.time_backwards": "pings older than the one before, dropped",
+    "ping.time_not_finite": "pings without a usable time, dropped",
+    "ping.time_repeated": "pings with the time of the one before, dropped",
     "quality.sample_not_finite_or_negative": "samples that cannot be echoes, masked",
-    "quality.sample_saturated": "clipped samples: bright at least, never used as background",
+    "quality.sample_saturated": "clipped samples: their level is a minimum, never used as background",
     "radiometry.gain_step": "sudden changes of gain, evened out",
     "reader.clock_stuck": "pings whose recorder clock stood still; times were spread evenly",
-    "reader.damaged_bytes": "bytes skipped while looking for the next readable packet",
+    "reader.damaged_bytes": "bytes skipped in search of the next readable packet",
     "reader.damaged_packet": "packets that could not be read, skipped",
     "reader.impossible_position": "positions that do not exist on Earth",
     "reader.joined_log": "places where one log ends and the next begins",
-    "reader.nan_navigation": "packets with navigation that was no number",
+    "reader.nan_navigation": "packets with navigation that was not a number",
     "reader.other_channel": "channels that are not the chosen side-scan pair",
     "reader.packet_not_side_scan": "packets of another kind, not needed here",
     "reader.pings": "pings read",
     "reader.repeated_navigation": "pings that repeat the navigation of the one before",
-    "reader.sample_not_finite": "samples that were no numbers",
+    "reader.sample_not_finite": "samples that were not numbers",
     "reader.side_empty": "pings with an empty channel on one side",
     "reader.sound_speed_absurd": "sound speeds that no sea has, replaced by 1500 m/s",
     "reader.time_backwards": "pings older than the one before",
@@ -118,12 +118,15 @@ class CounterLine(NamedTuple):
 
 
 def is_loss(name: str) -> bool:
-    """Whether a counter tells of something left out or degraded, rather than of work done. New counters are taken for losses."""
+    """Decide whether a counter counts what was dropped or degraded rather than work done.
+
+    A new counter counts as a loss.
+    """
     return name not in WORK
 
 
 def explained_counters(counters: Mapping[str, float], wanted: Callable[[str], bool]) -> list[tuple[str, list[CounterLine]]]:
-    """Wanted counters that are not zero, by stage, each with its meaning; one without an entry is told by its own name."""
+    """Explain the wanted counters that are not zero, by stage; one without an entry is shown by its own name."""
     stages: dict[str, list[CounterLine]] = {}
     for name in sorted(counters):
         if counters[name] and wanted(name):
@@ -135,7 +138,7 @@ def explained_counters(counters: Mapping[str, float], wanted: Callable[[str], bo
 
 
 def _meaning(name: str) -> str:
-    """The meaning of a counter, also of one told apart by side (`quality.port_...`) or kind (`reader.packet_not_side_scan.attitude`)."""
+    """Explain a counter, also one per side (`quality.port_...`) or kind (`reader.packet_not_side_scan.attitude`)."""
     sided = re.sub(r"\b(port|starboard)_", "", name)
     side = re.search(r"\b(port|starboard)_", name)
     general, _, kind = sided.rpartition(".")
@@ -182,7 +185,7 @@ def metres(value: float, digits: int = 2) -> str:
 
 
 def plus_minus(value_m: float, sigma_m: float) -> str:
-    """A size with its 1-sigma, if that is known."""
+    """Write a size with its 1-sigma, if that is known."""
     return f"{value_m:.2f} ± {sigma_m:.2f} m" if math.isfinite(value_m) and math.isfinite(sigma_m) else metres(value_m)
 
 
@@ -191,7 +194,7 @@ def decibels(level_db: float) -> str:
 
 
 def evidence_words(log_ratio: float) -> str:
-    """Evidence for a mine against clutter in nats, and in words: steps of ten and a hundred to one."""
+    """Write evidence for a mine against clutter in nats, and in words: steps of ten and a hundred to one."""
     if not math.isfinite(log_ratio):
         return "unknown"
     strength = next(text for least, text in ((4.6, "strongly "), (2.3, ""), (1.0, "slightly "), (0.0, None)) if abs(log_ratio) >= least)
@@ -200,7 +203,10 @@ def evidence_words(log_ratio: float) -> str:
 
 
 def agreement(conflict: float) -> str:
-    """How far the views of a contact contradict each other; the steps are those at which they are combined in another way."""
+    """Word how far the views of a contact contradict each other.
+
+    The steps are those at which they are combined in another way.
+    """
     if not math.isfinite(conflict):
         return "unknown"
     steps = (
@@ -233,23 +239,23 @@ _SIZES: Final = {
 
 
 def model_sizes(sizes: Mapping[str, float], sigma: Mapping[str, float]) -> str:
-    """Sizes of a solid with their 1-sigma, in the order people give them."""
-    told = []
+    """List the sizes of a solid with their 1-sigma, in the order people give them."""
+    phrases = []
     for name, word in _SIZES.items():
         size, error = sizes.get(name, math.nan), sigma.get(name, math.nan)
         if not math.isfinite(size) or (name == "burial_m" and size < 0.005):
             continue
         if name == "azimuth_rad":
-            told.append(f"{word} {math.degrees(size):.0f}°".replace("-", "\u2212"))
+            phrases.append(f"{word} {math.degrees(size):.0f}°".replace("-", "\u2212"))
             if math.isfinite(error):
-                told[-1] += f" ± {math.degrees(error):.0f}°"
+                phrases[-1] += f" ± {math.degrees(error):.0f}°"
         else:
-            told.append(f"{word} {plus_minus(size, error)}")
-    return ", ".join(told)
+            phrases.append(f"{word} {plus_minus(size, error)}")
+    return ", ".join(phrases)
 
 
 def degrees_minutes(degrees: float, positive: str, negative: str, digits: int = 4) -> str:
-    """A latitude or longitude as read on a chart: 55° 12.3456′ N."""
+    """Write a latitude or longitude as read on a chart: 55° 12.3456′ N."""
     if not math.isfinite(degrees):
         return "unknown"
     scaled = round(abs(degrees) * 60.0 * 10**digits)
@@ -259,7 +265,7 @@ def degrees_minutes(degrees: float, positive: str, negative: str, digits: int = 
 
 
 def nice_step(span: float, most: int) -> float:
-    """The smallest of 1, 2, 5 times a power of ten that divides `span` into at most `most` parts."""
+    """Find the smallest of 1, 2, 5 times a power of ten that divides `span` into `most` parts or fewer."""
     least = span / most
     power = 10.0 ** math.floor(math.log10(least))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * (1.0 - 1e-9))

@@ -1,4 +1,4 @@
-"""Scoring of contacts against truth."""
+"""Score contacts against truth."""
 
 from sim_replay.scoring.inputs import (
     ReportedContact,

@@ -1,9 +1,9 @@
-"""The plain rival: what a script of an afternoon finds in the same pings.
+"""Find contacts as the plain baseline does: a script of an afternoon, on the same pings.
 
-On the recorded numbers as they are, side by side, leg by leg: divide every range bin by its running median along-track, blur, take what is
-bright and has something dark close behind, join neighbours, report one contact each. Positions by the told pose over a flat floor at the
-told altitude. What it lacks is what it is there to show: no calibration of what a stored number means, no statistics of speckle, no
-bottom of its own, no shape.
+On the recorded numbers as they are, side by side, leg by leg: divide every range bin by its running median along-track,
+blur, take what is bright and has something dark close behind, join neighbours, report one contact each. Positions by
+the reported pose over a flat floor at the reported altitude. What it lacks is what it is there to show: no calibration
+of what a stored number means, no statistics of speckle, no bottom of its own, no shape.
 
 Its constants were chosen on missions with seeds below 100.
 """
@@ -45,7 +45,7 @@ Floats = NDArray[np.float32]
 
 
 class _Line(NamedTuple):
-    """Pings of a straight run: (n,) float64 told poses in the plane, samples per side (n, n_samples) float32."""
+    """Pings of a straight run: (n,) float64 reported poses in the plane, samples per side (n, n_samples) float32."""
 
     east_m: NDArray[np.float64]
     north_m: NDArray[np.float64]
@@ -65,8 +65,13 @@ class _Call(NamedTuple):
     width_m: float
 
 
-def rival_contacts(events: Iterable[SourceEvent]) -> list[ReportedContact]:
-    """Contacts of a mission with p_mine from 0 to 1, strongest first. Pings whose format differs from the first one's are left out."""
+def baseline_contacts(events: Iterable[SourceEvent]) -> list[ReportedContact]:
+    """Find the contacts of a mission with p_mine from 0 to 1, strongest first.
+
+    Pings whose format differs from the first one's are dropped.
+
+    Pings whose format differs from the first one's are left out.
+    """
     navigation, pings = _usable(events)
     if len(navigation) < 2 or len(pings) < _SHORTEST_PINGS:
         return []
@@ -89,7 +94,7 @@ def rival_contacts(events: Iterable[SourceEvent]) -> list[ReportedContact]:
 
 
 def _usable(events: Iterable[SourceEvent]) -> tuple[list[NavSample], list[Ping]]:
-    """Navigation with a whole pose, in order of time, and pings of both sides that are all of one format."""
+    """Select navigation with a whole pose, in order of time, and pings of both sides in one format."""
     navigation: list[NavSample] = []
     pings: list[Ping] = []
     layout: tuple[object, ...] | None = None
@@ -107,14 +112,14 @@ def _usable(events: Iterable[SourceEvent]) -> tuple[list[NavSample], list[Ping]]
 
 
 def _lines(navigation: Sequence[NavSample], pings: Sequence[Ping], frame: LocalFrame) -> list[_Line]:
-    """The straight runs of a mission."""
-    told_s = np.array([sample.time_s for sample in navigation])
+    """Split a mission into its straight runs."""
+    navigation_s = np.array([sample.time_s for sample in navigation])
     place = frame.to_enu([sample.latitude_deg for sample in navigation], [sample.longitude_deg for sample in navigation], 0.0)
     heading = np.unwrap([sample.heading_rad for sample in navigation])
     time_s = np.array([ping.time_s for ping in pings])
 
     def at(moments_s: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.interp(moments_s, told_s, values), dtype=np.float64)
+        return np.asarray(np.interp(moments_s, navigation_s, values), dtype=np.float64)
 
     turned = at(time_s + _TURN_OVER_S, heading) - at(time_s - _TURN_OVER_S, heading)
     straight = np.abs(turned) < 2.0 * _TURN_OVER_S * math.radians(_STRAIGHT_DEG_S)
@@ -146,7 +151,7 @@ def _lines(navigation: Sequence[NavSample], pings: Sequence[Ping], frame: LocalF
 
 
 def _calls(line: _Line, side: Side) -> list[_Call]:
-    """What looks like an object on one side of a line."""
+    """Find what looks like an object on one side of a line."""
     level = _levelled(line.samples[side])
     n_samples = level.shape[1]
     row_m = max(float(np.median(np.hypot(np.diff(line.east_m), np.diff(line.north_m)))), 1e-3)
@@ -196,7 +201,10 @@ def _placed(line: _Line, side: Side, row: float, column: float, score: float, le
 
 
 def _levelled(samples: Floats) -> Floats:
-    """Samples over the running median of their range bin, taken every few pings and drawn straight between; 1 where that is 0."""
+    """Divide samples by the running median of their range bin; 1 where that is 0.
+
+    The median is taken every few pings and interpolated linearly between them.
+    """
     n_pings = len(samples)
     centres = np.unique(np.append(np.arange(0, n_pings, _MEDIAN_STEP), n_pings - 1))
     half = _MEDIAN_PINGS // 2
@@ -210,7 +218,7 @@ def _levelled(samples: Floats) -> Floats:
 
 
 def _one_per_object(calls: Sequence[_Call]) -> list[_Call]:
-    """The strongest of calls close together, whatever the pass."""
+    """Keep the strongest of calls close together, whatever the pass."""
     kept: list[_Call] = []
     for call in sorted(calls, reverse=True):
         if all(math.hypot(call.east_m - other.east_m, call.north_m - other.north_m) > _ONE_OBJECT_M for other in kept):
@@ -219,5 +227,5 @@ def _one_per_object(calls: Sequence[_Call]) -> list[_Call]:
 
 
 def _odd(size: float) -> int:
-    """The nearest odd number of samples, at least one."""
+    """Round to the nearest odd number of samples, 1 at the minimum."""
     return max(1, 2 * round(0.5 * (size - 1.0)) + 1)

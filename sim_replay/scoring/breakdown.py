@@ -1,4 +1,7 @@
-"""Where a mission set's rates come from at one threshold: by kind, range and sea floor, and how good positions and sizes are."""
+"""Break a mission set's rates down at one threshold, and measure how good positions and sizes are.
+
+Rates are broken down by kind, range and sea floor.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ _CLASSES: Final = get_args(ContactClass)
 
 
 class KindRow(msgspec.Struct, frozen=True, kw_only=True):
-    """`called`: objects of this kind with a contact; detections for targets, mistakes for others."""
+    """Objects of one kind.
+
+    `called`: those with a contact; detections for targets, mistakes for others.
+    """
 
     kind: str
     is_target: bool
@@ -47,7 +53,10 @@ class ConfusionRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Confusion(msgspec.Struct, frozen=True, kw_only=True):
-    """The last column is objects without a contact; `nothing_there` are the false alarms that lie on no known object."""
+    """Truth's kinds against the classes given.
+
+    The last column is objects without a contact; `nothing_there` are the false alarms that lie on no known object.
+    """
 
     columns: tuple[str, ...]
     rows: tuple[ConfusionRow, ...]
@@ -55,7 +64,7 @@ class Confusion(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PositionSpread(msgspec.Struct, frozen=True, kw_only=True):
-    """The median of signed errors and what 95 % of them stay below in size; None without any."""
+    """The median of signed errors, and the size that 95 % of them stay below; None without any."""
 
     n: int
     median: float | None
@@ -82,7 +91,7 @@ class SizeErrors(msgspec.Struct, frozen=True, kw_only=True):
 class FoundObject(NamedTuple):
     """An object that took part, and the contact on it."""
 
-    thing: TruthObject
+    truth_object: TruthObject
     seabed: str
     is_seen: bool
     contact: ReportedContact | None
@@ -96,12 +105,12 @@ class FalseAlarm(NamedTuple):
 
 
 def objects_of(layout: MissionLayout, state: State) -> Iterator[FoundObject]:
-    holder = {thing: contact for contact, thing in enumerate(state.matched.tolist()) if thing != UNMATCHED}
-    for index, thing in enumerate(layout.objects):
+    holder = {truth_object: contact for contact, truth_object in enumerate(state.matched.tolist()) if truth_object != UNMATCHED}
+    for index, truth_object in enumerate(layout.objects):
         contact = holder.get(index)
         east_m, north_m = (NAN, NAN) if contact is None else layout.offset_m[contact, index].tolist()
         yield FoundObject(
-            thing=thing,
+            truth_object=truth_object,
             seabed=layout.object_seabed[index],
             is_seen=bool(layout.is_seen[index]),
             contact=None if contact is None else layout.contacts[contact],
@@ -116,32 +125,34 @@ def false_alarms_of(layout: MissionLayout, state: State) -> Iterator[FalseAlarm]
 
 
 def by_kind(found: Sequence[FoundObject]) -> tuple[KindRow, ...]:
-    """Seen objects, targets first."""
-    total = Counter((not item.thing.is_target, item.thing.kind) for item in found if item.is_seen)
-    called = Counter((not item.thing.is_target, item.thing.kind) for item in found if item.is_seen and item.contact)
+    """Count seen objects and those called, by kind, targets first."""
+    total = Counter((not item.truth_object.is_target, item.truth_object.kind) for item in found if item.is_seen)
+    called = Counter((not item.truth_object.is_target, item.truth_object.kind) for item in found if item.is_seen and item.contact)
     return tuple(KindRow(kind=key[1], is_target=not key[0], called=proportion(called[key], total[key])) for key in sorted(total))
 
 
 def rocks_called(found: Sequence[FoundObject]) -> Proportion:
-    others = [item for item in found if item.is_seen and not item.thing.is_target]
+    others = [item for item in found if item.is_seen and not item.truth_object.is_target]
     return proportion(sum(item.contact is not None for item in others), len(others))
 
 
 def by_range(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], area_km2: float) -> tuple[Group, ...]:
-    """By the nearest look at a target, or else its contact's range, and by the contact's range for false alarms.
+    """Rate range bands: targets by their nearest look, or else their contact's range.
 
-    The area of a band is not known, so densities are over all of it and add up to the total. A target that was missed and has
-    no looks is in the band `unknown`.
+    False alarms by the contact's range.
+
+    The area of a band is not known, so densities are over all of it and add up to the total. A target that was missed
+    and has no looks is in the band `unknown`.
     """
-    targets = [(_band(_range_m(item)), item) for item in found if item.is_seen and item.thing.is_target]
+    targets = [(_band(_range_m(item)), item) for item in found if item.is_seen and item.truth_object.is_target]
     alarms = Counter(_band(alarm.contact.ground_range_m) for alarm in false_alarms)
     groups = (_group(band, targets, alarms[band], area_km2) for band in _BANDS)
     return tuple(group for group in groups if group.pd.of or group.false_alarms.count)
 
 
 def by_seabed(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], areas_km2: dict[str, float]) -> tuple[Group, ...]:
-    """Over each type's own swept area; `unknown` is what the missions without a map swept."""
-    targets = [(item.seabed, item) for item in found if item.is_seen and item.thing.is_target]
+    """Rate seabed types over each type's own swept area; `unknown` is what the missions without a map swept."""
+    targets = [(item.seabed, item) for item in found if item.is_seen and item.truth_object.is_target]
     alarms = Counter(alarm.seabed for alarm in false_alarms)
     names = {seabed for seabed, _ in targets} | set(alarms) | set(areas_km2)
     groups = (_group(name, targets, alarms[name], areas_km2.get(name)) for name in sorted(names, key=lambda name: (name == UNKNOWN, name)))
@@ -149,16 +160,16 @@ def by_seabed(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], 
 
 
 def confusion(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm]) -> Confusion:
-    """Truth's kinds against the classes of the contacts on them, duplicates left out."""
-    told = Counter((not item.thing.is_target, item.thing.kind, _class_of(item.contact)) for item in found if item.is_seen)
+    """Count truth's kinds against the classes of the contacts on them, duplicates left out."""
+    counts = Counter((not item.truth_object.is_target, item.truth_object.kind, _class_of(item.contact)) for item in found if item.is_seen)
     elsewhere = Counter(alarm.contact.classification for alarm in false_alarms if not alarm.on_clutter)
-    used = {name for _, _, name in told} | set(elsewhere)
+    used = {name for _, _, name in counts} | set(elsewhere)
     columns = (*(name for name in _CLASSES if name in used), *sorted(used - {*_CLASSES, NOT_CALLED}), NOT_CALLED)
     return Confusion(
         columns=columns,
         rows=tuple(
-            ConfusionRow(kind=kind, is_target=not other, counts=tuple(told[other, kind, name] for name in columns))
-            for other, kind in sorted({(other, kind) for other, kind, _ in told})
+            ConfusionRow(kind=kind, is_target=not other, counts=tuple(counts[other, kind, name] for name in columns))
+            for other, kind in sorted({(other, kind) for other, kind, _ in counts})
         ),
         nothing_there=tuple(elsewhere[name] for name in columns),
     )
@@ -176,16 +187,16 @@ def position_errors(found: Sequence[FoundObject]) -> PositionErrors:
 
 
 def size_errors(found: Sequence[FoundObject]) -> SizeErrors:
-    hits = [(item.thing, contact) for item, contact in _detections(found)]
+    hits = [(item.truth_object, contact) for item, contact in _detections(found)]
     return SizeErrors(
-        length_m=_spread([contact.length_m - _known(thing.length_m) for thing, contact in hits]),
-        width_m=_spread([contact.width_m - _known(thing.width_m) for thing, contact in hits]),
-        height_m=_spread([contact.height_m - (_known(thing.height_m) - thing.burial_m) for thing, contact in hits]),
+        length_m=_spread([contact.length_m - _known(truth_object.length_m) for truth_object, contact in hits]),
+        width_m=_spread([contact.width_m - _known(truth_object.width_m) for truth_object, contact in hits]),
+        height_m=_spread([contact.height_m - (_known(truth_object.height_m) - truth_object.burial_m) for truth_object, contact in hits]),
     )
 
 
 def _detections(found: Sequence[FoundObject]) -> list[tuple[FoundObject, ReportedContact]]:
-    return [(item, item.contact) for item in found if item.is_seen and item.thing.is_target and item.contact is not None]
+    return [(item, item.contact) for item in found if item.is_seen and item.truth_object.is_target and item.contact is not None]
 
 
 def _group(name: str, targets: Sequence[tuple[str, FoundObject]], n_alarms: int, area_km2: float | None) -> Group:
@@ -198,8 +209,8 @@ def _group(name: str, targets: Sequence[tuple[str, FoundObject]], n_alarms: int,
 
 
 def _range_m(item: FoundObject) -> float:
-    if item.thing.looks:
-        return min(look.ground_range_m for look in item.thing.looks)
+    if item.truth_object.looks:
+        return min(look.ground_range_m for look in item.truth_object.looks)
     return NAN if item.contact is None else item.contact.ground_range_m
 
 

@@ -1,4 +1,4 @@
-"""Whether probabilities hold: events promised with probability p should come true in p of the cases."""
+"""Check probabilities: events predicted with probability p should come true in p of the cases."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from numpy.typing import ArrayLike
 from sim_replay.scoring.intervals import Proportion, proportion
 
 RELIABILITY_EDGES: Final = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
-"""Lower edges of the table: most contacts lie near 0, where bins of a tenth tell nothing."""
+"""Lower edges of the table: most contacts lie near 0, where bins of a tenth carry no information."""
 
 
 def calibration_error(probability: ArrayLike, came_true: ArrayLike, n_bins: int = 10) -> float:
-    """Expected calibration error: |mean probability - share that came true| per bin of [0, 1], weighted by the bin's count.
+    """Compute the expected calibration error: |mean probability - share that came true| per bin of [0, 1].
 
-    probability: (n,) float64. came_true: (n,) bool. After M. Naeini, G. Cooper and M. Hauskrecht, AAAI 2015. Raises ValueError if there
-    are none, not as many of one as of the other, or a probability is not in [0, 1].
+    Bins are weighted by their counts.
+
+    probability: (n,) float64. came_true: (n,) bool. After M. Naeini, G. Cooper and M. Hauskrecht, AAAI 2015. Raises
+    ValueError if there are none, not as many of one as of the other, or a probability is not in [0, 1].
     """
     p, true = np.asarray(probability, dtype=np.float64), np.asarray(came_true, dtype=np.bool_)
     if p.ndim != 1 or p.shape != true.shape or not p.size:
@@ -32,7 +34,7 @@ def calibration_error(probability: ArrayLike, came_true: ArrayLike, n_bins: int 
 
 
 class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
-    """Contacts with p_mine in [low, high): what they promised on average, and the share of them that lay on mines."""
+    """Contacts with p_mine in [low, high): their mean p_mine, and the share of them that lay on mines."""
 
     low: float
     high: float
@@ -48,7 +50,12 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def calibration(p_mine: ArrayLike, on_mine: ArrayLike) -> Calibration:
-    """Compare promises with what came true. p_mine: (n,) float64. on_mine: (n,) bool. Raises ValueError as calibration_error does."""
+    """Compare predictions with what came true. p_mine: (n,) float64. on_mine: (n,) bool.
+
+    Raises ValueError as calibration_error does.
+
+    Raises ValueError as calibration_error does.
+    """
     p, true = np.asarray(p_mine, dtype=np.float64), np.asarray(on_mine, dtype=np.bool_)
     if not p.size:
         return Calibration(error=None, bins=())

@@ -1,4 +1,4 @@
-"""What the payload's own calls come to: detections and false alarms at the operating point that it was asked for."""
+"""Score the payload's own calls: detections and false alarms at the operating point requested of it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _SUMMARY = "summary.json"
 class CalledPoint(msgspec.Struct, frozen=True, kw_only=True):
     """The contacts that the payload calls mines, all missions together.
 
-    asked_per_km2: false alarms per km² that the operator accepted; None if it is not known, or differs between missions.
+    asked_per_km2: false alarms per km² that the operator accepted; None if it is not known, or differs between
+    missions.
     """
 
     asked_per_km2: float | None
@@ -31,7 +32,7 @@ class CalledPoint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def called_point(missions: Sequence[ScoredMission], gate_m: float) -> CalledPoint | None:
-    """Match the contacts that are called with the truth; None where a mission has contacts that do not say whether they are."""
+    """Match the called contacts with the truth; None where contacts of a mission do not state whether they are called."""
     if not missions or any(contact.called is None for mission in missions for contact in mission.contacts):
         return None
     if not any(mission.contacts for mission in missions):
@@ -64,7 +65,10 @@ def last_state(layout: MissionLayout) -> State:
 
 
 def asked_beside(contacts: Path) -> float:
-    """Read what was asked from the summary in the folder of a contacts file; NaN where there is none, or it does not say."""
+    """Read the density requested from the summary beside a contacts file.
+
+    NaN where there is none, or it does not state it.
+    """
     try:
         asked = json.loads(contacts.with_name(_SUMMARY).read_bytes())["operating_point"]["asked_per_km2"]
     except (OSError, ValueError, LookupError, TypeError, RecursionError):

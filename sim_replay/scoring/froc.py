@@ -1,4 +1,4 @@
-"""The free-response receiver operating characteristic: probability of detection against false alarms per km2, over p_mine."""
+"""Trace the free-response receiver operating characteristic: Pd against false alarms per km², over p_mine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _SEED: Final = 1
 
 
 class OperatingPoint(msgspec.Struct, frozen=True, kw_only=True):
-    """All contacts with p_mine of at least `threshold`. Those `on_known_clutter` are among the false alarms, duplicates are not."""
+    """All contacts with p_mine of `threshold` or more.
+
+    Those `on_known_clutter` are among the false alarms, duplicates are not.
+    """
 
     threshold: float
     pd: Proportion
@@ -33,7 +36,10 @@ class OperatingPoint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
-    """The best Pd with at most `limit_per_km2` false alarms: at `threshold`, None if every threshold gives more of them (Pd 0 then)."""
+    """The best Pd within `limit_per_km2` false alarms.
+
+    At `threshold`, None if every threshold gives more of them (Pd 0 then).
+    """
 
     limit_per_km2: float
     pd: Proportion
@@ -47,7 +53,9 @@ class Bounds(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Bootstrap(msgspec.Struct, frozen=True, kw_only=True):
-    """95 % of what resampled missions give, so that targets and clutter of one mission may depend on each other.
+    """The interval that holds 95 % of resampled missions.
+
+    Targets and clutter of one mission may depend on each other.
 
     None where no resample holds a target. `headline_pd` goes with the limits of the headlines.
     """
@@ -61,7 +69,10 @@ class Bootstrap(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Curve(NamedTuple):
-    """Pooled missions over falling thresholds: (n_missions, n_thresholds, n_outcomes) `counts`, and per mission targets and area."""
+    """Pooled missions over falling thresholds.
+
+    (n_missions, n_thresholds, n_outcomes) `counts`, and per mission targets and area.
+    """
 
     thresholds: NDArray[np.float64]
     counts: NDArray[np.int64]
@@ -70,17 +81,17 @@ class Curve(NamedTuple):
 
     @property
     def detections(self) -> NDArray[np.int64]:
-        """(n_missions, n_thresholds)"""
+        """Count detections, (n_missions, n_thresholds)."""
         return self.counts[..., Outcome.DETECTION]
 
     @property
     def false_alarms(self) -> NDArray[np.int64]:
-        """(n_missions, n_thresholds)"""
+        """Count false alarms, (n_missions, n_thresholds)."""
         return self.counts[..., Outcome.ON_CLUTTER] + self.counts[..., Outcome.ELSEWHERE]
 
 
 def trace(layouts: Sequence[MissionLayout], area_km2: Sequence[float], threshold: float) -> tuple[Curve, list[State]]:
-    """The curve over all distinct thresholds, and each mission's state at `threshold`."""
+    """Trace the curve over all distinct thresholds; return it with each mission's state at `threshold`."""
     chosen: list[State] = []
     steps: list[tuple[NDArray[np.float64], NDArray[np.int64]]] = []
     for layout in layouts:
@@ -106,7 +117,7 @@ def operating_points(curve: Curve) -> tuple[OperatingPoint, ...]:
 
 
 def point_at(curve: Curve, threshold: float) -> OperatingPoint:
-    """The operating point of any threshold, also one that no contact has."""
+    """Compute the operating point of any threshold, also one that no contact has."""
     reached = int(np.count_nonzero(curve.thresholds >= threshold))
     row = curve.counts[:, reached - 1].sum(axis=0) if reached else np.zeros(len(Outcome), dtype=np.int64)
     return _point(threshold, row, int(curve.targets.sum()), float(curve.area_km2.sum()))
@@ -130,7 +141,7 @@ def headlines(curve: Curve) -> tuple[Headline, ...]:
 
 
 def partial_area(curve: Curve) -> float | None:
-    """Mean of Pd over the logarithm of 1 to 1000 false alarms per km2, 0..1; None without targets.
+    """Average Pd over the logarithm of 1 to 1000 false alarms per km², 0..1; None without targets.
 
     Pd at a density is the best one with at most that many, so the curve is a stair, and level beyond its last point.
     """

@@ -1,7 +1,10 @@
-"""What is scored: a mission's contacts and the truth about its sea floor, read from contacts.geojson and truth.json.
+"""Read what is scored: a mission's contacts and the truth about its sea floor.
 
-Only what the score needs is asked for, so that files of other producers work: a position and `p_mine` per contact, `area_km2`
-and the kind, position and `is_target` of each object. Further keys are used where they are and ignored where not known.
+From contacts.geojson and truth.json.
+
+Only what the score needs is asked for, so that files of other producers work: a position and `p_mine` per contact,
+`area_km2` and the kind, position and `is_target` of each object. Further keys are used where they are and ignored where
+not known.
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ _TRUTH_HINT: Final = "A truth file holds area_km2 above 0 and objects, each with
 
 
 class ReportedContact(NamedTuple):
-    """One contact as a mission reported it; NaN for what it does not tell."""
+    """One contact as a mission reported it; NaN for what it does not state."""
 
     latitude_deg: float
     longitude_deg: float
@@ -48,7 +51,12 @@ class ObjectPass(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
-    """An object on the sea floor, `burial_m` of its height below it. `looks` is None if not told, empty if the sonar never saw it."""
+    """An object on the sea floor, `burial_m` of its height below it.
+
+    `looks` is None if not stated, empty if the sonar never saw it.
+
+    `looks` is None if not stated, empty if the sonar never saw it.
+    """
 
     kind: str
     latitude_deg: LatitudeDeg = msgspec.field(name="lat")
@@ -111,17 +119,22 @@ _Record = TypeVar("_Record")
 
 
 def read_contacts(path: Path) -> tuple[ReportedContact, ...]:
-    """Raises BadInputError naming the file, the feature and the key."""
+    """Read a contacts file. Raises BadInputError naming the file, the feature and the key."""
     return parse_contacts(_read_json(path, _CONTACTS_HINT), str(path))
 
 
 def read_truth(path: Path) -> Truth:
-    """Raises BadInputError naming the file, the object and the key."""
+    """Read a truth file. Raises BadInputError naming the file, the object and the key."""
     return parse_truth(_read_json(path, _TRUTH_HINT), str(path))
 
 
 def parse_contacts(document: Any, place: str) -> tuple[ReportedContact, ...]:
-    """The contacts of decoded GeoJSON, in its order; a null geometry is a contact without a position. `place` is for messages.
+    """Parse the contacts of decoded GeoJSON, in its order.
+
+    A null geometry is a contact without a position. `place` is for messages. Raises BadInputError naming the feature
+    and the key.
+
+    `place` is for messages.
 
     Raises BadInputError naming the feature and the key.
     """
@@ -132,7 +145,10 @@ def parse_contacts(document: Any, place: str) -> tuple[ReportedContact, ...]:
 
 
 def parse_truth(document: Any, place: str) -> Truth:
-    """The truth of decoded JSON; `place` is for messages. Raises BadInputError naming the object and the key."""
+    """Parse the truth of decoded JSON.
+
+    `place` is for messages. Raises BadInputError naming the object and the key.
+    """
     if isinstance(document, dict) and document.get("type") == "FeatureCollection":
         raise BadInputError(f"{place}: contacts where a truth file belongs. Give each CONTACTS first, then its TRUTH")
     truth = _convert(document, Truth, place, _TRUTH_HINT)
@@ -148,20 +164,21 @@ def _contact(feature: _Feature, place: str) -> ReportedContact:
     longitude_deg, latitude_deg = feature.geometry.coordinates[:2] if feature.geometry else (NAN, NAN)
     if abs(latitude_deg) > 90.0 or not (math.isnan(longitude_deg) or -180.0 <= longitude_deg <= 360.0):
         raise BadInputError(
-            f"{place}.geometry.coordinates: [{longitude_deg:g}, {latitude_deg:g}] is no place on Earth. GeoJSON has [longitude, latitude]"
+            f"{place}.geometry.coordinates: [{longitude_deg:g}, {latitude_deg:g}] is not a position on Earth. "
+            "GeoJSON orders [longitude, latitude]"
         )
-    told = feature.properties
+    properties = feature.properties
     return ReportedContact(
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
-        p_mine=told.p_mine,
-        classification=clean(told.classification),
-        length_m=_or_nan(told.length_m),
-        width_m=_or_nan(told.width_m),
-        height_m=_or_nan(told.height_m),
-        sigma_m=_or_nan(told.sigma_m),
-        ground_range_m=_or_nan(told.ground_range_m),
-        called=told.called,
+        p_mine=properties.p_mine,
+        classification=clean(properties.classification),
+        length_m=_or_nan(properties.length_m),
+        width_m=_or_nan(properties.width_m),
+        height_m=_or_nan(properties.height_m),
+        sigma_m=_or_nan(properties.sigma_m),
+        ground_range_m=_or_nan(properties.ground_range_m),
+        called=properties.called,
     )
 
 
@@ -189,7 +206,7 @@ def _convert(document: Any, kind: type[_Record], place: str, hint: str) -> _Reco
 
 
 def _non_finite(value: Any, path: str) -> str | None:
-    """The path of the first number that is NaN or infinite, which Python's JSON reader lets pass."""
+    """Find the path of the first number that is NaN or infinite, which Python's JSON reader accepts."""
     if isinstance(value, float):
         return None if math.isfinite(value) else path
     if isinstance(value, dict):

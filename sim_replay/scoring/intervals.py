@@ -1,4 +1,4 @@
-"""Counts with their 95 % confidence intervals: shares of a number of trials, and densities over an area."""
+"""Compute counts with their 95 % confidence intervals: shares of trials, and densities over an area."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ class Proportion(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Density(msgspec.Struct, frozen=True, kw_only=True):
-    """`count` events over an area, per square kilometre, with the exact Poisson interval; None where the area is not known."""
+    """`count` events over an area, per square kilometre, with the exact Poisson interval.
+
+    None where the area is not known.
+    """
 
     count: int
     area_km2: float | None
@@ -33,10 +36,10 @@ class Density(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def wilson_interval(count: ArrayLike, of: ArrayLike, confidence: float = CONFIDENCE) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bounds of the probability behind `count` successes in `of` trials; arrays broadcast; 0..1 without trials.
+    """Bound the probability behind `count` successes in `of` trials; arrays broadcast; 0..1 without trials.
 
-    Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22 (1927). Its coverage is near the
-    nominal one on average over probabilities, not for each of them.
+    Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22 (1927). Its coverage is near
+    the nominal one on average over probabilities, not for each of them.
     """
     successes, trials = np.broadcast_arrays(np.asarray(count, dtype=np.float64), np.asarray(of, dtype=np.float64))
     z2 = float(ndtri(0.5 + 0.5 * confidence)) ** 2
@@ -50,7 +53,7 @@ def wilson_interval(count: ArrayLike, of: ArrayLike, confidence: float = CONFIDE
 
 
 def poisson_interval(count: ArrayLike, confidence: float = CONFIDENCE) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bounds of the mean behind `count` Poisson events; covers at least with `confidence`, whatever the mean.
+    """Bound the mean behind `count` Poisson events; covers with `confidence` or more, whatever the mean.
 
     Garwood, "Fiducial limits for the Poisson distribution", Biometrika 28 (1936).
     """

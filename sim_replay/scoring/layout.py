@@ -1,4 +1,4 @@
-"""A mission's contacts and objects in one plane, and what each contact comes to at a threshold of p_mine."""
+"""Lay a mission's contacts and objects out in one plane, and judge each contact at a threshold of p_mine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNKNOWN = "unknown"
 
 
 class Outcome(IntEnum):
-    """What one contact comes to; `ON_CLUTTER` and `ELSEWHERE` are the false alarms."""
+    """The outcome of one contact; `ON_CLUTTER` and `ELSEWHERE` are the false alarms."""
 
     NOT_CALLED = 0  # p_mine below the threshold
     DETECTION = 1
@@ -29,7 +29,12 @@ class Outcome(IntEnum):
 
 
 class MissionLayout(NamedTuple):
-    """`contacts` and `objects` are those that take part. Arrays are (n_contacts, n_objects) or as long as what they tell about."""
+    """The contacts and objects that take part.
+
+    Arrays are (n_contacts, n_objects), or as long as what they describe.
+
+    Arrays are (n_contacts, n_objects) or as long as what they describe.
+    """
 
     contacts: tuple[ReportedContact, ...]
     objects: tuple[TruthObject, ...]
@@ -55,16 +60,20 @@ class State(NamedTuple):
 
 
 def lay_out(mission: ScoredMission, gate_m: float) -> MissionLayout:
-    """Left out are contacts without a position, contacts off the swept area that lie on no target, and clutter that no pass saw."""
+    """Lay a mission out, with the contacts and objects that can be scored.
+
+    Left out are contacts without a position, contacts off the swept area that lie on no target, and clutter that no
+    pass saw.
+    """
     truth = mission.truth
-    objects = tuple(thing for thing in truth.objects if thing.is_target or is_seen(thing))
+    objects = tuple(one for one in truth.objects if one.is_target or is_seen(one))
     placed = tuple(contact for contact in mission.contacts if np.isfinite([contact.latitude_deg, contact.longitude_deg]).all())
     frame = _frame(truth, placed)
     offset_m = _east_north(frame, placed)[:, None] - _east_north(frame, objects)[None]
     gate = gates_m(gate_m, np.array([contact.sigma_m for contact in placed], dtype=np.float64))
     near = np.hypot(offset_m[..., 0], offset_m[..., 1]) <= gate[:, None]
-    is_target = np.array([thing.is_target for thing in objects], dtype=bool)
-    seen = np.array([is_seen(thing) for thing in objects], dtype=bool)
+    is_target = np.array([one.is_target for one in objects], dtype=bool)
+    seen = np.array([is_seen(one) for one in objects], dtype=bool)
     contact_seabed, swept = _seabed_under(truth, placed)
     object_seabed, _ = _seabed_under(truth, objects)
     # A target at the edge of the swath may well be reported from just beyond it.
@@ -78,7 +87,7 @@ def lay_out(mission: ScoredMission, gate_m: float) -> MissionLayout:
         is_target=is_target,
         is_seen=seen,
         contact_seabed=tuple(contact_seabed[index] for index in kept),
-        object_seabed=tuple(thing.seabed or below for thing, below in zip(objects, object_seabed, strict=True)),
+        object_seabed=tuple(one.seabed or below for one, below in zip(objects, object_seabed, strict=True)),
         seabed_area_km2=_seabed_areas(truth),
         n_outside=len(placed) - len(kept),
         n_without_position=len(mission.contacts) - len(placed),
@@ -86,13 +95,13 @@ def lay_out(mission: ScoredMission, gate_m: float) -> MissionLayout:
     )
 
 
-def is_seen(thing: TruthObject) -> bool:
-    """Whether a pass saw it; taken for granted where the truth does not tell."""
-    return thing.looks is None or len(thing.looks) > 0
+def is_seen(truth_object: TruthObject) -> bool:
+    """Check whether a pass saw an object; assumed where the truth does not state it."""
+    return truth_object.looks is None or len(truth_object.looks) > 0
 
 
 def states(layout: MissionLayout) -> Iterator[State]:
-    """The mission at each distinct p_mine of its contacts, falling."""
+    """Judge the mission at each distinct p_mine of its contacts, falling."""
     distance_m = np.hypot(layout.offset_m[..., 0], layout.offset_m[..., 1])
     seen_targets, unseen_targets = layout.is_target & layout.is_seen, layout.is_target & ~layout.is_seen
     left_over = np.select(
@@ -109,33 +118,37 @@ def states(layout: MissionLayout) -> Iterator[State]:
 
 
 def nothing_called(layout: MissionLayout) -> State:
+    """Make the state of a mission at a threshold that no contact reaches."""
     n_contacts = len(layout.contacts)
     return State(np.inf, np.full(n_contacts, UNMATCHED, dtype=np.int64), np.full(n_contacts, Outcome.NOT_CALLED, dtype=np.int64))
 
 
 def _frame(truth: Truth, placed: tuple[ReportedContact, ...]) -> LocalFrame:
-    things: tuple[ReportedContact | TruthObject, ...] = (*truth.objects, *placed)
-    if not things:
+    positioned: tuple[ReportedContact | TruthObject, ...] = (*truth.objects, *placed)
+    if not positioned:
         return LocalFrame(latitude_deg=0.0, longitude_deg=0.0)
-    return LocalFrame(latitude_deg=things[0].latitude_deg, longitude_deg=things[0].longitude_deg)
+    return LocalFrame(latitude_deg=positioned[0].latitude_deg, longitude_deg=positioned[0].longitude_deg)
 
 
-def _east_north(frame: LocalFrame, things: tuple[ReportedContact | TruthObject, ...]) -> NDArray[np.float64]:
-    return frame.to_enu(*_latitude_longitude(things), 0.0)[..., :2]
+def _east_north(frame: LocalFrame, positioned: tuple[ReportedContact | TruthObject, ...]) -> NDArray[np.float64]:
+    return frame.to_enu(*_latitude_longitude(positioned), 0.0)[..., :2]
 
 
-def _latitude_longitude(things: tuple[ReportedContact | TruthObject, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _latitude_longitude(positioned: tuple[ReportedContact | TruthObject, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return (
-        np.array([thing.latitude_deg for thing in things], dtype=np.float64),
-        np.array([thing.longitude_deg for thing in things], dtype=np.float64),
+        np.array([one.latitude_deg for one in positioned], dtype=np.float64),
+        np.array([one.longitude_deg for one in positioned], dtype=np.float64),
     )
 
 
-def _seabed_under(truth: Truth, things: tuple[ReportedContact | TruthObject, ...]) -> tuple[list[str], NDArray[np.bool_]]:
-    """Per thing the type of sea floor under it, and whether the sonar swept there: everywhere if there is no map."""
+def _seabed_under(truth: Truth, positioned: tuple[ReportedContact | TruthObject, ...]) -> tuple[list[str], NDArray[np.bool_]]:
+    """Look up the seabed type under each position, and whether the sonar swept there.
+
+    Everything is swept where there is no map.
+    """
     if truth.seabed_map is None:
-        return [UNKNOWN] * len(things), np.ones(len(things), dtype=bool)
-    kinds = types_at(truth.seabed_map, decode(truth.seabed_map), *_latitude_longitude(things))
+        return [UNKNOWN] * len(positioned), np.ones(len(positioned), dtype=bool)
+    kinds = types_at(truth.seabed_map, decode(truth.seabed_map), *_latitude_longitude(positioned))
     return [UNKNOWN if kind == NOT_SWEPT else truth.seabed_map.types[kind] for kind in kinds.tolist()], kinds != NOT_SWEPT
 
 

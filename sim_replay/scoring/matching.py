@@ -1,11 +1,13 @@
-"""Which contact is which object: one-to-one by distance, for every threshold of p_mine.
+"""Match contacts with objects: one-to-one by distance, for every threshold of p_mine.
 
-Matching is done anew for each threshold, over the contacts that reach it. A match made once with all contacts would let a weak
-contact that lies nearer take an object from a strong one, and the object would count as missed wherever the weak one is not called.
+Matching is done anew for each threshold, over the contacts that reach it. A match made once with all contacts would let
+a weak contact that lies nearer take an object from a strong one, and the object would count as missed wherever the weak
+one is not called.
 
-Detections, duplicates and false alarms then never fall as the threshold falls. Against the best matching before, the best one
-with further contacts differs only along alternating paths that start at a new contact: such a path ends at an object that was
-free, or at a contact that gives its place away. No object loses its match, and no contact left over finds one.
+Detections, duplicates and false alarms then never fall as the threshold falls. Against the best matching before, the
+best one with further contacts differs only along alternating paths that start at a new contact: such a path ends at an
+object that was free, or at a contact that gives its place away. No object loses its match, and no contact left over
+finds one.
 """
 
 from __future__ import annotations
@@ -23,18 +25,21 @@ _STAY_M: Final = 1e-6  # between equal distances, who was matched stays matched
 
 
 def gates_m(gate_m: float, sigma_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Per contact the greatest distance of a match: 3 sigma up to 4 m, and never less than `gate_m`. NaN sigma: `gate_m`."""
+    """Compute each contact's maximum distance of a match, m: 3 sigma up to 4 m, and never less than `gate_m`.
+
+    NaN sigma: `gate_m`.
+    """
     return np.fmax(gate_m, np.minimum(SIGMAS * sigma_m, MAX_SIGMA_GATE_M))
 
 
 def match_by_threshold(
     near: NDArray[np.bool_], distance_m: NDArray[np.float64], p_mine: NDArray[np.float64]
 ) -> Iterator[tuple[float, NDArray[np.int64]]]:
-    """For each distinct p_mine, falling: that threshold, and per contact the index of its object.
+    """Iterate over each distinct p_mine, falling: that threshold, and per contact the index of its object.
 
-    `near` and `distance_m` are (n_contacts, n_objects), `near` where a match is allowed; `p_mine` is (n_contacts,). What comes
-    back is (n_contacts,), -1 for contacts below the threshold or left over: as many matches as can be, with the least sum of
-    distances among those (Kuhn, "The Hungarian method for the assignment problem", 1955).
+    `near` and `distance_m` are (n_contacts, n_objects), `near` where a match is allowed; `p_mine` is (n_contacts,).
+    What comes back is (n_contacts,), -1 for contacts below the threshold or left over: as many matches as can be, with
+    the least sum of distances among those (Kuhn, "The Hungarian method for the assignment problem", 1955).
     """
     contact_group, object_group = _groups(near)
     matched = np.full(len(p_mine), UNMATCHED, dtype=np.int64)
@@ -63,7 +68,7 @@ def _best(
 
 
 def _groups(near: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of the sets of contacts and objects that gates link with each other, per contact and per object."""
+    """Number the sets of contacts and objects that gates link with each other, per contact and per object."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""A picture of the free-response curve."""
+"""Draw the free-response curve."""
 
 from __future__ import annotations
 
@@ -23,9 +23,12 @@ _DPI: Final = 150
 
 
 def plot(score: Score, path: Path) -> None:
-    """Write the curve with its 95 % band, and the chosen threshold with both intervals; the suffix chooses the format, PNG at best.
+    """Write the curve with its 95 % band, and the chosen threshold with both intervals.
 
-    Raises UsageError for a suffix that is no picture format or missions without targets, OSError if the file cannot be written.
+    The suffix chooses the format, PNG at best.
+
+    Raises UsageError for a suffix that is not a picture format or missions without targets, OSError if the file cannot be
+    written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -36,7 +39,7 @@ def plot(score: Score, path: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     known = path.suffix.lower().lstrip(".")
     if known not in canvas.get_supported_filetypes():
-        raise UsageError(f"--plot {path}: '{path.suffix}' is no picture format. Use a name that ends in .png")
+        raise UsageError(f"--plot {path}: '{path.suffix}' is not a picture format. Use a name that ends in .png")
     axes = figure.add_subplot()
     per_km2, pd, low, high = _stairs(score)
     right = max(AREA_TO_PER_KM2, 1.5 * float(per_km2[-1]))
@@ -62,7 +65,10 @@ def plot(score: Score, path: Path) -> None:
 
 
 def _stairs(score: Score) -> tuple[NDArray[np.float64], ...]:
-    """False alarms per km2, Pd and its bounds at the stair's steps; a density of 0 is put at the left edge of the logarithmic axis."""
+    """List false alarms per km², Pd and its bounds at the stair's steps.
+
+    A density of 0 is put at the left edge of the logarithmic axis.
+    """
     steps = {0.0: (0.0, 0.0, float(proportion(0, score.n_targets).high))}
     for point in score.froc:
         steps[point.false_alarms.count / score.area_km2] = (float(point.pd.value or 0.0), point.pd.low, point.pd.high)

@@ -1,4 +1,4 @@
-"""Contacts of one or several missions against the truth: probability of detection, false alarms, and where they come from."""
+"""Score the contacts of missions against the truth: Pd, false alarms, and where they come from."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _LADDER: Final = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
-    """What no rate counts."""
+    """Counts of what no rate includes."""
 
     targets_never_seen: int
     other_objects_never_seen: int
@@ -70,10 +70,10 @@ class MissionRow(msgspec.Struct, frozen=True, kw_only=True):
 class Score(msgspec.Struct, frozen=True, kw_only=True):
     """Missions pooled. All but `froc`, `ladder`, `headlines` and `partial_area` is at `threshold`.
 
-    `false_alarms` of an operating point are all contacts on no target, those on known clutter among them; `rocks_called_mines` is
-    the share of seen objects that are no targets but have a contact. `called` is what the payload itself calls; `calibration` how far
-    p_mine holds over all contacts but those on targets that no pass saw. `froc` has a point per distinct p_mine, falling, `ladder` one
-    per tenth.
+    `false_alarms` of an operating point are all contacts on no target, those on known clutter among them;
+    `rocks_called_mines` is the share of seen objects that are no targets but have a contact. `called` is what the
+    payload itself calls; `calibration` how far p_mine holds over all contacts but those on targets that no pass saw.
+    `froc` has a point per distinct p_mine, falling, `ladder` one per tenth.
     """
 
     gate_m: float
@@ -104,8 +104,8 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
 def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: float = THRESHOLD) -> Score:
     """Score pairs of files: contacts, truth, contacts, truth ...
 
-    Raises UsageError for files that are not in pairs, contacts named twice, or an impossible gate or threshold; BadInputError
-    naming file, feature and key for files that cannot be used.
+    Raises UsageError for files that are not in pairs, contacts named twice, or an impossible gate or threshold;
+    BadInputError naming file, feature and key for files that cannot be used.
     """
     if not paths or len(paths) % 2:
         raise UsageError(f"{len(paths)} files, but they come in pairs: CONTACTS TRUTH [CONTACTS TRUTH ...]")
@@ -124,7 +124,7 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
     """Score missions pooled. Raises UsageError for no missions, or an impossible gate or threshold."""
     _check(gate_m, threshold)
     if not missions:
-        raise UsageError("no missions to score. Give at least one pair of contacts and truth")
+        raise UsageError("no missions to score. Give one pair of contacts and truth or more")
     layouts = [lay_out(mission, gate_m) for mission in missions]
     curve, chosen = trace(layouts, [mission.truth.area_km2 for mission in missions], threshold)
     area_km2 = float(curve.area_km2.sum())
@@ -141,7 +141,7 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
         n_contacts=sum(len(layout.contacts) for layout in layouts),
         n_targets=int(curve.targets.sum()),
         left_out=LeftOut(
-            targets_never_seen=sum(item.thing.is_target and not item.is_seen for item in found),
+            targets_never_seen=sum(item.truth_object.is_target and not item.is_seen for item in found),
             other_objects_never_seen=sum(layout.n_unseen_clutter for layout in layouts),
             contacts_outside_swept_area=sum(layout.n_outside for layout in layouts),
             contacts_without_position=sum(layout.n_without_position for layout in layouts),
@@ -163,7 +163,7 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
         ranges=by_range(found, false_alarms, area_km2),
         seabeds=by_seabed(found, false_alarms, seabed_area_km2),
         missed_targets_of_unknown_range=sum(
-            item.thing.is_target and item.is_seen and item.contact is None and not item.thing.looks for item in found
+            item.truth_object.is_target and item.is_seen and item.contact is None and not item.truth_object.looks for item in found
         ),
         confusion=confusion(found, false_alarms),
         position_errors=position_errors(found),

@@ -1,7 +1,7 @@
-"""The sea floor's types under a survey, as a grid of run-length coded text in truth.json.
+"""Store the seabed types under a survey as a grid of run-length coded text in truth.json.
 
-Row 0 is the southernmost, columns grow eastward, in the plane tangent at the grid's south-west corner. A row is a repeated
-`<count><letter>`: `a` is the first of `types`, `b` the second; `.` is sea floor that the sonar did not sweep.
+Row 0 is the southernmost, columns grow eastward, in the plane tangent at the grid's south-west corner. A row is a
+repeated `<count><letter>`: `a` is the first of `types`, `b` the second; `.` is sea floor that the sonar did not sweep.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SeabedMap(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def encode(cells: NDArray[np.integer], *, types: Sequence[str], cell_m: float, latitude_deg: float, longitude_deg: float) -> SeabedMap:
-    """The map of (n_rows, n_columns) indices into `types`, -1 where not swept.
+    """Encode the map of (n_rows, n_columns) indices into `types`, -1 where not swept.
 
     Raises ValueError for more than 26 types or an index without a type.
     """
@@ -60,7 +60,10 @@ def encode(cells: NDArray[np.integer], *, types: Sequence[str], cell_m: float, l
 
 
 def decode(seabed: SeabedMap) -> NDArray[np.int8]:
-    """(n_rows, n_columns) indices into `types`, -1 where not swept. Raises BadInputError naming the row."""
+    """Decode the map: (n_rows, n_columns) indices into `types`, -1 where not swept.
+
+    Raises BadInputError naming the row.
+    """
     if len(seabed.rows) != seabed.n_rows:
         raise BadInputError(f"seabed_map.rows: {len(seabed.rows)} rows, but n_rows is {seabed.n_rows}. Make them agree")
     if seabed.n_rows * seabed.n_columns > _MAX_CELLS:
@@ -83,7 +86,10 @@ def decode(seabed: SeabedMap) -> NDArray[np.int8]:
 
 
 def types_at(seabed: SeabedMap, cells: NDArray[np.int8], latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> NDArray[np.int64]:
-    """Indices into `types` under positions, in their shape; -1 off the grid, where it was not swept, and for NaN."""
+    """Look up indices into `types` under positions, in their shape.
+
+    -1 off the grid, where it was not swept, and for NaN.
+    """
     frame = LocalFrame(latitude_deg=seabed.latitude_deg, longitude_deg=seabed.longitude_deg)
     place = np.floor(frame.to_enu(latitude_deg, longitude_deg, 0.0)[..., :2] / seabed.cell_m)
     column, row = place[..., 0], place[..., 1]

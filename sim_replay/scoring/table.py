@@ -1,4 +1,4 @@
-"""A score as plain text for a terminal."""
+"""Print a score as plain text for a terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _RATES: Final = ("Pd", "interval", "count", "FA per km²", "interval", "FA")
 
 
 def table(score: Score) -> str:
-    """Headline first, then the curve, then where the rates come from; intervals are 95 %."""
+    """Lay out a score: headline first, then the curve, then where the rates come from; intervals are 95 %."""
     parts = [
         _about(score),
         _at_threshold(score),
@@ -52,8 +52,8 @@ def _about(score: Score) -> str:
         (left_out.contacts_outside_swept_area, "contact", "outside the swept area"),
         (left_out.contacts_without_position, "contact", "without a position"),
     )
-    told = [f"{_number_of(count, thing)} {why}" for count, thing, why in counts if count]
-    return "\n".join([*lines, *([f"left out: {', '.join(told)}"] if told else [])])
+    phrases = [f"{_number_of(count, noun)} {why}" for count, noun, why in counts if count]
+    return "\n".join([*lines, *([f"left out: {', '.join(phrases)}"] if phrases else [])])
 
 
 def _at_threshold(score: Score) -> str:
@@ -165,7 +165,7 @@ def _notes(score: Score) -> str:
         notes.append("no targets in the truth: there is no Pd, only false alarms")
     if score.missed_targets_of_unknown_range:
         notes.append(
-            f"the truth tells no range of {_number_of(score.missed_targets_of_unknown_range, 'missed target')} (no 'looks'): "
+            f"the truth states no range of {_number_of(score.missed_targets_of_unknown_range, 'missed target')} (no 'looks'): "
             "Pd per range band leaves them out and is too high"
         )
     if any(group.false_alarms.count for group in score.ranges):
@@ -178,7 +178,7 @@ def _point(point: OperatingPoint) -> list[str]:
 
 
 def _rates(rated: OperatingPoint | Group | MissionRow) -> list[str]:
-    """The columns of `_RATES`."""
+    """Fill the columns of `_RATES`."""
     return [*_share(rated.pd), *_per_km2(rated.false_alarms), str(rated.false_alarms.count)]
 
 
@@ -209,12 +209,12 @@ def _spread(spread: PositionSpread, unit: str) -> list[str]:
 
 
 def _three_figures(value: float) -> str:
-    """At least three, and never a power of ten."""
+    """Round to three figures or more, and never to a power of ten."""
     return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
-def _number_of(count: int, thing: str) -> str:
-    return f"{count} {thing}" + ("" if count == 1 else "s")
+def _number_of(count: int, noun: str) -> str:
+    return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
 def _shortened(name: str) -> str:
@@ -222,7 +222,7 @@ def _shortened(name: str) -> str:
 
 
 def _laid_out(header: Sequence[str], rows: Iterable[Sequence[str]], to_left: Sequence[int] = (0,)) -> str:
-    """Columns two blanks apart, those of text aligned to the left, those of numbers to the right."""
+    """Lay columns two blanks apart, those of text aligned to the left, those of numbers to the right."""
     lines = [list(header), *map(list, rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
     sides = ["<" if column in to_left else ">" for column in range(len(header))]

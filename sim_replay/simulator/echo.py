@@ -1,5 +1,6 @@
-"""The sonar equation apart from the rays: what depends on slant range or angle alone, and echoes that do not come from
-the floor below.
+"""Compute the sonar equation apart from the rays: what depends on slant range or angle alone.
+
+And echoes that do not come from the floor below.
 
 Received intensity of a bin at slant range r, for a source of unit strength:
 

@@ -227,8 +227,9 @@ class Sea:
                         intensity[index, side, column] += echo * part
 
     def add_other_paths(self, intensity: Floats, poses: Sequence[SonarPose], floor_m: Floats) -> None:
-        """Adds to intensity (n_poses, 2, n_samples) what comes by way of the surface and from the other side, as far
-        as the scene has it.
+        """Add what comes by way of the surface and from the other side to intensity (n_poses, 2, n_samples).
+
+        As far as the scene has it.
 
         floor_m: (n_poses,) height of the floor below the sonar above the datum.
         """

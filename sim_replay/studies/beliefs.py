@@ -324,8 +324,10 @@ def decided(probability: Array) -> NDArray[np.intp]:
 
 
 def reliability(masses: Array, names: Sequence[ContactClass]) -> list[Bin]:
-    """Promises and outcomes of masses (n, 32) by the probability of the winning class; bins without any are left
-    out."""
+    """Sort promises and outcomes of masses (n, 32) by the probability of the winning class.
+
+    Bins without any are left out.
+    """
     probability = pignistic(masses)
     promised, right = probability.max(axis=1), decided(probability) == np.array([FRAME.index(name) for name in names])
     bins = np.searchsorted(_BIN_EDGES, promised, side="right")

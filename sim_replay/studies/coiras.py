@@ -129,8 +129,9 @@ def _descend(elevation: Array, expected: Expected) -> Array:
 
 
 def misfit(elevation: Array, expected: Expected) -> Misfit:
-    """Sum of squares of the cosine of incidence against the expected one, relative to level floor's, over lit pixels,
-    and of the prior.
+    """Sum the squares of the cosine of incidence against the expected one, and of the prior, over lit pixels.
+
+    Relative to level floor's.
 
     Beam pattern and shadows are those of the round's beginning, so the gradient holds them fixed.
     """

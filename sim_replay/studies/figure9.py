@@ -1,5 +1,4 @@
-"""The source paper's two examples of classical detection (section 4.4.1, its figures 9 and 10), flown again many times
-over.
+"""Fly the source paper's two examples of classical detection many times over (section 4.4.1, figures 9 and 10).
 
 First: 13 objects in an image, 2 of type A, 6 of B, 5 of C, found by a classifier that has seen targets of types B and C
 only. Second: an A, three B and an object that is not a target, with a classifier that has seen A, B and C on flat sea
@@ -242,8 +241,10 @@ def sighted(tile: LabelledTile, places: Iterable[Place], surface_m: float) -> li
 
 
 def table(experiment: Experiment, images: Sequence[Image]) -> str:
-    """Objects found and false alarms of every feature set: at even odds, and where given shares of the learned kinds
-    are found."""
+    """Lay out objects found and false alarms of every feature set.
+
+    At even odds, and where given shares of the trained kinds are found.
+    """
     learned = [TYPES[name] for name in experiment.learned]
     kinds = (*TYPES.values(), *sorted(experiment.not_targets))
     there = {kind: sum(image.n_objects.get(kind, 0) for image in images) for kind in kinds}

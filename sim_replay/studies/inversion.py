@@ -79,8 +79,10 @@ class Figures(NamedTuple):
 
 
 def made_up_scene(floor: FloorKind, seed: int) -> SeafloorScene:
-    """A sea floor with patches of reflectivity, seen through a beam with side lobes from a height that wanders by 0.4
-    m."""
+    """Make a sea floor with patches of reflectivity, seen through a beam with side lobes.
+
+    The height wanders by 0.4 m.
+    """
 
     def field(name: str, spectrum: Spectrum, step: int = 1) -> Array:
         noise = Noise(seed, name, step=step, cell_m=_COLUMN_M, spectrum=spectrum, periods=_PERIODS, splined=step > 1)
@@ -133,8 +135,7 @@ def figures(truth: SeafloorScene, image: Array, method: Inversion) -> Figures:
 
 
 def simulated_line(floor: FloorKind, seed: int, looks: int) -> tuple[LinePicture, Array]:
-    """A line flown over a simulated sea floor, to starboard, as the waterfall shows it, and the height of the floor in
-    each pixel."""
+    """Simulate a line to starboard as the waterfall shows it, and the height of the floor in each pixel."""
     scene = Scene(
         seed=seed,
         world=_SIMULATED[floor],

@@ -1,5 +1,4 @@
-"""The segmentation of Petillot et al., "Target recognition in synthetic aperture and high resolution side-scan sonar",
-for comparison.
+"""Segment as Petillot et al. do, "Target recognition in synthetic aperture and high resolution side-scan sonar".
 
 Amplitudes of single pixels, taken for independent; Gaussian shadow, shifted Rayleigh sea floor; Markov parameter from
 the image; iterated conditional modes; highlight followed by shadow, highlight in small clusters. The paper leaves open

@@ -121,8 +121,10 @@ def _fill(counts: Counts) -> Mask:
 
 
 def _range_marks(counts: Counts) -> Mask:
-    """Ticks of the range scale, white between black, with the black label above them; and the transmit pulse, which
-    looks like one."""
+    """Find ticks of the range scale, and the transmit pulse, which looks alike.
+
+    Ticks are white between black, with the label above.
+    """
     wide = np.pad(counts.astype(np.int64), ((0, 0), (2, 2)), mode="edge")
     tick = (wide[:, 2:-2] > 180) & (wide[:, :-4] < 70) & (wide[:, 4:] < 70)
     long = cv2.erode(tick.astype(np.uint8), np.ones((_TICK_PX, 1), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)

@@ -47,8 +47,7 @@ def run(_: argparse.Namespace) -> int:
 
 
 def mrf_rows() -> list[str]:
-    """The segmentation: against the source paper over the grain of speckle, and error beside time over the sweeps of
-    TRW-S."""
+    """Measure the segmentation: against the source paper over the grain of speckle, and over the sweeps of TRW-S."""
     rows = [
         f"shadow at -9 dB, medians over {_N_REGIONS} regions of 144 x 160 pixels; pieces: parts of shadow found and holes in the true one",
         f"{'grain':>6}  {'':<48}{'shadow IoU':>11}{'worst 1/8':>10}{'pieces':>8}{'highlight IoU':>14}{'ms':>8}",

@@ -175,8 +175,7 @@ def draw_object(solid: Solid, seed: int) -> DrawnSolid:
 
 
 def rendered_region(scene_object: SceneObject, seed: int, *, altitude_error: float = 0.0) -> Region:
-    """The simulator's picture of an object to starboard, with its real beam and speckle, shadows at -10 dB of the
-    floor.
+    """Render an object to starboard with real beam and speckle, shadows at -10 dB of the floor.
 
     altitude_error: of the altitude with which ground range is made, relative.
     """

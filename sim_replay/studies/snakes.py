@@ -381,7 +381,7 @@ def run(chosen: argparse.Namespace) -> int:
                 flush=True,
             )
     if chosen.odds:
-        print(f"\n{'':<10}{'handed on':>11}{'rejected':>10}{'told why':>10}{'detector':>10}{'targets':>9}{'lost':>8}")
+        print(f"\n{'':<10}{'handed on':>11}{'rejected':>10}{'reason':>10}{'detector':>10}{'targets':>9}{'lost':>8}")
         for judged in map(odds_row, ODDS_SCENES):
             shares = (judged.n_rejected / max(judged.n_clutter, 1), judged.n_explained / max(judged.n_rejected, 1))
             by_detector, lost = judged.n_by_detector / max(judged.n_clutter, 1), judged.n_lost / judged.n_targets

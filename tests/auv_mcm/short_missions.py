@@ -1,4 +1,6 @@
-"""One steady leg over bare sand past objects, told exactly: whatever the chain reports must lie where the scene has it."""
+"""One steady leg over bare sand past objects, described exactly: whatever the chain reports must lie where the scene
+has it.
+"""
 
 from __future__ import annotations
 
@@ -43,5 +45,5 @@ def one_leg(
 
 
 def flown(scene: Scene) -> tuple[SourceEvent, ...]:
-    """Everything that the payload is told."""
+    """Yield everything that the payload receives."""
     return tuple(Mission(scene).events())

@@ -27,7 +27,8 @@ HOSTILE = "a\x1b[2J\r\nb\x07\x7f\x9b31m\u202egnp.exe\u2066\u2028\ufeff\U000e0041
 
 def test_control_characters_are_written_out_and_everything_else_stays() -> None:
     assert clean("a\x1b[2J\nb\x9b\u202e\udc80") == r"a\x1b[2J\nb\x9b\u202e\udc80"
-    for plain in ("", "Übung 3, 0.5 m², ± 2 °", "日本語", "نسخهٔ می‌خواهم", r"C:\new"):  # the fifth has a joiner that its script needs
+    # the fifth has a joiner that its script needs
+    for plain in ("", "Übung 3, 0.5 m², ± 2 °", "日本語", "نسخهٔ می‌خواهم", r"C:\new"):
         assert clean(plain) == plain
 
 
@@ -80,11 +81,11 @@ def test_lines_of_an_error_stay_lines_and_none_of_them_begins_at_the_margin() ->
 def test_a_file_name_with_control_characters_is_refused_without_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     name = "no\x1b[2J\nauv-mcm: all good\udc80.xtf"
     assert main(["replay", str(tmp_path / name), "--out", str(tmp_path / "out")]) == BadInputError.exit_code
-    told = capsys.readouterr().err
-    assert r"no\x1b[2J" in told
-    assert r"\udc80.xtf does not exist" in told
-    assert all(is_clean(line) for line in told.splitlines())
-    assert not [line for line in told.splitlines()[1:] if line.startswith("auv-mcm:")]
+    printed = capsys.readouterr().err
+    assert r"no\x1b[2J" in printed
+    assert r"\udc80.xtf does not exist" in printed
+    assert all(is_clean(line) for line in printed.splitlines())
+    assert not [line for line in printed.splitlines()[1:] if line.startswith("auv-mcm:")]
 
 
 def test_json_for_scripts_holds_the_same_values_without_a_raw_control_character(tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_config_write_prints_or_writes_what_reads_back_and_never_overwrites(tmp_
     before = path.read_bytes()
     assert parse_config(before.decode(), "file") == Config()
     assert main(["config", "--write", str(path)]) == 2
-    assert "left alone" in error_of(capsys)
+    assert "not overwritten" in error_of(capsys)
     assert path.read_bytes() == before
     assert main(["config", "--write", str(tmp_path / "no" / "folder.yaml")]) == 2
 
@@ -162,7 +162,7 @@ def test_config_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert "SonarConfig" in json.loads(capsys.readouterr().out)["$defs"]
 
 
-def test_check_tells_of_every_part_and_passes_here(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_every_part_and_passes_here(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check"]) == 0
     text = capsys.readouterr().out
     parts = (
@@ -170,6 +170,7 @@ def test_check_tells_of_every_part_and_passes_here(capsys: pytest.CaptureFixture
         "numpy",
         "mcap",
         "C kernels",
+        "plug-ins",
         "simulator kernels",
         "configuration",
         "clock",

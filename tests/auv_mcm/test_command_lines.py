@@ -1,7 +1,8 @@
 """Every command line in the README, the docs, the scripts and `--help` does what it says.
 
-Lines that are cheap run as they stand, in a folder that holds what they read. Those that need minutes or hours run up to the first step of
-their work, which a stand-in then ends with `Reached`: the line was understood, and what it names was found.
+Lines that are cheap run as they stand, in a folder that holds what they read. Those that need minutes or hours run up
+to the first step of their work, which a stand-in then ends with `Reached`: the line was understood, and what it names
+was found.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import re
 import shlex
 import shutil
 import sys
+import tomllib
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -39,7 +41,7 @@ from tests.manual_clock import ManualClock
 from tests.sim_replay.logs.sonar_logs import run_of, write_jsf
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "auv_mcm" / "docs").glob("*.md"))]
+PAGES = [*(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")), *sorted((ROOT / "auv_mcm" / "docs").rglob("*.md"))]
 SCRIPTS = sorted((ROOT / "deploy").glob("*.sh"))
 PROGRAMS = ("auv-mcm ", "python -m ", "sh deploy/")
 
@@ -169,7 +171,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def record(folder: Path) -> None:
-    """What the service would record of the scene's mission, told by a sonar and a navigation unit."""
+    """Record the scene's mission as the service would, from a sonar and a navigation unit."""
     sonar, unit = PingProtocolSonar(), NAVIGATION_UNITS["nmea0183"]()
     for command in ping_commands(SonarSettings(range_m=25.0, n_samples=400)):
         sonar.heard(command, DeviceTime(0.0, 1_700_000_000.0))
@@ -252,14 +254,19 @@ def run_command(arguments: Sequence[str]) -> None:
                 main([*arguments, "--help"])
             assert helped.value.code == 0
     else:
-        assert code == 0 or arguments == ["run"], arguments  # the service asks for its source
+        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"]), arguments  # mere names: these ask for what to run
 
 
 def run_module(name: str, arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
     if name == "pytest":
-        assert all((ROOT / path).exists() for path in arguments)
+        assert all((ROOT / path).exists() for path in arguments if not path.startswith("-"))
         return
-    run = importlib.import_module(name).main
+    if name == "pip":
+        extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+        assert set(re.findall(r"[\w]+(?=[\],])", arguments[-1])) <= set(extras)
+        return
+    module = importlib.import_module(name)
+    run = (module if hasattr(module, "main") else importlib.import_module(f"{name}.__main__")).main
     if not arguments:
         arguments = ["--help"]  # a mere name of it
     monkeypatch.setattr(sys, "argv", [name, *arguments])

@@ -166,7 +166,7 @@ def test_a_region_holds_what_the_surroundings_held() -> None:
 
 
 @pytest.mark.parametrize("first_return_m", [NAN, 0.0, -1.0, math.inf])
-def test_a_detection_without_geometry_is_told_and_not_looked_at(cylinder: Detection, first_return_m: float) -> None:
+def test_a_detection_without_geometry_is_reported_and_not_confirmed(cylinder: Detection, first_return_m: float) -> None:
     around = cylinder.surroundings
     assert around is not None
     found = close_look(msgspec.structs.replace(cylinder, surroundings=msgspec.structs.replace(around, first_return_m=first_return_m)))

@@ -1,4 +1,7 @@
-"""Whatever arrives, the chain goes on: flagged, counted, degraded, but whole. Warnings are errors here, so nothing divides by zero."""
+"""Whatever arrives, the chain goes on: flagged, counted, degraded, but whole.
+
+Warnings are errors here, so nothing divides by zero.
+"""
 
 from __future__ import annotations
 
@@ -206,7 +209,7 @@ def test_a_mission_of_few_pings_ends_properly(n_pings: int) -> None:
     assert any(isinstance(event, Notice) for event in events) == (n_pings > 0)
 
 
-def test_candidates_beyond_the_budget_are_told() -> None:
+def test_candidates_beyond_the_budget_are_reported() -> None:
     config = msgspec.convert({"detect": {"model": "none", "max_candidates_per_tile": 3}, "contacts": {"min_p_mine": 0.0}}, Config)
     pipeline = Pipeline(config)
     events = [result for event in mission() for result in pipeline.feed(event)] + pipeline.finish()

@@ -35,7 +35,7 @@ def mission() -> tuple[SourceEvent, ...]:
 @cache
 def run(confirm: ConfirmConfig) -> tuple[Pipeline, tuple[PipelineEvent, ...]]:
     pipeline = Pipeline(msgspec.structs.replace(Config(), confirm=confirm))
-    events = [told for event in mission() for told in pipeline.feed(event)]
+    events = [output for event in mission() for output in pipeline.feed(event)]
     return pipeline, (*events, *pipeline.finish())
 
 
@@ -60,11 +60,11 @@ def test_contacts_say_what_they_are_how_large_and_why() -> None:
 def test_every_detection_is_looked_at_or_counted() -> None:
     for confirm in (ConfirmConfig(), ConfirmConfig(max_per_tile=1), ConfirmConfig(min_p_mine=0.2)):
         pipeline, _ = run(confirm)
-        told = sum(pipeline.counters[f"confirm.{code}"] for code in ("looked_at", "odds_too_low", "over_budget"))
-        assert told == sum(len(contact.views) for contact in pipeline.contacts)
+        counted = sum(pipeline.counters[f"confirm.{code}"] for code in ("looked_at", "odds_too_low", "over_budget"))
+        assert counted == sum(len(contact.views) for contact in pipeline.contacts)
 
 
-def test_beyond_the_budget_the_detectors_odds_stand_and_it_is_told() -> None:
+def test_beyond_the_budget_the_detectors_odds_stand_and_it_is_reported() -> None:
     pipeline, events = run(ConfirmConfig(max_per_tile=0))
     assert pipeline.counters["confirm.looked_at"] == 0
     assert [event.code for event in events if isinstance(event, Notice)].count("confirm.over_budget") == 1

@@ -39,7 +39,7 @@ SONAR = Sonar(
 
 
 def scene(latitude_deg: float = 50.0, longitude_deg: float = -4.0, heading_deg: float = 0.0) -> Scene:
-    turned = [msgspec.structs.replace(thing, azimuth_deg=thing.azimuth_deg + heading_deg) for thing in OBJECTS]
+    turned = [msgspec.structs.replace(scene_object, azimuth_deg=scene_object.azimuth_deg + heading_deg) for scene_object in OBJECTS]
     return one_leg(
         turned,
         SONAR,
@@ -94,9 +94,9 @@ def assert_same(found: Sequence[Contact], expected: Sequence[Contact], *, pixels
 
 
 def test_finds_every_object_of_an_easy_mission_as_mine_like() -> None:
-    for thing in OBJECTS:
+    for scene_object in OBJECTS:
         frame = LocalFrame(latitude_deg=50.0, longitude_deg=-4.0)
-        place = np.array([thing.across_m, thing.along_m])
+        place = np.array([scene_object.across_m, scene_object.along_m])
         found = [frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0)[:2] for c in reference() if c.p_mine >= 0.5]
         assert min(np.linalg.norm(offset - place) for offset in found) < 0.6
 

@@ -27,7 +27,7 @@ def test_what_is_no_regular_file_is_refused_at_once(kind: str, tmp_path: Path) -
     elif kind == "link to a pipe":
         os.mkfifo(tmp_path / "pipe")
         path.symlink_to("pipe")
-    with pytest.raises(BadInputError, match=f"{path} is no regular file"):
+    with pytest.raises(BadInputError, match=f"{path} is not a regular file"):
         open_regular(path)
 
 
@@ -48,7 +48,7 @@ def test_a_file_exchanged_for_a_pipe_while_it_is_opened_is_refused(tmp_path: Pat
 
     with monkeypatch.context() as racing:
         racing.setattr("auv_mcm.safe_files.os.stat", exchanged)
-        with pytest.raises(BadInputError, match="no regular file"):
+        with pytest.raises(BadInputError, match="not a regular file"):
             open_regular(tmp_path / "log")
 
 

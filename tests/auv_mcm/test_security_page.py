@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ON_THE_VEHICLE = sorted(path for package in ("auv_mcm", "drivers") for path in (ROOT / package).rglob("*.py"))
+ON_THE_VEHICLE = sorted(path for package in ("auv_mcm", "drivers") for path in (ROOT / package).rglob("*.py") if "docs" not in path.parts)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ TIGHT: Final[dict[SkipName, Config]] = {
 
 
 @cache
-def told(name: SkipName | None, without: Skips) -> tuple[Counter[str], tuple[Contact, ...]]:
+def outcome(name: SkipName | None, without: Skips) -> tuple[Counter[str], tuple[Contact, ...]]:
     """Counters and contacts of the short mission under the configuration for a skip, the default for None."""
     pipeline = Pipeline(Config() if name is None else TIGHT.get(name, Config()), without_skips=without)
     for event in mission():
@@ -50,31 +50,31 @@ def test_every_name_is_registered_once_with_a_counter_of_its_own() -> None:
 
 @pytest.mark.parametrize("skip", SKIPS, ids=lambda skip: skip.name)
 def test_a_skip_counts_what_it_leaves_out_and_nothing_once_it_is_off(skip: Skip) -> None:
-    counters, _ = told(skip.name, NO_SKIPS)
+    counters, _ = outcome(skip.name, NO_SKIPS)
     assert counters[skip.counter] > 0
-    without, _ = told(skip.name, frozenset({skip.name}))
+    without, _ = outcome(skip.name, frozenset({skip.name}))
     assert without[skip.counter] == 0
 
 
 @pytest.mark.parametrize("skip", [skip for skip in SKIPS if skip.proof == "bytes"], ids=lambda skip: skip.name)
 def test_a_skip_proven_by_bytes_changes_none(skip: Skip) -> None:
-    _, contacts = told(skip.name, NO_SKIPS)
-    _, without = told(skip.name, frozenset({skip.name}))
+    _, contacts = outcome(skip.name, NO_SKIPS)
+    _, without = outcome(skip.name, frozenset({skip.name}))
     assert contacts_geojson(without) == contacts_geojson(contacts)
 
 
 @pytest.mark.parametrize("skip", [skip for skip in SKIPS if skip.proof == "bytes while 0"], ids=lambda skip: skip.name)
 def test_a_limit_that_is_not_reached_changes_no_byte(skip: Skip) -> None:
-    counters, contacts = told(None, NO_SKIPS)
+    counters, contacts = outcome(None, NO_SKIPS)
     assert counters[skip.counter] == 0
-    _, without = told(None, frozenset({skip.name}))
+    _, without = outcome(None, frozenset({skip.name}))
     assert contacts_geojson(without) == contacts_geojson(contacts)
 
 
 def test_without_any_skip_nothing_is_counted_as_left_out_and_what_was_called_stays() -> None:
-    counters, contacts = told(None, ALL_SKIPS)
+    counters, contacts = outcome(None, ALL_SKIPS)
     assert {skip.name: counters[skip.counter] for skip in SKIPS if counters[skip.counter]} == {}
-    called = [contact for contact in told(None, NO_SKIPS)[1] if contact.p_mine >= 0.2]
+    called = [contact for contact in outcome(None, NO_SKIPS)[1] if contact.p_mine >= 0.2]
     assert called
     for contact in called:
         near = [c for c in contacts if np.hypot(c.views[0].row - contact.views[0].row, c.views[0].column - contact.views[0].column) < 10]

@@ -7,6 +7,7 @@ from pathlib import Path
 from struct import Struct
 from typing import get_args
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -92,7 +93,8 @@ def test_the_example_is_a_configuration() -> None:
 def test_every_key_of_a_port_is_explained() -> None:
     text = example_text()
     vehicles = [(vehicle.settings, f"{name}.") for name, vehicle in VEHICLES.items()]
-    for section, path in ((PortConfig, ""), (SonarPortConfig, "sonar."), (NavUnitSettings, "navigation."), *vehicles):
+    sections: list[tuple[type[msgspec.Struct], str]] = [(PortConfig, ""), (SonarPortConfig, "sonar."), (NavUnitSettings, "navigation.")]
+    for section, path in (*sections, *vehicles):
         for key in set(section.__struct_fields__) - {"sonar", "navigation", *VEHICLE_NAMES}:
             assert re.search(rf"^#   {path}{key}: .+; (default .+|required)", text, re.MULTILINE), key
     assert "#   navigation.roll_sign: one of -1, 1; default 1 - -1 for a unit" in text

@@ -10,7 +10,7 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.errors import SelfCheckError
 from sim_replay.benches import soak
-from sim_replay.benches.soak import MOST_LOST_S, KillOutcome, killed, not_in_journal
+from sim_replay.benches.soak import MAX_LOST_S, KillOutcome, killed, not_in_journal
 
 LINE = "contact C00012 updated: cylinder, p_mine 0.91, 43.0931026 5.8874099, 2 views"
 
@@ -30,7 +30,7 @@ def a_kill(lost_s: float = 0.4, n_pings: int = 100, n_holes: int = 0, missing: t
         lost_s=lost_s,
         n_bytes=1,
         n_pings=n_pings,
-        n_pings_told=90,
+        n_pings_reported=90,
         n_holes=n_holes,
         n_contacts=1,
         not_in_journal=missing,
@@ -40,7 +40,7 @@ def a_kill(lost_s: float = 0.4, n_pings: int = 100, n_holes: int = 0, missing: t
 def test_a_killed_service_loses_a_second_of_its_recording_at_most_and_no_announced_contact(tmp_path: Path) -> None:
     kills = list(killed(3, seed=12, folder=tmp_path))
     assert [kill.problems for kill in kills] == [()] * 3
-    assert all(kill.lost_s <= MOST_LOST_S for kill in kills)
+    assert all(kill.lost_s <= MAX_LOST_S for kill in kills)
     assert not any(kill.not_in_journal for kill in kills)
     assert all(kill.n_bytes for kill in kills)
     assert any(kill.n_contacts for kill in kills)
@@ -67,7 +67,7 @@ def test_a_line_of_the_journal_that_was_cut_off_holds_nothing() -> None:
         (a_kill(lost_s=1.2), "last 1.20 s"),
         (a_kill(lost_s=float("nan")), "last nan s"),
         (a_kill(n_holes=2), "2 messages are missing"),
-        (a_kill(n_pings=89), "90 were told"),
+        (a_kill(n_pings=89), "90 were reported"),
         (a_kill(missing=(LINE,)), "not in contacts.jsonl: contact C00012"),
     ],
 )

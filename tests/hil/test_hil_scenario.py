@@ -173,7 +173,7 @@ service:
     - {name: vehicle, link: '{vehicle}', device: imc}
 expectations:
   - {test: it ends, expected: {is: exit_code}}
-  - {test: it is told, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
+  - {test: it is reported, expected: {is: told_in_time, device: vehicle, within_s: 1, min_p_mine: 0.2}}
 """
 
 

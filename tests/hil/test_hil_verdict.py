@@ -38,7 +38,7 @@ def evidence(**changes: Any) -> Evidence:
         lines=[Line(1.0, "notice port_up: port 'sonar' is up"), Line(5.0, "notice port_down: gone"), Line(6.0, "notice port_up: back")],
         reports={
             "sonar": [
-                Report(0.1, "settings", {"told": "on, 30 m"}),
+                Report(0.1, "settings", {"applied": "on, 30 m"}),
                 Report(5.0, "mended", {"do": "unplug"}),
                 Report(5.05, "reopened", {"after_s": 0.05}),
                 Report(9.0, "counters", {"device.skipped": 2}),
@@ -156,7 +156,7 @@ def test_a_replay_without_contacts_compares_nothing_and_fails() -> None:
 
 def test_the_table_shows_expectation_and_outcome() -> None:
     rules: list[Rule] = [ExitCode(), NoticeRule(code="port_down", at_most=0), SummaryRule(key="none", at_least=1)]
-    table = as_table([judge(Expectation(test="told to stop", expected=rule), evidence()) for rule in rules])
+    table = as_table([judge(Expectation(test="ends when stopped", expected=rule), evidence()) for rule in rules])
     first, *rows = table.splitlines()
     assert first.split() == ["Test", "Expected", "Found"]
     assert [row.split()[0] for row in rows] == ["passed", "FAILED", "FAILED"]

@@ -24,7 +24,7 @@ from sim_replay.logs.xtf import XtfLog
 SharedData = Callable[[str], Path]
 
 EARTH_M = 6_367_000.0
-MOST_OTHERS = 1  # at p_mine 0.5, on either line; there are none
+MAX_OTHERS = 1  # at p_mine 0.5, on either line; there are none
 
 
 class Mark(NamedTuple):
@@ -102,7 +102,7 @@ def test_scotsman_objects_are_found_with_few_other_mine_like_contacts(shared_dat
     assert len(found) >= 9, f"found {found}"
     near_a_mark = np.any(distances <= 2.0, axis=0)
     others = [contact.id for contact, near in zip(contacts, near_a_mark.tolist(), strict=True) if contact.p_mine >= 0.5 and not near]
-    assert len(others) <= MOST_OTHERS
+    assert len(others) <= MAX_OTHERS
 
 
 FIRST = {"A": 4, "F": 9, "I": 5, "K": 4}  # of 11 contacts; F is the lowest
@@ -152,7 +152,7 @@ def test_nothing_in_the_long_shadow_of_the_scotsman_wreck_is_mine_like(shared_da
 
 def test_colorado_river_bed_raises_few_mine_like_contacts(shared_data: SharedData) -> None:
     contacts = mission(shared_data("sidescan/colorado-river-455k.xtf"))
-    assert sum(contact.p_mine >= 0.5 for contact in contacts) <= MOST_OTHERS
+    assert sum(contact.p_mine >= 0.5 for contact in contacts) <= MAX_OTHERS
 
 
 @pytest.mark.parametrize(("threads", "chunk_bytes"), [(1, 4096), (2, 1 << 18), (2, 100_001)])
@@ -169,4 +169,4 @@ def test_no_recorded_sea_floor_is_taken_for_unlike_all_that_was_learnt_and_few_c
     assert "contacts.background_unlike" not in [notice.code for notice in notices]
     assert point.n_contacts == sum(contact.p_mine >= 0.01 for contact in contacts)
     assert 1e-4 < point.area_km2 < 0.01
-    assert sum(bool(contact.called) for contact in contacts) <= MOST_OTHERS
+    assert sum(bool(contact.called) for contact in contacts) <= MAX_OTHERS

@@ -1,4 +1,7 @@
-"""What recorded logs are taken for, and what follows from it. The makers document none of these laws; the README of the data says why."""
+"""What recorded logs are taken for, and what follows from it.
+
+The makers document none of these laws; the README of the data says why.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +87,7 @@ def test_a_recorder_configured_wrongly_is_doubted(shared_data: SharedData, name:
     assert codes == ["transfer.disagrees"]
 
 
-def test_the_bottom_of_the_reef_is_tracked_without_being_told_the_law(shared_data: SharedData) -> None:
+def test_the_bottom_of_the_reef_is_tracked_without_a_configured_law(shared_data: SharedData) -> None:
     """Taken for amplitudes, 768 of its 1500 pings have no bottom that can be seen."""
     lost = []
     for sonar in (SonarConfig(), SonarConfig(transfer="log", db_per_count=REEF_DB_PER_COUNT)):

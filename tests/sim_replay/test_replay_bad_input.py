@@ -1,4 +1,6 @@
-"""Every spoilt log through the command line: a clear refusal with exit code 3, or a whole replay that says what was wrong with it."""
+"""Every spoilt log through the command line: a clear refusal with exit code 3, or a whole replay that says what was
+wrong with it.
+"""
 
 from __future__ import annotations
 
@@ -138,10 +140,10 @@ def test_a_sample_type_that_changes_is_replayed_on(tmp_path: Path) -> None:
 
 def refused(path: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
     assert main(["replay", str(path), "--out", str(folder)]) == 3
-    told = capsys.readouterr().err
-    assert "Traceback" not in told
-    assert path.name in told
-    return told
+    printed = capsys.readouterr().err
+    assert "Traceback" not in printed
+    assert path.name in printed
+    return printed
 
 
 @pytest.mark.parametrize(
@@ -155,12 +157,13 @@ def test_what_is_no_log_is_refused(name: str, content: bytes, tmp_path: Path, ca
 
 def test_a_hostile_file_name_reaches_neither_console_nor_page_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "a\x1b[2J\nnotice: all is well<script>\u202e\udc80.xtf"
-    log.write_bytes(log_of(tmp_path / "plain.xtf", mission()).read_bytes()[:-100])  # cut off, which a notice says with the name
+    # cut off, which a notice says with the name
+    log.write_bytes(log_of(tmp_path / "plain.xtf", mission()).read_bytes()[:-100])
     folder = tmp_path / "out\x1b"
     summary = replayed(log, folder)
     assert "cut off" in json.dumps(summary["notices"])
-    told = "".join(capsys.readouterr())
-    assert not [line for line in told.splitlines() if not is_clean(line) or "all is well" in line.partition("a\\x1b[2J")[0]]
+    printed = "".join(capsys.readouterr())
+    assert not [line for line in printed.splitlines() if not is_clean(line) or "all is well" in line.partition("a\\x1b[2J")[0]]
     for name in ("report.html", "summary.json", "contacts.kml"):
         text = (folder / name).read_text("utf-8")
         assert [line for line in text.split("\n") if not is_clean(line)] == []
@@ -176,22 +179,22 @@ def test_a_directory_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_a_pipe_given_as_a_log_is_refused_without_waiting(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     os.mkfifo(tmp_path / "pipe.xtf")
-    assert "no regular file" in refused(tmp_path / "pipe.xtf", tmp_path / "out", capsys)
+    assert "not a regular file" in refused(tmp_path / "pipe.xtf", tmp_path / "out", capsys)
     folder = tmp_path / "recording"
     folder.mkdir()
     os.mkfifo(folder / "session-00000.mcap")
-    assert "no regular file" in refused(folder, tmp_path / "out", capsys)
+    assert "not a regular file" in refused(folder, tmp_path / "out", capsys)
     config = tmp_path / "live.yaml"
     config.write_text(f"service: {{source: 'replay://{tmp_path}/pipe.xtf', output_directory: '{tmp_path}/live'}}\n")
     assert main(["run", "--config", str(config)]) == 3
-    assert "no regular file" in capsys.readouterr().err
+    assert "not a regular file" in capsys.readouterr().err
 
 
 def test_a_device_or_a_socket_given_as_a_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket.xtf"))
         for path in (tmp_path / "socket.xtf", Path("/dev/zero"), Path("/dev/tty")):
-            assert "no regular file" in refused(path, tmp_path / "out", capsys)
+            assert "not a regular file" in refused(path, tmp_path / "out", capsys)
 
 
 def test_a_log_without_pings_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

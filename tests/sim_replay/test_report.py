@@ -1,4 +1,6 @@
-"""The mission report: self-contained, complete, safe with any name, true to the geometry, bounded for any length of mission."""
+"""The mission report: self-contained, complete, safe with any name, true to the geometry, bounded for any length of
+mission.
+"""
 
 from __future__ import annotations
 
@@ -254,7 +256,8 @@ def test_memory_and_page_are_bounded_for_any_length() -> None:
     strips = pictures.strips()
     assert strips[0].start_m == 0.0
     assert strips[-1].stop_m == pytest.approx(300 * 64 * ROW_M)
-    assert sum(strip.width_px * strip.height_px for strip in strips) <= 2.2 * limit  # both sides, where one may be missing
+    # both sides, where one may be missing
+    assert sum(strip.width_px * strip.height_px for strip in strips) <= 2.2 * limit
     assert len(strips) < 200
 
 
@@ -353,7 +356,7 @@ def test_track_breaks_are_not_bridged_on_the_map() -> None:
     assert chart.track.count("M") == 2
 
 
-def test_counters_are_told_by_stage_in_words() -> None:
+def test_counters_are_shown_by_stage_in_words() -> None:
     counters = {
         "quality.port_stuck": 1234567,
         "reader.packet_not_side_scan.attitude": 4,
@@ -362,12 +365,12 @@ def test_counters_are_told_by_stage_in_words() -> None:
         "ping.gap": 0,
         "reader.pings": 9,
     }
-    told = dict(explained_counters(counters, is_loss))
-    assert list(told) == ["Brand", "Other", "Quality of echoes", "Reading the log"]
-    assert told["Quality of echoes"][0].number == "1\u202f234\u202f567"
-    assert told["Quality of echoes"][0].meaning.endswith("(port side)")
-    assert told["Reading the log"][0].meaning.endswith(": attitude")
-    assert told["Brand"][0].meaning == "new counter"
+    explained = dict(explained_counters(counters, is_loss))
+    assert list(explained) == ["Brand", "Other", "Quality of echoes", "Reading the log"]
+    assert explained["Quality of echoes"][0].number == "1\u202f234\u202f567"
+    assert explained["Quality of echoes"][0].meaning.endswith("(port side)")
+    assert explained["Reading the log"][0].meaning.endswith(": attitude")
+    assert explained["Brand"][0].meaning == "new counter"
 
 
 def test_numbers_read_as_people_write_them() -> None:

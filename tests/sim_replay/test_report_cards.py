@@ -83,17 +83,17 @@ def titles(text: str) -> list[str]:
 
 def test_a_mine_like_contact_has_three_panels_and_its_picture_once() -> None:
     text = page(confirmed())
-    assert titles(text) == ["As seen", "Pixels told apart", "Contours and best model"]
+    assert titles(text) == ["As seen", "Pixels classified", "Contours and best model"]
     assert text.count("<image ") == 1
     assert text.count('<use href="#picture-C0001"/>') == 2
     assert Page(text).ids.count("picture-C0001") == 1
 
 
-def test_panels_of_things_not_found_are_left_out() -> None:
+def test_panels_of_parts_not_found_are_left_out() -> None:
     nothing: dict[str, Any] = {"labels": np.zeros((0, 0), dtype=np.uint8), "highlight": NONE, "shadow": NONE, "model": None}
     assert titles(page(confirmed(views=(seen(**nothing),)))) == ["As seen"]
     without_model = page(confirmed(views=(seen(model=None),)))
-    assert titles(without_model) == ["As seen", "Pixels told apart", "Contours"]
+    assert titles(without_model) == ["As seen", "Pixels classified", "Contours"]
     assert 'class="o-model"' not in without_model
 
 
@@ -139,7 +139,7 @@ def test_a_contour_on_the_page_lies_around_the_pixel_it_encloses(side: Side, row
 @given(arrays(np.uint8, (20, 60), elements=st.integers(0, 2)), st.sampled_from(["port", "starboard"]))
 def test_labelled_areas_cover_the_pixels_of_their_label_and_no_others(labels: NDArray[np.uint8], side: Side) -> None:
     view = msgspec.structs.replace(seen(side, labels=labels), row_spacing_m=0.01, column_spacing_m=0.01)
-    panel = next((panel for panel in view_picture(view, panels=True).panels if panel.title == "Pixels told apart"), None)
+    panel = next((panel for panel in view_picture(view, panels=True).panels if panel.title == "Pixels classified"), None)
     paths = {stroke.style: stroke.path for stroke in panel.strokes} if panel else {}
     as_drawn = labels[::-1, ::-1] if side == "port" else labels[::-1]
     for style, label in (("l-echo", HIGHLIGHT), ("l-shadow", SHADOW)):
@@ -152,7 +152,7 @@ def test_labelled_areas_cover_the_pixels_of_their_label_and_no_others(labels: ND
 
 def test_a_card_says_in_words_why_it_is_called_a_mine() -> None:
     views = (seen(), detection("starboard", aspect_deg=10.0), seen(model=None, log_ratio=-0.4))
-    told = read(
+    text = read(
         confirmed(
             views=views,
             aspects_deg=(270.0, 10.0, 100.0),
@@ -168,38 +168,38 @@ def test_a_card_says_in_words_why_it_is_called_a_mine() -> None:
         "All 3 views together cylinder 50 %sphere 30 %wedge 5 %unknown 15 %",
         "1.95 ± 0.11 m × 0.50 m, height unknown",
         "Views: they contradict each other: what they disagree in counts as unknown (conflict 0.72).",
-        "Next look: along 050° or 230°: the nearest look so far was 40° off and it is open between cylinder and sphere.",
+        "Next view: along 050° or 230°: the nearest view so far was 40° off and it is open between cylinder and sphere.",
         "Evidence: strongly for a mine (+8.4 nats)",
         "Evidence: undecided (\u22120.4 nats)",
         "Best model: cylinder, length 1.95 ± 0.11 m, radius 0.26 ± 0.03 m, turned \u221217° ± 3°",
-        "View 2: Not looked at closely",
+        "View 2: Not confirmed",
         "the best model lies partly buried",
         "the echo was clipped",
     ):
-        assert expected in told
+        assert expected in text
 
 
 def test_a_card_says_why_it_is_not_called_a_mine() -> None:
     view = msgspec.structs.replace(
         seen(rejected=True, reasons=("shadow_goes_on", "weak_highlight"), log_ratio=-5.0), reasons=("highlight_and_shadow",)
     )
-    told = read(confirmed(0.1, views=(view,), classification="clutter", belief={"clutter": 1.0}))
-    assert "Not mine-like: in the only view the contours cannot be those of a mine." in told
-    assert "against: the dark goes on beside it" in told
-    assert "for: a bright echo with a shadow" in told
-    assert told.index("for: a bright echo") < told.index("against: the dark") < told.index("too little echo before the shadow")
-    assert "another look would hardly change what it is called" in told
+    text = read(confirmed(0.1, views=(view,), classification="clutter", belief={"clutter": 1.0}))
+    assert "Not mine-like: in the only view the contours cannot be those of a mine." in text
+    assert "against: the dark goes on beside it" in text
+    assert "for: a bright echo with a shadow" in text
+    assert text.index("for: a bright echo") < text.index("against: the dark") < text.index("too little echo before the shadow")
+    assert "a further view would hardly change the call" in text
 
 
 @pytest.mark.parametrize(
     ("p_mine", "views", "classification", "because"),
     [
-        (0.9, (detection(),), "unknown", "Mine-like: judged by the strength of echo and shadow alone; no view was looked at closely."),
+        (0.9, (detection(),), "unknown", "Mine-like: judged by the strength of echo and shadow alone; no view was confirmed."),
         (0.9, (seen(),), "unknown", "Mine-like: echo and shadow are those of an object, but its shape is open."),
         (0.9, (seen(), seen()), "cylinder", "Mine-like: all 2 views look most like a cylinder."),
         (0.9, (seen(model=None),), "sphere", "Mine-like: all taken together, the views speak most for a sphere."),
         (0.1, (seen(),), "clutter", "Not mine-like: something other than a mine explains what was seen at least as well."),
-        (0.1, (), "clutter", "Not mine-like: judged by the strength of echo and shadow alone; no view was looked at closely."),
+        (0.1, (), "clutter", "Not mine-like: judged by the strength of echo and shadow alone; no view was confirmed."),
     ],
 )
 def test_the_verdict_gives_its_reason(p_mine: float, views: tuple[Detection, ...], classification: ContactClass, because: str) -> None:
@@ -219,9 +219,9 @@ def test_belief_bars_fill_their_width_with_the_unknown_last() -> None:
     assert re.findall(r'class="b-(\w+)"', bars[-1]) == ["unknown"]
 
 
-def test_of_one_view_the_belief_is_told_once() -> None:
-    told_once = confirmed(belief={"cylinder": 1.0}, views=(seen(mass=mass(LIKE_A_CYLINDER, 0.0)),))
-    assert page(told_once).count('<div class="belief"') == 2
+def test_of_one_view_the_belief_is_shown_once() -> None:
+    shown_once = confirmed(belief={"cylinder": 1.0}, views=(seen(mass=mass(LIKE_A_CYLINDER, 0.0)),))
+    assert page(shown_once).count('<div class="belief"') == 2
     assert page(confirmed(belief={"unknown": 1.0}, views=(seen(mass=vacuous()),))).count('<div class="belief"') == 1
 
 
@@ -231,7 +231,7 @@ def test_the_compass_shows_looks_as_arrows_towards_the_contact_and_the_next_as_a
     assert looks == [pytest.approx([0.0, 44.0, 0.0, 9.0]), pytest.approx([-44.0, 0.0, -9.0, 0.0])], "from south, from west"
     (line,) = re.findall(r'class="next" d="M([^"]*)"', text)
     assert [float(number) for number in re.split("[ L]", line)] == pytest.approx([-31.1, 31.1, 31.1, -31.1])
-    assert "Looked towards it: 000° and 090°" in text
+    assert "Look angles so far: 000° and 090°" in text
 
 
 def test_numbers_not_known_never_show_as_nan() -> None:
@@ -241,11 +241,11 @@ def test_numbers_not_known_never_show_as_nan() -> None:
     assert "nan" not in without_pictures.lower()
 
 
-def test_very_many_views_are_told_by_the_strongest_and_counted() -> None:
+def test_very_many_views_are_listed_by_the_strongest_and_counted() -> None:
     views = tuple(msgspec.structs.replace(detection(), score=float(number), time_s=float(number)) for number in range(30))
-    told = read(confirmed(views=views, aspects_deg=(0.0,) * 30))
-    assert re.findall(r"View (\d+):", told) == [str(number) for number in range(23, 31)]
-    assert "and 22 weaker views" in told
+    text = read(confirmed(views=views, aspects_deg=(0.0,) * 30))
+    assert re.findall(r"View (\d+):", text) == [str(number) for number in range(23, 31)]
+    assert "and 22 weaker views" in text
 
 
 def test_the_page_stays_bounded_with_every_contact_looked_at_closely() -> None:

@@ -31,20 +31,20 @@ def scene() -> Scene:
     return parse_scene(TEXT, "test")
 
 
-def test_the_log_holds_what_the_mission_told(scene: Scene, tmp_path: Path) -> None:
+def test_the_log_holds_what_the_mission_emitted(scene: Scene, tmp_path: Path) -> None:
     done = simulate(scene, tmp_path)
-    told = [event for event in Mission(scene).events() if isinstance(event, Ping)]
+    emitted = [event for event in Mission(scene).events() if isinstance(event, Ping)]
     read = list(XtfLog(done.log, SonarConfig()))
     pings = [event for event in read if isinstance(event, Ping)]
-    assert len(pings) == done.n_pings == len(told)
-    for ping, original in zip(pings, told, strict=True):
+    assert len(pings) == done.n_pings == len(emitted)
+    for ping, original in zip(pings, emitted, strict=True):
         assert ping.time_s == pytest.approx(original.time_s, abs=0.006)
         assert ping.starboard is not None
         assert original.starboard is not None
         assert np.array_equal(ping.starboard.samples, original.starboard.samples)
     assert any(isinstance(event, NavSample) for event in read)
     facts = json.loads(done.truth.read_text("utf-8"))
-    assert [thing["kind"] for thing in facts["objects"]] == ["sphere"]
+    assert [one["kind"] for one in facts["objects"]] == ["sphere"]
     assert done.n_targets == 1
 
 

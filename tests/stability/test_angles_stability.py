@@ -1,4 +1,6 @@
-"""Directions that wrap: 180 degrees is -180, a cylinder has no front, and a bearing is the same after any number of turns."""
+"""Directions that wrap: 180 degrees is -180, a cylinder has no front, and a bearing is the same after any number of
+turns.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,7 @@ def test_turning_the_compass_or_mirroring_it_changes_no_belief(aspects: tuple[fl
 
 
 @pytest.mark.parametrize(("first_deg", "second_deg", "symmetric"), [(179.9, -179.9, False), (179.9, 0.1, True), (-0.1, 359.9, False)])
-def test_aspects_on_either_side_of_the_seam_are_one_aspect(first_deg: float, second_deg: float, symmetric: bool) -> None:
+def test_aspects_on_either_side_of_the_wrap_are_one_aspect(first_deg: float, second_deg: float, symmetric: bool) -> None:
     across = fused(math.radians(first_deg), math.radians(second_deg), symmetric=symmetric)
     beside = fused(0.3, 0.3 + math.radians(0.2), symmetric=symmetric)
     opposite = fused(0.3, 0.3 + 0.5 * math.pi, symmetric=symmetric)
@@ -89,7 +91,7 @@ def test_turned_solids_look_the_same_where_they_are(azimuth: float, n: int, kind
         Wedge(length_m=1.02, width_m=0.8, height_m=0.385, azimuth_rad=math.radians(-178.0)),
     ],
 )
-def test_azimuths_beside_the_seam_of_the_search_are_found_on_either_side(shape: Cylinder | Wedge) -> None:
+def test_azimuths_beside_the_wrap_of_the_search_are_found_on_either_side(shape: Cylinder | Wedge) -> None:
     region = closed_form_region(shape, 15.0, row_spacing_m=0.06, along_track_m=1.83, levels=(2.5, 0.1, 1.0))
     fits = fit_shapes(region, None, 1.0, effort=Effort(300, 6, 12, 6, 2, 10, 6)).fits
     found = next(fit.best.shape for fit in fits if type(fit.best.shape) is type(shape))

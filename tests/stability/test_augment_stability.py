@@ -1,4 +1,6 @@
-"""Inversion and embedding at the edge of what a recorder can store: no floating-point flag, no NaN, the same bits every time."""
+"""Inversion and embedding at the edge of what a recorder can store: no floating-point flag, no NaN, the same bits every
+time.
+"""
 
 from __future__ import annotations
 
@@ -455,7 +457,7 @@ def test_the_date_line_changes_no_sample(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_every_log_tells_a_law_of_noise_of_mean_one_below_its_floor(tmp_path: Path, name: str) -> None:
+def test_every_log_implies_a_law_of_noise_of_mean_one_below_its_floor(tmp_path: Path, name: str) -> None:
     _, survey, config = surveyed(tmp_path, LOGS[name])
     with np.errstate(all="raise", under="ignore"):
         found = measure_line(survey.stretches[0], "starboard", survey.transfer, config.sonar.blank_m, survey.absorption_per_m)

@@ -1,4 +1,6 @@
-"""Extreme tiles and extreme models through the trained cascade: exact sums, no wrap, the same windows wherever and however a tile lies."""
+"""Extreme tiles and extreme models through the trained cascade: exact sums, no wrap, the same windows wherever and
+however a tile lies.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,9 @@ ALL_PASS = msgspec.structs.replace(MODEL, reject=(ANY_SCORE,) * 3)
 
 
 def drawn_model(seed: int, n_stumps: int = 12, largest: float = 3.0) -> CascadeModel:
-    """Random comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest, that drop nothing."""
+    """Random comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest, that drop
+    nothing.
+    """
     random = np.random.Generator(np.random.PCG64(seed))
 
     def box() -> FeatureBox:
@@ -281,7 +285,7 @@ def test_of_windows_that_are_all_alike_the_first_are_kept_however_often_asked() 
     assert list(scores(alike)) == sorted(scores(alike))
 
 
-def told(result: TileDetections) -> list[object]:
+def fields_of(result: TileDetections) -> list[object]:
     detections = [
         (d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.covariance_m2.tolist(), d.snippet.tobytes())
         for d in result.detections
@@ -293,9 +297,9 @@ def told(result: TileDetections) -> list[object]:
 @pytest.mark.parametrize("max_evaluations", [None, 60_000])
 def test_the_same_tile_gives_the_same_bits_alone_and_among_threads(max_evaluations: int | None) -> None:
     tiles = [tile_of(with_object(speckle(k))) for k in range(2)]
-    alone = [told(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)) for tile in tiles]
+    alone = [fields_of(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)) for tile in tiles]
     with ThreadPoolExecutor(2) as threads:
-        together = list(threads.map(lambda tile: told(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)), tiles))
+        together = list(threads.map(lambda tile: fields_of(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)), tiles))
     assert together == alone
 
 

@@ -54,13 +54,13 @@ def test_no_shape_raises_a_flag(shape: tuple[int, int]) -> None:
 
 
 def same(a: TileDetections, b: TileDetections) -> bool:
-    def told(result: TileDetections) -> list[tuple[Any, ...]]:
+    def fields_of(result: TileDetections) -> list[tuple[Any, ...]]:
         return [
             (d.row, d.column, d.score, d.p_mine, d.latitude_deg, d.covariance_m2.tolist(), d.snippet.tobytes()) for d in result.detections
         ]
 
     faint = all(map(np.array_equal, a.faint, b.faint))
-    return told(a) == told(b) and faint and a._replace(detections=(), faint=b.faint) == b._replace(detections=())
+    return fields_of(a) == fields_of(b) and faint and a._replace(detections=(), faint=b.faint) == b._replace(detections=())
 
 
 def test_the_same_tile_gives_the_same_bits_alone_and_among_threads() -> None:

@@ -73,7 +73,7 @@ def plain(contours: Contours) -> dict[str, Any]:
     ],
     ids=["equal", "collinear", "crossing", "tiny", "two", "outside", "far outside", "around", "nan", "inf", "huge", "too many"],
 )
-def test_start_that_is_no_polygon_is_replaced_and_told(nodes: NDArray[np.float64]) -> None:
+def test_start_that_is_no_polygon_is_replaced_and_reported(nodes: NDArray[np.float64]) -> None:
     region = scene()
     for start in (Start(nodes, box(25, 28, 38, 50)), Start(box(25, 18, 38, 27), nodes), Start(nodes, nodes), Start(NONE, nodes)):
         contours = looked_at(region, start)
@@ -163,7 +163,8 @@ def test_mirror_along_track_gives_the_mirrored_object(n_runs: Callable[[int, int
         mirrored = msgspec.structs.replace(drawn.region, intensity=drawn.region.intensity[::-1].copy(), row=height - drawn.region.row)
         one, other = converge(drawn.region, start), converge(mirrored, turned)
         shape = drawn.region.intensity.shape
-        assert overlap(contour_mask(one.shadow, shape), contour_mask(other.shadow, shape)[::-1]) > 0.9  # nodes go in the other order
+        # nodes go in the other order
+        assert overlap(contour_mask(one.shadow, shape), contour_mask(other.shadow, shape)[::-1]) > 0.9
         assert one.reasons == other.reasons
 
 

@@ -67,7 +67,8 @@ PICTURES: dict[str, Callable[[], Plane]] = {
 @pytest.mark.parametrize("name", PICTURES)
 def test_pictures_with_hardly_a_class_are_answered_with_numbers(door: str, name: str) -> None:
     answer = plain(through(door, picture(PICTURES[name]())))
-    allowed = {"criterion", "gain", "height_m", "repetition", "highlight_mean", "shadow_mean", "background_mean"}  # NaN: no contour
+    # NaN: no contour
+    allowed = {"criterion", "gain", "height_m", "repetition", "highlight_mean", "shadow_mean", "background_mean"}
     if isinstance(answer, dict):
         answer = {key: value for key, value in answer.items() if key not in allowed}
     assert "nan" not in repr(answer)
@@ -124,7 +125,7 @@ def test_a_field_of_one_label_leaves_the_smoothness_to_the_prior(estimate: bool)
 
 @pytest.mark.parametrize("rank", [0, 1, 2])
 @pytest.mark.parametrize("steepness", [1e-12, 1.0, 1e12, 1e100])
-def test_uncertainty_of_what_the_cost_does_not_tell_is_wide_and_finite(rank: int, steepness: float) -> None:
+def test_uncertainty_of_what_the_cost_does_not_determine_is_wide_and_finite(rank: int, steepness: float) -> None:
     space = SearchBox(np.full(3, -1.0), np.full(3, 1.0), np.zeros(3, dtype=np.bool_), np.full(3, 0.1))
     ways = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8]])[:rank]
     covariance = curvature_covariance(lambda points: steepness * np.square(points @ ways.T).sum(axis=1), space, np.zeros(3))

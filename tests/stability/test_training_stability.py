@@ -1,4 +1,6 @@
-"""Boosting, thresholds and calibration on samples as bad as they come: no flag, bounded leaves, models that can be read back."""
+"""Boosting, thresholds and calibration on samples as bad as they come: no flag, bounded leaves, models that can be read
+back.
+"""
 
 from __future__ import annotations
 
@@ -128,7 +130,7 @@ def hard_samples() -> dict[str, tuple[Bins, Labels]]:
         "separable": (values, values[2] > 100),
         "one target": (values, np.arange(400) == 5),
         "one other": (values, np.arange(400) != 5),
-        "told apart by one sample alone": (one_apart, np.arange(400) < 30),
+        "separated by one sample alone": (one_apart, np.arange(400) < 30),
         "labels by chance": (values, random.random(400) < 0.5),
         "equal samples with either label": (alike, np.arange(400) % 2 == 0),
         "one mislabelled": (values, (values[2] > 100) ^ (np.arange(400) == 11)),
@@ -210,7 +212,7 @@ def test_scores_at_both_ends_of_the_numbers_keep_their_order() -> None:
     assert reject_thresholds(trace, np.arange(4), 1.0) == (-(2**31), -(2**31))
 
 
-def test_a_stage_that_nothing_tells_apart_lets_all_pass_and_says_so() -> None:
+def test_a_stage_that_nothing_separates_lets_all_pass_and_says_so() -> None:
     alike = StageSamples(np.full((3, 50), 9, dtype=np.uint8), np.arange(50) < 20)
     with np.errstate(all="raise"):
         stage = train_stage(alike, alike, generator(12))
@@ -250,5 +252,5 @@ def test_targets_at_no_range_count_in_no_cell() -> None:
         for ground_range_m in (math.nan, -1e-9, 200.0, math.inf, 0.0, math.nextafter(200.0, 0.0))
     ]
     with np.errstate(all="raise"):
-        told = expected_pd(model, seen)
-    assert [(cell.near_m, cell.n_targets) for cell in told] == [(0.0, 1), (120.0, 1)]
+        cells = expected_pd(model, seen)
+    assert [(cell.near_m, cell.n_targets) for cell in cells] == [(0.0, 1), (120.0, 1)]

@@ -1,4 +1,6 @@
-"""Numbers at the edge of what can come in: zeros, denormals, huge gains, long missions, low altitudes, NaN, clocks, tile seams."""
+"""Numbers at the edge of what can come in: zeros, denormals, huge gains, long missions, low altitudes, NaN, clocks,
+tile borders.
+"""
 
 from __future__ import annotations
 
@@ -268,7 +270,7 @@ def test_a_clock_that_steps_or_stands_loses_at_most_the_pings_it_repeats(step_s:
             previous_s = block.pings[-1].time_s
 
 
-# Tile seams.
+# Tile borders.
 
 
 def test_core_pixels_are_the_same_wherever_the_tiles_start() -> None:

@@ -1,4 +1,4 @@
-"""Which trained cascade serves for a configuration: the one that ships with the package, one from a file, or none."""
+"""Choose the trained cascade for a configuration: the one that ships with the package, one from a file, or none."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _FILE: Final = "model.json"
 
 
 def configured_model(config: Config) -> CascadeModel | None:
-    """The model that `detect.model` names, None for `none`. Raises BadInputError for a file that cannot be read or is no model."""
+    """Read the model that `detect.model` names; None for `none`.
+
+    Raises BadInputError for a file that cannot be read or does not hold a model.
+    """
     name = config.detect.model
     if name == NONE:
         return None
@@ -23,19 +26,19 @@ def configured_model(config: Config) -> CascadeModel | None:
 
 
 def shipped_model() -> CascadeModel:
-    """The model that ships with the package."""
+    """Read the model that ships with the package."""
     return parse_model(resources.files("auv_mcm.detect.cascade").joinpath(_FILE).read_bytes(), _FILE)
 
 
 def fitting(model: CascadeModel | None, config: Config) -> tuple[CascadeModel | None, Notice]:
-    """The model if it fits the pixels configured, and a notice of which detector serves and why."""
+    """Return the model if it fits the pixels configured, else None, with a notice of which detector serves and why."""
     row_m, column_m = config.waterfall.row_spacing_m, config.waterfall.column_spacing_m
     if model is None:
-        return None, Notice(code="detect.contrast", text="detect.model is none: contrasts alone are the detector", for_the_record=True)
+        return None, Notice(code="detect.contrast", text="detect.model is none: contrasts alone detect", for_the_record=True)
     if not fits_sonar(model, row_m, column_m):
         text = (
-            f"pixels of {row_m:g} x {column_m:g} m are none that the model was trained for ({_span(model.row_spacing_m)} x "
-            f"{_span(model.column_spacing_m)} m): contrasts alone serve as detector. Choose pixels within, or train a model for these"
+            f"pixels of {row_m:g} x {column_m:g} m are not among those that the model was trained for ({_span(model.row_spacing_m)} x "
+            f"{_span(model.column_spacing_m)} m): contrasts alone detect. Choose pixels within that range, or train a model for these"
         )
         return None, Notice(code="detect.model_does_not_fit", text=text, place=config.detect.model)
     text = f"the detector is a cascade trained on {model.trained_on}"

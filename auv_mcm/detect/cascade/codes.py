@@ -1,8 +1,8 @@
-"""Tiles as whole numbers, and their integral images, in which the sum over any box takes four look-ups (Crow 1984).
+"""Convert tiles to whole numbers and integral images, box sums of four look-ups (Crow 1984).
 
-Intensity becomes a code in 1/1024 of the local mean of the sea floor, at most 16 times that mean. Sums of codes are uint32 modulo
-2**32: however long the mission, the difference of four of them is the exact sum over a box of fewer than 131072 pixels. Whoever adds
-any number to all of an integral image changes nothing.
+Intensity becomes a code in 1/1024 of the local mean of the sea floor, at most 16 times that mean. Sums of codes are
+uint32 modulo 2**32: however long the mission, the difference of four of them is the exact sum over a box of fewer than
+131072 pixels. Whoever adds any number to all of an integral image changes nothing.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ MAX_BOX_PX: Final = 131071
 
 
 class CodePlane(NamedTuple):
-    """What a cascade sees of a tile.
+    """Hold what a cascade reads of a tile.
 
-    sums, counts: (n_rows + 2 margin_rows + 1, n_columns + margin_near + margin_far + 1) uint32 integral images of codes and of valid
-    pixels modulo 2**32; element (i, j) is the sum over the padded plane's rows before i and columns before j. Beyond the tile codes
-    are CODE_OF_MEAN and nothing is valid. usable: (n_rows, n_columns) bool, where windows may be centred. first_return_m: (n_rows,)
-    float64.
+    sums, counts: (n_rows + 2 margin_rows + 1, n_columns + margin_near + margin_far + 1) uint32 integral images of codes
+    and of valid pixels modulo 2**32; element (i, j) is the sum over the padded plane's rows before i and columns before
+    j. Beyond the tile codes are CODE_OF_MEAN and nothing is valid. usable: (n_rows, n_columns) bool, where windows may
+    be centred. first_return_m: (n_rows,) float64.
     """
 
     sums: NDArray[np.uint32]
@@ -48,8 +48,12 @@ class CodePlane(NamedTuple):
 
 
 def codes_of(intensity: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Codes (n_rows, n_columns) uint16: 1024 times the intensity, nearest and halves to even, 0 to 16384; CODE_OF_MEAN where not valid
-    or NaN."""
+    """Convert intensity to codes (n_rows, n_columns) uint16, 0 to 16384.
+
+    A code is 1024 times the intensity, rounded half to even.
+
+    CODE_OF_MEAN where not valid or NaN.
+    """
     return encode(intensity, valid.view(np.uint8))[0]
 
 
@@ -61,7 +65,10 @@ def make_plane(
     row_spacing_m: float,
     column_spacing_m: float,
 ) -> CodePlane:
-    """A plane from codes, where they are valid, and where windows may be centred, each (n_rows, n_columns); first_return_m: (n_rows,)."""
+    """Make a plane from codes, where they are valid, and where windows may be centred.
+
+    Each (n_rows, n_columns); first_return_m: (n_rows,).
+    """
     margins = margins_px(row_spacing_m, column_spacing_m)
     return CodePlane(
         sums=integral(codes, margins, CODE_OF_MEAN),
@@ -76,7 +83,10 @@ def make_plane(
 
 
 def plane_of_tile(tile: Tile, rows: slice) -> CodePlane:
-    """A tile's plane. Windows may be centred on pixels of `rows` that are VALID and not of LOW_RESOLUTION; NaN is not valid."""
+    """Make a tile's plane.
+
+    Windows may be centred on pixels of `rows` that are VALID and not of LOW_RESOLUTION; NaN is not valid.
+    """
     codes, valid = encode(tile.intensity, tile.mask)
     usable = np.zeros_like(valid)
     usable[rows] = valid[rows] & ((tile.mask[rows] & LOW_RESOLUTION) == 0)
@@ -84,7 +94,7 @@ def plane_of_tile(tile: Tile, rows: slice) -> CodePlane:
 
 
 def box_sums(plane: CodePlane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Sums of codes over boxes around pixels, int32.
+    """Sum codes over boxes around pixels, int32.
 
     rows, columns: (...) int. boxes_px: (..., 4) of bands.pixel_boxes, broadcast against them; e.g. rows[:, None] and
     pixel_boxes(...)[bands] give (n_windows, n_boxes).
@@ -95,7 +105,7 @@ def box_sums(plane: CodePlane, rows: NDArray[np.integer], columns: NDArray[np.in
 def valid_counts(
     plane: CodePlane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]
 ) -> NDArray[np.int32]:
-    """Valid pixels in boxes around pixels, int32; arguments as for box_sums."""
+    """Count valid pixels in boxes around pixels, int32; arguments as for box_sums."""
     return _box_sums(plane.counts, rows + plane.margin_rows, columns + plane.margin_near, boxes_px).view(np.int32)
 
 

@@ -1,13 +1,14 @@
-"""A trained cascade as a file: boosted stumps in groups, each followed by a threshold below which a window is dropped.
+"""Read and write a trained cascade: boosted stumps in groups, each with a threshold that drops windows.
 
-Every stump compares means of boxes (P. Viola, M. Jones, Int. J. Computer Vision 57, 2004) with a threshold t, in float32:
+Every stump compares means of boxes (P. Viola, M. Jones, Int. J. Computer Vision 57, 2004) with a threshold t, in
+float32:
 
 - "ratio": mean(a) < t mean(b), which no gain changes;
-- "contrast": mean(a) - mean(b) < t mean(w), normalised by the mean rather than by the standard deviation since the one is in
-  proportion to the other in speckle.
+- "contrast": mean(a) - mean(b) < t mean(w), normalised by the mean rather than by the standard deviation since the one
+  is in proportion to the other in speckle.
 
-The window's score gains `below` where the comparison holds, else `above`. Scores are whole numbers in 1/1024 of the sum that
-GentleBoost makes (J. Friedman, T. Hastie, R. Tibshirani, Annals of Statistics 28, 2000), half a log-odds.
+The window's score gains `below` where the comparison holds, else `above`. Scores are whole numbers in 1/1024 of the sum
+that GentleBoost makes (J. Friedman, T. Hastie, R. Tibshirani, Annals of Statistics 28, 2000), half a log-odds.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ _Spacing: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 
 
 class Stump(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """One comparison. w: the third box of a contrast, None for a ratio. threshold: t, for a ratio a linear ratio above 0."""
+    """One comparison of box means.
+
+    w: the third box of a contrast, None for a ratio. threshold: t, for a ratio a linear ratio above 0.
+    """
 
     kind: Literal["ratio", "contrast"]
     a: FeatureBox
@@ -53,13 +57,16 @@ class Stump(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Log-odds of a target at some final scores, linear in between, constant beyond. score rises, log_odds does not fall."""
+    """Log-odds of a target at some final scores, nats, linear in between, constant beyond.
+
+    score rises, log_odds does not fall.
+    """
 
     score: tuple[_Score, ...]
     log_odds: tuple[Annotated[float, msgspec.Meta(ge=-50.0, le=50.0)], ...]
 
     def log_odds_of(self, scores: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Log-odds in nats of a target for final scores (n,), float64."""
+        """Interpolate the log-odds of a target, nats, for final scores (n,), float64."""
         return np.asarray(np.interp(scores, self.score, self.log_odds), dtype=np.float64)
 
 
@@ -76,9 +83,10 @@ class ExpectedPd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 class CascadeModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A trained cascade.
 
-    kind: "soft" adds scores up over all groups, "stages" starts at 0 in each. groups: stumps; after group g windows that score less
-    than reject[g] are dropped. row_spacing_m, column_spacing_m: from and to of pixel sizes it was trained for. reference_height_m: of
-    the object whose shadow is the unit of boxes. trained_on: what, in words. training_sha256: of the training data.
+    kind: "soft" adds scores up over all groups, "stages" starts at 0 in each. groups: stumps; after group g windows
+    that score less than reject[g] are dropped. row_spacing_m, column_spacing_m: from and to of pixel sizes it was
+    trained for. reference_height_m: of the object whose shadow is the unit of boxes. trained_on: what, in words.
+    training_sha256: of the training data.
     """
 
     format_version: Literal[1] = 1
@@ -95,14 +103,15 @@ class CascadeModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def n_stumps(self) -> int:
-        """In all groups."""
+        """Count the stumps of all groups."""
         return sum(len(group) for group in self.groups)
 
 
 def rejecting_last(model: CascadeModel) -> CascadeModel:
-    """The model without thresholds on the way: windows go through all groups and are judged by the last threshold alone.
+    """Return the model without thresholds on the way, judged by the last threshold alone.
 
-    Stages each start at a score of 0, so that every threshold of theirs is a decision: such a model is returned as it is.
+    Windows go through all groups. Stages each start at a score of 0, so that each of their thresholds is a decision:
+    such a model is returned as it is.
     """
     if model.kind != "soft":
         return model
@@ -110,7 +119,7 @@ def rejecting_last(model: CascadeModel) -> CascadeModel:
 
 
 def parse_model(data: bytes, place: str) -> CascadeModel:
-    """A model from JSON. Raises BadInputError naming `place`, what is wrong with it and where."""
+    """Read a model from JSON. Raises BadInputError naming `place`, what is wrong with it and where."""
     try:
         version = msgspec.json.decode(data, type=_Versioned).format_version
         if version != FORMAT_VERSION:
@@ -123,7 +132,7 @@ def parse_model(data: bytes, place: str) -> CascadeModel:
 
 
 def encode_model(model: CascadeModel) -> bytes:
-    """JSON that parse_model reads back as the same model, a line per field and per stump."""
+    """Write the JSON that parse_model reads back as the same model, a line per field and per stump."""
     encode = msgspec.json.encode
     groups = b",\n".join(b"  [\n   " + b",\n   ".join(encode(stump) for stump in group) + b"\n  ]" for group in model.groups)
     fields = {name: encode(getattr(model, name)) for name in model.__struct_fields__}
@@ -132,16 +141,16 @@ def encode_model(model: CascadeModel) -> bytes:
 
 
 def check_model(model: CascadeModel, place: str) -> None:
-    """Raises BadInputError naming `place` if a model made in memory could not be run."""
+    """Check that a model made in memory can be run. Raises BadInputError naming `place`."""
     fault = next(_faults(model), None)
     if fault is not None:
         raise BadInputError(f"{place}: {fault}. {_REMEDY}")
 
 
 def fits_sonar(model: CascadeModel, row_spacing_m: float, column_spacing_m: float) -> bool:
-    """Whether a model was trained for pixels of this size."""
-    (least_row_m, most_row_m), (least_column_m, most_column_m) = model.row_spacing_m, model.column_spacing_m
-    return least_row_m <= row_spacing_m <= most_row_m and least_column_m <= column_spacing_m <= most_column_m
+    """Check whether a model was trained for pixels of this size."""
+    (min_row_m, max_row_m), (min_column_m, max_column_m) = model.row_spacing_m, model.column_spacing_m
+    return min_row_m <= row_spacing_m <= max_row_m and min_column_m <= column_spacing_m <= max_column_m
 
 
 class _Versioned(msgspec.Struct):
@@ -150,15 +159,15 @@ class _Versioned(msgspec.Struct):
 
 def _faults(model: CascadeModel) -> Iterator[str]:
     if not model.groups or not all(model.groups):
-        yield "every cascade needs at least one group, and every group one stump"
+        yield "a cascade needs one group or more, and every group one stump or more"
     if model.n_stumps > MAX_STUMPS:
-        yield f"{model.n_stumps} stumps, but at most {MAX_STUMPS} keep the score within its range"
+        yield f"{model.n_stumps} stumps are more than the maximum of {MAX_STUMPS} that keeps the score within its range"
     if len(model.reject) != len(model.groups):
         yield f"reject has {len(model.reject)} thresholds for {len(model.groups)} groups; each group needs one"
     for name in ("row_spacing_m", "column_spacing_m"):
-        least, most = getattr(model, name)
-        if not least <= most:
-            yield f"{name} goes from {least} to {most}; the first number must not be the larger one"
+        lowest, highest = getattr(model, name)
+        if not lowest <= highest:
+            yield f"{name} goes from {lowest} to {highest}; write the smaller number first"
     yield from _calibration_faults(model.calibration)
     for index, expected in enumerate(model.expected_pd):
         if not expected.near_m < expected.far_m:

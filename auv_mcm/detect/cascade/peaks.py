@@ -1,4 +1,4 @@
-"""Which of the windows that passed a cascade stand for objects: the best ones, each alone within its reach."""
+"""Select which of the windows that passed a cascade stand for objects: the best ones, each alone within its reach."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ def spaced_apart(
     scores: NDArray[np.number],
     half_rows: float,
     half_columns: float,
-    most: int,
+    max_kept: int,
 ) -> NDArray[np.intp]:
-    """Indices of up to `most` windows of (n,), best first, none within the half extents of a better one kept.
+    """Select up to `max_kept` windows of (n,), best first, none within the half extents of a better one.
 
-    Of equal scores the first is better. More windows never lose one: it stays, or a better one within reach takes its place.
+    Returns their indices.
+
+    Of equal scores the first is better. A larger maximum never loses a window: it stays, or a better one within reach
+    takes its place.
     """
     if not rows.size:
         return np.empty(0, dtype=np.intp)
@@ -38,7 +41,7 @@ def spaced_apart(
             if covered[at, along]:
                 continue
             kept.append(k)
-            if len(kept) == most:
+            if len(kept) == max_kept:
                 return np.array(kept, dtype=np.intp)
             covered[max(at - down, 0) : at + down + 1, max(along - across, 0) : along + across + 1] = True
     return np.array(kept, dtype=np.intp)

@@ -1,9 +1,10 @@
-"""Runs a cascade over a tile: group by group on the windows still alive, within a fixed number of evaluations.
+"""Run a cascade over a tile: group by group on the windows still alive, within a fixed number of evaluations.
 
-One evaluation is one stump on one window. The first groups, up to OPENING_STUMPS stumps, weigh all windows and rank them; from there on
-the best-ranked windows go through all that is left of the cascade before others start. What a window gets therefore never depends on
-worse ones: with a larger budget all windows are finished that were with a smaller one, and more. A budget that does not even cover the
-opening finishes none. Evaluations, not seconds, are counted, so that every computer comes to the same result.
+One evaluation is one stump on one window. The first groups, up to OPENING_STUMPS stumps, score all windows and rank
+them; then the best-ranked windows go through the rest of the cascade before others start. So the evaluations of a
+window never depend on worse ones: with a larger budget all windows are finished that were with a smaller one, and more.
+A budget that does not even cover the opening finishes none. Evaluations, not seconds, are counted, so that every
+computer comes to the same result.
 """
 
 from __future__ import annotations
@@ -22,19 +23,21 @@ from auv_mcm.kernels.cascade import STUMP, Tables, WindowField, Windows, corners
 from auv_mcm.records import Tile
 
 OPENING_STUMPS: Final = 16
-"""At the end of the last group that has no stump beyond this number windows are ranked; at the end of the first in any case."""
+"""Windows are ranked after the last group that ends within this number of stumps, or after the first group."""
 MARGIN_M: Final = 1.0
 """How far beyond a tile's core windows are centred, so that a peak in the core is compared with all its neighbours."""
 
-_LEAST_SHARE: Final = (3, 5)  # of a window that must be valid
+_MIN_SHARE: Final = (3, 5)  # of a window that must be valid
 _SLICES: Final = 1024  # of the ranked windows, the last of which are not started if they might not be finished
 
 
 class CascadeResult(NamedTuple):
-    """Windows that passed the whole cascade, by row and column: tile-local rows, columns (n,) int32 and final scores (n,) int32.
+    """Hold the windows that passed the whole cascade, by row and column.
 
-    n_windows: that there are in the tile. n_evaluations: made, never more than the budget. n_cut: windows dropped because the budget
-    was used up; evaluated_fraction: of the windows, the others. n_alive: after each group.
+    Tile-local rows, columns (n,) int32 and final scores (n,) int32.
+
+    n_windows: that there are in the tile. n_evaluations: made, never more than the budget. n_cut: windows dropped
+    because the budget was used up; evaluated_fraction: of the windows, the others. n_alive: after each group.
     """
 
     rows: NDArray[np.int32]
@@ -48,7 +51,10 @@ class CascadeResult(NamedTuple):
 
 
 def core_plane(tile: Tile) -> CodePlane:
-    """A tile's plane with windows in its core and MARGIN_M around it, centred on pixels that are VALID and not LOW_RESOLUTION."""
+    """Make a tile's plane with windows in its core and MARGIN_M around it.
+
+    Windows are centred on pixels that are VALID and not LOW_RESOLUTION.
+    """
     margin = round(MARGIN_M / tile.row_spacing_m) + 1
     return plane_of_tile(tile, slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])))
 
@@ -78,7 +84,7 @@ def run_plane(plane: CodePlane, model: CascadeModel, max_evaluations: int | None
 
 
 def trace_plane(plane: CodePlane, model: CascadeModel, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> NDArray[np.int32]:
-    """(n_windows, n_groups) int32 scores of the windows at rows, columns (n_windows,) after each group, none dropped."""
+    """Score the windows at rows, columns (n_windows,) after each group, none dropped: (n_windows, n_groups) int32."""
     stride = plane.sums.shape[1]
     tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
     groups = tables.groups.copy()
@@ -99,14 +105,17 @@ def trace_plane(plane: CodePlane, model: CascadeModel, rows: NDArray[np.integer]
 
 
 def opening_groups(model: CascadeModel) -> int:
-    """Number of groups before windows are ranked."""
+    """Count the groups before windows are ranked."""
     stops = np.cumsum([len(group) for group in model.groups])
     return max(1, int(np.searchsorted(stops, OPENING_STUMPS, side="right")))
 
 
 @functools.lru_cache(maxsize=8)
 def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float, stride: int) -> Tables:
-    """A model's boxes as offsets into integral images with rows of `stride`. Raises UsageError if a box has too many pixels."""
+    """Convert a model's boxes to offsets into integral images with rows of `stride`.
+
+    Raises UsageError if a box has too many pixels.
+    """
     stumps = [stump for group in model.groups for stump in group]
     boxes = [box for stump in stumps for box in (stump.a, stump.b, stump.a if stump.w is None else stump.w)]
     boxes_px = pixel_boxes([*boxes, WINDOW], row_spacing_m, column_spacing_m)
@@ -127,7 +136,7 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
     table["leaf"] = [(stump.above, stump.below) for stump in stumps]
     table["contrast"] = contrast
     stops = np.cumsum([len(group) for group in model.groups])
-    numerator, denominator = _LEAST_SHARE
+    numerator, denominator = _MIN_SHARE
     return Tables(
         stumps=table,
         groups=np.array(list(zip(stops, model.reject, strict=True)), dtype=np.int32),
@@ -138,7 +147,7 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
 
 
 class _Run:
-    """A run over a plane and its accounts: evaluations made so far, windows alive after each group."""
+    """Run a model over a plane and keep count: evaluations made so far, windows alive after each group."""
 
     def __init__(self, plane: CodePlane, model: CascadeModel, max_evaluations: int | None) -> None:
         stride = plane.sums.shape[1]
@@ -155,7 +164,7 @@ class _Run:
         self._n_open = len(self._sizes) if self._affords(self._n_usable, 0, len(self._sizes)) else opening_groups(model)
 
     def open(self) -> tuple[int, Windows, int]:
-        """Number of windows, those alive after the opening, and how many are cut since the budget does not reach to its end."""
+        """Run the opening; return the windows alive after it and the number cut by the budget."""
         if self._affords(self._n_usable, 0, self._n_open):
             n_windows, windows = self._opened(self._n_open)
             return n_windows, windows, 0
@@ -170,7 +179,7 @@ class _Run:
         return n_windows, windows, 0
 
     def finish(self, windows: Windows) -> tuple[Windows, int]:
-        """What of the opening's survivors passes the rest of the cascade, and how many are cut."""
+        """Run the rest of the cascade on the opening's survivors; return those that pass, and how many are cut."""
         first, last = self._n_open, len(self._sizes)
         n = len(windows.place)
         if first == last:
@@ -178,16 +187,17 @@ class _Run:
         if self._affords(n, first, last):
             return self._run(windows, first, last), 0
         # Best score first, then in the order of windows: by band, row, column.
-        most, least = int(self._sizes[first:].sum()), max(1, n // _SLICES)
+        n_all, slice_size = int(self._sizes[first:].sum()), max(1, n // _SLICES)
         done = 0
         finished: list[Windows] = []
-        ranked = rank(windows.score, self._left() // most)  # if none is dropped there will be no others
+        ranked = rank(windows.score, self._left() // n_all)  # if none is dropped there will be no others
         while done < n:
-            # A window starts if it and a few behind it could go all the way: then it makes no difference how they are sliced.
-            affordable = self._left() // most
-            if affordable < min(n - done, least):
+            # A window starts if it and a few behind it could go all the way: then it makes no difference how they are
+            # sliced.
+            affordable = self._left() // n_all
+            if affordable < min(n - done, slice_size):
                 break
-            length = n - done if affordable >= n - done else affordable - least + 1
+            length = n - done if affordable >= n - done else affordable - slice_size + 1
             if done + length > len(ranked):
                 ranked = rank(windows.score, n)
             chosen = np.zeros(n, dtype=np.bool_)
@@ -197,7 +207,7 @@ class _Run:
         return _together(finished, windows), n - done
 
     def _affords(self, n_windows: int, first: int, last: int) -> bool:
-        """Whether the budget holds for groups [first, last) on so many windows even if none is dropped."""
+        """Check whether the budget holds for groups [first, last) on so many windows even if none is dropped."""
         return self._budget is None or n_windows * int(self._sizes[first:last].sum()) <= self._left()
 
     def _left(self) -> int:
@@ -223,7 +233,7 @@ class _Run:
 
 
 def _some(windows: Windows, chosen: NDArray[np.bool_]) -> Windows:
-    """Those windows that are chosen, (n,)."""
+    """Select windows, (n,)."""
     indices = np.flatnonzero(chosen)
     return Windows(windows.place[indices], windows.score[indices], np.searchsorted(indices, windows.band_stop).astype(np.int64))
 
@@ -233,7 +243,7 @@ def _none(windows: Windows) -> Windows:
 
 
 def _together(parts: list[Windows], of: Windows) -> Windows:
-    """All windows of some runs on parts of `of`; by run, not by band."""
+    """Join the windows of some runs on parts of `of`; by run, not by band."""
     parts = [_none(of), *parts]
     place, score = (np.concatenate([part[k] for part in parts]) for k in range(2))
     return Windows(place, score, np.full_like(of.band_stop, len(place)))

@@ -20,10 +20,12 @@ _ANY_SCORE: Final = -MAX_STUMPS * MAX_LEAF
 
 
 def measure_speed(model: CascadeModel, row_spacing_m: float, column_spacing_m: float, n_runs: int = 5) -> float:
-    """Evaluations per second of one core of this computer, from codes to result, where nothing is ever rejected: median of n_runs.
+    """Measure evaluations per second of one core, from codes to result: median of n_runs.
 
-    A tile where much is rejected makes fewer evaluations per second, but takes less time in all. Only survivors without neighbours that
-    go all the way would take longer, up to twice; real ones hang together.
+    Nothing is rejected in these runs.
+
+    A tile where much is rejected makes fewer evaluations per second, but takes less time in all. Only survivors without
+    neighbours that go all the way would take longer, up to twice; real ones hang together.
     """
     random = np.random.Generator(np.random.PCG64(1))
     intensity = random.exponential(size=_SHAPE).astype(np.float32)

@@ -54,6 +54,7 @@ def _findings(read_config: Callable[[], Config], check_logs: Callable[[Config], 
     if has_extra("bench"):
         yield from _looked_at("bench", lambda: load(BENCH_CHECK)())
     yield from _looked_at("odds of confirmation", _odds)
+    yield from _looked_at("plug-ins", _plugins)
     config: Config | None = None
     try:
         config = read_config()
@@ -149,6 +150,12 @@ def _odds() -> Iterator[Finding]:
 
     fitted = "; ".join(f"{detector}: {shipped_odds(detector).fitted_on}" for detector in get_args(Detector))
     yield Finding("odds of confirmation", "ok", fitted)
+
+
+def _plugins() -> Iterator[Finding]:
+    from auv_mcm.shell.check.plugins import plugin_findings
+
+    yield from plugin_findings()
 
 
 def _perception(config: Config) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ from auv_mcm.shell.check.finding import Finding
 
 DISTRIBUTION: Final = "auv-mcm"
 _BASE: Final = ""
-_MAKERS: Final = "dev"  # an extra for those who change the code: the payload does not run it
+_MAKERS: Final = ("dev", "docs")  # extras for those who change the code: the payload does not run them
 _IMPORTED_AS: Final = {
     "opencv-contrib-python-headless": "cv2",
     "pyserial": "serial",
@@ -70,7 +70,8 @@ def package_findings() -> Iterator[Finding]:
         return
     for requirement in by_extra.pop(_BASE, []):
         yield _finding(requirement, f"python -m pip install {DISTRIBUTION}")
-    by_extra.pop(_MAKERS, None)
+    for extra in _MAKERS:
+        by_extra.pop(extra, None)
     for extra, requirements in by_extra.items():
         install = f"python -m pip install '{DISTRIBUTION}[{extra}]'"
         if missing := [requirement.name for requirement in requirements if _version(requirement.name) is None]:
@@ -123,6 +124,6 @@ def _holds(version: str, comparison: str, limit: str) -> bool:
 
 
 def _numbers(version: str) -> tuple[int, ...]:
-    """The numbers of a release, e.g. (4, 10, 0) of 4.10.0rc1."""
+    """Read the numbers of a release, e.g. (4, 10, 0) of 4.10.0rc1."""
     release = re.match(r"[0-9]+(\.[0-9]+)*", version)
     return tuple(int(part) for part in release[0].split(".")) if release else (0,)

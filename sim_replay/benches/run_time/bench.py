@@ -15,6 +15,7 @@ import msgspec
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
+from sim_replay.benches.run_time.latency import LATENCY_HEADER, WITHIN_M, WITHIN_S, latency_rows, measure_latency
 from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes, repeated
 from sim_replay.benches.run_time.measure import CALLED_P, MissionCost, measure_settings, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
@@ -55,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--skips", action="store_true", help="what each skip of the chain saves, and how far the answer differs without it"
     )
     instead.add_argument("--scaling", action="store_true", help="how cost grows with swath, ping rate, objects, length and threads")
+    instead.add_argument("--latency", action="store_true", help="how long after it was passed a target is announced, early and in the end")
     instead.add_argument("--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plot and tables to FILE")
@@ -69,8 +71,10 @@ def run(arguments: argparse.Namespace) -> int:
     for option, path in (("--json", arguments.json), ("--page", arguments.page)):
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
-    if (arguments.skips or arguments.scaling) and (arguments.page is not None or arguments.compare is not None):
-        raise UsageError("--page and --compare are for operating points and targets: leave them out beside --skips and --scaling")
+    if (arguments.skips or arguments.scaling or arguments.latency) and (arguments.page is not None or arguments.compare is not None):
+        raise UsageError(
+            "--page and --compare are for operating points and targets: leave them out beside --skips, --scaling and --latency"
+        )
     old = None if arguments.compare is None else read_results(arguments.compare)
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else SCENES if arguments.targets else SCANNED
     for name in names:
@@ -79,6 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _scaling(arguments)
     if arguments.skips:
         return _skips(arguments, names)
+    if arguments.latency:
+        return _latency(arguments, names)
     chosen = _chosen(arguments.knobs, arguments.targets)
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
@@ -132,6 +138,22 @@ def _scaling(arguments: argparse.Namespace) -> int:
     print(f"medians of {arguments.repeat} repeats; cost = constant * value ** exponent, with its standard error\n")
     print(laid_out(SERIES_HEADER, series_rows(found)))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(found), indent=1))
+    return 0
+
+
+def _latency(arguments: argparse.Namespace, names: Sequence[str]) -> int:
+    laid_out = markdown if arguments.markdown else columns
+    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
+        lines = _missions(arguments, names, Path(made))
+        waits = []
+        for line in lines:
+            _progress(f"{line.name}: waits for announcements")
+            waits.append(measure_latency(line))
+    print(file=sys.stderr)
+    print(f"Track and mission time from the last ping that saw a target until it is announced; in time: within {WITHIN_M:g} m or")
+    print(f"{WITHIN_S:g} s, whichever is later. Processor time of early looks is that of the chain's other stages in the same run.\n")
+    print(laid_out(LATENCY_HEADER, latency_rows(waits)))
+    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(waits), indent=1))
     return 0
 
 

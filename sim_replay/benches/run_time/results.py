@@ -18,7 +18,7 @@ from sim_replay.benches.run_time.targets import CostTarget
 from sim_replay.text_tables import density_cell, share_cell
 
 FORMAT_VERSION: Final = 1
-_LEAST_CHANGE: Final = 0.03  # of a cost: runs of the same program differ by as much on an idle computer
+_MIN_CHANGE: Final = 0.03  # of a cost: runs of the same program differ by as much on an idle computer
 
 
 class RunTimeResults(msgspec.Struct, frozen=True, kw_only=True):
@@ -136,7 +136,7 @@ def _differences(before: SettingResult, after: SettingResult, old: RunTimeResult
     old_plain, new_plain = old.point(PLAIN), new.point(PLAIN)
     if old_plain is not None and new_plain is not None and after.name != PLAIN:
         (was, low, high), (now, lowest, highest) = median_ratio(before, old_plain), median_ratio(after, new_plain)
-        if abs(math.log(now / was)) > _LEAST_CHANGE and (lowest > high or highest < low):
+        if abs(math.log(now / was)) > _MIN_CHANGE and (lowest > high or highest < low):
             found.append(f"cost {was:.2f} -> {now:.2f} of the plain script ({now / was - 1.0:+.0%})")
     for limit, ours, theirs in zip(LIMITS_PER_KM2, after.pd, before.pd, strict=True):
         if ours.value is not None and theirs.value is not None and not theirs.low <= ours.value <= theirs.high:

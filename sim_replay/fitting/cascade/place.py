@@ -48,8 +48,9 @@ class PlacedTarget(NamedTuple):
 
 
 def objects_in(tile: Tile, targets: Sequence[PlacedTarget], sonar: SonarConfig) -> tuple[TileObject, ...]:
-    """All passes over `targets` whose expected highlight lies in the tile, its overlap included, in the order of
-    `targets`.
+    """List all passes over `targets` whose expected highlight lies in the tile, in the order of `targets`.
+
+    The overlap of the tile counts.
 
     The inverse of `georeference.locate`: the row is where the beam's plane, lever arm, mounting and the way made during
     the ping included, crosses the object; the column follows from the slant range to half its height, a little behind

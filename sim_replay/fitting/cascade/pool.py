@@ -79,7 +79,7 @@ def pool_box_means(plane: CodePlane, boxes: Sequence[FeatureBox], rows: NDArray[
 
 
 def feature_values(pool: Pool, features: Sequence[int] | NDArray[np.intp], means: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n_chosen, n_windows) float32 values of the chosen features for box means (n_boxes, n_windows).
+    """Compute values of the chosen features for box means (n_boxes, n_windows): (n_chosen, n_windows) float32.
 
     Where the divisor is 0 the value is infinite or not a number: no comparison with a threshold holds for it.
     """
@@ -91,8 +91,9 @@ def feature_values(pool: Pool, features: Sequence[int] | NDArray[np.intp], means
 
 
 def bin_edges(pool: Pool, means: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(n_features, 255) float32 edges between bins that hold about as many of the windows with box means (n_boxes,
-    n_windows) each.
+    """Compute edges between bins that hold about as many windows each, (n_features, 255) float32.
+
+    From box means (n_boxes, n_windows).
 
     Ascending, repeats allowed; half way between two values, so that rounding moves no window of these to the other
     side. Raises ValueError if there is no window.
@@ -112,7 +113,7 @@ def bin_edges(pool: Pool, means: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def quantise(pool: Pool, edges: NDArray[np.float32], means: NDArray[np.float32]) -> Bins:
-    """(n_features, n_windows) uint8: a feature's value is below edge k if and only if its bin is at most k."""
+    """Quantise features to (n_features, n_windows) uint8: a value is below edge k if and only if its bin is k or less."""
     bins = np.empty((len(pool.features), means.shape[1]), dtype=np.uint8)
     for start in range(0, means.shape[1], _CHUNK):
         windows = slice(start, start + _CHUNK)
@@ -123,7 +124,7 @@ def quantise(pool: Pool, edges: NDArray[np.float32], means: NDArray[np.float32])
 
 
 def model_stump(pool: Pool, edges: NDArray[np.float32], stump: BoostedStump) -> Stump:
-    """A boosted stump as the comparison of box means that a model holds."""
+    """Convert a boosted stump to the comparison of box means that a model holds."""
     feature = pool.features[stump.feature]
     return Stump(
         kind="ratio" if feature.is_ratio else "contrast",
@@ -137,7 +138,7 @@ def model_stump(pool: Pool, edges: NDArray[np.float32], stump: BoostedStump) -> 
 
 
 def _families() -> dict[str, list[tuple[FeatureBox, FeatureBox]]]:
-    """Every pair of each family, in a fixed order."""
+    """List every pair of each family, in a fixed order."""
     highlights, shadows, floors, sides = _highlights(), _shadows(), _floors(), _sides()
     return {
         "highlight and sea floor": list(product(highlights, floors)),
@@ -157,8 +158,10 @@ def _highlights() -> list[FeatureBox]:
 
 
 def _shadows() -> list[FeatureBox]:
-    """Pieces of shadows of different lengths and heights, from right behind the highlight to where only tall objects
-    cast any."""
+    """List pieces of shadows of different lengths and heights.
+
+    From right behind the highlight to where only tall objects cast any.
+    """
     boxes = []
     for along, at in ((0.24, 0.0), (0.48, 0.0), (0.84, 0.0), (1.2, 0.0), (1.8, 0.0), (0.36, -0.3), (0.36, 0.3), (0.4, -0.6), (0.4, 0.6)):
         for start_m in (0.1, 0.25, 0.4):
@@ -188,7 +191,7 @@ def _surrounds() -> list[FeatureBox]:
 
 
 def _sides() -> list[list[FeatureBox]]:
-    """Groups of strips that sea floor without relief shows alike: ripples and slopes do not."""
+    """List groups of strips that sea floor without relief shows alike: ripples and slopes do not."""
     rows = np.arange(-1.0, 1.0, 0.4).round(2).tolist()
     along = [_shadow(top + 0.2, 0.4, -1.0, 0.0, 1.0, 1.0) for top in rows]
     near = [_shadow(top + 0.2, 0.4, -1.0, 0.0, -0.3, 0.0) for top in rows]

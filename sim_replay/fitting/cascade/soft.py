@@ -1,4 +1,6 @@
-"""Thresholds of a soft cascade by direct backward pruning: what a target's best window would pass is settled first, rejection follows.
+"""Set thresholds of a soft cascade by direct backward pruning.
+
+What a target's best window would pass is settled first, rejection follows.
 
 Sources: C. Zhang, P. Viola, "Multiple-instance pruning for learning efficient cascade detectors", NIPS 2007; L. Bourdev, J. Brandt,
 "Robust object detection via soft cascade", CVPR 2005.
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 
 
 def best_windows(merit: NDArray[Any], bag: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(n_bags,) index of the window with the highest merit of each bag, the first of equal ones, by ascending bag.
+    """Find the window with the highest merit of each bag, (n_bags,), the first of equal ones, by ascending bag.
 
     merit: (n_windows,) of numbers, e.g. the final score. bag: (n_windows,) intp, the target a window belongs to; every window of a target
     centres on it, as near as its highlight is known.
@@ -43,7 +45,10 @@ def reject_thresholds(trace: NDArray[np.int32], bag: NDArray[np.intp], detection
 
 
 def group_sizes(n_stumps: int) -> tuple[int, ...]:
-    """Stumps per group 1, 1, 2, 4, 8, 8, 16, 16...: rejection is tried often while all windows are alive, seldom when few are."""
+    """Size the groups 1, 1, 2, 4, 8, 8, 16, 16... stumps.
+
+    Rejection is tried often while all windows are alive, seldom when few are.
+    """
     sizes: list[int] = []
     for size in (1, 1, 2, 4, 8, 8):
         sizes.append(min(size, n_stumps - sum(sizes)))

@@ -148,7 +148,7 @@ class AugmentedLine(NamedTuple):
 
 
 def read_training_spec(path: Path | None = None) -> tuple[Spec, Path]:
-    """A spec from a file, the one that ships with the package if None, and the folder that its paths start from.
+    """Read a spec from a file, the one that ships if None, and the folder that its paths start from.
 
     Raises UsageError if it cannot be read, or as parse_spec does.
     """
@@ -176,8 +176,9 @@ def parse_training_spec(text: str, place: str) -> Spec:
 
 
 def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, ...]:
-    """All missions of a spec, ready to be rendered: simulated ones split by split and seed by seed, then augmented
-    ones.
+    """List all missions of a spec, ready to be rendered.
+
+    Simulated ones split by split and seed by seed, then augmented ones.
 
     folder: that paths start from. Raises UsageError for scenes that are not there or cannot be, and two of one name.
     """
@@ -199,7 +200,7 @@ def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, .
 
 
 def training_scene(spec: Spec, scene: Scene, seed: int, sonar: SonarVariant) -> Scene:
-    """The scene as it is flown for training."""
+    """Change the scene to how it is flown for training."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _STREAM])))
     factor = float(random.uniform(*spec.altitude_factor))
     given = {name: value for name in SonarVariant.__struct_fields__ if (value := getattr(sonar, name)) is not None}

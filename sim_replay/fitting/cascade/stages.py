@@ -1,4 +1,4 @@
-"""One stage of a Viola-Jones cascade: stumps of AdaBoost until nearly all targets pass and few enough others do.
+"""Train one stage of a Viola-Jones cascade: stumps of AdaBoost until nearly all targets pass and few others do.
 
 Sources: P. Viola, M. Jones, Int. J. Computer Vision 57(2), 2004, table 2; goals of 99 % and 50 % for each stage as in
 "Target recognition in synthetic aperture and high resolution side-scan sonar", sec. 4.4.2.
@@ -35,7 +35,7 @@ class StageSamples(NamedTuple):
 
 
 def train_stage(learned: StageSamples, judged: StageSamples, rng: np.random.Generator) -> Stage:
-    """The shortest stage that meets both goals on samples it has not learned from, or the longest allowed if none does.
+    """Train the shortest stage that meets both goals on held-out samples, or the longest allowed if none does.
 
     Raises ValueError if either set lacks targets or others.
     """
@@ -56,6 +56,6 @@ def train_stage(learned: StageSamples, judged: StageSamples, rng: np.random.Gene
 
 
 def threshold(score: NDArray[np.int32], detection: float) -> int:
-    """The highest threshold that at least this share of the scores (n,) reaches."""
+    """Find the highest threshold that this share of the scores (n,) or more reaches."""
     n_lost = int((1.0 - detection) * score.size + 1e-9)
     return int(np.sort(score)[n_lost])

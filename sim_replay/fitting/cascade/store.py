@@ -1,5 +1,4 @@
-"""Training sets on disk: .npz shards of labelled tiles, and a manifest with what each holds and the digest of its
-bytes.
+"""Store training sets on disk: .npz shards of labelled tiles, and a manifest with contents and digests.
 
 A shard holds the tiles of one background. Arrays of tile k are NNNNN.codes, .valid, .usable (rows of bits) and
 .first_return_m; all else is MessagePack in the array `tiles`. It carries no time or place of its making: equal
@@ -83,7 +82,7 @@ class _TileHeader(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def pack(tiles: Iterable[LabelledTile], split: Split, background: str, origin: Origin) -> Packed:
-    """The shard of a background's tiles; its file is named after the background."""
+    """Pack the shard of a background's tiles; its file is named after the background."""
     buffer = io.BytesIO()
     headers: list[_TileHeader] = []
     by_seabed: Counter[str] = Counter()
@@ -135,7 +134,7 @@ def write_set(folder: Path, packed: Iterable[Packed], made_from: dict[str, Any])
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Raises BadInputError where there is none, or one that does not agree with itself."""
+    """Read a manifest. Raises BadInputError where there is none, or one that does not agree with itself."""
     path = folder / MANIFEST_NAME
     try:
         manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
@@ -151,14 +150,14 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def read_tiles(folder: Path, manifest: Manifest, split: Split) -> Iterator[LabelledTile]:
-    """All tiles of a split, shard by shard. Raises BadInputError as read_shard does."""
+    """Read all tiles of a split, shard by shard. Raises BadInputError as read_shard does."""
     for shard in manifest.shards:
         if shard.split == split:
             yield from read_shard(folder, shard)
 
 
 def read_shard(folder: Path, shard: Shard) -> Iterator[LabelledTile]:
-    """The tiles of one shard, each read when its turn comes.
+    """Iterate over the tiles of one shard, each read when its turn comes.
 
     Raises BadInputError for a file that is missing, cut off or changed, before the first tile is handed out.
     """

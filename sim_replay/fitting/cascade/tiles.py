@@ -1,4 +1,4 @@
-"""Pieces of waterfall of which it is known what lies in them."""
+"""Define labelled pieces of waterfall."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trains a cascade from a set of labelled tiles: boosting, hard negatives, reject thresholds, calibration.
+"""Train a cascade from a set of labelled tiles: boosting, hard negatives, reject thresholds, calibration.
 
 Each round learns from all that the rounds before brought: the window that shows each target best, and windows that are
 no target. The last round's stumps become the cascade, whose thresholds, calibration and expected detection come from

@@ -54,6 +54,8 @@ def p_found(ground_range_m: ArrayLike, altitude_m: float, texture: float) -> NDA
 
 
 def _looks(n_cells: NDArray[np.float64], texture: float) -> NDArray[np.float64]:
-    """Looks that a mean over resolution cells is worth: its relative variance is that of speckle and of texture
-    together."""
+    """Compute the looks that a mean over resolution cells is worth.
+
+    Its relative variance is that of speckle and of texture together.
+    """
     return np.asarray(1.0 / (1.0 / n_cells + 1.0 / texture + 1.0 / (n_cells * texture)))

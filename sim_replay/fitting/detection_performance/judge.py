@@ -17,7 +17,7 @@ from sim_replay.scoring.calibration import calibration_error
 
 Array = NDArray[np.float64]
 
-LEAST_LOOKS: Final = 30  # with fewer, a share carries no information
+MIN_LOOKS: Final = 30  # with fewer, a share carries no information
 _N_BINS: Final = 8
 _MEAN_DEVIATION: Final = math.sqrt(2.0 / math.pi)  # of a normal distribution, in standard deviations
 
@@ -66,9 +66,9 @@ class JudgedPredictions(NamedTuple):
     other: PerformanceShare | None
 
     @property
-    def told(self) -> tuple[PerformancePlace, ...]:
+    def judged(self) -> tuple[PerformancePlace, ...]:
         """Return the places with enough looks to judge."""
-        return tuple(place for place in self.places if place.share.n >= LEAST_LOOKS)
+        return tuple(place for place in self.places if place.share.n >= MIN_LOOKS)
 
 
 def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredictions:
@@ -103,8 +103,10 @@ def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> Per
 
 
 def mean_error(places: tuple[PerformancePlace, ...]) -> tuple[float, float, float]:
-    """Mean absolute error over places, at least one, each counting the same; and what it would be by chance, and by
-    missions, alone."""
+    """Average the absolute error over places, 1 or more, each counting the same.
+
+    And what it would be by chance, and by missions, alone.
+    """
     errors = [(place.share.error, place.share.by_chance, place.share.by_mission) for place in places]
     error, by_chance, by_mission = np.mean(errors, axis=0).tolist()
     return error, by_chance, by_mission

@@ -1,5 +1,6 @@
-"""Missions over floors as densely strewn with targets as they can be without one disturbing another, each drawn from
-its seed.
+"""Draw missions over floors densely strewn with targets, each from its seed.
+
+As dense as they can be without one disturbing another.
 
 Floors, water, sonar and altitude differ from one mission to the next. The track goes round a rectangle, so that targets
 are seen from the same direction again, from the opposite one and from the side.
@@ -118,8 +119,7 @@ def _ripples(rng: np.random.Generator) -> Ripples:
 
 
 def _targets(rng: np.random.Generator, points: tuple[tuple[float, float], ...], reach_m: float) -> tuple[SceneObject, ...]:
-    """Targets on a hexagonal lattice of any direction over all that lies within reach_m of the track, a little
-    displaced."""
+    """Place targets on a hexagonal lattice of any direction, a little displaced, within reach_m of the track."""
     places = np.array(points)
     middle = places.mean(axis=0)
     radius = float(np.hypot(*(places - middle).T).max()) + reach_m

@@ -81,7 +81,7 @@ def slopes(network: Sequence[NetworkLayer], x: Floats, shares: Floats, weight: F
 
 
 def _activations(network: Sequence[NetworkLayer], x: Floats) -> list[Floats]:
-    """The inputs, what each hidden layer makes of them, and the sums of the last."""
+    """Compute the inputs, the activations of each hidden layer, and the sums of the last."""
     units = [x]
     for number, layer in enumerate(network):
         sums = units[-1] @ layer.weights + layer.constants

@@ -1,5 +1,6 @@
-"""Missions over several kinds of sea floor at once, each drawn from its seed: floors, water, sonar, recorder, altitude
-and speed differ.
+"""Draw missions over several seabed types at once, each from its seed.
+
+Floors, water, sonar, recorder, altitude and speed differ.
 
 Seeds below FIRST_LIKE_SCENE draw every figure from a range and know nothing of the named scenes. From there on missions
 are like one of the named scenes each: its sonar and covers, with seeds, patches, altitude, relief, noise and course of
@@ -188,8 +189,10 @@ def _free_scene(seed: int) -> Scene:
 
 
 def sonar_config(scene: Scene) -> SonarConfig:
-    """The settings of a mission's sonar by somebody who knows the recorder's law, but decibels per count only as well
-    as `auto` does."""
+    """Configure a mission's sonar as somebody would who knows the recorder's law.
+
+    Decibels per count are known only as well as `auto` does.
+    """
     recorder = complete(scene.sonar.recorder)
     if not recorder.samples.startswith("log"):
         return SonarConfig(transfer="amplitude")
@@ -201,8 +204,10 @@ def sonar_config(scene: Scene) -> SonarConfig:
 
 
 def _seabeds(rng: Rng) -> tuple[Seabed, ...]:
-    """Two to four kinds, of which flat and rough ones come in one to three covers, and ripples in one or two
-    directions."""
+    """Draw two to four types.
+
+    Flat and rough ones come in one to three covers, ripples in one or two directions.
+    """
     kinds = rng.uniform(size=4) < _P_KIND
     while np.count_nonzero(kinds) < 2:
         kinds[int(rng.integers(4))] = True

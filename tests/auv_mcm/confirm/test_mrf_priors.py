@@ -30,8 +30,10 @@ def region_of(shape: tuple[int, int], spacing_m: float, squint_rad: float = 0.0,
 
 
 def costs_by_loops(labels: NDArray[np.uint8], spacing_m: float, squint_rad: float, altitude_m: float) -> NDArray[np.float64]:
-    """A highlight costs 2 nats less what 0.3 x 0.3 m of shadow within 1.5 m behind takes off; a shadow 0.5 less what 0.02 m2 of
-    highlight before it, no further than a 1.2 m object's shadow and a metre reach, take off; one row to either side of the line."""
+    """A highlight costs 2 nats less what 0.3 x 0.3 m of shadow within 1.5 m behind takes off; a shadow 0.5 less what
+    0.02 m2 of highlight before it, no further than a 1.2 m object's shadow and a metre reach, take off; one row to
+    either side of the line.
+    """
     n_rows, n_columns = labels.shape
     cost = np.zeros((3, n_rows, n_columns))
 
@@ -98,7 +100,7 @@ def test_smoothness_of_a_field_is_found(smoothness: float) -> None:
 
 
 @pytest.mark.parametrize("labels", [np.zeros((40, 40)), np.zeros((2, 40)), np.ones((1, 1)), np.kron(np.eye(2), np.ones((20, 20)))])
-def test_a_field_that_tells_nothing_leaves_the_prior(labels: NDArray[np.float64]) -> None:
+def test_a_field_without_information_leaves_the_prior(labels: NDArray[np.float64]) -> None:
     estimate = estimate_smoothness(labels.astype(np.uint8), 0.7)
     assert (estimate.smoothness, estimate.verdict) == (0.7, "prior")
 

@@ -135,7 +135,7 @@ def band_of_shadow(seed: int, *, line_level: float, first_column: int = 0) -> Re
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("line_level", [0.2, 0.5])
-def test_what_lies_in_the_shadow_of_something_nearer_is_told_so(seed: int, line_level: float) -> None:
+def test_what_lies_in_the_shadow_of_a_nearer_object_is_reported(seed: int, line_level: float) -> None:
     region = band_of_shadow(seed, line_level=line_level)
     assert "in_shadow" in converge(region, start_from_detection(region)).reasons
 

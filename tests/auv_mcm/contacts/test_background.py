@@ -46,7 +46,9 @@ def drawn_background(seed: int, area_km2: float, times: float = 1.0) -> NDArray[
 def slow_background(
     counts: NDArray[np.float64], area_km2: float, prior: BackgroundPrior, n_draws: int = 60_000
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Weigh draws of the prior by how likely they make the counts: mean and standard deviation of the log-density per level."""
+    """Weigh draws of the prior by how likely they make the counts: mean and standard deviation of the log-density per
+    level.
+    """
     random = np.random.Generator(np.random.PCG64(1))
     values = random.multivariate_normal(prior.mean, np.array(prior.covariance), n_draws)
     mines = np.exp(math.log(MINES_PER_KM2) + MINES_SPREAD * random.standard_normal(n_draws))
@@ -142,7 +144,7 @@ def test_the_level_is_where_as_many_false_alarms_as_asked_are_expected() -> None
     assert found.level_nats(1e-9) == math.inf
 
 
-def test_bins_in_which_nothing_is_reported_tell_nothing() -> None:
+def test_bins_in_which_nothing_is_reported_carry_no_information() -> None:
     counts = counted_log_odds(drawn_background(3, 0.1))
     silenced = np.where(LEVELS_NATS >= -1.0, counts, 0.0)
     found, rest = (estimate_background(some, 0.1, PRIOR, reported_from_nats=-1.0) for some in (counts, silenced))
@@ -160,7 +162,7 @@ def test_what_cannot_be_is_refused() -> None:
     for counts, area_km2 in ((np.zeros(3), 1.0), (np.full(N_BINS, -1.0), 1.0), (np.full(N_BINS, math.nan), 1.0)):
         with pytest.raises(ValueError, match="counts must be"):
             estimate_background(counts, area_km2, PRIOR)
-    with pytest.raises(ValueError, match="an area of nan"):
+    with pytest.raises(ValueError, match="the area searched must be finite and not negative, got nan"):
         estimate_background(np.zeros(N_BINS), math.nan, PRIOR)
 
 

@@ -136,17 +136,17 @@ def test_contact_properties_are_those_of_the_contract() -> None:
     }
 
 
-def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None:
+def test_what_confirmation_found_is_written_per_view_and_for_all_together() -> None:
     mass = drawn_looks.like("wedge", quality=0.9)
     found = drawn_looks.confirmation(3.14159, mass=mass, reasons=("buried", "bright"))
-    told = contact(
+    exported = contact(
         length_sigma_m=0.12345,
         width_sigma_m=0.05,
         conflict=0.123456,
         next_look_deg=(37.00012, 120.0),
         views=(detection(confirmation=found), detection(aspect_deg=NAN)),
     )
-    properties = strict(contacts_geojson([told]))["features"][0]["properties"]
+    properties = strict(contacts_geojson([exported]))["features"][0]["properties"]
     assert [properties[name] for name in ("length_sigma_m", "width_sigma_m", "height_sigma_m")] == [0.123, 0.05, None]
     assert properties["conflict"] == 0.1235
     assert properties["next_look_deg"] == [37.0, 120.0]
@@ -156,23 +156,23 @@ def test_what_a_close_look_found_is_told_per_view_and_for_all_together() -> None
     assert close["belief"] == {name: pytest.approx(share, abs=5e-5) for name, share in singleton_belief(mass).items()}
     assert close["reasons"] == ["bright", "buried"]
     assert [far[name] for name in ("aspect_deg", "log_ratio", "belief")] == [None, None, None]
-    row = next(csv.DictReader(io.StringIO(contacts_csv([told]))))
+    row = next(csv.DictReader(io.StringIO(contacts_csv([exported]))))
     assert [row[name] for name in CSV_COLUMNS[17:20]] == ["0.123", "0.05", ""]
     assert CSV_COLUMNS[16] == "reasons", "columns of before stay where they were"
-    description = contacts_kml([told])
+    description = contacts_kml([exported])
     assert "2.00 ± 0.12 × 0.50 ± 0.05 × ? m" in description
     assert "belief in the class&lt;/td&gt;&lt;td&gt;0.75" in description
 
 
 def test_a_call_and_the_density_behind_it_are_in_every_file() -> None:
-    told = contact(false_alarms_per_km2=12.34567, false_alarms_95_per_km2=(3.0, 51.23456), called=True)
-    properties = strict(contacts_geojson([told]))["features"][0]["properties"]
+    exported = contact(false_alarms_per_km2=12.34567, false_alarms_95_per_km2=(3.0, 51.23456), called=True)
+    properties = strict(contacts_geojson([exported]))["features"][0]["properties"]
     assert properties["false_alarms_per_km2"] == 12.346
     assert properties["false_alarms_95_per_km2"] == [3.0, 51.235]
     assert properties["called"] is True
-    row = next(csv.DictReader(io.StringIO(contacts_csv([told]))))
+    row = next(csv.DictReader(io.StringIO(contacts_csv([exported]))))
     assert [row[name] for name in CSV_COLUMNS[-4:]] == ["12.346", "3.0", "51.235", "true"]
-    assert "yes; 12 false alarms per km² as mine-like are expected (3 to 51)" in contacts_kml([told])
+    assert "yes; 12 false alarms per km² as mine-like are expected (3 to 51)" in contacts_kml([exported])
 
 
 def test_bytes_do_not_depend_on_the_order_of_contacts_or_beliefs() -> None:

@@ -55,7 +55,7 @@ def place(contact: Contact | Detection, frame: LocalFrame = HOME) -> NDArray[np.
 
 
 def objects_in(contacts: tuple[Contact, ...]) -> list[set[float]]:
-    """Which objects (told by their score) each contact is made of."""
+    """List the objects (known by their score) that each contact is made of."""
     return [{v.score for v in contact.views} for contact in contacts]
 
 
@@ -115,7 +115,7 @@ def test_the_same_leg_again_is_another_look() -> None:
 
 @pytest.mark.parametrize(("nearer_p", "farther_p", "joined"), [(0.0002, 0.6, "farther"), (0.6, 0.0002, "nearer"), (0.5, 0.5, "nearer")])
 def test_of_two_contacts_in_reach_a_likely_mine_is_a_view_of_the_likelier(nearer_p: float, farther_p: float, joined: str) -> None:
-    """The ends of a cylinder, seen as two things on one passage; from the other side it is one."""
+    """The ends of a cylinder, seen as two objects on one passage; from the other side it is one."""
     book = ledger()
     book.add([view(0.0, 0.0, 100.0, p_mine=nearer_p, score=1.0), view(1.7, 0.0, 100.2, p_mine=farther_p, score=2.0)])
     book.add([view(0.4, 0.0, 900.0, p_mine=0.97, score=3.0, **SECOND_LEG)])
@@ -202,11 +202,11 @@ def test_every_view_is_in_exactly_one_contact_and_no_passage_is_in_a_contact_twi
         places = random.uniform(0, 10, (int(random.integers(0, 10)), 2)).tolist()
         batch = [view(e, n, 1000.0 * passage + k, **leg) for k, (e, n) in enumerate(places)]
         known = {c.id: c for c in book.contacts}
-        told = book.add(batch)
+        reported = book.add(batch)
         n_views += len(batch)
-        assert {c.id for c in told} == {c.id for c in book.contacts if c is not known.get(c.id)}
-        assert [c.id for c in told] == sorted(c.id for c in told)
-        assert all(c is known[c.id] for c in book.contacts if c.id in known and c.id not in {t.id for t in told})
+        assert {c.id for c in reported} == {c.id for c in book.contacts if c is not known.get(c.id)}
+        assert [c.id for c in reported] == sorted(c.id for c in reported)
+        assert all(c is known[c.id] for c in book.contacts if c.id in known and c.id not in {t.id for t in reported})
         assert list(known) == [c.id for c in book.contacts][: len(known)]
     assert sum(len(c.views) for c in book.contacts) == n_views
     for contact in book.contacts:
@@ -311,7 +311,7 @@ def test_views_from_other_directions_add_a_little_and_views_from_the_same_or_the
     assert fused(100.0, 0.001) < 0.5
 
 
-def test_one_view_is_told_as_it_is() -> None:
+def test_one_view_is_reported_as_it_is() -> None:
     only = view(3.0, 4.0, 100.0, height_m=NAN)
     (contact,) = ledger().add([only])
     assert contact.id == "C00001"
@@ -335,7 +335,7 @@ def test_sizes_reasons_and_class_come_from_all_views() -> None:
 def confirmed(
     log_ratio: float, classification: ContactClass, sizes: dict[str, float], sigma: dict[str, float], certainty: float = 0.9
 ) -> Confirmation:
-    """What confirmation found that shows one solid, as certain as told."""
+    """Make a confirmation that shows one solid, as certain as requested."""
     nowhere = drawn_looks.NOWHERE
     shape_mass = vacuous()
     shape_mass[EVERYTHING], shape_mass[subset(classification, "clutter")] = 1.0 - certainty, certainty
@@ -343,7 +343,7 @@ def confirmed(
     return drawn_looks.confirmation(log_ratio, shape_mass, model=model, reasons=("buried",))
 
 
-def test_sizes_are_those_of_the_solid_told_in_the_view_that_shows_it_best() -> None:
+def test_sizes_are_those_of_the_solid_in_the_view_that_shows_it_best() -> None:
     small = confirmed(2.0, "sphere", {"radius_m": 0.3, "burial_m": 0.0}, {"radius_m": 0.02})
     large = confirmed(3.0, "sphere", {"radius_m": 0.4, "burial_m": 0.1}, {"radius_m": 0.03, "burial_m": 0.08})
     other = confirmed(2.5, "cylinder", {"radius_m": 0.25, "length_m": 2.0}, {}, certainty=0.2)
@@ -352,13 +352,13 @@ def test_sizes_are_those_of_the_solid_told_in_the_view_that_shows_it_best() -> N
     book.add([view(0.0, 0.0, 900.0, aspect_deg=60.0, p_mine=0.95, confirmation=large)])
     (contact,) = book.add([view(0.0, 0.0, 1700.0, aspect_deg=120.0, p_mine=0.99, confirmation=other)])
     assert contact.classification == "sphere"
-    told = (contact.length_m, contact.width_m, contact.height_m)
-    assert told == pytest.approx((0.8, 0.8, 0.7))
+    sizes = (contact.length_m, contact.width_m, contact.height_m)
+    assert sizes == pytest.approx((0.8, 0.8, 0.7))
     assert (contact.length_sigma_m, contact.width_sigma_m, contact.height_sigma_m) == pytest.approx((0.06, 0.06, 0.1))
     assert contact.reasons == ("highlight_and_shadow", "buried")
 
 
-def test_without_a_solid_of_the_class_told_sizes_are_those_measured() -> None:
+def test_without_a_solid_of_the_class_sizes_are_those_measured() -> None:
     cylinder = confirmed(-5.0, "cylinder", {"radius_m": 0.25, "length_m": 2.0}, {"radius_m": 0.02, "length_m": 0.1})
     (contact,) = ledger().add([view(0.0, 0.0, 100.0, p_mine=0.01, confirmation=cylinder)])
     assert contact.classification == "clutter"

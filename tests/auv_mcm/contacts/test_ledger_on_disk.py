@@ -1,4 +1,6 @@
-"""Contacts on disk are those of a ledger that compares everything with everything in memory, wherever they are and whatever fails."""
+"""Contacts on disk are those of a ledger that compares everything with everything in memory, wherever they are and
+whatever fails.
+"""
 
 from __future__ import annotations
 
@@ -100,17 +102,17 @@ def turned(a: Detection, b: Detection) -> float:
     return abs(math.remainder(a.heading_rad - b.heading_rad, math.tau))
 
 
-def told(record: Any) -> Any:
+def contents(record: Any) -> Any:
     """Everything in a record, to the bit and with the kinds of its arrays; NaN is NaN."""
     match record:
         case msgspec.Struct():
-            return [type(record).__name__, *((name, told(getattr(record, name))) for name in record.__struct_fields__)]
+            return [type(record).__name__, *((name, contents(getattr(record, name))) for name in record.__struct_fields__)]
         case np.ndarray():
             return record.dtype.str, record.shape, record.tobytes()
         case dict():
-            return [(key, told(value)) for key, value in record.items()]
+            return [(key, contents(value)) for key, value in record.items()]
         case tuple():
-            return [told(value) for value in record]
+            return [contents(value) for value in record]
         case _:
             return repr(float(record)) if isinstance(record, float) else repr(record)
 
@@ -182,8 +184,8 @@ def disk(takes: Iterator[bool]) -> Iterator[None]:
 def test_a_ledger_joins_what_comparing_everything_with_everything_joins(batches: list[list[Detection]]) -> None:
     ledger, oracle = Ledger(CONFIG, PRIOR), Everything()
     for batch in batches:
-        assert [told(contact) for contact in ledger.add(batch)] == [told(contact) for contact in oracle.add(batch)]
-    assert [told(contact) for contact in ledger.contacts] == [told(contact) for contact in oracle.contacts]
+        assert [contents(contact) for contact in ledger.add(batch)] == [contents(contact) for contact in oracle.add(batch)]
+    assert [contents(contact) for contact in ledger.contacts] == [contents(contact) for contact in oracle.contacts]
 
 
 @settings(max_examples=40, deadline=None)
@@ -195,8 +197,8 @@ def test_contacts_on_a_disk_that_fills_and_empties_are_those_in_memory(
         store = ContactStore(records)
         on_disk, in_memory = Ledger(CONFIG, PRIOR, store), Ledger(CONFIG, PRIOR)
         for batch in batches:
-            assert [told(contact) for contact in on_disk.add(batch)] == [told(contact) for contact in in_memory.add(batch)]
-        assert [told(contact) for contact in on_disk.contacts] == [told(contact) for contact in in_memory.contacts]
+            assert [contents(contact) for contact in on_disk.add(batch)] == [contents(contact) for contact in in_memory.add(batch)]
+        assert [contents(contact) for contact in on_disk.contacts] == [contents(contact) for contact in in_memory.contacts]
         assert (store.n_in_memory > 0) <= (False in takes)
 
 

@@ -38,16 +38,16 @@ class Mission:
     def see(self, *log_odds: float) -> list[Contact]:
         """Find new contacts with these log-odds."""
         first = len(self.contacts) + 1
-        return self._tell([drawn(first + place, nats) for place, nats in enumerate(log_odds)])
+        return self._announce([drawn(first + place, nats) for place, nats in enumerate(log_odds)])
 
     def see_again(self, number: int, log_odds: float) -> list[Contact]:
         """View a contact again, which changes its log-odds."""
-        return self._tell([drawn(number, log_odds)])
+        return self._announce([drawn(number, log_odds)])
 
     def end(self) -> list[Contact]:
         return self._keep(self.watch.announce((), self._read, is_last=True))
 
-    def _tell(self, changed: list[Contact]) -> list[Contact]:
+    def _announce(self, changed: list[Contact]) -> list[Contact]:
         self.contacts |= {contact_number(contact.id): contact for contact in changed}
         return self._keep(self.watch.announce(changed, self._read))
 
@@ -67,12 +67,12 @@ def drawn(number: int, log_odds: float) -> Contact:
 def test_a_contact_is_called_where_no_more_false_alarms_than_asked_are_expected() -> None:
     mission = Mission()
     mission.search(0.05)
-    told = mission.see(*np.linspace(-4.5, 4.5, 40).tolist())
-    assert [contact.called for contact in told] == [contact.false_alarms_per_km2 <= 30.0 for contact in told]
-    assert {contact.called for contact in told} == {True, False}
-    densities = [contact.false_alarms_per_km2 for contact in told]
+    announced = mission.see(*np.linspace(-4.5, 4.5, 40).tolist())
+    assert [contact.called for contact in announced] == [contact.false_alarms_per_km2 <= 30.0 for contact in announced]
+    assert {contact.called for contact in announced} == {True, False}
+    densities = [contact.false_alarms_per_km2 for contact in announced]
     assert densities == sorted(densities, reverse=True)
-    assert all(low <= contact.false_alarms_per_km2 <= high for contact in told for low, high in [contact.false_alarms_95_per_km2])
+    assert all(low <= contact.false_alarms_per_km2 <= high for contact in announced for low, high in [contact.false_alarms_95_per_km2])
 
 
 def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
@@ -89,8 +89,8 @@ def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
 def test_a_call_that_turns_is_announced_again_and_nothing_else_is() -> None:
     mission = Mission()
     mission.search(0.001)
-    (told,) = mission.see(odds_of(0.5))
-    assert told.called is False
+    (announced,) = mission.see(odds_of(0.5))
+    assert announced.called is False
     mission.search(3.0)  # and hardly anything there
     again = mission.see(-4.5)
     assert [contact.id for contact in again] == ["C00001", "C00002"]
@@ -184,7 +184,7 @@ def test_an_operating_point_says_what_it_calls() -> None:
     assert marked.called is True
     mission = Mission()
     mission.search(0.05)
-    (told,) = mission.see(3.0)
-    assert call_words(told).startswith("yes; ")
-    assert "false alarms per km² as mine-like are expected" in call_words(told)
+    (announced,) = mission.see(3.0)
+    assert call_words(announced).startswith("yes; ")
+    assert "false alarms per km² as mine-like are expected" in call_words(announced)
     assert call_words(drawn(1, 0.0)) == ""

@@ -50,7 +50,7 @@ def make_tile(
     first_return_m: float = FIRST_RETURN_M,
     pose: PoseTrack | None = None,
 ) -> Tile:
-    """A tile of given intensity (0 where the mask is not VALID, as tiles are); all valid and all core unless told."""
+    """A tile of given intensity (0 where the mask is not VALID, as tiles are); all valid and all core unless given."""
     n_rows = intensity.shape[0]
     bits = np.full(intensity.shape, VALID, dtype=np.uint8) if mask is None else mask
     core_start, core_stop = (0, n_rows) if core is None else core
@@ -74,8 +74,8 @@ def make_tile(
 def speckle(seed: int, shape: tuple[int, int], *, spread_pixels: float = 0.0, texture_nu: float = 0.0, texture_pixels: int = 8) -> Plane:
     """Single-look intensity of mean 1: |complex Gaussian field|^2.
 
-    spread_pixels: 1-sigma along columns of the Gaussian point-spread function the field is smeared by. texture_nu: shape of a
-    Gamma-distributed texture in square cells (K-distributed intensity), 0 for none.
+    spread_pixels: 1-sigma along columns of the Gaussian point-spread function the field is smeared by. texture_nu:
+    shape of a Gamma-distributed texture in square cells (K-distributed intensity), 0 for none.
     """
     random = np.random.default_rng(seed)
     reach = int(np.ceil(4.0 * spread_pixels))

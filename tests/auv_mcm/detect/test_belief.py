@@ -23,7 +23,7 @@ def log_odds(score: float, measured: Measurement, max_object_m: float) -> tuple[
 
 
 def measurement(**values: Any) -> Measurement:
-    """A mine-like object with highlight and shadow, changed where told."""
+    """A mine-like object with highlight and shadow, with some fields changed."""
     known: dict[str, Any] = {
         "row": 10.0,
         "column": 200.0,

@@ -1,4 +1,4 @@
-"""Which cascade serves: by configuration, by pixel size, and what is told when none does."""
+"""Which cascade serves: by configuration, by pixel size, and what is reported when none does."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_file_that_is_no_model_is_refused_by_name(tmp_path: Path, data: bytes 
 
 def test_a_pipe_is_refused_without_waiting_for_it(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "model.json")
-    with pytest.raises(BadInputError, match=r"model\.json is no regular file"):
+    with pytest.raises(BadInputError, match=r"model\.json is not a regular file"):
         configured_model(with_model(str(tmp_path / "model.json")))
 
 

@@ -133,7 +133,7 @@ def test_integral_images_hold_plain_sums(
     np.testing.assert_array_equal(integral_numpy(values, margins, beyond, out), np.array(expected, dtype=np.uint32), strict=True)
 
 
-def test_integral_images_go_where_they_are_told_or_nowhere() -> None:
+def test_integral_images_go_where_requested_or_nowhere() -> None:
     values, out = np.ones((3, 4), dtype=np.uint16), np.empty((4, 5), dtype=np.uint32)
     assert integral(values, (0, 0, 0), 0, out) is out
     with pytest.raises(ValueError, match="out must be"):

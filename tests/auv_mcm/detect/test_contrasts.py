@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.detect.contrasts import LEAST_THRESHOLD, contrasts
+from auv_mcm.detect.contrasts import MIN_THRESHOLD, contrasts
 from auv_mcm.detect.prescreen import CONTEXT_M, ScoreMaps, find_peaks, score_tile
 from auv_mcm.kernels import contrast as kernel
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
@@ -122,7 +122,7 @@ def test_where_a_tile_is_cut_changes_no_score_beyond_rounding() -> None:
 
 
 def test_low_thresholds_weigh_all_pixels() -> None:
-    assert threshold_of(0.3) < LEAST_THRESHOLD < threshold_of(1e-3)
+    assert threshold_of(0.3) < MIN_THRESHOLD < threshold_of(1e-3)
 
 
 def test_silence_and_masked_tiles_hold_no_peaks() -> None:

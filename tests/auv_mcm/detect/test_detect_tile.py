@@ -42,7 +42,8 @@ def test_an_object_is_found_where_it_lies(side: Side, sign: float, aspect_deg: f
     east, north, _ = HOME.to_enu(found.latitude_deg, found.longitude_deg, 0.0)
     slant_m = math.hypot(found.column * COLUMN_M, FIRST_RETURN_M)
     assert east == pytest.approx(sign * found.column * COLUMN_M, abs=0.01)
-    assert north == pytest.approx(found.row * ROW_M + SPEED_MPS * slant_m / 1500.0, abs=0.01)  # heard half-way along the ping's path
+    # heard half-way along the ping's path
+    assert north == pytest.approx(found.row * ROW_M + SPEED_MPS * slant_m / 1500.0, abs=0.01)
     assert found.time_s == pytest.approx(1000.0 + found.row * ROW_M / SPEED_MPS, abs=1e-6)
     assert found.ping_number == pytest.approx(found.row - 0.5, abs=0.51)
     assert found.ground_range_m == pytest.approx(found.column * COLUMN_M)
@@ -79,20 +80,20 @@ def test_beyond_the_budget_the_best_are_measured_and_the_rest_is_counted(budget:
     tile = make_tile(with_object(2, 60, 150))
     everything = detect_tile(tile, CONFIG)
     limited = detect_tile(tile, msgspec.structs.replace(CONFIG, detect=DetectConfig(max_candidates_per_tile=budget)))
-    assert [told(d) for d in limited.detections] == [told(d) for d in everything.detections[:budget]]
+    assert [fields_of(d) for d in limited.detections] == [fields_of(d) for d in everything.detections[:budget]]
     assert limited.n_over_budget == len(everything.detections) - budget
 
 
 def test_a_higher_permitted_false_alarm_rate_only_adds_detections() -> None:
     tile = make_tile(with_object(2, 60, 150))
     few, many = (
-        {told(d) for d in detect_tile(tile, msgspec.structs.replace(CONFIG, detect=DetectConfig(p_false_alarm=p))).detections}
+        {fields_of(d) for d in detect_tile(tile, msgspec.structs.replace(CONFIG, detect=DetectConfig(p_false_alarm=p))).detections}
         for p in (1e-5, 1e-2)
     )
     assert few < many
 
 
-def told(d: Detection) -> tuple[float, ...]:
+def fields_of(d: Detection) -> tuple[float, ...]:
     return (d.row, d.column, d.score, d.p_mine, d.latitude_deg, d.longitude_deg, d.length_m, d.highlight_db)
 
 
@@ -127,7 +128,7 @@ def test_a_hole_in_navigation_costs_only_the_detections_in_it() -> None:
     plane = with_object(1, 60, 150)
     everything = detect_tile(make_tile(plane), CONFIG).detections
     result = detect_tile(make_tile(plane, pose=unknown(120, "latitude_deg", "longitude_deg", rows=slice(20, 40))), CONFIG)
-    assert {told(d)[:2] for d in everything if not 19.0 < d.row < 42.0} <= {told(d)[:2] for d in result.detections}
+    assert {fields_of(d)[:2] for d in everything if not 19.0 < d.row < 42.0} <= {fields_of(d)[:2] for d in result.detections}
     assert result.n_without_position == len(everything) - len(result.detections) > 0
 
 
@@ -176,7 +177,7 @@ def test_only_the_core_gives_detections() -> None:
     plane = with_object(1, 60, 150)
     whole = detect_tile(make_tile(plane), CONFIG).detections
     found = detect_tile(make_tile(plane, core=(0, 50)), CONFIG).detections
-    assert {told(d) for d in found} < {told(d) for d in whole}
+    assert {fields_of(d) for d in found} < {fields_of(d) for d in whole}
     assert not any(abs(d.row - 62.5) < 3.0 and abs(d.column - 153.0) < 3.0 and d.score > 5.0 for d in found)
 
 

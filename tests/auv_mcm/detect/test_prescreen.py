@@ -131,7 +131,7 @@ def slow_scores(tile: Tile) -> Slow:
         )
         found = []
         for along_m, height_m in prescreen.SHADOWS_M:
-            altitude_m = max(float(tile.first_return_m[i]), prescreen.LEAST_ALTITUDE_M)
+            altitude_m = max(float(tile.first_return_m[i]), prescreen.MIN_ALTITUDE_M)
             length_m = height_m * (j + 0.5) * tile.column_spacing_m / max(altitude_m - height_m, 0.3 * altitude_m)
             length_m = min(max(length_m, prescreen.SHADOW_LENGTH_M[0]), prescreen.SHADOW_LENGTH_M[1])
             n = max(round(length_m / tile.column_spacing_m), 1)

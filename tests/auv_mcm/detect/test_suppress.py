@@ -48,7 +48,9 @@ def apart_m(a: Detection, b: Detection) -> float:
 
 
 def hides(better: Detection, other: Detection, reach_m: float) -> bool:
-    """Whether `other` lies in the box that belongs to a better detection: beside it, before it, in and behind its shadow."""
+    """Whether `other` lies in the box that belongs to a better detection: beside it, before it, in and behind its
+    shadow.
+    """
     along_m = abs(other.row - better.row) * ROW_M
     behind_m = (other.column - better.column) * COLUMN_M
     shadow_m = 0.0 if math.isnan(better.shadow_length_m) else min(better.shadow_length_m, suppress._MAX_SHADOW_M)
@@ -119,7 +121,7 @@ def surrounded(d: Detection, everything: list[Detection], config: DetectConfig) 
     return msgspec.structs.replace(d, p_mine=probability(odds_of(d.p_mine) - crowding(n)), reasons=reasons)
 
 
-def told(detections: list[Detection]) -> list[tuple[Any, ...]]:
+def fields_of(detections: list[Detection]) -> list[tuple[Any, ...]]:
     """Everything that suppression decides, to the bit, in order of place."""
     return sorted((d.row, d.column, d.score, d.p_mine, d.reasons, d.length_m, d.width_m) for d in detections)
 
@@ -178,7 +180,7 @@ def test_any_cut_into_tiles_gives_to_the_bit_what_the_whole_pass_at_once_gives(
 ) -> None:
     config = DetectConfig(suppression_m=suppression_m)
     detections, peaks = a_pass(seed)
-    assert told(in_tiles(detections, peaks, boundaries, config)) == told(slow_pass(detections, config))
+    assert fields_of(in_tiles(detections, peaks, boundaries, config)) == fields_of(slow_pass(detections, config))
 
 
 @settings(max_examples=15)
@@ -189,7 +191,7 @@ def test_order_within_a_tile_does_not_matter(seed: int) -> None:
     results = []
     for given_order in (detections, shuffled):
         suppressor = Suppressor(DetectConfig(), ROW_M, Counter())
-        results.append(told(suppressor.add(tuple(given_order), 5000.0) + suppressor.flush()))
+        results.append(fields_of(suppressor.add(tuple(given_order), 5000.0) + suppressor.flush()))
     assert results[0] == results[1]
 
 
@@ -262,7 +264,7 @@ def test_endless_clutter_comes_out_as_it_goes() -> None:
     assert longest_wait_m < suppress._BORDER_M + suppress._SURROUNDINGS_M + ROWS_M + 20.0
 
 
-def test_a_structure_is_told_by_its_outline_and_its_whole_size() -> None:
+def test_a_structure_is_reported_by_its_outline_and_its_whole_size() -> None:
     result = alone(wreck())
     assert 3 <= len(result) < 8
     assert all(d.length_m == pytest.approx(13.5) for d in result)

@@ -160,9 +160,9 @@ def test_the_reason_names_the_direction_and_what_is_open() -> None:
         plan_reinspection([contact("C1", 55.0, 12.0, 0.625, (20.0, 110.0), aspects)], 55.0, 12.0, 0.0, CONFIG)[-1].why
         for aspects in ((110.0,), (350.0, 10.0))
     )
-    assert one.startswith("second look at C1: p_mine 0.62 is undecided after one look; this leg looks towards ")
+    assert one.startswith("second view of C1: p_mine 0.62 is undecided after one view; this leg looks towards ")
     assert "looks towards 020°" in one or "looks towards 200°" in one
-    assert "undecided after 2 looks" in two
+    assert "undecided after 2 views" in two
 
 
 def test_directions_a_hair_from_north_count_as_north() -> None:

@@ -102,7 +102,7 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
             f"plan: {{area_deg: [[44, 5], [44.001, 5], [44.001, 5.001]]}}\nvehicle: {{command: true, {FENCE}}}",
             "area_deg lies outside vehicle.fence_deg, where no leg can be sailed",
         ),
-        ("ports: [{name: v, link: 'udp://h:1', device: submarine}]", "'submarine' - at `ports[0].device`"),
+        ("ports: [{name: v, link: 'udp://h:1', device: submarine}]", "port 'v': device 'submarine' is unknown (valid: ping_protocol, "),
         (
             "ports: [{name: v, link: 'udp://h:1', device: imc}, {name: w, link: 'udp://h:2', device: iver}]",
             "the ports v and w are both a vehicle's",
@@ -182,7 +182,7 @@ def test_a_misspelt_key_is_refused_with_the_one_that_was_meant(text: str, hint: 
         ("sonar: {transfer: 3}", "(valid: amplitude, auto, intensity, log)"),
         (
             "ports: [{name: a, link: x, device: pingprotocol}]",
-            "(did you mean ping_protocol? valid: jsf, ping_protocol, sportscan, nmea0183, ",
+            "(did you mean ping_protocol? valid: ping_protocol, jsf, sportscan, nmea0183, ",
         ),
         (
             "ports: [{name: a, link: x, device: pd6, navigation: {delivers: [positon]}}]",

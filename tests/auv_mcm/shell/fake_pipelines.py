@@ -20,6 +20,7 @@ from auv_mcm.records import (
     NAN,
     Contact,
     CoveragePatch,
+    EarlyContact,
     EchoTrace,
     NavSample,
     Notice,
@@ -277,3 +278,17 @@ def digest(event: SourceEvent) -> str:
             content = hashlib.sha256(np.ascontiguousarray(side.samples).tobytes()).hexdigest()
             parts.append(repr((side.samples.dtype.str, side.samples.shape, content, side.first_range_m, side.spacing_m)))
     return " ".join(parts)
+
+
+class Early(Base):
+    """Announces two early contacts at ping 0; at ping 3 one has become its contact and the other is withdrawn."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        events = super().feed(event)
+        if not isinstance(event, Ping) or event.number not in (0, 3):
+            return events
+        first, second = (msgspec.structs.replace(contact(0), id=name, p_mine=0.6, next_look_deg=(90.0,)) for name in ("E00001", "E00002"))
+        if event.number == 0:
+            return [*events, *(EarlyContact(contact=each, state="found") for each in (first, second))]
+        became = EarlyContact(contact=first, state="became", became="C0003")
+        return [*events, became, EarlyContact(contact=second, state="withdrawn")]

@@ -21,7 +21,7 @@ from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import CoverageStore, StoredPatch
 from auv_mcm.contacts.record_file import RecordFile, RecordPlace, temporary_record_file
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Notice, Ping, SourceEvent
+from auv_mcm.records import Contact, CoveragePatch, EarlyContact, EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.perception import Fed, Finished, MakePipeline, Perception, PerceptionError, Ring
 from tests.auv_mcm.shell import fake_pipelines as fake
@@ -54,7 +54,7 @@ def test_ring_never_hands_out_the_same_byte_twice(steps: list[int | None]) -> No
 class Answered(NamedTuple):
     """All events and patches of a worker, in order, the last picture and place of each contact, and the last answer."""
 
-    events: list[Contact | Notice]
+    events: list[Contact | EarlyContact | Notice]
     snippets: dict[str, bytes]
     places: dict[int, RecordPlace]
     patches: list[StoredPatch]
@@ -75,7 +75,7 @@ async def answers(
     try:
         await perception.start()
         feeding = asyncio.ensure_future(feed())
-        answered: list[Contact | Notice] = []
+        answered: list[Contact | EarlyContact | Notice] = []
         snippets: dict[str, bytes] = {}
         places: dict[int, RecordPlace] = {}
         patches: list[StoredPatch] = []

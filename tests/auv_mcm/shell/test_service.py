@@ -604,3 +604,27 @@ def test_a_second_signal_ends_at_once_with_the_journal_whole(tmp_path: Path) -> 
         output, _ = process.communicate(timeout=60)
     assert process.returncode == 130, output
     assert journal(tmp_path / "latest") == [f"C{number:04d}" for number in range(0, 30, 3)]
+
+
+def test_early_contacts_are_on_disk_when_announced_and_stand_in_no_result(tmp_path: Path) -> None:
+    def console(line: str) -> None:
+        if line.startswith("early contact"):
+            lines.append(line.removeprefix("early contact "))
+            assert lines[-1][:6] in (tmp_path / "latest" / "early.jsonl").read_text()
+
+    lines: list[str] = []
+    results = serve(tmp_path, Events(mission(30)), fake.Early, console=console)
+    assert lines == [
+        "E00001: unknown, p_mine 0.60, 43.0000000 5.0000000",
+        "E00002: unknown, p_mine 0.60, 43.0000000 5.0000000",
+        "E00001 is C0003",
+        "E00002 withdrawn",
+    ]
+    records = [json.loads(line) for line in (results / "early.jsonl").read_text().splitlines()]
+    assert [(r["contact"]["properties"]["id"], r["state"], r["became"]) for r in records] == [
+        ("E00001", "found", ""),
+        ("E00002", "found", ""),
+        ("E00001", "became", "C0003"),
+        ("E00002", "withdrawn", ""),
+    ]
+    assert journal(results) == ids(results) == [f"C{number:04d}" for number in (*range(0, 30, 3), 9999)]

@@ -1,4 +1,6 @@
-"""The service and a vehicle: contacts reported once on disk, health as it is, legs requested, and control returned on every way out."""
+"""The service and a vehicle: contacts reported once on disk, health as it is, legs requested, and control returned on
+every way out.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ class Vehicle:
 
     def __init__(self) -> None:
         self.authority = "listening"
-        self.counters: Counter[str] = Counter({"vehicle.told": 1})
+        self.counters: Counter[str] = Counter({"vehicle.reports_told": 1})
         self.reports: list[tuple[str, Any]] = []
         self.on_contact: Callable[[Contact], None] = lambda contact: None
 
@@ -141,7 +143,7 @@ def test_contacts_are_reported_once_they_are_on_disk_and_the_vehicle_is_left_in_
     assert not ports.is_served
     summary = json.loads((results / "summary.json").read_bytes())
     assert summary["vehicle"] == "vehicle=listening"
-    assert summary["counters"]["vehicle.told"] == 1
+    assert summary["counters"]["vehicle.reports_told"] == 1
 
 
 def test_what_is_wrong_is_reported_and_that_it_is_well_again(tmp_path: Path) -> None:
@@ -221,4 +223,21 @@ def test_no_request_goes_to_a_vehicle_that_is_out_of_reach(tmp_path: Path) -> No
     until = time.monotonic() + 2.0
     serve(tmp_path, ports, lambda: time.monotonic() > until, fake.Undecided)
     assert "contact" in ports.vehicle.words()
+    assert "plan" not in ports.vehicle.words()
+
+
+def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_their_contact_and_request_no_leg(tmp_path: Path) -> None:
+    def take(contact: Contact) -> None:
+        if contact.id.startswith("E"):
+            assert contact.id in (tmp_path / "latest" / "early.jsonl").read_text()
+            reported.append((contact.id, contact.p_mine))
+        else:
+            reported.append((contact.id, 0.25))
+
+    reported: list[tuple[str, float]] = []
+    ports = Ports()
+    ports.vehicle.on_contact = take
+    serve(tmp_path, ports, lambda: len(reported) >= 8, fake.Early)
+    assert [each for each in reported if each[0].startswith("E")] == [("E00001", 0.6), ("E00002", 0.6), ("E00001", 0.0), ("E00002", 0.0)]
+    assert reported.index(("C0003", 0.25)) < reported.index(("E00001", 0.0))
     assert "plan" not in ports.vehicle.words()

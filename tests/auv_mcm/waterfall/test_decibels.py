@@ -11,9 +11,11 @@ from scipy.signal import lfilter
 
 from auv_mcm.waterfall.law import LawOdds
 from auv_mcm.waterfall.law_watch import weigh_pings
+from auv_mcm.waterfall.log_gamma import LOOKS, log_std_and_skewness
 from auv_mcm.waterfall.quiet import quiet_shapes
 from auv_mcm.waterfall.regions import measure_regions
 from auv_mcm.waterfall.speckle import Speckle, summarise
+from auv_mcm.waterfall.texture import speckle_variance
 from tests.auv_mcm.waterfall.law_pings import pings
 
 N_PINGS: Final = 256
@@ -136,3 +138,24 @@ def test_without_blocks_of_one_layout_there_are_no_quiet_cells() -> None:
     table = blocks[1].table
     assert quiet_shapes(blocks[1:], table, table.cumulants.mean(axis=3), 1.0, is_cut=True) == ()
     assert summarise(blocks).quiet == ()
+
+
+@pytest.mark.parametrize("looks", [2, 8])
+def test_speckle_of_even_regions_is_that_of_its_looks(looks: int) -> None:
+    shape = speckle_of(counts(gamma_db(looks, seed=15) + 50.0)).absolute
+    assert shape is not None
+    log_std, skewness = (values[0] for values in log_std_and_skewness(np.array([np.inf])))
+    at = int(np.abs(LOOKS - looks).argmin())
+    assert shape.std * DB_PER_COUNT * np.log(10.0) / 10.0 == pytest.approx(np.exp(log_std[at]), rel=0.02)
+    assert shape.skewness == pytest.approx(skewness[at], rel=0.06)
+
+
+@pytest.mark.parametrize(("texture", "lasting"), [((0.03, 0.10, 0.27), 0.0), ((0.13, 0.33, 0.69), 0.0), ((0.0, 0.0, 0.0), 0.5)])
+def test_speckle_is_separated_from_texture_of_any_growth(texture: tuple[float, ...], lasting: float) -> None:
+    """Texture in even places need not grow in proportion from the first stride to the second."""
+    left = np.array([1.0 - lasting * share for share in (0.51, 0.055, 0.0)])
+    even = left + np.array(texture)
+    uneven = left + 2.0 * np.array(texture) if any(texture) else None
+    found = speckle_variance(even, uneven, 0.01)
+    assert found.variance == pytest.approx(1.0, abs=0.05)
+    assert abs(np.log(found.variance)) < 2.0 * found.log_sigma

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.records import NAN, Contact
+from auv_mcm.records import NAN, Contact, EarlyContact
 from drivers.vehicle.dialect import ContactReport
 from drivers.vehicle.report_queue import MAX_CONTACTS, MAX_UNACKNOWLEDGED, DueReport, ReportQueue, report_of
 
@@ -256,3 +256,15 @@ def test_the_vehicle_ends_with_the_latest_of_every_contact(events: list[tuple[st
         if p_mine >= 0.2 or number in vehicle.latest:
             assert vehicle.latest[number].p_mine == p_mine
     assert all(report.revision >= 1 for report in vehicle.latest.values())
+
+
+def test_an_early_contact_has_a_number_of_its_own_and_is_taken_back_by_a_revision() -> None:
+    queue = empty_queue()
+    early = EarlyContact(contact=contact(3, 0.6, id="E00003"), state="found")
+    queue.add(early.reported)
+    queue.add(contact(3, 0.6))
+    assert revisions(queue.take_due(0.0)) == [(1_000_003, 1), (3, 1)]
+    queue.add(EarlyContact(contact=early.contact, state="withdrawn").reported)
+    (due,) = queue.take_due(0.1)
+    assert (due.report.number, due.report.revision, due.report.p_mine, due.report.n_views) == (1_000_003, 2, 0.0, 0)
+    assert due.report.classification == "unknown"

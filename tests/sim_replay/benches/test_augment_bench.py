@@ -1,4 +1,4 @@
-"""The classifier of the augmentation bench tells what can be told and nothing else."""
+"""Check that the classifier of the augmentation bench separates what differs and nothing else."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def chips(shift: float, n: int = 400) -> ChipStatistics:
     return ChipStatistics(np.array(rows), embedded, np.arange(n) // (n // 4))
 
 
-def test_images_of_one_law_cannot_be_told_apart() -> None:
+def test_images_of_one_law_cannot_be_separated() -> None:
     verdict = discriminate(chips(0.0))
     assert verdict.accuracy == pytest.approx(0.5, abs=3.0 * verdict.sigma)
     assert verdict.n_chips == 400
 
 
-def test_a_bright_spot_is_told() -> None:
+def test_a_bright_spot_is_separated() -> None:
     assert discriminate(chips(2.5)).accuracy > 0.95

@@ -1,4 +1,4 @@
-"""The bench over scenes: what it refuses, and what it tells the chain of a sonar."""
+"""Check the bench over scenes: what it rejects, and what the chain is given of a sonar."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_contrasts_serve_as_for_a_sonar_without_a_model() -> None:
     assert fitting(configured_model(served_by("cascade", Config())), Config())[0] is not None
 
 
-def test_the_chain_is_told_the_beam_width_and_nothing_else() -> None:
+def test_the_chain_is_given_the_beam_width_and_nothing_else() -> None:
     deep = config_for(read_scene("deep"))
     assert deep.sonar.beam_width_deg == read_scene("deep").sonar.beam_width_deg
     assert (deep.detect, deep.waterfall, deep.navigation) == (Config().detect, Config().waterfall, Config().navigation)

@@ -51,24 +51,24 @@ def test_a_bench_loads_no_other_ones_modules() -> None:
     assert done.stdout.splitlines()[-1] == str([f"sim_replay.benches{name}" for name in ("", ".detect", ".log")])
 
 
-def test_detect_tells_what_each_step_costs_per_pixel_and_peak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_detect_prints_what_each_step_costs_per_pixel_and_peak(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "detect", str(written(tmp_path / "log.xtf", 150)), "--repeat", "1"]) == 0
-    told = capsys.readouterr().out
-    assert "log: log.xtf" in told
-    assert all(step in told for step in ("weigh contrasts", "find peaks", "measure peaks"))
+    printed = capsys.readouterr().out
+    assert "log: log.xtf" in printed
+    assert all(step in printed for step in ("weigh contrasts", "find peaks", "measure peaks"))
 
 
-def test_waterfall_tells_costs_per_stage_of_a_short_and_a_long_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_waterfall_prints_costs_per_stage_of_a_short_and_a_long_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "waterfall", str(written(tmp_path / "log.xtf", 150)), "--repeat", "1", "--minutes", "0.5"]) == 0
-    told = capsys.readouterr().out
-    assert all(word in told for word in ("waterfall", "detect", "total", "short", "long", "x real time", "--exhaustive"))
+    printed = capsys.readouterr().out
+    assert all(word in printed for word in ("waterfall", "detect", "total", "short", "long", "x real time", "--exhaustive"))
 
 
-def test_confirmation_tells_how_many_looks_a_log_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_confirmation_prints_how_many_looks_a_log_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "confirmation", str(written(tmp_path / "log.xtf", 150)), "--repeat", "1"]) == 0
-    told = capsys.readouterr().out
-    assert "log.xtf: " in told
-    assert all(word in told for word in ("looks", "median ms", "p99 ms", "best of 1"))
+    printed = capsys.readouterr().out
+    assert "log.xtf: " in printed
+    assert all(word in printed for word in ("looks", "median ms", "p99 ms", "best of 1"))
 
 
 def test_the_cost_of_a_look_is_that_of_its_steps_by_the_clock_given() -> None:

@@ -49,16 +49,16 @@ def searched(p: float) -> Clearance:
 
 def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> None:
     contacts = [contact(10.5, 10.0, 0.9), contact(20.0, 21.0, 0.15), contact(35.0, 5.0, 0.7), contact(5.0, 35.0, 0.1)]
-    told = judge_mission("flat", searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
-    assert (told.n_targets, told.n_found, told.n_left) == (3, 1, 2)
-    assert told.by_tables == pytest.approx(1.8)
-    assert told.p_doubtful == pytest.approx(0.25)
-    assert told.p_detected == pytest.approx(0.6)
+    judged = judge_mission("flat", searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
+    assert (judged.n_targets, judged.n_found, judged.n_left) == (3, 1, 2)
+    assert judged.by_tables == pytest.approx(1.8)
+    assert judged.p_doubtful == pytest.approx(0.25)
+    assert judged.p_detected == pytest.approx(0.6)
 
 
 def test_a_floor_without_contacts_or_targets_is_judged_too() -> None:
-    told = judge_mission("flat", searched(0.6), [], [])
-    assert (told.n_targets, told.n_found, told.p_doubtful) == (0, 0, 0.0)
+    judged = judge_mission("flat", searched(0.6), [], [])
+    assert (judged.n_targets, judged.n_found, judged.p_doubtful) == (0, 0, 0.0)
 
 
 def mission(scene: str, n_left: int, p_doubtful: float) -> JudgedClearance:

@@ -30,8 +30,8 @@ def at(north_m: float, p_mine: float) -> ReportedContact:
 
 def truth_of(*norths_m: float, kind: str = "sphere", is_target: bool = True) -> dict[str, Any]:
     places = [PLACE.to_geodetic((0.0, north_m, 0.0)) for north_m in norths_m]
-    things = [{"kind": kind, "lat": float(lat), "lon": float(lon), "is_target": is_target} for lat, lon, _ in places]
-    return {"area_km2": 0.01, "objects": things}
+    objects = [{"kind": kind, "lat": float(lat), "lon": float(lon), "is_target": is_target} for lat, lon, _ in places]
+    return {"area_km2": 0.01, "objects": objects}
 
 
 def test_the_best_pd_at_a_limit_takes_as_many_false_alarms_as_are_allowed() -> None:
@@ -52,7 +52,7 @@ def test_false_alarms_on_rocks_can_be_left_out() -> None:
 
 def test_a_threshold_is_outdone_only_where_neither_error_is_worse_and_one_is_less() -> None:
     truth = parse_truth(truth_of(0.0, 100.0), "here")
-    ours, rivals, worse = (
+    ours, baseline, worse = (
         score_missions([ScoredMission(tuple(at(north_m, p) for north_m, p in contacts), truth, "here")])
         for contacts in (
             ((0.0, 0.9), (50.0, 0.8), (100.0, 0.7)),  # one, one and a false alarm, both and that
@@ -60,7 +60,7 @@ def test_a_threshold_is_outdone_only_where_neither_error_is_worse_and_one_is_les
             ((0.0, 0.9),),
         )
     )
-    assert outdone(ours, rivals) == (3, 3)
+    assert outdone(ours, baseline) == (3, 3)
     assert outdone(ours, ours) == (3, 1)  # the first and the last are the best that it has
     assert outdone(worse, ours) == (3, 1)
     assert outdone(ours, score_missions([ScoredMission((at(50.0, 0.9),), truth, "here")])) == (0, 0)

@@ -1,4 +1,4 @@
-"""What a soak makes of a run: every counter has a reason or is named, and what died is told with its cause."""
+"""Check what a soak makes of a run: every counter has a reason or is named, and what died is reported with its cause."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_run_that_lived_has_nothing_dead() -> None:
     assert found_dead(evidence([HEALTH.format("up")], {}, {})) == []
 
 
-def test_what_died_is_told_with_its_cause() -> None:
+def test_what_died_is_reported_with_its_cause() -> None:
     raised = ["Traceback (most recent call last):", '  File "a.py", line 1, in f', "    1 / 0", "ZeroDivisionError: division by zero"]
     dead = found_dead(evidence([HEALTH.format("down"), *raised], {}, {}, exit_code=4))
     assert dead == [

@@ -129,7 +129,7 @@ def test_a_sonar_pings_on_every_wire_at_its_own_times(tmp_path: Path, link: Any)
     times_s = np.array([frame.device_time_s for frame in bench.frames], dtype=np.float64)
     np.testing.assert_allclose(np.diff(times_s), PERIOD_S, atol=1.01e-3)  # whole milliseconds
     assert bench.reports[-1][0] == "done"
-    assert ("settings", {"told": "on, 10 m, automatic gain, 200 results"}) in bench.reports
+    assert ("settings", {"applied": "on, 10 m, automatic gain, 200 results"}) in bench.reports
 
 
 def test_jsf_on_tcp_and_sport_scan_on_serial_serve_as_well(tmp_path: Path) -> None:

@@ -208,7 +208,7 @@ def test_what_is_no_log_is_refused_with_what_is_known(tmp_path: Path) -> None:
     for path, words in (
         (empty, "is empty .0 bytes.*fetch it again"),
         (noise, "is not a readable log: it begins with 0x.*XTF.*JSF.*svlog.*session.*Export"),
-        (pipe, "is no regular file. Copy"),
+        (pipe, "is not a regular file but a pipe, a socket or a device. Copy"),
         (tmp_path, "is a directory without a recorded session.*Name a log inside"),
         (tmp_path / "nowhere", "does not exist. Check"),
     ):

@@ -57,7 +57,7 @@ def test_directory(tmp_path: Path) -> None:
 
 def test_pipe(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.xtf")
-    assert "no regular file" in refusal(tmp_path / "pipe.xtf")
+    assert "not a regular file" in refusal(tmp_path / "pipe.xtf")
 
 
 def test_empty_file(tmp_path: Path) -> None:

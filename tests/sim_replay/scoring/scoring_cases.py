@@ -24,13 +24,13 @@ def contact(east_m: float, north_m: float, p_mine: float = 0.9, named: str | Non
     }
 
 
-def thing(east_m: float, north_m: float, kind: str = "cylinder", *, is_target: bool = True, **facts: Any) -> dict[str, Any]:
+def truth_object(east_m: float, north_m: float, kind: str = "cylinder", *, is_target: bool = True, **facts: Any) -> dict[str, Any]:
     latitude, longitude, _ = FRAME.to_geodetic([east_m, north_m, 0.0])
     return {"kind": kind, "lat": float(latitude), "lon": float(longitude), "is_target": is_target, **facts}
 
 
 def rock(east_m: float, north_m: float, **facts: Any) -> dict[str, Any]:
-    return thing(east_m, north_m, "rock", is_target=False, **facts)
+    return truth_object(east_m, north_m, "rock", is_target=False, **facts)
 
 
 def collection(contacts: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -54,15 +54,15 @@ def random_mission(seed: int, n_objects: int = 30, extent_m: float = 300.0) -> S
         length_m, range_m = float(random.uniform(0.5, 2.0)), float(random.uniform(4.0, 60.0))
         sizes: dict[str, Any] = {"length_m": length_m, "width_m": 0.5, "height_m": 0.5}
         looks = [{"side": "port", "ground_range_m": range_m, "time": "2024-05-01T10:00:00Z"}] * int(random.random() < 0.95)
-        objects.append(thing(east_m, north_m, kind, is_target=is_target, looks=looks, burial_m=0.1, **sizes))
+        objects.append(truth_object(east_m, north_m, kind, is_target=is_target, looks=looks, burial_m=0.1, **sizes))
         if random.random() < 0.9:
             for _ in range(1 + (random.random() < 0.1)):
                 east_error_m, north_error_m = random.normal(0.1, 0.4, 2).tolist()
-                told: dict[str, Any] = {"length_m": length_m * float(random.uniform(0.9, 1.2)), "width_m": 0.6, "height_m": 0.42}
+                reported: dict[str, Any] = {"length_m": length_m * float(random.uniform(0.9, 1.2)), "width_m": 0.6, "height_m": 0.42}
                 p_mine = round(float(random.beta(4.0, 1.5) if is_target else random.beta(1.5, 2.0)), 4)
                 named = kind if is_target else "clutter"
-                told |= {"sigma_m": 0.5, "ground_range_m": range_m}
-                contacts.append(contact(east_m + east_error_m, north_m + north_error_m, p_mine, named, **told))
+                reported |= {"sigma_m": 0.5, "ground_range_m": range_m}
+                contacts.append(contact(east_m + east_error_m, north_m + north_error_m, p_mine, named, **reported))
     for east_m, north_m in random.uniform(0.0, extent_m, (20, 2)).tolist():
         p_mine = round(float(random.beta(1.0, 4.0)), 4)
         contacts.append(contact(east_m, north_m, p_mine, ground_range_m=float(random.uniform(4.0, 60.0))))

@@ -1,4 +1,4 @@
-"""The plain rival: fair on easy floors, and never a crash."""
+"""Check the plain baseline: fair on easy floors, and never a crash."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NavSample, Ping
-from sim_replay.scoring.baseline import rival_contacts
+from sim_replay.scoring.baseline import baseline_contacts
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
 
@@ -31,7 +31,7 @@ def flown(text: str) -> tuple[list[NavSample | Ping], Mission]:
 def test_an_obvious_target_on_an_easy_floor_is_called_where_it_lies(across_m: float) -> None:
     events, mission = flown(EASY + TARGET.replace("ACROSS", str(across_m)))
     (truth,) = mission.truth()["objects"]
-    (contact,) = rival_contacts(events)
+    (contact,) = baseline_contacts(events)
     east, north, _ = LocalFrame(latitude_deg=truth["lat"], longitude_deg=truth["lon"]).to_enu(
         contact.latitude_deg, contact.longitude_deg, 0.0
     )
@@ -42,18 +42,18 @@ def test_an_obvious_target_on_an_easy_floor_is_called_where_it_lies(across_m: fl
 
 def test_an_empty_easy_floor_has_no_call() -> None:
     events, _ = flown(EASY)
-    assert rival_contacts(events) == []
+    assert baseline_contacts(events) == []
 
 
 def test_nothing_comes_of_nothing() -> None:
     events, _ = flown(EASY)
     pings = [event for event in events if isinstance(event, Ping)]
     navigation = [event for event in events if isinstance(event, NavSample)]
-    assert rival_contacts([]) == []
-    assert rival_contacts(pings) == []
-    assert rival_contacts(navigation) == []
-    assert rival_contacts([*navigation, *pings[:3]]) == []
-    assert rival_contacts([*navigation, *(msgspec.structs.replace(ping, port=None) for ping in pings)]) == []
+    assert baseline_contacts([]) == []
+    assert baseline_contacts(pings) == []
+    assert baseline_contacts(navigation) == []
+    assert baseline_contacts([*navigation, *pings[:3]]) == []
+    assert baseline_contacts([*navigation, *(msgspec.structs.replace(ping, port=None) for ping in pings)]) == []
 
 
 def test_pings_of_another_format_are_left_out() -> None:
@@ -66,4 +66,4 @@ def test_pings_of_another_format_are_left_out() -> None:
         port=msgspec.structs.replace(strange.port, samples=strange.port.samples[:100]),
         starboard=msgspec.structs.replace(strange.starboard, samples=strange.starboard.samples[:100]),
     )
-    assert rival_contacts([*events, short]) == rival_contacts(events)
+    assert baseline_contacts([*events, short]) == baseline_contacts(events)

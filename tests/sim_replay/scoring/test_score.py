@@ -14,7 +14,7 @@ from auv_mcm.errors import UsageError
 from sim_replay.scoring import ReportedContact, Score, ScoredMission, score_files, score_missions, table
 from sim_replay.scoring.breakdown import Group
 from sim_replay.scoring.seabed_map import encode
-from tests.sim_replay.scoring.scoring_cases import FRAME, contact, mission, random_mission, rock, thing, write_pair
+from tests.sim_replay.scoring.scoring_cases import FRAME, contact, mission, random_mission, rock, truth_object, write_pair
 
 
 def scored(contacts: list[dict[str, Any]], objects: list[dict[str, Any]], **options: Any) -> Score:
@@ -41,19 +41,19 @@ def group(groups: tuple[Group, ...], name: str) -> tuple[int, int, int]:
 
 
 def test_contact_within_the_gate_is_a_detection_and_beyond_it_a_false_alarm() -> None:
-    objects = [thing(0.0, 0.0), thing(30.0, 0.0)]
+    objects = [truth_object(0.0, 0.0), truth_object(30.0, 0.0)]
     point = scored([contact(1.99, 0.0), contact(30.0, 2.01)], objects).at_threshold
     assert (point.pd.count, point.pd.of, point.false_alarms.count) == (1, 2, 1)
     assert scored([contact(1.99, 0.0), contact(30.0, 2.01)], objects, gate_m=2.5).at_threshold.pd.count == 2
 
 
 def test_uncertain_contact_has_a_wider_gate() -> None:
-    assert scored([contact(2.9, 0.0, sigma_m=1.0)], [thing(0.0, 0.0)]).at_threshold.pd.count == 1
-    assert scored([contact(4.1, 0.0, sigma_m=9.0)], [thing(0.0, 0.0)]).at_threshold.pd.count == 0
+    assert scored([contact(2.9, 0.0, sigma_m=1.0)], [truth_object(0.0, 0.0)]).at_threshold.pd.count == 1
+    assert scored([contact(4.1, 0.0, sigma_m=9.0)], [truth_object(0.0, 0.0)]).at_threshold.pd.count == 0
 
 
 def test_second_contact_on_a_target_is_a_duplicate_and_no_false_alarm() -> None:
-    point = scored([contact(0.0, 0.0), contact(0.5, 0.0), contact(0.0, 1.0)], [thing(0.0, 0.0)]).at_threshold
+    point = scored([contact(0.0, 0.0), contact(0.5, 0.0), contact(0.0, 1.0)], [truth_object(0.0, 0.0)]).at_threshold
     assert (point.pd.count, point.duplicates, point.false_alarms.count) == (1, 2, 0)
 
 
@@ -65,12 +65,12 @@ def test_contacts_on_a_rock_are_false_alarms_on_known_clutter_and_the_rock_is_ca
 
 
 def test_contact_on_a_rock_beside_a_missed_target_is_no_detection() -> None:
-    point = scored([contact(0.0, 0.0)], [rock(0.1, 0.0), thing(1.5, 0.0)]).at_threshold
+    point = scored([contact(0.0, 0.0)], [rock(0.1, 0.0), truth_object(1.5, 0.0)]).at_threshold
     assert (point.pd.count, point.on_known_clutter) == (0, 1)
 
 
 def test_target_that_no_pass_saw_counts_neither_as_missed_nor_its_contact_as_a_false_alarm() -> None:
-    score = scored([contact(0.0, 0.0), contact(20.0, 0.0)], [thing(0.0, 0.0, looks=[]), rock(20.0, 0.0, looks=[])])
+    score = scored([contact(0.0, 0.0), contact(20.0, 0.0)], [truth_object(0.0, 0.0, looks=[]), rock(20.0, 0.0, looks=[])])
     point = score.at_threshold
     assert (point.pd.of, point.on_unseen_targets, point.false_alarms.count, point.on_known_clutter) == (0, 1, 1, 0)
     assert score.rocks_called_mines.of == 0
@@ -79,19 +79,19 @@ def test_target_that_no_pass_saw_counts_neither_as_missed_nor_its_contact_as_a_f
 
 
 def test_second_contact_on_a_target_that_no_pass_saw_is_no_duplicate() -> None:
-    point = scored([contact(0.0, 0.0), contact(0.5, 0.0)], [thing(0.0, 0.0, looks=[])]).at_threshold
+    point = scored([contact(0.0, 0.0), contact(0.5, 0.0)], [truth_object(0.0, 0.0, looks=[])]).at_threshold
     assert (point.on_unseen_targets, point.duplicates, point.false_alarms.count) == (2, 0, 0)
 
 
 def test_contact_without_a_position_is_left_out_and_counted() -> None:
     lost = contact(0.0, 0.0) | {"geometry": None}
-    score = scored([lost], [thing(0.0, 0.0)])
+    score = scored([lost], [truth_object(0.0, 0.0)])
     assert (score.n_contacts, score.left_out.contacts_without_position, score.at_threshold.false_alarms.count) == (0, 1, 0)
 
 
 def test_contact_outside_the_swept_area_is_left_out_unless_it_is_on_a_target() -> None:
     contacts = [contact(50.0, 81.0), contact(10.0, 90.0), contact(-5.0, 10.0), contact(50.0, 20.0)]
-    score = score_missions([mission(contacts, [thing(50.0, 79.5)], seabed_map=sandy_and_rocky())])
+    score = score_missions([mission(contacts, [truth_object(50.0, 79.5)], seabed_map=sandy_and_rocky())])
     assert score.left_out.contacts_outside_swept_area == 2
     assert (score.at_threshold.pd.count, score.at_threshold.false_alarms.count) == (1, 1)
 
@@ -103,18 +103,24 @@ def test_truth_without_targets_gives_false_alarms_only() -> None:
 
 
 def test_places_across_the_antimeridian_are_near() -> None:
-    told = mission([], [thing(0.0, 0.0)]).truth
-    there = msgspec.structs.replace(told.objects[0], latitude_deg=0.0, longitude_deg=180.0)
+    truth = mission([], [truth_object(0.0, 0.0)]).truth
+    there = msgspec.structs.replace(truth.objects[0], latitude_deg=0.0, longitude_deg=180.0)
     contacts = (ReportedContact(0.0, -179.999999, 0.9), ReportedContact(0.0, 179.9, 0.9))
-    point = score_missions([ScoredMission(contacts, msgspec.structs.replace(told, objects=(there,)))]).at_threshold
+    point = score_missions([ScoredMission(contacts, msgspec.structs.replace(truth, objects=(there,)))]).at_threshold
     assert (point.pd.count, point.false_alarms.count) == (1, 1)
 
 
 # --- where it is booked ---
 
 
-def test_kinds_tell_targets_and_others_apart() -> None:
-    objects = [thing(0.0, 0.0), thing(20.0, 0.0), thing(40.0, 0.0, "sphere"), rock(60.0, 0.0), thing(80.0, 0.0, is_target=False)]
+def test_kinds_separate_targets_and_others() -> None:
+    objects = [
+        truth_object(0.0, 0.0),
+        truth_object(20.0, 0.0),
+        truth_object(40.0, 0.0, "sphere"),
+        rock(60.0, 0.0),
+        truth_object(80.0, 0.0, is_target=False),
+    ]
     score = scored([contact(0.0, 0.0), contact(60.0, 0.0)], objects)
     rows = [(row.kind, row.is_target, row.called.count, row.called.of) for row in score.kinds]
     assert rows == [("cylinder", True, 1, 2), ("sphere", True, 0, 1), ("cylinder", False, 0, 1), ("rock", False, 1, 1)]
@@ -123,21 +129,21 @@ def test_kinds_tell_targets_and_others_apart() -> None:
 def test_range_is_that_of_the_nearest_look_and_of_the_contact_for_false_alarms() -> None:
     looks = [{"side": "port", "ground_range_m": range_m, "time": "2024-05-01T10:00:00Z"} for range_m in (45.0, 20.0, 31.0)]
     contacts = [contact(0.0, 0.0, ground_range_m=45.0), contact(60.0, 0.0, ground_range_m=9.99), contact(80.0, 0.0, ground_range_m=300.0)]
-    score = scored([*contacts, contact(99.0, 0.0)], [thing(0.0, 0.0, looks=looks), thing(20.0, 0.0, looks=looks[2:])])
+    score = scored([*contacts, contact(99.0, 0.0)], [truth_object(0.0, 0.0, looks=looks), truth_object(20.0, 0.0, looks=looks[2:])])
     assert [one.name for one in score.ranges] == ["0-10 m", "20-30 m", "30-50 m", "over 150 m", "unknown"]
     assert [group(score.ranges, one.name) for one in score.ranges] == [(0, 0, 1), (1, 1, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1)]
     assert score.missed_targets_of_unknown_range == 0
 
 
 def test_missed_target_without_looks_is_of_unknown_range_and_said_so() -> None:
-    score = scored([contact(0.0, 0.0, ground_range_m=12.0)], [thing(0.0, 0.0), thing(20.0, 0.0)])
+    score = scored([contact(0.0, 0.0, ground_range_m=12.0)], [truth_object(0.0, 0.0), truth_object(20.0, 0.0)])
     assert group(score.ranges, "10-20 m") == (1, 1, 0)
     assert group(score.ranges, "unknown") == (0, 1, 0)
     assert score.missed_targets_of_unknown_range == 1
 
 
-def test_sea_floor_has_its_own_area_and_is_looked_up_where_the_object_does_not_tell() -> None:
-    objects = [thing(10.0, 10.0), thing(90.0, 10.0), thing(20.0, 20.0, seabed="rock")]
+def test_sea_floor_has_its_own_area_and_is_looked_up_where_the_object_does_not_state_it() -> None:
+    objects = [truth_object(10.0, 10.0), truth_object(90.0, 10.0), truth_object(20.0, 20.0, seabed="rock")]
     contacts = [contact(10.0, 10.0), contact(30.0, 30.0), contact(90.0, 40.0)]
     score = score_missions([mission(contacts, objects, seabed_map=sandy_and_rocky())])
     assert group(score.seabeds, "sand") == (1, 1, 1)
@@ -167,14 +173,14 @@ def test_groups_add_up_to_the_whole() -> None:
 
 @pytest.mark.parametrize("threshold", [0.39, 0.4, 0.41, 0.8, 0.81])
 def test_groups_and_rates_are_at_the_same_threshold(threshold: float) -> None:
-    score = scored([contact(0.0, 0.0, 0.8), contact(50.0, 0.0, 0.4)], [thing(0.0, 0.0)], threshold=threshold)
+    score = scored([contact(0.0, 0.0, 0.8), contact(50.0, 0.0, 0.4)], [truth_object(0.0, 0.0)], threshold=threshold)
     point = score.at_threshold
     assert group(score.seabeds, "unknown") == (point.pd.count, point.pd.of, point.false_alarms.count)
     assert point.pd.count + point.false_alarms.count == sum(p_mine >= threshold for p_mine in (0.8, 0.4))
 
 
 def test_confusion_has_kinds_against_classes() -> None:
-    objects = [thing(0.0, 0.0), thing(20.0, 0.0), thing(40.0, 0.0, "sphere"), rock(60.0, 0.0)]
+    objects = [truth_object(0.0, 0.0), truth_object(20.0, 0.0), truth_object(40.0, 0.0, "sphere"), rock(60.0, 0.0)]
     named: list[tuple[float, float, str]] = [(0.0, 0.9, "sphere"), (20.0, 0.9, "cylinder"), (60.0, 0.9, "wedge"), (40.0, 0.1, "sphere")]
     contacts = [contact(east_m, 0.0, p_mine, name) for east_m, p_mine, name in named]
     matrix = scored([*contacts, contact(90.0, 0.0, named="odd")], objects).confusion
@@ -189,7 +195,7 @@ def test_confusion_has_kinds_against_classes() -> None:
 
 def test_position_errors_are_contact_less_truth() -> None:
     errors = [(0.3, 0.4), (-0.6, 0.8), (0.3, 0.0)]
-    objects = [thing(20.0 * index, 0.0) for index in range(3)]
+    objects = [truth_object(20.0 * index, 0.0) for index in range(3)]
     contacts = [contact(20.0 * index + east_m, north_m, sigma_m=0.5) for index, (east_m, north_m) in enumerate(errors)]
     found = scored(contacts, objects).position_errors
     assert found.east_m.n == 3
@@ -202,7 +208,7 @@ def test_position_errors_are_contact_less_truth() -> None:
 
 def test_errors_of_honest_contacts_are_rayleigh_in_their_sigmas() -> None:
     random = np.random.Generator(np.random.PCG64(5))
-    objects = [thing(30.0 * index, 0.0) for index in range(400)]
+    objects = [truth_object(30.0 * index, 0.0) for index in range(400)]
     errors = random.normal(0.0, 0.5, (400, 2)).tolist()
     contacts = [contact(30.0 * index + east_m, north_m, sigma_m=0.5) for index, (east_m, north_m) in enumerate(errors)]
     found = scored(contacts, objects).position_errors.in_sigmas
@@ -210,10 +216,10 @@ def test_errors_of_honest_contacts_are_rayleigh_in_their_sigmas() -> None:
     assert found.p95_absolute == pytest.approx(math.sqrt(2.0 * math.log(20.0)), rel=0.06)
 
 
-def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_told() -> None:
+def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_stated() -> None:
     sizes: dict[str, Any] = {"length_m": 2.0, "width_m": 0.5, "height_m": 0.5, "burial_m": 0.2}
     contacts = [contact(0.0, 0.0, length_m=1.8, width_m=None, height_m=0.35), contact(20.0, 0.0, length_m=9.0, height_m=9.0)]
-    found = scored(contacts, [thing(0.0, 0.0, **sizes), thing(20.0, 0.0)]).size_errors
+    found = scored(contacts, [truth_object(0.0, 0.0, **sizes), truth_object(20.0, 0.0)]).size_errors
     assert (found.length_m.n, found.height_m.n) == (1, 1)
     assert found.length_m.median == pytest.approx(-0.2)
     assert found.height_m.median == pytest.approx(0.05)
@@ -247,7 +253,7 @@ def test_the_payloads_own_calls_are_scored_beside_what_was_asked(tmp_path: Path)
         contact(40.0, 0.0, 0.4, called=True),
         contact(60.0, 0.0, 0.5, called=True),
     ]
-    objects = [thing(0.0, 0.0), thing(20.0, 0.0), rock(40.0, 0.0)]
+    objects = [truth_object(0.0, 0.0), truth_object(20.0, 0.0), rock(40.0, 0.0)]
     paths = write_pair(tmp_path, contacts, {"area_km2": 0.1, "objects": objects})
     asked_nowhere = score_files(paths).called
     assert asked_nowhere is not None
@@ -270,14 +276,14 @@ def test_the_payloads_own_calls_are_scored_beside_what_was_asked(tmp_path: Path)
 
 
 def test_contacts_that_do_not_say_whether_they_are_called_have_no_operating_point() -> None:
-    score = score_missions([mission([contact(0.0, 0.0, called=True), contact(5.0, 0.0)], [thing(0.0, 0.0)])])
+    score = score_missions([mission([contact(0.0, 0.0, called=True), contact(5.0, 0.0)], [truth_object(0.0, 0.0)])])
     assert score.called is None
     assert "called by the payload" not in table(score)
 
 
 def test_p_mine_is_compared_with_what_lay_there() -> None:
     contacts = [contact(10.0 * number, 0.0, 0.25) for number in range(4)] + [contact(0.5, 0.5, 0.95), contact(100.0, 0.0, 0.95)]
-    objects = [thing(0.0, 0.0), thing(100.0, 0.0, looks=[])]
+    objects = [truth_object(0.0, 0.0), truth_object(100.0, 0.0, looks=[])]
     kept = score_missions([mission(contacts, objects)]).calibration
     assert kept is not None
     assert [(each.low, each.on_mines.count, each.on_mines.of) for each in kept.bins] == [(0.2, 1, 4), (0.9, 1, 1)]
@@ -286,7 +292,7 @@ def test_p_mine_is_compared_with_what_lay_there() -> None:
 
 
 def test_without_contacts_there_is_no_calibration() -> None:
-    score = score_missions([mission([], [thing(0.0, 0.0)])])
+    score = score_missions([mission([], [truth_object(0.0, 0.0)])])
     assert score.calibration is not None
     assert score.calibration.error is None
     assert "calibration" not in table(score)

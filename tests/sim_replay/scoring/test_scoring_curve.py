@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sim_replay.scoring import Score, ScoredMission, score_missions
 from sim_replay.scoring.froc import OperatingPoint
-from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, rock, thing
+from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, rock, truth_object
 
 
 @cache
@@ -32,9 +32,13 @@ def numbers(point: OperatingPoint) -> tuple[int, ...]:
 def test_every_point_is_what_only_the_contacts_called_there_give() -> None:
     missions = [random_mission(seed, n_objects=12, extent_m=60.0) for seed in (1, 2)]
     score = score_missions(missions)
-    assert [point.threshold for point in score.froc] == sorted({told.p_mine for one in missions for told in one.contacts}, reverse=True)
+    assert [point.threshold for point in score.froc] == sorted(
+        {reported.p_mine for one in missions for reported in one.contacts}, reverse=True
+    )
     for point in score.froc:
-        called = [one._replace(contacts=tuple(told for told in one.contacts if told.p_mine >= point.threshold)) for one in missions]
+        called = [
+            one._replace(contacts=tuple(reported for reported in one.contacts if reported.p_mine >= point.threshold)) for one in missions
+        ]
         assert numbers(score_missions(called, threshold=0.0).at_threshold) == numbers(point)
 
 
@@ -50,7 +54,7 @@ def test_no_count_falls_with_the_threshold(seed: int, extent_m: float) -> None:
 def test_every_called_contact_is_counted_once(seed: int) -> None:
     one = random_mission(seed, n_objects=10, extent_m=40.0)
     for point in score_missions([one]).froc:
-        called = sum(told.p_mine >= point.threshold for told in one.contacts)
+        called = sum(reported.p_mine >= point.threshold for reported in one.contacts)
         detections, false_alarms, _, duplicates, on_unseen = numbers(point)
         assert detections + false_alarms + duplicates + on_unseen == called
 
@@ -72,7 +76,7 @@ def test_partial_area_is_the_mean_of_pd_over_logarithmic_density() -> None:
 
 
 def test_perfect_contacts_have_the_whole_area_and_none_have_nothing_of_it() -> None:
-    objects = [thing(20.0 * index, 0.0) for index in range(5)]
+    objects = [truth_object(20.0 * index, 0.0) for index in range(5)]
     perfect = score_missions([mission([contact(20.0 * index, 0.0) for index in range(5)], objects)])
     assert (perfect.partial_area, perfect.headlines[0].pd.value) == (1.0, 1.0)
     nothing = score_missions([mission([], objects)])
@@ -82,20 +86,20 @@ def test_perfect_contacts_have_the_whole_area_and_none_have_nothing_of_it() -> N
 
 
 def test_headline_is_zero_if_even_the_surest_contacts_alarm_too_often() -> None:
-    score = score_missions([mission([contact(50.0, 0.0, 0.9), contact(0.0, 0.0, 0.9)], [thing(0.0, 0.0)], area_km2=0.005)])
+    score = score_missions([mission([contact(50.0, 0.0, 0.9), contact(0.0, 0.0, 0.9)], [truth_object(0.0, 0.0)], area_km2=0.005)])
     assert [headline.pd.value for headline in score.headlines] == [0.0, 0.0, 0.0]
     assert score.at_threshold.pd.value == 1.0
 
 
 def test_threshold_between_contacts_takes_those_above_it() -> None:
-    one = mission([contact(0.0, 0.0, 0.8), contact(50.0, 0.0, 0.4)], [thing(0.0, 0.0), thing(50.0, 0.0)])
+    one = mission([contact(0.0, 0.0, 0.8), contact(50.0, 0.0, 0.4)], [truth_object(0.0, 0.0), truth_object(50.0, 0.0)])
     found = [score_missions([one], threshold=threshold).at_threshold.pd.count for threshold in (0.0, 0.4, 0.41, 0.8, 0.81, 1.0)]
     assert found == [2, 2, 1, 1, 0, 0]
     assert [point.pd.count for point in score_missions([one]).ladder] == [0, 1, 1, 1, 1, 2, 2, 2, 2, 2]
 
 
 def test_contacts_of_one_mission_do_not_meet_objects_of_another() -> None:
-    found, missed = mission([contact(0.0, 0.0)], [rock(0.0, 0.0)]), mission([], [thing(0.0, 0.0)])
+    found, missed = mission([contact(0.0, 0.0)], [rock(0.0, 0.0)]), mission([], [truth_object(0.0, 0.0)])
     score = score_missions([found, missed])
     assert (score.at_threshold.pd.count, score.at_threshold.false_alarms.count, score.area_km2) == (0, 1, 0.2)
 
@@ -126,14 +130,14 @@ def test_bootstrap_of_equal_missions_knows_no_spread() -> None:
 
 def test_bootstrap_spreads_as_the_missions_differ() -> None:
     """Half of the missions found, half missed: the mean of n missions has the standard error 0.5 / sqrt(n)."""
-    found, missed = mission([contact(0.0, 0.0)], [thing(0.0, 0.0)]), mission([], [thing(0.0, 0.0)])
+    found, missed = mission([contact(0.0, 0.0)], [truth_object(0.0, 0.0)]), mission([], [truth_object(0.0, 0.0)])
     bootstrap = score_missions([found, missed] * 32).bootstrap
     assert bootstrap is not None
     assert bootstrap.pd is not None
     assert (bootstrap.pd.high - bootstrap.pd.low) / 2.0 == pytest.approx(1.96 * 0.5 / math.sqrt(64), rel=0.15)
 
 
-def test_bootstrap_of_missions_without_targets_tells_false_alarms_only() -> None:
+def test_bootstrap_of_missions_without_targets_gives_false_alarms_only() -> None:
     empty: ScoredMission = mission([contact(0.0, 0.0)], [])
     bootstrap = score_missions([empty] * 3).bootstrap
     assert bootstrap is not None

@@ -1,4 +1,4 @@
-"""Files of contacts and truth: what is understood, and what a person is told about the rest."""
+"""Check files of contacts and truth: what is read, and how the rest is reported."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from sim_replay.scoring import parse_contacts, parse_truth, read_contacts, read_
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from tests.auv_mcm.classify import drawn_looks
-from tests.sim_replay.scoring.scoring_cases import collection, contact, thing, write_pair
+from tests.sim_replay.scoring.scoring_cases import collection, contact, truth_object, write_pair
 
-TRUTH: dict[str, Any] = {"area_km2": 0.1, "objects": [thing(0.0, 0.0), thing(20.0, 0.0)]}
+TRUTH: dict[str, Any] = {"area_km2": 0.1, "objects": [truth_object(0.0, 0.0), truth_object(20.0, 0.0)]}
 
 
 def changed(document: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
@@ -52,37 +52,37 @@ def test_contacts_as_the_payload_writes_them_are_understood() -> None:
         width_m=NAN,
         height_m=0.5,
     )
-    (told,) = parse_contacts(json.loads(contacts_geojson([written])), "contacts.geojson")
-    assert told[:5] == (43.1, 5.9, 0.75, "sphere", 0.8)
-    assert (told.height_m, told.sigma_m) == (0.5, 0.5)
-    assert np.isnan([told.width_m, told.ground_range_m]).all()
+    (read,) = parse_contacts(json.loads(contacts_geojson([written])), "contacts.geojson")
+    assert read[:5] == (43.1, 5.9, 0.75, "sphere", 0.8)
+    assert (read.height_m, read.sigma_m) == (0.5, 0.5)
+    assert np.isnan([read.width_m, read.ground_range_m]).all()
 
 
-def test_truth_as_the_simulator_tells_it_is_understood() -> None:
-    things = (
+def test_truth_as_the_simulator_writes_it_is_read() -> None:
+    objects = (
         SceneObject(kind="cylinder", leg=0, along_m=10.0, across_m=9.0, length_m=1.8, width_m=0.5, height_m=0.5),
         SceneObject(kind="rock", leg=0, along_m=5.0, across_m=-12.0),
     )
     track = Track(plan=Lawnmower(n_legs=1, leg_m=20.0), altitude_m=4.0)
-    mission = Mission(Scene(objects=things, sonar=Sonar(range_m=20.0, n_samples=64, beam_lines=1), track=track))
+    mission = Mission(Scene(objects=objects, sonar=Sonar(range_m=20.0, n_samples=64, beam_lines=1), track=track))
     for _ in mission.events():
         pass
-    told = parse_truth(mission.truth(), "truth")
-    assert [(one.kind, one.is_target) for one in told.objects] == [("cylinder", True), ("rock", False)]
-    (look,) = told.objects[0].looks or ()
+    truth = parse_truth(mission.truth(), "truth")
+    assert [(one.kind, one.is_target) for one in truth.objects] == [("cylinder", True), ("rock", False)]
+    (look,) = truth.objects[0].looks or ()
     assert look.ground_range_m == pytest.approx(9.0, abs=0.5)
-    assert told.seabed_map is not None
-    assert told.area_km2 == pytest.approx(20.0 * 35.0e-6, rel=0.2)
+    assert truth.seabed_map is not None
+    assert truth.area_km2 == pytest.approx(20.0 * 35.0e-6, rel=0.2)
 
 
 def test_words_of_a_truth_file_reach_the_table_without_control_characters(tmp_path: Path) -> None:
     hostile = "mine\x1b[2J\n0.99\x9b"
     objects = [{"kind": hostile, "lat": 43.1, "lon": 5.9, "is_target": True, "seabed": hostile}]
-    told = changed({"type": "FeatureCollection", "features": [contact(0.0, 0.0)]}, "features.0.properties.class", hostile)
+    document = changed({"type": "FeatureCollection", "features": [contact(0.0, 0.0)]}, "features.0.properties.class", hostile)
     (tmp_path / "truth.json").write_text(json.dumps({"area_km2": 1, "objects": objects}))
     paths = [tmp_path / name for name in ("a\x1b.geojson", "truth.json", "b\x1b.geojson", "truth.json")]
     for path in paths[::2]:
-        path.write_text(json.dumps(told))
+        path.write_text(json.dumps(document))
     lines = table(score_files(paths)).split("\n")
     assert [line for line in lines if not is_clean(line)] == []
     assert any(r"mine\x1b[2J\n0.99\x9b" in line for line in lines)
@@ -107,26 +107,26 @@ def test_missions_pool_in_the_order_they_are_named(tmp_path: Path) -> None:
 
 
 def test_files_come_in_pairs_and_contacts_once(tmp_path: Path) -> None:
-    contacts, told = write_pair(tmp_path, [], TRUTH)
-    for paths in ([], [contacts], [contacts, told, contacts]):
+    contacts, truth = write_pair(tmp_path, [], TRUTH)
+    for paths in ([], [contacts], [contacts, truth, contacts]):
         with pytest.raises(UsageError, match=f"^{len(paths)} file"):
             score_files(paths)
     with pytest.raises(UsageError, match=r"m\.contacts\.geojson is given twice"):
-        score_files([contacts, told, contacts, told])
+        score_files([contacts, truth, contacts, truth])
 
 
-def test_swapped_files_are_told_so(tmp_path: Path) -> None:
-    contacts, told = write_pair(tmp_path, [], TRUTH)
+def test_swapped_files_are_reported(tmp_path: Path) -> None:
+    contacts, truth = write_pair(tmp_path, [], TRUTH)
     with pytest.raises(BadInputError, match=r"m\.truth\.json: a truth file where contacts belong"):
-        score_files([told, contacts])
+        score_files([truth, contacts])
     with pytest.raises(BadInputError, match=r"m\.contacts\.geojson: contacts where a truth file belongs"):
         read_truth(contacts)
 
 
 @pytest.mark.parametrize("read", [read_contacts, read_truth])
 def test_file_that_cannot_be_read_is_named(read: Callable[[Path], object], tmp_path: Path) -> None:
-    for path, told in ((tmp_path / "none.json", "cannot be read: No such file"), (tmp_path, "cannot be read: Is a directory")):
-        with pytest.raises(BadInputError, match=f"{path.name} {told}"):
+    for path, message in ((tmp_path / "none.json", "cannot be read: No such file"), (tmp_path, "cannot be read: Is a directory")):
+        with pytest.raises(BadInputError, match=f"{path.name} {message}"):
             read(path)
 
 
@@ -140,7 +140,7 @@ def test_file_that_is_no_json_is_named(read: Callable[[Path], object], data: byt
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "told"),
+    ("path", "value", "message"),
     [
         ("type", "Feature", "`type`"),
         ("features", ..., "missing required field `features`"),
@@ -149,7 +149,7 @@ def test_file_that_is_no_json_is_named(read: Callable[[Path], object], data: byt
         ("features.1.geometry.coordinates", [5.9], r"length >= 2 - at `features\[1\].geometry.coordinates`"),
         ("features.1.geometry.coordinates", [5.9, None], r"got `null` - at `features\[1\].geometry.coordinates\[1\]`"),
         ("features.1.geometry.coordinates.0", float("nan"), r"features\[1\].geometry.coordinates\[0\] is not a finite number"),
-        ("features.1.geometry.coordinates", [5.9, 143.0], r"features\[1\].geometry.coordinates: \[5.9, 143\] is no place on Earth"),
+        ("features.1.geometry.coordinates", [5.9, 143.0], r"features\[1\].geometry.coordinates: \[5.9, 143\] is not a position on Earth"),
         ("features.1.properties", None, r"got `null` - at `features\[1\].properties`"),
         ("features.1.properties.p_mine", ..., r"missing required field `p_mine` - at `features\[1\].properties`"),
         ("features.1.properties.p_mine", 1.01, r"`float` <= 1.0 - at `features\[1\].properties.p_mine`"),
@@ -160,16 +160,16 @@ def test_file_that_is_no_json_is_named(read: Callable[[Path], object], data: byt
         ("features.1.properties.sigma_m", float("inf"), r"features\[1\].properties.sigma_m is not a finite number"),
     ],
 )
-def test_bad_contact_is_named_with_its_key(path: str, value: Any, told: str, tmp_path: Path) -> None:
+def test_bad_contact_is_named_with_its_key(path: str, value: Any, message: str, tmp_path: Path) -> None:
     document = changed(collection([contact(0.0, 0.0), contact(1.0, 0.0)]), path, value)
     file = tmp_path / "c.geojson"
     file.write_text(json.dumps(document), "utf-8")
-    with pytest.raises(BadInputError, match=rf"c\.geojson: .*{told}"):
+    with pytest.raises(BadInputError, match=rf"c\.geojson: .*{message}"):
         read_contacts(file)
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "told"),
+    ("path", "value", "message"),
     [
         ("area_km2", ..., "missing required field `area_km2`"),
         ("area_km2", 0, "`float` > 0.0 - at `area_km2`"),
@@ -190,10 +190,10 @@ def test_bad_contact_is_named_with_its_key(path: str, value: Any, told: str, tmp
         ),
     ],
 )
-def test_bad_truth_is_named_with_its_key(path: str, value: Any, told: str, tmp_path: Path) -> None:
+def test_bad_truth_is_named_with_its_key(path: str, value: Any, message: str, tmp_path: Path) -> None:
     file = tmp_path / "t.json"
     file.write_text(json.dumps(changed(TRUTH, path, value)), "utf-8")
-    with pytest.raises(BadInputError, match=rf"t\.json: .*{told}"):
+    with pytest.raises(BadInputError, match=rf"t\.json: .*{message}"):
         read_truth(file)
 
 

@@ -16,10 +16,10 @@ def best_of_all(near: NDArray[np.bool_], distance_m: NDArray[np.float64], contac
     if contact == near.shape[0]:
         return 0, 0.0
     best = best_of_all(near, distance_m, contact + 1, taken)
-    for thing in np.flatnonzero(near[contact]).tolist():
-        if not taken >> thing & 1:
-            count, closeness = best_of_all(near, distance_m, contact + 1, taken | 1 << thing)
-            best = max(best, (count + 1, closeness - float(distance_m[contact, thing])))
+    for scene_object in np.flatnonzero(near[contact]).tolist():
+        if not taken >> scene_object & 1:
+            count, closeness = best_of_all(near, distance_m, contact + 1, taken | 1 << scene_object)
+            best = max(best, (count + 1, closeness - float(distance_m[contact, scene_object])))
     return best
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from auv_mcm.errors import UsageError
 from sim_replay.scoring import Score, plot, score_json, score_missions, table
-from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, thing
+from tests.sim_replay.scoring.scoring_cases import contact, mission, random_mission, truth_object
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def score() -> Score:
     return score_missions([random_mission(seed) for seed in range(3)])
 
 
-def test_table_tells_the_figures_with_their_intervals(score: Score) -> None:
+def test_table_shows_the_figures_with_their_intervals(score: Score) -> None:
     lines = table(score).splitlines()
     point = score.at_threshold
     (pd_line,) = (line for line in lines if line.startswith("Pd  "))
@@ -54,7 +54,7 @@ def test_table_of_nothing_says_so() -> None:
 
 
 def test_table_warns_where_ranges_are_not_known() -> None:
-    text = table(score_missions([mission([contact(0.0, 0.0, ground_range_m=12.0)], [thing(0.0, 0.0), thing(20.0, 0.0)])]))
+    text = table(score_missions([mission([contact(0.0, 0.0, ground_range_m=12.0)], [truth_object(0.0, 0.0), truth_object(20.0, 0.0)])]))
     assert "no range of 1 missed target" in text
 
 
@@ -76,12 +76,12 @@ def test_plot_is_a_picture_with_a_curve(score: Score, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("contacts", [[], [contact(50.0, 0.0)], [contact(0.0, 0.0)]])
 def test_plot_takes_curves_of_one_point_or_none(contacts: list[dict[str, object]], tmp_path: Path) -> None:
-    plot(score_missions([mission(contacts, [thing(0.0, 0.0)])]), tmp_path / "froc.png")
+    plot(score_missions([mission(contacts, [truth_object(0.0, 0.0)])]), tmp_path / "froc.png")
     assert (tmp_path / "froc.png").stat().st_size > 5000
 
 
 def test_plot_refuses_what_it_cannot_draw(score: Score, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"'\.xyz' is no picture format"):
+    with pytest.raises(UsageError, match=r"'\.xyz' is not a picture format"):
         plot(score, tmp_path / "froc.xyz")
     with pytest.raises(UsageError, match="no targets"):
         plot(score_missions([mission([contact(0.0, 0.0)], [])]), tmp_path / "froc.png")

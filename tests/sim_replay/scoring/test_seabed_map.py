@@ -65,7 +65,7 @@ def test_position_finds_its_cell_from_the_south_west_corner() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"rows": ("3a1.",)}, "1 rows, but n_rows is 2"),
         ({"rows": ("3a1.", "2b1d1.")}, r"rows\[1\]: letter 'd' has no type"),
@@ -76,8 +76,8 @@ def test_position_finds_its_cell_from_the_south_west_corner() -> None:
         ({"n_columns": 1_000_000_000}, "cells are more than"),
     ],
 )
-def test_damaged_map_names_the_row(change: dict[str, object], told: str) -> None:
-    with pytest.raises(BadInputError, match=told):
+def test_damaged_map_names_the_row(change: dict[str, object], message: str) -> None:
+    with pytest.raises(BadInputError, match=message):
         decode(structs.replace(coded(CELLS), **change))
 
 

@@ -1,5 +1,6 @@
-"""The feature families of the source paper (section 4.4.1): central filters, wavelets, thresholds, variances,
-templates, histograms.
+"""Extract the feature families of the source paper (section 4.4.1).
+
+Central filters, wavelets, thresholds, variances, templates, histograms.
 
 The paper names them; each documents what it measures here. All are functions of the contrast of chips (n, N_ROWS,
 N_COLUMNS) float64, ln of intensity over the chip's median, so no gain changes them, and none separates a chip from its

@@ -68,7 +68,7 @@ def test_brier_score_and_shares_are_those_of_counting() -> None:
 
 
 def test_right_tables_are_off_by_chance_alone() -> None:
-    errors = [mean_error(judge_predictions(tables(), drawn(2000, seed)).told) for seed in range(12)]
+    errors = [mean_error(judge_predictions(tables(), drawn(2000, seed)).judged) for seed in range(12)]
     error, by_chance, by_mission = np.mean(errors, axis=0)
     assert error == pytest.approx(by_chance, rel=0.25)
     assert by_chance <= by_mission < 1.5 * by_chance
@@ -136,7 +136,7 @@ def test_the_command_writes_tables_that_the_bench_judges(
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["calibrate", "performance", "--out", "{there}"], 2, "exists and is left alone"),
+        (["calibrate", "performance", "--out", "{there}"], 2, "exists and is not overwritten"),
         (["calibrate", "performance", "--out", "{none}/p.json"], 2, "Make it first"),
         (["bench", "performance", "--tables", "{none}"], 3, "cannot be read"),
         (["bench", "performance", "--tables", "{there}"], 3, "calibrate performance"),

@@ -1,0 +1,155 @@
+"""Define what a recorded log is, and read formats that other packages add through entry points.
+
+An entry point of the group `auv_mcm.logs` names a `LogReader`. Readers of other packages are imported only for a file
+in which no built-in format is recognised.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, Protocol
+
+from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.safe_files import open_regular
+from auv_mcm.settings.config import Config
+from auv_mcm.settings.plugins import Plugin, find_plugins, load_plugin, plugin_problem, remedy
+
+log = logging.getLogger(__name__)
+
+
+class Log(Protocol):
+    """Read one recorded log. Iterate for its events in order of time; every iteration starts anew, with new counters."""
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Return the size of each file in use, in order of time."""
+        ...
+
+    @property
+    def bytes_read(self) -> int: ...
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Count what reading skipped or mended so far."""
+        ...
+
+    def first_time_s(self) -> float:
+        """Find the time of the first ping, s since 1970. Raises BadInputError for a log that cannot be used."""
+        ...
+
+    def __iter__(self) -> Iterator[SourceEvent]: ...
+
+
+class LogReader(NamedTuple):
+    """Describe a format of logs, for an entry point of another package.
+
+    title: the format's name for people. recognises: whether a file is of this format, given its first bytes, 1 MiB at
+    most. events: yields the pings, navigation and notices of a file in order of time, each ping stamped with its
+    transmission; it is given the path, the file opened at its start for reading bytes, the configuration, and a counter
+    for what is skipped or mended, such as `myformat.damaged_records`. It may be called several times for one file. It
+    raises BadInputError, with the path, for a file that cannot be used; damage within a file is skipped and counted.
+    """
+
+    title: str
+    recognises: Callable[[bytes], bool]
+    events: Callable[[Path, BinaryIO, Config, Counter[str]], Iterator[SourceEvent]]
+
+
+class AddedFormat(NamedTuple):
+    """Hold a format that another package reads."""
+
+    plugin: Plugin
+    reader: LogReader
+
+    @property
+    def title(self) -> str:
+        """Return the format's name for people."""
+        return self.reader.title
+
+
+def added_formats(head: bytes) -> tuple[list[AddedFormat], list[str]]:
+    """Find the formats of other packages that recognise the first bytes of a file.
+
+    Returns them, and what is wrong with readers that do not work and what to do, a sentence each.
+    """
+    found: list[AddedFormat] = []
+    problems: list[str] = []
+    for plugin in find_plugins():
+        if plugin.kind != "logs":
+            continue
+        try:
+            reader = reader_of(plugin)
+            if reader.recognises(head):
+                found.append(AddedFormat(plugin, reader))
+        except UsageError as error:
+            problems.append(str(error))
+        except Exception as error:  # code of others raises whatever it likes
+            problems.append(f"{plugin}: failed with {error!r}. {remedy(plugin)}")
+    return found, problems
+
+
+def reader_of(plugin: Plugin) -> LogReader:
+    """Import a reader of logs. Raises UsageError if it cannot be used."""
+    if problem := plugin_problem(plugin, ()):
+        raise UsageError(f"log reader {problem}")
+    return load_plugin(plugin, LogReader)
+
+
+class AddedLog:
+    """Read a log by another package's code. Where that code fails, the log ends with a notice, and the mission goes on.
+
+    counters: those of the reader, and reader.failed.
+    """
+
+    def __init__(self, path: Path, added: AddedFormat, config: Config) -> None:
+        self._path, self._plugin, self._events, self._config = path, added.plugin, added.reader.events, config
+        self._size_bytes = path.stat().st_size
+        self._counters: Counter[str] = Counter()
+        self._file: BinaryIO | None = None
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        return {self._path: self._size_bytes}
+
+    @property
+    def bytes_read(self) -> int:
+        if self._file is None or self._file.closed:
+            return 0
+        return min(self._file.seek(0, os.SEEK_CUR), self._size_bytes)
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._counters
+
+    def first_time_s(self) -> float:
+        """Find the time of the first ping, s since 1970. Raises BadInputError for a log that cannot be used."""
+        failure = ""
+        for event in self:
+            if isinstance(event, Ping) and math.isfinite(event.time_s):
+                return event.time_s
+            failure = event.text if isinstance(event, Notice) else failure
+        raise BadInputError(failure or f"{self._path} holds no ping. Check that a sonar was connected.")
+
+    def __iter__(self) -> Iterator[SourceEvent]:
+        self._counters = Counter()
+        n_events = 0
+        with open_regular(self._path) as self._file:
+            try:
+                for event in self._events(self._path, self._file, self._config, self._counters):
+                    if not isinstance(event, Ping | NavSample | Notice):
+                        raise TypeError(f"an event is a {type(event).__name__}, not a Ping, NavSample or Notice")
+                    yield event
+                    n_events += 1
+            except (AuvMcmError, OSError):
+                raise
+            except Exception as error:  # code of others raises whatever it likes
+                self._counters["reader.failed"] += 1
+                log.exception("the reader %s failed", self._plugin)
+                text = f"{self._path} was read up to event {n_events} only: {self._plugin} failed with {error!r}. {remedy(self._plugin)}"
+                yield Notice(code="log_reader_failed", text=text, place=str(self._path))

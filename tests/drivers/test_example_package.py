@@ -1,0 +1,225 @@
+"""The example package at work: its sonar, its vehicle and its logs, through the doors that its users take."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from auv_mcm.cli import main
+from auv_mcm.clock import Stamp, SystemClock
+from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
+from auv_mcm.settings.config import Config, SonarConfig, parse_config
+from auv_mcm.shell.recovery import RECORDING
+from auv_mcm.shell.service import Service
+from drivers.port_source import PortSource
+from drivers.sonar.sonar_decoder import SonarFrame
+from drivers.sonar.sonars import sonar_named
+from sim_replay.fakes.port import FakePort
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, SampleRecorder, Scene, SceneObject, Seabed, Sonar, Track, World
+from tests.drivers.port_traffic import fix
+from tests.plugin_packages import importable, install_example
+
+RANGE_M: Final = 20.0
+FASTER: Final = 8.0  # than at sea, so that nobody waits
+SPEED_MPS: Final = 1.8
+CONFIG: Final = """
+service: {{source: ports, output_directory: "{folder}/out"}}
+navigation: {{max_speed_mps: 30}}
+vehicle: {{report_min_p_mine: 0.05}}
+ports:
+  - {{name: sonar, link: "serial://{folder}/sonar?baud=4000000", device: acme_sonar, sonar: {{range_m: 20}}}}
+  - {{name: ins, link: "serial://{folder}/ins?baud=115200", device: nmea0183}}
+  - {{name: vehicle, link: "serial://{folder}/vehicle?baud=115200", device: acme_vehicle, options: {{station: 7}}}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def site(tmp_path: Path) -> Iterator[Path]:
+    """Install the example package."""
+    install_example(tmp_path / "site")
+    with importable(tmp_path / "site"):
+        yield tmp_path / "site"
+
+
+@pytest.fixture(scope="module")
+def flown() -> list[SourceEvent]:
+    """Fly past a cylinder and a sphere on bare sand."""
+    sand = Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0)
+    recorder = SampleRecorder(samples="amplitude_uint16", seabed_counts=300.0)
+    scene = Scene(
+        seed=3,
+        world=World(depth_m=25.0, seabeds=(sand,), relief_rms_m=0.0),
+        objects=(
+            SceneObject(kind="cylinder", leg=0, along_m=12.0, across_m=11.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),
+            SceneObject(kind="sphere", leg=0, along_m=24.0, across_m=-12.0, width_m=0.8),
+        ),
+        sonar=Sonar(range_m=RANGE_M, n_samples=400, ping_rate_hz=12.0, recorder=recorder),
+        track=Track(plan=Lawnmower(n_legs=1, leg_m=36.0), altitude_m=4.0, speed_mps=SPEED_MPS, motion=STEADY),
+        navigation_error=EXACT,
+    )
+    return list(Mission(scene).events())
+
+
+def amplitudes(trace: EchoTrace | None) -> NDArray[np.uint16]:
+    assert trace is not None
+    samples: NDArray[np.uint16] = trace.samples
+    return samples
+
+
+def wire_of(ping: Ping, time_s: float) -> bytes:
+    """Encode a ping as an ACME sonar sends it. time_s: since its power-up."""
+    from acme_survey.sonar import AcmePing, encode  # type: ignore[import-not-found]  # installed by the test
+
+    port, starboard = amplitudes(ping.port), amplitudes(ping.starboard)
+    return bytes(encode(AcmePing(ping.number, round(1e3 * time_s), round(100 * RANGE_M), port, starboard)))
+
+
+def write_log(events: list[SourceEvent], path: Path) -> Path:
+    """Write a mission as an ACME log."""
+    lines = ['{"format": "acme-log"}']
+    for event in events:
+        if isinstance(event, NavSample):
+            pose = [event.latitude_deg, event.longitude_deg, math.degrees(event.heading_rad), event.depth_m, event.altitude_m]
+            lines.append(json.dumps({"fix": [event.time_s, *pose]}))
+        elif isinstance(event, Ping):
+            sides = {"port": amplitudes(event.port).tolist(), "starboard": amplitudes(event.starboard).tolist()}
+            lines.append(json.dumps({"ping": [event.number, event.time_s, RANGE_M], **sides}))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def features(contacts: Path) -> list[dict[str, Any]]:
+    return [feature["properties"] for feature in json.loads(contacts.read_bytes())["features"]]
+
+
+def test_a_log_of_its_format_is_replayed_to_contacts(flown: list[SourceEvent], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_log(flown, tmp_path / "mission.txt")
+    with log.open("a") as file:
+        file.write('{"ping": "torn')
+    assert main(["replay", str(log), "--out", str(tmp_path / "results")]) == 0
+    assert "contacts" in capsys.readouterr().out
+    likely = [contact for contact in features(tmp_path / "results" / "contacts.geojson") if contact["p_mine"] > 0.3]
+    assert sorted(contact["side"] for contact in likely) == ["port", "starboard"]
+    counters = json.loads((tmp_path / "results" / "summary.json").read_bytes())["counters"]
+    assert counters["acme_log.damaged_lines"] == 1
+
+
+def test_its_decoder_finds_every_whole_ping_however_the_bytes_come(flown: list[SourceEvent]) -> None:
+    pings = [event for event in flown if isinstance(event, Ping)][:5]
+    device = sonar_named("acme_sonar")
+    wire = b"".join(wire_of(ping, 0.1 * ping.number) for ping in pings)
+    damaged = b"ACME noise" + wire[:2000] + bytes(1) + wire[2001:]
+    for n_bytes in (1, 7, 1000, len(damaged)):
+        decoder = device.decoder(SonarConfig())
+        chunks = (damaged[start : start + n_bytes] for start in range(0, len(damaged), n_bytes))
+        frames = [frame for chunk in chunks for frame in decoder.feed(chunk, Stamp(0, 0))] + decoder.finish()
+        assert all(isinstance(frame, SonarFrame) for frame in frames)
+        assert [frame.number for frame in frames if isinstance(frame, SonarFrame)] == [0, 2, 3, 4]
+        assert decoder.counters["acme_sonar.messages"] == 4
+        assert decoder.counters["acme_sonar.refused.checksum"] == 1
+
+
+class Devices(threading.Thread):
+    """Run a sonar, a compass and a vehicle at ports in a folder. vehicle_lines: what the vehicle was sent."""
+
+    def __init__(self, folder: Path, messages: list[tuple[float, str, bytes]]) -> None:
+        super().__init__(name="devices", daemon=True)
+        self.plugged, self.begin, self.done, self.end = (threading.Event() for _ in range(4))
+        self.received: dict[str, bytes] = {"sonar": b"", "ins": b"", "vehicle": b""}
+        self._folder, self._messages = folder, messages
+
+    def run(self) -> None:
+        asyncio.run(self._run())
+
+    def _hear(self, name: str, data: bytes) -> None:
+        self.received[name] += data
+
+    async def _run(self) -> None:
+        ports = {
+            name: FakePort(self._folder / name, baud, on_bytes=lambda data, name=name: self._hear(name, data))  # type: ignore[misc]
+            for name, baud in (("sonar", 4_000_000), ("ins", 115_200), ("vehicle", 115_200))
+        }
+        for port in ports.values():
+            port.plug()
+        self.plugged.set()
+        while not self.begin.is_set():
+            await asyncio.sleep(0.01)
+        loop = asyncio.get_running_loop()
+        start_s = loop.time()
+        for due_s, at, data in self._messages:
+            await asyncio.sleep(max(0.0, start_s + due_s - loop.time()))
+            await ports[at].send(data)
+        self.done.set()
+        while not self.end.is_set():
+            await asyncio.sleep(0.01)
+        for port in ports.values():
+            port.unplug()
+
+
+def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
+    """List when each message is sent, s since the beginning, at which port."""
+    start_s = next(event.time_s for event in events if isinstance(event, Ping))
+    messages: list[tuple[float, str, bytes]] = []
+    for event in events:
+        if isinstance(event, NavSample):
+            time_s = (event.time_s - start_s) / FASTER
+            place = event.latitude_deg, event.longitude_deg, event.heading_rad
+            messages.append((time_s, "ins", fix(time_s, *place, FASTER * event.speed_mps)))
+            degrees = f"{event.latitude_deg} {event.longitude_deg} {math.degrees(event.heading_rad)}"
+            messages.append((time_s, "vehicle", f"STATE {degrees} {event.depth_m} {event.altitude_m} {event.speed_mps}\n".encode()))
+        elif isinstance(event, Ping):
+            time_s = (event.time_s - start_s) / FASTER
+            messages.append((time_s + 2.0 * RANGE_M / 1500.0, "sonar", wire_of(event, time_s)))
+    return sorted(messages, key=lambda message: message[0])
+
+
+async def served(config: Config, devices: Devices) -> Path:
+    source = PortSource(config, SystemClock())
+    service = Service(config, source, console=lambda line: None)
+    serving = asyncio.ensure_future(service.run())
+    try:
+        while not (source.health() == "ports=sonar:up,ins:up,vehicle:up" or serving.done()):
+            await asyncio.sleep(0.01)
+        devices.begin.set()
+        while not (devices.done.is_set() or serving.done()):
+            await asyncio.sleep(0.05)
+    finally:
+        service.stop()
+    try:
+        return await serving
+    finally:
+        devices.end.set()
+
+
+def test_its_sonar_and_vehicle_are_served_live(flown: list[SourceEvent], tmp_path: Path) -> None:
+    config = parse_config(CONFIG.format(folder=tmp_path), "vehicle.yaml")
+    devices = Devices(tmp_path, messages_of(flown))
+    devices.start()
+    assert devices.plugged.wait(10.0)
+    live = asyncio.run(served(config, devices))
+    devices.join(10.0)
+
+    n_pings = sum(isinstance(event, Ping) for event in flown)
+    counters = json.loads((live / "summary.json").read_bytes())["counters"]
+    assert counters["port.sonar.acme_sonar.messages"] == n_pings
+    assert counters["port.vehicle.acme_vehicle.messages"] > 0
+    assert devices.received["sonar"].startswith(b"RANGE020")
+    lines = devices.received["vehicle"].decode("ascii").splitlines()
+    assert "HEALTH 7 normal" in lines
+    reported = [line.split() for line in lines if line.startswith("CONTACT 7 ")]
+    found = [contact for contact in features(live / "contacts.geojson") if contact["p_mine"] >= 0.05]
+    assert found
+    assert {f"C{int(number):05d}" for _, _, number, *_ in reported} >= {contact["id"] for contact in found}
+
+    assert main(["replay", str(live / RECORDING), "--out", str(tmp_path / "again")]) == 0
+    assert (tmp_path / "again" / "contacts.geojson").read_bytes() == (live / "contacts.geojson").read_bytes()
