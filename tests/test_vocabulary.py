@@ -14,7 +14,7 @@ ROOT: Final = Path(__file__).parents[1]
 REPLACED: Final = re.compile(r"(?<![a-z])(tells?|told|telling|things?|rivals?|seams?)(?![a-z])", re.IGNORECASE)
 TEXT: Final = (".py", ".c", ".md", ".j2", ".yaml", ".sh")
 # Uses left in each part, to be lowered and never raised.
-LIMITS: Final = {"auv_mcm": 121, "drivers": 6, "sim_replay": 10, "tests": 8, "README.md": 0}
+LIMITS: Final = {"auv_mcm": 5, "drivers": 6, "sim_replay": 10, "tests": 8, "README.md": 0}
 
 
 def uses(part: str) -> Counter[str]:
