@@ -2,9 +2,9 @@
 
     newest rows -> cascade -> detection -> confirmation -> early contact -> what the finished tile makes of it
 
-Early contacts have ids of their own and stand in no result: what the finished mission says is the same with them and without. Rows are
-looked at once, a few metres at a time, with less sea floor around them than their tile will have. Most rows show nothing that the cascade
-alone makes likely and go no further; of the others only likely mines are measured and confirmed.
+Early contacts have ids of their own and appear in no result: a finished mission gives the same results with and without them. Rows are
+examined once, a few metres at a time, with less sea floor around them than their tile will have. Most rows hold nothing that the cascade
+finds likely and go no further; in the others only likely mines are measured and confirmed.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class _FinalView(NamedTuple):
 
 
 class EarlyLook:
-    """Find early contacts, and say of each what became of it. Uses nothing but what came before, and changes nothing of that."""
+    """Find early contacts, and report what became of each. Reads results of the chain and changes none."""
 
     def __init__(self, config: Config, model: CascadeModel | None, gate: Gate | None, odds: MineOdds, prior: float) -> None:
         """model: the cascade; contrasts serve without one. odds, prior: of a mine, as for the finished tile."""
@@ -101,7 +101,7 @@ class EarlyLook:
         return [self._announced(view) for view in sorted(found, key=lambda d: (d.time_s, d.side, d.column))]
 
     def resolve(self, settled: dict[Side, float], final: Iterable[Detection], contacts: Sequence[Contact]) -> list[EarlyContact]:
-        """Say what became of early contacts whose tile is finished.
+        """Report what became of early contacts whose tile is finished.
 
         settled: row of the mission grid, per side, before which all detections are final. final: those that became so, with all
         confirmation. contacts: those reported because of them.

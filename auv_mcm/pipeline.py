@@ -151,8 +151,11 @@ class Pipeline:
         return self._ledger.asking(min_p_mine)
 
     def leave_room(self, room: float) -> None:
-        """Let the tiles to come take that share, 0 to 1, of the time that passes over them; at 1, as at first, the configuration alone
-        bounds them. For a service that is behind."""
+        """Bound the work on tiles to come, for a service that is behind.
+
+        room: share, 0 to 1, of the time that passes over a tile. At 1, the initial value, the configuration alone bounds the work. Below
+        1 there are no early looks.
+        """
         self._room = room
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
