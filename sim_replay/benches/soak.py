@@ -182,7 +182,7 @@ def killed(n_kills: int, seed: int, folder: Path) -> Iterator[KillOutcome]:
     for index in range(n_kills):
         after_contact = index % 2 == 1
         wait_s = float(random.uniform(0.0, _AFTER_CONTACT_S if after_contact else _SETTLE_S + duration_s / _KILL_SPEED))
-        yield _kill(read, folder / f"kill-{index}", "contact " if after_contact else " ready: ", wait_s)
+        yield _kill(read, folder / f"kill-{index}", "contact C" if after_contact else " ready: ", wait_s)
 
 
 def not_in_journal(console: Sequence[str], journal: bytes) -> tuple[str, ...]:
