@@ -1,14 +1,15 @@
 """Plan how much work a tile may cost: a price list, a share of one core, and the order in which work is done.
 
-Work is counted, never timed: so many microseconds per unit of work, from the configuration. The same log and configuration therefore
-give the same bytes on every computer and under any load; `auv-mcm calibrate budget` measures the prices of a computer.
+Work is counted, never timed: so many microseconds per unit of work, from the configuration. The same log and
+configuration therefore give the same bytes on every computer and under any load; `auv-mcm calibrate budget` measures
+the prices of a computer.
 
-    the cheapest pass: waterfall, contrasts and their clear peaks, sea floor, coverage, measuring     always done
-    the cascade's windows, best first                                                               with what is left, less two looks
-    close looks, likeliest first                                                                    only if no window was cut
+    always done: waterfall, contrasts and their clear peaks, sea floor, coverage, measuring
+    then, with what is left less the price of two looks: the cascade's windows, best first
+    then, only if no window was cut: close looks, likeliest first
 
-A stage gets nothing before all work of the stage before it is paid. The windows of a smaller budget are therefore among those of a larger
-one, and so are the looks: whatever is done with a smaller budget is done with a larger one as well.
+A stage gets nothing before all work of the stage before it is paid. The windows of a smaller budget are therefore among
+those of a larger one, and so are the looks: whatever is done with a smaller budget is done with a larger one as well.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ MOVES_PER_LOOK: Final = 140
 HYPOTHESES_PER_LOOK: Final = 6600
 """Hypotheses on solids that a close look weighs, on average over looks on the named scene `rough`: 6627 there."""
 CHEAPER_STAGE_WORTH: Final = 0.5
-"""Share of coverage that is left where a stage stopped at its cheaper predecessor: contrasts without the cascade, the cascade without a
-close look. Measured by `auv-mcm bench chain --knobs budget`: see docs/run-time.md."""
+"""Share of coverage that is left where a stage stopped at its cheaper predecessor: contrasts without the cascade, the
+cascade without a close look. Measured by `auv-mcm bench chain --knobs budget`: see docs/run-time.md."""
 RESERVED_LOOKS: Final = 2
-"""Close looks without which windows are not begun: the cascade without any look found less at equal false alarms than clear contrasts
-(Pd of 0.05 and 0.14 at 10 per km² on flat, ripple and rough)."""
+"""Close looks without which windows are not begun: the cascade without any look found less at equal false alarms than
+clear contrasts (Pd of 0.05 and 0.14 at 10 per km² on flat, ripple and rough)."""
 _US_PER_S: Final = 1e6
 
 
@@ -75,10 +76,11 @@ def look_price_us(prices: BudgetConfig) -> float:
 
 
 def tile_allowance(tile: Tile, n_samples: float, n_sides: int, budget: BudgetConfig, room: float = 1.0) -> Allowance:
-    """Give a tile its budget: the time that the vehicle took to sail past its core, times the duty, over the number of sides.
+    """Give a tile its budget: the time that the vehicle took to sail past its core, times the duty, over the number of
+    sides.
 
-    n_samples: stored samples that went into it. room: share of that time, 0 to 1, that a service which is behind has left; 1 changes
-    nothing. A tile whose times are unknown has no time: the cheapest pass is all that is done.
+    n_samples: stored samples that went into it. room: share of that time, 0 to 1, that a service which is behind has
+    left; 1 changes nothing. A tile whose times are unknown has no time: the cheapest pass is all that is done.
     """
     n_pixels = (tile.core_stop - tile.core_start) * tile.mask.shape[1]
     cheapest_us = n_samples * budget.sample_us + n_pixels * budget.pixel_us
@@ -99,11 +101,14 @@ def tile_duration_s(tile: Tile) -> float:
     return max(float(times.max() - times.min()), 0.0) * n_rows / max(n_rows - 1, 1)
 
 
-def pay_looks(result: TileDetections, allowance: Allowance, p_mine: Callable[[Detection], float], min_p_mine: float) -> TileDetections:
-    """Let the likeliest detections of a tile have a close look, as many as are paid, and say what share of its coverage is earned.
+def pay_looks(
+    result: TileDetections, allowance: Allowance, p_mine: Callable[[Detection], float], min_p_mine: float
+) -> TileDetections:
+    """Let the likeliest detections of a tile have a close look, as many as are paid, and say what share of its coverage
+    is earned.
 
-    p_mine: of a detection before a close look, which may not depend on other tiles; the others beyond those paid, of at least min_p_mine,
-    lose their surroundings, without which there is no look. No look is paid where windows were cut.
+    p_mine: of a detection before a close look, which may not depend on other tiles; the others beyond those paid, of at
+    least min_p_mine, lose their surroundings, without which there is no look. No look is paid where windows were cut.
     """
     if not allowance.is_limited:
         return result
@@ -125,8 +130,9 @@ def pay_looks(result: TileDetections, allowance: Allowance, p_mine: Callable[[De
 def covered_share(n_windows: int, n_cut: int, looked_at: float) -> float:
     """Give the share of a tile's coverage that is earned, 0 to 1, when n_cut of n_windows were cut.
 
-    looked_at: share of the mines to be expected among detections worth a close look that had one; 0 where windows were cut, since no look
-    is made there and nothing is known of those that would be worth one. More windows and more looks never earn less.
+    looked_at: share of the mines to be expected among detections worth a close look that had one; 0 where windows were
+    cut, since no look is made there and nothing is known of those that would be worth one. More windows and more looks
+    never earn less.
     """
     cut = n_cut / n_windows if n_windows else 0.0
     looked_at = 0.0 if n_cut else looked_at

@@ -20,7 +20,9 @@ from typing import Final, TypeAlias
 _UNSAFE: Final = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff\ufffe\uffff\U000e0000-\U000e007f]"
 )
-_Exception: TypeAlias = "tuple[type[BaseException], BaseException, types.TracebackType | None] | tuple[None, None, None]"
+_Exception: TypeAlias = (
+    "tuple[type[BaseException], BaseException, types.TracebackType | None] | tuple[None, None, None]"
+)
 
 
 def is_clean(text: str) -> bool:

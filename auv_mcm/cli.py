@@ -53,12 +53,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _missing(error: Exception) -> int:
-    """Say how to install a package that is missing. Raises the error again for a module of our own, which is a defect."""
+    """Say how to install a package that is missing. Raises the error again for a module of our own, which is a
+    defect."""
     package = (getattr(error, "name", None) or "").partition(".")[0]
     if package in ("", "auv_mcm", "drivers", "sim_replay"):
         raise error
     if package in _BENCH_EXTRA:
-        return _fail(f"this command needs the package {package}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code)
+        return _fail(
+            f"this command needs the package {package}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code
+        )
     return _fail(f"the package {package} is missing: python -m pip install auv-mcm", UsageError.exit_code)
 
 
@@ -77,7 +80,10 @@ def _fail(text: str, code: int) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="auv-mcm",
-        description="Payload service of a mine-hunting AUV: side-scan pings and navigation in, contacts, coverage and way-points out.",
+        description=(
+            "Payload service of a mine-hunting AUV: side-scan pings and navigation in, contacts, coverage and "
+            "way-points out."
+        ),
         epilog=f"'auv-mcm COMMAND --help' explains a command. {EXIT_CODES}.",
     )
     parser.add_argument("--version", action="version", version=f"auv-mcm {__version__}")

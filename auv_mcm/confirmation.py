@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import vacuous
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.evidence import ClassEvidence, view_mass
-from auv_mcm.classify.features import Features, contour_features, detector_features, outline_features, shape_features, with_shape
+from auv_mcm.classify.features import (
+    Features,
+    contour_features,
+    detector_features,
+    outline_features,
+    shape_features,
+    with_shape,
+)
 from auv_mcm.classify.fit import Effort, ShapeFit, ShapeFits, fit_to
 from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
@@ -136,7 +143,11 @@ def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> D
     """Return the detection with p_mine from the detector's measurements alone, and the reason why."""
     p_detector = detector_p_mine(detection, odds)
     return msgspec.structs.replace(
-        detection, p_mine=p_detector, p_by_step={"detector": p_detector}, reasons=(*detection.reasons, reason), surroundings=None
+        detection,
+        p_mine=p_detector,
+        p_by_step={"detector": p_detector},
+        reasons=(*detection.reasons, reason),
+        surroundings=None,
     )
 
 
@@ -264,7 +275,9 @@ def shape_mass(fits: ShapeFits, poor: bool) -> NDArray[np.float64]:
     return view_mass(evidence, _POOR_QUALITY if poor else _QUALITY) if evidence else vacuous()
 
 
-def _confirmation(detection: Detection, surroundings: Surroundings, examination: Examination, log_ratio: float) -> Confirmation:
+def _confirmation(
+    detection: Detection, surroundings: Surroundings, examination: Examination, log_ratio: float
+) -> Confirmation:
     contours, fits = examination.contours, examination.fits
     best = fits.fits[0] if fits is not None and fits.fits else None
     reasons = (*contours.reasons, *(() if fits is None else fits.flags), *(() if best is None else best.flags))

@@ -53,5 +53,7 @@ def defect_notice(defect: Defect, what: str, consequence: str, place: str) -> No
         raise warning from defect.error
     advice = "Free memory" if isinstance(defect.error, MemoryError) else "This is a defect: report it with the log"
     return Notice(
-        code="pipeline.tile_failed", text=f"{what} failed ({defect.text}). {consequence} {advice}. More are counted.", place=place
+        code="pipeline.tile_failed",
+        text=f"{what} failed ({defect.text}). {consequence} {advice}. More are counted.",
+        place=place,
     )

@@ -1,10 +1,12 @@
-"""Look at the newest rows before their tile is complete, so that a likely mine is announced some ten seconds after it was passed.
+"""Look at the newest rows before their tile is complete, so that a likely mine is announced some ten seconds after it
+was passed.
 
     newest rows -> cascade -> detection -> confirmation -> early contact -> what the finished tile makes of it
 
-Early contacts have ids of their own and appear in no result: a finished mission gives the same results with and without them. Rows are
-examined once, a few metres at a time, with less sea floor around them than their tile will have. Most rows hold nothing that the cascade
-finds likely and go no further; in the others only likely mines are measured and confirmed.
+Early contacts have ids of their own and appear in no result: a finished mission gives the same results with and without
+them. Rows are examined once, a few metres at a time, with less sea floor around them than their tile will have. Most
+rows hold nothing that the cascade finds likely and go no further; in the others only likely mines are measured and
+confirmed.
 """
 
 from __future__ import annotations
@@ -29,19 +31,25 @@ from auv_mcm.records import SIDES, Contact, Detection, EarlyContact, Side, Tile,
 from auv_mcm.settings.config import Config
 
 EARLY_P_MINE: Final = 0.1
-"""Lowest p_mine of an early contact. On scenes flat, rough and deep (seed 41) 88 of 99 views that end at 0.2 or more reach it where a look
-follows every detector p_mine of 0.03."""
+"""Lowest p_mine of an early contact. On scenes flat, rough and deep (seed 41) 88 of 99 views that end at 0.2 or more
+reach it where a look follows every detector p_mine of 0.03."""
 AHEAD_M: Final = 3.0
-"""Newest track that is not looked at yet, m: most of the 4 m of sea floor before and behind an object that confirmation looks at."""
-_STEP_M: Final = 6.0  # minimum of new track, m: less is found no sooner, for rows come in blocks of 32 pings, and costs more
+"""Newest track that is not looked at yet, m: most of the 4 m of sea floor before and behind an object that confirmation
+looks at."""
+_STEP_M: Final = (
+    6.0  # minimum of new track, m: less is found no sooner, for rows come in blocks of 32 pings, and costs more
+)
 _BEHIND_M: Final = 8.0  # of track before it, m: the 7.5 m that a score depends on
 _PROMISING_SCORE: Final = 1.5
-"""Of the cascade, in half log-odds: on flat (seed 41) as many views are found as with 0.9, from 52 of 134 strips instead of 71."""
+"""Of the cascade, in half log-odds: on flat (seed 41) as many views are found as with 0.9, from 52 of 134 strips
+instead of 71."""
 _WORTH_A_LOOK: Final = 0.06
-"""p_mine below which the first look ends: 111 looks instead of 154 on rough (seed 41), with 2.0 for the constant above."""
+"""p_mine below which the first look ends: 111 looks instead of 154 on rough (seed 41), with 2.0 for the constant
+above."""
 _MAX_COMPARISONS: Final = 8_000_000  # of the cascade in a strip: 8 ms by the shipped price list
 _NO_CONTRAST_ALONE: Final = 1e-30  # tail probability, of 11 deviates: what the cascade does not find can wait
-_SAME_M: Final = 2.5  # between an early contact and the detection of the same object, along and across: what suppression takes for one
+# Between an early contact and the detection of the same object, along and across: what suppression takes for one
+_SAME_M: Final = 2.5
 
 
 class _Pending(NamedTuple):
@@ -59,7 +67,9 @@ class _FinalView(NamedTuple):
 class EarlyLook:
     """Find early contacts, and report what became of each. Reads results of the chain and changes none."""
 
-    def __init__(self, config: Config, model: CascadeModel | None, gate: Gate | None, odds: MineOdds, prior: float) -> None:
+    def __init__(
+        self, config: Config, model: CascadeModel | None, gate: Gate | None, odds: MineOdds, prior: float
+    ) -> None:
         """model: the cascade; contrasts serve without one. odds, prior: of a mine, as for the finished tile."""
         self.counters: Counter[str] = Counter()
         share = _STEP_M / (config.waterfall.tile_rows * config.waterfall.row_spacing_m)
@@ -100,11 +110,13 @@ class EarlyLook:
                 found += self._likely(strip, allowance, max_evaluations)
         return [self._announced(view) for view in sorted(found, key=lambda d: (d.time_s, d.side, d.column))]
 
-    def resolve(self, settled: dict[Side, float], final: Iterable[Detection], contacts: Sequence[Contact]) -> list[EarlyContact]:
+    def resolve(
+        self, settled: dict[Side, float], final: Iterable[Detection], contacts: Sequence[Contact]
+    ) -> list[EarlyContact]:
         """Report what became of early contacts whose tile is finished.
 
-        settled: row of the mission grid, per side, before which all detections are final. final: those that became so, with all
-        confirmation. contacts: those reported because of them.
+        settled: row of the mission grid, per side, before which all detections are final. final: those that became so,
+        with all confirmation. contacts: those reported because of them.
         """
         if not self._pending:
             return []
@@ -157,7 +169,9 @@ class EarlyLook:
         return EarlyContact(contact=contact, state="found")
 
     def _resolved(self, pending: _Pending) -> EarlyContact:
-        near = [each for each in self._final[pending.view.side] if each.contact_id and _are_same(each.view, pending.view)]
+        near = [
+            each for each in self._final[pending.view.side] if each.contact_id and _are_same(each.view, pending.view)
+        ]
         if not near:
             self.counters["early.withdrawn"] += 1
             return EarlyContact(contact=pending.contact, state="withdrawn")

@@ -46,7 +46,9 @@ class PingBlock(NamedTuple):
             return self
         rows = slice(first, stop)
         poses = slice_pose(self.poses, rows)
-        return PingBlock(self.pings[rows], poses, self.along_m[rows], self.yaw_rate_rad_s[rows], self.pitch_rate_rad_s[rows])
+        return PingBlock(
+            self.pings[rows], poses, self.along_m[rows], self.yaw_rate_rad_s[rows], self.pitch_rate_rad_s[rows]
+        )
 
 
 class SegmentEnd(NamedTuple):
@@ -83,7 +85,9 @@ class Intake:
         self._previous_speed_mps = math.nan
         self._along_m = config.waterfall.max_ping_gap_m  # the first ping stands for half a gap of track before it
         self._last_time_s = math.nan
-        self._max_wait_s = _RATE_HALF_SPAN_S + 2.0 * max(config.navigation.max_gap_s, config.navigation.max_extrapolation_s)
+        self._max_wait_s = _RATE_HALF_SPAN_S + 2.0 * max(
+            config.navigation.max_gap_s, config.navigation.max_extrapolation_s
+        )
 
     @property
     def navigation_counters(self) -> Counter[str]:
@@ -244,7 +248,9 @@ class Intake:
             return
         altitude_m = np.where(np.isfinite(poses.altitude_m), poses.altitude_m, [ping.altitude_m for ping in pings])
         range_m = max(
-            trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in (pings[0].port, pings[0].starboard) if trace
+            trace.first_range_m + trace.spacing_m * trace.samples.shape[0]
+            for trace in (pings[0].port, pings[0].starboard)
+            if trace
         )
         beyond = altitude_m > range_m
         self._altitude_check.add(int(np.count_nonzero(np.isfinite(altitude_m))), int(np.count_nonzero(beyond)))
@@ -257,7 +263,8 @@ class Intake:
             return
         altitude_m, range_m, place = self._last_beyond
         text = (
-            f"altitude ({altitude_m:.1f} m) is greater than the sonar's range ({range_m:.1f} m) in most pings: no echo can come from the "
+            f"altitude ({altitude_m:.1f} m) is greater than the sonar's range ({range_m:.1f} m) in most pings: no echo "
+            "can come from the "
             "sea floor. Check the altimeter and its unit, and the range setting of the sonar."
         )
         self._beyond_range = Notice(code="navigation.altitude_beyond_range", text=text, place=place)
@@ -274,7 +281,11 @@ class Intake:
             along[0] = self._along_m + max(mean * (times[0] - self._last_time_s), _MIN_STEP_M)
         steps = np.maximum(0.5 * (speed[:-1] + speed[1:]) * np.diff(times), _MIN_STEP_M)
         along[1:] = along[0] + np.cumsum(steps)
-        self._along_m, self._previous_speed_mps, self._last_time_s = float(along[-1]), float(speed[-1]), float(times[-1])
+        self._along_m, self._previous_speed_mps, self._last_time_s = (
+            float(along[-1]),
+            float(speed[-1]),
+            float(times[-1]),
+        )
         return block._replace(along_m=along)
 
 

@@ -13,7 +13,9 @@ SHIPPED: Final = "shipped"
 Model = TypeVar("Model")
 
 
-def read_model(key: str, name: str, parse: Callable[[bytes, str], Model], shipped: Callable[[], Model], else_: str = "") -> Model:
+def read_model(
+    key: str, name: str, parse: Callable[[bytes, str], Model], shipped: Callable[[], Model], else_: str = ""
+) -> Model:
     """Read the model that a configuration key names: `shipped`, or the path of a file.
 
     key: for messages, e.g. detect.model. parse: bytes and the place for messages to a model. else_: for messages, other

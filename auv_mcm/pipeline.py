@@ -1,9 +1,11 @@
 """The one chain from pings and navigation to contacts: synchronous, deterministic, the same live and replayed.
 
-    events -> intake -> waterfall -> detection -> sea floor and coverage -> suppression -> confirmation -> ledger -> events
+    events -> intake -> waterfall -> detection -> sea floor and coverage
+           -> suppression -> confirmation -> ledger -> events
 
-What comes out depends on the events that went in and on the configuration alone: not on how the stream was cut up, on threads,
-or on the time of day. Stages neither read clocks nor touch files; a timer may be injected to learn what they cost.
+What comes out depends on the events that went in and on the configuration alone: not on how the stream was cut up, on
+threads, or on the time of day. Stages neither read clocks nor touch files; a timer may be injected to learn what they
+cost.
 """
 
 from __future__ import annotations
@@ -63,12 +65,13 @@ from auv_mcm.waterfall.waterfall import Waterfall
 class Pipeline:
     """Feed it events in the order they were recorded; it returns what became final.
 
-    `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same id,
-    when another view joins them or their call turns. without_skips: skips of `auv_mcm.skips` that are switched off. `detect`,
-    `look` and `seabed` take the place of detection in a tile, of confirmation of a detection, and of the kinds of sea floor in a tile, to
-    compare with others or to learn from what is seen.
+    `contacts` holds the contacts so far, `counters` everything skipped or degraded. Contacts come again, under the same
+    id, when another view joins them or their call turns. without_skips: skips of `auv_mcm.skips` that are switched off.
+    `detect`, `look` and `seabed` take the place of detection in a tile, of confirmation of a detection, and of the
+    kinds of sea floor in a tile, to compare with others or to learn from what is seen.
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
-    early: look at the newest rows before their tile is complete and announce early contacts; all else is the same without.
+    early: look at the newest rows before their tile is complete and announce early contacts; all else is the same
+    without.
 
     The models that `config.detect` names are read here, once. Raises BadInputError if one cannot be.
     """
@@ -96,7 +99,9 @@ class Pipeline:
         self._law = LawWatch(config.sonar)
         self._undecided: list[Ping] = []  # pings whose samples cannot be read yet
         self._waterfall: Waterfall | None = None
-        self._suppressors = {side: Suppressor(config.detect, config.waterfall.row_spacing_m, self._counts) for side in SIDES}
+        self._suppressors = {
+            side: Suppressor(config.detect, config.waterfall.row_spacing_m, self._counts) for side in SIDES
+        }
         model, self._detector = fitting(configured_model(config), config)
         # The gate forecasts what confirmation says.
         gate = shipped_gate() if config.confirm.enabled else None
@@ -104,23 +109,36 @@ class Pipeline:
             model = rejecting_last(model)
         own = partial(detect_tile, config=config, model=model, gate=gate, without_skips=without_skips)
         self._detect_in: Callable[[Tile, int | None], TileDetections] = (
-            (lambda tile, max_evaluations: own(tile, max_evaluations=max_evaluations)) if detect is None else lambda tile, _: detect(tile)
+            (lambda tile, max_evaluations: own(tile, max_evaluations=max_evaluations))
+            if detect is None
+            else lambda tile, _: detect(tile)
         )
         self._room = 1.0
         self._n_new_samples = 0  # stored, since the last tiles
         self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = math.radians(config.sonar.beam_width_deg)
         self._look_closely = look or partial(
-            confirm_detection, beam_width_rad=beam_width_rad, odds=self._odds, config=config.confirm, without_skips=without_skips
+            confirm_detection,
+            beam_width_rad=beam_width_rad,
+            odds=self._odds,
+            config=config.confirm,
+            without_skips=without_skips,
         )
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         # What is known of backgrounds is in log-odds that confirmation ends with.
-        background = shipped_background().prior("contrast" if model is None else "cascade") if config.confirm.enabled else None
+        background = (
+            shipped_background().prior("contrast" if model is None else "cascade") if config.confirm.enabled else None
+        )
         self._calls = CallWatch(config.contacts, background)
-        # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped one measures.
+        # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped
+        # one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
         self._places = PlaceCounts()
-        self._early = EarlyLook(config, model, gate, self._odds, self._odds.prior if config.confirm.enabled else 0.0) if early else None
+        self._early = (
+            EarlyLook(config, model, gate, self._odds, self._odds.prior if config.confirm.enabled else 0.0)
+            if early
+            else None
+        )
         self._grid: CoverageGrid | None = None
         self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
         self._finished = False
@@ -153,8 +171,8 @@ class Pipeline:
     def leave_room(self, room: float) -> None:
         """Bound the work on tiles to come, for a service that is behind.
 
-        room: share, 0 to 1, of the time that passes over a tile. At 1, the initial value, the configuration alone bounds the work. Below
-        1 there are no early looks.
+        room: share, 0 to 1, of the time that passes over a tile. At 1, the initial value, the configuration alone
+        bounds the work. Below 1 there are no early looks.
         """
         self._room = room
 
@@ -169,7 +187,9 @@ class Pipeline:
         prepared = self._prepare(event)
         if prepared is None:
             return []
-        self._n_new_samples += sum(trace.samples.size for trace in (prepared.port, prepared.starboard) if trace is not None)
+        self._n_new_samples += sum(
+            trace.samples.size for trace in (prepared.port, prepared.starboard) if trace is not None
+        )
         events: list[PipelineEvent] = [*self._check_samples(prepared)]
         with self._timed("law"):
             verdict = self._law.add(prepared)
@@ -214,7 +234,9 @@ class Pipeline:
 
     def _check_samples(self, ping: Ping) -> list[Notice]:
         traces = {"port": ping.port, "starboard": ping.starboard}
-        return [n for side in SIDES if (t := traces[side]) is not None for n in self._samples[side].check(t, ping.place)]
+        return [
+            n for side in SIDES if (t := traces[side]) is not None for n in self._samples[side].check(t, ping.place)
+        ]
 
     def _usable(self, trace: EchoTrace | None, side: Side) -> EchoTrace | None:
         if trace is None:
@@ -270,7 +292,14 @@ class Pipeline:
         self._counts["pipeline.early_look_failed"] += 1
         if self._counts["pipeline.early_look_failed"] > 1:
             return []
-        return [defect_notice(found, "the early look", "Contacts come when their tile is complete; the mission goes on.", "newest rows")]
+        return [
+            defect_notice(
+                found,
+                "the early look",
+                "Contacts come when their tile is complete; the mission goes on.",
+                "newest rows",
+            )
+        ]
 
     def _look(self, tiles: list[Tile]) -> list[PipelineEvent]:
         if not tiles:
@@ -313,7 +342,9 @@ class Pipeline:
             self._counts["detect.over_budget"] += result.n_over_budget
             self._counts["detect.without_position"] += result.n_without_position
             with self._timed("suppress"):
-                settled.append(self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop, result.faint))
+                settled.append(
+                    self._suppressors[tile.side].add(result.detections, tile.first_row + tile.core_stop, result.faint)
+                )
         return events + self._conclude(settled)
 
     def _cover(self, tile: Tile, evaluated: float) -> CoveragePatch:
@@ -337,8 +368,12 @@ class Pipeline:
     def _cells_around(self, tile: Tile) -> CoverageGrid | None:
         """Give the mission's cells, whose plane touches the Earth where its first tile with a position begins."""
         if self._grid is None and (placed := np.flatnonzero(placed_rows(tile))).size:
-            latitude_deg, longitude_deg = (float(part[placed[0]]) for part in (tile.pose.latitude_deg, tile.pose.longitude_deg))
-            self._grid = CoverageGrid(LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m)
+            latitude_deg, longitude_deg = (
+                float(part[placed[0]]) for part in (tile.pose.latitude_deg, tile.pose.longitude_deg)
+            )
+            self._grid = CoverageGrid(
+                LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg), self._config.plan.cell_m
+            )
         return self._grid
 
     def _detect(self, tile: Tile, allowance: Allowance) -> TileDetections | Defect | None:
@@ -360,10 +395,14 @@ class Pipeline:
         n_rows = [tile.core_stop - tile.core_start for tile in tiles]
         per_row, self._n_new_samples = self._n_new_samples / max(sum(n_rows), 1), 0
         n_sides = len({tile.side for tile in tiles})
-        return [tile_allowance(tile, per_row * n, n_sides, self._config.budget, self._room) for tile, n in zip(tiles, n_rows, strict=True)]
+        return [
+            tile_allowance(tile, per_row * n, n_sides, self._config.budget, self._room)
+            for tile, n in zip(tiles, n_rows, strict=True)
+        ]
 
     def _too_dear(self, tiles: list[Tile], allowances: list[Allowance]) -> list[PipelineEvent]:
-        """Count tiles whose cheapest pass is beyond their budget; the first one by the configuration alone is reported."""
+        """Count tiles whose cheapest pass is beyond their budget; the first one by the configuration alone is
+        reported."""
         dear = [(tile, one) for tile, one in zip(tiles, allowances, strict=True) if one.cheapest_us > one.total_us]
         is_first = not self._counts["budget.cheapest_pass_over"] and self._room >= 1.0
         self._counts["budget.cheapest_pass_over"] += len(dear)
@@ -397,18 +436,26 @@ class Pipeline:
             return []
         detection, defect = defects[0]
         place = f"{detection.side}, ping {detection.ping_number}"
-        return [defect_notice(defect, "confirmation", "That detection keeps the detector's p_mine; the mission goes on.", place)]
+        return [
+            defect_notice(
+                defect, "confirmation", "That detection keeps the detector's p_mine; the mission goes on.", place
+            )
+        ]
 
     def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int, list[tuple[Detection, Defect]]]:
-        """The detections of one tile, looked at; how many more there were than may be; those on which confirmation failed."""
+        """The detections of one tile, looked at; how many more there were than may be; those on which confirmation
+        failed."""
         config = self._config.confirm
         if not config.enabled:
             return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0, []
-        # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not know.
+        # Without a bound nothing is asked of the odds, so that new ones can be fitted on features that they do not
+        # know.
         takes_all = config.min_p_mine <= 0.0 or "detector-odds" in self._without_skips
         worthwhile = [takes_all or is_worth_confirming(detection, self._odds, config) for detection in detections]
         wanted = [d for d, worth in zip(detections, worthwhile, strict=True) if worth]
-        best_first = sorted((d for d in wanted if d.surroundings is not None), key=lambda d: (-d.p_mine, d.row, d.column))
+        best_first = sorted(
+            (d for d in wanted if d.surroundings is not None), key=lambda d: (-d.p_mine, d.row, d.column)
+        )
         unpaid = [d for d in wanted if d.surroundings is None]
         self._counts["confirm.beyond_budget"] += len(unpaid)
         most = len(best_first) if "look-limit" in self._without_skips else config.max_per_tile
@@ -441,29 +488,39 @@ class Pipeline:
 def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
     return Notice(
         code="confirm.over_budget",
-        text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's p_mine. "
+        text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's "
+        "p_mine. "
         "Raise confirm.max_per_tile if the computer can afford it. More are counted.",
         place=f"{detection.side}, ping {detection.ping_number}",
     )
 
 
 def _cheapest_pass_over(tile: Tile, allowance: Allowance) -> Notice:
-    share = "unknown" if allowance.total_us <= 0.0 else f"{allowance.cheapest_us / allowance.total_us:.2g} times what budget.duty allows"
+    share = (
+        "unknown"
+        if allowance.total_us <= 0.0
+        else f"{allowance.cheapest_us / allowance.total_us:.2g} times what budget.duty allows"
+    )
     return Notice(
         code="budget.cheapest_pass_over",
-        text=f"the cheapest pass over a tile, which is always done, costs {share} by the price list: nothing is left for the cascade "
-        "and close looks. Raise budget.duty, or measure this computer with 'auv-mcm calibrate budget'. More are counted.",
+        text=f"the cheapest pass over a tile, which is always done, costs {share} by the price list: nothing is left "
+        "for the cascade "
+        "and close looks. Raise budget.duty, or measure this computer with 'auv-mcm calibrate budget'. More are "
+        "counted.",
         place=f"{tile.side} tile {tile.index}",
     )
 
 
 def _tile_limited(tile: Tile, result: TileDetections) -> Notice:
     cut = (
-        f"before the cascade had been through {result.n_cut} of its {result.n_windows} places" if result.n_cut else "before all close looks"
+        f"before the cascade had been through {result.n_cut} of its {result.n_windows} places"
+        if result.n_cut
+        else "before all close looks"
     )
     return Notice(
         code="budget.tile_limited",
-        text=f"a tile's budget ended {cut}; the likeliest came first, and it earns {result.covered_share:.0%} of its coverage. Raise "
+        text=f"a tile's budget ended {cut}; the likeliest came first, and it earns {result.covered_share:.0%} of its "
+        "coverage. Raise "
         "budget.duty if the computer can afford it. More are counted.",
         place=f"{tile.side} tile {tile.index}",
     )
@@ -472,7 +529,8 @@ def _tile_limited(tile: Tile, result: TileDetections) -> Notice:
 def _over_budget(tile: Tile, result: TileDetections) -> Notice:
     return Notice(
         code="detect.over_budget",
-        text=f"{result.n_over_budget} candidates beyond the budget of a tile were not looked at (the {len(result.detections)} best were). "
+        text=f"{result.n_over_budget} candidates beyond the budget of a tile were not looked at (the "
+        f"{len(result.detections)} best were). "
         "Raise detect.max_candidates_per_tile if the computer can afford it. More are counted.",
         place=f"{tile.side} tile {tile.index}",
     )

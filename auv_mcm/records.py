@@ -289,8 +289,9 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     aspects_deg: compass direction from sonar to object per view, [0, 360). *_sigma_m: 1-sigma of the sizes, NaN where
     no shape was fitted. conflict: how far the views contradict each other, 0..1, NaN for one view. next_look_deg:
     compass directions to view from, the most informative first, each standing for its opposite as well; empty if
-    a further view would hardly change the decision. false_alarms_per_km2: density of non-mines at least as mine-like that
-    is to be expected in this mission, NaN where it is not known; false_alarms_95_per_km2: its 95 % interval. called:
+    a further view would hardly change the decision. false_alarms_per_km2: density of non-mines at least as mine-like
+    that is to be expected in this mission, NaN where it is not known; false_alarms_95_per_km2: its 95 % interval.
+    called:
     whether that is no more than the operator accepts; None before it was decided.
     """
 
@@ -331,7 +332,8 @@ def contact_number(name: str) -> int:
 
 
 EARLY_NUMBERS: Final = 1_000_000
-"""Numbers of early contacts where only a number goes, as on the wire to a vehicle, begin after this; no mission has so many contacts."""
+"""Numbers of early contacts where only a number goes, as on the wire to a vehicle, begin after this; no mission has so
+many contacts."""
 
 
 def early_id(number: int) -> str:
@@ -340,7 +342,8 @@ def early_id(number: int) -> str:
 
 
 def report_number(name: str) -> int:
-    """Give the number that stands for a contact or an early contact on a wire. Raises ValueError for an id of neither."""
+    """Give the number that stands for a contact or an early contact on a wire. Raises ValueError for an id of
+    neither."""
     if name.startswith("E") and name[1:].isdecimal():
         return EARLY_NUMBERS + int(name[1:])
     return contact_number(name)

@@ -1,4 +1,5 @@
-"""Define what the service needs of a source of pings and navigation, of its recorder and of the vehicle at its ports."""
+"""Define what the service needs of a source of pings and navigation, of its recorder and of the vehicle at its
+ports."""
 
 from __future__ import annotations
 

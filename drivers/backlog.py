@@ -1,4 +1,5 @@
-"""Queue bytes for decoding in order of arrival, so that decoding takes a bounded part of each turn of the event loop."""
+"""Queue bytes for decoding in order of arrival, so that decoding takes a bounded part of each turn of the event
+loop."""
 
 from __future__ import annotations
 
@@ -9,10 +10,14 @@ from typing import Final, NamedTuple
 from auv_mcm.clock import Stamp
 
 TURN_S: Final = 0.01
-"""Processor time for decoding in one turn of the event loop: signals, timers and other wires wait for no longer than this and one chunk."""
+"""Processor time for decoding in one turn of the event loop: signals, timers and other wires wait for no longer than
+this and one chunk."""
 MAX_WAITING_BYTES: Final = 1 << 20
-"""Per port. At 0.3 s per MB, the allowance of `auv-mcm bench framers`, junk delays other ports by no more than 0.3 s."""
-_CHUNK_BYTES: Final = 256  # that a chunk counts for besides its own: what is done for each, however short, takes about 0.1 ms
+"""Per port. At 0.3 s per MB, the allowance of `auv-mcm bench framers`, junk delays other ports by no more than 0.3
+s."""
+_CHUNK_BYTES: Final = (
+    256  # that a chunk counts for besides its own: what is done for each, however short, takes about 0.1 ms
+)
 
 
 class Chunk(NamedTuple):

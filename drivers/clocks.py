@@ -59,7 +59,9 @@ class DeviceClock:
     keeps within its bound. Counts clock.anchored_anew, .out_of_order and .without_device_time.
     """
 
-    def __init__(self, source: str, *, wrap_s: float | None = None, window_s: float = 60.0, drift_ppm: int = 100) -> None:
+    def __init__(
+        self, source: str, *, wrap_s: float | None = None, window_s: float = 60.0, drift_ppm: int = 100
+    ) -> None:
         """source: the device, for messages.
 
         wrap_s: after which the counter starts over (`MILLISECOND_COUNTER_S`; 86400 for a time of day), None: never.
@@ -77,7 +79,9 @@ class DeviceClock:
         self._last_mono_ns = 0
         self._late_since_ns: int | None = None
 
-    def host_time(self, device_time_s: float | None, received: Stamp, *, delay_s: float = 0.0, number: int | None = None) -> HostTime:
+    def host_time(
+        self, device_time_s: float | None, received: Stamp, *, delay_s: float = 0.0, number: int | None = None
+    ) -> HostTime:
         """Return the monotonic time at which the device's time was device_time_s.
 
         device_time_s: seconds; where it is None, not finite or absurd, the arrival stands for it. received: of the
@@ -125,12 +129,16 @@ class DeviceClock:
     def _jump_notice(self, why: str, late_ns: int) -> Notice:
         self.counters["clock.anchored_anew"] += 1
         text = (
-            f"the clock of {self._source} {why}: it is {abs(late_ns) / _NS:.3f} s from where it should be. Its times are taken from the "
-            "arrival of its messages until they settle. If this repeats, check the device's supply and its time synchronisation."
+            f"the clock of {self._source} {why}: it is {abs(late_ns) / _NS:.3f} s from where it should be. Its times "
+            "are taken from the "
+            "arrival of its messages until they settle. If this repeats, check the device's supply and its time "
+            "synchronisation."
         )
         return Notice(code="device_clock_anchored_anew", text=text, place=self._source)
 
-    def _anchor(self, device_ns: int, arrival_ns: int, now_ns: int, number: int | None, notice: Notice | None) -> HostTime:
+    def _anchor(
+        self, device_ns: int, arrival_ns: int, now_ns: int, number: int | None, notice: Notice | None
+    ) -> HostTime:
         self._segment += self._began_ns is not None
         self._began_ns = now_ns
         self._late_since_ns = None
@@ -138,7 +146,9 @@ class DeviceClock:
         self._window.add(arrival_ns - device_ns, now_ns)
         return self._keep(device_ns, arrival_ns, 0, now_ns, number, notice)
 
-    def _keep(self, device_ns: int, mono_ns: int, residual_ns: int, now_ns: int, number: int | None, notice: Notice | None) -> HostTime:
+    def _keep(
+        self, device_ns: int, mono_ns: int, residual_ns: int, now_ns: int, number: int | None, notice: Notice | None
+    ) -> HostTime:
         assert self._began_ns is not None
         self._last_device_ns, self._last_number, self._last_mono_ns = device_ns, number, mono_ns
         return HostTime(mono_ns, residual_ns, self._segment, now_ns - self._began_ns, notice)
@@ -153,7 +163,9 @@ class _Envelope:
     def __init__(self, window_ns: int, drift_ppm: int) -> None:
         self._window_ns = window_ns
         self._drift_ppm = drift_ppm
-        self._bounds: deque[tuple[int, int]] = deque()  # when, and the offset with the drift since the clock's zero taken off; rising
+        self._bounds: deque[tuple[int, int]] = (
+            deque()
+        )  # when, and the offset with the drift since the clock's zero taken off; rising
 
     def clear(self) -> None:
         self._bounds.clear()
@@ -181,7 +193,8 @@ class _Envelope:
 
 
 class UtcAnchor:
-    """Hold UTC minus monotonic time. Follow small differences slowly; a step anchors UTC anew, which `segment` counts."""
+    """Hold UTC minus monotonic time. Follow small differences slowly; a step anchors UTC anew, which `segment`
+    counts."""
 
     def __init__(self, source: str) -> None:
         """source: whose UTC is followed, for messages."""
@@ -212,7 +225,8 @@ class UtcAnchor:
         self._offset_ns, self._stepped_offset_ns = offset_ns, None
         self.segment += 1
         text = (
-            f"UTC of {self._source} stepped by {difference_ns / _NS:+.3f} s. Times from here on are by the new UTC, those before are not "
+            f"UTC of {self._source} stepped by {difference_ns / _NS:+.3f} s. Times from here on are by the new UTC, "
+            "those before are not "
             "corrected. Set clocks before the mission, or let them slew."
         )
         return Notice(code="utc_stepped", text=text, place=self._source)
@@ -264,7 +278,8 @@ class PulseLabels:
         self._last_ns = mono_ns
 
     def offset_ns(self, utc_s: float, received: Stamp) -> int | None:
-        """Return UTC minus monotonic time; None if the sentence names no pulse. utc_s: the full second that it names."""
+        """Return UTC minus monotonic time; None if the sentence names no pulse. utc_s: the full second that it
+        names."""
         if not math.isfinite(utc_s) or utc_s != round(utc_s):
             self.counters["pulse.label_not_full_second"] += 1
             return None
@@ -288,7 +303,8 @@ class SourceTime(NamedTuple):
 
 
 class SourceClock:
-    """Convert one device's times to UTC. All devices share the anchor: it is followed once per chunk, before decoding."""
+    """Convert one device's times to UTC. All devices share the anchor: it is followed once per chunk, before
+    decoding."""
 
     def __init__(self, device: DeviceClock, utc: UtcAnchor) -> None:
         self._device = device
@@ -296,7 +312,9 @@ class SourceClock:
         self._segment = -1
         self._last_utc_ns = 0
 
-    def time(self, device_time_s: float | None, received: Stamp, *, delay_s: float = 0.0, number: int | None = None) -> SourceTime:
+    def time(
+        self, device_time_s: float | None, received: Stamp, *, delay_s: float = 0.0, number: int | None = None
+    ) -> SourceTime:
         """Return the time in UTC, as `DeviceClock.host_time`."""
         host = self._device.host_time(device_time_s, received, delay_s=delay_s, number=number)
         segment = host.segment + self._utc.segment

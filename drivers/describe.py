@@ -60,14 +60,26 @@ ports:
     device: nmea2000
     navigation: {priority: 3}
 
-  # The vehicle's own controller, which receives contacts. With a section 'navigation' the position it reports is used as well.
+  # The vehicle's own controller, which receives contacts. With a section 'navigation' the position it reports is used
+  # as well.
   - name: vehicle
     link: tcp://192.168.2.10:29500
     device: bluefin
     navigation: {priority: 4}
 """
 
-_TYPES: Final = {"b": "i8", "B": "u8", "h": "i16", "H": "u16", "i": "i32", "I": "u32", "q": "i64", "Q": "u64", "f": "f32", "d": "f64"}
+_TYPES: Final = {
+    "b": "i8",
+    "B": "u8",
+    "h": "i16",
+    "H": "u16",
+    "i": "i32",
+    "I": "u32",
+    "q": "i64",
+    "Q": "u64",
+    "f": "f32",
+    "d": "f64",
+}
 
 
 def example_text() -> str:
@@ -99,8 +111,17 @@ def interface_text(config: Config) -> str:
     if ports:
         lines = [line for port in ports for line in (*_port_lines(port), "")]
     else:
-        lines = ["No ports are configured; these are the links and devices there are.", "", *(f"  {link}" for link in EXAMPLES), ""]
-    devices = dict.fromkeys(port.device for port in ports) if ports else (*SONAR_NAMES, *get_args(NavUnitName), *VEHICLE_NAMES)
+        lines = [
+            "No ports are configured; these are the links and devices there are.",
+            "",
+            *(f"  {link}" for link in EXAMPLES),
+            "",
+        ]
+    devices = (
+        dict.fromkeys(port.device for port in ports)
+        if ports
+        else (*SONAR_NAMES, *get_args(NavUnitName), *VEHICLE_NAMES)
+    )
     for device in devices:
         lines += [*_device_lines(device), ""]
     return "\n".join(lines[:-1]) + "\n"
@@ -138,7 +159,13 @@ def _port_lines(port: PortSettings) -> list[str]:
     used += " and navigation" if used != "navigation" and port.unit is not None else ""
     lines.append(f"  in:  {port.device}, for {used}")
     if port.vehicle is not None:
-        return [*lines, f"  out: {port.device}: contacts and health; commands only with vehicle.command and while the vehicle lets us"]
+        return [
+            *lines,
+            (
+                f"  out: {port.device}: contacts and health; commands only with vehicle.command and while the vehicle "
+                "lets us"
+            ),
+        ]
     if not port.commands:
         return [*lines, "  out: nothing"]
     when = "when it opens or is heard again" if port.ask_every_s is None else f"every {port.ask_every_s:g} s"
@@ -147,7 +174,9 @@ def _port_lines(port: PortSettings) -> list[str]:
 
 def _device_lines(device: str) -> list[str]:
     if device not in _LANGUAGES:
-        return [f"device {device}: of another package, {find_device(device)}, whose documentation describes its messages"]
+        return [
+            f"device {device}: of another package, {find_device(device)}, whose documentation describes its messages"
+        ]
     language = _LANGUAGES[device]
     first, *rest = inspect.cleandoc(language.about.__doc__ or "").splitlines()
     lines = [f"device {device}: {first}", *(f"  {line}".rstrip() for line in rest)]
@@ -173,7 +202,18 @@ def _ping_protocol() -> Iterable[MessageLayout]:
         yield MessageLayout(f"message {number}", record, record._fields)
 
 
-_JSF_HEADER: Final = ("sync", "version", "session", "message", "command", "subsystem", "channel", "sequence", "reserved", "n_bytes_behind")
+_JSF_HEADER: Final = (
+    "sync",
+    "version",
+    "session",
+    "message",
+    "command",
+    "subsystem",
+    "channel",
+    "sequence",
+    "reserved",
+    "n_bytes_behind",
+)
 _JSF_NUMBERS: Final = ("PING_ENABLE", "PING_GAIN", "PING_RANGE", "SYSTEM_TIME")
 
 
@@ -186,7 +226,9 @@ def _jsf() -> Iterable[MessageLayout]:
 
 
 def _sportscan() -> Iterable[MessageLayout]:
-    yield MessageLayout(f"command, {imagenex.COMMAND_BYTES} bytes", imagenex.SwitchCommand, imagenex.SwitchCommand._fields)
+    yield MessageLayout(
+        f"command, {imagenex.COMMAND_BYTES} bytes", imagenex.SwitchCommand, imagenex.SwitchCommand._fields
+    )
     yield MessageLayout(f"answer, {imagenex.RETURN_BYTES} bytes", imagenex.IgxReturn, imagenex.IgxReturn._fields)
 
 
@@ -224,7 +266,8 @@ def _nmea2000() -> Iterable[MessageLayout]:
     for pgn, message in n2k_messages.MESSAGES.items():
         fields = [
             f"bit {field.start_bit:3d} {'i' if field.signed else 'u'}{field.n_bits:<3d} x {field.resolution:<8g} {name}"
-            for field, name in zip(message.fields, message.make._fields, strict=True)  # type: ignore[attr-defined]  # a named tuple
+            # Every message is made by a named tuple.
+            for field, name in zip(message.fields, message.make._fields, strict=True)  # type: ignore[attr-defined]
         ]
         yield MessageLayout(f"PGN {pgn}, {message.n_bytes} bytes", message.make, fields)
 

@@ -100,7 +100,11 @@ class Framer(Generic[M]):
         if len(data) <= _SLICE_BYTES:
             return self._feed(data)
         view = memoryview(data)
-        return [framed for start in range(0, len(data), _SLICE_BYTES) for framed in self._feed(view[start : start + _SLICE_BYTES])]
+        return [
+            framed
+            for start in range(0, len(data), _SLICE_BYTES)
+            for framed in self._feed(view[start : start + _SLICE_BYTES])
+        ]
 
     def finish(self) -> list[Framed[M]]:
         """End the stream: refuse what waits for more bytes, search it for messages, and start anew."""

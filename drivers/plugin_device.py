@@ -1,4 +1,5 @@
-"""Use devices that other packages add: check what their code returns, and report what it raises as a person can use it."""
+"""Use devices that other packages add: check what their code returns, and report what it raises as a person can use
+it."""
 
 from __future__ import annotations
 

@@ -66,7 +66,9 @@ class _Listener:
     async def finding(self, listen_s: float) -> Finding:
         if isinstance(self._port.address, TcpAddress) and await _is_connected(self._port.address):
             # A device that serves one connection at a time may drop the one that a running service has.
-            return self._judged("warning", "another program on this computer is connected to it, so that it is left alone. " + _STOP_IT)
+            return self._judged(
+                "warning", "another program on this computer is connected to it, so that it is left alone. " + _STOP_IT
+            )
         link = open_link(self._port, self._hear, self._follow, self._clock)
         serving = asyncio.ensure_future(link.run())
         try:
@@ -112,7 +114,9 @@ class _Listener:
         if failure:
             return self._judged("FAILED", failure)
         if not self._is_open:
-            return self._judged("FAILED", f"did not open within {_OPEN_S:g} s. Check the device's power, its cable and its address")
+            return self._judged(
+                "FAILED", f"did not open within {_OPEN_S:g} s. Check the device's power, its cable and its address"
+            )
         if self._is_for_commands:
             return self._judged("ok", "takes a connection; nothing was sent")
         if n_messages := self._n_messages():
@@ -130,7 +134,9 @@ class _Listener:
             waits = "the sonar may wait for the commands that the service sends"
         text = f"open, but nothing was heard for {listen_s:g} s"
         if waits:
-            return self._judged("warning", f"{text}: {waits}, and nothing was sent. If it should speak, check power and cable")
+            return self._judged(
+                "warning", f"{text}: {waits}, and nothing was sent. If it should speak, check power and cable"
+            )
         baud = "" if self._port.baud is None else f", and that it sends at {self._port.baud} baud"
         return self._judged("FAILED", f"{text}. Check the device's power and its cable{baud}")
 
@@ -198,7 +204,9 @@ def _remotes(table: Path) -> Sequence[tuple[ipaddress.IPv4Address | ipaddress.IP
         _, _, remote, state, *_ = line.split()
         host, _, port = remote.partition(":")
         if state == _ESTABLISHED:
-            words = [bytes.fromhex(host[start : start + 8])[::-1] for start in range(0, len(host), 8)]  # 32 bits each, little-endian
+            words = [
+                bytes.fromhex(host[start : start + 8])[::-1] for start in range(0, len(host), 8)
+            ]  # 32 bits each, little-endian
             address = ipaddress.ip_address(b"".join(words))
             mapped = getattr(address, "ipv4_mapped", None)
             remotes.append((mapped or address, int(port, 16)))

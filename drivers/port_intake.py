@@ -1,4 +1,5 @@
-"""Turn the bytes of all ports into one stream of events: decode, time, pair heads, merge navigation. It reads no clock."""
+"""Turn the bytes of all ports into one stream of events: decode, time, pair heads, merge navigation. It reads no
+clock."""
 
 from __future__ import annotations
 
@@ -37,7 +38,9 @@ class PortIntake:
         """Raises UsageError for ports that cannot be."""
         ports = read_ports(config)
         self._utc = UtcReference(next((port for port in ports if port.unit is not None and port.unit.gives_utc), None))
-        self._streams = {port.name: PortStream(port, config.sonar, self._utc.anchor) for port in ports if port.device != PULSE}
+        self._streams = {
+            port.name: PortStream(port, config.sonar, self._utc.anchor) for port in ports if port.device != PULSE
+        }
         self._pulses = {port.name for port in ports if port.device == PULSE}
         self._heads = HeadPairer() if {"port", "starboard"} <= {port.sides for port in ports} else None
         self._merge = NavMerge(merge_settings(config, ports))

@@ -54,9 +54,13 @@ def open_link(port: PortSettings, on_bytes: OnBytes, on_state: OnState, clock: C
 def open_source(uri: SourceUri, config: Config, clock: Clock) -> PortSource:
     """Make the source of the configured ports. Raises UsageError for ports that cannot be, or if there are none."""
     if uri.path or uri.options:
-        raise UsageError(f"service.source '{uri.text}': what the ports are stands in the section 'ports'; write source: ports")
+        raise UsageError(
+            f"service.source '{uri.text}': what the ports are stands in the section 'ports'; write source: ports"
+        )
     if not config.ports:
-        raise UsageError("service.source is ports, but there are none: add a section 'ports'; 'auv-mcm run --example' prints one")
+        raise UsageError(
+            "service.source is ports, but there are none: add a section 'ports'; 'auv-mcm run --example' prints one"
+        )
     return PortSource(config, clock)
 
 
@@ -75,7 +79,11 @@ class PortSource:
     lossless = False
 
     def __init__(
-        self, config: Config, clock: Clock, open_link: OpenLink = open_link, cpu_s: Callable[[], float] = time.thread_time
+        self,
+        config: Config,
+        clock: Clock,
+        open_link: OpenLink = open_link,
+        cpu_s: Callable[[], float] = time.thread_time,
     ) -> None:
         """cpu_s: processor time of this thread, in seconds. Raises UsageError for ports that cannot be."""
         self._clock = clock
@@ -174,7 +182,9 @@ class PortSource:
             self._work()
 
     def _decode(self, chunk: Chunk) -> None:
-        served = self._vehicle_port if self._vehicle_port is not None and chunk.port == self._vehicle_port.name else None
+        served = (
+            self._vehicle_port if self._vehicle_port is not None and chunk.port == self._vehicle_port.name else None
+        )
         if not self._ended:
             self._put(self._intake.feed(*chunk))
         elif served is not None:
@@ -228,7 +238,9 @@ async def _together(jobs: list[Coroutine[Any, Any, None]]) -> None:
 class _ServedPort:
     """Serve one port: keep its link up, set its sonar, talk to its vehicle, and report its states to a person."""
 
-    def __init__(self, port: PortSettings, source: PortSource, open_link: OpenLink, clock: Clock, config: Config) -> None:
+    def __init__(
+        self, port: PortSettings, source: PortSource, open_link: OpenLink, clock: Clock, config: Config
+    ) -> None:
         self.name = port.name
         self._port = port
         self._source = source
@@ -276,7 +288,10 @@ class _ServedPort:
             except Exception as error:
                 self._own["failed"] += 1
                 log.exception("the link of port '%s' failed", self.name)
-                text = f"the link of port '{self.name}' failed ({error!r}) and is opened anew. This is a defect: report it with the log."
+                text = (
+                    f"the link of port '{self.name}' failed ({error!r}) and is opened anew. This is a defect: report "
+                    "it with the log."
+                )
                 if self._own["failed"] == 1:
                     self._source.raise_notice(Notice(code="port_failed", text=text, place=self.name))
             self._links_before += self._link.counters
@@ -303,7 +318,9 @@ class _ServedPort:
         self._source.take(self.name, data, stamp)
 
     def _on_state(self, state: LinkState, reason: str) -> None:
-        if self.vehicle is not None and (state != "down") != self._is_open:  # a wire that was silent for a while was open all the time
+        if (
+            self.vehicle is not None and (state != "down") != self._is_open
+        ):  # a wire that was silent for a while was open all the time
             self._is_open = state != "down"
             self._changed_ns = round(self._clock.monotonic_s() * 1e9)
             (self.vehicle.connected if self._is_open else self.vehicle.disconnected)()
@@ -314,10 +331,16 @@ class _ServedPort:
         if state == "up" and self._port.ask_every_s is None:
             self._send_commands()  # also when it is heard again: it may have started anew, with settings of its own
         if self._own["state_changes"] <= _MAX_STATE_NOTICES:
-            last = " More changes of this port are counted only." if self._own["state_changes"] == _MAX_STATE_NOTICES else ""
+            last = (
+                " More changes of this port are counted only."
+                if self._own["state_changes"] == _MAX_STATE_NOTICES
+                else ""
+            )
             text = f"port '{self.name}' is {state}: {reason}{last}"
             opens_well = self._own["state_changes"] == 1 and reason == f"{self._link.place} is open"
-            self._source.raise_notice(Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well))
+            self._source.raise_notice(
+                Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well)
+            )
 
     def _send_commands(self) -> None:
         for command in self._port.commands:

@@ -91,7 +91,9 @@ class PortStream:
     @property
     def vehicle_counters(self) -> Counter[str]:
         """Return all counters of the vehicle's decoder."""
-        return self._vehicle_before + (self._reader.decoder.counters if isinstance(self._reader, _VehicleReader) else Counter())
+        return self._vehicle_before + (
+            self._reader.decoder.counters if isinstance(self._reader, _VehicleReader) else Counter()
+        )
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]:
         """Return the events that a chunk completes, in order. stamp: when its last byte was read."""
@@ -130,7 +132,8 @@ class PortStream:
             return []
         log.error("the decoder of port '%s' failed", self._port.name, exc_info=error)
         text = (
-            f"the decoder of port '{self._port.name}' failed ({error!r}) and was started anew; what it was reading is lost. This is a "
+            f"the decoder of port '{self._port.name}' failed ({error!r}) and was started anew; what it was reading is "
+            "lost. This is a "
             "defect: report it with the log and the recording."
         )
         return [Notice(code="decoder_failed", text=text, place=self._port.name)]
@@ -249,7 +252,13 @@ class _SonarReader:
             return []
         words = f": {reply.text[:_MAX_WORDS]}" if reply.text else ""
         text = f"the sonar at port '{self._port.name}' refused command {reply.request}{words}"
-        return [Notice(code="sonar_refused", text=f"{text}. It pings as it was set before. More are counted.", place=self._port.name)]
+        return [
+            Notice(
+                code="sonar_refused",
+                text=f"{text}. It pings as it was set before. More are counted.",
+                place=self._port.name,
+            )
+        ]
 
     def _of_frame(self, frame: SonarFrame) -> list[Decoded]:
         name = self._port.name

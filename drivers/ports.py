@@ -11,7 +11,15 @@ from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice
 from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, Sides, SonarPortConfig, device_kind
-from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, UdpAddress, parse_link_uri
+from drivers.links.uri import (
+    CanAddress,
+    LinkAddress,
+    PulseAddress,
+    SerialAddress,
+    SlcanAddress,
+    UdpAddress,
+    parse_link_uri,
+)
 from drivers.navigation.nav_protocols import CAN_PROTOCOL
 from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.sonar.sonar_decoder import SonarSettings
@@ -55,7 +63,9 @@ def read_ports(config: Config) -> tuple[PortSettings, ...]:
     no area.
     """
     Guard(config.vehicle)
-    return tuple(served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]", config.sonar))
+    return tuple(
+        served for index, port in enumerate(config.ports) for served in _ports(port, f"ports[{index}]", config.sonar)
+    )
 
 
 def open_to_all(ports: Iterable[PortSettings]) -> list[Notice]:
@@ -140,12 +150,17 @@ def _baud(address: LinkAddress) -> int | None:
     return address.baud if isinstance(address, SerialAddress) else None
 
 
-def _commands(port: PortConfig, sonar: SonarPortConfig, key: str, subsystem: int | None) -> tuple[tuple[bytes, ...], bool]:
+def _commands(
+    port: PortConfig, sonar: SonarPortConfig, key: str, subsystem: int | None
+) -> tuple[tuple[bytes, ...], bool]:
     """Return the commands to send, and whether to send them for each ping."""
     device = sonar_named(port.device)
     if sonar.range_m is None:
         if device.asked_per_ping:
-            raise UsageError(f"{key}.sonar.range_m is empty, but a '{port.device}' pings only after it has been given a range: set one")
+            raise UsageError(
+                f"{key}.sonar.range_m is empty, but a '{port.device}' pings only after it has been given a range: set "
+                "one"
+            )
         return (), False
     settings = SonarSettings(
         range_m=sonar.range_m,

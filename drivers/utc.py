@@ -46,10 +46,13 @@ class UtcReference:
 
     @property
     def counters(self) -> Counter[str]:
-        return Counter({f"utc.{name}": count for name, count in (self._own + self._labels.counters + self._clock.counters).items()})
+        return Counter(
+            {f"utc.{name}": count for name, count in (self._own + self._labels.counters + self._clock.counters).items()}
+        )
 
     def passed(self, stamp: Stamp) -> list[Notice]:
-        """Take the passing of time; called for every chunk before it is decoded. stamp: by this computer's own clocks."""
+        """Take the passing of time; called for every chunk before it is decoded. stamp: by this computer's own
+        clocks."""
         notices: list[Notice | None] = []
         if not self._is_taken:
             notices.append(self.anchor.follow(host_offset_ns(stamp), stamp.mono_ns))

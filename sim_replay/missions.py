@@ -45,7 +45,9 @@ def reporting_everything(config: Config) -> Config:
 
 def unconfirmed(config: Config) -> Config:
     """Choose the detector without confirmation, and report everything that it finds."""
-    return reporting_everything(msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False)))
+    return reporting_everything(
+        msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, enabled=False))
+    )
 
 
 def untrained_alone(config: Config) -> Config:

@@ -24,7 +24,14 @@ from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
-from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, point_totals, search_totals
+from auv_mcm.shell.mission_totals import (
+    area_totals,
+    clearance_notices,
+    contact_totals,
+    notice_lists,
+    point_totals,
+    search_totals,
+)
 from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
 from auv_mcm.shell.snippet_files import make_results_directory, write_snippets
 from auv_mcm.shell.tally import Tally
@@ -91,7 +98,9 @@ def replay(
     counters = mission.counters() + pipeline.counters
     waypoints = plan_waypoints(contacts, tally, config.plan, counters)
     write_results(folder, contacts, gathered.coverage, waypoints, config.mission)
-    write_snippets(folder, {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None})
+    write_snippets(
+        folder, {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
+    )
     clearance = gathered.searched.snapshot()
     clearance_map = b"" if clearance is None else clearance_png(clearance)
     write_clearance(folder, clearance, clearance_map)
@@ -115,7 +124,16 @@ def replay(
         searched=searched.get("searched", {}),
         clearance_png=clearance_map,
     )
-    write_report(folder / "report.html", record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures)
+    write_report(
+        folder / "report.html",
+        record,
+        contacts,
+        gathered.coverage,
+        waypoints,
+        gathered.notices,
+        counters,
+        gathered.pictures,
+    )
     summary: dict[str, Any] = {
         "version": __version__,
         "mission": config.mission,

@@ -31,7 +31,9 @@ class Simulated(NamedTuple):
     n_targets: int
 
 
-def simulate(scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[float], None] = lambda fraction: None) -> Simulated:
+def simulate(
+    scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[float], None] = lambda fraction: None
+) -> Simulated:
     """Write mission.xtf and truth.json into `out`, made if it is not there.
 
     Equal scenes give equal bytes, whatever the threads.
@@ -53,7 +55,9 @@ def simulate(scene: Scene, out: Path, *, threads: int = 1, progress: Callable[[f
             yield event
 
     log = folder / LOG_NAME
-    n_pings = write_xtf(log, watched(), sample_type=sample_type(mission.sea.recorder), frequency_khz=scene.sonar.frequency_khz)
+    n_pings = write_xtf(
+        log, watched(), sample_type=sample_type(mission.sea.recorder), frequency_khz=scene.sonar.frequency_khz
+    )
     facts = mission.truth()
     write_json(folder / TRUTH_NAME, facts)
     return Simulated(

@@ -1,4 +1,5 @@
-"""Shared by all tests: reproducible property tests, how much to ask of slow kernels, and the folder of recorded data."""
+"""Shared by all tests: reproducible property tests, how much to ask of slow kernels, and the folder of recorded
+data."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 @pytest.fixture(scope="session")
 def n_runs() -> Callable[[int, int], int]:
-    """The first number where the C kernels are built, the second where their twins serve, which say the same many times slower."""
+    """The first number where the C kernels are built, the second where their twins serve, which say the same many times
+    slower."""
     return lambda with_c, with_twins: with_c if kernels.backend() == "c" else with_twins
 
 

@@ -14,12 +14,18 @@ from unittest import mock
 EXAMPLE: Final = Path(__file__).parent / "example_package"
 
 
-def write_package(folder: Path, name: str, entry_points: dict[str, dict[str, str]], modules: dict[str, str] | None = None) -> None:
+def write_package(
+    folder: Path, name: str, entry_points: dict[str, dict[str, str]], modules: dict[str, str] | None = None
+) -> None:
     """Write the metadata by which Python finds an installed package. modules: source texts by module name."""
     info = folder / f"{name.replace('-', '_')}-1.2.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
-    lines = [line for group, names in entry_points.items() for line in (f"[{group}]", *(f"{key} = {names[key]}" for key in names))]
+    lines = [
+        line
+        for group, names in entry_points.items()
+        for line in (f"[{group}]", *(f"{key} = {names[key]}" for key in names))
+    ]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
     for module, text in (modules or {}).items():
         (folder / f"{module}.py").write_text(text)

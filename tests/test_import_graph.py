@@ -10,7 +10,18 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 TOPS = ("auv_mcm", "drivers", "sim_replay")
-STAGES = ("intake", "waterfall", "detect", "seabed", "confirm", "classify", "confirmation", "contacts", "clearance", "plan")
+STAGES = (
+    "intake",
+    "waterfall",
+    "detect",
+    "seabed",
+    "confirm",
+    "classify",
+    "confirmation",
+    "contacts",
+    "clearance",
+    "plan",
+)
 """The stages of the payload in the order of the data."""
 UNDER_STAGES = {
     *("records", "errors", "clock", "source", "settings", "geometry", "kernels", "solids", "snippet"),
@@ -35,7 +46,9 @@ def module_of(path: Path) -> str:
 
 def graph() -> dict[str, set[str]]:
     """Map every module of the product to the modules of it that it imports."""
-    paths = [path for top in TOPS for path in sorted((ROOT / top).rglob("*.py")) if "docs" not in path.parts]  # examples use all parts
+    paths = [
+        path for top in TOPS for path in sorted((ROOT / top).rglob("*.py")) if "docs" not in path.parts
+    ]  # examples use all parts
     modules = {module_of(path): path for path in paths}
 
     def nearest(name: str) -> str | None:
@@ -99,7 +112,11 @@ def test_kernels_import_no_stage() -> None:
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_no_stage_imports_a_later_one(stage: str) -> None:
-    later = {f"auv_mcm.{name}" for name in STAGES[STAGES.index(stage) + 1 :]} | {"auv_mcm.pipeline", "auv_mcm.shell", "auv_mcm.commands"}
+    later = {f"auv_mcm.{name}" for name in STAGES[STAGES.index(stage) + 1 :]} | {
+        "auv_mcm.pipeline",
+        "auv_mcm.shell",
+        "auv_mcm.commands",
+    }
     assert [(a, b) for a, b in EDGES if part_of(a) == f"auv_mcm.{stage}" and part_of(b) in later] == []
 
 

@@ -20,11 +20,17 @@ LIMITS: Final = {"auv_mcm": 5, "drivers": 6, "sim_replay": 10, "tests": 8, "READ
 def uses(part: str) -> Counter[str]:
     """Count the replaced words in a part, by file."""
     root = ROOT / part
-    files = [root] if root.is_file() else [path for path in sorted(root.rglob("*")) if path.suffix in TEXT and path != Path(__file__)]
+    files = (
+        [root]
+        if root.is_file()
+        else [path for path in sorted(root.rglob("*")) if path.suffix in TEXT and path != Path(__file__)]
+    )
     return Counter({str(path.relative_to(ROOT)): len(REPLACED.findall(path.read_text("utf-8"))) for path in files})
 
 
 @pytest.mark.parametrize("part", list(LIMITS))
 def test_replaced_words_do_not_come_back(part: str) -> None:
     found = uses(part)
-    assert found.total() <= LIMITS[part], f"most in {found.most_common(5)}; see the vocabulary in auv_mcm/docs/glossary.md"
+    assert found.total() <= LIMITS[part], (
+        f"most in {found.most_common(5)}; see the vocabulary in auv_mcm/docs/glossary.md"
+    )

@@ -1,11 +1,14 @@
 """Combine belief functions over the classes of a contact from several views (Dempster-Shafer theory).
 
-A mass function is a float64 array (..., 32): entry number A is the mass of the subset of FRAME whose classes are the set bits of A.
-Entry 0 is the empty set, the mass of contradiction; entry 31 is the whole frame, the mass of ignorance. Masses sum to 1.
+A mass function is a float64 array (..., 32): entry number A is the mass of the subset of FRAME whose classes are the
+set bits of A. Entry 0 is the empty set, the mass of contradiction; entry 31 is the whole frame, the mass of ignorance.
+Masses sum to 1.
 
-All rules are sums of products of masses, never differences, so nothing cancels: a chain of 60 views is exact to some 1e-15.
+All rules are sums of products of masses, never differences, so nothing cancels: a chain of 60 views is exact to some
+1e-15.
 
-Shafer, "A Mathematical Theory of Evidence", 1976; Smets and Kennes, "The transferable belief model", Artificial Intelligence 66, 1994.
+Shafer, "A Mathematical Theory of Evidence", 1976; Smets and Kennes, "The transferable belief model", Artificial
+Intelligence 66, 1994.
 """
 
 from __future__ import annotations
@@ -45,7 +48,9 @@ MINES: Final = EVERYTHING & ~subset("clutter")
 MAX_RELIABILITY: Final = 0.95  # upper bound on the reliability of a single statement about a class
 # What five statements of that reliability leave to ignorance; it bounds every source, so that none can veto all others.
 MIN_IGNORANCE: Final = (1.0 - MAX_RELIABILITY) ** N_CLASSES
-MIN_AGREEMENT: Final = 1e-12  # below it the agreement of two sources is rounding, and dividing by it would make certainty of it
+MIN_AGREEMENT: Final = (
+    1e-12  # below it the agreement of two sources is rounding, and dividing by it would make certainty of it
+)
 
 DEMPSTER_BELOW: Final = 0.6
 APART_FROM: Final = 0.9
@@ -122,7 +127,8 @@ def bounded_by(mass: Array, p_mine: float) -> Array:
 
 
 def likeliest_mine(mass: Array) -> ContactClass:
-    """Choose the kind of mine with the highest pignistic probability, given that it is a mine; "unknown" where kinds tie."""
+    """Choose the kind of mine with the highest pignistic probability, given that it is a mine; "unknown" where kinds
+    tie."""
     as_mine, _ = conjunctive(mass, _A_MINE)
     as_mine[0] = 0.0
     if not as_mine.sum() >= MIN_AGREEMENT:
@@ -133,7 +139,8 @@ def likeliest_mine(mass: Array) -> ContactClass:
 
 
 def nonspecificity(mass: Array) -> Array:
-    """Measure how little a mass function states, (...) bits: the mean log2 of its sets' sizes (Dubois and Prade 1985)."""
+    """Measure how little a mass function states, (...) bits: the mean log2 of its sets' sizes (Dubois and Prade
+    1985)."""
     return np.asarray((mass * _LOG2_SIZE).sum(axis=-1))
 
 
@@ -145,8 +152,8 @@ def conflict(first: Array, second: Array) -> Array:
 def conjunctive(first: Array, second: Array) -> tuple[Array, Array]:
     """Combine two independent reliable sources, and measure how much they contradict each other.
 
-    Both (..., 32), broadcast. Returns the mass (..., 32), not normalised, m(C) = sum of first(A) second(B) over A and B = C, and the
-    mass K (...) of the empty set.
+    Both (..., 32), broadcast. Returns the mass (..., 32), not normalised, m(C) = sum of first(A) second(B) over A and B
+    = C, and the mass K (...) of the empty set.
     """
     mass = np.add.reduceat(first[..., _FIRST] * second[..., _SECOND], _STARTS, axis=-1)
     return mass, mass[..., 0]
@@ -166,7 +173,8 @@ class Combined(NamedTuple):
 def dempster(masses: Array) -> Combined:
     """Combine sources (n, ..., 32) by Dempster's rule: conjunctive, scaled so that the empty set has no mass.
 
-    Scaled after every source, so that any number may follow. Where sources have less than 1e-12 in common the result is vacuous.
+    Scaled after every source, so that any number may follow. Where sources have less than 1e-12 in common the result is
+    vacuous.
     """
     mass, agreement = _normalised(masses[0])
     log_agreement = _log(agreement)
@@ -190,8 +198,8 @@ def yager(masses: Array) -> Array:
 class ViewMass(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Hold what one view states about a contact.
 
-    mass: (32,) float64, 0 on the empty set. aspect_rad: compass direction from sonar to object. half_turn_symmetric: the shape that fits
-    best looks the same from the opposite side (cylinder, sphere, cone; not a wedge).
+    mass: (32,) float64, 0 on the empty set. aspect_rad: compass direction from sonar to object. half_turn_symmetric:
+    the shape that fits best looks the same from the opposite side (cylinder, sphere, cone; not a wedge).
 
     Raises ValueError if the mass is not a mass function or the aspect is not finite.
     """
@@ -211,8 +219,8 @@ class ViewMass(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 class Fusion(NamedTuple):
     """Hold what all views of a contact state together.
 
-    mass: (32,) float64, vacuous if they contradict each other too much to belong to one object. conflict: the greatest K of one
-    view with all others combined.
+    mass: (32,) float64, vacuous if they contradict each other too much to belong to one object. conflict: the greatest
+    K of one view with all others combined.
     """
 
     mass: Array
@@ -222,13 +230,14 @@ class Fusion(NamedTuple):
 def combine(views: Sequence[ViewMass]) -> Fusion:
     """Fuse the views of one contact; their order does not matter.
 
-    Views from similar aspects repeat each other: the most specific one counts in full, the others are discounted by the product of
-    1 - rho over all that are more specific, with rho = exp(-angle^2 / (2 spread^2)).
+    Views from similar aspects repeat each other: the most specific one counts in full, the others are discounted by the
+    product of 1 - rho over all that are more specific, with rho = exp(-angle^2 / (2 spread^2)).
 
-    K, how far the views contradict each other, is the greatest conflict of any with all others together (for two, their conflict; the
-    conflict of all at once would near 1 for any long row of views that waver between two classes). Below 0.6 they are combined by
-    Dempster's rule, below 0.9 by Yager's, else not. Two opposite views of reliability 0.95 stay just below 0.9, as neither is known to
-    be the odd one; a third view decides. Discounts do not enter K: contradiction from the same aspect is the surest sign of two objects.
+    K, how far the views contradict each other, is the greatest conflict of any with all others together (for two, their
+    conflict; the conflict of all at once would near 1 for any long row of views that waver between two classes). Below
+    0.6 they are combined by Dempster's rule, below 0.9 by Yager's, else not. Two opposite views of reliability 0.95
+    stay just below 0.9, as neither is known to be the odd one; a third view decides. Discounts do not enter K:
+    contradiction from the same aspect is the surest sign of two objects.
 
     Raises ValueError if there is no view.
     """

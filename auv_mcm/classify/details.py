@@ -1,6 +1,7 @@
 """Measure details of a confirmation that only trees weigh: unbounded, in their units, each with its own name.
 
-A linear sum of them would let one outlier decide. Questions whether a measure is above a threshold take no harm from it.
+A linear sum of them would let one outlier decide. Questions whether a measure is above a threshold take no harm from
+it.
 """
 
 from __future__ import annotations

@@ -45,4 +45,6 @@ def dimensions(model: ShapeModel) -> Dimensions:
         case _:
             raise ValueError(f"{model.classification} is not a solid with a size")
     (long_m, long_sigma_m), (short_m, short_sigma_m) = sorted(sides, reverse=True)
-    return Dimensions(long_m, short_m, height_m - burial_m, long_sigma_m, short_sigma_m, math.hypot(height_sigma_m, burial_sigma_m))
+    return Dimensions(
+        long_m, short_m, height_m - burial_m, long_sigma_m, short_sigma_m, math.hypot(height_sigma_m, burial_sigma_m)
+    )

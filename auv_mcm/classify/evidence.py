@@ -1,15 +1,16 @@
 """Turn the match of shape models with one view into belief masses.
 
-Appriou ("Probabilités et incertitude en fusion de données multi-senseurs", 1991) derives two families of masses from likelihoods,
-one statement per class, combined over the classes. Both are here.
+Appriou ("Probabilités et incertitude en fusion de données multi-senseurs", 1991) derives two families of masses from
+likelihoods, one statement per class, combined over the classes. Both are here.
 
-The first states of class i: m({i}) = a R/(1 + R), m(not i) = a/(1 + R), with R its likelihood over the mean of all. Of two classes that
-match alike each gets half the belief and next to nothing goes to "one of these two": ambiguity looks like two sure half truths. And
-because a weighs evidence against a class as well as for it, a poor match of implausible size keeps its class possible, and the
-best match of an impossible size wins by the evidence against all others.
+The first states of class i: m({i}) = a R/(1 + R), m(not i) = a/(1 + R), with R its likelihood over the mean of all. Of
+two classes that match alike each gets half the belief and next to nothing goes to "one of these two": ambiguity looks
+like two sure half truths. And because a weighs evidence against a class as well as for it, a poor match of implausible
+size keeps its class possible, and the best match of an impossible size wins by the evidence against all others.
 
-The second states only m(not i) = a (1 - mu), with mu the likelihood over the best of all. Classes that match alike keep their mass
-together, as {sphere, truncated_cone}, which is what was seen. `view_mass` takes it, with plausible size inside mu.
+The second states only m(not i) = a (1 - mu), with mu the likelihood over the best of all. Classes that match alike keep
+their mass together, as {sphere, truncated_cone}, which is what was seen. `view_mass` takes it, with plausible size
+inside mu.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ _CLUTTER: Final = FRAME.index("clutter")
 class ClassEvidence(msgspec.Struct, frozen=True, kw_only=True):
     """Hold how one class explains one view, with its best parameters.
 
-    nll: negative log-likelihood in nats, +inf if it cannot explain the view at all. plausibility: of the parameters' sizes, in [0, 1],
-    NaN where not known.
+    nll: negative log-likelihood in nats, +inf if it cannot explain the view at all. plausibility: of the parameters'
+    sizes, in [0, 1], NaN where not known.
 
     Raises ValueError for numbers outside these ranges.
     """
@@ -64,13 +65,15 @@ def size_plausibility(sizes_m: ArrayLike, min_m: ArrayLike, max_m: ArrayLike) ->
     return np.asarray(np.where(np.isnan(size), 1.0, each).prod(axis=-1))
 
 
-def view_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE) -> Array:
+def view_mass(
+    evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE
+) -> Array:
     """Compute the (32,) mass of one view from the evidence for the classes tried; a class left out stays possible.
 
-    The match of class i in log units is -nll / temperature + ln plausibility, mu_i its exp over that of the best. Clutter is every object
-    except mines: whatever matches a mine's shape of implausible size matches clutter by as much as the size is implausible. Then
-    m(not i) = a (1 - mu_i), a = min(quality, 0.95), combined over the classes, which contradict each other in nothing: m(A) is the
-    product of 1 - a (1 - mu_i) in A and of a (1 - mu_i) out of it.
+    The match of class i in log units is -nll / temperature + ln plausibility, mu_i its exp over that of the best.
+    Clutter is every object except mines: whatever matches a mine's shape of implausible size matches clutter by as much
+    as the size is implausible. Then m(not i) = a (1 - mu_i), a = min(quality, 0.95), combined over the classes, which
+    contradict each other in nothing: m(A) is the product of 1 - a (1 - mu_i) in A and of a (1 - mu_i) out of it.
 
     Raises ValueError if quality is not in [0, 1], temperature not positive, or a class not in FRAME.
     """
@@ -82,7 +85,9 @@ def view_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, te
     return mass
 
 
-def appriou_mass(evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE) -> Array:
+def appriou_mass(
+    evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE
+) -> Array:
     """Compute the (32,) mass of one view by Appriou's first family, for comparison; see the module for its faults.
 
     Arguments as `view_mass`.

@@ -141,14 +141,18 @@ def shape_features(fits: ShapeFits, labels: NDArray[np.uint8]) -> Features:
     best = fits.fits[0] if fits.fits else None
     explained = [(known(fit.best.cost, _NO_SOLID), known(fit.plausibility, 0.0)) for fit in fits.fits]
     cost, plausible = explained[0] if explained else (_NO_SOLID, 0.0)
-    weighed = min((nats - _TEMPER * math.log(max(share, _MIN_PLAUSIBILITY)) for nats, share in explained), default=2.0 * _NO_SOLID)
+    weighed = min(
+        (nats - _TEMPER * math.log(max(share, _MIN_PLAUSIBILITY)) for nats, share in explained), default=2.0 * _NO_SOLID
+    )
     contour = cost if fits.contour_cost is None else known(fits.contour_cost, cost)
     return {
         "shape_evidence": -compressed(cost),
         "shape_evidence_of_usual_size": -compressed(weighed),
         "shape_plausibility": plausible,
         "shape_over_contours": compressed(contour - cost),
-        "shape_altitude_off": _NO_ALTITUDE if best is None else known(abs(best.best.altitude_ratio - 1.0), _NO_ALTITUDE),
+        "shape_altitude_off": _NO_ALTITUDE
+        if best is None
+        else known(abs(best.best.altitude_ratio - 1.0), _NO_ALTITUDE),
         **_as_features(() if best is None else best.flags, ("at_bound", "cut_off")),
         "labelled_highlight": float((labels == HIGHLIGHT).mean()) if labels.size else 0.0,
         "highlight_deeper_m": 0.0 if best is None else _deeper_m(best.highlight),

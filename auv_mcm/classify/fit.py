@@ -25,13 +25,25 @@ from auv_mcm.kernels.shape import (
     top_m,
     up_to,
 )
-from auv_mcm.kernels.shape_walk import ONE, RATIO, SUNK, Walk, WalkSpace, costs_at, hypotheses_at, refine_shapes, search_shapes
+from auv_mcm.kernels.shape_walk import (
+    ONE,
+    RATIO,
+    SUNK,
+    Walk,
+    WalkSpace,
+    costs_at,
+    hypotheses_at,
+    refine_shapes,
+    search_shapes,
+)
 from auv_mcm.solids.box_search import Array, Optima, SearchBox, apart, curvature_covariance
 from auv_mcm.solids.shapes import Shape
 
 SOLIDS: Final = tuple(FIELDS)
 
-_CLUTTER: Final = 60.0  # nats by which a free contour explains more than every solid before refinement: no solid catches up
+_CLUTTER: Final = (
+    60.0  # nats by which a free contour explains more than every solid before refinement: no solid catches up
+)
 _HOPELESS: Final = 40.0  # nats behind the best solid before refinement: this one does not catch up
 _ALTITUDE_SIGMA: Final = 0.06  # of the altitude measured, relative
 _BURIAL_SIGMA: Final = 0.15  # share of radius or height: a buried solid and a smaller one look alike
@@ -94,12 +106,13 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
 
     plausibility: 1 for usual sizes of the class, falling to 0 at 30 % beyond them.
     second: the best of those that differ from it by a tenth of the search space or more in some parameter, if any.
-    sigma: standard deviations by name, of the shape's fields, row_m and ground_range_m: from the cost's curvature, the resolution, and an
-    altitude that is wrong by 6 %. Empty unless refined. ends: columns in each slice (n_rows) at which the solid's highlight starts and
-    ends and its shadow ends, 0 where it has none.
+    sigma: standard deviations by name, of the shape's fields, row_m and ground_range_m: from the cost's curvature, the
+    resolution, and an altitude that is wrong by 6 %. Empty unless refined. ends: columns in each slice (n_rows) at
+    which the solid's highlight starts and ends and its shadow ends, 0 where it has none.
     contrast: mean of highlight and of shadow over the floor's, echoes cut off at three times the floor.
-    flags: at_bound (a parameter at the end of what is searched), altitude (solids do fit, but for another altitude), buried (by over a
-    tenth of its height), cut_off (its shadow or its rows leave the region), weak_highlight (fewer than 6 independent samples).
+    flags: at_bound (a parameter at the end of what is searched), altitude (solids do fit, but for another altitude),
+    buried (by over a tenth of its height), cut_off (its shadow or its rows leave the region), weak_highlight (fewer
+    than 6 independent samples).
     """
 
     solid: Solid
@@ -117,8 +130,8 @@ class ShapeFit(msgspec.Struct, frozen=True, kw_only=True):
 class ShapeFits(msgspec.Struct, frozen=True, kw_only=True):
     """Hold all classes that explain the region at all, best first; a class that cannot be seen in it is missing.
 
-    contour_cost: that of the free contour, as given. n_hypotheses: tried in the search. flags: no_data, clutter (the contour explains so
-    much more that solids were not refined).
+    contour_cost: that of the free contour, as given. n_hypotheses: tried in the search. flags: no_data, clutter (the
+    contour explains so much more that solids were not refined).
     """
 
     fits: tuple[ShapeFit, ...]
@@ -162,8 +175,12 @@ _NONE: Final = (0.0, ONE, ONE)
 _TERMS: Final[dict[Solid, Array]] = {
     "sphere": np.array([*_PLACE, _RATIO, (1.0, _P2, ONE), (1.0, _P2, SUNK), _NONE, _NONE, _NONE]),
     "cylinder": np.array([*_PLACE, _RATIO, (1.0, _P2, ONE), (1.0, _P3, ONE), (1.0, _P4, ONE), (1.0, _P2, SUNK), _NONE]),
-    "truncated_cone": np.array([*_PLACE, (1.0, ONE, ONE), (1.0, _P2, ONE), (1.0, _P2, _P3), (2.0, _P2, _P4), _NONE, _NONE]),
-    "wedge": np.array([*_PLACE, _RATIO, *((size_m, _P2, ONE) for size_m in _WEDGE_M), (1.0, _P3, ONE), (_WEDGE_M[2], _P2, SUNK)]),
+    "truncated_cone": np.array(
+        [*_PLACE, (1.0, ONE, ONE), (1.0, _P2, ONE), (1.0, _P2, _P3), (2.0, _P2, _P4), _NONE, _NONE]
+    ),
+    "wedge": np.array(
+        [*_PLACE, _RATIO, *((size_m, _P2, ONE) for size_m in _WEDGE_M), (1.0, _P3, ONE), (_WEDGE_M[2], _P2, SUNK)]
+    ),
 }
 
 
@@ -185,15 +202,25 @@ class _Class(NamedTuple):
 
 
 def fit_shapes(
-    region: Region, contour_cost: float | None, correlation_area: float, *, looks: float = 1.0, effort: Effort | None = None
+    region: Region,
+    contour_cost: float | None,
+    correlation_area: float,
+    *,
+    looks: float = 1.0,
+    effort: Effort | None = None,
 ) -> ShapeFits:
     """Find the best solid of every class in a region.
 
-    contour_cost: of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost of what it encloses
-    plus the code length of its nodes. correlation_area: pixels over which speckle is correlated, at least 1. Everything is the same in
-    every run. Raises ValueError as image_row_sums does.
+    contour_cost: of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost
+    of what it encloses plus the code length of its nodes. correlation_area: pixels over which speckle is correlated, at
+    least 1. Everything is the same in every run. Raises ValueError as image_row_sums does.
     """
-    return fit_to(image_row_sums(region, correlation_area, looks=looks), region, contour_cost, Effort() if effort is None else effort)
+    return fit_to(
+        image_row_sums(region, correlation_area, looks=looks),
+        region,
+        contour_cost,
+        Effort() if effort is None else effort,
+    )
 
 
 def fit_to(image: ImageRowSums | None, region: Region, contour_cost: float | None, effort: Effort) -> ShapeFits:
@@ -223,7 +250,11 @@ def fit_to(image: ImageRowSums | None, region: Region, contour_cost: float | Non
 
 def plausibility(solid: Solid, sizes: Array) -> float:
     """Rate sizes in the order of the class's parameters, 1 within the usual, 0 at 30 % beyond."""
-    known = [(value, parameter.usual) for value, parameter in zip(sizes, _PARAMETERS[solid], strict=True) if parameter.usual is not None]
+    known = [
+        (value, parameter.usual)
+        for value, parameter in zip(sizes, _PARAMETERS[solid], strict=True)
+        if parameter.usual is not None
+    ]
     values, usual = zip(*known, strict=True)
     return float(size_plausibility(values, *zip(*usual, strict=True)))
 
@@ -246,7 +277,9 @@ def _look(solid: Solid, region: Region, image: ImageRowSums, effort: Effort) -> 
     parameters = place + _PARAMETERS[solid]
     box = SearchBox(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
     burial_sigma = math.inf if solid == "truncated_cone" else _BURIAL_SIGMA
-    chart = WalkSpace(solid, box, _TERMS[solid], (_ALTITUDE_SIGMA, burial_sigma), parameter_cost(len(parameters), image))
+    chart = WalkSpace(
+        solid, box, _TERMS[solid], (_ALTITUDE_SIGMA, burial_sigma), parameter_cost(len(parameters), image)
+    )
     walk = Walk(effort.n_walks, effort.n_steps, effort.n_tries, first_stride=3.0)
     return _Class(chart, search_shapes(chart, image, PENCIL, effort.n_starts, walk))
 
@@ -287,7 +320,8 @@ def _look_closely(fit: ShapeFit, entry: _Class, region: Region, image: ImageRowS
     flags = {
         "at_bound": bool(at_end.any()),
         "altitude": abs(fit.best.altitude_ratio - 1.0) > _ALTITUDE_SIGMA,
-        "buried": entry.solid != "truncated_cone" and points[0, -1] > (0.2 if entry.solid in ("sphere", "cylinder") else 0.1),
+        "buried": entry.solid != "truncated_cone"
+        and points[0, -1] > (0.2 if entry.solid in ("sphere", "cylinder") else 0.1),
         "cut_off": rows.size == 0 or rows[0] == 0 or rows[-1] == len(ends) - 1 or bool(ends[:, 2].max() >= last),
         "weak_highlight": highlight.n_samples < _MIN_HIGHLIGHT,
     }
@@ -334,7 +368,9 @@ def _sigma(entry: _Class, beam: Beam, region: Region, image: ImageRowSums) -> di
     if entry.solid != "truncated_cone":
         there[-1] = max(there[-1], 1e-3)  # possible burial of a solid that fits as not buried
     step = 1e-4 * entry.box.grain
-    derivative = (hypotheses_of(entry.solid, there + np.diag(step)) - hypotheses_of(entry.solid, there - np.diag(step))).T / (2.0 * step)
+    derivative = (
+        hypotheses_of(entry.solid, there + np.diag(step)) - hypotheses_of(entry.solid, there - np.diag(step))
+    ).T / (2.0 * step)
     variance = _TEMPER * np.delete(np.einsum("ij,jk,ik->i", derivative, covariance, derivative), 2)
     altitude_m, across_m = image.altitude_m, float(hypothesis[1])
     along_m = _RESOLVED * math.hypot(region.row_spacing_m, region.beam_width_rad * math.hypot(across_m, altitude_m))

@@ -53,9 +53,9 @@ class FusedViews(NamedTuple):
 def fuse(views: Sequence[Detection], prior: float) -> FusedViews:
     """Fuse the views of one contact, whose order does not matter.
 
-    prior: log-odds of a mine among detections, which each view's p_mine contains and the contact's contains once. Views that contradict
-    each other too much to belong to one object are not fused: the most mine-like one stands for the contact.
-    Raises ValueError if there is no view.
+    prior: log-odds of a mine among detections, which each view's p_mine contains and the contact's contains once. Views
+    that contradict each other too much to belong to one object are not fused: the most mine-like one stands for the
+    contact. Raises ValueError if there is no view.
     """
     if not views:
         raise ValueError("fuse needs at least one view")
@@ -77,10 +77,10 @@ def fuse(views: Sequence[Detection], prior: float) -> FusedViews:
 def fused_ratio(log_ratios: Sequence[float], aspects_deg: Sequence[float]) -> float:
     """Fuse the evidence of several views, in nats: that of the most mine-like one, and a little of the others.
 
-    What makes a stone look like a mine mostly stays with it from view to view, and what hides a mine does not: on simulated missions two
-    views are no surer than the better of them. Another view counts by NEWS times the product of 1 - rho over those with more evidence
-    for a mine, with rho = exp(-angle^2 / (2 * 15^2 degrees)) and the opposite direction like the same. A direction that is
-    not known may be any: such a view is new only if it is the only one.
+    What makes a stone look like a mine mostly stays with it from view to view, and what hides a mine does not: on
+    simulated missions two views are no surer than the better of them. Another view counts by NEWS times the product of
+    1 - rho over those with more evidence for a mine, with rho = exp(-angle^2 / (2 * 15^2 degrees)) and the opposite
+    direction like the same. A direction that is not known may be any: such a view is new only if it is the only one.
     """
     order = sorted(range(len(log_ratios)), key=lambda index: (-log_ratios[index], index))
     total = 0.0
@@ -111,11 +111,17 @@ def _shape_source(view: Detection) -> ViewMass:
     )
 
 
-def _verdict(mass: Array, p_mine: float, conflict: float, views: Sequence[Detection], prior: float, reasons: tuple[str, ...]) -> FusedViews:
+def _verdict(
+    mass: Array, p_mine: float, conflict: float, views: Sequence[Detection], prior: float, reasons: tuple[str, ...]
+) -> FusedViews:
     known = bounded_by(with_ratio(mass, prior), p_mine)
     belief = singleton_belief(known)
     # Whether it is a mine goes by p_mine, of which kind by belief.
-    classification = likeliest_mine(known) if p_mine >= MINE_LIKE_P else cast(ContactClass, max(belief, key=lambda name: belief[name]))
+    classification = (
+        likeliest_mine(known)
+        if p_mine >= MINE_LIKE_P
+        else cast(ContactClass, max(belief, key=lambda name: belief[name]))
+    )
     next_look_deg: tuple[float, ...] = ()
     aspects_rad = np.radians([view.aspect_deg for view in views])
     if abs(odds_of(p_mine) - odds_of(MINE_LIKE_P)) < _ONE_LOOK and np.isfinite(aspects_rad).all():

@@ -23,19 +23,24 @@ _NARROW: Final = 0.3  # rows that a beam must cover before its width counts
 def image_row_sums(region: Region, correlation_area: float, *, looks: float = 1.0) -> ImageRowSums | None:
     """Sum along the slices of a region cumulatively; None if it holds no measured pixel.
 
-    correlation_area: pixels over which speckle is correlated, at least 1. Pixels that are not valid, not finite or negative have no part.
-    Echoes are cut off at three times the floor: the brightness of a highlight depends little on the shape, and one glint would outvote a
-    shadow. The floor is taken from the median, which is (1 - 1 / 9L)^3 of a Gamma distribution's mean. What makes speckle correlated
-    smears highlights too: by the pixels that, added in squares to the pixel itself, make up the correlation area.
+    correlation_area: pixels over which speckle is correlated, at least 1. Pixels that are not valid, not finite or
+    negative have no part. Echoes are cut off at three times the floor: the brightness of a highlight depends little on
+    the shape, and one glint would outvote a shadow. The floor is taken from the median, which is (1 - 1 / 9L)^3 of a
+    Gamma distribution's mean. What makes speckle correlated smears highlights too: by the pixels that, added in squares
+    to the pixel itself, make up the correlation area.
 
-    In the image of a squinted sub-aperture a slice is a line sheared by tan(squint): a point at ground range y is drawn in the row where
-    it was closest, y tan(squint) ahead of where its slice started. Columns are shifted by whole rows so that slices become rows again,
-    the one of the region's middle column staying where it was; distances are then those along and across the slices.
-    Raises ValueError as require_sound does, and for a correlation area below 1 or less than half a look.
+    In the image of a squinted sub-aperture a slice is a line sheared by tan(squint): a point at ground range y is drawn
+    in the row where it was closest, y tan(squint) ahead of where its slice started. Columns are shifted by whole rows
+    so that slices become rows again, the one of the region's middle column staying where it was; distances are then
+    those along and across the slices. Raises ValueError as require_sound does, and for a correlation area below 1 or
+    less than half a look.
     """
     require_sound(region)
     if not (1.0 <= correlation_area < math.inf and 0.5 <= looks < math.inf):
-        raise ValueError(f"correlation_area must be at least 1 and looks at least 0.5, both finite, not {correlation_area} and {looks}")
+        raise ValueError(
+            f"correlation_area must be at least 1 and looks at least 0.5, both finite, not {correlation_area} and "
+            f"{looks}"
+        )
     counted = counted_pixels(region)
     if not (region.intensity[counted] > 0.0).any():
         return None
@@ -68,8 +73,8 @@ def labels_cost(region: Region, labels: NDArray[np.uint8], correlation_area: flo
 
     The scale is that of the costs of solids.
 
-    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT. With the code length of its contours added, this is what a free
-    contour costs. Raises ValueError as image_row_sums does, and for labels of another shape.
+    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT. With the code length of its contours added,
+    this is what a free contour costs. Raises ValueError as image_row_sums does, and for labels of another shape.
     """
     return labels_cost_of(image_row_sums(region, correlation_area, looks=looks), region, labels)
 

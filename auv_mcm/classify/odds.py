@@ -1,9 +1,10 @@
 """Compute the odds of a mine after each step of confirmation, and the belief mass that stands for them.
 
-Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20, 1958), and boosted
-trees add what a sum misses (J. H. Friedman, Annals of Statistics 29, 2001); both are fitted on simulated missions with seeds that nothing
-is scored on. The log-odds of mines among the detections fitted on are taken off: what is left is the evidence of the view alone, a
-log-likelihood ratio that several views may add up. How rare mines are is put back once per contact, as one more source.
+Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20,
+1958), and boosted trees add what a sum misses (J. H. Friedman, Annals of Statistics 29, 2001); both are fitted on
+simulated missions with seeds that nothing is scored on. The log-odds of mines among the detections fitted on are taken
+off: what is left is the evidence of the view alone, a log-likelihood ratio that several views may add up. How rare
+mines are is put back once per contact, as one more source.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Detector, LookStep
 
-_TEMPER: Final = 0.5  # two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
+_TEMPER: Final = (
+    0.5  # two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
+)
 _RELIABILITY: Final = 0.999
 _BOUND: Final = 12.0  # nats
 _CLUTTER: Final = subset("clutter")
@@ -43,8 +46,8 @@ _Questions: TypeAlias = Annotated[tuple[_Question, ...], msgspec.Meta(min_length
 class Tree(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Ask three questions in turn; each of the eight ways through them adds to the log-odds.
 
-    ask: name and threshold of question i, after which no leads to question 2 i + 1 and yes, the feature is above, to 2 i + 2. nats: of the
-    leaves, from three times no to three times yes.
+    ask: name and threshold of question i, after which no leads to question 2 i + 1 and yes, the feature is above, to 2
+    i + 2. nats: of the leaves, from three times no to three times yes.
     """
 
     ask: _Questions
@@ -65,7 +68,9 @@ class _Forest(NamedTuple):
         place = {name: k for k, name in enumerate(names)}
         return cls(
             names,
-            np.array([[place[name] for name, _ in tree.ask] for tree in trees], dtype=np.intp).reshape(-1, 2**DEPTH - 1),
+            np.array([[place[name] for name, _ in tree.ask] for tree in trees], dtype=np.intp).reshape(
+                -1, 2**DEPTH - 1
+            ),
             np.array([[threshold for _, threshold in tree.ask] for tree in trees]).reshape(-1, 2**DEPTH - 1),
             np.array([tree.nats for tree in trees]).reshape(-1, 2**DEPTH),
         )

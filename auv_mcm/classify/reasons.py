@@ -15,9 +15,13 @@ Bearing: TypeAlias = Literal["for", "against", "note"]
 CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     # what was confirmed
     "not_looked_at": "the odds of a mine were too low for confirmation",
-    "over_budget": "there were more detections than the budget for confirmation allows: this one keeps the detector's odds",
+    "over_budget": (
+        "there were more detections than the budget for confirmation allows: this one keeps the detector's odds"
+    ),
     "look_failed": "confirmation at it failed: this one keeps the detector's odds",
-    "views_contradict": "its views contradict each other so much that they may show two objects: the most mine-like one stands for it",
+    "views_contradict": (
+        "its views contradict each other so much that they may show two objects: the most mine-like one stands for it"
+    ),
     "region_too_small": "too few pixels around it for confirmation",
     "geometry_unknown": "altitude or range is not known there, so that no height can be measured",
     "no_echo": "no echo at all was recorded around it",
@@ -36,7 +40,10 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     "too_high": "its shadow is that of something higher than any mine",
     "shadow_not_dark": "its shadow is too bright: sound still comes back from it",
     "shadow_goes_on": "the dark goes on beside it along the track, as in the trough of a ripple",
-    "in_shadow": "the dark begins nearer, and it has no bright echo: it lies in the shadow of something else, where nothing can be seen",
+    "in_shadow": (
+        "the dark begins nearer, and it has no bright echo: it lies in the shadow of something else, where nothing "
+        "can be seen"
+    ),
     "hole_in_bright": "it is bright on both sides of the shadow: a gap in a bright patch, such as grass",
     "little_evidence": "contours of an object explain the picture hardly better than bare sea floor",
     "repeats": "the same contours fit other places nearby as well, as on ripples or grass",

@@ -1,7 +1,7 @@
 """Lay out the area that is to be cleared as cells of the mission's plane, and state how its search stands.
 
-Its clearance is the mean over its cells of the probability that a mine there would have been found: the expected share of mines found
-where they may lie anywhere.
+Its clearance is the mean over its cells of the probability that a mine there would have been found: the expected share
+of mines found where they may lie anywhere.
 """
 
 from __future__ import annotations

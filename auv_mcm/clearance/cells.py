@@ -33,9 +33,10 @@ def surveyed_cells(
     """Gather the covered pixels of a tile's core into cells; cells of which less than a hundredth was seen are left
     out.
 
-    covered: (core rows, n_columns) bool, False where the row cannot be placed. frame: the mission's plane. Pixels are placed in
-    blocks of half a metre. evaluated_fraction: of the places to look at, those that the detector's budget allowed for. None if nothing was
-    covered. Memory grows with the number of blocks, not with the distance between them.
+    covered: (core rows, n_columns) bool, False where the row cannot be placed. frame: the mission's plane. Pixels are
+    placed in blocks of half a metre. evaluated_fraction: of the places to look at, those that the detector's budget
+    allowed for. None if nothing was covered. Memory grows with the number of blocks, not with the distance between
+    them.
     """
     n_rows = max(1, round(_BLOCK_M / tile.row_spacing_m))
     n_columns = max(1, round(_BLOCK_M / tile.column_spacing_m))
@@ -45,13 +46,20 @@ def surveyed_cells(
         return None
     used = np.unique(at_row)
     row = tile.core_start + np.minimum((used + 0.5) * n_rows, covered.shape[0]) - 0.5
-    near_m, far_m = (_placed(tile, row, ground_m, sonar, frame) for ground_m in (0.0, covered.shape[1] * tile.column_spacing_m))
+    near_m, far_m = (
+        _placed(tile, row, ground_m, sonar, frame) for ground_m in (0.0, covered.shape[1] * tile.column_spacing_m)
+    )
     of_block = np.searchsorted(used, at_row)
     ground_m = (at_column + 0.5) * n_columns * tile.column_spacing_m
     share = (ground_m / (covered.shape[1] * tile.column_spacing_m))[:, np.newaxis]
     place = near_m[of_block] * (1.0 - share) + far_m[of_block] * share
     finite = np.isfinite(place).all(axis=1)
-    area, ground_m, of_block, place = area_m2[at_row, at_column][finite], ground_m[finite], of_block[finite], place[finite]
+    area, ground_m, of_block, place = (
+        area_m2[at_row, at_column][finite],
+        ground_m[finite],
+        of_block[finite],
+        place[finite],
+    )
     if not len(area):
         return None
     index = np.floor(place / cell_m).astype(np.int64)
@@ -70,7 +78,9 @@ def surveyed_cells(
     look /= np.maximum(np.hypot(look[:, 0], look[:, 1]), 1e-9)[:, np.newaxis]
     look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
     altitude_m = tile.first_return_m[np.minimum(np.rint(row).astype(int), len(tile.first_return_m) - 1)][of_block]
-    kind, confidence, ripple_rad, wavelength_m = _seabed(seabed, tile, row[of_block], ground_m, key, area, n_cells, kept)
+    kind, confidence, ripple_rad, wavelength_m = _seabed(
+        seabed, tile, row[of_block], ground_m, key, area, n_cells, kept
+    )
     return SurveyedCells(
         origin_latitude_deg=frame.latitude_deg,
         origin_longitude_deg=frame.longitude_deg,
@@ -125,7 +135,9 @@ def _seabed(
         nothing = np.full(len(kept), NAN, dtype=np.float32)
         return unknown, np.zeros(len(kept), dtype=np.float32), nothing, nothing
     n_along, n_across = seabed.kind.shape
-    along = np.clip(((row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1)
+    along = np.clip(
+        ((row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1
+    )
     across = np.clip((ground_m // seabed.cell_m[1]).astype(int), 0, n_across - 1)
     kind = seabed.kind[along, across]
     by_kind = np.stack([np.bincount(key, area * (kind == index), n_cells)[kept] for index in range(len(SEABED_TYPES))])
@@ -140,10 +152,14 @@ def _seabed(
     ripple = np.nan_to_num(ripple)
     rippled = np.bincount(key, weight, n_cells)[kept]
     # Twice the angle, since a direction and its opposite are the same ripples.
-    sine, cosine = (np.bincount(key, weight * part, n_cells)[kept] for part in (np.sin(2.0 * ripple), np.cos(2.0 * ripple)))
+    sine, cosine = (
+        np.bincount(key, weight * part, n_cells)[kept] for part in (np.sin(2.0 * ripple), np.cos(2.0 * ripple))
+    )
     is_rippled = rippled > 0.0
     direction = np.mod(0.5 * np.arctan2(sine, cosine), math.pi)
-    wavelength = np.bincount(key, weight * np.nan_to_num(seabed.wavelength_m[along, across]), n_cells)[kept] / np.maximum(rippled, 1e-12)
+    wavelength = np.bincount(key, weight * np.nan_to_num(seabed.wavelength_m[along, across]), n_cells)[
+        kept
+    ] / np.maximum(rippled, 1e-12)
     return (
         commonest.astype(np.uint8),
         confidence.astype(np.float32),

@@ -27,7 +27,8 @@ def clearance_geojson(clearance: Clearance | None) -> bytes:
 
     The cells of a rectangle have the same kind of sea floor and lie in the same band of `p_detected`.
 
-    Properties: seabed; p_low and p_high, the band's ends; p_mean over its cells; cells, their number; m2. From south-west to north-east.
+    Properties: seabed; p_low and p_high, the band's ends; p_mean over its cells; cells, their number; m2. From
+    south-west to north-east.
     """
     if clearance is None:
         return collection([])
@@ -66,14 +67,18 @@ def rectangles(values: NDArray[np.int64]) -> list[tuple[int, int, int, int]]:
             continue
         ahead = (values[row, column:] == values[row, column]) & left[row, column:]
         width = len(ahead) if ahead.all() else int(np.argmin(ahead))
-        above = ((values[row:, column : column + width] == values[row, column]) & left[row:, column : column + width]).all(axis=1)
+        above = (
+            (values[row:, column : column + width] == values[row, column]) & left[row:, column : column + width]
+        ).all(axis=1)
         height = len(above) if above.all() else int(np.argmin(above))
         left[row : row + height, column : column + width] = False
         found.append((int(row), int(column), height, width))
     return found
 
 
-def _ring(clearance: Clearance, frame: LocalFrame, north: int, east: int, n_north: int, n_east: int) -> NDArray[np.float64]:
+def _ring(
+    clearance: Clearance, frame: LocalFrame, north: int, east: int, n_north: int, n_east: int
+) -> NDArray[np.float64]:
     """Give longitude and latitude of a rectangle's corners, closed, counter-clockwise."""
     low = np.array([east + clearance.first_east, north + clearance.first_north]) * clearance.cell_m
     high = low + np.array([n_east, n_north]) * clearance.cell_m

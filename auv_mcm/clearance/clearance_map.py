@@ -1,8 +1,8 @@
 """Map how well each piece of sea floor was searched: views add up to the probability of having found a mine there.
 
-Looks at a cell with probabilities P_k leave a mine unseen with the product of 1 - P_k, so their miss exponents -ln(1 - P_k) add up. That
-holds for looks that are independent. One from nearly the same direction sees the same side of the same mine and counts only in part, as
-does, a little, any further one: what is buried is buried from everywhere.
+Looks at a cell with probabilities P_k leave a mine unseen with the product of 1 - P_k, so their miss exponents -ln(1 -
+P_k) add up. That holds for looks that are independent. One from nearly the same direction sees the same side of the
+same mine and counts only in part, as does, a little, any further one: what is buried is buried from everywhere.
 """
 
 from __future__ import annotations
@@ -24,15 +24,19 @@ _SAME_LOOK_RAD: Final = math.radians(15.0)
 _SAME_PASS_S: Final = 60.0
 _ROUNDING_RAD: Final = 1e-6
 _KEY: Final = 1 << 32
-_MAX_BOX_CELLS: Final = 1 << 22  # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
-_DENSE_CELLS: Final = 1024  # side of the squares among which the one searched most is taken as the middle of a map too large to lay out
+_MAX_BOX_CELLS: Final = (
+    1 << 22
+)  # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written
+_DENSE_CELLS: Final = (
+    1024  # side of the squares among which the one searched most is taken as the middle of a map too large to lay out
+)
 
 
 class LookModel(Protocol):
     """State what a view is worth.
 
-    same_look_correlation, other_look_correlation: the part of a further view that adds nothing new, from within 15 degrees of an earlier
-    one and from elsewhere, 0 to 1.
+    same_look_correlation, other_look_correlation: the part of a further view that adds nothing new, from within 15
+    degrees of an earlier one and from elsewhere, 0 to 1.
     """
 
     @property
@@ -60,10 +64,11 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     Element [0, 0] is cell (first_east, first_north).
 
-    exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell. towards uint64: the
-    directions they looked in, as `look_bit` has them. seabed uint8, ripple_rad,
-    wavelength_m float32: as the surest look has it, weighted by how much of the cell it saw. altitude_m float32: mean over looks. Where
-    nothing was seen these are `unknown` and NaN. n_elsewhere: cells seen too far from the others to be laid out in one box with them.
+    exponent float64: miss exponent, 0 where nothing was seen. looks uint8: passes that saw something of the cell.
+    towards uint64: the directions they looked in, as `look_bit` has them. seabed uint8, ripple_rad,
+    wavelength_m float32: as the surest look has it, weighted by how much of the cell it saw. altitude_m float32: mean
+    over looks. Where nothing was seen these are `unknown` and NaN. n_elsewhere: cells seen too far from the others to
+    be laid out in one box with them.
     """
 
     origin_latitude_deg: float
@@ -116,8 +121,8 @@ class _Pass(NamedTuple):
 class ClearanceMap:
     """Collect views of cells from patches; equal patches give equal maps, whatever the order of tiles of a pass.
 
-    Patches of one side that follow one another within a minute and look the same way are one pass, and what a pass sees of a cell in two
-    patches is one look.
+    Patches of one side that follow one another within a minute and look the same way are one pass, and what a pass sees
+    of a cell in two patches is one look.
     """
 
     def __init__(self, model: LookModel) -> None:
@@ -136,9 +141,13 @@ class ClearanceMap:
         if cells is None or not len(cells.fraction):
             return
         if self._looks and _plane(cells) != _plane(self._looks[0].cells):
-            raise ValueError("patches of two missions: their cells lie in different planes. Give each mission a map of its own")
+            raise ValueError(
+                "patches of two missions: their cells lie in different planes. Give each mission a map of its own"
+            )
         p = np.clip(
-            self._model.p_look(cells.seabed, cells.ground_range_m, cells.altitude_m, cells.look_rad, cells.ripple_rad), 0.0, HIGHEST_P
+            self._model.p_look(cells.seabed, cells.ground_range_m, cells.altitude_m, cells.look_rad, cells.ripple_rad),
+            0.0,
+            HIGHEST_P,
         )
         self._looks.append(_Look(p, cells))
         self._numbers.append(self._pass_of(patch))
@@ -197,7 +206,9 @@ class ClearanceMap:
             total += np.where(there[:, k], weight * exponent[row[:, k]], 0.0)
         return total
 
-    def _laid_out(self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp], towards: NDArray[np.uint64]) -> Clearance:
+    def _laid_out(
+        self, cell: NDArray[np.int64], exponent: Array, n_looks: NDArray[np.intp], towards: NDArray[np.uint64]
+    ) -> Clearance:
         east = (cell + _KEY // 2) // _KEY
         north = cell - east * _KEY
         kept = _around_the_densest(east, north)
@@ -226,7 +237,11 @@ class ClearanceMap:
             better = sure > confidence[place]
             surer = place[0][better], place[1][better]
             confidence[surer] = sure[better]
-            for layer, values in ((seabed, look.cells.seabed), (ripple, look.cells.ripple_rad), (wavelength, look.cells.wavelength_m)):
+            for layer, values in (
+                (seabed, look.cells.seabed),
+                (ripple, look.cells.ripple_rad),
+                (wavelength, look.cells.wavelength_m),
+            ):
                 layer[surer] = values[inside][better]
             fraction = look.cells.fraction[inside].astype(np.float64)
             altitude[place] += fraction * look.cells.altitude_m[inside]
@@ -257,7 +272,9 @@ def _around_the_densest(east: NDArray[np.int64], north: NDArray[np.int64]) -> ND
     """
     if (int(np.ptp(east)) + 1) * (int(np.ptp(north)) + 1) <= _MAX_BOX_CELLS:
         return np.arange(len(east))
-    _, square, n_cells = np.unique(east // _DENSE_CELLS * _KEY + north // _DENSE_CELLS, return_inverse=True, return_counts=True)
+    _, square, n_cells = np.unique(
+        east // _DENSE_CELLS * _KEY + north // _DENSE_CELLS, return_inverse=True, return_counts=True
+    )
     densest = square == np.argmax(n_cells)
     middle_east, middle_north = int(np.median(east[densest])), int(np.median(north[densest]))
     order = np.argsort(np.maximum(np.abs(east - middle_east), np.abs(north - middle_north)), kind="stable")
@@ -300,7 +317,9 @@ def clearance_over(clearance: Clearance, first_east: int, first_north: int, shap
 
     def laid(layer: NDArray[np.generic], outside: float) -> NDArray[np.generic]:
         box = np.full(shape, outside, dtype=layer.dtype)
-        box[rows, columns] = layer[rows.start - row : max(rows.stop - row, 0), columns.start - column : max(columns.stop - column, 0)]
+        box[rows, columns] = layer[
+            rows.start - row : max(rows.stop - row, 0), columns.start - column : max(columns.stop - column, 0)
+        ]
         return box
 
     outside = {"exponent": 0.0, "looks": 0.0, "towards": 0.0, "seabed": float(SEABED_TYPES.index("unknown"))}

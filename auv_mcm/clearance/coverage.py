@@ -28,7 +28,11 @@ class CoverageGrid(NamedTuple):
 
 
 def cover_tile(
-    tile: Tile, sonar: SonarConfig, evaluated_fraction: float = 1.0, grid: CoverageGrid | None = None, seabed: SeabedCells | None = None
+    tile: Tile,
+    sonar: SonarConfig,
+    evaluated_fraction: float = 1.0,
+    grid: CoverageGrid | None = None,
+    seabed: SeabedCells | None = None,
 ) -> CoveragePatch:
     """Compute the coverage of a tile's core.
 
@@ -37,9 +41,9 @@ def cover_tile(
     high. Of the area so covered only the evaluated fraction counts, since the detector's budget did not allow for the
     rest.
 
-    The outlines follow the near and far end of the covered range in strips of five metres along track; they end where rows that
-    cover less than a fifth of the range lie for more than half a metre. grid: the cells to lay the same area out in; seabed: what kind of
-    sea floor it is.
+    The outlines follow the near and far end of the covered range in strips of five metres along track; they end where
+    rows that cover less than a fifth of the range lie for more than half a metre. grid: the cells to lay the same area
+    out in; seabed: what kind of sea floor it is.
     """
     core = slice(tile.core_start, tile.core_stop)
     mask = tile.mask[core]
@@ -74,7 +78,9 @@ def cover_tile(
             "over_budget": seen_m2 * (1.0 - evaluated_fraction),
         },
         evaluated_fraction=evaluated_fraction,
-        cells=None if grid is None else surveyed_cells(tile, covered, sonar, grid.frame, grid.cell_m, seabed, evaluated_fraction),
+        cells=None
+        if grid is None
+        else surveyed_cells(tile, covered, sonar, grid.frame, grid.cell_m, seabed, evaluated_fraction),
     )
 
 
@@ -97,7 +103,9 @@ def uncovered(tile: Tile) -> CoveragePatch:
 def placed_rows(tile: Tile) -> NDArray[np.bool_]:
     """Select rows whose echoes can be placed on Earth, (n_rows,)."""
     pose = tile.pose
-    known = np.isfinite([pose.latitude_deg, pose.longitude_deg, pose.heading_rad, pose.pitch_rad, pose.roll_rad, tile.first_return_m])
+    known = np.isfinite(
+        [pose.latitude_deg, pose.longitude_deg, pose.heading_rad, pose.pitch_rad, pose.roll_rad, tile.first_return_m]
+    )
     return np.asarray(known.all(axis=0))
 
 

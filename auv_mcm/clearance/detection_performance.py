@@ -1,12 +1,13 @@
 """Predict how likely one view finds a mine, by sea floor, range, altitude and ripples, from simulated missions.
 
-The tables hold, per kind and band of range, the probability and its 95 % interval; between the middles of bands both go linearly. Seen
-lower, the same range is grazed more flatly and shadows are longer: ranges count in the height flown,
+The tables hold, per kind and band of range, the probability and its 95 % interval; between the middles of bands both go
+linearly. Seen lower, the same range is grazed more flatly and shadows are longer: ranges count in the height flown,
 
     range as read = ground range * (altitude_m / altitude) ^ altitude_exponent,
 
-with an exponent chosen by what predicts missions left out best. Ripples have three tables, by the angle between the look and the direction
-in which crests follow one another: 0-30, 30-60 and 60-90 degrees, read linearly between their middles.
+with an exponent chosen by what predicts missions left out best. Ripples have three tables, by the angle between the
+look and the direction in which crests follow one another: 0-30, 30-60 and 60-90 degrees, read linearly between their
+middles.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     fitted_on: what they were fitted on. edges_m: of the bands, rising. floors: per floor of FLOORS its bands.
 
-    A look counts as having found a mine if it makes a contact that is called mine-like within 2 m. *_look_correlation: the part of a
-    further view that adds nothing new, from within 15 degrees of an earlier one and from elsewhere.
+    A look counts as having found a mine if it makes a contact that is called mine-like within 2 m. *_look_correlation:
+    the part of a further view that adds nothing new, from within 15 degrees of an earlier one and from elsewhere.
     """
 
     fitted_on: str
@@ -76,7 +77,9 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     other_look_correlation: _Probability
 
     def __post_init__(self) -> None:
-        if len(self.edges_m) < 3 or not all(near < far for near, far in zip(self.edges_m, self.edges_m[1:], strict=False)):
+        if len(self.edges_m) < 3 or not all(
+            near < far for near, far in zip(self.edges_m, self.edges_m[1:], strict=False)
+        ):
             raise ValueError(f"edges_m {list(self.edges_m)} must be three or more that rise")
         if missing := set(FLOORS) - self.floors.keys():
             raise ValueError(f"floors: there is no table of {', '.join(sorted(missing))}")
@@ -85,22 +88,35 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
                 raise ValueError(f"floors: {floor} has {len(bands)} bands where edges_m makes {len(self.edges_m) - 1}")
 
     def p_look(
-        self, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
+        self,
+        seabed: ArrayLike,
+        ground_range_m: ArrayLike,
+        altitude_m: ArrayLike,
+        look_rad: ArrayLike,
+        ripple_rad: ArrayLike,
     ) -> Array:
         """Compute the probability that one view of the whole of a cell finds a mine there; float64, arguments
         broadcast.
 
-        Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees, farther than the last band, and where range or
-        altitude is not known. An unknown floor is taken for the one with the minimum there, ripples of unknown direction as from the
-        worst one. Raises ValueError for a seabed that is not in SEABED_TYPES.
+        Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees, farther than the last band, and
+        where range or altitude is not known. An unknown floor is taken for the one with the minimum there, ripples of
+        unknown direction as from the worst one. Raises ValueError for a seabed that is not in SEABED_TYPES.
         """
         return self._read(self._column("p"), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
 
     def interval(
-        self, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
+        self,
+        seabed: ArrayLike,
+        ground_range_m: ArrayLike,
+        altitude_m: ArrayLike,
+        look_rad: ArrayLike,
+        ripple_rad: ArrayLike,
     ) -> tuple[Array, Array]:
         """Compute the 95 % interval of what `p_look` may be on average over missions; arguments and errors as there."""
-        low, high = (self._read(self._column(end), seabed, ground_range_m, altitude_m, look_rad, ripple_rad) for end in ("low", "high"))
+        low, high = (
+            self._read(self._column(end), seabed, ground_range_m, altitude_m, look_rad, ripple_rad)
+            for end in ("low", "high")
+        )
         return low, high
 
     def p_by_floor(self, ground_range_m: ArrayLike, altitude_m: float) -> Array:
@@ -112,7 +128,9 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
         NaN where no mine is found: near the nadir and where range or altitude is not known.
         """
-        ground, altitude = np.broadcast_arrays(np.asarray(ground_range_m, dtype=np.float64), np.asarray(altitude_m, dtype=np.float64))
+        ground, altitude = np.broadcast_arrays(
+            np.asarray(ground_range_m, dtype=np.float64), np.asarray(altitude_m, dtype=np.float64)
+        )
         with np.errstate(invalid="ignore"):
             seen = (altitude > 0.0) & (ground * math.tan(STEEPEST_RAD) >= altitude) & np.isfinite(ground)
         scale = (self.altitude_m / np.where(seen, altitude, 1.0)) ** self.altitude_exponent
@@ -123,13 +141,22 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return np.array([[getattr(band, name) for band in self.floors[floor]] for floor in FLOORS])
 
     def _read(
-        self, table: Array, seabed: ArrayLike, ground_range_m: ArrayLike, altitude_m: ArrayLike, look_rad: ArrayLike, ripple_rad: ArrayLike
+        self,
+        table: Array,
+        seabed: ArrayLike,
+        ground_range_m: ArrayLike,
+        altitude_m: ArrayLike,
+        look_rad: ArrayLike,
+        ripple_rad: ArrayLike,
     ) -> Array:
         kind, ground, altitude, look, ripple = np.broadcast_arrays(
-            np.asarray(seabed), *(np.asarray(part, dtype=np.float64) for part in (ground_range_m, altitude_m, look_rad, ripple_rad))
+            np.asarray(seabed),
+            *(np.asarray(part, dtype=np.float64) for part in (ground_range_m, altitude_m, look_rad, ripple_rad)),
         )
         if kind.size and not (kind.min() >= 0 and kind.max() < len(SEABED_TYPES)):
-            raise ValueError(f"seabed: {kind.min()} to {kind.max()}, where SEABED_TYPES has 0 to {len(SEABED_TYPES) - 1}")
+            raise ValueError(
+                f"seabed: {kind.min()} to {kind.max()}, where SEABED_TYPES has 0 to {len(SEABED_TYPES) - 1}"
+            )
         by_floor = self._by_floor(table, self.read_range_m(ground, altitude))
         found = np.zeros(ground.shape)
         for index, name in enumerate(SEABED_TYPES):

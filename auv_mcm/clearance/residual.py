@@ -1,10 +1,12 @@
 """Estimate what a search leaves behind: mines that may still be there, and how wide a path a sonar sweeps.
 
-A mine that a look does not find nearly always makes a contact all the same, one that is not called mine-like. So the sum of `p_mine` over
-contacts not called estimates how many mines lie among them, mission by mission; a table of probabilities holds only averages:
-floors, water and mines differ so much that of two floors with the same table one shows 0.9 of its mines and the other 0.25. Not all of
-that sum are mines; which part is, and how far missions scatter about it, was measured (`auv-mcm bench clearance`). Like `p_mine` itself,
-it presumes that mines lie about as densely as in simulated missions: where there are none it is too high.
+A mine that a look does not find nearly always makes a contact all the same, one that is not called mine-like. So the
+sum of `p_mine` over contacts not called estimates how many mines lie among them, mission by mission; a table of
+probabilities holds only averages:
+floors, water and mines differ so much that of two floors with the same table one shows 0.9 of its mines and the other
+0.25. Not all of that sum are mines; which part is, and how far missions scatter about it, was measured (`auv-mcm bench
+clearance`). Like `p_mine` itself, it presumes that mines lie about as densely as in simulated missions: where there are
+none it is too high.
 """
 
 from __future__ import annotations
@@ -16,12 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 MIN_P_MINE: Final = 0.01
-"""The lowest p_mine that counts, so that the estimate does not depend on how much less likely contacts are reported as well."""
+"""The lowest p_mine that counts, so that the estimate does not depend on how much less likely contacts are reported as
+well."""
 DOUBTFUL_SHARE: Final = 0.8
-"""Mines missed over the sum of p_mine of contacts not called, of MIN_P_MINE or more, on the named scenes, seeds 91001 and 91002; 0.76 to
-0.87 with one scene left out."""
+"""Mines missed over the sum of p_mine of contacts not called, of MIN_P_MINE or more, on the named scenes, seeds 91001
+and 91002; 0.76 to 0.87 with one scene left out."""
 SHAPE: Final = 10.0
-"""Of the Gamma distribution of mines left about that estimate, from mission to mission: a relative deviation of 0.32 beside chance."""
+"""Of the Gamma distribution of mines left about that estimate, from mission to mission: a relative deviation of 0.32
+beside chance."""
 USUAL_PER_KM2: Final = 300
 """Mines in those missions: 20 to 24 on 0.06 to 0.11 km²."""
 
@@ -47,9 +51,10 @@ class Remaining(NamedTuple):
 def remaining_mines(p_doubtful: ArrayLike, p_detected: ArrayLike) -> Remaining:
     """Estimate mines that remain where was searched.
 
-    p_doubtful: p_mine of the contacts that are not called mine-like. p_detected: any shape, [0, 1], of every cell searched; of mines that
-    leave no contact at all half a one is expected, times the odds against its being found. The number remaining is a Poisson count whose
-    mean is Gamma distributed about the estimate: negative binomial. Raises ValueError for a value outside 0 to 1.
+    p_doubtful: p_mine of the contacts that are not called mine-like. p_detected: any shape, [0, 1], of every cell
+    searched; of mines that leave no contact at all half a one is expected, times the odds against its being found. The
+    number remaining is a Poisson count whose mean is Gamma distributed about the estimate: negative binomial. Raises
+    ValueError for a value outside 0 to 1.
     """
     doubtful, p = np.asarray(p_doubtful, dtype=np.float64), np.asarray(p_detected, dtype=np.float64)
     for name, values in (("p_doubtful", doubtful), ("p_detected", p)):
@@ -74,7 +79,8 @@ def remaining_about(expected: float) -> Remaining:
 
 
 def sweep_width_m(ground_range_m: NDArray[np.float64], p_look: NDArray[np.float64]) -> float:
-    """Integrate P over range: the width of the path that a sure sonar would have to see to find as many mines as this one on one side.
+    """Integrate P over range: the width of the path that a sure sonar would have to see to find as many mines as this
+    one on one side.
 
     ground_range_m: (n,) rising, p_look: (n,). Raises ValueError for ranges that do not rise.
     """

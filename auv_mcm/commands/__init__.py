@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Namespace = TypeVar("Namespace")
 
-EXIT_CODES: Final = "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
+EXIT_CODES: Final = (
+    "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
+)
 
 
 class Parser(argparse.ArgumentParser):
     """Reject arguments that a command does not have with that command's own usage and the nearest option.
 
-    argparse hands what a subcommand does not know back to the main parser, which then prints its own usage. It would also take the
-    beginning of an option for the whole: a slip such as `train --ou x` would train for minutes.
+    argparse hands what a subcommand does not know back to the main parser, which then prints its own usage. It would
+    also take the beginning of an option for the whole: a slip such as `train --ou x` would train for minutes.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -55,7 +57,9 @@ def command(commands: Commands, name: str, does: str, more: str, examples: Seque
 
 
 def add_config_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--config", metavar="FILE", type=Path, help="configuration in YAML; see 'auv-mcm config --write'")
+    parser.add_argument(
+        "--config", metavar="FILE", type=Path, help="configuration in YAML; see 'auv-mcm config --write'"
+    )
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:

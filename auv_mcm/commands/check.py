@@ -20,16 +20,20 @@ def add(commands: Commands) -> None:
         commands,
         "check",
         "check that this installation does what it should",
-        "Looks at Python, packages and their versions, the C kernels against numpy, the models, the plug-ins (drivers,\n"
+        "Looks at Python, packages and their versions, the C kernels against numpy, the models, the plug-ins "
+        "(drivers,\n"
         "vehicle dialects and log readers of other packages), the clock, the output directory and its room, the\n"
         "perception process, the configuration, and whether logs can be replayed: those named, and the one that\n"
         "service.source plays. With a configuration, opens each of its ports and listens for 4 s: does the\n"
         "device that the configuration names speak there? Sends nothing, changes nothing, and leaves ports alone that\n"
-        "another program uses. Each line says what, where and what to do. Exit code 5 if something failed; a warning is\n"
+        "another program uses. Each line says what, where and what to do. Exit code 5 if something failed; a warning "
+        "is\n"
         "no failure.",
         ["auv-mcm check", "auv-mcm check --config vehicle.yaml", "auv-mcm check survey.jsf"],
     )
-    parser.add_argument("logs", metavar="LOG", nargs="*", type=Path, help="log to look into: XTF, JSF, svlog or a recorded session")
+    parser.add_argument(
+        "logs", metavar="LOG", nargs="*", type=Path, help="log to look into: XTF, JSF, svlog or a recorded session"
+    )
     add_config_option(parser)
     parser.set_defaults(command=_run)
 

@@ -22,7 +22,9 @@ def add(commands: Commands) -> None:
         ],
     )
     action = parser.add_mutually_exclusive_group(required=True)
-    action.add_argument("--write", metavar="PATH", nargs="?", const="-", help="write YAML with comments to PATH, or print it")
+    action.add_argument(
+        "--write", metavar="PATH", nargs="?", const="-", help="write YAML with comments to PATH, or print it"
+    )
     action.add_argument("--schema", action="store_true", help="print the JSON Schema")
     parser.set_defaults(command=_run)
 

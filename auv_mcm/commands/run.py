@@ -19,10 +19,12 @@ def add(commands: Commands) -> None:
         commands,
         "run",
         "run the live service until its source ends or SIGINT or SIGTERM arrives",
-        "The source is service.source of the configuration: ports for the devices in its section ports, whose every byte\n"
+        "The source is service.source of the configuration: ports for the devices in its section ports, whose every "
+        "byte\n"
         "is recorded beside the results; replay:///path/to/mission.xtf?speed=1 plays a recorded mission (speed: times\n"
         "real time, or max). A vehicle at a port receives contact reports and, where vehicle.command\n"
-        "allows it, requests for further views. Contacts go to the console once they are on disk, in contacts.jsonl of\n"
+        "allows it, requests for further views. Contacts go to the console once they are on disk, in contacts.jsonl "
+        "of\n"
         "a new session directory below service.output_directory; clutter stays off the console. Health lines go to\n"
         "standard error.\n"
         "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",
@@ -34,8 +36,12 @@ def add(commands: Commands) -> None:
     )
     add_config_option(parser)
     instead = parser.add_mutually_exclusive_group()
-    instead.add_argument("--interface", action="store_true", help="print every message in and out, with its port and layout, and end")
-    instead.add_argument("--example", action="store_true", help="print the ports of an example vehicle for a configuration, and end")
+    instead.add_argument(
+        "--interface", action="store_true", help="print every message in and out, with its port and layout, and end"
+    )
+    instead.add_argument(
+        "--example", action="store_true", help="print the ports of an example vehicle for a configuration, and end"
+    )
     parser.set_defaults(command=_run)
 
 
@@ -43,7 +49,9 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.example or arguments.interface:
         from auv_mcm.shell.registry import PORTS_EXAMPLE, PORTS_INTERFACE, load
 
-        sys.stdout.write(load(PORTS_EXAMPLE)() if arguments.example else load(PORTS_INTERFACE)(read_config(arguments.config)))
+        sys.stdout.write(
+            load(PORTS_EXAMPLE)() if arguments.example else load(PORTS_INTERFACE)(read_config(arguments.config))
+        )
         return 0
 
     return run_service(read_config(arguments.config))

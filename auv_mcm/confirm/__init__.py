@@ -1,1 +1,2 @@
-"""Confirm a detection: segment the region around it into highlight, shadow and background, and find contours of both."""
+"""Confirm a detection: segment the region around it into highlight, shadow and background, and find contours of
+both."""

@@ -1,9 +1,9 @@
 """Compute the cost of an intensity under each class: minus the log of its probability density, up to a common term.
 
-Intensities are means over blocks of speckle, Gamma distributed with L looks (L = 1: exponential intensity, Rayleigh amplitude). A spiky
-sea floor adds a Gamma texture of shape nu: the K distribution (Jakeman and Pusey 1976), estimated from the mean and variance of the
-logarithm (log-cumulants, Nicolas 2002). Left out of every cost is minus the logarithm of L^L I^(L-1) / Gamma(L), with the looks L
-of the sea floor.
+Intensities are means over blocks of speckle, Gamma distributed with L looks (L = 1: exponential intensity, Rayleigh
+amplitude). A spiky sea floor adds a Gamma texture of shape nu: the K distribution (Jakeman and Pusey 1976), estimated
+from the mean and variance of the logarithm (log-cumulants, Nicolas 2002). Left out of every cost is minus the logarithm
+of L^L I^(L-1) / Gamma(L), with the looks L of the sea floor.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ class BackgroundLaw(NamedTuple):
 def choose_background_law(log_variance: float, nominal_looks: float, n_independent: float) -> BackgroundLaw:
     """Choose the law of a sea floor whose log-intensity has this variance.
 
-    nominal_looks: what speckle alone gives. n_independent: number of independent samples the variance comes from. The Gamma law of the
-    nominal looks stands unless the variance differs by more than three times its own scatter: a larger one means texture, a
-    smaller one more looks.
+    nominal_looks: what speckle alone gives. n_independent: number of independent samples the variance comes from. The
+    Gamma law of the nominal looks stands unless the variance differs by more than three times its own scatter: a larger
+    one means texture, a smaller one more looks.
     """
     nominal = trigamma(nominal_looks)
-    # Variance of a sample variance: 2 trigamma^2 and the fourth cumulant, the polygamma of order 3, here to 20 % for one look or more.
+    # Variance of a sample variance: 2 trigamma^2 and the fourth cumulant, the polygamma of order 3, here to 20 % for
+    # one look or more.
     scatter = nominal * math.sqrt((2.0 + 2.4 / nominal_looks) / max(n_independent, 1.0))
     excess = log_variance - nominal
     if excess > max(_SIGMAS * scatter, trigamma(_SPIKY_BELOW_NU)):

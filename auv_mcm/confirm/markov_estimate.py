@@ -67,7 +67,9 @@ def _equations(labels: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[
     # Four counts from 0 to 4 suffice: how many axis and diagonal neighbours have labels 1 and 2.
     key = np.zeros((n_rows - 2, n_columns - 2), dtype=np.int64)
     for where, label in itertools.product(("axis", "diagonal"), (1, 2)):
-        count = sum((labels[r : r + n_rows - 2, c : c + n_columns - 2] == label).astype(np.int64) for r, c in shifts[where])
+        count = sum(
+            (labels[r : r + n_rows - 2, c : c + n_columns - 2] == label).astype(np.int64) for r, c in shifts[where]
+        )
         key = 5 * key + count
     number = np.bincount((3 * key + labels[1:-1, 1:-1]).ravel(), minlength=3 * 5**4).reshape(-1, 3)
     rows, values, weights = [], [], []

@@ -1,7 +1,7 @@
 """Estimate class means in context: expectation maximisation with the mean-field approximation of the label field.
 
-After Celeux, Forbes and Peyrard, Pattern Recognition 36 (2003) 131-144. A mixture fitted without context moves its rare classes into
-the tails of the common one; from a physical start, with neighbours weighed, they stay where they are.
+After Celeux, Forbes and Peyrard, Pattern Recognition 36 (2003) 131-144. A mixture fitted without context moves its rare
+classes into the tails of the common one; from a physical start, with neighbours weighed, they stay where they are.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def data_costs(intensity: Plane, information: Plane, means: ClassMeans, law: Bac
 
     Cells without data cost 0.
 
-    information: independent samples per cell over the looks of its mean. A cell's costs are cut at 50 above the minimum, so that one
-    outlier does not outweigh the rest of the image.
+    information: independent samples per cell over the looks of its mean. A cell's costs are cut at 50 above the
+    minimum, so that one outlier does not outweigh the rest of the image.
     """
     # A glint counts as highlight, no more: under a K law it would be sea floor again, whose tail falls slower.
     intensity = np.minimum(intensity, _GLINT * means.highlight)
@@ -86,8 +86,8 @@ def fit_means(
 ) -> tuple[ClassMeans, Plane]:
     """Fit means in three rounds from `start`; give them and each label's probability, (3, n_rows, n_columns).
 
-    intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64. weight: (4,), the smoothness of the edges
-    right, down-left, down, down-right. prior: cost (3, n_rows, n_columns) of each label given
+    intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64. weight: (4,), the
+    smoothness of the edges right, down-left, down, down-right. prior: cost (3, n_rows, n_columns) of each label given
     labels (n_rows, n_columns). A class with hardly any samples keeps its start.
     """
     means = start
@@ -97,7 +97,8 @@ def fit_means(
         probability = sweep(cost, weight, _SWEEPS, probability)
         share = probability * samples
         if number_of_round < _ROUNDS - 1:
-            # A few hundredths of every cell of sea floor would outweigh a small shadow and draw its mean to theirs, round by round.
+            # A few hundredths of every cell of sea floor would outweigh a small shadow and draw its mean to theirs,
+            # round by round.
             share[probability < _OWN_SHARE] = 0.0
         number = share.sum(axis=(1, 2))
         brightest = SPIKE * np.array([means.background, means.shadow, means.highlight])
@@ -109,7 +110,9 @@ def fit_means(
         means = ClassMeans(
             background,
             _within(level[SHADOW] if n_shadow >= _ABSENT_BELOW else start.shadow, _SHADOW_RANGE, background),
-            _within(level[HIGHLIGHT] if n_highlight >= _ABSENT_BELOW else start.highlight, _HIGHLIGHT_RANGE, background),
+            _within(
+                level[HIGHLIGHT] if n_highlight >= _ABSENT_BELOW else start.highlight, _HIGHLIGHT_RANGE, background
+            ),
             n_shadow,
             n_highlight,
         )

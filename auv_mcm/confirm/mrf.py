@@ -1,8 +1,11 @@
 """Label every pixel of a region as highlight, shadow or sea floor, at the minimum cost of a Markov random field.
 
-1. Speckle's grain is measured and blocks of about one grain are averaged, so that cells are independent as the likelihood has them.
-2. Class means come from mean-field expectation maximisation in context; the sea floor's law (Gamma or K) from log-cumulants.
-3. TRW-S minimises the cost with priors for highlight followed by shadow, and bounds how far from the minimum its labels can be.
+1. Speckle's grain is measured and blocks of about one grain are averaged, so that cells are independent as the
+   likelihood has them.
+2. Class means come from mean-field expectation maximisation in context; the sea floor's law (Gamma or K) from
+   log-cumulants.
+3. TRW-S minimises the cost with priors for highlight followed by shadow, and bounds how far from the minimum its labels
+   can be.
 4. Borders move, pixel by pixel, to where the point-spread function, known from the grain, puts them.
 
 Costs are in nats per independent sample: a field on larger blocks is the same field with fewer labels to choose.
@@ -56,9 +59,9 @@ _ROUGHEST: Final = 0.5  # minimum smoothness, nats: below it speckle casts shado
 class Segmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Hold the labels of a region, and how far they can be trusted.
 
-    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW, HIGHLIGHT; where nothing was measured, what the neighbours suggest.
-    energy, lower_bound: nats, of the field on blocks of `factors` (rows, columns) pixels that TRW-S solved in n_sweeps sweeps.
-    law: of the sea floor on blocks. Class means are of pixels well inside
+    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW, HIGHLIGHT; where nothing was measured, what the neighbours
+    suggest. energy, lower_bound: nats, of the field on blocks of `factors` (rows, columns) pixels that TRW-S solved in
+    n_sweeps sweeps. law: of the sea floor on blocks. Class means are of pixels well inside
     their labels, in the region's units. flags: what the region lacks; with `too_little_data`
     or `no_speckle` no segmentation was made, every pixel is background and all numbers are 0 or 1.
     """
@@ -87,11 +90,11 @@ def segment(
 ) -> Segmentation:
     """Label a region.
 
-    n_sweeps: maximum of TRW-S, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between unlike blocks of one
-    speckle grain, nats; without it what the shadow of the smallest mine survives. estimate_markov: estimate it instead from the
-    labels of the mean field (Derin and Elliott), which passes their errors on.
-    Pixels that are not valid, not finite or negative count as not measured. Raises ValueError as require_sound does, or if
-    n_sweeps is not positive.
+    n_sweeps: maximum of TRW-S, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between
+    unlike blocks of one speckle grain, nats; without it what the shadow of the smallest mine survives. estimate_markov:
+    estimate it instead from the labels of the mean field (Derin and Elliott), which passes their errors on.
+    Pixels that are not valid, not finite or negative count as not measured. Raises ValueError as require_sound does, or
+    if n_sweeps is not positive.
     """
     require_sound(region)
     usable = region.valid & np.isfinite(region.intensity) & (region.intensity >= 0.0)
@@ -131,7 +134,9 @@ def segment(
     minimum = None
     for _ in range(_PRIOR_ROUNDS):
         start = None if minimum is None else minimum.messages
-        minimum = trws(np.moveaxis(unary + prior(labels), 0, 2), weight, n_sweeps, tolerance=_CLOSE_ENOUGH, messages=start)
+        minimum = trws(
+            np.moveaxis(unary + prior(labels), 0, 2), weight, n_sweeps, tolerance=_CLOSE_ENOUGH, messages=start
+        )
         labels = minimum.labels
     assert minimum is not None
     labels = without_odd_clusters(labels, region.row_spacing_m * factors[0], region.column_spacing_m * factors[1])
@@ -174,7 +179,8 @@ def edge_weights(smoothness: float, factors: tuple[int, int], correlation: Corre
 
     For blocks of `factors` pixels.
 
-    A border costs `smoothness` per grain it passes whatever the blocks; diagonals by 1/sqrt(2) (Boykov and Kolmogorov 2003).
+    A border costs `smoothness` per grain it passes whatever the blocks; diagonals by 1/sqrt(2) (Boykov and Kolmogorov
+    2003).
     """
     high, wide = factors[0] / correlation.rows, factors[1] / correlation.columns
     diagonal = math.sqrt(0.5 * high * wide)
@@ -242,12 +248,16 @@ def _with_grown_shadow(labels: Labels, correlation: Correlation) -> Labels:
 
     Blocks put its border inside the true one, and from there speckle stops it early.
     """
-    box = [np.ones(3) if spread > 0.0 else np.ones(1) for spread in (correlation.spread_rows, correlation.spread_columns)]
+    box = [
+        np.ones(3) if spread > 0.0 else np.ones(1) for spread in (correlation.spread_rows, correlation.spread_columns)
+    ]
     grown = smeared((labels == SHADOW).astype(np.float64), *box) > 0.0
     return np.where(grown & (labels == BACKGROUND), np.uint8(SHADOW), labels)
 
 
-def _core_means(labels: Labels, intensity: Plane, usable: NDArray[np.bool_], means: ClassMeans, correlation: Correlation) -> Plane:
+def _core_means(
+    labels: Labels, intensity: Plane, usable: NDArray[np.bool_], means: ClassMeans, correlation: Correlation
+) -> Plane:
     """Average each label over pixels with hardly any of another label, (3,) float64.
 
     Where they are few, over blocks, which mixes labels.

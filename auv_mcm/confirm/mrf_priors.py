@@ -1,7 +1,8 @@
 """Compute priors of any sonar image: highlight followed by shadow, highlight in small clusters.
 
-After the potentials of Mignotte, Collet, Perez and Bouthemy (CVIU 76, 1999) and Reed, Petillot and Bell (IEEE JOE 28, 2003), in a form that
-adds to the cost of single cells and is recomputed from the labels met before, so that inference stays pairwise.
+After the potentials of Mignotte, Collet, Perez and Bouthemy (CVIU 76, 1999) and Reed, Petillot and Bell (IEEE JOE 28,
+2003), in a form that adds to the cost of single cells and is recomputed from the labels met before, so that inference
+stays pairwise.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ Labels = NDArray[np.uint8]
 
 _HIGHEST_M: Final = 1.2  # m: height of the highest object sought
 _REACH_MARGIN_M: Final = 1.0
-_ATTACHED_M: Final = 1.5  # a shadow starts no further behind its highlight's near edge: depth of an object and the witness
+_ATTACHED_M: Final = (
+    1.5  # a shadow starts no further behind its highlight's near edge: depth of an object and the witness
+)
 _WITNESS_M: Final = 0.3  # side of the square of shadow that fully supports a highlight
 _UNSUPPORTED: Final = 2.0  # nats; support is not rewarded, or the sea floor in front of every shadow would be highlight
 _ORPHAN: Final = 0.5  # nats; weak: ripples and dips cast shadows without highlights
@@ -33,9 +36,9 @@ _CLUSTER_EXTENT_M: Final = 3.5
 def prior_pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plane:
     """Weigh each label of each cell, in nats, given where highlights and shadows were: (3, n_rows, n_columns) float64.
 
-    labels: (n_rows, n_columns) uint8 of cells of `factors` pixels of the region. Looks along the line of sight, one row to either
-    side: behind a highlight for the near end of a shadow, before a shadow as far as the shadow of the highest object reaches.
-    By degrees, not by yes or no: behind any cell there is a dark speck somewhere.
+    labels: (n_rows, n_columns) uint8 of cells of `factors` pixels of the region. Looks along the line of sight, one row
+    to either side: behind a highlight for the near end of a shadow, before a shadow as far as the shadow of the highest
+    object reaches. By degrees, not by yes or no: behind any cell there is a dark speck somewhere.
     """
     n_rows, n_columns = labels.shape
     row_m, column_m = region.row_spacing_m * factors[0], region.column_spacing_m * factors[1]

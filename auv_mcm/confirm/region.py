@@ -21,11 +21,12 @@ _MAX_SQUINT_RAD: Final = 0.25 * math.pi
 class Region(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Hold a region. Rows are pings, columns ground range away from the sonar, on either side.
 
-    intensity: (n_rows, n_columns) float64, linear, local mean of the sea floor about 1. valid: (n_rows, n_columns) bool, False where
-    no echo was measured; intensity there is undefined. first_ground_range_m: of the near edge of column 0. altitude_m: of the array
-    above the floor, as ground range was made with: slant range is hypot(ground range, altitude_m). row, column: centre of the highlight
-    found by the detector, fractional pixels. squint_rad: 0 for side-scan; angle between the view and broadside for a synthetic
-    aperture's sub-image, positive looking ahead. beam_width_rad: horizontal, two-way; 0 where resolution does not depend on range.
+    intensity: (n_rows, n_columns) float64, linear, local mean of the sea floor about 1. valid: (n_rows, n_columns)
+    bool, False where no echo was measured; intensity there is undefined. first_ground_range_m: of the near edge of
+    column 0. altitude_m: of the array above the floor, as ground range was made with: slant range is hypot(ground
+    range, altitude_m). row, column: centre of the highlight found by the detector, fractional pixels. squint_rad: 0 for
+    side-scan; angle between the view and broadside for a synthetic aperture's sub-image, positive looking ahead.
+    beam_width_rad: horizontal, two-way; 0 where resolution does not depend on range.
     """
 
     intensity: NDArray[np.float64]
@@ -43,14 +44,21 @@ class Region(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 def require_sound(region: Region) -> None:
     """Check that planes are of one 2-d shape, and the geometry is possible for a sonar. Raises ValueError."""
     if region.intensity.ndim != 2 or region.valid.shape != region.intensity.shape:
-        raise ValueError(f"intensity and valid must be planes of one shape, not {region.intensity.shape} and {region.valid.shape}")
+        raise ValueError(
+            f"intensity and valid must be planes of one shape, not {region.intensity.shape} and {region.valid.shape}"
+        )
     lengths = region.row_spacing_m, region.column_spacing_m, region.altitude_m
     if not all(_MIN_LENGTH_M <= length <= _FARTHEST for length in lengths):
         raise ValueError(
-            f"row_spacing_m, column_spacing_m and altitude_m must be positive numbers from {_MIN_LENGTH_M:g} to {_FARTHEST:g}, not "
+            f"row_spacing_m, column_spacing_m and altitude_m must be positive numbers from {_MIN_LENGTH_M:g} to "
+            f"{_FARTHEST:g}, not "
             f"{lengths[0]}, {lengths[1]} and {lengths[2]}: leave out regions without navigation"
         )
-    for name, place in (("row", region.row), ("column", region.column), ("first_ground_range_m", region.first_ground_range_m)):
+    for name, place in (
+        ("row", region.row),
+        ("column", region.column),
+        ("first_ground_range_m", region.first_ground_range_m),
+    ):
         if not abs(place) <= _FARTHEST:
             raise ValueError(f"{name} of a region must be a number from -{_FARTHEST:g} to {_FARTHEST:g}, not {place}")
     if not abs(region.squint_rad) < _MAX_SQUINT_RAD:

@@ -1,8 +1,9 @@
 """Find contours of highlight and shadow by cooperating statistical snakes, and judge whether they are an object's.
 
-Reed, Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003: two contours share what is known of object images, namely that a
-highlight is followed by a shadow of the same along-track extent. They work on the echoes themselves, so it matters little how well the
-start was labelled; on sea floor without an object they expand beyond what a mine can be, and `snake_rules` rejects them.
+Reed, Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003: two contours share what is known of object images, namely
+that a highlight is followed by a shadow of the same along-track extent. They work on the echoes themselves, so it
+matters little how well the start was labelled; on sea floor without an object they expand beyond what a mine can be,
+and `snake_rules` rejects them.
 """
 
 from __future__ import annotations
@@ -72,12 +73,13 @@ class RegionContext(NamedTuple):
 class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Hold the result of the snakes.
 
-    highlight, shadow: (n, 2) float64 nodes (row, column) in pixels of the region, pixel (r, k) covering [r, r + 1) x [k, k + 1), along the
-    far side with rising row; (0, 2) where there is none. criterion: J in nats, NaN if nothing could be moved. gain: by how much J is below
-    that of the region without an object. n_moves: node moves made. *_mean: mean intensity, NaN where there is no contour.
-    length_m: along-track extent. height_m: median over rows of the height that the shadow implies, NaN without a shadow. repetition: best
-    evidence of the same contours elsewhere in the region over that in place. reasons: codes, those of `snake_rules.REJECTING` being of
-    broken rules. rejected: rules are broken, and the evidence against an object is grave in sum.
+    highlight, shadow: (n, 2) float64 nodes (row, column) in pixels of the region, pixel (r, k) covering [r, r + 1) x
+    [k, k + 1), along the far side with rising row; (0, 2) where there is none. criterion: J in nats, NaN if nothing
+    could be moved. gain: by how much J is below that of the region without an object. n_moves: node moves made. *_mean:
+    mean intensity, NaN where there is no contour. length_m: along-track extent. height_m: median over rows of the
+    height that the shadow implies, NaN without a shadow. repetition: best evidence of the same contours elsewhere in
+    the region over that in place. reasons: codes, those of `snake_rules.REJECTING` being of broken rules. rejected:
+    rules are broken, and the evidence against an object is grave in sum.
     """
 
     highlight: Nodes
@@ -99,8 +101,8 @@ class Contours(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 def start_from_detection(region: Region) -> Start:
     """Find the brightest box around the detector's highlight, and the darkest behind it that a mine could cast.
 
-    Brightest and darkest: by the likelihood ratio of speckle, N (m - 1 - ln m) for N pixels of mean m over the region's. Raises ValueError
-    if the region's geometry is impossible for a sonar.
+    Brightest and darkest: by the likelihood ratio of speckle, N (m - 1 - ln m) for N pixels of mean m over the
+    region's. Raises ValueError if the region's geometry is impossible for a sonar.
     """
     require_sound(region)
     return _boxes_at(region, snake.window_row_sums(region.intensity, region.valid).table)
@@ -117,13 +119,17 @@ def _boxes_at(region: Region, table: Nodes) -> Start:
     lengths_m = np.clip(np.array(_START_HEIGHTS_M) * ground_m / above_m, _MIN_SHADOW_M, _LONGEST_SHADOW_M)
     centres, halves = row + np.array(_START_SHIFTS_M) / row_px, np.array(_START_ALONG_M) / (2.0 * row_px)
     far_m = np.array(_START_ACROSS_M)
-    highlight = _best_box(snake_twin.HIGHLIGHT, region, sums, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px)
+    highlight = _best_box(
+        snake_twin.HIGHLIGHT, region, sums, centres, halves, column - 0.5 * far_m / column_px, far_m / column_px
+    )
     behind = column + np.array(_START_BEHIND_M) / column_px
     shadow = _best_box(snake_twin.SHADOW, region, sums, centres, halves, behind, lengths_m / column_px)
     return Start(highlight, shadow)
 
 
-def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: Nodes, nears: Nodes, widths: Nodes) -> Nodes:
+def _best_box(
+    which: int, region: Region, sums: Nodes, centres: Nodes, halves: Nodes, nears: Nodes, widths: Nodes
+) -> Nodes:
     """Find the box with most evidence, the first of equals.
 
     All centres and halves along track with all near sides and widths are tried.
@@ -134,7 +140,9 @@ def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: N
     top, bottom = _intervals(np.subtract.outer(centres, halves), np.add.outer(centres, halves), n_rows)
     low, high = _intervals(np.repeat(nears, len(widths)), np.add.outer(nears, widths).ravel(), n_columns)
     rows, columns = np.minimum(bottom, n_rows)[:, None], np.minimum(high, n_columns)
-    total, count = (sums[rows, columns] - sums[top[:, None], columns] - sums[rows, low] + sums[top[:, None], low]).transpose(2, 0, 1)
+    total, count = (
+        sums[rows, columns] - sums[top[:, None], columns] - sums[rows, low] + sums[top[:, None], low]
+    ).transpose(2, 0, 1)
     row, column = divmod(int(evidences(which, total, count).argmax()), len(low))
     return _box(top[row], low[column], bottom[row], high[column], region)
 
@@ -142,7 +150,8 @@ def _best_box(which: int, region: Region, sums: Nodes, centres: Nodes, halves: N
 def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
     """Make boxes around most of the highlight and of the shadow labels; none where a label is missing.
 
-    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT, of one object. Raises ValueError if the shape does not fit.
+    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW and HIGHLIGHT, of one object. Raises ValueError if the shape
+    does not fit.
     """
     if labels.shape != region.intensity.shape:
         raise ValueError(f"labels must have the shape of the region, {region.intensity.shape}, not {labels.shape}")
@@ -158,12 +167,14 @@ def start_from_labels(region: Region, labels: NDArray[np.uint8]) -> Start:
     return Start(*boxes)
 
 
-def converge(region: Region, start: Start, *, correlation_px: float = 1.0, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
+def converge(
+    region: Region, start: Start, *, correlation_px: float = 1.0, coarse: Schedule = COARSE, fine: Schedule = FINE
+) -> Contours:
     """Find contours of the object at `start`, deterministically.
 
-    correlation_px: correlation area of the speckle in pixels, as `speckle.measure_correlation` gives for each axis. Never raises on what a
-    region holds: a start that is not a polygon is replaced (`start_replaced`), and a region that cannot be judged is
-    rejected.
+    correlation_px: correlation area of the speckle in pixels, as `speckle.measure_correlation` gives for each axis.
+    Never raises on what a region holds: a start that is not a polygon is replaced (`start_replaced`), and a region that
+    cannot be judged is rejected.
     Raises ValueError if correlation_px or a schedule is out of range.
     """
     ground = survey(region, correlation_px)
@@ -184,7 +195,9 @@ def survey(region: Region, correlation_px: float) -> RegionContext | Contours:
     if sums.mean == 0.0:
         return _nothing(("no_echo",))
     boxes = _boxes_at(region, sums.table)
-    return RegionContext(region, sums, snake_settings(region, sums.table, correlation_px), boxes, snake_rules.look_at(sums.table, *boxes))
+    return RegionContext(
+        region, sums, snake_settings(region, sums.table, correlation_px), boxes, snake_rules.look_at(sums.table, *boxes)
+    )
 
 
 def converge_on(ground: RegionContext, start: Start, *, coarse: Schedule = COARSE, fine: Schedule = FINE) -> Contours:
@@ -202,7 +215,12 @@ def converge_on(ground: RegionContext, start: Start, *, coarse: Schedule = COARS
 
 
 def _judged(
-    region: Region, sums: snake.WindowRowSums, findings: snake_rules.Findings, moved: Moved, n_moves: int, notes: tuple[str, ...]
+    region: Region,
+    sums: snake.WindowRowSums,
+    findings: snake_rules.Findings,
+    moved: Moved,
+    n_moves: int,
+    notes: tuple[str, ...],
 ) -> Contours:
     if len(moved.highlight) == 0:
         notes = (*notes, "no_highlight")
@@ -277,7 +295,9 @@ def snake_settings(region: Region, table: NDArray[np.float64], correlation_px: f
     )
 
 
-def _usable_start(region: Region, table: NDArray[np.float64], settings: Settings, start: Start, boxes: Start) -> tuple[list[Nodes], bool]:
+def _usable_start(
+    region: Region, table: NDArray[np.float64], settings: Settings, start: Start, boxes: Start
+) -> tuple[list[Nodes], bool]:
     """Give the start as sound polygons that run down their far sides, and whether a box replaced any.
 
     The boxes are those at the detection.

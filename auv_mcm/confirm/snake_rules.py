@@ -2,9 +2,9 @@
 
 Each rule has a code; broken ones reject where doubt is grave.
 
-On sea floor without an object the shadow's contour expands until it is larger than any mine's shadow, or shrinks to nothing (Reed,
-Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003). Ripples and grass do hold dark patches behind bright ones, but the same
-contours find the like of them a ripple farther on.
+On sea floor without an object the shadow's contour expands until it is larger than any mine's shadow, or shrinks to
+nothing (Reed, Petillot and Bell, IEEE J. Oceanic Eng. 28(1), 2003). Ripples and grass do hold dark patches behind
+bright ones, but the same contours find the like of them a ripple farther on.
 
 Beside another kind of floor the contours of a clear object expand as well, so a broken rule alone does not reject. The
 evidence against an object is added up instead, in nats: how far rules are broken, and whether the brightest and darkest
@@ -76,9 +76,9 @@ REJECTING: Final = frozenset(
 class Spot(NamedTuple):
     """Describe how the brightest and the darkest box at a detection stand out, as `look_at` finds it.
 
-    common: evidence that one place in twenty of the region holds for the same box over that in place, of the box for which it is less.
-    shadow_repetition: the best such evidence for the dark box. shadow_contrast: mean of the dark box over that of the darker of the two
-    boxes beside it along track.
+    common: evidence that one place in twenty of the region holds for the same box over that in place, of the box for
+    which it is less. shadow_repetition: the best such evidence for the dark box. shadow_contrast: mean of the dark box
+    over that of the darker of the two boxes beside it along track.
     """
 
     common: float
@@ -89,10 +89,12 @@ class Spot(NamedTuple):
 class Findings(NamedTuple):
     """Hold facts about converged contours. Means are over that of the region; NaN where there is no contour.
 
-    gain: nats against no object. border: fraction of a contour within BORDER_PX of the region's edge, of the worse one. length_m:
-    along-track extent of the pair. highlight_m2, highlight_depth_m: area of the highlight and that over its along-track extent.
-    shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and maximum of the heights that
-    the rows of the shadow imply. flank: mean beside the shadow along track. front: mean before the pair across track. repetition, common:
+    gain: nats against no object. border: fraction of a contour within BORDER_PX of the region's edge, of the worse one.
+    length_m:
+    along-track extent of the pair. highlight_m2, highlight_depth_m: area of the highlight and that over its along-track
+    extent. shadow_m2: area; largest_shadow_m2: that of the largest mine there. height_m, peak_height_m: median and
+    maximum of the heights that the rows of the shadow imply. flank: mean beside the shadow along track. front: mean
+    before the pair across track. repetition, common:
     see `kernels.snake_elsewhere`. spot: of the detection.
     """
 
@@ -132,7 +134,9 @@ def find(region: Region, table: NDArray[np.float64], settings: Settings, moved: 
         border=max(border_fraction(nodes, region.intensity.shape) for nodes in present),
         length_m=float(np.ptp(np.concatenate([nodes[:, 0] for nodes in present]))) * region.row_spacing_m,
         highlight_m2=highlight.area * pixel_m2,
-        highlight_depth_m=highlight.area / highlight.rows * region.column_spacing_m if len(moved.highlight) else math.nan,
+        highlight_depth_m=highlight.area / highlight.rows * region.column_spacing_m
+        if len(moved.highlight)
+        else math.nan,
         shadow_m2=shadow.area * pixel_m2,
         largest_shadow_m2=_largest_shadow_m2(region),
         height_m=median(heights_m),
@@ -154,7 +158,10 @@ def broken(findings: Findings) -> tuple[str, ...]:
         ("touches_border", findings.border > _MAX_BORDER),
         ("too_short", findings.length_m < _SHORTEST_M),
         ("too_long", findings.length_m > _LONGEST_M),
-        ("highlight_too_large", findings.highlight_m2 > _LARGEST_HIGHLIGHT_M2 or findings.highlight_depth_m > _DEEPEST_HIGHLIGHT_M),
+        (
+            "highlight_too_large",
+            findings.highlight_m2 > _LARGEST_HIGHLIGHT_M2 or findings.highlight_depth_m > _DEEPEST_HIGHLIGHT_M,
+        ),
         ("shadow_too_large", findings.shadow_m2 > _SHADOW_MARGIN * findings.largest_shadow_m2),
         ("too_low", findings.height_m < _LOWEST_M or findings.peak_height_m < _LOWEST_PEAK_M),
         ("too_high", findings.height_m > _HIGHEST_M),
@@ -301,7 +308,9 @@ def _front(region: Region, table: NDArray[np.float64], moved: Moved) -> float:
         if len(nodes):
             strip_rows, near, _ = row_intervals(nodes, region.intensity.shape)
             first[strip_rows] = np.minimum(first[strip_rows], near)
-    gap, length, half = (round(reach_m / region.column_spacing_m) for reach_m in (_FRONT_GAP_M, _FRONT_M, _HALF_OBJECT_M))
+    gap, length, half = (
+        round(reach_m / region.column_spacing_m) for reach_m in (_FRONT_GAP_M, _FRONT_M, _HALF_OBJECT_M)
+    )
     far = first[strip_rows] - gap
     far = np.clip(np.where(far >= length // 2, far, round(region.column) - half), 0, n_columns)
     total, count = (table[strip_rows, far] - table[strip_rows, np.maximum(far - length, 0)]).sum(axis=0).tolist()
@@ -317,7 +326,9 @@ def look_at(table: NDArray[np.float64], highlight: Nodes, shadow: Nodes) -> Spot
     return Spot(min(bright_common, dark_common), repetition, max(inside, _DARKEST) / max(min(beside), _DARKEST))
 
 
-def _mean(table: NDArray[np.float64], rows: NDArray[np.int64], near: NDArray[np.int64], far: NDArray[np.int64]) -> float:
+def _mean(
+    table: NDArray[np.float64], rows: NDArray[np.int64], near: NDArray[np.int64], far: NDArray[np.int64]
+) -> float:
     """Average intervals in rows, over the window's mean; 1 where nothing was measured.
 
     Intervals beyond the window are left out.

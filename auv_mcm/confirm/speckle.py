@@ -1,7 +1,7 @@
 """Measure how far speckle is correlated from pixel to pixel, and average blocks of pixels that are independent again.
 
-An image sampled finer than its resolution shows each speckle grain in several pixels. A likelihood that takes them for independent
-counts every grain several times over, more than any smoothness prior can outweigh.
+An image sampled finer than its resolution shows each speckle grain in several pixels. A likelihood that takes them for
+independent counts every grain several times over, more than any smoothness prior can outweigh.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class Correlation(NamedTuple):
 
     @property
     def spread_rows(self) -> float:
-        """Compute 1-sigma of the Gaussian point-spread function of intensity along rows, pixels; 0 without correlation."""
+        """Compute 1-sigma of the Gaussian point-spread function of intensity along rows, pixels; 0 without
+        correlation."""
         return _spread(self.rows)
 
     @property
@@ -48,9 +49,10 @@ class Correlation(NamedTuple):
 def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Correlation:
     """Measure the grain size of the sea floor's speckle.
 
-    intensity: (n_rows, n_columns) float64, mean about 1. background: same shape bool, pixels to use; pairs with another pixel
-    are left out. From half the mean squared difference at each lag over that at lags no grain spans: what varies slowly (texture,
-    a gradient) differs little over one grain and so hardly counts as correlation. Too few pairs count as uncorrelated.
+    intensity: (n_rows, n_columns) float64, mean about 1. background: same shape bool, pixels to use; pairs with another
+    pixel are left out. From half the mean squared difference at each lag over that at lags no grain spans: what varies
+    slowly (texture, a gradient) differs little over one grain and so hardly counts as correlation. Too few pairs count
+    as uncorrelated.
     """
     halves = half_differences(np.minimum(intensity, _CLIP), background, (*_NEAR_LAGS, *_PLATEAU_LAGS), _MIN_PAIRS)
     return Correlation(*(_grain(along) for along in halves.tolist()))
@@ -59,8 +61,9 @@ def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Corr
 def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
     """Measure the pixels that one grain of speckle covers, 1 or more, where the sea floor is least correlated.
 
-    intensity, usable: (n_rows, n_columns), float64 with mean about 1 and bool. Ripples and objects are correlated too: the second lowest
-    of nine parts is taken, since grains are what all of them have in common. 1 where nothing can be measured.
+    intensity, usable: (n_rows, n_columns), float64 with mean about 1 and bool. Ripples and objects are correlated too:
+    the second lowest of nine parts is taken, since grains are what all of them have in common. 1 where nothing can be
+    measured.
     """
     rows, columns = (np.linspace(0, size, _PARTS + 1).astype(int).tolist() for size in intensity.shape)
     boxes = [
@@ -88,8 +91,8 @@ def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spaci
 def block_means(plane: Plane, usable: NDArray[np.bool_], factors: tuple[int, int]) -> tuple[Plane, Plane]:
     """Average the usable pixels of each block, 1 where there are none; give the fraction of a whole block they are.
 
-    plane, usable: (n_rows, n_columns). Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64; the last blocks
-    may reach over the edge.
+    plane, usable: (n_rows, n_columns). Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64;
+    the last blocks may reach over the edge.
     """
     number = _block_sums(usable.astype(np.float64), factors)
     total = _block_sums(np.where(usable, plane, 0.0), factors)
@@ -109,8 +112,8 @@ def looks_of_blocks(correlation: Correlation, factors: tuple[int, int]) -> float
 
     One over its variance, for a Gaussian point-spread function.
 
-    Goodman, Speckle Phenomena in Optics, sec. 4.6: the correlation of intensity is exp(-lag^2 / (4 spread^2)) for a spread of the
-    intensity's point-spread function.
+    Goodman, Speckle Phenomena in Optics, sec. 4.6: the correlation of intensity is exp(-lag^2 / (4 spread^2)) for a
+    spread of the intensity's point-spread function.
     """
     variance = 1.0
     for factor, spread in zip(factors, (correlation.spread_rows, correlation.spread_columns), strict=True):

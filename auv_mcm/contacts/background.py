@@ -137,7 +137,9 @@ class Background(NamedTuple):
 
         Below the lowest level it is that of the lowest.
         """
-        middle, low, high = (math.exp(float(np.interp(log_odds, LEVELS_NATS, part))) for part in (self.middle, self.low, self.high))
+        middle, low, high = (
+            math.exp(float(np.interp(log_odds, LEVELS_NATS, part))) for part in (self.middle, self.low, self.high)
+        )
         return FalseAlarms(middle, low, high)
 
     def level_nats(self, per_km2: float) -> float:
@@ -272,7 +274,11 @@ def _modes(n: Array, area_km2: Array, mines_per_km2: Array, prior: BackgroundPri
         background = per_density * np.exp(np.minimum(values @ _WEIGHTS.T, _HIGHEST_LOG_DENSITY))
         total = np.maximum(background + mines, 1e-300)
         off = values - mean
-        return (n * np.log(total) - total).sum(axis=1) - 0.5 * np.einsum("ij,jk,ik->i", off, precision, off), background, total
+        return (
+            (n * np.log(total) - total).sum(axis=1) - 0.5 * np.einsum("ij,jk,ik->i", off, precision, off),
+            background,
+            total,
+        )
 
     def information(background: Array, total: Array) -> Array:
         return np.asarray(_WEIGHTS.T @ ((background**2 / total)[:, :, np.newaxis] * _WEIGHTS) + precision)

@@ -21,7 +21,11 @@ def is_mine_like(contact: Contact) -> bool:
 
 def best_view(contact: Contact) -> Detection | None:
     """Find the view with the highest score, the earliest of equals; None without views."""
-    return max(contact.views, key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s), default=None)
+    return max(
+        contact.views,
+        key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s),
+        default=None,
+    )
 
 
 def call_words(contact: Contact) -> str:
@@ -32,7 +36,10 @@ def call_words(contact: Contact) -> str:
     if not math.isfinite(contact.false_alarms_per_km2):
         return called
     low, high = contact.false_alarms_95_per_km2
-    return f"{called}; {contact.false_alarms_per_km2:.2g} false alarms per km² as mine-like are expected ({low:.2g} to {high:.2g})"
+    return (
+        f"{called}; {contact.false_alarms_per_km2:.2g} false alarms per km² as mine-like are expected ({low:.2g} to "
+        f"{high:.2g})"
+    )
 
 
 def view_reasons(view: Detection) -> tuple[str, ...]:

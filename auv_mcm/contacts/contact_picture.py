@@ -88,7 +88,9 @@ def _colour_table() -> Bytes:
     """
     stops = np.array([[10, 7, 6], [66, 32, 17], [150, 82, 33], [222, 152, 70], [255, 240, 208]], dtype=np.float64)
     where = np.linspace(0.0, 1.0, len(stops))
-    copper = np.column_stack([np.interp(np.linspace(0.0, 1.0, LEVELS), where, stops[:, channel]) for channel in range(3)])
+    copper = np.column_stack(
+        [np.interp(np.linspace(0.0, 1.0, LEVELS), where, stops[:, channel]) for channel in range(3)]
+    )
     empty, violet = np.array([30, 39, 50]), np.array([98, 70, 168])
     table = np.empty((4, 64, 3))
     table[:, 0] = empty

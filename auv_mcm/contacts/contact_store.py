@@ -93,7 +93,9 @@ class ContactStore:
         """Iterate over all contacts in the order in which they are exported; may be repeated."""
         numbers = self._versions.numbers()
         # Ids are texts: C100000 comes before C10001. As bytes of one length they take a fraction of what strings do.
-        ids = np.fromiter((contact_id(int(number)).encode("ascii") for number in numbers), dtype=_ID, count=len(numbers))
+        ids = np.fromiter(
+            (contact_id(int(number)).encode("ascii") for number in numbers), dtype=_ID, count=len(numbers)
+        )
         return Selection(self.__getitem__, numbers[np.argsort(ids, kind="stable")])
 
     def _view_places(self, number: int) -> Sequence[RecordPlace]:

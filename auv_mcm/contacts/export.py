@@ -105,19 +105,37 @@ def waypoints_geojson(waypoints: Sequence[Waypoint]) -> bytes:
             "why": waypoint.why,
         }
         features.append(feature(geojson_point(waypoint.longitude_deg, waypoint.latitude_deg), properties))
-    positions = np.array([(waypoint.longitude_deg, waypoint.latitude_deg) for waypoint in waypoints], dtype=np.float64).reshape(-1, 2)
+    positions = np.array(
+        [(waypoint.longitude_deg, waypoint.latitude_deg) for waypoint in waypoints], dtype=np.float64
+    ).reshape(-1, 2)
     for leg in dict.fromkeys(waypoint.leg for waypoint in waypoints):
         members = [order for order, waypoint in enumerate(waypoints) if waypoint.leg == leg]
         line = positions[max(members[0] - 1, 0) : members[-1] + 1]
         pieces: list[Json] = [positions_of(piece) for piece in split_line(line)]
         if pieces:
             last = waypoints[members[-1]]
-            features.append(feature(one_or_multi("LineString", pieces), {"leg": leg, "contact_id": last.contact_id, "why": last.why}))
+            features.append(
+                feature(
+                    one_or_multi("LineString", pieces), {"leg": leg, "contact_id": last.contact_id, "why": last.why}
+                )
+            )
     return collection(features)
 
 
 CSV_COLUMNS: Final = (
-    *("id", "time", "latitude_deg", "longitude_deg", "sigma_m", "p_mine", "class", "length_m", "width_m", "height_m", "n_views"),
+    *(
+        "id",
+        "time",
+        "latitude_deg",
+        "longitude_deg",
+        "sigma_m",
+        "p_mine",
+        "class",
+        "length_m",
+        "width_m",
+        "height_m",
+        "n_views",
+    ),
     *("aspects_deg", "side", "ground_range_m", "score", "snippet", "reasons"),
     *("length_sigma_m", "width_sigma_m", "height_sigma_m"),
     *("false_alarms_per_km2", "false_alarms_low_per_km2", "false_alarms_high_per_km2", "called"),
@@ -210,7 +228,9 @@ def _view(view: Detection) -> dict[str, Json]:
 
 
 def _coverage_feature(patch: CoveragePatch) -> dict[str, Json]:
-    polygons: list[Json] = [[positions_of(piece)] for ring in patch.rings_deg if np.isfinite(ring).all() for piece in split_ring(ring)]
+    polygons: list[Json] = [
+        [positions_of(piece)] for ring in patch.rings_deg if np.isfinite(ring).all() for piece in split_ring(ring)
+    ]
     properties: dict[str, Json] = {
         "side": patch.side,
         "tile": patch.tile_index,
@@ -269,13 +289,15 @@ def _cell(text: str) -> str:
 
 
 def _xml(text: str) -> str:
-    """Escape text for XML 1.0, which forbids control characters, surrogates and two more: `clean` leaves none of them."""
+    """Escape text for XML 1.0, which forbids control characters, surrogates and two more: `clean` leaves none of
+    them."""
     return html.escape(clean(text))
 
 
 def _kml_style(name: str, colour: str) -> str:
     return (
-        f'<Style id="{name}"><IconStyle><color>{colour}</color></IconStyle><LineStyle><color>{colour}</color><width>2</width></LineStyle>'
+        f'<Style id="{name}"><IconStyle><color>{colour}</color></IconStyle>'
+        f"<LineStyle><color>{colour}</color><width>2</width></LineStyle>"
         f"<PolyStyle><color>33{colour[2:]}</color></PolyStyle></Style>"
     )
 
@@ -284,14 +306,14 @@ def _kml_placemark(contact: Contact, style: str) -> list[str]:
     if not (math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)):
         return [f"<Placemark><name>{_xml(contact.id)}</name><description>position not known</description></Placemark>"]
     frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg)
-    geometry = [f"<Point><coordinates>{_kml_coordinates(np.array([[contact.longitude_deg, contact.latitude_deg]]))}</coordinates></Point>"]
+    position = _kml_coordinates(np.array([[contact.longitude_deg, contact.latitude_deg]]))
+    geometry = [f"<Point><coordinates>{position}</coordinates></Point>"]
     ring_m = error_ellipse_ring_m(contact)
     if np.isfinite(ring_m).all():
         latitude, longitude, _ = frame.to_geodetic(np.column_stack([ring_m, np.zeros(len(ring_m))]))
         for piece in split_ring(np.column_stack([longitude, latitude])):
-            geometry.append(
-                f"<Polygon><outerBoundaryIs><LinearRing><coordinates>{_kml_coordinates(piece)}</coordinates></LinearRing></outerBoundaryIs></Polygon>"
-            )
+            ring = f"<LinearRing><coordinates>{_kml_coordinates(piece)}</coordinates></LinearRing>"
+            geometry.append(f"<Polygon><outerBoundaryIs>{ring}</outerBoundaryIs></Polygon>")
     time = iso_time(contact.time_s)
     return [
         "<Placemark>",
@@ -326,7 +348,9 @@ def _kml_table(contact: Contact) -> str:
         ("reasons", "; ".join(contact.reasons)),
     ]
     return (
-        "<table>" + "".join(f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>" for name, value in rows) + "</table>"
+        "<table>"
+        + "".join(f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>" for name, value in rows)
+        + "</table>"
     )
 
 

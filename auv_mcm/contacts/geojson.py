@@ -45,7 +45,9 @@ def feature(geometry: Json, properties: dict[str, Json]) -> dict[str, Json]:
 def one_or_multi(kind: str, parts: list[Json]) -> Json:
     if not parts:
         return None
-    return {"type": kind, "coordinates": parts[0]} if len(parts) == 1 else {"type": f"Multi{kind}", "coordinates": parts}
+    return (
+        {"type": kind, "coordinates": parts[0]} if len(parts) == 1 else {"type": f"Multi{kind}", "coordinates": parts}
+    )
 
 
 def geojson_point(longitude_deg: float, latitude_deg: float) -> Json:
@@ -54,7 +56,10 @@ def geojson_point(longitude_deg: float, latitude_deg: float) -> Json:
 
 
 def positions_of(points: NDArray[np.float64]) -> list[Json]:
-    return [[round(longitude, DEGREE_DIGITS) + 0.0, round(latitude, DEGREE_DIGITS) + 0.0] for longitude, latitude in points.tolist()]
+    return [
+        [round(longitude, DEGREE_DIGITS) + 0.0, round(latitude, DEGREE_DIGITS) + 0.0]
+        for longitude, latitude in points.tolist()
+    ]
 
 
 def rounded_longitude(longitude_deg: float) -> float | None:

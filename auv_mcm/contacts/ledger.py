@@ -117,7 +117,8 @@ class Ledger:
         return [moved[number] for number in sorted(moved) if self._reported[number]]
 
     def _take(self, detections: list[Detection]) -> dict[int, Contact]:
-        """Join the detections of one passage to contacts; return those opened or changed, by their place in the ledger."""
+        """Join the detections of one passage to contacts; return those opened or changed, by their place in the
+        ledger."""
         places_m = self._east_north(detections)
         near = self._near(places_m)
         changed: dict[int, Contact] = {}
@@ -136,7 +137,9 @@ class Ledger:
         self._positions_m = _with_room(self._positions_m, self._n_contacts)
         self._positions_m[moved] = self._east_north([changed[number] for number in moved])
         self._asking_p = _with_room(self._asking_p, self._n_contacts)
-        self._asking_p[moved] = [changed[number].p_mine if changed[number].next_look_deg else math.nan for number in moved]
+        self._asking_p[moved] = [
+            changed[number].p_mine if changed[number].next_look_deg else math.nan for number in moved
+        ]
         return changed
 
     def _east_north(self, placed: Sequence[Contact | Detection]) -> NDArray[np.float64]:
@@ -148,7 +151,9 @@ class Ledger:
     def _near(self, places_m: NDArray[np.float64]) -> dict[int, Contact]:
         """Find contacts within the gate of any of the places, (n, 2), by their place in the ledger, in its order."""
         positions_m, reach_m = self._positions_m[: self._n_contacts], self._config.max_gate_m + _SEARCH_M
-        around = (positions_m >= np.fmin.reduce(places_m) - reach_m) & (positions_m <= np.fmax.reduce(places_m) + reach_m)
+        around = (positions_m >= np.fmin.reduce(places_m) - reach_m) & (
+            positions_m <= np.fmax.reduce(places_m) + reach_m
+        )
         candidates = np.flatnonzero(around.all(axis=1))
         within = np.zeros(len(candidates), dtype=np.bool_)
         for place_m in places_m:
@@ -167,7 +172,9 @@ class Ledger:
                 contacts[number] = self._kept[number + 1]  # ids begin with 1
         return contacts
 
-    def _assign(self, detections: list[Detection], places_m: NDArray[np.float64], near: dict[int, Contact]) -> list[int | None]:
+    def _assign(
+        self, detections: list[Detection], places_m: NDArray[np.float64], near: dict[int, Contact]
+    ) -> list[int | None]:
         """Assign each detection the contact it belongs to, one of those near, or None for a new one."""
         matches: list[int | None] = [None] * len(detections)
         numbers = list(near)
@@ -199,7 +206,9 @@ class Ledger:
 
         # A new contact costs as much as the worst match allowed, so that no good match is given up for two bad ones.
         opening = np.full((len(detections), len(detections)), self._config.gate_chi2)
-        for row, column in zip(*linear_sum_assignment(np.concatenate([cost[:, possible], opening], axis=1)), strict=True):
+        for row, column in zip(
+            *linear_sum_assignment(np.concatenate([cost[:, possible], opening], axis=1)), strict=True
+        ):
             if column < possible.size:
                 matches[int(row)] = numbers[possible[column]]
         return matches
@@ -228,7 +237,11 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
     passages: list[list[Detection]] = []
     for detection in sorted(detections, key=lambda d: (d.time_s, d.side, d.column)):
         passage = passages[-1] if passages else []
-        if passage and detection.time_s - passage[-1].time_s < _SAME_LOOK_S and _turned_rad(detection, passage[0]) < _SAME_LOOK_RAD:
+        if (
+            passage
+            and detection.time_s - passage[-1].time_s < _SAME_LOOK_S
+            and _turned_rad(detection, passage[0]) < _SAME_LOOK_RAD
+        ):
             passage.append(detection)
         else:
             passages.append([detection])
@@ -251,7 +264,11 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
     latitude, longitude, covariance = _fused_position(views)
     verdict = fuse(views, prior)
     size = _dimensions(views, verdict.classification)
-    reasons = (reason for view in views for reason in (*view.reasons, *(view.confirmation.reasons if view.confirmation else ())))
+    reasons = (
+        reason
+        for view in views
+        for reason in (*view.reasons, *(view.confirmation.reasons if view.confirmation else ()))
+    )
     return Contact(
         id=name,
         time_s=views[0].time_s,
@@ -276,7 +293,8 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
 
 
 def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
-    """Average latitude and longitude of views by their inverse covariances; return them with the east/north covariance."""
+    """Average latitude and longitude of views by their inverse covariances; return them with the east/north
+    covariance."""
     if len(views) == 1:
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)

@@ -83,7 +83,9 @@ class TileCandidates(NamedTuple):
     clear_contrasts: bool = False
 
 
-def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine: float, without_skips: Skips = NO_SKIPS) -> TileCandidates:
+def by_contrast(
+    tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine: float, without_skips: Skips = NO_SKIPS
+) -> TileCandidates:
     """Find peaks of the contrast of highlight and shadow against the sea floor around.
 
     gate, min_p_mine: as for by_both.
@@ -95,7 +97,9 @@ def by_contrast(tile: Tile, config: DetectConfig, gate: Gate | None, min_p_mine:
     reaching = may_reach(None if gate is None or "gate" in without_skips else gate.contrast, min_p_mine, features)
     passing = np.flatnonzero(reaching)
     taken = [peaks[k] for k in passing[: _max_candidates(config, without_skips)].tolist()]
-    candidates = [Candidate(peak, contrast.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken]
+    candidates = [
+        Candidate(peak, contrast.floor(peak.row, peak.column), contrast_odds(peak.score), NAN) for peak in taken
+    ]
     faint = _faint([peaks[k] for k in np.flatnonzero(~reaching).tolist()], scores[~reaching])
     return TileCandidates(candidates, len(passing) - len(taken), faint, n_bounded=contrast.n_bounded)
 
@@ -113,9 +117,9 @@ def by_both(
 
     A cascade recognises only what it was trained on. What stands out clearly and is unlike that is still measured, with
     odds to match. max_evaluations: the cascade's budget, None for none. The peaks are scored whatever it is, so that a
-    tile whose windows are all beyond it is served by contrasts; their cost comes out of it first. gate, min_p_mine: what
-    cannot become a contact of that p_mine is dropped, and of the contrast only clear peaks are searched for. Without a
-    gate nothing is dropped.
+    tile whose windows are all beyond it is served by contrasts; their cost comes out of it first. gate, min_p_mine:
+    what cannot become a contact of that p_mine is dropped, and of the contrast only clear peaks are searched for.
+    Without a gate nothing is dropped.
     """
     clear_alone = gate is not None and min_p_mine > 0.0 and "faint-contrasts" not in without_skips
     p_false_alarm = min(config.p_false_alarm, _CLEAR_PEAK_P) if clear_alone else config.p_false_alarm
@@ -131,7 +135,10 @@ def by_both(
     windows = _Places(passed.rows, passed.columns, passed.scores / SCORE_UNIT).some(heard)
     n_kept = _KEPT_PER_CANDIDATE * max_scored + _MIN_KEPT
     windows = windows.some(spaced_apart(windows.rows, windows.columns, windows.scores, half_rows, half_columns, n_kept))
-    places = [*_clearest(contrast, windows.rows.tolist(), windows.columns.tolist(), int(half_rows), int(half_columns)), *peaks]
+    places = [
+        *_clearest(contrast, windows.rows.tolist(), windows.columns.tolist(), int(half_rows), int(half_columns)),
+        *peaks,
+    ]
     cascade_scores = np.concatenate((windows.scores, peak_scores / SCORE_UNIT))
     rows, columns = (np.array([place[k] for place in places], dtype=np.int64) for k in (1, 2))
     contrast_scores = np.array([max(place.score, _FAINTEST) for place in places])
@@ -167,13 +174,19 @@ def _max_candidates(config: DetectConfig, without_skips: Skips) -> int:
     return _NO_LIMIT if "candidate-limit" in without_skips else config.max_candidates_per_tile
 
 
-def _scores_of(plane: CodePlane, model: CascadeModel, peaks: Sequence[Peak], max_scored: int) -> tuple[NDArray[np.int32], int]:
+def _scores_of(
+    plane: CodePlane, model: CascadeModel, peaks: Sequence[Peak], max_scored: int
+) -> tuple[NDArray[np.int32], int]:
     """Score each peak's best window within AROUND_PX by the cascade, whatever it rejects.
 
     Returns the scores, (n_peaks,) int32, and the number of evaluations. Peaks beyond the first `max_scored` get the
     score of the calibration's lowest odds.
     """
-    offsets = [(row, column) for row in range(-_AROUND_PX[0], _AROUND_PX[0] + 1) for column in range(-_AROUND_PX[1], _AROUND_PX[1] + 1)]
+    offsets = [
+        (row, column)
+        for row in range(-_AROUND_PX[0], _AROUND_PX[0] + 1)
+        for column in range(-_AROUND_PX[1], _AROUND_PX[1] + 1)
+    ]
     each = len(offsets) * model.n_stumps
     n_scored = min(len(peaks), max_scored)
     scores = np.full(len(peaks), model.calibration.score[0], dtype=np.int32)
@@ -208,12 +221,15 @@ def _faint(peaks: Sequence[Peak], strength: NDArray[np.float64]) -> FaintPlaces:
     return FaintPlaces(rows, columns, strength)
 
 
-def _clearest(contrast: Contrasts, rows: list[int], columns: list[int], half_rows: int, half_columns: int) -> list[Peak]:
+def _clearest(
+    contrast: Contrasts, rows: list[int], columns: list[int], half_rows: int, half_columns: int
+) -> list[Peak]:
     """Find the pixel around each (row, column) where contrast is clearest.
 
     A window that the cascade scores high need not stand on the highlight's middle.
     """
     clearest = contrast.clearest(rows, columns, half_rows, half_columns)
     return [
-        peak if peak.score > _FAINTEST else Peak(_FAINTEST, row, column) for peak, row, column in zip(clearest, rows, columns, strict=True)
+        peak if peak.score > _FAINTEST else Peak(_FAINTEST, row, column)
+        for peak, row, column in zip(clearest, rows, columns, strict=True)
     ]

@@ -86,11 +86,16 @@ class Contrasts(NamedTuple):
         Finds what prescreen.find_peaks finds in all scores.
         """
         tile = self.tile
-        half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
+        half_row, half_column = (
+            max(1, round(radius_m / tile.row_spacing_m)),
+            max(1, round(radius_m / tile.column_spacing_m)),
+        )
         score = np.where((tile.mask & LOW_RESOLUTION) != 0, np.float32(-np.inf), self.score)
         places = peaks_of(score, (tile.core_start, tile.core_stop), half_row, half_column)
         rows, columns = np.divmod(places, score.shape[1])
-        found = [Peak(float(score[row, column]), int(row), int(column)) for row, column in zip(rows, columns, strict=True)]
+        found = [
+            Peak(float(score[row, column]), int(row), int(column)) for row, column in zip(rows, columns, strict=True)
+        ]
         return sorted(found, key=lambda p: (-p.score, p.row, p.column))
 
     def clearest(self, rows: Sequence[int], columns: Sequence[int], half_rows: int, half_columns: int) -> list[Peak]:
@@ -99,7 +104,10 @@ class Contrasts(NamedTuple):
         The score is -inf where contrast cannot be computed.
         """
         parts = [
-            (slice(max(row - half_rows, 0), row + half_rows + 1), slice(max(column - half_columns, 0), column + half_columns + 1))
+            (
+                slice(max(row - half_rows, 0), row + half_rows + 1),
+                slice(max(column - half_columns, 0), column + half_columns + 1),
+            )
             for row, column in zip(rows, columns, strict=True)
         ]
         missing = np.zeros(self.score.shape, dtype=np.bool_)
@@ -145,7 +153,9 @@ def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Cont
     places, values = _all_scores(found) if weighs_all else _high_scores(found, float(threshold))
     high = values >= threshold
     score.ravel()[places[high]] = values[high]
-    return found if weighs_all else found._replace(n_bounded=int(np.count_nonzero(known[rows[0] : rows[1]])) - places.size)
+    return (
+        found if weighs_all else found._replace(n_bounded=int(np.count_nonzero(known[rows[0] : rows[1]])) - places.size)
+    )
 
 
 def scores_at(tile: Contrasts, places: Places) -> Values:
@@ -182,7 +192,9 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
         shadow[unseen] = _shadows_at(tile, unseen)
     likely = (gain + saturate_shadow(shadow[lit]) >= needed) | (glint(flat[lit]) >= threshold - SLACK)
     bright = _scored(tile, lit[likely])
-    dim = _scored(tile, np.flatnonzero((shadow >= needed - faint_worth) & (flat < np.float32(faint)) & tile.known.ravel()))
+    dim = _scored(
+        tile, np.flatnonzero((shadow >= needed - faint_worth) & (flat < np.float32(faint)) & tile.known.ravel())
+    )
     places = np.concatenate((bright, dim))
     return places, combined(np.concatenate((flat[bright], _highlights_at(tile, dim))), shadow[places])
 
@@ -261,15 +273,21 @@ def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Val
     flat = darkest.ravel()
     _, around = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
     n_rows, n_columns = tile.sums.shape
-    last = np.minimum(np.arange(blocks.n_columns - 1, n_columns + blocks.n_columns - 1, blocks.n_columns), n_columns - 1)
-    lowest = tile.shadows._replace(clearance_m=np.minimum.reduceat(tile.shadows.clearance_m, np.arange(0, n_rows, blocks.n_rows), axis=1))
+    last = np.minimum(
+        np.arange(blocks.n_columns - 1, n_columns + blocks.n_columns - 1, blocks.n_columns), n_columns - 1
+    )
+    lowest = tile.shadows._replace(
+        clearance_m=np.minimum.reduceat(tile.shadows.clearance_m, np.arange(0, n_rows, blocks.n_rows), axis=1)
+    )
     limits = []
     for k, width in enumerate((2 * tile.shadows.half_rows + 1).tolist()):
         longest = shadow_columns(lowest, k, np.arange(left.shape[0])[:, None], last[None, :])
         low_bound, _ = _inverse_looks(tile, ranges, width, (width * longest).astype(np.float64))
         root = (1.0 - low_bound - (left - SLACK) * np.sqrt(low_bound)) / (1.0 - around)
         limits.append((np.maximum(root, 0.0) + SLACK) ** 3)
-    for k, places in enumerate(dark_places(tile.sums, tile.background, tile.rows, tile.shadows, np.stack(limits), blocks)):
+    for k, places in enumerate(
+        dark_places(tile.sums, tile.background, tile.rows, tile.shadows, np.stack(limits), blocks)
+    ):
         flat[places] = np.minimum(flat[places], _shadow_deviates(tile, _Spots.at(tile, places), k))
     # Beyond the rows scored nothing is dark.
     scored = slice(*tile.rows)
@@ -289,8 +307,13 @@ class _Spots(NamedTuple):
     def at(tile: Contrasts, places: Places) -> _Spots:
         """Read the sea floor of a tile at some places."""
         wanted = places.astype(np.intp)
-        level, thin, small, large = (plane.ravel().take(wanted) for plane in (tile.background, tile.thin, tile.small, tile.large))
-        areas = [tile.grid.centred(size_m)[1] for size_m in (prescreen.THIN_BOX_M, prescreen.SMALL_BOX_M, prescreen.LARGE_BOX_M)]
+        level, thin, small, large = (
+            plane.ravel().take(wanted) for plane in (tile.background, tile.thin, tile.small, tile.large)
+        )
+        areas = [
+            tile.grid.centred(size_m)[1]
+            for size_m in (prescreen.THIN_BOX_M, prescreen.SMALL_BOX_M, prescreen.LARGE_BOX_M)
+        ]
         spread = Spread(thin, small, decay_of(small, large, areas[2] / areas[1]), areas[0], areas[1])
         return _Spots(places, np.float32(1.0) / level, spread, spread.looks(2, float(tile.grid.frame()[2])))
 

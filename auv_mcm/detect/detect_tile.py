@@ -35,14 +35,16 @@ _DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 
 
 class TileDetections(NamedTuple):
-    """Hold what a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed on Earth.
+    """Hold what a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed
+    on Earth.
 
     faint: places that cannot become contacts and were not measured, on the mission grid.
-    n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left since its budget was
-    used up, of n_windows, n_rejected: windows that it rejected before its last group; all 0 where contrasts alone serve.
-    n_bounded: pixels whose contrast was not weighed. clear_contrasts: only clear peaks of contrast were looked for.
-    covered_share: of the tile's coverage that is earned, 0 to 1; less than 1 where the tile's budget left out windows or close looks, as
-    `auv_mcm.budget` says. A detection whose close look is beyond the budget has no surroundings.
+    n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left
+    since its budget was used up, of n_windows, n_rejected: windows that it rejected before its last group; all 0 where
+    contrasts alone serve. n_bounded: pixels whose contrast was not weighed. clear_contrasts: only clear peaks of
+    contrast were looked for. covered_share: of the tile's coverage that is earned, 0 to 1; less than 1 where the tile's
+    budget left out windows or close looks, as `auv_mcm.budget` says. A detection whose close look is beyond the budget
+    has no surroundings.
     """
 
     detections: tuple[Detection, ...]
@@ -73,11 +75,12 @@ def detect_tile(
     max_evaluations: int | None = None,
     without_skips: Skips = NO_SKIPS,
 ) -> TileDetections:
-    """Find the objects whose score peaks in the tile's core. Positions are NaN-free; detections without a known pose are counted instead.
+    """Find the objects whose score peaks in the tile's core. Positions are NaN-free; detections without a known pose
+    are counted instead.
 
-    model: the trained cascade; contrasts serve without one. gate: drops what cannot become a contact that is reported, before it is
-    measured; without one everything is measured. max_evaluations: comparisons that the cascade may make, best windows first, None for
-    all. without_skips: those that are switched off.
+    model: the trained cascade; contrasts serve without one. gate: drops what cannot become a contact that is reported,
+    before it is measured; without one everything is measured. max_evaluations: comparisons that the cascade may make,
+    best windows first, None for all. without_skips: those that are switched off.
     """
     min_p_mine = config.contacts.min_p_mine
     if model is None:
@@ -102,7 +105,9 @@ def detect_tile(
     )
 
 
-def _placed(tile: Tile, config: Config, candidates: list[Candidate], measured: list[Measurement]) -> tuple[Detection, ...]:
+def _placed(
+    tile: Tile, config: Config, candidates: list[Candidate], measured: list[Measurement]
+) -> tuple[Detection, ...]:
     if not candidates:
         return ()
     # Measured rows count from the upper edge of row 0, poses stand at row centres.
@@ -146,7 +151,10 @@ def _placed(tile: Tile, config: Config, candidates: list[Candidate], measured: l
                 aspect_deg=float(aspect[index]),
                 ground_range_m=float(ground_range_m[index]),
                 slant_range_m=float(echoes.slant_range_m[index]),
-                altitude_m=float(first_return_m[index] * math.cos(pose.pitch_rad[index] + math.radians(config.sonar.pitch_offset_deg))),
+                altitude_m=float(
+                    first_return_m[index]
+                    * math.cos(pose.pitch_rad[index] + math.radians(config.sonar.pitch_offset_deg))
+                ),
                 score=candidate.peak.score,
                 cascade_score=candidate.cascade_score,
                 highlight_db=m.highlight_db,
@@ -177,7 +185,10 @@ def _surroundings(tile: Tile, peak: Peak, measured: Measurement) -> Surroundings
     far_m = min(max(shadow_m + _BEHIND_M, _FAR_M[0]), _FAR_M[1])
     reach = round(ROWS_M / tile.row_spacing_m)
     top, near = max(0, peak.row - reach), max(0, peak.column - round(_NEAR_M / column_m))
-    part = slice(top, min(n_rows, peak.row + reach + 1)), slice(near, min(n_columns, peak.column + round(far_m / column_m) + 1))
+    part = (
+        slice(top, min(n_rows, peak.row + reach + 1)),
+        slice(near, min(n_columns, peak.column + round(far_m / column_m) + 1)),
+    )
     valid = (tile.mask[part] & VALID) != 0
     return Surroundings(
         codes=pack_snippet(np.where(valid, np.maximum(tile.intensity[part], np.float32(_DARKEST)), np.float32(0.0))),

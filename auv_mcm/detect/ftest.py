@@ -25,7 +25,9 @@ def equivalent_looks(log_variance: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray((1.0 + np.sqrt(1.0 + 2.0 * log_variance)) / (2.0 * log_variance), dtype=np.float32)
 
 
-def f_deviate(ratio: NDArray[np.float32], looks: NDArray[np.float32], background_looks: NDArray[np.float32]) -> NDArray[np.float32]:
+def f_deviate(
+    ratio: NDArray[np.float32], looks: NDArray[np.float32], background_looks: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Compute the standard normal deviate of ratios (>= 0) of mean intensities with given looks (> 0).
 
     All arrays have the same shape, float32.

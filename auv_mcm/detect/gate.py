@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from auv_mcm.errors import BadInputError
 
 Values: TypeAlias = NDArray[np.float64]
-Feature: TypeAlias = Literal["cascade", "contrast", "range", "range_squared", "cascade_by_range", "contrast_by_range", "cascade_squared"]
+Feature: TypeAlias = Literal[
+    "cascade", "contrast", "range", "range_squared", "cascade_by_range", "contrast_by_range", "cascade_squared"
+]
 
 LOG_RANGE: Final = (-1.5, 3.5)
 """Bounds of ln(ground range / altitude), as the odds of a mine have them."""

@@ -30,7 +30,8 @@ class PaddedIntegral:
         self._pad = (pad_rows, pad_columns)
         total = np.asarray(cv2.integral(np.ascontiguousarray(plane), sdepth=cv2.CV_64F), dtype=np.float64)
         self._sum: NDArray[np.float64] = np.asarray(
-            cv2.copyMakeBorder(total, pad_rows, pad_rows, pad_columns, pad_columns, cv2.BORDER_REPLICATE), dtype=np.float64
+            cv2.copyMakeBorder(total, pad_rows, pad_rows, pad_columns, pad_columns, cv2.BORDER_REPLICATE),
+            dtype=np.float64,
         )
 
     def band(self, start: int, stop: int) -> PaddedIntegral:
@@ -47,7 +48,10 @@ class PaddedIntegral:
         """Sum over the box around every pixel, (n_rows, n_columns) float64."""
         band = self.rows(row_start, row_stop)
         n_columns, pad = self._shape[1], self._pad[1]
-        return band[:, pad + column_stop : pad + column_stop + n_columns] - band[:, pad + column_start : pad + column_start + n_columns]
+        return (
+            band[:, pad + column_stop : pad + column_stop + n_columns]
+            - band[:, pad + column_start : pad + column_start + n_columns]
+        )
 
     def rows(self, row_start: int, row_stop: int) -> NDArray[np.float64]:
         """Sum over rows [i + row_start, i + row_stop) and all columns before each padded column edge.
@@ -55,9 +59,13 @@ class PaddedIntegral:
         Returns (n_rows, n_columns + 1 + 2 pad) float64.
         """
         n_rows, pad = self._shape[0], self._pad[0]
-        return self._sum[pad + row_stop : pad + row_stop + n_rows] - self._sum[pad + row_start : pad + row_start + n_rows]
+        return (
+            self._sum[pad + row_stop : pad + row_stop + n_rows] - self._sum[pad + row_start : pad + row_start + n_rows]
+        )
 
-    def box_varying(self, row_start: int, row_stop: int, column_start: int, lengths: NDArray[np.intp]) -> NDArray[np.float64]:
+    def box_varying(
+        self, row_start: int, row_stop: int, column_start: int, lengths: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
         """Sum over rows [row_start, row_stop) and columns from column_start on, with a length per pixel.
 
         lengths: (n_rows, n_columns) intp, at most the column pad minus column_start.

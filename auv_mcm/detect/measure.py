@@ -91,7 +91,9 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     row_m, column_m = tile.row_spacing_m, tile.column_spacing_m
     reach_rows = round(ROWS_M / row_m)
     rows = slice(max(0, peak.row - reach_rows), min(n_rows, peak.row + reach_rows + 1))
-    columns = slice(max(0, peak.column - round(_NEAR_M / column_m)), min(n_columns, peak.column + round(_FAR_M / column_m) + 1))
+    columns = slice(
+        max(0, peak.column - round(_NEAR_M / column_m)), min(n_columns, peak.column + round(_FAR_M / column_m) + 1)
+    )
     altitude_m = float(tile.first_return_m[peak.row])
     peak_footprint_m = math.hypot((peak.column + 0.5) * column_m, altitude_m) * beam_width_rad
     low_shadow_m = _LOW_OBJECT_M * (peak.column + 0.5) * column_m / max(altitude_m, _LOW_OBJECT_M)
@@ -100,7 +102,9 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     spread = math.sqrt(floor.log_variance)
     bright_step = max(_BRIGHT_STEP, _STEP_DEVIATIONS * spread)
     bright = roi.contrast > bright_step
-    dark = _bridged((roi.darkness < min(_DARK_STEP, -_STEP_DEVIATIONS * spread)) & roi.valid, round(_BRIDGE_M / column_m))
+    dark = _bridged(
+        (roi.darkness < min(_DARK_STEP, -_STEP_DEVIATIONS * spread)) & roi.valid, round(_BRIDGE_M / column_m)
+    )
 
     highlight = _component_near(bright, roi.row, roi.column, round(_SEARCH_M / row_m), round(_SEARCH_M / column_m))
     anchor_row, anchor_column = (roi.row, roi.column) if highlight is None else _strongest(roi, highlight)
@@ -119,7 +123,9 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
         start, stop = _shadow_interval(shadow, round(row), round(_CENTRE_ROWS_M / row_m))
         if highlight is None:
             column = start - 0.5
-        extents.append(_shadow_extent(roi, shadow, round(row), (round(start), round(stop)), round(_PROFILE_M / column_m)))
+        extents.append(
+            _shadow_extent(roi, shadow, round(row), (round(start), round(stop)), round(_PROFILE_M / column_m))
+        )
         shadow_db = _decibels(roi, shadow)
         top = start if highlight is None else min(_far_edge(highlight, round(row)), start)
         top_m = (columns.start + top) * column_m
@@ -132,7 +138,8 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     along_m = max((_length(extent, row_m, footprint_m) for extent in extents), default=row_m)
     # At the end of a track the tile cuts an object off, which carries no information about its length.
     border = any(
-        (extent.first == 0 and peak.row >= reach_rows) or (extent.stop == roi.valid.shape[0] and peak.row + reach_rows < n_rows)
+        (extent.first == 0 and peak.row >= reach_rows)
+        or (extent.stop == roi.valid.shape[0] and peak.row + reach_rows < n_rows)
         for extent in extents
     )
     cut = _snippet_cut(row, column, shadow_length_m, row_m, column_m)
@@ -157,7 +164,9 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
     )
 
 
-def _snippet_cut(row: float, column: float, shadow_length_m: float, row_m: float, column_m: float) -> tuple[slice, slice]:
+def _snippet_cut(
+    row: float, column: float, shadow_length_m: float, row_m: float, column_m: float
+) -> tuple[slice, slice]:
     """Cut out the part of the region to keep as a picture: the object, its shadow and some of the sea floor around."""
     half_rows, near = round(_SNIPPET_M / row_m), round(_SNIPPET_M / column_m)
     behind = near + (0 if math.isnan(shadow_length_m) else round(shadow_length_m / column_m))
@@ -179,7 +188,9 @@ def _region(tile: Tile, level: float, peak: Peak, rows: slice, columns: slice, b
     return _Roi(contrast, darkness, intensity, valid, peak.row - rows.start, peak.column - columns.start)
 
 
-def _log_mean(intensity: NDArray[np.float32], valid: NDArray[np.bool_], n_rows: int, n_columns: int) -> NDArray[np.float32]:
+def _log_mean(
+    intensity: NDArray[np.float32], valid: NDArray[np.bool_], n_rows: int, n_columns: int
+) -> NDArray[np.float32]:
     """Compute the logarithm of the mean over the valid pixels of a box around each pixel; 0 where few are valid."""
     total = cv2.blur(intensity, (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
     weight = cv2.blur(valid.astype(np.float32), (n_columns, n_rows), borderType=cv2.BORDER_CONSTANT)
@@ -196,10 +207,14 @@ def _bridged(mask: NDArray[np.bool_], gap: int) -> NDArray[np.bool_]:
     return np.asarray(closed[:, : mask.shape[1]].astype(np.bool_))
 
 
-def _component_near(mask: NDArray[np.bool_], row: int, column: int, half_rows: int, half_columns: int) -> NDArray[np.bool_] | None:
+def _component_near(
+    mask: NDArray[np.bool_], row: int, column: int, half_rows: int, half_columns: int
+) -> NDArray[np.bool_] | None:
     """Find the connected part of `mask` with most pixels near (row, column); ties go to the first label."""
     _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
-    window = labels[max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1]
+    window = labels[
+        max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1
+    ]
     counts = np.bincount(window.ravel())
     if counts.shape[0] < 2:
         return None
@@ -215,7 +230,9 @@ def _shadow_behind(
     window = far_edge + round(_MAX_GAP_M / column_m) - column
     behind = dark.copy()
     behind[:, : max(column - 1, 0)] = False
-    return _component_near(behind, row, column + window // 2, max(1, round(_CENTRE_ROWS_M / row_m)), max(1, (window + 1) // 2))
+    return _component_near(
+        behind, row, column + window // 2, max(1, round(_CENTRE_ROWS_M / row_m)), max(1, (window + 1) // 2)
+    )
 
 
 def _strongest(roi: _Roi, part: NDArray[np.bool_]) -> tuple[int, int]:

@@ -79,8 +79,8 @@ class ScoreMaps(NamedTuple):
     """Per pixel, each (n_rows, n_columns) float32.
 
     score: of the best pair of boxes, in standard deviations that one pair has on pure sea floor; -inf where it
-    cannot be computed. highlight, shadow: deviates, a shadow counts positive. background: mean intensity. small_box_variance: of
-    ln I.
+    cannot be computed. highlight, shadow: deviates, a shadow counts positive. background: mean intensity.
+    small_box_variance: of ln I.
     """
 
     score: NDArray[np.float32]
@@ -131,7 +131,12 @@ class PixelGrid(NamedTuple):
         hollow = (-hollow_rows, hollow_rows + 1, -self.columns(_HOLLOW_NEAR_M), self.columns(_HOLLOW_FAR_M))
         # On a coarse grid the frame stays at least a pixel wide.
         rows = max(self.rows(FRAME_ROWS_M), hollow_rows + 1)
-        outer = (-rows, rows + 1, min(-self.columns(_FRAME_NEAR_M), hollow[2] - 1), max(self.columns(_FRAME_FAR_M), hollow[3] + 1))
+        outer = (
+            -rows,
+            rows + 1,
+            min(-self.columns(_FRAME_NEAR_M), hollow[2] - 1),
+            max(self.columns(_FRAME_FAR_M), hollow[3] + 1),
+        )
         area = (outer[1] - outer[0]) * (outer[3] - outer[2]) - (hollow[1] - hollow[0]) * (hollow[3] - hollow[2])
         return outer, hollow, area
 
@@ -232,7 +237,9 @@ def score_tile(tile: Tile) -> ScoreMaps:
     (_, thin_area), (_, small_area), (_, large_area) = measured
 
     highlight, darkest = np.full(shape, -np.inf, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-    for rows in [slice(start, min(start + _BAND_ROWS, scored.stop)) for start in range(scored.start, scored.stop, _BAND_ROWS)]:
+    for rows in [
+        slice(start, min(start + _BAND_ROWS, scored.stop)) for start in range(scored.start, scored.stop, _BAND_ROWS)
+    ]:
         decay = decay_of(small[rows], large[rows], large_area / small_area)
         spread = Spread(thin[rows], small[rows], decay, thin_area, small_area)
         highlight[rows], darkest[rows] = _deviates(boxes.band(rows), tile, rows, background[rows], spread)
@@ -307,7 +314,10 @@ def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: floa
     (near nadir) hold none and outshine none.
     """
     threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))
-    half_row, half_column = max(1, round(radius_m / tile.row_spacing_m)), max(1, round(radius_m / tile.column_spacing_m))
+    half_row, half_column = (
+        max(1, round(radius_m / tile.row_spacing_m)),
+        max(1, round(radius_m / tile.column_spacing_m)),
+    )
     coarse = (tile.mask & LOW_RESOLUTION) != 0
     finite = np.where(coarse, np.float32(-1e6), np.maximum(maps.score, np.float32(-1e6)))
     highest = cv2.dilate(finite, np.ones((2 * half_row + 1, 2 * half_column + 1), dtype=np.uint8))
@@ -345,7 +355,9 @@ class _Neighbourhood:
         total, square = PaddedIntegral(logarithm, *self._pad), PaddedIntegral(logarithm * logarithm, *self._pad)
         variance = np.empty(background.shape, dtype=np.float32)
         for rows in bands:
-            count, mean, mean_square = (sums.band(rows.start, rows.stop).box(*self._box) for sums in (self._count, total, square))
+            count, mean, mean_square = (
+                sums.band(rows.start, rows.stop).box(*self._box) for sums in (self._count, total, square)
+            )
             np.maximum(count, 1.0, out=count)
             mean /= count
             variance[rows] = np.maximum(mean_square / count - mean * mean, MIN_LOG_VARIANCE)
@@ -378,5 +390,7 @@ def darkest_behind(deviate: NDArray[np.float32], lag_columns: int) -> NDArray[np
     """
     n_columns = deviate.shape[1]
     padded = np.pad(deviate, ((1, 1), (0, lag_columns + 1)), constant_values=0.0)
-    lowest = cv2.erode(padded, np.ones((3, lag_columns), dtype=np.uint8), anchor=(0, 1), borderType=cv2.BORDER_REPLICATE)
+    lowest = cv2.erode(
+        padded, np.ones((3, lag_columns), dtype=np.uint8), anchor=(0, 1), borderType=cv2.BORDER_REPLICATE
+    )
     return np.asarray(lowest[1:-1, 1 : 1 + n_columns])

@@ -57,7 +57,9 @@ class Suppressor:
         self.settled_to_row = -math.inf
         """Everything before this row of the mission grid is settled."""
 
-    def add(self, detections: tuple[Detection, ...], complete_to_row: float, faint: FaintPlaces = NO_FAINT_PLACES) -> list[Detection]:
+    def add(
+        self, detections: tuple[Detection, ...], complete_to_row: float, faint: FaintPlaces = NO_FAINT_PLACES
+    ) -> list[Detection]:
         """Take a tile's detections; return those that are final now, in order of rows.
 
         faint: places that are no detections but crowd them, on the mission grid. complete_to_row: mission grid row
@@ -87,7 +89,9 @@ class Suppressor:
             if max(d.row for d in chain) >= horizon:
                 waiting += chain
                 continue
-            best = [d for d in self._best_of(chain, self._config.suppression_m) if not self._hidden_across_border(d, around)]
+            best = [
+                d for d in self._best_of(chain, self._config.suppression_m) if not self._hidden_across_border(d, around)
+            ]
             if _is_structure(chain, self._config.max_object_m):
                 best = _outline(best, chain)
             self._counters["detect.suppressed"] += len(chain) - len(best)
@@ -111,7 +115,8 @@ class Suppressor:
     def _hidden_across_border(self, detection: Detection, around: _Neighbours) -> bool:
         stretch = _stretch(detection)
         return any(
-            _strongest_first(other) < _strongest_first(detection) and _same_object(detection, other, self._config.suppression_m)
+            _strongest_first(other) < _strongest_first(detection)
+            and _same_object(detection, other, self._config.suppression_m)
             for other in around.on_other_stretches(detection, stretch)
         )
 
@@ -119,9 +124,13 @@ class Suppressor:
         """Lower the odds of the detection by others about as strong within a few metres."""
         distance_m = around.distance_m(detection)
         alike = around.strength >= detection.strength - _ALIKE
-        n_alike = int(np.count_nonzero(alike & (distance_m > self._config.suppression_m) & (distance_m < _SURROUNDINGS_M)))
+        n_alike = int(
+            np.count_nonzero(alike & (distance_m > self._config.suppression_m) & (distance_m < _SURROUNDINGS_M))
+        )
         reasons = (*detection.reasons, "crowded") if n_alike >= _CROWDED else detection.reasons
-        return msgspec.structs.replace(detection, p_mine=probability(odds_of(detection.p_mine) - crowding(n_alike)), reasons=reasons)
+        return msgspec.structs.replace(
+            detection, p_mine=probability(odds_of(detection.p_mine) - crowding(n_alike)), reasons=reasons
+        )
 
 
 class _Neighbours(NamedTuple):
@@ -188,7 +197,9 @@ def _outline(kept: list[Detection], chain: list[Detection]) -> list[Detection]:
         alone = "too_large" not in detection.reasons and detection.p_mine >= _ALONE_P
         if alone:
             odds = odds_of(detection.p_mine) - _BESIDE_STRUCTURE_ODDS
-            result.append(msgspec.structs.replace(detection, p_mine=probability(odds), reasons=(*detection.reasons, "extended")))
+            result.append(
+                msgspec.structs.replace(detection, p_mine=probability(odds), reasons=(*detection.reasons, "extended"))
+            )
         elif all(_distance_m(detection, other) >= _OUTLINE_STEP_M for other in result if "too_large" in other.reasons):
             size = {"length_m": max(*extents_m, detection.length_m), "width_m": max(min(extents_m), detection.width_m)}
             reasons = tuple(dict.fromkeys((*detection.reasons, "too_large", "extended")))

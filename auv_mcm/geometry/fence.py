@@ -1,7 +1,8 @@
 """Check whether circles, straight runs and paths stay inside a polygon, many at once.
 
-Points are (..., 2) arrays of east and north in metres. A fence is (k, 2) corners in order, closed by itself, possibly concave; a margin is
-kept from its edges on the inside. The inside goes by the even-odd rule, so that crossing edges have a meaning, too.
+Points are (..., 2) arrays of east and north in metres. A fence is (k, 2) corners in order, closed by itself, possibly
+concave; a margin is kept from its edges on the inside. The inside goes by the even-odd rule, so that crossing edges
+have a meaning, too.
 """
 
 from __future__ import annotations

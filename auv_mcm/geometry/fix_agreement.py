@@ -5,8 +5,8 @@ No single fix is worth more than another because it came first: at the start the
 they span a while, and a candidate takes over when the accepted track falls silent or has far fewer fixes. The decision
 depends on the fixes and their times alone.
 
-Autopilots reset their position filter in the same way, after several seconds of consistent rejected fixes (PX4 EKF2 `EKF2_NOAID_TOUT`,
-5 s; ArduPilot EKF3 position timeout, 10 s).
+Autopilots reset their position filter in the same way, after several seconds of consistent rejected fixes (PX4 EKF2
+`EKF2_NOAID_TOUT`, 5 s; ArduPilot EKF3 position timeout, 10 s).
 """
 
 from __future__ import annotations
@@ -17,12 +17,16 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
-REFIX_COUNT: Final = 3  # fixes that must agree before a candidate is accepted: two may be one glitch that was reported twice
+REFIX_COUNT: Final = (
+    3  # fixes that must agree before a candidate is accepted: two may be one glitch that was reported twice
+)
 WINDOW: Final = 30  # newest fixes that are compared
 _OUTNUMBERED: Final = 2  # a candidate with so many times the accepted track's fixes in the window takes over
 _COMPARABLE: Final = 0.25  # of the accepted track's fixes in the window: a candidate with fewer is noise
 _MAX_CANDIDATES: Final = 8  # the one silent for longest is dropped; scattered fixes must cost no memory
-_HOLD_FACTOR: Final = 4.0 / 3.0  # times span_s: undecided fixes older than this are rejected, so that the wait for them is bounded
+_HOLD_FACTOR: Final = (
+    4.0 / 3.0
+)  # times span_s: undecided fixes older than this are rejected, so that the wait for them is bounded
 
 
 class Timed(Protocol):
@@ -76,7 +80,8 @@ class FixAgreement(Generic[F]):
     """Decide on fixes of one source in order of arrival; see the module."""
 
     def __init__(self, apart_m: Callable[[F, F], float], reach_m: Callable[[F, F], float], span_s: float) -> None:
-        """apart_m: distance between two fixes. reach_m: what the vehicle can have travelled between them, their errors included.
+        """apart_m: distance between two fixes. reach_m: what the vehicle can have travelled between them, their errors
+        included.
 
         span_s: how long fixes have to agree before the first or a new track is accepted.
         """
@@ -100,7 +105,9 @@ class FixAgreement(Generic[F]):
     @property
     def waiting_since_s(self) -> float:
         """Give the time of the oldest fix that may still be accepted; inf if there is none."""
-        return min((candidate.waiting[0].time_s for candidate in self._candidates if candidate.waiting), default=math.inf)
+        return min(
+            (candidate.waiting[0].time_s for candidate in self._candidates if candidate.waiting), default=math.inf
+        )
 
     @property
     def waiting_apart_m(self) -> float:
@@ -108,7 +115,9 @@ class FixAgreement(Generic[F]):
         if self._accepted is None:
             return 0.0
         last = self._accepted.last
-        return max((self._apart_m(last, candidate.last) for candidate in self._candidates if candidate.waiting), default=0.0)
+        return max(
+            (self._apart_m(last, candidate.last) for candidate in self._candidates if candidate.waiting), default=0.0
+        )
 
     def add(self, fix: F) -> FixDecision[F]:
         """Take the next fix."""
@@ -131,7 +140,9 @@ class FixAgreement(Generic[F]):
             self._candidates.append(candidate)
         candidate.take(fix, resumes=not self._recent or self._recent[-1] is not candidate)
         self._recent.append(candidate)
-        decision = self._settle(self._best_candidate()) if accepted is None and self._spans(fix.time_s) else FixDecision[F]()
+        decision = (
+            self._settle(self._best_candidate()) if accepted is None and self._spans(fix.time_s) else FixDecision[F]()
+        )
         if accepted is not None and self._takes_over(candidate, accepted, fix):
             decision = self._settle(candidate)
         return decision._replace(n_rejected=decision.n_rejected + n_forgotten)
@@ -167,7 +178,8 @@ class FixAgreement(Generic[F]):
         return min(within, key=lambda candidate: self._apart_m(candidate.last, fix), default=None)
 
     def _continues(self, accepted: _Track[F], candidate: _Track[F] | None, fix: F) -> bool:
-        """Check whether a fix continues the accepted track rather than a nearer candidate: in time any place can be reached."""
+        """Check whether a fix continues the accepted track rather than a nearer candidate: in time any place can be
+        reached."""
         if not self._reaches(accepted.last, fix):
             return False
         if candidate is None or candidate.n_run == 0:

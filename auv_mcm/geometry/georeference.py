@@ -1,15 +1,16 @@
 """Locate echoes on Earth: exact push-broom geometry of a side-scan array over a flat bottom.
 
-A line array hears echoes from the plane perpendicular to its axis. An echo at slant range r lies where that plane, the sphere
-of radius r and the bottom meet. With a the array's axis and w the downward vertical,
+A line array hears echoes from the plane perpendicular to its axis. An echo at slant range r lies where that plane, the
+sphere of radius r and the bottom meet. With a the array's axis and w the downward vertical,
 
     v = unit(w - (w.a) a)      the steepest direction in the beam plane
     u = v x a  (starboard; port is its opposite)   the level direction in the beam plane
     q = array + sqrt(r^2 - r0^2) u + r0 v
 
-where r0 is the slant range of the first bottom return: on a flat bottom that return comes along v, so r0 is known without
-knowing altitude and pitch apart (altitude = r0 cos(array pitch)). Roll turns the beam pattern, not the beam plane, hence moves
-an echo only through the lever arm. Vectors are north, east, down at the vehicle unless named otherwise.
+where r0 is the slant range of the first bottom return: on a flat bottom that return comes along v, so r0 is known
+without knowing altitude and pitch apart (altitude = r0 cos(array pitch)). Roll turns the beam pattern, not the beam
+plane, hence moves an echo only through the lever arm. Vectors are north, east, down at the vehicle unless named
+otherwise.
 """
 
 from __future__ import annotations
@@ -25,14 +26,15 @@ from auv_mcm.records import PoseTrack, Side
 from auv_mcm.settings.config import NavigationConfig, SonarConfig
 
 NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
-"""For echoes whose ranges are metric already: only the way made during the ping depends on it, millimetres per percent."""
+"""For echoes whose ranges are metric already: only the way made during the ping depends on it, millimetres per
+percent."""
 
 
 class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Hold n echoes of one side; every array (n,) float64.
 
-    pose: the vehicle at the transmit instant of each echo's ping. slant_range_m: of the echo; for a point of ground range y it
-    is hypot(y, first_return_m). first_return_m: of the bottom below the array, by the same ping.
+    pose: the vehicle at the transmit instant of each echo's ping. slant_range_m: of the echo; for a point of ground
+    range y it is hypot(y, first_return_m). first_return_m: of the bottom below the array, by the same ping.
     """
 
     side: Side
@@ -42,11 +44,13 @@ class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     sound_speed_mps: NDArray[np.float64]
 
 
-def locate(echoes: EchoGeometry, sonar: SonarConfig) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def locate(
+    echoes: EchoGeometry, sonar: SonarConfig
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Compute latitude, longitude in [-180, 180) and height (negative below the surface) of each echo, (n,) each.
 
-    A range shorter than the first return is taken as the point under the array. Without a depth the vehicle is taken to be at
-    the surface, without a speed to stand still during the ping; any other NaN gives a NaN position.
+    A range shorter than the first return is taken as the point under the array. Without a depth the vehicle is taken to
+    be at the surface, without a speed to stand still during the ping; any other NaN gives a NaN position.
     """
     array, echo = _array_and_echo(echoes, sonar)
     pose = echoes.pose
@@ -68,9 +72,10 @@ def position_covariance(
 ) -> NDArray[np.float64]:
     """Compute the east/north covariance of each echo's position, (n, 2, 2), m^2.
 
-    First-order propagation of independent errors of altitude (1-sigma `altitude_sigma_m`, (n,)), heading, pitch and slant
-    range (range error = range times relative sound speed error), added to the fix's own. Each derivative is the secant over
-    plus and minus one sigma: that stays finite towards nadir, where the tangent of sqrt(r^2 - r0^2) does not.
+    First-order propagation of independent errors of altitude (1-sigma `altitude_sigma_m`, (n,)), heading, pitch and
+    slant range (range error = range times relative sound speed error), added to the fix's own. Each derivative is the
+    secant over plus and minus one sigma: that stays finite towards nadir, where the tangent of sqrt(r^2 - r0^2) does
+    not.
     """
     pose = echoes.pose
     heading_sigma = np.deg2rad(navigation.heading_sigma_deg)
@@ -127,7 +132,9 @@ def _array_axis(pose: PoseTrack, sonar: SonarConfig) -> NDArray[np.float64]:
     return np.asarray(_attitude(pose.heading_rad, pose.pitch_rad, pose.roll_rad) @ mounted_forward, dtype=np.float64)
 
 
-def _attitude(heading_rad: NDArray[np.float64], pitch_rad: NDArray[np.float64], roll_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def _attitude(
+    heading_rad: NDArray[np.float64], pitch_rad: NDArray[np.float64], roll_rad: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Compute rotations (n, 3, 3) from forward, starboard, down to north, east, down.
 
     Heading first, then pitch, then roll.
@@ -136,6 +143,10 @@ def _attitude(heading_rad: NDArray[np.float64], pitch_rad: NDArray[np.float64], 
     sin_p, cos_p = np.sin(pitch_rad), np.cos(pitch_rad)
     sin_r, cos_r = np.sin(roll_rad), np.cos(roll_rad)
     forward = np.stack((cos_h * cos_p, sin_h * cos_p, -sin_p), axis=-1)
-    starboard = np.stack((cos_h * sin_p * sin_r - sin_h * cos_r, sin_h * sin_p * sin_r + cos_h * cos_r, cos_p * sin_r), axis=-1)
-    down = np.stack((cos_h * sin_p * cos_r + sin_h * sin_r, sin_h * sin_p * cos_r - cos_h * sin_r, cos_p * cos_r), axis=-1)
+    starboard = np.stack(
+        (cos_h * sin_p * sin_r - sin_h * cos_r, sin_h * sin_p * sin_r + cos_h * cos_r, cos_p * sin_r), axis=-1
+    )
+    down = np.stack(
+        (cos_h * sin_p * cos_r + sin_h * sin_r, sin_h * sin_p * cos_r - cos_h * sin_r, cos_p * cos_r), axis=-1
+    )
     return np.stack((forward, starboard, down), axis=-1)

@@ -1,9 +1,10 @@
 """Turn navigation samples into vehicle poses at ping times.
 
-Each quantity lives in its own time-ordered channel, because sources measure them at different rates. Positions that contradict each
-other are settled by `auv_mcm.geometry.fix_agreement`; notices about them come from here alone, so that live and replayed
-missions report the same. A pose at a given instant becomes final, that is, no later sample can change it, up to
-`NavBuffer.ready_until_s`; a caller that waits for it gets the same poses however the stream was cut into pieces.
+Each quantity lives in its own time-ordered channel, because sources measure them at different rates. Positions that
+contradict each other are settled by `auv_mcm.geometry.fix_agreement`; notices about them come from here alone, so that
+live and replayed missions report the same. A pose at a given instant becomes final, that is, no later sample can change
+it, up to `NavBuffer.ready_until_s`; a caller that waits for it gets the same poses however the stream was cut into
+pieces.
 """
 
 from __future__ import annotations
@@ -26,23 +27,31 @@ from auv_mcm.settings.config import NavigationConfig
 
 MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that implies more is wrong
 JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
-# Fixes that contradict the ones before must agree this long until they are accepted: a receiver that was 1 degree off for 4 s came back.
+# Fixes that contradict the ones before must agree this long until they are accepted: a receiver that was 1 degree off
+# for 4 s came back.
 # Pings wait 5 s for navigation by default, so the decision comes before they are placed.
 AGREE_S: Final = 4.5
 DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no speed is known: a survey speed
-_REJECTED_WINDOW: Final = 40  # newest decided fixes, of which _REJECTED_SHARE and _MIN_REJECTED rejected ones raise a notice
+_REJECTED_WINDOW: Final = (
+    40  # newest decided fixes, of which _REJECTED_SHARE and _MIN_REJECTED rejected ones raise a notice
+)
 _REJECTED_SHARE: Final = 0.2
 _MIN_REJECTED: Final = 5
 _MAX_STEPS_REPORTED: Final = 10
-MAX_TIME_LEAP_S: Final = 60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
+MAX_TIME_LEAP_S: Final = (
+    60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
+)
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
 CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
 CHORD_MAX_S: Final = 4.0  # a vehicle that covers less than CHORD_M in this time has a speed but no course
 _ROOM: Final = 128  # values a channel has room for at first, and gathers at once
 _CLOCK_S: Final = 1e-6  # s: float64 UTC seconds resolve 0.24 microseconds; limits hold to this
 
-_FIELDS: Final = attrgetter("latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
-# Valid range of each quantity after the position. A full turn rounded up by a source in single precision is still valid.
+_FIELDS: Final = attrgetter(
+    "latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"
+)
+# Valid range of each quantity after the position. A full turn rounded up by a source in single precision is still
+# valid.
 _RANGES: Final = (
     ("heading", math.radians(-361.0), math.radians(361.0)),
     ("pitch", math.radians(-90.0), math.radians(90.0)),
@@ -54,7 +63,16 @@ _RANGES: Final = (
 
 
 # Quantities interpolated between two rows of a track besides the position, and whether it is stale.
-_BLENDED: Final = ("time_s", "depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps", "altitude_m", "position_sigma_m")
+_BLENDED: Final = (
+    "time_s",
+    "depth_m",
+    "heading_rad",
+    "pitch_rad",
+    "roll_rad",
+    "speed_mps",
+    "altitude_m",
+    "position_sigma_m",
+)
 
 
 class _Limits(NamedTuple):
@@ -77,11 +95,15 @@ class NavBuffer:
     def __init__(self, config: NavigationConfig, raised: set[str] | None = None) -> None:
         """raised: codes of notices that are not raised again, as of the buffer before a clock step; grows."""
         self.counters: Counter[str] = Counter()
-        limits = _Limits(config.max_gap_s, config.max_extrapolation_s, max(config.max_gap_s, config.max_extrapolation_s))
+        limits = _Limits(
+            config.max_gap_s, config.max_extrapolation_s, max(config.max_gap_s, config.max_extrapolation_s)
+        )
         # Derived values stand at the middle of a chord, so they are as far apart as chords are long.
         chord_s = CHORD_MAX_S + config.max_gap_s
         chord_limits = _Limits(chord_s, chord_s, chord_s)
-        self._position = _Channel(limits, width=5)  # Earth-centred metres, doubt in metres, 1 where the position is disputed
+        self._position = _Channel(
+            limits, width=5
+        )  # Earth-centred metres, doubt in metres, 1 where the position is disputed
         self._heading = _Channel(limits)
         self._pitch, self._roll, self._depth, self._altitude, self._speed = (_Channel(limits) for _ in range(5))
         self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)  # in the order of _FIELDS
@@ -158,7 +180,8 @@ class NavBuffer:
     def ready_until_s(self) -> float:
         """Give the time up to which poses are final; -inf before the first sample.
 
-        Depends on the samples alone. It may step back when a hole shows up in heading or speed; what was final stays so.
+        Depends on the samples alone. It may step back when a hole shows up in heading or speed; what was final stays
+        so.
         """
         newest_s = self._newest_s
         next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be accepted
@@ -180,21 +203,26 @@ class NavBuffer:
 
         Positions lie along the chord through the Earth, so any place will do.
 
-        Never extrapolates. Beyond the ends, and in holes longer than `max_gap_s`, a quantity keeps its nearest value, taken
-        from a later sample only up to max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll: 0). Heading
-        and speed fall back on course and speed made good over the fixes. `stale` marks instants more than
-        `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart, and those whose
-        position is disputed. For instants later than `ready_until_s` before any track of fixes is accepted, the best track is accepted.
+        Never extrapolates. Beyond the ends, and in holes longer than `max_gap_s`, a quantity keeps its nearest value,
+        taken from a later sample only up to max(max_gap_s, max_extrapolation_s) away; with none it is NaN (pitch, roll:
+        0). Heading and speed fall back on course and speed made good over the fixes. `stale` marks instants more than
+        `max_extrapolation_s` from the nearest fix or heading and not between two that are at most `max_gap_s` apart,
+        and those whose position is disputed. For instants later than `ready_until_s` before any track of fixes is
+        accepted, the best track is accepted.
         """
         times = np.array(times_s, dtype=np.float64)
         if not self._agreement.is_decided and times.size and float(times.max()) > self.ready_until_s:
             self._decide(self._agreement.decide())
         position = self._position.at(times)
-        heading, heading_fresh = self._measured_or_derived(self._heading, self._course, "navigation.heading_from_course", times)
+        heading, heading_fresh = self._measured_or_derived(
+            self._heading, self._course, "navigation.heading_from_course", times
+        )
         speed, _ = self._measured_or_derived(self._speed, self._track_speed, "navigation.speed_from_fixes", times)
         latitude, longitude, _ = ecef_to_geodetic(position.values[:, :3])
         doubt_m, disputed = np.nan_to_num(position.values[:, 3]), position.values[:, 4] > 0.0
-        doubt_m = np.where(times >= self._agreement.waiting_since_s, np.maximum(doubt_m, self._agreement.waiting_apart_m), doubt_m)
+        doubt_m = np.where(
+            times >= self._agreement.waiting_since_s, np.maximum(doubt_m, self._agreement.waiting_apart_m), doubt_m
+        )
         drift_m = np.where(position.fresh, 0.0, position.age_s * np.fmax(np.abs(speed), DRIFT_MPS))
         return PoseTrack(
             time_s=times,
@@ -243,7 +271,9 @@ class NavBuffer:
             self._store_position(time_s, latitude, longitude)
         if math.isfinite(self._agreement.waiting_since_s):
             self._decide(self._agreement.advance(time_s))
-        for channel, value, (name, low, high) in zip((self._heading, *self._plain), (heading, *plain), _RANGES, strict=True):
+        for channel, value, (name, low, high) in zip(
+            (self._heading, *self._plain), (heading, *plain), _RANGES, strict=True
+        ):
             if value != value:  # NaN: not measured
                 continue
             if not math.isfinite(value):
@@ -266,7 +296,8 @@ class NavBuffer:
         self._n_zero_altitudes += 1
         if self._n_zero_altitudes >= ZERO_ALTITUDES:
             text = (
-                f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found from the echoes "
+                f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found "
+                "from the echoes "
                 "alone. Check that the altimeter is connected, logged, and has bottom lock."
             )
             self._raise_once("navigation.altitude_zero", text, time_s)
@@ -296,8 +327,10 @@ class NavBuffer:
             self._accept(fix, number > 0 or decision.step_m == 0.0, doubt)
         if decision.disputed and accepted:
             text = (
-                f"fixes give two places {decision.doubt_m:.0f} m apart again and again: which one is right is not known. Contacts there "
-                "carry that distance as their sigma and nothing there counts as covered. Check the navigation units and their cables."
+                f"fixes give two places {decision.doubt_m:.0f} m apart again and again: which one is right is not "
+                "known. Contacts there "
+                "carry that distance as their sigma and nothing there counts as covered. Check the navigation units "
+                "and their cables."
             )
             self._raise_once("navigation.position_disputed", text, accepted[-1].time_s)
         self._decided.extend([False] * len(accepted))
@@ -311,7 +344,8 @@ class NavBuffer:
         n_rejected = self._decided.count(True)
         if n_rejected >= max(_MIN_REJECTED, _REJECTED_SHARE * len(self._decided)):
             text = (
-                f"{n_rejected} of the last {len(self._decided)} positions were rejected: they do not exist on Earth, or the vehicle cannot "
+                f"{n_rejected} of the last {len(self._decided)} positions were rejected: they do not exist on Earth, "
+                "or the vehicle cannot "
                 "have moved there and back. Check the navigation unit, its antenna and its cable. More are counted."
             )
             self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
@@ -323,7 +357,8 @@ class NavBuffer:
         if len(self._steps_s) > _MAX_STEPS_REPORTED:
             return
         text = (
-            f"the position jumped by {step_m:.0f} m and stays there: the new place is used from now on. Find out which place is right: "
+            f"the position jumped by {step_m:.0f} m and stays there: the new place is used from now on. Find out which "
+            "place is right: "
             "contacts on one side of the jump may be wrong by as much."
         )
         text += " Further jumps are only counted." * (len(self._steps_s) == _MAX_STEPS_REPORTED)
@@ -361,8 +396,10 @@ class NavBuffer:
         if offset_rad is not None:
             side = "right" if offset_rad > 0.0 else "left"
             text = (
-                f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: contacts lie on the "
-                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port and starboard "
+                f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: "
+                "contacts lie on the "
+                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port "
+                "and starboard "
                 "are swapped."
             )
             self._raise_once("navigation.heading_off_course", text, time_s)
@@ -416,7 +453,8 @@ def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTr
     above = np.minimum(below + 1, len(track) - 1)
     fraction = rows - below
 
-    # Earth-centred, so that any place will do; all in one array, (n, quantities), since each operation costs more than its numbers.
+    # Earth-centred, so that any place will do; all in one array, (n, quantities), since each operation costs more than
+    # its numbers.
     known = np.column_stack(
         [
             geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0),
@@ -492,7 +530,11 @@ class _Channel:
         known_s = self._times[self._start : self._stop]
         known = self._values[self._start : self._stop]
         if known_s.size == 0:
-            return _Values(np.full((times.size, known.shape[1]), NAN), np.zeros(times.size, dtype=np.bool_), np.full(times.size, np.inf))
+            return _Values(
+                np.full((times.size, known.shape[1]), NAN),
+                np.zeros(times.size, dtype=np.bool_),
+                np.full(times.size, np.inf),
+            )
         last = known_s.size - 1
         right = np.searchsorted(known_s, times, side="right")
         left = np.maximum(right - 1, 0)
@@ -509,11 +551,18 @@ class _Channel:
         until = np.where(has_right, known_s[right] - times, np.inf)
         until = np.where(until <= limits.look_ahead_s + _CLOCK_S, until, np.inf)
         span = known_s[right] - known_s[left]
-        bridged = np.isfinite(since) & np.isfinite(until) & (span <= limits.bridge_s + _CLOCK_S) & self._joined[self._start + right]
+        bridged = (
+            np.isfinite(since)
+            & np.isfinite(until)
+            & (span <= limits.bridge_s + _CLOCK_S)
+            & self._joined[self._start + right]
+        )
         fraction = np.where(bridged, since, 0.0) / np.where(bridged, span, 1.0)
         nearest = np.where(until < since, right, left)
         distance = np.minimum(since, until)
-        values = np.where(bridged[:, np.newaxis], known[left] + fraction[:, np.newaxis] * (known[right] - known[left]), known[nearest])
+        values = np.where(
+            bridged[:, np.newaxis], known[left] + fraction[:, np.newaxis] * (known[right] - known[left]), known[nearest]
+        )
         values = np.where(np.isfinite(distance)[:, np.newaxis], values, NAN)
         return _Values(values, bridged | (distance <= limits.fresh_s + _CLOCK_S), distance)
 

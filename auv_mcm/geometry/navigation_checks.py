@@ -12,9 +12,12 @@ from typing import Final
 
 # Courses come from chords of 2 m or more, so that 25 of them are at least 50 m of track.
 _N_CHORDS: Final = 25
-# A vehicle crabs by asin(cross current / speed): 60 degrees needs a current of 0.87 of its speed, in which no survey line is held.
+# A vehicle crabs by asin(cross current / speed): 60 degrees needs a current of 0.87 of its speed, in which no survey
+# line is held.
 _MAX_OFFSET_RAD: Final = math.radians(60.0)
-_MIN_RESULTANT: Final = 0.9  # of the unit vectors of the differences: a circular standard deviation of 26 degrees; turns scatter more
+_MIN_RESULTANT: Final = (
+    0.9  # of the unit vectors of the differences: a circular standard deviation of 26 degrees; turns scatter more
+)
 
 _MIN_PINGS: Final = 100
 _MIN_PINGS_AT_END: Final = 20  # of a short mission
@@ -31,7 +34,8 @@ class HeadingCheck:
         self._differences: deque[complex] = deque(maxlen=_N_CHORDS)
 
     def add(self, heading_rad: float, course_rad: float) -> float | None:
-        """Take one chord; return how far heading is off the course, radians in (-pi, pi], if that is a steady large angle."""
+        """Take one chord; return how far heading is off the course, radians in (-pi, pi], if that is a steady large
+        angle."""
         self._differences.append(cmath.rect(1.0, heading_rad - course_rad))
         if len(self._differences) < _N_CHORDS:
             return None
@@ -53,5 +57,9 @@ class AltitudeCheck:
         self._n_beyond += n_beyond
 
     def is_beyond_range(self, *, at_end: bool) -> bool:
-        """Check whether most pings so far have an altitude beyond the range; not from few pings, unless no more will come."""
-        return self._n_pings >= (_MIN_PINGS_AT_END if at_end else _MIN_PINGS) and self._n_beyond > _MIN_SHARE_BEYOND * self._n_pings
+        """Check whether most pings so far have an altitude beyond the range; not from few pings, unless no more will
+        come."""
+        return (
+            self._n_pings >= (_MIN_PINGS_AT_END if at_end else _MIN_PINGS)
+            and self._n_beyond > _MIN_SHARE_BEYOND * self._n_pings
+        )

@@ -1,7 +1,7 @@
 """Run hot loops, each implemented twice: plain C where a compiler was at hand at installation, numpy everywhere.
 
-Both give the same answer bit for bit unless a kernel states otherwise. `AUV_MCM_KERNELS=numpy` in the environment leaves the
-C library alone; it is read once, at the first call of any kernel.
+Both give the same answer bit for bit unless a kernel states otherwise. `AUV_MCM_KERNELS=numpy` in the environment
+leaves the C library alone; it is read once, at the first call of any kernel.
 """
 
 from __future__ import annotations
@@ -52,7 +52,11 @@ def load_library(folder: Path, name: str, version: int, declare: Callable[[ctype
         ask.restype = ctypes.c_int32
         reported = ask()
         if reported != version:
-            return Loaded(None, f"{found[0].name} is of another version of this package ({reported}, not {version}): reinstall the package")
+            return Loaded(
+                None,
+                f"{found[0].name} is of another version of this package ({reported}, not {version}): reinstall the "
+                "package",
+            )
         declare(library)
     except (OSError, AttributeError) as error:
         return Loaded(None, f"{found[0].name} cannot be loaded ({error}): reinstall the package")

@@ -1,8 +1,8 @@
 """Run the trained cascade's hot loops: codes, integral images modulo 2**32, and boosted stumps on live windows.
 
-A stump compares sums s of codes over boxes in float32, in this order of operations: f(s_a) w_a < f(s_b) w_b, or for a contrast
-f(s_a) w_a - f(s_b) w_b < f(s_w) w_w, with f rounding to nearest. Scores are whole numbers, so that the order of adding up does not
-matter. Windows are places in an integral image: the index of the pixel's first corner.
+A stump compares sums s of codes over boxes in float32, in this order of operations: f(s_a) w_a < f(s_b) w_b, or for a
+contrast f(s_a) w_a - f(s_b) w_b < f(s_w) w_w, with f rounding to nearest. Scores are whole numbers, so that the order
+of adding up does not matter. Windows are places in an integral image: the index of the pixel's first corner.
 
 C and numpy agree to the bit.
 """
@@ -22,9 +22,12 @@ from auv_mcm import kernels
 CODE_OF_MEAN: Final = 1024
 MAX_INTENSITY: Final = 16.0
 
-STUMP: Final = np.dtype([("offset", np.int32, (3, 4)), ("weight", np.float32, 3), ("leaf", np.int32, 2), ("contrast", np.int32)])
-"""One stump in one band. offset: of boxes a, b, w to their lower right, upper right, lower left and upper left corners in an integral
-image, from the window's place. leaf: what the score gains where the comparison fails, and where it holds."""
+STUMP: Final = np.dtype(
+    [("offset", np.int32, (3, 4)), ("weight", np.float32, 3), ("leaf", np.int32, 2), ("contrast", np.int32)]
+)
+"""One stump in one band. offset: of boxes a, b, w to their lower right, upper right, lower left and upper left corners
+in an integral image, from the window's place. leaf: what the score gains where the comparison fails, and where it
+holds."""
 
 _AT_ONCE: Final = 32768  # windows that numpy weighs together: more no longer fit the cache
 _P, _I, _U = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32
@@ -33,9 +36,9 @@ _P, _I, _U = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32
 class Tables(NamedTuple):
     """Hold a model made for one pixel size and one length of rows.
 
-    stumps: (n_bands, n_stumps) STUMP. groups: (n_groups, 2) int32, number of stumps up to each group's end, and the score below which
-    windows are dropped there. window: (n_bands, 4) int32 corners, as in STUMP, of the box of which at least `least` pixels (n_bands,)
-    int32 must be valid. restart: whether scores start at 0 in every group.
+    stumps: (n_bands, n_stumps) STUMP. groups: (n_groups, 2) int32, number of stumps up to each group's end, and the
+    score below which windows are dropped there. window: (n_bands, 4) int32 corners, as in STUMP, of the box of which at
+    least `least` pixels (n_bands,) int32 must be valid. restart: whether scores start at 0 in every group.
     """
 
     stumps: NDArray[np.void]
@@ -48,9 +51,9 @@ class Tables(NamedTuple):
 class WindowField(NamedTuple):
     """Hold integral images, and where in them windows may be centred.
 
-    sums, counts: integral images of codes and of valid pixels, uint32 of one shape; corner: index of pixel (0, 0) in them, which leaves
-    as much margin as boxes reach and one row more. usable: (n_rows, n_columns) bool. edges: (n_rows, n_bands + 1) int32 columns at which
-    bands begin, the last one n_columns.
+    sums, counts: integral images of codes and of valid pixels, uint32 of one shape; corner: index of pixel (0, 0) in
+    them, which leaves as much margin as boxes reach and one row more. usable: (n_rows, n_columns) bool. edges: (n_rows,
+    n_bands + 1) int32 columns at which bands begin, the last one n_columns.
     """
 
     sums: NDArray[np.uint32]
@@ -86,8 +89,8 @@ class Opened(NamedTuple):
 def encode(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     """Encode intensities of any shape as codes uint16, and give where they are valid, bool.
 
-    A code is 1024 times the intensity, nearest and halves to even, 0 to 16384; 1024 where not valid. mask: same shape; its lowest bit
-    marks that an echo was measured. NaN is never valid. Raises ValueError if the shapes differ.
+    A code is 1024 times the intensity, nearest and halves to even, 0 to 16384; 1024 where not valid. mask: same shape;
+    its lowest bit marks that an echo was measured. NaN is never valid. Raises ValueError if the shapes differ.
     """
     _same_shape(intensity, mask)
     function = _c_encode()
@@ -99,20 +102,24 @@ def encode(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDA
     return codes, valid
 
 
-def encode_numpy(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+def encode_numpy(
+    intensity: NDArray[np.float32], mask: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     """Do as encode, in numpy alone."""
     valid = ((mask & 1) != 0) & ~np.isnan(intensity)
     bounded = np.clip(np.where(valid, intensity, np.float32(1.0)), np.float32(0.0), np.float32(MAX_INTENSITY))
     return np.asarray(np.rint(bounded * np.float32(CODE_OF_MEAN)), dtype=np.uint16), valid
 
 
-def integral(values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32] | None = None) -> NDArray[np.uint32]:
+def integral(
+    values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32] | None = None
+) -> NDArray[np.uint32]:
     """Compute the integral image modulo 2**32 of a plane that goes on as `beyond` in its margins.
 
-    values: (n_rows, n_columns) uint16, or bool. margins: rows either way, columns before, columns behind. out: where to put it, as is
-    worth while many times over since fresh memory costs as much as the sums. Returns (n_rows + 2 rows + 1, n_columns + before + behind
-    + 1) uint32; element (i, j) is the sum over the padded plane's rows before i and columns before j.
-    Raises ValueError for other types and for an `out` of another shape, type or order.
+    values: (n_rows, n_columns) uint16, or bool. margins: rows either way, columns before, columns behind. out: where to
+    put it, as is worth while many times over since fresh memory costs as much as the sums. Returns (n_rows + 2 rows +
+    1, n_columns + before + behind + 1) uint32; element (i, j) is the sum over the padded plane's rows before i and
+    columns before j. Raises ValueError for other types and for an `out` of another shape, type or order.
     """
     shape = integral_shape(values, margins)
     if out is None:
@@ -135,7 +142,9 @@ def integral_shape(values: NDArray[Any], margins: tuple[int, int, int]) -> tuple
     return n_rows + 2 * margins[0] + 1, n_columns + margins[1] + margins[2] + 1
 
 
-def integral_numpy(values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32]) -> NDArray[np.uint32]:
+def integral_numpy(
+    values: NDArray[Any], margins: tuple[int, int, int], beyond: int, out: NDArray[np.uint32]
+) -> NDArray[np.uint32]:
     """Do as integral, in numpy alone."""
     rows, near, _ = margins
     padded = np.full((out.shape[0] - 1, out.shape[1] - 1), beyond, dtype=np.uint32)
@@ -189,12 +198,16 @@ def open_windows_numpy(field: WindowField, tables: Tables, n_groups: int) -> Ope
         begin = int(stop[k])
     chosen = np.concatenate(whole)
     if n_groups == 0:
-        return Opened(Windows(chosen[:0], chosen[:0], np.zeros_like(band_stop)), len(chosen), np.zeros(0, dtype=np.int64))
+        return Opened(
+            Windows(chosen[:0], chosen[:0], np.zeros_like(band_stop)), len(chosen), np.zeros(0, dtype=np.int64)
+        )
     windows, n_alive = run_groups_numpy(sums, tables, Windows(chosen, np.zeros_like(chosen), band_stop), 0, n_groups)
     return Opened(windows, len(chosen), n_alive)
 
 
-def run_groups(sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int) -> tuple[Windows, NDArray[np.int64]]:
+def run_groups(
+    sums: NDArray[np.uint32], tables: Tables, windows: Windows, first: int, last: int
+) -> tuple[Windows, NDArray[np.int64]]:
     """Run groups [first, last) on windows. Returns those alive, in order, and their number after each group.
 
     Raises ValueError unless places rise within each band and bands hold all windows.
@@ -258,7 +271,11 @@ def rank(score: NDArray[np.int32], n_first: int) -> NDArray[np.int32]:
     if function is None or score.size == 0:
         return rank_numpy(score, n_first)
     score = np.ascontiguousarray(score)
-    order, scratch, n_ranked = np.empty(score.size, dtype=np.int32), np.empty(score.size, dtype=np.int32), np.empty(1, dtype=np.int64)
+    order, scratch, n_ranked = (
+        np.empty(score.size, dtype=np.int32),
+        np.empty(score.size, dtype=np.int32),
+        np.empty(1, dtype=np.int64),
+    )
     function(score.size, *_pointers(score), n_first, *_pointers(order, scratch, n_ranked))
     return order[: n_ranked[0]]
 
@@ -282,7 +299,9 @@ def corners(boxes_px: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
 
 def _weigh(sums: NDArray[np.uint32], place: NDArray[np.int32], stump: NDArray[np.void]) -> NDArray[np.int32]:
     a, b, w = (
-        _box(sums, place, stump["offset"][k]).astype(np.float32) * stump["weight"][k] if k < 2 or stump["contrast"] else np.float32(0.0)
+        _box(sums, place, stump["offset"][k]).astype(np.float32) * stump["weight"][k]
+        if k < 2 or stump["contrast"]
+        else np.float32(0.0)
         for k in range(3)
     )
     holds = a - b < w if stump["contrast"] else a < b
@@ -315,7 +334,9 @@ def _check_order(windows: Windows) -> None:
 
 def _same_shape(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> None:
     if intensity.shape != mask.shape or mask.dtype.itemsize != 1:
-        raise ValueError(f"mask must hold a byte for each of {intensity.shape} intensities, not {mask.shape} {mask.dtype}")
+        raise ValueError(
+            f"mask must hold a byte for each of {intensity.shape} intensities, not {mask.shape} {mask.dtype}"
+        )
 
 
 def _pointers(*arrays: NDArray[Any]) -> list[int]:

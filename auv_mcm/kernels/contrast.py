@@ -1,10 +1,10 @@
 """Compute what contrasts need: box sums on integral images, background, variances, and places where a box may stand
 out.
 
-Integral images are (n_rows + 1, n_columns + 1), element (i, j) the sum over the rows before i and columns before j, float64 added up along
-rows and then down, or int32. Boxes are half-open offsets from a pixel, (..., 4) int32: first and last row, first and last column; what
-reaches out of the tile is clipped at its edge. A box's mean is over its valid pixels, 0 where there are none. Places are indices of
-pixels, row times n_columns plus column, int32.
+Integral images are (n_rows + 1, n_columns + 1), element (i, j) the sum over the rows before i and columns before j,
+float64 added up along rows and then down, or int32. Boxes are half-open offsets from a pixel, (..., 4) int32: first and
+last row, first and last column; what reaches out of the tile is clipped at its edge. A box's mean is over its valid
+pixels, 0 where there are none. Places are indices of pixels, row times n_columns plus column, int32.
 
 C and numpy agree to the bit.
 """
@@ -107,7 +107,12 @@ def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], bound: float, fl
     seabed = valid & ((mask & SATURATED) == 0)
     bounded = np.where(valid, np.minimum(intensity, np.float32(bound)), np.float32(0.0))
     floor = np.where(seabed, np.minimum(bounded, np.float32(floor_bound)), np.float32(0.0))
-    return TileSums(_integral(bounded, np.float64), _integral(floor, np.float64), _integral(valid, np.int32), _integral(seabed, np.int32))
+    return TileSums(
+        _integral(bounded, np.float64),
+        _integral(floor, np.float64),
+        _integral(valid, np.int32),
+        _integral(seabed, np.int32),
+    )
 
 
 def background(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: np.float32) -> tuple[Plane, Flags]:
@@ -133,7 +138,9 @@ def background(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: 
     return mean, known
 
 
-def background_numpy(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: np.float32) -> tuple[Plane, Flags]:
+def background_numpy(
+    sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: np.float32
+) -> tuple[Plane, Flags]:
     """Do as background, in numpy alone."""
     total = _box(sums.floor_total, frame.outer) - _box(sums.floor_total, frame.hollow)
     count = _box(sums.n_floor, frame.outer) - _box(sums.n_floor, frame.hollow)
@@ -152,7 +159,13 @@ def ratios(sums: TileSums, level: Plane, boxes: Boxes, minimum: float) -> Plane:
     found = np.empty((len(boxes), *sums.shape), dtype=np.float32)
     pad, bands = _bands(sums, 1, boxes)
     function(
-        *sums.shape, *_pointers(sums.total, sums.n_valid, level), len(boxes), *_pointers(boxes), minimum, pad, *_pointers(*bands, found)
+        *sums.shape,
+        *_pointers(sums.total, sums.n_valid, level),
+        len(boxes),
+        *_pointers(boxes),
+        minimum,
+        pad,
+        *_pointers(*bands, found),
     )
     return found
 
@@ -163,7 +176,9 @@ def ratios_numpy(sums: TileSums, level: Plane, boxes: Boxes, minimum: float) -> 
     return np.stack([np.maximum(mean / level, np.float32(minimum)) for mean in means])
 
 
-def local_variances(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, minimum: float) -> Plane:
+def local_variances(
+    planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, minimum: float
+) -> Plane:
     """Compute variances of the values of three planes (3, n_rows, n_columns) around each pixel.
 
     Values are clipped to +-clip and taken over the known pixels within `half` rows and columns; variances are `minimum`
@@ -176,11 +191,15 @@ def local_variances(planes: Plane, known: Flags, rows: tuple[int, int], half: tu
     width = planes.shape[2] + 1
     variances = np.empty(planes.shape, dtype=np.float32)
     sums, n_known = np.zeros((6 * len(planes), width)), np.zeros(width, dtype=np.int32)
-    function(*planes.shape[1:], *rows, *_pointers(planes, known), *half, clip, minimum, *_pointers(sums, n_known, variances))
+    function(
+        *planes.shape[1:], *rows, *_pointers(planes, known), *half, clip, minimum, *_pointers(sums, n_known, variances)
+    )
     return _beyond(variances, rows)
 
 
-def local_variances_numpy(planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, minimum: float) -> Plane:
+def local_variances_numpy(
+    planes: Plane, known: Flags, rows: tuple[int, int], half: tuple[int, int], clip: float, minimum: float
+) -> Plane:
     """Do as local_variances, in numpy alone."""
     box = np.array((-half[0], half[0] + 1, -half[1], half[1] + 1), dtype=np.int32)
     count = np.maximum(_box(_integral(known, np.int32), box), 1)
@@ -213,12 +232,20 @@ def extremes(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
 def extremes_numpy(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
     """Do as extremes, in numpy alone."""
     rows, columns = np.arange(0, plane.shape[0], blocks.n_rows), np.arange(0, plane.shape[1], blocks.n_columns)
-    lowest, highest = (np.asarray(of.reduceat(of.reduceat(plane, rows, 0), columns, 1)) for of in (np.minimum, np.maximum))
+    lowest, highest = (
+        np.asarray(of.reduceat(of.reduceat(plane, rows, 0), columns, 1)) for of in (np.minimum, np.maximum)
+    )
     return lowest, highest
 
 
 def bright_places(
-    sums: TileSums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
+    sums: TileSums,
+    level: Plane,
+    known: Flags,
+    rows: tuple[int, int],
+    boxes: Boxes,
+    limits: NDArray[np.float64],
+    blocks: Blocks,
 ) -> tuple[Places, ...]:
     """Find, for each box (n_boxes, 4), the known pixels of rows [start, stop) around which it is bright.
 
@@ -247,7 +274,13 @@ def bright_places(
 
 
 def bright_places_numpy(
-    sums: TileSums, level: Plane, known: Flags, rows: tuple[int, int], boxes: Boxes, limits: NDArray[np.float64], blocks: Blocks
+    sums: TileSums,
+    level: Plane,
+    known: Flags,
+    rows: tuple[int, int],
+    boxes: Boxes,
+    limits: NDArray[np.float64],
+    blocks: Blocks,
 ) -> tuple[Places, ...]:
     """Do as bright_places, in numpy alone."""
     found = []
@@ -300,7 +333,8 @@ def dark_places_numpy(
         top, bottom = (np.clip(every_row + reach, 0, sums.shape[0]) for reach in (-half_rows, half_rows + 1))
         stop = np.minimum(every_column + lengths, sums.shape[1])
         total, count = (
-            (of[bottom, stop] - of[top, stop]) - (of[bottom, every_column] - of[top, every_column]) for of in (sums.total, sums.n_valid)
+            (of[bottom, stop] - of[top, stop]) - (of[bottom, every_column] - of[top, every_column])
+            for of in (sums.total, sums.n_valid)
         )
         enough = count > np.float32(shadows.least_share) * ((2 * half_rows + 1) * lengths).astype(np.float32)
         found.append(_places_of((total <= _spread(limits[k], blocks, sums.shape) * level * count) & enough, rows))
@@ -335,7 +369,8 @@ def box_means_numpy(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArr
     top, bottom = (np.clip(row + boxes[:, k], 0, n_rows) for k in (0, 1))
     left, right = (np.clip(column + boxes[:, k], 0, n_columns) for k in (2, 3))
     total, count = (
-        (image[bottom, right] - image[top, right]) - (image[bottom, left] - image[top, left]) for image in (sums.total, sums.n_valid)
+        (image[bottom, right] - image[top, right]) - (image[bottom, left] - image[top, left])
+        for image in (sums.total, sums.n_valid)
     )
     return (total / np.maximum(count, 1)).astype(np.float32), np.asarray(count, dtype=np.int32)
 
@@ -346,7 +381,14 @@ def peaks(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int
     if function is None:
         return peaks_numpy(plane, rows, half_rows, half_columns)
     _, places, n_places = _room((plane.shape[0], plane.shape[1]), rows, 1)
-    function(*plane.shape, *rows, *_pointers(np.ascontiguousarray(plane)), half_rows, half_columns, *_pointers(places, n_places))
+    function(
+        *plane.shape,
+        *rows,
+        *_pointers(np.ascontiguousarray(plane)),
+        half_rows,
+        half_columns,
+        *_pointers(places, n_places),
+    )
     return _found(places, n_places)[0]
 
 
@@ -354,7 +396,9 @@ def peaks_numpy(plane: Plane, rows: tuple[int, int], half_rows: int, half_column
     """Do as peaks, in numpy alone."""
     found = plane > -np.inf
     for row, column in zip(*np.nonzero(found), strict=True):
-        near = plane[max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1]
+        near = plane[
+            max(row - half_rows, 0) : row + half_rows + 1, max(column - half_columns, 0) : column + half_columns + 1
+        ]
         found[row, column] = plane[row, column] >= near.max()
     return _places_of(found, rows)
 
@@ -385,8 +429,11 @@ def _places_of(found: Flags, rows: tuple[int, int]) -> Places:
     return np.asarray(np.flatnonzero(found[rows[0] : rows[1]]) + first, dtype=np.int32)
 
 
-def _bands(sums: TileSums, n: int, *boxes: NDArray[np.integer]) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.int32]]]:
-    """Measure how far boxes reach along rows, and make room for n rows of differences that much longer on either side."""
+def _bands(
+    sums: TileSums, n: int, *boxes: NDArray[np.integer]
+) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.int32]]]:
+    """Measure how far boxes reach along rows, and make room for n rows of differences that much longer on either
+    side."""
     pad = max(int(np.abs(box).max()) for box in boxes)
     width = sums.shape[1] + 1 + 2 * pad
     return pad, (np.empty((n, width)), np.empty((n, width), dtype=np.int32))

@@ -1,4 +1,5 @@
-"""Count, for each cell of a label field, shadow behind it and highlight before it in its own and the two rows beside it.
+"""Count, for each cell of a label field, shadow behind it and highlight before it in its own and the two rows beside
+it.
 
 A highlight without shadow behind it, and a shadow without highlight before it, cost more, by degrees:
 cost = whole * (1 - min(1, number * share per pixel)). C and numpy round alike.
@@ -22,17 +23,20 @@ SHADOW, HIGHLIGHT = 1, 2  # labels, as auv_mcm.confirm.region numbers them
 
 
 class Lack(NamedTuple):
-    """Set the nats that a label costs without support, and the share of it that each pixel of the other label removes."""
+    """Set the nats that a label costs without support, and the share of it that each pixel of the other label
+    removes."""
 
     whole: float
     share: float
 
 
-def pair_costs(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
+def pair_costs(
+    labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack
+) -> Plane:
     """Weigh labels by their neighbours in the rows of a field, (3, n_rows, n_columns) float64; 0 for background.
 
-    labels: (n_rows, n_columns) uint8. reach: (n_columns,) int64, columns before each in which highlights support a shadow.
-    attached: columns behind each in which shadows support a highlight.
+    labels: (n_rows, n_columns) uint8. reach: (n_columns,) int64, columns before each in which highlights support a
+    shadow. attached: columns behind each in which shadows support a highlight.
     """
     function = _function()
     if function is None:
@@ -46,7 +50,9 @@ def pair_costs(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: in
     return cost
 
 
-def pair_costs_numpy(labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack) -> Plane:
+def pair_costs_numpy(
+    labels: NDArray[np.uint8], reach: NDArray[np.int64], attached: int, highlight: Lack, shadow: Lack
+) -> Plane:
     """Do as pair_costs, in numpy alone."""
     n_columns = labels.shape[1]
     columns = np.arange(n_columns)

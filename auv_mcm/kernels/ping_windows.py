@@ -1,7 +1,7 @@
 """Measure cumulants of samples inside windows of four pings at one range, averaged over parts of a trace.
 
-Windows of neighbouring pings, of every second and of every fourth one lie in a block of 16 pings. Second and third cumulants are unbiased
-(k-statistics: Kendall and Stuart, The Advanced Theory of Statistics, vol. 1, ch. 12).
+Windows of neighbouring pings, of every second and of every fourth one lie in a block of 16 pings. Second and third
+cumulants are unbiased (k-statistics: Kendall and Stuart, The Advanced Theory of Statistics, vol. 1, ch. 12).
 
 C and numpy agree to the bit.
 """
@@ -28,8 +28,9 @@ WINDOW_PINGS: Final = 4
 class WindowTable(NamedTuple):
     """Hold the statistics of the n parts of a trace.
 
-    kept: (n,) bool, False for parts with a sample that is not finite or too large; the rest of those parts is undefined. mean, at_zero,
-    covariance: (n, n_cells), at_zero as a share. cumulants: (n_strides, n, n_cells, 2, 2) by stride, part, cell and half of the windows:
+    kept: (n,) bool, False for parts with a sample that is not finite or too large; the rest of those parts is
+    undefined. mean, at_zero, covariance: (n, n_cells), at_zero as a share. cumulants: (n_strides, n, n_cells, 2, 2) by
+    stride, part, cell and half of the windows:
     second and third. highest: (n,), at_highest: (n,) share of samples.
     """
 
@@ -50,10 +51,13 @@ def cell_edges(n_part: int, n_cells: int) -> NDArray[np.int64]:
 def ping_windows(samples: Values, n_part: int, n_cells: int, lags: Sequence[int], largest: float) -> WindowTable:
     """Measure a block of pings: samples (16, n_parts * n_part) float64, which is overwritten.
 
-    lags: samples between those whose covariance is measured, in windows of the largest stride. Raises ValueError for another shape.
+    lags: samples between those whose covariance is measured, in windows of the largest stride. Raises ValueError for
+    another shape.
     """
     if samples.ndim != 2 or samples.shape[0] != BLOCK_PINGS or samples.shape[1] % n_part or n_part < n_cells:
-        raise ValueError(f"samples must be ({BLOCK_PINGS}, n_parts * {n_part}), not {samples.shape}, with at least {n_cells} a part")
+        raise ValueError(
+            f"samples must be ({BLOCK_PINGS}, n_parts * {n_part}), not {samples.shape}, with at least {n_cells} a part"
+        )
     function = _function()
     if function is None:
         return ping_windows_numpy(samples, n_part, n_cells, lags, largest)

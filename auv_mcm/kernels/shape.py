@@ -1,17 +1,20 @@
 """Compute how badly a solid explains an image: minus the log likelihood of highlight, shadow and floor.
 
-Every ping of an image that a solid crosses has three stretches of flat-floor ground range: highlight from its front to its tangent
-point, shadow from there to where the shadow ends, floor elsewhere. Echoes are Gamma distributed about the mean of their stretch, of
-which there are three in all, taken where the likelihood is highest. Relative to a floor without an object the cost is
+Every ping of an image that a solid crosses has three stretches of flat-floor ground range: highlight from its front to
+its tangent point, shadow from there to where the shadow ends, floor elsewhere. Echoes are Gamma distributed about the
+mean of their stretch, of which there are three in all, taken where the likelihood is highest. Relative to a floor
+without an object the cost is
 
     (L / A_c) [N_h ln mu_h + N_s ln mu_s + N_b ln mu_b],   mu = sum of echoes / N, floor without an object mu = 1
 
-with L looks and speckle correlated over A_c pixels. Counts and sums come from cumulative sums along rows, linear within a pixel, so
-that the cost is continuous in the solid's parameters (C. Chesnaud, P. Refregier, V. Boulet, IEEE PAMI 21, 1999, for the criterion).
+with L looks and speckle correlated over A_c pixels. Counts and sums come from cumulative sums along rows, linear within
+a pixel, so that the cost is continuous in the solid's parameters (C. Chesnaud, P. Refregier, V. Boulet, IEEE PAMI 21,
+1999, for the criterion).
 
-A beam of finite width sees several slices at once: then a row is cut wherever the stretch of one of them ends, and the mean of a piece
-is mu = sum of w_k mu_k over the shares w_k that slices of highlight, shadow and floor have in it. Fields of independent scatterers add
-in power, so echoes of a piece are Gamma distributed still. The means are improved by Fisher scoring of their logarithms.
+A beam of finite width sees several slices at once: then a row is cut wherever the stretch of one of them ends, and the
+mean of a piece is mu = sum of w_k mu_k over the shares w_k that slices of highlight, shadow and floor have in it.
+Fields of independent scatterers add in power, so echoes of a piece are Gamma distributed still. The means are improved
+by Fisher scoring of their logarithms.
 
 C and numpy agree to 1e-9 of the number of pixels; numpy takes the slices from auv_mcm.solids.shapes.
 """
@@ -69,9 +72,10 @@ _P, _I = ctypes.c_void_p, ctypes.c_int64
 class ImageRowSums(NamedTuple):
     """Hold an image as cumulative sums along its rows; row i was seen from (i + 1/2) row_spacing_m along the track.
 
-    echoes: (n_rows, n_columns + 1) float64, of intensity where valid, relative to its mean. counts: likewise of valid pixels.
-    samples_per_pixel: looks over correlation area. smear_m: by which highlights are drawn out at both ends.
-    shear: tangent of the angle by which rows look ahead of abeam: so much nearer is an object to the track per metre that a row is later.
+    echoes: (n_rows, n_columns + 1) float64, of intensity where valid, relative to its mean. counts: likewise of valid
+    pixels. samples_per_pixel: looks over correlation area. smear_m: by which highlights are drawn out at both ends.
+    shear: tangent of the angle by which rows look ahead of abeam: so much nearer is an object to the track per metre
+    that a row is later.
     """
 
     echoes: Array
@@ -115,9 +119,10 @@ class Costs(NamedTuple):
 def shape_costs(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Costs:
     """Compute costs of solids of one kind.
 
-    hypotheses: (n, 8) float64: place along the track (m, from the near edge of row 0), ground range (m), altitude over that of the image,
-    which was measured and may be wrong, then FIELDS of the solid. With another altitude the ground range is true, not the image's.
-    Raises ValueError for other shapes, sizes that are not positive, or a cone wider at its top than at its base.
+    hypotheses: (n, 8) float64: place along the track (m, from the near edge of row 0), ground range (m), altitude over
+    that of the image, which was measured and may be wrong, then FIELDS of the solid. With another altitude the ground
+    range is true, not the image's. Raises ValueError for other shapes, sizes that are not positive, or a cone wider at
+    its top than at its base.
     """
     hypotheses = np.ascontiguousarray(hypotheses, dtype=np.float64)
     _check(solid, hypotheses, image, beam)
@@ -155,8 +160,8 @@ def intervals(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam =
 
     Edges are at whole numbers; columns are cut at the image's edges; three times 0 where a slice misses the solid.
 
-    A wedge may turn its vertical face to the sonar. The face's foot, whose echo comes after that of the edge above it, ends the highlight.
-    Raises ValueError as shape_costs does; hypotheses must be none that it forbids.
+    A wedge may turn its vertical face to the sonar. The face's foot, whose echo comes after that of the edge above it,
+    ends the highlight. Raises ValueError as shape_costs does; hypotheses must be none that it forbids.
     """
     hypotheses = np.ascontiguousarray(hypotheses, dtype=np.float64)
     _check(solid, hypotheses, image, beam)
@@ -271,7 +276,9 @@ def _costs(ends: Array, image: ImageRowSums, beam: Beam) -> Costs:
     whole = np.array([image.counts[:, -1].sum(), image.echoes[:, -1].sum()])
     middle = ends[:, :, beam.share.size // 2]
     parts = [np.diff(up_to(sums, middle), axis=2).sum(axis=1) for sums in (image.counts, image.echoes)]
-    count, total = (np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip(parts, whole, strict=True))
+    count, total = (
+        np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip(parts, whole, strict=True)
+    )
     mean = np.maximum(np.divide(total, count, out=np.zeros(count.shape), where=count > 0.0), MIN_MEAN)
     visible = (count[:, 0] >= _MIN_HIGHLIGHT) & (count[:, 1] >= _MIN_SHADOW) & (count[:, 2] > 0.0)
     count, total, mean, share = count[visible], total[visible], mean[visible], np.eye(3)
@@ -297,14 +304,21 @@ def _pieces(ends: Array, image: ImageRowSums, beam: Beam, whole: Array) -> tuple
     ends = ends[:, seen]
     n, n_rows = ends.shape[:2]
     columns = ends.transpose(0, 1, 3, 2).reshape(n, n_rows, 3 * beam.share.size)
-    change = np.kron(np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), beam.share[:, np.newaxis])  # of highlight and shadow
+    change = np.kron(
+        np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), beam.share[:, np.newaxis]
+    )  # of highlight and shadow
     order = np.argsort(columns, axis=2, kind="stable")
     columns = np.take_along_axis(columns, order, axis=2)
     object_share = np.cumsum(change[order], axis=2)[:, :, :-1].reshape(n, n_rows * (columns.shape[2] - 1), 2)
-    count, total = (np.diff(up_to(sums[seen], columns), axis=2).reshape(object_share.shape[:2]) for sums in (image.counts, image.echoes))
+    count, total = (
+        np.diff(up_to(sums[seen], columns), axis=2).reshape(object_share.shape[:2])
+        for sums in (image.counts, image.echoes)
+    )
     share = np.concatenate((object_share, 1.0 - object_share.sum(axis=2, keepdims=True)), axis=2)
     rest = np.broadcast_to([0.0, 0.0, 1.0], (n, 1, 3))
-    count, total = (np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip((count, total), whole, strict=True))
+    count, total = (
+        np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip((count, total), whole, strict=True)
+    )
     return count, total, np.concatenate((share, rest), axis=1)
 
 
@@ -327,7 +341,10 @@ def _check(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam) -> 
     if not np.isfinite(hypotheses).all():
         raise ValueError("hypotheses must be finite")
     if image.echoes.ndim != 2 or image.echoes.shape != image.counts.shape or image.echoes.shape[1] < 2:
-        raise ValueError(f"echoes and counts must have one shape (n_rows, n_columns + 1), not {image.echoes.shape}, {image.counts.shape}")
+        raise ValueError(
+            f"echoes and counts must have one shape (n_rows, n_columns + 1), not {image.echoes.shape}, "
+            f"{image.counts.shape}"
+        )
     if beam.share.size % 2 == 0 or beam.share.size > _MAX_TAPS or beam.bearing_rad.shape != beam.share.shape:
         raise ValueError(f"a beam must have an odd number of slices up to {_MAX_TAPS}, not {beam.share.size}")
     fields = hypotheses[:, FIRST_FIELD : FIRST_FIELD + n_fields]

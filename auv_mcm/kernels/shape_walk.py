@@ -1,10 +1,12 @@
 """Search the parameters of a class of solids for the lowest costs, as `auv_mcm.solids.box_search` does over any cost.
 
-A point holds a place along the slices, a ground range (m) and the class's own parameters. Each of the eight columns of the hypothesis it
-stands for is a product: a coefficient and two factors, out of 1, the point's values, and what its last value is above and below 0.
-Above 0 that is a burial; below it is taken off the altitude's share of 1, as both change the height seen.
+A point holds a place along the slices, a ground range (m) and the class's own parameters. Each of the eight columns of
+the hypothesis it stands for is a product: a coefficient and two factors, out of 1, the point's values, and what its
+last value is above and below 0. Above 0 that is a burial; below it is taken off the altitude's share of 1, as both
+change the height seen.
 
-C and numpy take the same steps as long as their costs rank alike, which those of `shape_costs` do to 1e-9 of the number of pixels.
+C and numpy take the same steps as long as their costs rank alike, which those of `shape_costs` do to 1e-9 of the number
+of pixels.
 """
 
 from __future__ import annotations
@@ -19,7 +21,18 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, ImageRowSums, Solid, kind_of, shape_costs
-from auv_mcm.solids.box_search import APART, GROWTH, MIN_STRIDE, SHRINKAGE, Optima, SearchBox, apart, directions, look_around, spread
+from auv_mcm.solids.box_search import (
+    APART,
+    GROWTH,
+    MIN_STRIDE,
+    SHRINKAGE,
+    Optima,
+    SearchBox,
+    apart,
+    directions,
+    look_around,
+    spread,
+)
 from auv_mcm.solids.box_search import walk as walk_down
 
 ONE: Final = 0  # numbers of the factors; value k of a point is factor k + 1
@@ -34,8 +47,8 @@ _P, _I = ctypes.c_void_p, ctypes.c_int64
 class WalkSpace(NamedTuple):
     """Hold points of a box and what they stand for.
 
-    terms: (8, 3) float64, coefficient and the numbers of two factors of each column. sigma: of the altitude's share and of what the last
-    value is above 0, infinite where that is no burial. fixed_cost: nats, of every point.
+    terms: (8, 3) float64, coefficient and the numbers of two factors of each column. sigma: of the altitude's share and
+    of what the last value is above 0, infinite where that is no burial. fixed_cost: nats, of every point.
     """
 
     solid: Solid
@@ -63,7 +76,11 @@ def costs_at(chart: WalkSpace, points: Array, image: ImageRowSums, beam: Beam) -
     hypotheses = hypotheses_at(chart.terms, points)
     altitude = (hypotheses[:, 2] - 1.0) / chart.sigma[0]
     burial = np.maximum(points[:, -1], 0.0) / chart.sigma[1]
-    return shape_costs(chart.solid, hypotheses, image, beam).cost + 0.5 * (altitude * altitude + burial * burial) + chart.fixed_cost
+    return (
+        shape_costs(chart.solid, hypotheses, image, beam).cost
+        + 0.5 * (altitude * altitude + burial * burial)
+        + chart.fixed_cost
+    )
 
 
 class Walk(NamedTuple):
@@ -124,7 +141,13 @@ def _walked(chart: WalkSpace, image: ImageRowSums, beam: Beam, starts: Optima, w
 
 
 def _run(
-    function: Callable[..., None], chart: WalkSpace, image: ImageRowSums, beam: Beam, starts: Optima, known: int, walk: Walk
+    function: Callable[..., None],
+    chart: WalkSpace,
+    image: ImageRowSums,
+    beam: Beam,
+    starts: Optima,
+    known: int,
+    walk: Walk,
 ) -> Optima:
     box = chart.box
     n, d = starts.unit.shape
@@ -183,5 +206,30 @@ def _directions(n_steps: int, n_tries: int, n_dimensions: int) -> Array:
 @functools.cache
 def _function() -> Callable[..., None] | None:
     return kernels.c_function(
-        "shape_search", _I, _I, _I, _P, _P, _I, _I, _P, _P, _P, _I, _P, _P, _I, _P, _P, _I, _I, _P, _I, _I, _P, _P, _P, _P
+        "shape_search",
+        _I,
+        _I,
+        _I,
+        _P,
+        _P,
+        _I,
+        _I,
+        _P,
+        _P,
+        _P,
+        _I,
+        _P,
+        _P,
+        _I,
+        _P,
+        _P,
+        _I,
+        _I,
+        _P,
+        _I,
+        _I,
+        _P,
+        _P,
+        _P,
+        _P,
     )

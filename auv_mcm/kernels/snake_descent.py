@@ -1,7 +1,9 @@
-"""Move a highlight and a shadow polygon from where they start to the best pair: coarsely, from other starts as well, then finely.
+"""Move a highlight and a shadow polygon from where they start to the best pair: coarsely, from other starts as well,
+then finely.
 
-The detector may take a glint elsewhere for the highlight, which then keeps the shadow from where it is. So the shadow also moves alone,
-and a highlight starts as a strip before it. In the end either polygon may be better off without the other.
+The detector may take a glint elsewhere for the highlight, which then keeps the shadow from where it is. So the shadow
+also moves alone, and a highlight starts as a strip before it. In the end either polygon may be better off without the
+other.
 
 C and numpy take the same decisions to the last bit.
 """
@@ -56,7 +58,11 @@ def descend(
     for which, nodes in enumerate(parts):
         room[which, : len(nodes)] = nodes
     numbers, bound = np.array(settings, dtype=np.float64), np.empty(len(table))
-    out, faults, moves = np.empty(3 + 2 * len(EdgeSums._fields)), np.empty(2, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    out, faults, moves = (
+        np.empty(3 + 2 * len(EdgeSums._fields)),
+        np.empty(2, dtype=np.int64),
+        np.zeros(1, dtype=np.int64),
+    )
     arrays = (table, numbers, n_stages, schedule, room, n_nodes, bound, out, faults, moves)
     at = [array.ctypes.data for array in arrays]
     shadow_at = at[4] + room[0].nbytes
@@ -104,7 +110,9 @@ def _interval(low: float, high: float, size: int) -> tuple[float, float]:
     return low, max(high, low + MIN_SIDE_PX)
 
 
-def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def row_intervals(
+    nodes: Nodes, shape: tuple[int, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Find the rows a polygon reaches, and its columns [near, far) in each; three (n,) int64."""
     near, far = snake.sides(nodes, shape[0], shape[1])
     rows = ((near >= 0) & (far > near)).nonzero()[0]
@@ -112,7 +120,8 @@ def row_intervals(nodes: Nodes, shape: tuple[int, ...]) -> tuple[NDArray[np.int6
 
 
 def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
-    """Decide whether pixels inside a polygon were measured in some rows, or in all that it reaches if those are fewer."""
+    """Decide whether pixels inside a polygon were measured in some rows, or in all that it reaches if those are
+    fewer."""
     if len(nodes) == 0:
         return False
     rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))

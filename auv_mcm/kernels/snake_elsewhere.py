@@ -31,11 +31,12 @@ _FAINTEST: Final = 1e-6
 
 
 def elsewhere(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, float]:
-    """Compare evidence of polygons shifted clear of themselves with that in place: the best, and what one shift in twenty exceeds.
+    """Compare evidence of polygons shifted clear of themselves with that in place: the best, and what one shift in
+    twenty exceeds.
 
     Both over the evidence in place: 0 where there is no room to shift, infinite where there is no evidence in place.
-    table: of `snake.window_row_sums`. polygons: HIGHLIGHT or SHADOW with (n, 2) nodes in the window, (0, 2) for none; at
-    least one must have some.
+    table: of `snake.window_row_sums`. polygons: HIGHLIGHT or SHADOW with (n, 2) nodes in the window, (0, 2) for none;
+    at least one must have some.
     Raises ValueError for nodes outside the window.
     """
     n_rows, n_columns = table.shape[0], table.shape[1] - 1
@@ -52,7 +53,18 @@ def elsewhere(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, fl
     sides, offset, room = np.empty(2 * n_rows, dtype=np.int64), np.empty(n_room, dtype=np.int64), np.empty(3 * n_room)
     found = np.empty(2)
     at = [array.ctypes.data for array in (table, numbers, nodes, steps, sides, offset, room, found)]
-    function(n_rows, n_columns, at[0], len(polygons), at[1], at[1] + 8 * len(polygons), *at[2:6], at[6], at[6] + 16 * n_room, at[7])
+    function(
+        n_rows,
+        n_columns,
+        at[0],
+        len(polygons),
+        at[1],
+        at[1] + 8 * len(polygons),
+        *at[2:6],
+        at[6],
+        at[6] + 16 * n_room,
+        at[7],
+    )
     best, common = found.tolist()
     return best, common
 

@@ -58,8 +58,9 @@ class Settings(NamedTuple):
 class EdgeSums(NamedTuple):
     """Hold sums of edges over the rows they cross, and of polygons over their edges. Downward edges count positive.
 
-    total, measured: intensity and number of measured pixels inside. area: pixels inside. far: columns of the far side. rows: crossed.
-    gap, overlap: pixels between the polygon and the side of the other one that faces it, over the `shared` rows.
+    total, measured: intensity and number of measured pixels inside. area: pixels inside. far: columns of the far side.
+    rows: crossed. gap, overlap: pixels between the polygon and the side of the other one that faces it, over the
+    `shared` rows.
     """
 
     total: float
@@ -120,13 +121,18 @@ def _edge_sums(table: NDArray[np.float64], bound: NDArray[np.float64], which: in
     if downward == (which == HIGHLIGHT):  # this side faces the other polygon
         facing = bound[rows] >= 0.0
         between = (bound[rows] - columns if which == HIGHLIGHT else columns - bound[rows])[facing]
-        gap, overlap, shared = float(between[between > 0.0].sum()), float(-between[between < 0.0].sum()), float(facing.sum())
+        gap, overlap, shared = (
+            float(between[between > 0.0].sum()),
+            float(-between[between < 0.0].sum()),
+            float(facing.sum()),
+        )
     far, n_rows = (area, float(len(rows))) if downward else (0.0, 0.0)
     return EdgeSums(sign * float(total), sign * float(count), sign * area, far, n_rows, gap, shared, overlap)
 
 
 def facing_side(other: Nodes, which: int, n_rows: int, n_columns: int) -> NDArray[np.float64]:
-    """Find per row the column where the polygon `other` faces polygon `which`, (n_rows,) float64; -1 where it does not."""
+    """Find per row the column where the polygon `other` faces polygon `which`, (n_rows,) float64; -1 where it does
+    not."""
     bound = np.full(n_rows, -1.0)
     for a, b in zip(other, np.roll(other, -1, axis=0), strict=True):
         if a[0] != b[0] and (b[0] > a[0]) == (which == SHADOW):
@@ -138,7 +144,8 @@ def facing_side(other: Nodes, which: int, n_rows: int, n_columns: int) -> NDArra
 def likelihood(settings: Settings, side: int, total: float, count: float) -> float:
     """Compute the negative log-likelihood of a region of single-look speckle at its best mean, per correlation area.
 
-    The mean of a highlight is at least dimmest_highlight, that of a shadow at most brightest_shadow; the background's is free.
+    The mean of a highlight is at least dimmest_highlight, that of a shadow at most brightest_shadow; the background's
+    is free.
     """
     mean = total / count
     best = max(mean, settings.faintest)
@@ -197,7 +204,9 @@ def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: Edge
     cost = _beyond(float(top) - settings.extent_tolerance_m, settings.extent_sigma_m)
     cost += _beyond(float(bottom) - settings.extent_tolerance_m, settings.extent_sigma_m)
     if moved.shared > 0.0:
-        cost += _beyond(moved.gap / moved.shared * settings.column_spacing_m - settings.gap_tolerance_m, settings.gap_sigma_m)
+        cost += _beyond(
+            moved.gap / moved.shared * settings.column_spacing_m - settings.gap_tolerance_m, settings.gap_sigma_m
+        )
     else:
         cost += settings.forbidden
     cost += settings.forbidden * moved.overlap
@@ -224,7 +233,9 @@ def criterion(settings: Settings, nodes: tuple[Nodes, Nodes], sums: tuple[EdgeSu
 
 def no_object(settings: Settings) -> float:
     """Compute J of a window without any object."""
-    return likelihood(settings, BACKGROUND, settings.window_sum, settings.window_count) + parameter_code(settings, settings.window_count)
+    return likelihood(settings, BACKGROUND, settings.window_sum, settings.window_count) + parameter_code(
+        settings, settings.window_count
+    )
 
 
 def is_sound(nodes: Nodes) -> bool:
@@ -313,7 +324,9 @@ class _Pair:
         self.sums = [_NOTHING, _NOTHING]
         self.n_moves = self.n_proposed = 0
         self.criterion = 0.0
-        self.settled: set[tuple[int, int]] = set()  # polygon and node that nothing has moved since no way of theirs was better
+        self.settled: set[tuple[int, int]] = (
+            set()
+        )  # polygon and node that nothing has moved since no way of theirs was better
         for which in (HIGHLIGHT, SHADOW):
             if len(self.nodes[which]):
                 self.face(which)
@@ -423,7 +436,9 @@ class _Pair:
         return gone
 
 
-def move_pair(table: NDArray[np.float64], settings: Settings, schedule: NDArray[np.float64], highlight: Nodes, shadow: Nodes) -> Moved:
+def move_pair(
+    table: NDArray[np.float64], settings: Settings, schedule: NDArray[np.float64], highlight: Nodes, shadow: Nodes
+) -> Moved:
     """Do as kernels.snake.move_pair, of float64 nodes that have been checked."""
     pair = _Pair(table, settings, (highlight, shadow))
     for n_nodes, amplitude, n_sweeps in schedule.tolist():
@@ -443,5 +458,11 @@ def move_pair(table: NDArray[np.float64], settings: Settings, schedule: NDArray[
             if moved == 0:
                 break
     return Moved(
-        pair.nodes[HIGHLIGHT], pair.nodes[SHADOW], pair.criterion, pair.n_moves, pair.n_proposed, pair.sums[HIGHLIGHT], pair.sums[SHADOW]
+        pair.nodes[HIGHLIGHT],
+        pair.nodes[SHADOW],
+        pair.criterion,
+        pair.n_moves,
+        pair.n_proposed,
+        pair.sums[HIGHLIGHT],
+        pair.sums[SHADOW],
     )

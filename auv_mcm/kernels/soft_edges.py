@@ -1,7 +1,7 @@
 """Move borders of a label field to where an image of finite resolution has them.
 
-The mean intensity a sonar shows is the mean of each label smeared by the point-spread function: m = spread * level[x]. Under
-exponential speckle the cost of labels x is
+The mean intensity a sonar shows is the mean of each label smeared by the point-spread function: m = spread * level[x].
+Under exponential speckle the cost of labels x is
 
     information sum_s (ln m_s + I_s / m_s) + sum_<s,t> weight_st [x_s != x_t]
 
@@ -54,7 +54,9 @@ def smeared(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
     function = _c_smear()
     if function is None or plane.size == 0:
         return smeared_numpy(plane, spread_rows, spread_columns)
-    plane, rows, columns = (np.ascontiguousarray(each, dtype=np.float64) for each in (plane, spread_rows, spread_columns))
+    plane, rows, columns = (
+        np.ascontiguousarray(each, dtype=np.float64) for each in (plane, spread_rows, spread_columns)
+    )
     between, edge, found = np.empty_like(plane), np.empty(plane.shape[1] + len(columns)), np.empty_like(plane)
     at = [array.ctypes.data for array in (plane, rows, columns, between, edge, found)]
     function(*plane.shape, at[0], len(rows), at[1], len(columns), *at[2:])
@@ -65,7 +67,8 @@ def smeared_numpy(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Pl
     """Do as smeared, in numpy alone."""
     n_rows, n_columns = plane.shape
     rows, columns = (
-        np.arange(-(len(spread) // 2), n + len(spread) // 2) for n, spread in ((n_rows, spread_rows), (n_columns, spread_columns))
+        np.arange(-(len(spread) // 2), n + len(spread) // 2)
+        for n, spread in ((n_rows, spread_rows), (n_columns, spread_columns))
     )
     padded = plane.take(rows, axis=0, mode="clip")
     plane = _added_up([padded[k : k + n_rows] for k in range(len(spread_rows))], spread_rows)
@@ -95,10 +98,10 @@ def soft_edges(
 ) -> Labels:
     """Improve the labels in n_sweeps (>= 1) sweeps or fewer, until nothing changes; (n_rows, n_columns) uint8.
 
-    intensity: (n_rows, n_columns) float64, not negative; usable: same shape bool, False for no data. labels: same shape uint8 of
-    0, 1, 2. level: (3,) float64 > 0, mean intensity of each label. spread_rows, spread_columns: point spread along each axis,
-    odd length. weight: (4,) right, down-left, down, down-right. information: independent samples per pixel.
-    Raises ValueError for shapes that do not fit, levels that are not positive, labels above 2.
+    intensity: (n_rows, n_columns) float64, not negative; usable: same shape bool, False for no data. labels: same shape
+    uint8 of 0, 1, 2. level: (3,) float64 > 0, mean intensity of each label. spread_rows, spread_columns: point spread
+    along each axis, odd length. weight: (4,) right, down-left, down, down-right. information: independent samples per
+    pixel. Raises ValueError for shapes that do not fit, levels that are not positive, labels above 2.
     """
     start = _prepared(intensity, usable, labels, level, spread_rows, spread_columns, weight)
     function = _c_soft_edges()
@@ -150,9 +153,14 @@ def _prepared(
     weight: Plane,
 ) -> _Start:
     if not intensity.shape == usable.shape == labels.shape or intensity.ndim != 2 or intensity.size == 0:
-        raise ValueError(f"intensity, usable and labels must have one 2-d shape, not {intensity.shape}, {usable.shape}, {labels.shape}")
+        raise ValueError(
+            f"intensity, usable and labels must have one 2-d shape, not {intensity.shape}, {usable.shape}, "
+            f"{labels.shape}"
+        )
     if level.shape != (3,) or not (np.isfinite(level).all() and level.min() > 0.0) or labels.max() > 2:
-        raise ValueError(f"labels must be 0, 1 or 2 and level three positive numbers, not up to {labels.max()} and {level}")
+        raise ValueError(
+            f"labels must be 0, 1 or 2 and level three positive numbers, not up to {labels.max()} and {level}"
+        )
     if len(spread_rows) % 2 == 0 or len(spread_columns) % 2 == 0 or weight.shape != (4,):
         raise ValueError("a point spread must have an odd number of values, and weight four")
     reach_rows, reach_columns = len(spread_rows) // 2, len(spread_columns) // 2

@@ -1,6 +1,7 @@
 """Measure how pixels differ from others some lags away: half the mean squared difference, the variogram.
 
-Pairs with a pixel that is not usable are left out. C and numpy agree to 1e-12, relative: they add up in different orders.
+Pairs with a pixel that is not usable are left out. C and numpy agree to 1e-12, relative: they add up in different
+orders.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ Plane = NDArray[np.float64]
 def half_differences(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], min_pairs: int) -> Plane:
     """Average along rows and along columns, (2, n_lags) float64; NaN where there are fewer than min_pairs pairs (>= 1).
 
-    plane: (n_rows, n_columns) float64, finite where usable, bool of the same shape. lags: pixels, 1 or more; the first of the two is
-    from one row to those after it. Raises ValueError if the shapes differ.
+    plane: (n_rows, n_columns) float64, finite where usable, bool of the same shape. lags: pixels, 1 or more; the first
+    of the two is from one row to those after it. Raises ValueError if the shapes differ.
     """
     return np.asarray(half_differences_in(plane, usable, [(0, 0, *plane.shape)], lags, min_pairs)[0], dtype=np.float64)
 
@@ -31,7 +32,8 @@ def half_differences_in(
 ) -> Plane:
     """Average in each of several parts of a plane, (n_boxes, 2, n_lags) float64; see half_differences.
 
-    boxes: first row, first column, and one past the last of each. Raises ValueError if the shapes differ or a box leaves the plane.
+    boxes: first row, first column, and one past the last of each. Raises ValueError if the shapes differ or a box
+    leaves the plane.
     """
     if plane.ndim != 2 or plane.shape != usable.shape:
         raise ValueError(f"plane and usable must have one 2-d shape, not {plane.shape} and {usable.shape}")

@@ -2,13 +2,15 @@
 
     E(x) = sum_s unary[s, x_s] + sum_<s,t> weight_st [x_s != x_t]
 
-over three labels and eight neighbours; a weight for each of the directions right, down-left, down, down-right. TRW-S after
-Kolmogorov, IEEE PAMI 28 (2006) 1568-1583, in raster order: every sweep raises (never lowers) a lower bound on the energy of any
-labelling, so that the best labels found come with how far from optimal they can be. ICM after Besag, J. R. Stat. Soc. B 48 (1986).
+over three labels and eight neighbours; a weight for each of the directions right, down-left, down, down-right. TRW-S
+after Kolmogorov, IEEE PAMI 28 (2006) 1568-1583, in raster order: every sweep raises (never lowers) a lower bound on the
+energy of any labelling, so that the best labels found come with how far from optimal they can be. ICM after Besag, J.
+R. Stat. Soc. B 48 (1986).
 
-Messages are a reparametrisation: with M_t the message an edge keeps for the cell t the last pass sent to, the energy equals
-the sum over cells of (unary + incoming messages) plus that over edges of (potential - both messages), whatever the messages are.
-A backward pass bounds each part below, so the bound holds from any start, the messages of another problem included.
+Messages are a reparametrisation: with M_t the message an edge keeps for the cell t the last pass sent to, the energy
+equals the sum over cells of (unary + incoming messages) plus that over edges of (potential - both messages), whatever
+the messages are. A backward pass bounds each part below, so the bound holds from any start, the messages of another
+problem included.
 
 Among equally good labels the smaller one wins. C and numpy round alike: same operations, same order, no fused ones.
 """
@@ -61,7 +63,8 @@ def trws(
 
     unary: (n_rows, n_columns, 3) float64. weight: (4,) float64, right, down-left, down, down-right, not negative.
     messages: of an earlier Minimum on a grid of the same shape; zeros without.
-    Raises ValueError for other shapes, for costs or weights that are not finite, for negative weights and for no sweeps.
+    Raises ValueError for other shapes, for costs or weights that are not finite, for negative weights and for no
+    sweeps.
     """
     unary, weight = _checked(unary, weight, n_sweeps)
     n_rows, n_columns, _ = unary.shape
@@ -95,15 +98,21 @@ def trws_numpy(
     return _trws_in_place(unary, weight, n_sweeps, tolerance, start)
 
 
-def icm(unary: NDArray[np.float64], weight: NDArray[np.float64], labels: NDArray[np.uint8], n_sweeps: int) -> tuple[NDArray[np.uint8], int]:
-    """Lower the energy one cell at a time in raster order, from `labels`, until nothing changes or n_sweeps (>= 1) are made.
+def icm(
+    unary: NDArray[np.float64], weight: NDArray[np.float64], labels: NDArray[np.uint8], n_sweeps: int
+) -> tuple[NDArray[np.uint8], int]:
+    """Lower the energy one cell at a time in raster order, from `labels`, until nothing changes or n_sweeps (>= 1) are
+    made.
 
-    unary and weight as for trws; labels: (n_rows, n_columns) uint8 of 0, 1, 2. Returns labels (same shape) and the sweeps made.
-    Raises ValueError as trws does, and for labels of another shape or above 2.
+    unary and weight as for trws; labels: (n_rows, n_columns) uint8 of 0, 1, 2. Returns labels (same shape) and the
+    sweeps made. Raises ValueError as trws does, and for labels of another shape or above 2.
     """
     unary, weight = _checked(unary, weight, n_sweeps)
     if labels.shape != unary.shape[:2] or (labels.size and labels.max() >= N_LABELS):
-        raise ValueError(f"labels must be 0, 1 or 2 on a grid of {unary.shape[:2]}, not up to {labels.max(initial=0)} on {labels.shape}")
+        raise ValueError(
+            f"labels must be 0, 1 or 2 on a grid of {unary.shape[:2]}, not up to {labels.max(initial=0)} on "
+            f"{labels.shape}"
+        )
     labels = np.array(labels, dtype=np.uint8, order="C")
     function = _c_icm()
     if function is None:
@@ -162,7 +171,11 @@ def _c_icm() -> Callable[..., None] | None:
 
 
 def _trws_in_place(
-    unary: NDArray[np.float64], weight: NDArray[np.float64], n_sweeps: int, tolerance: float, messages: NDArray[np.float64]
+    unary: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    n_sweeps: int,
+    tolerance: float,
+    messages: NDArray[np.float64],
 ) -> Minimum:
     # Cells of equal column + 2 row do not see each other: a wave of them is one step of the raster order.
     n_rows, n_columns, _ = unary.shape
@@ -176,7 +189,9 @@ def _trws_in_place(
     for _ in range(n_sweeps):
         for row, column in waves:
             scaled = share[row, column, None] * _gathered(unary, messages, row, column)
-            messages[row + 1, column + 1], _ = _sent(scaled[:, :, None] - messages[row + 1, column + 1], later[row, column])
+            messages[row + 1, column + 1], _ = _sent(
+                scaled[:, :, None] - messages[row + 1, column + 1], later[row, column]
+            )
         for row, column in reversed(waves):
             cost = _gathered(unary, messages, row, column)
             scaled = share[row, column, None] * cost
@@ -260,7 +275,9 @@ def _edge_exists(n_rows: int, n_columns: int) -> tuple[NDArray[np.bool_], NDArra
     return both[0], both[1]
 
 
-def _edge_weights(n_rows: int, n_columns: int, weight: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _edge_weights(
+    n_rows: int, n_columns: int, weight: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     earlier, later = _edge_exists(n_rows, n_columns)
     return earlier * weight, later * weight
 
@@ -278,11 +295,15 @@ def _summed(plane: NDArray[np.float64]) -> float:
     return float(np.add.accumulate(plane.ravel())[-1])
 
 
-def _checked(unary: NDArray[np.float64], weight: NDArray[np.float64], n_sweeps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _checked(
+    unary: NDArray[np.float64], weight: NDArray[np.float64], n_sweeps: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     unary = np.ascontiguousarray(unary, dtype=np.float64)
     weight = np.ascontiguousarray(weight, dtype=np.float64)
     if unary.ndim != 3 or unary.shape[2] != N_LABELS or unary.size == 0:
-        raise ValueError(f"unary must have shape (n_rows, n_columns, {N_LABELS}) with at least one cell, not {unary.shape}")
+        raise ValueError(
+            f"unary must have shape (n_rows, n_columns, {N_LABELS}) with at least one cell, not {unary.shape}"
+        )
     if weight.shape != (N_EDGES,) or not (np.isfinite(weight).all() and weight.min() >= 0.0):
         raise ValueError(f"weight must be {N_EDGES} finite numbers that are not negative, not {weight}")
     if not np.isfinite(unary).all():

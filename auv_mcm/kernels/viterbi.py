@@ -1,9 +1,9 @@
 """Find the best path through a grid of scores, one bin per ping: dynamic programming after Viterbi (1967).
 
-The path k maximises  sum_p score[p, k_p] - step_cost * |k_p - k_(p-1)|  over all paths with |k_p - k_(p-1)| <= max_step.
-Among equally good predecessors the smaller step wins, then the smaller bin; among equally good ends, the smaller bin.
-A score of -inf forbids a bin. A ping without data should score 0 everywhere: if every bin of a ping is forbidden, or none
-can be reached, the pings before it have no effect any more.
+The path k maximises  sum_p score[p, k_p] - step_cost * |k_p - k_(p-1)|  over all paths with |k_p - k_(p-1)| <=
+max_step. Among equally good predecessors the smaller step wins, then the smaller bin; among equally good ends, the
+smaller bin. A score of -inf forbids a bin. A ping without data should score 0 everywhere: if every bin of a ping is
+forbidden, or none can be reached, the pings before it have no effect any more.
 
 After each ping the largest cost is taken off all of them, which changes no path and keeps the sums bounded however long
 the mission. C and numpy round alike: same candidates, same order, no fused operations.

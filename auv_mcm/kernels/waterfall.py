@@ -1,6 +1,7 @@
 """Process every ping and every row of a waterfall: sums along range, means between ranges, steps, boxes, masks.
 
-All in numpy's order of operations; logarithms, exponentials and angles, which no two libraries round alike, are taken by numpy outside.
+All in numpy's order of operations; logarithms, exponentials and angles, which no two libraries round alike, are taken
+by numpy outside.
 
 C and numpy agree to the bit.
 """
@@ -25,7 +26,9 @@ Masks = NDArray[np.uint8]
 Rows = NDArray[np.int64]
 
 _ROWS_SUMMED: Final = 8  # 2 ROWS_TOGETHER of waterfall.c
-_USUAL_SHARE_OF_BRIGHT: Final = 16  # one pixel in so many has room at first: large arrays that are hardly used cost page faults
+_USUAL_SHARE_OF_BRIGHT: Final = (
+    16  # one pixel in so many has room at first: large arrays that are hardly used cost page faults
+)
 _NOTHING: Final = ctypes.c_char * 0
 _P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
@@ -33,8 +36,9 @@ _P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 class Sampled(NamedTuple):
     """Hold traces as cumulative sums (n_pings, n_samples + 1) float64, up to each sample's near edge.
 
-    intensity: of valid samples. weight: of validity, None where every sample is valid. clipped: of clipping, None where no sample is; may
-    end after fewer samples where none beyond is clipped. first_m: slant range of the middle of sample 0; spacing_m: between samples.
+    intensity: of valid samples. weight: of validity, None where every sample is valid. clipped: of clipping, None where
+    no sample is; may end after fewer samples where none beyond is clipped. first_m: slant range of the middle of sample
+    0; spacing_m: between samples.
     """
 
     intensity: Values
@@ -95,8 +99,8 @@ def means(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Fla
     """Average intensity between neighbouring slant ranges.
 
     edges_m: (n, n_edges), rising along rows; edge_row: (n_pings,) int64, the row each ping takes. Returns three planes
-    (n_pings, n_edges - 1): mean intensity, 0 where not valid; whether valid samples cover half; whether clipped samples are a quarter
-    of those.
+    (n_pings, n_edges - 1): mean intensity, 0 where not valid; whether valid samples cover half; whether clipped samples
+    are a quarter of those.
     """
     function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _I, _D, _D, *[_P] * 8)
     if function is None or traces.intensity.shape[1] < 2:  # without samples there is no array to point at
@@ -139,7 +143,9 @@ def means_numpy(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Value
     weight = sampled if traces.weight is None else difference(traces.weight)
     valid = (weight >= 0.5 * width) & (weight > 1e-9)
     intensity = np.divide(difference(traces.intensity), weight, out=np.zeros(valid.shape), where=valid)
-    saturated = np.zeros(valid.shape, dtype=np.bool_) if traces.clipped is None else difference(traces.clipped) > 0.25 * weight
+    saturated = (
+        np.zeros(valid.shape, dtype=np.bool_) if traces.clipped is None else difference(traces.clipped) > 0.25 * weight
+    )
     return intensity, valid, saturated & valid
 
 
@@ -199,12 +205,15 @@ def scale_rows_numpy(values: Values, factor: Values, factor_row: Rows) -> Plane:
     return (values * factor[factor_row]).astype(np.float32)
 
 
-def step_ratios(values: Values, valid: Flags, blank: int, window: int, min_step: float, twice_variance: float) -> Values:
+def step_ratios(
+    values: Values, valid: Flags, blank: int, window: int, min_step: float, twice_variance: float
+) -> Values:
     """Compute how much likelier a rise of the mean is at each bin than none, (n_pings, n_bins) float64; 0 where it
     cannot be.
 
-    Means are over the valid values of `window` bins from the bin on, of as many before it, and of all from bin `blank` on up to it. The
-    first must rise over the second, three of which are valid, and by min_step over the third. twice_variance: of single values.
+    Means are over the valid values of `window` bins from the bin on, of as many before it, and of all from bin `blank`
+    on up to it. The first must rise over the second, three of which are valid, and by min_step over the third.
+    twice_variance: of single values.
     """
     n_pings, n_bins = values.shape
     function = _c("waterfall_steps", _I, _I, _P, _P, _I, _I, _D, _D, *[_P] * 3)
@@ -212,11 +221,22 @@ def step_ratios(values: Values, valid: Flags, blank: int, window: int, min_step:
         return step_ratios_numpy(values, valid, blank, window, min_step, twice_variance)
     values, valid = np.ascontiguousarray(values), np.ascontiguousarray(valid)
     score, total, count = np.zeros((n_pings, n_bins)), np.empty(n_bins + 1), np.empty(n_bins + 1)
-    function(n_pings, n_bins, *_pointers(values, valid), blank, window, min_step, twice_variance, *_pointers(total, count, score))
+    function(
+        n_pings,
+        n_bins,
+        *_pointers(values, valid),
+        blank,
+        window,
+        min_step,
+        twice_variance,
+        *_pointers(total, count, score),
+    )
     return score
 
 
-def step_ratios_numpy(values: Values, valid: Flags, blank: int, window: int, min_step: float, twice_variance: float) -> Values:
+def step_ratios_numpy(
+    values: Values, valid: Flags, blank: int, window: int, min_step: float, twice_variance: float
+) -> Values:
     """Do as step_ratios, in numpy alone."""
     n_pings, n_bins = values.shape
     score = np.zeros((n_pings, n_bins))
@@ -262,13 +282,16 @@ def add_votes_numpy(score: Values, ratios: Values, share: float, vote: float, ev
     score += side * (vote / np.maximum(side.max(axis=1, keepdims=True), evidence))
 
 
-def average_rows(intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, min_overlap: float) -> tuple[Plane, Masks]:
+def average_rows(
+    intensity: Plane, mask: Masks, source: NDArray[np.int64], overlap: Values, min_overlap: float
+) -> tuple[Plane, Masks]:
     """Average the pings that rows overlap, weighted by overlap.
 
     Returns intensity float32 and mask uint8, (n_rows, n_columns) each.
 
-    intensity, mask: (n_pings, n_columns). source, overlap: (n_rows, n_steps), a ping's index and by how much a row overlaps it. A pixel is
-    valid where valid pings overlap it by `min_overlap` together; it takes over all other flags, if it is not valid all but SATURATED.
+    intensity, mask: (n_pings, n_columns). source, overlap: (n_rows, n_steps), a ping's index and by how much a row
+    overlaps it. A pixel is valid where valid pings overlap it by `min_overlap` together; it takes over all other flags,
+    if it is not valid all but SATURATED.
     """
     n_rows, n_steps = source.shape
     n_columns = mask.shape[1]
@@ -305,8 +328,8 @@ def bright_spots(
 ) -> tuple[NDArray[np.int32], Values]:
     """Find usable pixels whose logarithm, and `slack`, reaches its limit or `highest`, and those limits.
 
-    A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where not usable. Pixels
-    are indices, row times n_columns plus column, int32, and rise; limits float64.
+    A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where
+    not usable. Pixels are indices, row times n_columns plus column, int32, and rise; limits float64.
     """
     function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 4, _I, *[_P] * 3)
     if function is None:
@@ -318,7 +341,17 @@ def bright_spots(
     while True:
         places, limits = np.empty(max_places, dtype=np.int32), np.empty(max_places)
         found = _pointers(places, limits, n_places)
-        function(*usable.shape, *half, *_pointers(logarithms, usable), above, highest, slack, *_pointers(*room), max_places, *found)
+        function(
+            *usable.shape,
+            *half,
+            *_pointers(logarithms, usable),
+            above,
+            highest,
+            slack,
+            *_pointers(*room),
+            max_places,
+            *found,
+        )
         if n_places[0] <= max_places:
             return places[: n_places[0]], limits[: n_places[0]]
         max_places = int(n_places[0])
@@ -374,7 +407,13 @@ def box_level_numpy(level: Plane, usable: Flags, half: tuple[int, int], min_shar
 
 
 def divide_by_level(
-    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], min_share: float, columns: NDArray[np.int64]
+    intensity: Plane,
+    mask: Masks,
+    level: Plane,
+    usable: Flags,
+    half: tuple[int, int],
+    min_share: float,
+    columns: NDArray[np.int64],
 ) -> Levelled:
     """Divide an image by the box_level around each pixel, which is written out for some `columns` only.
 
@@ -396,7 +435,13 @@ def divide_by_level(
 
 
 def divide_by_level_numpy(
-    intensity: Plane, mask: Masks, level: Plane, usable: Flags, half: tuple[int, int], min_share: float, columns: NDArray[np.int64]
+    intensity: Plane,
+    mask: Masks,
+    level: Plane,
+    usable: Flags,
+    half: tuple[int, int],
+    min_share: float,
+    columns: NDArray[np.int64],
 ) -> Levelled:
     """Do as divide_by_level, in numpy alone."""
     mean, known = box_level_numpy(level, usable, half, min_share)
@@ -414,13 +459,19 @@ def _level_room(n_columns: int, half_columns: int) -> tuple[NDArray[Any], ...]:
 
 
 def ping_masks(
-    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, coarse: Masks, coarse_row: Rows, max_ratio: float
+    valid: Flags,
+    saturated: Flags,
+    turning: Turning,
+    ground_m: Values,
+    coarse: Masks,
+    coarse_row: Rows,
+    max_ratio: float,
 ) -> Masks:
     """Join what is known of each pixel to its mask, (n_pings, n_columns) uint8.
 
-    TURN where spacing over its straight-line value, 1 + pitch + yaw y, is more than max_ratio either way or the ping turns too fast.
-    ground_m: (n_columns,) ground range y, rising. coarse: (n, n_columns), LOW_RESOLUTION or 0; coarse_row: (n_pings,) the row each ping
-    takes.
+    TURN where spacing over its straight-line value, 1 + pitch + yaw y, is more than max_ratio either way or the ping
+    turns too fast. ground_m: (n_columns,) ground range y, rising. coarse: (n, n_columns), LOW_RESOLUTION or 0;
+    coarse_row: (n_pings,) the row each ping takes.
     """
     function = _c("waterfall_masks", _I, _I, *[_P] * 8, _D, _P)
     if function is None:
@@ -432,7 +483,13 @@ def ping_masks(
 
 
 def ping_masks_numpy(
-    valid: Flags, saturated: Flags, turning: Turning, ground_m: Values, coarse: Masks, coarse_row: Rows, max_ratio: float
+    valid: Flags,
+    saturated: Flags,
+    turning: Turning,
+    ground_m: Values,
+    coarse: Masks,
+    coarse_row: Rows,
+    max_ratio: float,
 ) -> Masks:
     """Do as ping_masks, in numpy alone."""
     mask = valid * np.uint8(VALID)
@@ -452,8 +509,8 @@ def angle_sums(
 ) -> tuple[NDArray[np.int64], Values]:
     """Count and sum the usable values in each of n_bins bins of angle, (n_bins,) each; the last takes all beyond.
 
-    angle: (n, n_columns); angle_row: (n_pings,) int64, the row each ping takes. values, usable: (n_pings, n_columns). centre: (n_bins,),
-    taken off the values before they are clipped to +-clip; None for the values themselves.
+    angle: (n, n_columns); angle_row: (n_pings,) int64, the row each ping takes. values, usable: (n_pings, n_columns).
+    centre: (n_bins,), taken off the values before they are clipped to +-clip; None for the values themselves.
     """
     function = _c("waterfall_angle_sums", *[_I] * 3, *[_P] * 5, _D, *[_P] * 3)
     if function is None:
@@ -462,7 +519,12 @@ def angle_sums(
     scratch = np.empty(angle.shape[1], dtype=np.int32)
     count, total = np.empty(n_bins, dtype=np.int64), np.empty(n_bins)
     function(
-        *values.shape, n_bins, *_pointers(*arrays), None if centre is None else _address(centre), clip, *_pointers(scratch, count, total)
+        *values.shape,
+        n_bins,
+        *_pointers(*arrays),
+        None if centre is None else _address(centre),
+        clip,
+        *_pointers(scratch, count, total),
     )
     return count, total
 
@@ -474,7 +536,9 @@ def angle_sums_numpy(
     bins, chosen = np.minimum(angle.astype(np.intp), n_bins - 1)[angle_row][usable], values[usable]
     if centre is not None:
         chosen = np.clip(chosen - centre[bins], -clip, clip)
-    return np.bincount(bins, minlength=n_bins).astype(np.int64), np.bincount(bins, weights=chosen, minlength=n_bins).astype(np.float64)
+    return np.bincount(bins, minlength=n_bins).astype(np.int64), np.bincount(
+        bins, weights=chosen, minlength=n_bins
+    ).astype(np.float64)
 
 
 def along_curve(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
@@ -511,13 +575,17 @@ def _box_sums(plane: NDArray[Any], dtype: type, half: tuple[int, int]) -> NDArra
     np.cumsum(np.cumsum(plane, axis=1, dtype=dtype), axis=0, dtype=dtype, out=sums[1:, 1:])
     rows, columns = (np.arange(length) for length in plane.shape)
     band = sums[np.minimum(rows + half[0] + 1, len(rows))] - sums[np.maximum(rows - half[0], 0)]
-    return np.asarray(band[:, np.minimum(columns + half[1] + 1, len(columns))] - band[:, np.maximum(columns - half[1], 0)])
+    return np.asarray(
+        band[:, np.minimum(columns + half[1] + 1, len(columns))] - band[:, np.maximum(columns - half[1], 0)]
+    )
 
 
 def _box_room(n_columns: int, half_columns: int) -> tuple[Values, NDArray[np.int32]]:
     """Make room for what a box holds."""
     wide = n_columns + 1 + 2 * (half_columns + 1)
-    return np.empty(2 * (n_columns + 1) + wide + (_ROWS_SUMMED + 1) * n_columns), np.empty(2 * n_columns + wide, dtype=np.int32)
+    return np.empty(2 * (n_columns + 1) + wide + (_ROWS_SUMMED + 1) * n_columns), np.empty(
+        2 * n_columns + wide, dtype=np.int32
+    )
 
 
 def _clipped_length(length: int, half: int) -> NDArray[np.int64]:

@@ -52,7 +52,8 @@ class _Flown(NamedTuple):
 
 
 class ClearArea:
-    """Plan the clearing of an area, in the perception process, from pings and patches in the order in which they come."""
+    """Plan the clearing of an area, in the perception process, from pings and patches in the order in which they
+    come."""
 
     def __init__(self, config: Config, model: LookModel) -> None:
         self._config = config
@@ -77,7 +78,11 @@ class ClearArea:
         self._shown_until_s[patch.side] = max(self._shown_until_s.get(patch.side, -math.inf), patch.stop_s)
 
     def propose(
-        self, clearance: Clearance | None, contacts: Iterable[Contact], request: PlanRequest, more_time: Callable[[], bool]
+        self,
+        clearance: Clearance | None,
+        contacts: Iterable[Contact],
+        request: PlanRequest,
+        more_time: Callable[[], bool],
     ) -> Proposal:
         """State how the search of the area stands and, where the payload may command at all, plan from here.
 
@@ -89,7 +94,9 @@ class ClearArea:
             self._plane, self._vain, self._previous = area.frame, np.zeros(area.cells.shape, dtype=np.uint8), None
         state = area_state(area, plan.required_clearance)
         if not self._config.vehicle.command:
-            return Proposal((), (), state._replace(verdict=_done(area, plan.required_clearance) if state.is_reached else ""))
+            return Proposal(
+                (), (), state._replace(verdict=_done(area, plan.required_clearance) if state.is_reached else "")
+            )
         limits = self._limits(area.frame, request)
         self._learn_of(area, request, clearance, limits)
         ground = self._expected(area.ground, limits)
@@ -103,7 +110,9 @@ class ClearArea:
             return Proposal((), (), state._replace(verdict=f"not yet, because {hindrance}"))
         asking = most_undecided((contact for contact in contacts if contact.id not in request.left_out), plan)
         p = ground.p_detected
-        mean = (plan.required_clearance * np.count_nonzero(area.cells) - p[area.cells & ~wanted].sum()) / np.count_nonzero(wanted)
+        mean = (
+            plan.required_clearance * np.count_nonzero(area.cells) - p[area.cells & ~wanted].sum()
+        ) / np.count_nonzero(wanted)
         world = SurveyState(ground, wanted, wished(plan.required_clearance), self._model, asking, min(float(mean), 1.0))
         self._previous = found = replan(world, pose, limits, self._previous, more_time)
         verdict = "" if found.legs or self._pending else found.verdict
@@ -135,7 +144,9 @@ class ClearArea:
         self._pending += [_Flown(ends_deg, request.time_s, clearance) for ends_deg in request.flown]
         if self._previous is not None:
             gone = [in_plane(ends_deg, area.frame) for ends_deg in request.flown]
-            left = tuple(leg for leg in self._previous.legs if not any(_is_same(leg.entry, leg.exit, ends) for ends in gone))
+            left = tuple(
+                leg for leg in self._previous.legs if not any(_is_same(leg.entry, leg.exit, ends) for ends in gone)
+            )
             self._previous = msgspec.structs.replace(self._previous, legs=left)
         shown_until_s = min(self._shown_until_s.values(), default=-math.inf)
         for leg in self._pending:
@@ -156,14 +167,18 @@ class ClearArea:
         """Add what pending legs, not shown yet, are expected to clear."""
         for leg in self._pending:
             exponent = self._with_look(ground, leg, limits, ground.exponent)
-            looks = np.where(exponent > ground.exponent, np.minimum(ground.looks, 254) + 1, ground.looks).astype(np.uint8)
+            looks = np.where(exponent > ground.exponent, np.minimum(ground.looks, 254) + 1, ground.looks).astype(
+                np.uint8
+            )
             heading = _heading_rad(in_plane(leg.ends_deg, frame_of(ground)))
             both_sides = np.bitwise_or.reduce(look_bit([heading - 0.5 * math.pi, heading + 0.5 * math.pi]))
             towards = np.where(exponent > ground.exponent, ground.towards | both_sides, ground.towards)
             ground = msgspec.structs.replace(ground, exponent=exponent, looks=looks, towards=towards)
         return ground
 
-    def _with_look(self, ground: Clearance, leg: _Flown, limits: Limits, exponent: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _with_look(
+        self, ground: Clearance, leg: _Flown, limits: Limits, exponent: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Add a view from the leg to the miss exponents of cells abeam of its run, less the settling."""
         entry, leave = in_plane(leg.ends_deg, frame_of(ground))
         along = (leave - entry) / max(float(np.hypot(*(leave - entry))), 1e-9)
@@ -193,14 +208,16 @@ class ClearArea:
         given_up = area.cells & (self._vain >= MAX_VAIN_PASSES)
         return (
             f"cannot, because no leg adds to it any more: {area_words(given_up.sum() * area.ground.cell_m**2)} of "
-            f"{area_words(area.cells.sum() * area.ground.cell_m**2)} were passed {MAX_VAIN_PASSES} times in vain and given up"
+            f"{area_words(area.cells.sum() * area.ground.cell_m**2)} were passed {MAX_VAIN_PASSES} times in vain and "
+            "given up"
         )
 
 
 def _done(area: Area, required: float) -> str:
     state = area_state(area, required)
     return (
-        f"done: mines in the {area_words(area.cells.sum() * area.ground.cell_m**2)} are found with probability {state.p_detected:.3f}, "
+        f"done: mines in the {area_words(area.cells.sum() * area.ground.cell_m**2)} are found with probability "
+        f"{state.p_detected:.3f}, "
         f"{required:.2f} was required"
     )
 
@@ -212,7 +229,9 @@ def _pose(request: PlanRequest, plane: LocalFrame) -> PlanePose:
     """
     here = LocalFrame(latitude_deg=request.latitude_deg, longitude_deg=request.longitude_deg)
     ahead_deg = here.to_geodetic([math.sin(request.heading_rad), math.cos(request.heading_rad), 0.0])[:2]
-    start, ahead = in_plane([(request.latitude_deg, request.longitude_deg), (float(ahead_deg[0]), float(ahead_deg[1]))], plane)
+    start, ahead = in_plane(
+        [(request.latitude_deg, request.longitude_deg), (float(ahead_deg[0]), float(ahead_deg[1]))], plane
+    )
     return PlanePose(float(start[0]), float(start[1]), math.atan2(ahead[0] - start[0], ahead[1] - start[1]))
 
 

@@ -66,7 +66,9 @@ def information_nats(p_mine: float, p_look: float) -> float:
     return max(_entropy(p_mine) - after, 0.0)
 
 
-def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookModel, limits: Limits) -> list[ContactLegs]:
+def contact_legs(
+    contacts: Iterable[Contact], clearance: Clearance, model: LookModel, limits: Limits
+) -> list[ContactLegs]:
     """Lay legs past contacts that request another view, in order of id.
 
     Each contact gets the first of its directions that the fence allows and that adds information.
@@ -81,7 +83,13 @@ def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookM
             east, north, _ = frame.to_enu(*place_deg, 0.0).tolist()
             for look_deg in contact.next_look_deg:
                 requests.append(
-                    _Request(contact, look_deg, _in_plane(math.radians(look_deg), place_deg, (east, north), frame), east, north)
+                    _Request(
+                        contact,
+                        look_deg,
+                        _in_plane(math.radians(look_deg), place_deg, (east, north), frame),
+                        east,
+                        north,
+                    )
                 )
     if not requests:
         return []
@@ -98,7 +106,9 @@ def contact_legs(contacts: Iterable[Contact], clearance: Clearance, model: LookM
         gain_m2 = NAT_M2 * NEWS * information_nats(min(max(one.contact.p_mine, 0.0), 1.0), float(p[number]))
         if gain_m2 > _MIN_M2 and fits[number].any() and one.contact.id not in found:
             sides = runs[number][fits[number]]
-            found[one.contact.id] = ContactLegs(one.contact, sides, gain_m2, one.look_deg % 360.0, float(stand_off_m[number]))
+            found[one.contact.id] = ContactLegs(
+                one.contact, sides, gain_m2, one.look_deg % 360.0, float(stand_off_m[number])
+            )
     return list(found.values())
 
 
@@ -106,7 +116,9 @@ def _entropy(p: float) -> float:
     return -sum(q * math.log(q) for q in (p, 1.0 - p) if q > 0.0)
 
 
-def _in_plane(bearing_rad: float, place_deg: tuple[float, float], place_m: tuple[float, float], frame: LocalFrame) -> float:
+def _in_plane(
+    bearing_rad: float, place_deg: tuple[float, float], place_m: tuple[float, float], frame: LocalFrame
+) -> float:
     """Turn a true bearing into a direction in the plane.
 
     The plane's north differs from true north far from its origin and near the poles.
@@ -117,7 +129,9 @@ def _in_plane(bearing_rad: float, place_deg: tuple[float, float], place_m: tuple
     return math.atan2(east - place_m[0], north - place_m[1])
 
 
-def _stand_offs(requests: list[_Request], clearance: Clearance, model: LookModel, limits: Limits) -> tuple[Array, Array]:
+def _stand_offs(
+    requests: list[_Request], clearance: Clearance, model: LookModel, limits: Limits
+) -> tuple[Array, Array]:
     """Choose the stand-off of each request, (n,) m, and the probability of detection there, (n,).
 
     The stand-off is the middle of the ranges that are about as good as the best one, seen from the worse side.
@@ -134,8 +148,15 @@ def _stand_offs(requests: list[_Request], clearance: Clearance, model: LookModel
     ripple[known] = clearance.ripple_rad[row[known], column[known]]
     look = np.add.outer([one.look_rad for one in requests], [0.0, math.pi]) % (2.0 * math.pi)
     shape = (len(requests), 2, _RANGES)
-    arguments = (seabed[:, None, None], ground.astype(np.float32), np.float32(limits.altitude_m), look.astype(np.float32)[..., None])
-    kind, range_m, altitude_m, look_rad, ripple_rad = (np.broadcast_to(part, shape).ravel() for part in (*arguments, ripple[:, None, None]))
+    arguments = (
+        seabed[:, None, None],
+        ground.astype(np.float32),
+        np.float32(limits.altitude_m),
+        look.astype(np.float32)[..., None],
+    )
+    kind, range_m, altitude_m, look_rad, ripple_rad = (
+        np.broadcast_to(part, shape).ravel() for part in (*arguments, ripple[:, None, None])
+    )
     p = np.asarray(model.p_look(kind, range_m, altitude_m, look_rad, ripple_rad), dtype=np.float64).reshape(shape)
     p = np.clip(np.nan_to_num(p.min(axis=1), nan=0.0), 0.0, HIGHEST_P)
     good = [np.flatnonzero(of_one >= _AS_GOOD * of_one.max()) for of_one in p]
@@ -148,4 +169,7 @@ def _run(east: float, north: float, look_rad: float, stand_off_m: float, limits:
     heading = math.remainder(look_rad - RIGHT, 2.0 * math.pi)
     half_m = 0.5 * LOOK_RUN_M + limits.settling_m
     middle = east - stand_off_m * math.sin(look_rad), north - stand_off_m * math.cos(look_rad)
-    return [[middle[0] + way * half_m * math.sin(heading), middle[1] + way * half_m * math.cos(heading), heading] for way in (-1.0, 1.0)]
+    return [
+        [middle[0] + way * half_m * math.sin(heading), middle[1] + way * half_m * math.cos(heading), heading]
+        for way in (-1.0, 1.0)
+    ]

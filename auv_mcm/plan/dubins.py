@@ -1,9 +1,11 @@
 """Find shortest paths of a vehicle that moves forward and turns no tighter than a given radius.
 
-L. E. Dubins, "On curves of minimal length with a constraint on average curvature", American Journal of Mathematics 79 (1957):
-the shortest path is two arcs with a straight between (LSL, RSR, LSR, RSL) or three arcs (LRL, RLR). Here each word comes from
-the triangle of its circles' centres, with the straight's (or middle arc's) length and direction taken from the same triangle, so
-that the end pose is met to rounding even where the length itself is ill-conditioned (circles that just touch).
+L. E. Dubins, "On curves of minimal length with a constraint on average curvature", American Journal of Mathematics 79
+(1957):
+the shortest path is two arcs with a straight between (LSL, RSR, LSR, RSL) or three arcs (LRL, RLR). Here each word
+comes from the triangle of its circles' centres, with the straight's (or middle arc's) length and direction taken from
+the same triangle, so that the end pose is met to rounding even where the length itself is ill-conditioned (circles that
+just touch).
 
 Plane coordinates are east and north in metres; headings are radians clockwise from north.
 """
@@ -64,7 +66,10 @@ def dubins_path(
     Raises ValueError if the radius is not positive, a pose is not finite or no allowed path exists.
     """
     if not (turn_radius_m > 0.0 and all(map(math.isfinite, (*start, *end, turn_radius_m)))):
-        raise ValueError(f"no path from {start} to {end} with turn radius {turn_radius_m} m: needs finite poses and a positive radius")
+        raise ValueError(
+            f"no path from {start} to {end} with turn radius {turn_radius_m} m: needs finite poses and a positive "
+            "radius"
+        )
     leave, arrive = (None if flags is None else flags[np.newaxis] for flags in (leave, arrive))
     (path,) = dubins_paths(np.array([[start, end]]), turn_radius_m, leave, arrive)
     if path is None:
@@ -72,7 +77,9 @@ def dubins_path(
     return path
 
 
-def dubins_paths(ends: Array, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None) -> list[DubinsPath | None]:
+def dubins_paths(
+    ends: Array, turn_radius_m: float, leave: Flags | None = None, arrive: Flags | None = None
+) -> list[DubinsPath | None]:
     """Apply `dubins_path` to each of (n, 2, 3) starts and ends, all finite.
 
     None where no allowed path exists. leave, arrive: (n, 2).
@@ -85,7 +92,9 @@ def dubins_paths(ends: Array, turn_radius_m: float, leave: Flags | None = None, 
         if not math.isfinite(sum(lengths)):
             paths.append(None)
             continue
-        first, second, third = (Segment(_TURN[turn], length) for turn, length in zip(_WORDS[word[number]], lengths, strict=True))
+        first, second, third = (
+            Segment(_TURN[turn], length) for turn, length in zip(_WORDS[word[number]], lengths, strict=True)
+        )
         total_m = first.length_m + second.length_m + third.length_m
         paths.append(DubinsPath(PlanePose(*start), turn_radius_m, total_m, (first, second, third)))
     return paths
@@ -96,11 +105,13 @@ def dubins_lengths(
 ) -> Array:
     """Compute lengths in metres of shortest paths between (..., 3) poses [east, north, heading] that broadcast.
 
-    leave, arrive: (..., 2), whether the circles to the left and right of the starts and of the ends may be sailed; None for no limits.
-    With limits only two arcs with a straight between come into question, for they stay in the hull of the two circles; infinite where there
-    is none.
+    leave, arrive: (..., 2), whether the circles to the left and right of the starts and of the ends may be sailed; None
+    for no limits. With limits only two arcs with a straight between come into question, for they stay in the hull of
+    the two circles; infinite where there is none.
     """
-    parts = _allowed_parts(np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64), turn_radius_m, leave, arrive)
+    parts = _allowed_parts(
+        np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64), turn_radius_m, leave, arrive
+    )
     return np.asarray(parts.sum(axis=-1).min(axis=0) * turn_radius_m, dtype=np.float64)
 
 
@@ -135,10 +146,16 @@ def _word_parts(start: Array, end: Array, radius: float, n_words: int) -> Array:
     """
     offset = (end[..., :2] - start[..., :2]) / radius
     heading_out, heading_in = start[..., 2], end[..., 2]
-    cosine_out, sine_out, cosine_in, sine_in = np.cos(heading_out), np.sin(heading_out), np.cos(heading_in), np.sin(heading_in)
+    cosine_out, sine_out, cosine_in, sine_in = (
+        np.cos(heading_out),
+        np.sin(heading_out),
+        np.cos(heading_in),
+        np.sin(heading_in),
+    )
     words = []
     for first, middle, last in _WORDS[:n_words]:
-        # Centre of a turn: one radius to the right (first = 1) or left of the pose. right(h) = (cos h, -sin h) in east, north.
+        # Centre of a turn: one radius to the right (first = 1) or left of the pose. right(h) = (cos h, -sin h) in east,
+        # north.
         east = offset[..., 0] + last * cosine_in - first * cosine_out
         north = offset[..., 1] - last * sine_in + first * sine_out
         distance = np.hypot(east, north)
@@ -155,11 +172,14 @@ def _word_parts(start: Array, end: Array, radius: float, n_words: int) -> Array:
             exists = distance >= 2.0 * (1.0 - _ROUNDING)
             along = np.sqrt(np.maximum(distance - 2.0, 0.0) * (distance + 2.0))
             leave = arrive = bearing + first * np.arctan2(2.0, along)
-        # Between close centres the bearing is only as good as rounding over distance. The last arc makes good what the first one drops.
+        # Between close centres the bearing is only as good as rounding over distance. The last arc makes good what the
+        # first one drops.
         out = _positive(first * (leave - heading_out), np.maximum(_ROUNDING, 1e-15 / np.maximum(distance, _ROUNDING)))
         dropped = np.where(out == 0.0, heading_out - leave, 0.0)
         back = _positive(last * (heading_in - arrive - dropped), _ROUNDING)
-        words.append(np.where(exists[..., np.newaxis], np.stack(np.broadcast_arrays(out, along, back), axis=-1), np.inf))
+        words.append(
+            np.where(exists[..., np.newaxis], np.stack(np.broadcast_arrays(out, along, back), axis=-1), np.inf)
+        )
     return np.stack(words)
 
 

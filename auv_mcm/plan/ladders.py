@@ -86,7 +86,9 @@ def _best_ladder(
             at = np.unique(np.abs(rungs.offset_m - ideal[:, np.newaxis]).argmin(axis=1))
             legs = [leg for leg in rungs.leg[at].tolist() if leg not in taken]
             gain_m2 = min(wanting.copy().take_all(legs), left_m2)
-            length_m = float(problem.tracks.length_m[legs].sum()) + (len(legs) - 1) * _turn_m(spacing_m, problem.turns.radius_m)
+            length_m = float(problem.tracks.length_m[legs].sum()) + (len(legs) - 1) * _turn_m(
+                spacing_m, problem.turns.radius_m
+            )
             total_m = length_m + (left_m2 - gain_m2) * tail_m
             if total_m < best_m:
                 best_m, best_legs, best_gain_m2, better = total_m, legs, gain_m2, True

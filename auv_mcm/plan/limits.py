@@ -15,9 +15,10 @@ from auv_mcm.plan.dubins import PlanePose
 class Limits(NamedTuple):
     """Hold the limits of the vehicle and of the order, in metres.
 
-    budget_m: length of track that is left, by energy and by time. fence: (n, 2) corners east, north in the mission's plane, possibly
-    concave, None for none; legs and turns stay fence_margin_m inside. swath: nearest and farthest ground range that is used.
-    settling_m: straight run before and after a leg earns nothing because the vehicle still swings.
+    budget_m: length of track that is left, by energy and by time. fence: (n, 2) corners east, north in the mission's
+    plane, possibly concave, None for none; legs and turns stay fence_margin_m inside. swath: nearest and farthest
+    ground range that is used. settling_m: straight run before and after a leg earns nothing because the vehicle still
+    swings.
     """
 
     turn_radius_m: float
@@ -34,7 +35,10 @@ def obstacle(pose: PlanePose, limits: Limits) -> str:
     """State why nothing can be planned from here; empty if a plan may be possible."""
     near_m, far_m = limits.swath
     if not all(map(math.isfinite, pose)):
-        return f"the vehicle's pose is not known (east {pose.east_m} m, north {pose.north_m} m, heading {pose.heading_rad} rad)"
+        return (
+            f"the vehicle's pose is not known (east {pose.east_m} m, north {pose.north_m} m, heading "
+            f"{pose.heading_rad} rad)"
+        )
     if not (limits.turn_radius_m > 0.0 and math.isfinite(limits.turn_radius_m)):
         return f"a turn radius of {limits.turn_radius_m:g} m cannot be sailed"
     if not (0.0 <= near_m < far_m and math.isfinite(far_m)):
@@ -49,7 +53,9 @@ def obstacle(pose: PlanePose, limits: Limits) -> str:
         return "the fence must be a polygon of at least three known corners"
     here = np.array([pose.east_m, pose.north_m])
     if not circles_inside(here, 0.0, limits.fence, limits.fence_margin_m):
-        return "the vehicle is outside its fence" + (f" or nearer to it than {limits.fence_margin_m:g} m" if limits.fence_margin_m else "")
+        return "the vehicle is outside its fence" + (
+            f" or nearer to it than {limits.fence_margin_m:g} m" if limits.fence_margin_m else ""
+        )
     return ""
 
 

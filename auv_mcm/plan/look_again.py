@@ -166,7 +166,9 @@ class LookAgain:
         end_m = self._config.vehicle.arrival_radius_m + LEAVES_LEG_M
         beside_m = max(0.5 * self._config.plan.stand_off_m, _BESIDE_M)
         near = {
-            leg: place for leg in self._legs if (place := leg.place(latitude_deg, longitude_deg)).is_near(leg.length_m, end_m, beside_m)
+            leg: place
+            for leg in self._legs
+            if (place := leg.place(latitude_deg, longitude_deg)).is_near(leg.length_m, end_m, beside_m)
         }
         if self._on_leg not in near:
             self._leave_leg(now_s)
@@ -182,7 +184,12 @@ class LookAgain:
         pose: latitude, longitude (degrees), heading (radians); time_s: mission time of the pose.
         """
         left_out = frozenset(contact_id for contact_id, looks in self._looks.items() if looks.is_left_out(now_s))
-        due = self._changed or left_out != self._left_out or (bool(self.plan) and self._is_old(now_s)) or self._is_survey_due(now_s)
+        due = (
+            self._changed
+            or left_out != self._left_out
+            or (bool(self.plan) and self._is_old(now_s))
+            or self._is_survey_due(now_s)
+        )
         if (
             not due
             or self._waiting
@@ -199,7 +206,8 @@ class LookAgain:
         """Propose without planning: the same plan while a leg outlasts it, () when all track is sailed."""
         if self.plan and self._sailed_m >= self._config.plan.max_track_m:
             text = (
-                f"the {self._config.plan.max_track_m:g} m of track that the payload may command are sailed: no further legs are requested"
+                f"the {self._config.plan.max_track_m:g} m of track that the payload may command are sailed: no "
+                "further legs are requested"
             )
             self._raise_once("track_spent", text)
             self.plan, self._legs = (), []
@@ -235,7 +243,9 @@ class LookAgain:
         return self.plan
 
     def _is_survey_due(self, now_s: float) -> bool:
-        settled = bool(self._legs) or (self.area is not None and bool(self.area.verdict)) or not self._config.vehicle.command
+        settled = (
+            bool(self._legs) or (self.area is not None and bool(self.area.verdict)) or not self._config.vehicle.command
+        )
         return self._clears and now_s - self._requested_s >= (_SURVEY_AGAIN_S if settled else _SURVEY_S)
 
     def _sail(self, latitude_deg: float, longitude_deg: float) -> None:
@@ -293,6 +303,7 @@ def _are_alike(legs: list[_Leg], others: list[_Leg]) -> bool:
         return {leg.contact_id for leg in legs} == {leg.contact_id for leg in others}
     return len(legs) == len(others) and all(
         np.linalg.norm(leg.frame.to_enu(*other.ends_deg[0], 0.0)) < _SAME_M
-        and np.linalg.norm(leg.frame.to_enu(*other.ends_deg[1], 0.0)[:2] - np.multiply(leg.along, leg.length_m)) < _SAME_M
+        and np.linalg.norm(leg.frame.to_enu(*other.ends_deg[1], 0.0)[:2] - np.multiply(leg.along, leg.length_m))
+        < _SAME_M
         for leg, other in zip(legs, others, strict=True)
     )

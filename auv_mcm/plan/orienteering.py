@@ -101,8 +101,8 @@ class Turns:
 class Problem(NamedTuple):
     """Hold what a route is measured by.
 
-    contact_m2: (n,) what a look at the leg's contact is worth. other_side: (n,) the leg on the other side of the same contact, else itself.
-    enough_m2: what is gained of the sea floor beyond it is worth nothing.
+    contact_m2: (n,) what a look at the leg's contact is worth. other_side: (n,) the leg on the other side of the same
+    contact, else itself. enough_m2: what is gained of the sea floor beyond it is worth nothing.
     """
 
     tracks: Tracks
@@ -130,11 +130,14 @@ class Wanting:
 
     def copy(self) -> Wanting:
         other = Wanting.__new__(Wanting)
-        other.__dict__ = {name: value.copy() if isinstance(value, np.ndarray) else value for name, value in self.__dict__.items()}
+        other.__dict__ = {
+            name: value.copy() if isinstance(value, np.ndarray) else value for name, value in self.__dict__.items()
+        }
         return other
 
     def _added(self, leg: int) -> tuple[slice, NDArray[np.int32], Array]:
-        """Give the elements of `Tracks` that a leg sees, their cells, and what it adds to each, up to what is wanting."""
+        """Give the elements of `Tracks` that a leg sees, their cells, and what it adds to each, up to what is
+        wanting."""
         tracks = self._problem.tracks
         part = slice(tracks.first[leg], tracks.last[leg])
         cell = tracks.cell[part]
@@ -203,7 +206,9 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
         gained_m2 = wanting.take(leg)
         floor_m2 += gained_m2 if tracks_heading[leg] >= 0 else 0.0
         open_legs[[leg, problem.other_side[leg]]] = False
-        way_m = np.minimum(way_m, rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.turns.radius_m))
+        way_m = np.minimum(
+            way_m, rough_way_m(np.stack([runs[leg, 1], _reversed(runs[leg, :1])[0]]), ends, problem.turns.radius_m)
+        )
 
     for leg in first:
         choose(leg)
@@ -212,7 +217,11 @@ def greedy_legs(problem: Problem, among: NDArray[np.bool_], first: list[int], mo
     for leg in np.flatnonzero(open_legs).tolist():
         gain[leg] = wanting.gain_m2(leg)
     while open_legs.any():
-        rate = np.where(open_legs & (used_m + length_m + way_m <= _OVERFULL * problem.limits.budget_m), gain / (length_m + way_m), -1.0)
+        rate = np.where(
+            open_legs & (used_m + length_m + way_m <= _OVERFULL * problem.limits.budget_m),
+            gain / (length_m + way_m),
+            -1.0,
+        )
         fresh[:] = not chosen or chosen == first
         while True:
             leg = int(np.argmax(rate))
@@ -393,7 +402,9 @@ def route_length_m(problem: Problem, route: list[int]) -> float:
     """Measure a route that can be sailed."""
     poses = [problem.pose, *(pose for way in route for pose in ends_of(problem.tracks, way))]
     turns = problem.turns.all_between(list(pairwise(poses))[::2])
-    return sum(path.length_m for path in turns if path is not None) + float(problem.tracks.length_m[[way // 2 for way in route]].sum())
+    return sum(path.length_m for path in turns if path is not None) + float(
+        problem.tracks.length_m[[way // 2 for way in route]].sum()
+    )
 
 
 def paths_inside(paths: list[DubinsPath], limits: Limits) -> NDArray[np.bool_]:
@@ -478,9 +489,10 @@ def _blocked(problem: Problem, route: list[int]) -> list[tuple[int, int]]:
 def gain_bound_m2(problem: Problem, prefixes: list[list[int]]) -> float:
     """Bound the gain of any route within the budget, whatever its order.
 
-    For any set of legs already taken, a route gains at most what that set does and the gains that single legs would add to it, of which the
-    track pays for only so many (fractional knapsack over each leg's length and its shortest connection). The minimum over the given sets.
-    What a leg counts for here is never less than in a route: of what was seen before it counts as a look from elsewhere.
+    For any set of legs already taken, a route gains at most what that set does and the gains that single legs would add
+    to it, of which the track pays for only so many (fractional knapsack over each leg's length and its shortest
+    connection). The minimum over the given sets. What a leg counts for here is never less than in a route: of what was
+    seen before it counts as a look from elsewhere.
     """
     tracks, cells, limits = problem.tracks, problem.cells, problem.limits
     if not tracks.n_legs:

@@ -12,7 +12,13 @@ from auv_mcm.records import SEABED_TYPES
 
 _ACROSS_RAD = math.radians(30.0)
 _ALONG_RAD = math.radians(60.0)
-_NAMES = {"flat": "flat floor", "ripple": "ripple", "rough": "rough floor", "vegetation": "vegetation", "unknown": "floor of unknown kind"}
+_NAMES = {
+    "flat": "flat floor",
+    "ripple": "ripple",
+    "rough": "rough floor",
+    "vegetation": "vegetation",
+    "unknown": "floor of unknown kind",
+}
 
 
 def area_words(m2: float) -> str:
@@ -25,7 +31,11 @@ def course_words(heading_rad: float) -> str:
 
 
 def survey_words(
-    heading_rad: float, gain_m2: NDArray[np.float64], seabed: NDArray[np.uint8], ripple_rad: NDArray[np.float32], looked: NDArray[np.bool_]
+    heading_rad: float,
+    gain_m2: NDArray[np.float64],
+    seabed: NDArray[np.uint8],
+    ripple_rad: NDArray[np.float32],
+    looked: NDArray[np.bool_],
 ) -> str:
     """Explain a survey leg.
 
@@ -40,10 +50,16 @@ def survey_words(
     words = [f"clears {share} at {course_words(heading_rad)}"]
     crests = np.isfinite(ripple_rad) & (seabed == commonest)
     if crests.any():
-        apart = np.abs(np.mod(ripple_rad[crests] - heading_rad, math.pi) - math.pi / 2.0)  # of the look from the crests' succession
+        apart = np.abs(
+            np.mod(ripple_rad[crests] - heading_rad, math.pi) - math.pi / 2.0
+        )  # of the look from the crests' succession
         typical = float(np.average(apart, weights=np.maximum(gain_m2[crests], 1e-9)))
         words[0] += (
-            " across the crests" if typical < _ACROSS_RAD else " along the crests" if typical > _ALONG_RAD else " oblique to the crests"
+            " across the crests"
+            if typical < _ACROSS_RAD
+            else " along the crests"
+            if typical > _ALONG_RAD
+            else " oblique to the crests"
         )
     again = float(gain_m2[looked].sum())
     if again > 0.05 * total:
@@ -57,6 +73,7 @@ def contact_words(legs: ContactLegs) -> str:
     looks = "one view" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} views"
     towards = round(legs.look_deg) % 360
     return (
-        f"second view of {contact.id} towards {towards:03d}° or {(towards + 180) % 360:03d}°, {legs.stand_off_m:.0f} m to the side: "
+        f"second view of {contact.id} towards {towards:03d}° or {(towards + 180) % 360:03d}°, {legs.stand_off_m:.0f} m "
+        "to the side: "
         f"p_mine {contact.p_mine:.2f} is undecided after {looks}"
     )

@@ -1,4 +1,5 @@
-"""Make the re-inspection plan that is proposed to a vehicle: legs past undecided contacts that stay inside its fence."""
+"""Make the re-inspection plan that is proposed to a vehicle: legs past undecided contacts that stay inside its
+fence."""
 
 from __future__ import annotations
 

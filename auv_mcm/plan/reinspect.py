@@ -25,7 +25,9 @@ from auv_mcm.settings.config import PlanConfig
 Place: TypeAlias = tuple[float, float]
 """Latitude and longitude, degrees."""
 
-SETTLING_RADII: Final = 1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
+SETTLING_RADII: Final = (
+    1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
+)
 _ARC_STEP_RAD: Final = math.radians(15.0)
 _MIN_STEP_M: Final = 1e-3  # way-points closer than this are one
 _DETOUR_M: Final = 1e6  # longer than any real tour
@@ -71,11 +73,12 @@ def plan_reinspection(
 
     Each contact is viewed from the first of its `next_look_deg` or from the opposite, whichever makes the shorter tour.
 
-    Per leg: `turn` points, `leg_entry` and `leg_exit`; a contact lies abeam of the middle of its leg at `stand_off_m`. The leg is
-    `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each point, [0, 2 pi).
-    Turns are planned a little wider than `turn_radius_m` so that the circles that touch the sides of the way-point polygon from inside
-    are not tighter than it either. may_run: whether a leg from place to place is wanted; others are planned only where a contact
-    leaves no choice. Equal input gives equal plans. Empty if no contact needs a second view.
+    Per leg: `turn` points, `leg_entry` and `leg_exit`; a contact lies abeam of the middle of its leg at `stand_off_m`.
+    The leg is `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each
+    point, [0, 2 pi). Turns are planned a little wider than `turn_radius_m` so that the circles that touch the sides of
+    the way-point polygon from inside are not tighter than it either. may_run: whether a leg from place to place is
+    wanted; others are planned only where a contact leaves no choice. Equal input gives equal plans. Empty if no contact
+    needs a second view.
 
     Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
@@ -84,7 +87,8 @@ def plan_reinspection(
         return ()
     if not all(map(math.isfinite, (start_latitude_deg, start_longitude_deg, start_heading_rad))):
         raise BadInputError(
-            f"re-inspection plan: the start pose is not known (latitude {start_latitude_deg}, longitude {start_longitude_deg}, "
+            f"re-inspection plan: the start pose is not known (latitude {start_latitude_deg}, longitude "
+            f"{start_longitude_deg}, "
             f"heading {start_heading_rad} rad); give a navigated pose to start from"
         )
     frame = LocalFrame(latitude_deg=start_latitude_deg, longitude_deg=start_longitude_deg)
@@ -93,30 +97,49 @@ def plan_reinspection(
     legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config)]
     unwanted_m = np.array([0.0 if may_run(*leg.ends_deg) else _DETOUR_M for leg in legs])
     tour = short_tour(_connections(start, legs, radius_m) + _shares(unwanted_m))
-    return _waypoints(start, (start_latitude_deg, start_longitude_deg), [legs[index] for index in tour], radius_m, frame, config)
+    return _waypoints(
+        start, (start_latitude_deg, start_longitude_deg), [legs[index] for index in tour], radius_m, frame, config
+    )
 
 
 def _ways_past(contact: Contact, plan_frame: LocalFrame, config: PlanConfig) -> list[_Leg]:
     """Lay four legs per contact: on either side, in either direction. Number i sailed backwards is number i ^ 1.
 
-    Legs are laid out in the contact's own frame: true north at the contact is what its aspects refer to, which matters near the poles.
+    Legs are laid out in the contact's own frame: true north at the contact is what its aspects refer to, which matters
+    near the poles.
     """
     frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg)
     course_deg = contact.next_look_deg[0] - 90.0
     course = math.radians(course_deg)
-    along, right = np.array([math.sin(course), math.cos(course), 0.0]), np.array([math.cos(course), -math.sin(course), 0.0])
+    along, right = (
+        np.array([math.sin(course), math.cos(course), 0.0]),
+        np.array([math.cos(course), -math.sin(course), 0.0]),
+    )
     half_m = config.leg_length_m / 2.0 + SETTLING_RADII * config.turn_radius_m
     legs = []
     for side in (1.0, -1.0):  # the track runs on this side (1: right) of the contact, as seen along the course
         for way in (1.0, -1.0):
             track_deg = (course_deg + (0.0 if way > 0.0 else 180.0)) % 360.0
             middle = side * config.stand_off_m * right
-            latitude, longitude, height = frame.to_geodetic([middle - way * half_m * along, middle + way * half_m * along])
-            (east0, north0, _), (east1, north1, _) = plan_frame.to_enu(latitude, longitude, np.zeros_like(height)).tolist()
+            latitude, longitude, height = frame.to_geodetic(
+                [middle - way * half_m * along, middle + way * half_m * along]
+            )
+            (east0, north0, _), (east1, north1, _) = plan_frame.to_enu(
+                latitude, longitude, np.zeros_like(height)
+            ).tolist()
             heading = math.atan2(east1 - east0, north1 - north0)
             ends = (float(latitude[0]), float(longitude[0])), (float(latitude[1]), float(longitude[1]))
             look_side = "port" if side * way > 0.0 else "starboard"
-            legs.append(_Leg(contact, look_side, track_deg, PlanePose(east0, north0, heading), PlanePose(east1, north1, heading), ends))
+            legs.append(
+                _Leg(
+                    contact,
+                    look_side,
+                    track_deg,
+                    PlanePose(east0, north0, heading),
+                    PlanePose(east1, north1, heading),
+                    ends,
+                )
+            )
     return legs
 
 
@@ -137,7 +160,12 @@ def _shares(unwanted_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _waypoints(
-    start: PlanePose, start_deg: tuple[float, float], legs: list[_Leg], radius_m: float, frame: LocalFrame, config: PlanConfig
+    start: PlanePose,
+    start_deg: tuple[float, float],
+    legs: list[_Leg],
+    radius_m: float,
+    frame: LocalFrame,
+    config: PlanConfig,
 ) -> tuple[Waypoint, ...]:
     waypoints: list[Waypoint] = []
 
@@ -171,7 +199,9 @@ def _waypoints(
     return tuple(waypoints)
 
 
-def on_the_globe(poses: NDArray[np.float64], frame: LocalFrame) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def on_the_globe(
+    poses: NDArray[np.float64], frame: LocalFrame
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Convert (n, 3) poses in a plane to (n,) latitudes, longitudes and true courses in [0, 2 pi).
 
     The plane's north turns against true north, most near the poles.
@@ -195,6 +225,7 @@ def _reason(leg: _Leg, config: PlanConfig) -> str:
     looks = "one view" if len(contact.aspects_deg) == 1 else f"{len(contact.aspects_deg)} views"
     look_deg = round(leg.track_deg + (90.0 if leg.look_side == "starboard" else -90.0)) % 360
     return (
-        f"second view of {contact.id}: p_mine {contact.p_mine:.2f} is undecided after {looks}; this leg looks towards {look_deg:03d}°, "
+        f"second view of {contact.id}: p_mine {contact.p_mine:.2f} is undecided after {looks}; this leg looks towards "
+        f"{look_deg:03d}°, "
         f"in the widest gap between the directions viewed, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
     )

@@ -80,7 +80,9 @@ def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> Searched
     found = SearchedRoute(problem, route, _net_m2(problem, route))
     wanting = Wanting(problem)
     wanting.take_all(way // 2 for way in route)
-    if worth_m2(problem, (way // 2 for way in route)) >= NEARLY_ALL * wanting_m2_of(problem) or (route and not more_time()):
+    if worth_m2(problem, (way // 2 for way in route)) >= NEARLY_ALL * wanting_m2_of(problem) or (
+        route and not more_time()
+    ):
         return found
     # Rough ways have misjudged what the track suffices for: there may be some left.
     for leg in _fitting(problem, route, wanting):

@@ -76,9 +76,10 @@ class PlannedLeg(NamedTuple):
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
     """Hold legs in sailing order, and way-points on the globe.
 
-    length_m: track from the vehicle to the end of the last leg. gain_m2: what they gain, square metres of unsearched floor made clear;
-    bound_m2: no plan of the candidate legs gains more. verdict: "" for a plan that leads to the required clearance as far as it can be
-    foreseen; else "done: ...", or "cannot, because ...", the latter also beside a plan that gets only part of the way.
+    length_m: track from the vehicle to the end of the last leg. gain_m2: what they gain, square metres of unsearched
+    floor made clear; bound_m2: no plan of the candidate legs gains more. verdict: "" for a plan that leads to the
+    required clearance as far as it can be foreseen; else "done: ...", or "cannot, because ...", the latter also beside
+    a plan that gets only part of the way.
     """
 
     waypoints: tuple[Waypoint, ...] = ()
@@ -89,7 +90,9 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     verdict: str = ""
 
 
-def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]) -> Plan:
+def replan(
+    world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan | None, more_time: Callable[[], bool]
+) -> Plan:
     """Plan from here.
 
     The plan improves as long as `more_time` returns true; it is first called when the first legs are known. Equal input
@@ -101,7 +104,8 @@ def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan |
     """
     if world.area.shape != world.clearance.looks.shape:
         raise ValueError(
-            f"area {world.area.shape} and clearance {world.clearance.looks.shape} are not laid out alike: use clearance_map.clearance_over"
+            f"area {world.area.shape} and clearance {world.clearance.looks.shape} are not laid out alike: use "
+            "clearance_map.clearance_over"
         )
     if not 0.0 < world.required <= HIGHEST_REQUIRED:
         raise ValueError(f"required probability {world.required} is outside (0, {HIGHEST_REQUIRED}]")
@@ -115,7 +119,9 @@ def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan |
     cells = _open_cells(world, is_open, wanted)
     known = _left_of(previous, pose)
     looks = contact_legs(asking, world.clearance, world.performance, limits)
-    tracks = survey_tracks(cells, world.performance, limits, [(leg.entry, leg.exit) for leg in known if not leg.contact_id], more_time)
+    tracks = survey_tracks(
+        cells, world.performance, limits, [(leg.entry, leg.exit) for leg in known if not leg.contact_id], more_time
+    )
     problem = _problem(tracks, looks, cells, world.performance, pose, limits)._replace(enough_m2=_enough_m2(world))
     if not problem.tracks.n_legs:
         if not is_open.any():
@@ -133,7 +139,9 @@ def replan(world: SurveyState, pose: PlanePose, limits: Limits, previous: Plan |
     if kept and not _is_better(problem, route, kept):
         route = kept
     plan = _plan(problem, route, looks, world)
-    return msgspec.structs.replace(plan, bound_m2=max(bound_m2, plan.gain_m2), verdict=_verdict(problem, route, world, is_open))
+    return msgspec.structs.replace(
+        plan, bound_m2=max(bound_m2, plan.gain_m2), verdict=_verdict(problem, route, world, is_open)
+    )
 
 
 def _open_cells(world: SurveyState, is_open: NDArray[np.bool_], wanted: float) -> Cells:
@@ -166,7 +174,9 @@ def _enough_m2(world: SurveyState) -> float:
     return max(world.mean_required - float(p.mean()), 0.0) * p.size * world.clearance.cell_m**2 / world.required
 
 
-def _problem(tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: LookModel, pose: PlanePose, limits: Limits) -> Problem:
+def _problem(
+    tracks: Tracks, looks: list[ContactLegs], cells: Cells, model: LookModel, pose: PlanePose, limits: Limits
+) -> Problem:
     """Pose the problem: survey legs, then legs past contacts."""
     n_survey = tracks.n_legs
     n_sides = [len(look.runs) for look in looks]
@@ -201,7 +211,9 @@ def _left_of(previous: Plan | None, pose: PlanePose) -> list[PlannedLeg]:
         turned = abs(math.remainder(pose.heading_rad - leg.entry.heading_rad, 2.0 * math.pi))
         length = math.hypot(leg.exit.east_m - leg.entry.east_m, leg.exit.north_m - leg.entry.north_m)
         if 0.0 < along < length and abs(beside) < 2.0 and turned < _ON_TRACK_RAD:
-            ahead = PlanePose(leg.entry.east_m + along * sine, leg.entry.north_m + along * cosine, leg.entry.heading_rad)
+            ahead = PlanePose(
+                leg.entry.east_m + along * sine, leg.entry.north_m + along * cosine, leg.entry.heading_rad
+            )
             return [leg._replace(entry=ahead), *legs[place + 1 :]]
     return legs
 
@@ -215,7 +227,11 @@ def _kept_route(problem: Problem, known: list[PlannedLeg]) -> list[int]:
         ends = np.array([leg.entry[:2], leg.exit[:2]])
         for way in (0, 1):
             there = runs[:, :: 1 - 2 * way, :2]
-            match = np.flatnonzero(np.abs(there - ends).max(axis=(1, 2), initial=0.0) < 0.01) if len(runs) else np.empty(0, dtype=int)
+            match = (
+                np.flatnonzero(np.abs(there - ends).max(axis=(1, 2), initial=0.0) < 0.01)
+                if len(runs)
+                else np.empty(0, dtype=int)
+            )
             if len(match):
                 number = int(match[-1])
                 if wanting.gain_m2(number) > 1e-6:
@@ -234,9 +250,13 @@ def _is_better(problem: Problem, route: list[int], kept: list[int]) -> bool:
 
 def _plan(problem: Problem, route: list[int], looks: list[ContactLegs], world: SurveyState) -> Plan:
     """Make a plan with words of the route."""
-    frame = LocalFrame(latitude_deg=world.clearance.origin_latitude_deg, longitude_deg=world.clearance.origin_longitude_deg)
+    frame = LocalFrame(
+        latitude_deg=world.clearance.origin_latitude_deg, longitude_deg=world.clearance.origin_longitude_deg
+    )
     cells, tracks = problem.cells, problem.tracks
-    of_leg = dict(zip(np.flatnonzero(tracks.heading < 0).tolist(), (look for look in looks for _ in look.runs), strict=True))
+    of_leg = dict(
+        zip(np.flatnonzero(tracks.heading < 0).tolist(), (look for look in looks for _ in look.runs), strict=True)
+    )
     wanting = Wanting(problem)
     legs: list[PlannedLeg] = []
     points: list[tuple[PlanePose, int, str]] = []  # pose, number of the leg, kind
@@ -250,7 +270,10 @@ def _plan(problem: Problem, route: list[int], looks: list[ContactLegs], world: S
         else:
             part, gained = wanting.per_cell(leg)
             cell, gained = tracks.cell[part][gained > 0.0], gained[gained > 0.0]
-            contact_id, why = "", survey_words(entry.heading_rad, gained, cells.seabed[cell], cells.ripple_rad[cell], cells.looked[cell])
+            contact_id, why = (
+                "",
+                survey_words(entry.heading_rad, gained, cells.seabed[cell], cells.ripple_rad[cell], cells.looked[cell]),
+            )
         wanting.take(leg)
         legs.append(PlannedLeg(entry, leave, gain, contact_id, why))
         path = problem.turns.between(pose, entry)
@@ -260,7 +283,10 @@ def _plan(problem: Problem, route: list[int], looks: list[ContactLegs], world: S
         turn = sample_path(path, ARC_STEP_RAD)
         steps = np.hypot(*np.diff(turn[:, :2], axis=0).T)
         away = np.hypot(*(turn[1:, :2] - entry[:2]).T)
-        points += [(PlanePose(*place), number, "turn") for place in turn[1:][(steps > _MIN_STEP_M) & (away > _MIN_STEP_M)].tolist()]
+        points += [
+            (PlanePose(*place), number, "turn")
+            for place in turn[1:][(steps > _MIN_STEP_M) & (away > _MIN_STEP_M)].tolist()
+        ]
         points += [(entry, number, "leg_entry"), (leave, number, "leg_exit")]
         length_m += path.length_m + float(tracks.length_m[leg])
         pose = leave
@@ -273,7 +299,9 @@ def _plan(problem: Problem, route: list[int], looks: list[ContactLegs], world: S
             longitude_deg=float(longitude[at]),
             heading_rad=float(course[at]),
             contact_id=legs[number - 1].contact_id,
-            why={"start": "where the plan starts", "turn": f"turn towards leg {number}"}.get(kind, legs[number - 1].why),
+            why={"start": "where the plan starts", "turn": f"turn towards leg {number}"}.get(
+                kind, legs[number - 1].why
+            ),
         )
         for at, (_, number, kind) in enumerate(points)
     )
@@ -283,7 +311,10 @@ def _plan(problem: Problem, route: list[int], looks: list[ContactLegs], world: S
 def _done(world: SurveyState) -> str:
     if not world.area.any():
         return "done: there is no area to clear and no contact that requests a view"
-    return f"done: required clearance of {world.required:.2f} reached in all of {area_words(world.area.sum() * world.clearance.cell_m**2)}"
+    return (
+        f"done: required clearance of {world.required:.2f} reached in all of "
+        f"{area_words(world.area.sum() * world.clearance.cell_m**2)}"
+    )
 
 
 def _why_nothing(world: SurveyState, cells: Cells, is_open: NDArray[np.bool_], limits: Limits) -> str:
@@ -294,7 +325,10 @@ def _why_nothing(world: SurveyState, cells: Cells, is_open: NDArray[np.bool_], l
         reason = "the sonar finds nothing on such a sea floor"
     else:
         reason = "no straight leg over it with room for a turn at both ends fits into the fence"
-    return f"{not_clear} are not clear and no leg adds to that: {reason}. The best that can be reached is {best:.2f} on average"
+    return (
+        f"{not_clear} are not clear and no leg adds to that: {reason}. The best that can be reached is {best:.2f} on "
+        "average"
+    )
 
 
 def _verdict(problem: Problem, route: list[int], world: SurveyState, is_open: NDArray[np.bool_]) -> str:
@@ -316,7 +350,8 @@ def _verdict(problem: Problem, route: list[int], world: SurveyState, is_open: ND
         mean = (n_clear * world.required + share * float(reach.sum())) / (n_clear + share * len(reach))
         short_m2, area_m2 = (n * cells.cell_m**2 for n in (share * np.count_nonzero(never), world.area.sum()))
         return (
-            f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to {world.required:.2f} by any leg; "
+            f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to "
+            f"{world.required:.2f} by any leg; "
             f"the best that can be reached is {mean:.2f} on average and {float(reach.min()):.2f} in the worst cell"
         )
     wanting_m2, gain_m2 = wanting_m2_of(problem), worth_m2(problem, (way // 2 for way in route))

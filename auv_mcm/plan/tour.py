@@ -1,8 +1,10 @@
 """Order straight legs, and the direction of each: a short open tour over measured connections.
 
-Every contact k can be passed in four ways, numbered 4 k .. 4 k + 3; way i sailed backwards is way i ^ 1. `cost[0, j]` is the length from
-the start to way j's entry, `cost[i + 1, j]` from way i's exit to way j's entry. A path sailed backwards is as long:
-cost[i + 1, j] == cost[(j ^ 1) + 1, i ^ 1], so reversing a stretch of the tour changes only the two connections at its ends.
+Every contact k can be passed in four ways, numbered 4 k .. 4 k + 3; way i sailed backwards is way i ^ 1. `cost[0, j]`
+is the length from the start to way j's entry, `cost[i + 1, j]` from way i's exit to way j's entry. A path sailed
+backwards is as long:
+cost[i + 1, j] == cost[(j ^ 1) + 1, i ^ 1], so reversing a stretch of the tour changes only the two connections at its
+ends.
 """
 
 from __future__ import annotations
@@ -44,13 +46,15 @@ def nearly_shortest_tour(cost: Costs, more_time: Callable[[], bool] = lambda: Tr
 
     It improves as long as there is more time.
 
-    Insertion where it costs least, then the best of 2-opt (reverse a stretch), Or-opt (move one contact, any way) and the best ways for the
-    order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman problem", 1965; I. Or, 1976), then
-    every stretch of a few contacts in its best order, and so on until neither helps.
+    Insertion where it costs least, then the best of 2-opt (reverse a stretch), Or-opt (move one contact, any way) and
+    the best ways for the order found, until nothing gets shorter (S. Lin, "Computer solutions of the traveling salesman
+    problem", 1965; I. Or, 1976), then every stretch of a few contacts in its best order, and so on until neither helps.
     """
     as_numbered = _best_ways(list(range(cost.shape[1] // WAYS)), cost)
     tours = [_improved(tour, cost, more_time) for tour in (_inserted(cost), as_numbered)]
-    return min((_stretches_in_best_order(tour, cost, more_time) for tour in tours), key=lambda tour: tour_length(tour, cost))
+    return min(
+        (_stretches_in_best_order(tour, cost, more_time) for tour in tours), key=lambda tour: tour_length(tour, cost)
+    )
 
 
 def _inserted(cost: Costs) -> list[int]:
@@ -77,7 +81,9 @@ def _improved(tour: list[int], cost: Costs, more_time: Callable[[], bool]) -> li
     length = tour_length(tour, cost)
     while moves_left > 0 and more_time():
         moves_left -= len(tour) * len(tour) * (WAYS + 1)
-        shorter = min((_reversed_stretch(tour, cost), _moved_contact(tour, cost)), key=lambda other: tour_length(other, cost))
+        shorter = min(
+            (_reversed_stretch(tour, cost), _moved_contact(tour, cost)), key=lambda other: tour_length(other, cost)
+        )
         if tour_length(shorter, cost) > length - _MIN_GAIN_M:
             shorter = _best_ways([way // WAYS for way in tour], cost)
             if tour_length(shorter, cost) > length - _MIN_GAIN_M:
@@ -132,8 +138,8 @@ def _stretches_in_best_order(tour: list[int], cost: Costs, more_time: Callable[[
 def _shortest_through(before: int, contacts: list[int], after: int | None, cost: Costs) -> list[int]:
     """Find the shortest way from row `before` of `cost` through all contacts to way `after` (None: any end).
 
-    Dynamic programming over sets of contacts and the way sailed last (M. Held and R. M. Karp, "A dynamic programming approach to
-    sequencing problems", 1962), all sets of equal size at once.
+    Dynamic programming over sets of contacts and the way sailed last (M. Held and R. M. Karp, "A dynamic programming
+    approach to sequencing problems", 1962), all sets of equal size at once.
     """
     ways, bits, reach = _shortest_to(before, contacts, cost)
     done_set = len(reach) - 1
@@ -159,7 +165,9 @@ def richest_tour(cost: Costs, runs_m: Costs, worth: Costs, budget_m: float) -> l
 _Bits: TypeAlias = NDArray[np.int64]
 
 
-def _shortest_to(before: int, contacts: list[int], cost: Costs, runs_m: Costs | None = None) -> tuple[_Bits, _Bits, Costs]:
+def _shortest_to(
+    before: int, contacts: list[int], cost: Costs, runs_m: Costs | None = None
+) -> tuple[_Bits, _Bits, Costs]:
     """Compute the ways past the contacts, each way's contact bit, and the minimum lengths.
 
     Lengths are through every set of contacts to every way last.

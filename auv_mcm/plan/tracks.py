@@ -43,7 +43,10 @@ def bits_alike(look_rad: ArrayLike) -> NDArray[np.uint64]:
 
 def _bits_alike() -> NDArray[np.uint64]:
     look_rad = 2.0 * math.pi / N_LOOKS * np.arange(N_LOOKS)
-    apart = np.abs(np.mod(look_rad[:, np.newaxis] - look_rad + math.pi, 2.0 * math.pi) - math.pi) <= SAME_LOOK_RAD + _ROUNDING_RAD
+    apart = (
+        np.abs(np.mod(look_rad[:, np.newaxis] - look_rad + math.pi, 2.0 * math.pi) - math.pi)
+        <= SAME_LOOK_RAD + _ROUNDING_RAD
+    )
     return np.asarray((apart * _LOOK_BIT).sum(axis=1, dtype=np.uint64))
 
 
@@ -76,9 +79,10 @@ class Cells(NamedTuple):
 class Tracks(NamedTuple):
     """Legs, n in all; what leg i sees are elements [first[i], last[i]) of the arrays below, in order along its way.
 
-    run: (n, 2, 3) poses of entry and exit, settling included. cell: index into `Cells`; exponent: what a first look adds to it; bit: of its
-    direction, alike: of those that are nearly the same, uint64. line: number of the straight line that a leg is part of, lines in order
-    from side to side; heading: number of their heading, both -1 for legs past contacts, which count for nothing else.
+    run: (n, 2, 3) poses of entry and exit, settling included. cell: index into `Cells`; exponent: what a first look
+    adds to it; bit: of its direction, alike: of those that are nearly the same, uint64. line: number of the straight
+    line that a leg is part of, lines in order from side to side; heading: number of their heading, both -1 for legs
+    past contacts, which count for nothing else.
     """
 
     run: Array
@@ -146,7 +150,9 @@ def headings_rad(cells: Cells) -> list[float]:
     return headings[_N_HEADINGS:] + [headings[k] for k in _IN_TURN]
 
 
-def survey_tracks(cells: Cells, model: LookModel, limits: Limits, known: list[tuple[PlanePose, PlanePose]], more_time: MoreTime) -> Tracks:
+def survey_tracks(
+    cells: Cells, model: LookModel, limits: Limits, known: list[tuple[PlanePose, PlanePose]], more_time: MoreTime
+) -> Tracks:
     """Lay legs over open cells that can be entered and left inside the fence.
 
     As many headings are tried as there is time for, but at least until there is a leg. known: runs to be included.
@@ -228,7 +234,15 @@ class _Legs:
                 pieces += [(0, (high - low) // 2), ((high - low) // 2, high - low)]
             for begin, end in pieces:
                 if end > begin:
-                    self._add_piece(lines, number, low, along, float(along[begin]) - margin_m, float(along[end - 1]) + margin_m, inside)
+                    self._add_piece(
+                        lines,
+                        number,
+                        low,
+                        along,
+                        float(along[begin]) - margin_m,
+                        float(along[end - 1]) + margin_m,
+                        inside,
+                    )
         self._keep(lines)
 
     def add_run(self, lines: _Lines, entry: PlanePose, leave: PlanePose) -> None:
@@ -245,12 +259,20 @@ class _Legs:
         self._lines.append(lines)
         self._n_seen += len(lines.cell)
 
-    def _add_piece(self, lines: _Lines, number: int, low: int, along: Array, begin: float, end: float, inside: _Inside | None) -> None:
+    def _add_piece(
+        self, lines: _Lines, number: int, low: int, along: Array, begin: float, end: float, inside: _Inside | None
+    ) -> None:
         for run_begin, run_end in [(begin, end)] if inside is None else inside.parts(number, begin, end):
             self._add_run(lines, number, low, along, (run_begin, run_end), None)
 
     def _add_run(
-        self, lines: _Lines, number: int, low: int, along: Array, stretch: tuple[float, float], ends: tuple[PlanePose, PlanePose] | None
+        self,
+        lines: _Lines,
+        number: int,
+        low: int,
+        along: Array,
+        stretch: tuple[float, float],
+        ends: tuple[PlanePose, PlanePose] | None,
     ) -> None:
         begin, end = stretch
         # A cell counts if all of it lies abeam of the credited run.
@@ -263,7 +285,9 @@ class _Legs:
 
     def tracks(self) -> Tracks:
         first, last, line, heading = np.array(self._numbers, dtype=np.int64).reshape(-1, 4).T
-        sides = [(look_number(lines.heading_rad - RIGHT), look_number(lines.heading_rad + RIGHT)) for lines in self._lines]
+        sides = [
+            (look_number(lines.heading_rad - RIGHT), look_number(lines.heading_rad + RIGHT)) for lines in self._lines
+        ]
         looks = [np.where(lines.to_right, right, left) for lines, (left, right) in zip(self._lines, sides, strict=True)]
         look = np.concatenate([np.empty(0, dtype=np.int64), *looks])
         tracks = Tracks(
@@ -290,7 +314,12 @@ def _box_inside(lines: _Lines, margin_m: float, limits: Limits) -> bool:
     wide_m = 2.0 * limits.turn_radius_m
     low = np.array([float(lines.along_m.min()) - margin_m - wide_m, float(lines.offset_m[0]) - wide_m])
     high = np.array([float(lines.along_m.max()) + margin_m + wide_m, float(lines.offset_m[-1]) + wide_m])
-    corners = np.array([along * ahead + across * right for along, across in ((low[0], low[1]), (low[0], high[1]), high, (high[0], low[1]))])
+    corners = np.array(
+        [
+            along * ahead + across * right
+            for along, across in ((low[0], low[1]), (low[0], high[1]), high, (high[0], low[1]))
+        ]
+    )
     places = np.column_stack([fence @ ahead, fence @ right])
     if ((places > low) & (places < high)).all(axis=1).any():
         return False
@@ -333,7 +362,9 @@ def enterable(run: Array, limits: Limits) -> NDArray[np.bool_]:
 
 
 def _only(tracks: Tracks, kept: NDArray[np.bool_]) -> Tracks:
-    return tracks._replace(**{name: getattr(tracks, name)[kept] for name in ("run", "first", "last", "line", "heading")})
+    return tracks._replace(
+        **{name: getattr(tracks, name)[kept] for name in ("run", "first", "last", "line", "heading")}
+    )
 
 
 def _across(pose: PlanePose) -> float:

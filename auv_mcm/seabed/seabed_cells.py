@@ -16,12 +16,13 @@ Array = NDArray[np.float64]
 
 _UNKNOWN: Final = SEABED_TYPES.index("unknown")
 _RIPPLE: Final = SEABED_TYPES.index("ripple")
-_COUPLING: Final = (
-    0.7  # nats that a neighbouring cell of the same kind adds; a value of 1 changes the share classified right by less than 0.005
-)
+# Nats that a neighbouring cell of the same kind adds; a value of 1 changes the share classified right by less than
+# 0.005
+_COUPLING: Final = 0.7
 _SWEEPS: Final = 6
 _MIN_CONFIDENCE: Final = 0.6
-"""A cell less sure is `unknown`: 0.4 % of the mixed scene. At 0.75 it is 2 %, of which two thirds would have been right."""
+"""A cell less sure is `unknown`: 0.4 % of the mixed scene. At 0.75 it is 2 %, of which two thirds would have been
+right."""
 
 
 def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
@@ -49,14 +50,17 @@ def seabed_cells(tile: Tile, model: SeabedModel) -> SeabedCells:
 def smoothed(log_p: Array, measured: NDArray[np.bool_]) -> Array:
     """Combine each cell's own evidence with its eight neighbours: (n_along, n_across, n_kinds) posteriors.
 
-    A Potts field solved by mean field, parallel and with a fixed number of sweeps. Cells that were not measured have no effect.
+    A Potts field solved by mean field, parallel and with a fixed number of sweeps. Cells that were not measured have no
+    effect.
     """
     own = log_p
     posterior = _softmax(own)
     for _ in range(_SWEEPS):
         weighted = np.pad(posterior * measured[..., np.newaxis], ((1, 1), (1, 1), (0, 0)))
         n_along, n_across = measured.shape
-        around = sum(weighted[i : i + n_along, j : j + n_across] for i in range(3) for j in range(3) if (i, j) != (1, 1))
+        around = sum(
+            weighted[i : i + n_along, j : j + n_across] for i in range(3) for j in range(3) if (i, j) != (1, 1)
+        )
         posterior = _softmax(own + _COUPLING * around)
     return posterior
 

@@ -1,8 +1,8 @@
 """Weigh textures into probabilities of kinds of sea floor.
 
-A small network (C. M. Bishop, "Pattern Recognition and Machine Learning", 2006, Ch. 5) weighs textures and the grazing angle, which changes
-textures as well. Beside it stands the Gaussian of all textures that were learnt: what lies far outside it is
-`unknown`.
+A small network (C. M. Bishop, "Pattern Recognition and Machine Learning", 2006, Ch. 5) weighs textures and the grazing
+angle, which changes textures as well. Beside it stands the Gaussian of all textures that were learnt: what lies far
+outside it is `unknown`.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ class Gaussian(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class SeabedModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Describe the textures of each kind of sea floor.
 
-    fitted_on: the missions. inputs: names of what is weighed, in order: textures, and the natural logarithm of the cotangent of the grazing
-    angle; centre and scale make them comparable. layers: units of all but the last are tanh of their sums; the last one has a sum per
-    kind, the log-odds up to what is the same for all.
+    fitted_on: the missions. inputs: names of what is weighed, in order: textures, and the natural logarithm of the
+    cotangent of the grazing angle; centre and scale make them comparable. layers: units of all but the last are tanh of
+    their sums; the last one has a sum per kind, the log-odds up to what is the same for all.
     """
 
     fitted_on: str
@@ -122,8 +122,8 @@ def bounded(x: Array) -> Array:
 def fitted_gaussian(x: Array, shrinkage: float, ridge: float, kept: float) -> Gaussian:
     """Fit the Gaussian of standardised inputs (n_samples, len(INPUTS)).
 
-    The covariance is drawn towards its own diagonal by `shrinkage` (0 to 1), and `ridge` times its mean variance is added. kept: share of
-    the samples within the novelty. Raises ValueError for fewer samples than inputs.
+    The covariance is drawn towards its own diagonal by `shrinkage` (0 to 1), and `ridge` times its mean variance is
+    added. kept: share of the samples within the novelty. Raises ValueError for fewer samples than inputs.
     """
     if x.shape[0] <= x.shape[1]:
         raise ValueError(f"{x.shape[0]} samples for {x.shape[1]} inputs: give more missions")
@@ -155,13 +155,16 @@ def parse_seabed_model(data: bytes, place: str) -> SeabedModel:
 
 
 def configured_seabed_model(config: Config) -> SeabedModel:
-    """Read the model that `detect.seabed_model` names. Raises BadInputError for a file that cannot be read or is not a model."""
+    """Read the model that `detect.seabed_model` names. Raises BadInputError for a file that cannot be read or is not a
+    model."""
     return read_model("detect.seabed_model", config.detect.seabed_model, parse_seabed_model, shipped_seabed_model)
 
 
 def shipped_seabed_model() -> SeabedModel:
     """Read the model that ships with the package."""
-    return parse_seabed_model(resources.files("auv_mcm.seabed").joinpath("model.json").read_bytes(), "seabed/model.json")
+    return parse_seabed_model(
+        resources.files("auv_mcm.seabed").joinpath("model.json").read_bytes(), "seabed/model.json"
+    )
 
 
 def kind_indices(model: SeabedModel) -> NDArray[np.uint8]:

@@ -1,10 +1,12 @@
-"""Measure the texture of sea floor: how uneven it is at several scales, whether it has a direction, how many shadows and how bright it is.
+"""Measure the texture of sea floor: how uneven it is at several scales, whether it has a direction, how many shadows
+and how bright it is.
 
-Variances of logarithms at several scales are the lacunarity of D. P. Williams ("Fast unsupervised seafloor characterization in sonar
-imagery using lacunarity", IEEE TGRS 53, 2015), which one glint cannot upset; complexity and anisotropy together are the axes of M. Geilhufe
-and O. Midtgaard (FFI, "Quantifying the complexity in sonar images for MCM performance estimation", 2014). Ripples are a peak of the
-spectrum. What stands up from the floor is bright first and dark behind, so that differences along the range are skewed; texture that lies
-flat is not. Each cell is measured in windows of three sizes around it: small ones locate borders, large ones identify the kind.
+Variances of logarithms at several scales are the lacunarity of D. P. Williams ("Fast unsupervised seafloor
+characterization in sonar imagery using lacunarity", IEEE TGRS 53, 2015), which one glint cannot upset; complexity and
+anisotropy together are the axes of M. Geilhufe and O. Midtgaard (FFI, "Quantifying the complexity in sonar images for
+MCM performance estimation", 2014). Ripples are a peak of the spectrum. What stands up from the floor is bright first
+and dark behind, so that differences along the range are skewed; texture that lies flat is not. Each cell is measured in
+windows of three sizes around it: small ones locate borders, large ones identify the kind.
 """
 
 from __future__ import annotations
@@ -48,7 +50,16 @@ _IN_WINDOW: Final = (
     "contrast_fine",
     "likeness_fine",
 )
-_IN_CELL: Final = ("spread", "skewness", "dark", "bright", "grain_along", "grain_across", "step_medium_along", "step_medium_across")
+_IN_CELL: Final = (
+    "spread",
+    "skewness",
+    "dark",
+    "bright",
+    "grain_along",
+    "grain_across",
+    "step_medium_along",
+    "step_medium_across",
+)
 WINDOWS: Final = {"small": 3, "large": 7}
 """Windows around a cell, in cells along each side."""
 NAMES: Final = (
@@ -91,9 +102,10 @@ class Texture(NamedTuple):
 
     NaN where too little is valid, and everywhere without an altitude.
 
-    ripple_rad, wavelength_m (n_along, n_across): of the spectrum's highest peak, whether or not it stands out: direction across the
-    crests, 0 along the track and pi / 2 towards far range, [0, pi). cot_grazing (n_across,): ground range of the cells' middles over the
-    altitude, which is the cotangent of the grazing angle. cell_m: sides of a cell along and across, as the tile's pixels allow.
+    ripple_rad, wavelength_m (n_along, n_across): of the spectrum's highest peak, whether or not it stands out:
+    direction across the crests, 0 along the track and pi / 2 towards far range, [0, pi). cot_grazing (n_across,):
+    ground range of the cells' middles over the altitude, which is the cotangent of the grazing angle. cell_m: sides of
+    a cell along and across, as the tile's pixels allow.
     """
 
     features: Array
@@ -106,11 +118,12 @@ class Texture(NamedTuple):
 def measure_texture(tile: Tile) -> Texture:
     """Measure the cells of a tile's core, in windows that reach into the overlap.
 
-    Spreads, grains, lags and steps are natural logarithms of variances, or of half mean squared differences, of logarithmic echoes: of
-    blocks of 0.24 m (spread; grain over one block, lag over four), of two by two (medium), four by four (coarse) and eight by eight blocks
-    (wide). rises are skewnesses of differences towards far range; dark and bright logarithms of the shares of such blocks. ripple_peak is
-    the logarithm of the spectrum's highest value over its mean at all wavenumbers of that size; low_frequencies that of the share of
-    wavelengths above 1.5 m. levels are nats above the mission's mean at the same grazing angle, 0 where that is not known.
+    Spreads, grains, lags and steps are natural logarithms of variances, or of half mean squared differences, of
+    logarithmic echoes: of blocks of 0.24 m (spread; grain over one block, lag over four), of two by two (medium), four
+    by four (coarse) and eight by eight blocks (wide). rises are skewnesses of differences towards far range; dark and
+    bright logarithms of the shares of such blocks. ripple_peak is the logarithm of the spectrum's highest value over
+    its mean at all wavenumbers of that size; low_frequencies that of the share of wavelengths above 1.5 m. levels are
+    nats above the mission's mean at the same grazing angle, 0 where that is not known.
     """
     block = max(1, round(BLOCK_M / tile.row_spacing_m)), max(1, round(BLOCK_M / tile.column_spacing_m))
     block_m = block[0] * tile.row_spacing_m, block[1] * tile.column_spacing_m
@@ -138,7 +151,8 @@ def measure_texture(tile: Tile) -> Texture:
 
 
 def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Average the usable pixels of blocks, of the cells and a margin around; and 1 where half of a block is usable, else 0.
+    """Average the usable pixels of blocks, of the cells and a margin around; and 1 where half of a block is usable,
+    else 0.
 
     Then the means over blocks of the squares of pixels, and of products with the pixel 0.18 m farther out.
     """
@@ -271,8 +285,16 @@ def _statistics(sums: dict[str, Floats], names: tuple[str, ...]) -> Floats:
         "skewness": (sums["third"] / count - 3.0 * mean * sums["second"] / count + 2.0 * mean**3) / variance**1.5,
         "dark": np.log(sums["dark"] / count + _MIN_SHARE),
         "bright": np.log(sums["bright"] / count + _MIN_SHARE),
-        **{f"{name}_{way}": _log_half(sums, f"{name}_{way}") for name in ("grain", "lag") for way in ("along", "across")},
-        **{f"step_{size}_{way}": _log_half(sums, f"step_{size}_{way}") for size in ("medium", "coarse") for way in ("along", "across")},
+        **{
+            f"{name}_{way}": _log_half(sums, f"{name}_{way}")
+            for name in ("grain", "lag")
+            for way in ("along", "across")
+        },
+        **{
+            f"step_{size}_{way}": _log_half(sums, f"step_{size}_{way}")
+            for size in ("medium", "coarse")
+            for way in ("along", "across")
+        },
     }
     if "rise_near" in names:
         total = np.maximum(sums["tensor_along"] + sums["tensor_across"], np.float32(_SMALLEST))
@@ -313,7 +335,8 @@ def _log_spread(sums: dict[str, Floats], size: str) -> Floats:
 
 
 def _levels(tile: Tile, block: tuple[int, int], sums: dict[str, Floats], shape: tuple[int, int]) -> Floats:
-    """Measure how bright cells are against the mission's mean, in the cell, in the windows, and how much that varies in the large one."""
+    """Measure how bright cells are against the mission's mean, in the cell, in the windows, and how much that varies in
+    the large one."""
     around = np.full((shape[0] + 2 * MARGIN_CELLS, shape[1] + 2 * MARGIN_CELLS), np.nan, dtype=np.float32)
     if tile.level is not None and tile.level.size:
         rows = CELL_BLOCKS * block[0]
@@ -349,7 +372,9 @@ def _spectrum(level: Floats, valid: Floats, block_m: tuple[float, float]) -> tup
     margin = MARGIN_CELLS * CELL_BLOCKS - (WINDOW_BLOCKS - step) // 2
     n_along, n_across = (math.ceil((n - 2 * MARGIN_CELLS * CELL_BLOCKS) / step) for n in level.shape)
     inner = tuple(slice(margin, margin + (n - 1) * step + WINDOW_BLOCKS) for n in (n_along, n_across))
-    windows, holes = (sliding_window_view(part[inner], (WINDOW_BLOCKS, WINDOW_BLOCKS))[::step, ::step] for part in (level, valid))
+    windows, holes = (
+        sliding_window_view(part[inner], (WINDOW_BLOCKS, WINDOW_BLOCKS))[::step, ::step] for part in (level, valid)
+    )
     mean = windows.sum(axis=(-2, -1)) / np.maximum(holes.sum(axis=(-2, -1)), np.float32(1.0))
     taper = np.hanning(WINDOW_BLOCKS + 2)[1:-1].astype(np.float32)
     level_there = (windows - mean[..., np.newaxis, np.newaxis]) * holes * (taper[:, np.newaxis] * taper)
@@ -358,7 +383,8 @@ def _spectrum(level: Floats, valid: Floats, block_m: tuple[float, float]) -> tup
     along, across, ring, ripple, long = _wavenumbers(block_m)
     n_rows, n_columns = power.shape[-2:]
     flat = power.reshape(*power.shape[:2], n_rows * n_columns)
-    # A row more on each side and a column of negative wavenumbers, which are those of the opposite direction, for every one's neighbours.
+    # A row more on each side and a column of negative wavenumbers, which are those of the opposite direction, for every
+    # one's neighbours.
     wide = np.empty((*power.shape[:2], n_rows + 2, n_columns + 2), dtype=power.dtype)
     wide[..., 1:-1, 1:-1] = power
     wide[..., 1:-1, 0] = power[..., -np.arange(n_rows) % n_rows, 1]
@@ -386,10 +412,17 @@ def _spectrum(level: Floats, valid: Floats, block_m: tuple[float, float]) -> tup
     k_across = across[at] + moved_column / total / (WINDOW_BLOCKS * block_m[1])
     direction = np.mod(np.arctan2(k_across, k_along), math.pi)
     wavelength = 1.0 / np.maximum(np.hypot(k_along, k_across), _SMALLEST)
-    return np.log(peak + _FLOOR), np.log(share.astype(np.float64) + _FLOOR), np.where(direction >= math.pi, 0.0, direction), wavelength
+    return (
+        np.log(peak + _FLOOR),
+        np.log(share.astype(np.float64) + _FLOOR),
+        np.where(direction >= math.pi, 0.0, direction),
+        wavelength,
+    )
 
 
-def _wavenumbers(block_m: tuple[float, float]) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
+def _wavenumbers(
+    block_m: tuple[float, float],
+) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
     """Compute the wavenumbers of the half plane of the spectrum, flattened.
 
     Cycles per metre along and across, the ring each belongs to, which may be ripples, which are long.

@@ -1,4 +1,5 @@
-"""Define the `budget:` section of the configuration: the share of one core that perception may take, and what its work costs."""
+"""Define the `budget:` section of the configuration: the share of one core that perception may take, and what its work
+costs."""
 
 from __future__ import annotations
 
@@ -9,7 +10,9 @@ from msgspec import Meta
 
 
 def _price(unit: str) -> Meta:
-    return Meta(gt=0.0, le=1e7, description=f"price of {unit}, microseconds; 'auv-mcm calibrate budget --write' measures it")
+    return Meta(
+        gt=0.0, le=1e7, description=f"price of {unit}, microseconds; 'auv-mcm calibrate budget --write' measures it"
+    )
 
 
 _Duty: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.0)]
@@ -21,7 +24,8 @@ class BudgetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     duty: Annotated[
         _Duty | None,
         Meta(
-            description="share of one core's time, by the prices below, that the work on tiles may take; the likeliest places come "
+            description="share of one core's time, by the prices below, that the work on tiles may take; the likeliest "
+            "places come "
             "first, and what is not done earns less coverage; empty: everything is done"
         ),
     ] = None

@@ -1,7 +1,7 @@
 """Read one YAML file into one typed configuration, validated once, at the edge.
 
-Unknown keys, wrong types and out-of-range values are rejected with the key's path. Every field has a default, so an empty
-file is a valid configuration; `auv-mcm config --write` prints them all with their meaning.
+Unknown keys, wrong types and out-of-range values are rejected with the key's path. Every field has a default, so an
+empty file is a valid configuration; `auv-mcm config --write` prints them all with their meaning.
 """
 
 from __future__ import annotations
@@ -31,7 +31,12 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
 
     transfer: Annotated[
         Literal["auto", "amplitude", "intensity", "log"],
-        Meta(description="what a stored number is: amplitude, intensity, or a logarithm of it; auto decides from speckle statistics"),
+        Meta(
+            description=(
+                "what a stored number is: amplitude, intensity, or a logarithm of it; auto decides from speckle "
+                "statistics"
+            )
+        ),
     ] = "auto"
     db_per_count: Annotated[
         Annotated[float, Meta(ge=0.01, le=10.0)] | None,
@@ -43,22 +48,29 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     ] = "auto"
     full_scale: Annotated[
         Annotated[float, Meta(gt=0.0)] | None,
-        Meta(description="stored number at which the recorder clips; empty: found from integer samples, none for others"),
+        Meta(
+            description="stored number at which the recorder clips; empty: found from integer samples, none for others"
+        ),
     ] = None
     sound_speed_mps: Annotated[
         Annotated[float, Meta(ge=1400.0, le=1600.0)] | None,
         Meta(description="overrides the log's sound speed; empty: take it from the log, 1500 if absurd"),
     ] = None
-    blank_m: Annotated[float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")] = 1.0
+    blank_m: Annotated[
+        float, Meta(ge=0.0, le=50.0, description="ring-down: slant range ignored by bottom tracking, m")
+    ] = 1.0
     max_range_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="maximum range used, slant or ground, m")] = 200.0
     subsystem: Annotated[
         Literal[20, 21, 22] | None,
         Meta(
-            description="EdgeTech (jsf) only: which frequency is used, 20 low, 21 high, 22 very high; empty: the only one that a log "
+            description="EdgeTech (jsf) only: which frequency is used, 20 low, 21 high, 22 very high; empty: the only "
+            "one that a log "
             "holds, live 21"
         ),
     ] = None
-    beam_width_deg: Annotated[float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")] = 0.5
+    beam_width_deg: Annotated[
+        float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")
+    ] = 0.5
     lever_arm_m: Annotated[
         tuple[ArmLength, ArmLength, ArmLength],
         Meta(description="array position from the navigation reference: forward, starboard, down, m"),
@@ -66,7 +78,9 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     heading_offset_deg: Annotated[
         float, Meta(ge=-180.0, le=180.0, description="array axis against vehicle heading, clockwise, degrees")
     ] = 0.0
-    pitch_offset_deg: Annotated[float, Meta(ge=-45.0, le=45.0, description="array axis against vehicle pitch, bow up, degrees")] = 0.0
+    pitch_offset_deg: Annotated[
+        float, Meta(ge=-45.0, le=45.0, description="array axis against vehicle pitch, bow up, degrees")
+    ] = 0.0
 
 
 class NavigationConfig(_Section, frozen=True, kw_only=True):
@@ -75,19 +89,32 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
     max_extrapolation_s: Annotated[
         float,
         Meta(
-            gt=0.0, le=10.0, description="a ping farther than this from navigation, and not in a hole that is bridged, is flagged stale, s"
+            gt=0.0,
+            le=10.0,
+            description=(
+                "a ping farther than this from navigation, and not in a hole that is bridged, is flagged stale, s"
+            ),
         ),
     ] = 0.5
-    max_gap_s: Annotated[float, Meta(gt=0.0, le=60.0, description="longest hole between two fixes bridged by interpolation, s")] = 2.0
-    position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0, description="1-sigma of a position fix per axis, m")] = 1.0
+    max_gap_s: Annotated[
+        float, Meta(gt=0.0, le=60.0, description="longest hole between two fixes bridged by interpolation, s")
+    ] = 2.0
+    position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0, description="1-sigma of a position fix per axis, m")] = (
+        1.0
+    )
     heading_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of heading, degrees")] = 1.0
     pitch_sigma_deg: Annotated[float, Meta(ge=0.0, le=45.0, description="1-sigma of pitch, degrees")] = 0.5
     sound_speed_sigma_mps: Annotated[float, Meta(ge=0.0, le=50.0, description="1-sigma of sound speed, m/s")] = 5.0
-    max_speed_mps: Annotated[float, Meta(gt=0.0, le=30.0, description="ports only: reject fixes that imply a higher speed, m/s")] = 6.0
+    max_speed_mps: Annotated[
+        float, Meta(gt=0.0, le=30.0, description="ports only: reject fixes that imply a higher speed, m/s")
+    ] = 6.0
     recover_s: Annotated[
-        float, Meta(ge=0.0, le=600.0, description="ports only: a better unit is used again after being healthy this long, s")
+        float,
+        Meta(ge=0.0, le=600.0, description="ports only: a better unit is used again after being healthy this long, s"),
     ] = 5.0
-    surface_depth_m: Annotated[float, Meta(gt=0.0, le=20.0, description="ports only: reject satellite fixes deeper than this, m")] = 1.0
+    surface_depth_m: Annotated[
+        float, Meta(gt=0.0, le=20.0, description="ports only: reject satellite fixes deeper than this, m")
+    ] = 1.0
 
 
 class WaterfallConfig(_Section, frozen=True, kw_only=True):
@@ -99,18 +126,28 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
     max_ping_gap_m: Annotated[
         float, Meta(gt=0.0, le=10.0, description="farther apart along track, pings leave a gap without coverage, m")
     ] = 0.6
-    max_turn_rate_deg_s: Annotated[float, Meta(gt=0.0, le=90.0, description="faster than this a row is a turn, deg/s")] = 5.0
+    max_turn_rate_deg_s: Annotated[
+        float, Meta(gt=0.0, le=90.0, description="faster than this a row is a turn, deg/s")
+    ] = 5.0
     max_spacing_ratio: Annotated[
-        float, Meta(gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn")
+        float,
+        Meta(
+            gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn"
+        ),
     ] = 2.0
-    min_grazing_deg: Annotated[float, Meta(ge=0.0, le=60.0, description="minimum grazing angle of detection and coverage, degrees")] = 1.0
+    min_grazing_deg: Annotated[
+        float, Meta(ge=0.0, le=60.0, description="minimum grazing angle of detection and coverage, degrees")
+    ] = 1.0
     max_grazing_deg: Annotated[
-        float, Meta(ge=10.0, le=90.0, description="maximum grazing angle; steeper is low resolution (near nadir), degrees")
+        float,
+        Meta(ge=10.0, le=90.0, description="maximum grazing angle; steeper is low resolution (near nadir), degrees"),
     ] = 70.0
 
     def __post_init__(self) -> None:
         if self.min_grazing_deg >= self.max_grazing_deg:
-            raise ValueError(f"min_grazing_deg ({self.min_grazing_deg}) must be below max_grazing_deg ({self.max_grazing_deg})")
+            raise ValueError(
+                f"min_grazing_deg ({self.min_grazing_deg}) must be below max_grazing_deg ({self.max_grazing_deg})"
+            )
 
 
 class DetectConfig(_Section, frozen=True, kw_only=True):
@@ -120,7 +157,8 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         str,
         Meta(
             min_length=1,
-            description="the trained cascade: shipped, none, or the path of a model file; one that was not trained for the "
+            description="the trained cascade: shipped, none, or the path of a model file; one that was not trained for "
+            "the "
             "pixel sizes below is not used, with a notice",
         ),
     ] = "shipped"
@@ -128,14 +166,18 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         str,
         Meta(
             min_length=1,
-            description="what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate seabed' wrote",
+            description=(
+                "what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate seabed' "
+                "wrote"
+            ),
         ),
     ] = "shipped"
     performance: Annotated[
         str,
         Meta(
             min_length=1,
-            description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file that "
+            description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file "
+            "that "
             "'auv-mcm calibrate performance' wrote",
         ),
     ] = "shipped"
@@ -145,12 +187,18 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         Meta(
             ge=1e-12,
             lt=0.5,
-            description="tail probability of one pair of contrast boxes in pure speckle; the best of many pairs counts, "
+            description="tail probability of one pair of contrast boxes in pure speckle; the best of many pairs "
+            "counts, "
             "so that one pixel in eighty of white speckle is above the default",
         ),
     ] = 1e-4
     max_candidates_per_tile: Annotated[
-        int, Meta(ge=0, le=100_000, description="maximum number of candidates measured per tile and side, best first; the rest is counted")
+        int,
+        Meta(
+            ge=0,
+            le=100_000,
+            description="maximum number of candidates measured per tile and side, best first; the rest is counted",
+        ),
     ] = 256
     suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
     max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="maximum length of a mine, m")] = 3.5
@@ -161,7 +209,10 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
 
     enabled: Annotated[bool, Meta(description="false: contacts carry the detector's p_mine and no class")] = True
     min_p_mine: Annotated[
-        float, Meta(ge=0.0, le=1.0, description="threshold of p_mine, at any step, below which confirmation of a detection ends")
+        float,
+        Meta(
+            ge=0.0, le=1.0, description="threshold of p_mine, at any step, below which confirmation of a detection ends"
+        ),
     ] = 0.01
     max_per_tile: Annotated[
         int,
@@ -181,21 +232,26 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
         Meta(
             ge=0.0,
             le=1.0,
-            description="p_mine below which a contact is not reported; what cannot reach it is counted and neither measured nor confirmed; "
+            description="p_mine below which a contact is not reported; what cannot reach it is counted and neither "
+            "measured nor confirmed; "
             "0 reports everything; above 0.01 the estimate of mines left comes out too low",
         ),
     ] = 0.01
-    gate_chi2: Annotated[float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")] = (
-        9.21
-    )
-    max_gate_m: Annotated[float, Meta(gt=0.0, le=100.0, description="never associate views farther apart than this, m")] = 4.0
+    gate_chi2: Annotated[
+        float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")
+    ] = 9.21
+    max_gate_m: Annotated[
+        float, Meta(gt=0.0, le=100.0, description="never associate views farther apart than this, m")
+    ] = 4.0
     false_alarms_per_km2: Annotated[
         float,
         Meta(
             gt=0.0,
             le=1e6,
-            description="false alarms per km2 that are acceptable: a contact is called a mine where no more non-mines as "
-            "mine-like as it are to be expected, by the mission's own background; what is reported does not depend on it",
+            description="false alarms per km2 that are acceptable: a contact is called a mine where no more non-mines "
+            "as "
+            "mine-like as it are to be expected, by the mission's own background; what is reported does not depend on "
+            "it",
         ),
     ] = 30.0
 
@@ -203,15 +259,23 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
 class PlanConfig(_Section, frozen=True, kw_only=True):
     """Set what is requested of the vehicle: second views of contacts and, with an area to clear, its survey."""
 
-    cell_m: Annotated[float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")] = 4.0
+    cell_m: Annotated[
+        float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")
+    ] = 4.0
     max_contacts: Annotated[int, Meta(ge=0, le=1000, description="maximum number of contacts to view again")] = 12
     min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="minimum p_mine of a contact to view again")] = 0.2
-    turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = 10.0
+    turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = (
+        10.0
+    )
     stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second view, m")] = 12.0
     leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
     area_deg: Annotated[
         tuple[tuple[Latitude, Longitude], ...],
-        Meta(description="corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second views alone"),
+        Meta(
+            description=(
+                "corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second views alone"
+            )
+        ),
     ] = ()
     required_clearance: Annotated[
         float, Meta(ge=0.5, le=0.99, description="probability, over the area, with which mines in it are to be found")
@@ -227,13 +291,19 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
             raise ValueError("plan: area_deg holds a corner that is not a finite number")
         east_m, north_m = zip(*_about_first(self.area_deg, self.area_deg[0]), strict=True)
         if max(map(math.hypot, east_m, north_m)) > _FARTHEST_CORNER_M:
-            raise ValueError(f"plan: area_deg has corners more than {_FARTHEST_CORNER_M / 1e3:g} km apart; give the area of one mission")
+            raise ValueError(
+                f"plan: area_deg has corners more than {_FARTHEST_CORNER_M / 1e3:g} km apart; give the area of one "
+                "mission"
+            )
         twice_m2 = sum(east_m[n - 1] * north_m[n] - east_m[n] * north_m[n - 1] for n in range(len(east_m)))
         if abs(twice_m2) < 2.0:
             raise ValueError("plan: area_deg encloses no area: give its corners in order, without crossing edges")
         n_cells = (max(east_m) - min(east_m)) * (max(north_m) - min(north_m)) / self.cell_m**2
         if n_cells > _MAX_CELLS:
-            raise ValueError(f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MAX_CELLS}: give a larger cell_m")
+            raise ValueError(
+                f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MAX_CELLS}: give a larger "
+                "cell_m"
+            )
 
 
 _FARTHEST_CORNER_M: Final = 50_000.0  # farther out the mission's plane bends straight lines
@@ -241,20 +311,33 @@ _MAX_CELLS: Final = 1_000_000
 _DEGREE_M: Final = 111_320.0
 
 
-def _about_first(corners_deg: tuple[tuple[float, float], ...], first_deg: tuple[float, float]) -> list[tuple[float, float]]:
+def _about_first(
+    corners_deg: tuple[tuple[float, float], ...], first_deg: tuple[float, float]
+) -> list[tuple[float, float]]:
     """Project to east and north, m, on a plane good enough to judge sizes; across the antimeridian as well."""
     shrunk = math.cos(math.radians(first_deg[0]))
-    return [(math.remainder(lon - first_deg[1], 360.0) * _DEGREE_M * shrunk, (lat - first_deg[0]) * _DEGREE_M) for lat, lon in corners_deg]
+    return [
+        (math.remainder(lon - first_deg[1], 360.0) * _DEGREE_M * shrunk, (lat - first_deg[0]) * _DEGREE_M)
+        for lat, lon in corners_deg
+    ]
 
 
 class ServiceConfig(_Section, frozen=True, kw_only=True):
     """Set queues and pacing of the running service."""
 
-    queue_pings: Annotated[int, Meta(ge=1, le=100_000, description="maximum number of pings waiting for perception")] = 512
+    queue_pings: Annotated[
+        int, Meta(ge=1, le=100_000, description="maximum number of pings waiting for perception")
+    ] = 512
     health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
-    source: Annotated[str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")] = ""
-    record: Annotated[bool, Meta(description="ports only: record every byte, both ways, beside the results, to be replayed")] = True
-    output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = "auv-mcm-out"
+    source: Annotated[
+        str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")
+    ] = ""
+    record: Annotated[
+        bool, Meta(description="ports only: record every byte, both ways, beside the results, to be replayed")
+    ] = True
+    output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = (
+        "auv-mcm-out"
+    )
 
 
 class Config(_Section, frozen=True, kw_only=True):
@@ -276,9 +359,13 @@ class Config(_Section, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         check_together(self.ports)
         if self.vehicle.command and self.plan.area_deg and _are_apart(self.plan.area_deg, self.vehicle.fence_deg):
-            raise ValueError("plan: area_deg lies outside vehicle.fence_deg, where no leg can be sailed: correct one of them")
+            raise ValueError(
+                "plan: area_deg lies outside vehicle.fence_deg, where no leg can be sailed: correct one of them"
+            )
         if self.vehicle.command and self.ports and all(device_kind(port.device) != "vehicle" for port in self.ports):
-            raise ValueError(f"vehicle: command is true, but no port has a vehicle's device ({', '.join(VEHICLE_NAMES)}): add one")
+            raise ValueError(
+                f"vehicle: command is true, but no port has a vehicle's device ({', '.join(VEHICLE_NAMES)}): add one"
+            )
 
 
 def _are_apart(area_deg: tuple[tuple[float, float], ...], fence_deg: tuple[tuple[float, float], ...]) -> bool:
@@ -311,7 +398,10 @@ def _refuse_removed_keys(data: Any, place: str) -> None:
 
 
 _REMOVED: Final = {
-    ("detect", "max_evaluations_per_tile"): "budget.duty now bounds all work on a tile together, and 'auv-mcm calibrate budget' measures "
+    (
+        "detect",
+        "max_evaluations_per_tile",
+    ): "budget.duty now bounds all work on a tile together, and 'auv-mcm calibrate budget' measures "
     "what this computer affords",
 }
 
@@ -331,7 +421,9 @@ def config_yaml(config: Config) -> str:
     for field in root.fields:
         section = getattr(config, field.name)
         if section and isinstance(section, tuple):
-            text = yaml.safe_dump({field.name: msgspec.to_builtins(section)}, sort_keys=False, allow_unicode=True, width=math.inf)
+            text = yaml.safe_dump(
+                {field.name: msgspec.to_builtins(section)}, sort_keys=False, allow_unicode=True, width=math.inf
+            )
             lines += [*_key_lines(field, (), "")[:-1], *text.splitlines(), ""]
             continue
         if not isinstance(field.type, inspect.StructType):
@@ -374,7 +466,10 @@ def _without_empty(data: Any, kind: inspect.Type) -> Any:
 
 def _refuse_control_characters(data: Any, path: str, place: str) -> None:
     if isinstance(data, str) and not is_clean(data):
-        raise UsageError(f"{place}: Expected one line of text without control characters, got '{clean(data)}' - at `{path}`. Write it anew")
+        raise UsageError(
+            f"{place}: Expected one line of text without control characters, got '{clean(data)}' - at `{path}`. Write "
+            "it anew"
+        )
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in items:
         _refuse_control_characters(value, f"{path}.{key}" if path else str(key), place)
@@ -396,9 +491,15 @@ def _keys_of(section: inspect.Type, path: str) -> list[str]:
         if isinstance(_bare(field.type), inspect.StructType):
             lines += _keys_of(_bare(field.type), f"{path}{field.name}.")
             continue
-        description = str((field.type.extra_json_schema or {}).get("description", "")) if isinstance(field.type, inspect.Metadata) else ""
+        description = (
+            str((field.type.extra_json_schema or {}).get("description", ""))
+            if isinstance(field.type, inspect.Metadata)
+            else ""
+        )
         default = "required" if field.required else f"default {_scalar(field.default) or 'empty'}"
-        lines.append(f"{path}{field.name}: {_kind(field.type)}; {default}" + (f" - {description}" if description else ""))
+        lines.append(
+            f"{path}{field.name}: {_kind(field.type)}; {default}" + (f" - {description}" if description else "")
+        )
     return lines
 
 
@@ -407,7 +508,11 @@ def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
     if isinstance(kind, inspect.Metadata):
         description = str((kind.extra_json_schema or {}).get("description", ""))
     default = _scalar(field.default) or "empty"
-    return [f"{indent}# {description}", f"{indent}# {_kind(kind)}; default {default}", f"{indent}{field.name}: {_scalar(value)}".rstrip()]
+    return [
+        f"{indent}# {description}",
+        f"{indent}# {_kind(kind)}; default {default}",
+        f"{indent}{field.name}: {_scalar(value)}".rstrip(),
+    ]
 
 
 def _kind(kind: inspect.Type) -> str:
@@ -426,11 +531,17 @@ def _kind(kind: inspect.Type) -> str:
         return "text" if kind.max_length is None else f"text of at most {kind.max_length} characters"
     if isinstance(kind, inspect.VarTupleType):
         item = _bare(kind.item_type)
-        return "list; 'auv-mcm run --example' prints one" if isinstance(item, inspect.StructType) else f"list: {_kind(item)}"
+        return (
+            "list; 'auv-mcm run --example' prints one"
+            if isinstance(item, inspect.StructType)
+            else f"list: {_kind(item)}"
+        )
     if isinstance(kind, inspect.TupleType):
         return f"list of {len(kind.item_types)}: {_kind(kind.item_types[0])}"
     if isinstance(kind, inspect.UnionType):
-        return ", or ".join(["empty" if isinstance(member, inspect.NoneType) else _kind(member) for member in kind.types])
+        return ", or ".join(
+            ["empty" if isinstance(member, inspect.NoneType) else _kind(member) for member in kind.types]
+        )
     if isinstance(kind, inspect.IntType | inspect.FloatType):
         word = "whole number" if isinstance(kind, inspect.IntType) else "number"
         if kind.ge is not None and kind.le is not None:
@@ -452,6 +563,10 @@ def _scalar(value: Any) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(_scalar(item) for item in value) + "]"
     if isinstance(value, str):
-        return value if value in _WORDS else yaml.safe_dump(value, default_style='"', allow_unicode=True, width=math.inf).rstrip("\n")
+        return (
+            value
+            if value in _WORDS
+            else yaml.safe_dump(value, default_style='"', allow_unicode=True, width=math.inf).rstrip("\n")
+        )
     text = repr(value)
     return text if "e" not in text or "." in text else text.replace("e", ".0e")

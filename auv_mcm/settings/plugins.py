@@ -8,7 +8,8 @@ A package adds one with a line in its pyproject.toml and nothing else:
 | group | the object that the line names | a configuration names it by |
 |---|---|---|
 | `auv_mcm.sonar` | a `drivers.sonar.sonars.SonarDevice` | `device:` of a port |
-| `auv_mcm.navigation` | makes a `drivers.navigation.nav_decoder.NavDecoder`, given the port's name | `device:` of a port |
+| `auv_mcm.navigation` | makes a `drivers.navigation.nav_decoder.NavDecoder`, given the port's name | `device:` of a
+port |
 | `auv_mcm.vehicle` | a `drivers.vehicle.vehicles.VehicleKind` | `device:` of a port |
 | `auv_mcm.logs` | a `sim_replay.logs.log_reader.LogReader` | nothing: a log is recognised by its content |
 
@@ -70,9 +71,16 @@ def plugin_problem(plugin: Plugin, built_in: tuple[str, ...]) -> str:
         return f"'{plugin.name}' is a built-in device, which is used instead. Give the plug-in another name"
     if plugin.name in _RESERVED or not re.match(NAME_PATTERN, plugin.name):
         return f"'{plugin.name}' is not a valid name. Use a small letter, then at most 31 small letters, digits and '_'"
-    same = [other for other in find_plugins() if other.name == plugin.name and (other.kind == "logs") == (plugin.kind == "logs")]
+    same = [
+        other
+        for other in find_plugins()
+        if other.name == plugin.name and (other.kind == "logs") == (plugin.kind == "logs")
+    ]
     if len(same) > 1:
-        return f"'{plugin.name}' is added more than once: {'; '.join(map(str, same))}. Uninstall all but one of these packages"
+        return (
+            f"'{plugin.name}' is added more than once: {'; '.join(map(str, same))}. Uninstall all but one of these "
+            "packages"
+        )
     return ""
 
 
@@ -95,7 +103,9 @@ def load_plugin(plugin: Plugin, expected: type[T]) -> T:
     loaded = import_plugin(plugin)
     if not isinstance(loaded, expected):
         needed = f"{expected.__module__}.{expected.__qualname__}"
-        raise UsageError(f"{plugin}: {plugin.target} is of type {type(loaded).__name__}, not {needed}. {remedy(plugin)}")
+        raise UsageError(
+            f"{plugin}: {plugin.target} is of type {type(loaded).__name__}, not {needed}. {remedy(plugin)}"
+        )
     return loaded
 
 

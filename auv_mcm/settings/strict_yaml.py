@@ -34,7 +34,8 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
 
     `place` names the text in messages, `expected` describes what it should hold.
 
-    Raises UsageError for text that is not YAML, repeated keys, aliases, and numbers that are not finite, with the key's path.
+    Raises UsageError for text that is not YAML, repeated keys, aliases, and numbers that are not finite, with the key's
+    path.
     """
     try:
         data: Any = yaml.load(text, _Loader)
@@ -49,7 +50,8 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
 
 
 def explain_validation_error(error: msgspec.ValidationError, kind: type) -> str:
-    """Explain a validation error with the key's path as it stands in the file, the valid values of a choice, and the nearest known key.
+    """Explain a validation error with the key's path as it stands in the file, the valid values of a choice, and the
+    nearest known key.
 
     kind: the type that the file was converted to.
     """
@@ -93,7 +95,12 @@ def _below(kind: inspect.Type, step: re.Match[str]) -> list[inspect.Type]:
         case inspect.StructType() if step["name"] is not None:
             if step["name"] == kind.tag_field:
                 return [inspect.LiteralType((kind.tag,))]
-            return [found for field in kind.fields if field.encode_name == step["name"] for found in _alternatives(field.type)]
+            return [
+                found
+                for field in kind.fields
+                if field.encode_name == step["name"]
+                for found in _alternatives(field.type)
+            ]
         case inspect.DictType():
             return _alternatives(kind.value_type)
         case inspect.VarTupleType() | inspect.ListType():
@@ -146,7 +153,9 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases are not supported here: write the value out", self.get_mark())
+            raise yaml.composer.ComposerError(
+                None, None, "aliases are not supported here: write the value out", self.get_mark()
+            )
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -169,7 +178,9 @@ for _tag, _pattern, _first in (
     ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.inf|\.nan", "-+.0123456789"),
 ):
     # The empty scalar is filed by PyYAML under the empty string.
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), [*_first, *([""] if _tag == "null" else [])])
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), [*_first, *([""] if _tag == "null" else [])]
+    )
 
 
 def _refuse_non_finite(data: Any, path: str, place: str) -> None:

@@ -26,27 +26,38 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
         tuple[tuple[Latitude, Longitude], ...],
         Meta(description="corners [latitude, longitude] of the area that no command leads out of, in order; degrees"),
     ] = ()
-    fence_margin_m: Annotated[float, Meta(ge=0.0, le=1000.0, description="commands keep as far inside the fence, m")] = 5.0
+    fence_margin_m: Annotated[
+        float, Meta(ge=0.0, le=1000.0, description="commands keep as far inside the fence, m")
+    ] = 5.0
     altitude_m: Annotated[float, Meta(gt=0.0, le=200.0, description="altitude that is commanded, m")] = 5.0
-    min_altitude_m: Annotated[float, Meta(gt=0.0, le=200.0, description="minimum altitude commanded; below it control is returned, m")] = (
-        2.0
-    )
-    max_depth_m: Annotated[float, Meta(gt=0.0, le=6000.0, description="maximum depth commanded; below it control is returned, m")] = 100.0
+    min_altitude_m: Annotated[
+        float, Meta(gt=0.0, le=200.0, description="minimum altitude commanded; below it control is returned, m")
+    ] = 2.0
+    max_depth_m: Annotated[
+        float, Meta(gt=0.0, le=6000.0, description="maximum depth commanded; below it control is returned, m")
+    ] = 100.0
     speed_mps: Annotated[float, Meta(gt=0.0, le=10.0, description="speed that is commanded, m/s")] = 1.5
-    arrival_radius_m: Annotated[float, Meta(gt=0.0, le=100.0, description="arrival radius: a way-point this near counts as reached, m")] = (
-        3.0
-    )
+    arrival_radius_m: Annotated[
+        float, Meta(gt=0.0, le=100.0, description="arrival radius: a way-point this near counts as reached, m")
+    ] = 3.0
     command_valid_s: Annotated[
         float, Meta(gt=0.0, le=60.0, description="a command that the payload has not confirmed for so long is void, s")
     ] = 5.0
     plan_valid_s: Annotated[
-        float, Meta(gt=0.0, le=7200.0, description="a plan is dropped, and control returned, so long after it was made, s")
+        float,
+        Meta(gt=0.0, le=7200.0, description="a plan is dropped, and control returned, so long after it was made, s"),
     ] = 900.0
     max_control_s: Annotated[
-        float, Meta(gt=0.0, le=86400.0, description="maximum uninterrupted control time, after which control is returned, s")
+        float,
+        Meta(gt=0.0, le=86400.0, description="maximum uninterrupted control time, after which control is returned, s"),
     ] = 1800.0
     ask_again_s: Annotated[
-        float, Meta(ge=1.0, le=3600.0, description="minimum time before control that was refused or revoked is requested again, s")
+        float,
+        Meta(
+            ge=1.0,
+            le=3600.0,
+            description="minimum time before control that was refused or revoked is requested again, s",
+        ),
     ] = 60.0
     state_valid_s: Annotated[
         float, Meta(gt=0.0, le=60.0, description="without a position of the vehicle for so long control is returned, s")
@@ -57,15 +68,21 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.command and len(self.fence_deg) < 3:
-            raise ValueError("vehicle: command is true without a fence: give fence_deg at least three corners [latitude, longitude]")
+            raise ValueError(
+                "vehicle: command is true without a fence: give fence_deg at least three corners [latitude, longitude]"
+            )
         if self.fence_deg and len(self.fence_deg) < 3:
             raise ValueError("vehicle: fence_deg needs at least three corners [latitude, longitude]")
         if not all(math.isfinite(value) for corner in self.fence_deg for value in corner):
             raise ValueError("vehicle: fence_deg holds a corner that is not a finite number")
         if self.altitude_m < self.min_altitude_m:
-            raise ValueError(f"vehicle: altitude_m ({self.altitude_m}) must not be below min_altitude_m ({self.min_altitude_m})")
+            raise ValueError(
+                f"vehicle: altitude_m ({self.altitude_m}) must not be below min_altitude_m ({self.min_altitude_m})"
+            )
         if self.command_valid_s > self.plan_valid_s:
-            raise ValueError(f"vehicle: command_valid_s ({self.command_valid_s}) must not exceed plan_valid_s ({self.plan_valid_s})")
+            raise ValueError(
+                f"vehicle: command_valid_s ({self.command_valid_s}) must not exceed plan_valid_s ({self.plan_valid_s})"
+            )
 
 
 class ImcSettings(_Settings, frozen=True, kw_only=True):
@@ -77,7 +94,9 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
         Meta(
             ge=0,
             le=0xFFFE,
-            description="the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its state",
+            description=(
+                "the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its state"
+            ),
         ),
     ] = 0
     own_plan: Annotated[
@@ -88,45 +107,76 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
         ),
     ] = True
     control_timeout_s: Annotated[
-        float, Meta(ge=2.0, le=60.0, description="the vehicle takes control back after so long without a reference of ours, s")
+        float,
+        Meta(
+            ge=2.0, le=60.0, description="the vehicle takes control back after so long without a reference of ours, s"
+        ),
     ] = 5.0
     acknowledges: Annotated[
-        bool, Meta(description="the vehicle supports messages 1700 (contact) and 1701 (its answer); false: contacts go as Target alone")
+        bool,
+        Meta(
+            description=(
+                "the vehicle supports messages 1700 (contact) and 1701 (its answer); false: contacts go as Target alone"
+            )
+        ),
     ] = False
 
 
 class CanSettings(_Settings, frozen=True, kw_only=True):
     """Set the addresses on a CAN bus whose messages deploy/auv_mcm.dbc describes."""
 
-    payload_address: Annotated[int, Meta(ge=0, le=253, description="last byte of the identifiers of what the payload sends")] = 96
+    payload_address: Annotated[
+        int, Meta(ge=0, le=253, description="last byte of the identifiers of what the payload sends")
+    ] = 96
     vehicle_address: Annotated[
         int, Meta(ge=0, le=253, description="last byte of the identifiers of what the vehicle's controller sends")
     ] = 32
     nmea2000_addresses: Annotated[
         tuple[Annotated[int, Meta(ge=0, le=251)], ...],
         Meta(
-            description="NMEA 2000 units on this bus that report the vehicle's position; empty: its controller reports it by VEHICLE_STATE"
+            description=(
+                "NMEA 2000 units on this bus that report the vehicle's position; empty: its controller reports it by "
+                "VEHICLE_STATE"
+            )
         ),
     ] = ()
 
     def __post_init__(self) -> None:
         if self.payload_address == self.vehicle_address:
-            raise ValueError(f"payload_address and vehicle_address are both {self.payload_address}: give each a number of its own")
+            raise ValueError(
+                f"payload_address and vehicle_address are both {self.payload_address}: give each a number of its own"
+            )
 
 
 class IverSettings(_Settings, frozen=True, kw_only=True):
     """Set up an Iver under Remote Helm."""
 
     remote_helm_version: Annotated[
-        int, Meta(ge=1, le=99, description="major version on the vehicle; before 5 it takes depths in feet, from 5 on in metres")
+        int,
+        Meta(
+            ge=1,
+            le=99,
+            description="major version on the vehicle; before 5 it takes depths in feet, from 5 on in metres",
+        ),
     ] = 5
-    max_pitch_deg: Annotated[float, Meta(gt=0.0, le=45.0, description="steepest pitch to dive and climb with, degrees")] = 20.0
+    max_pitch_deg: Annotated[
+        float, Meta(gt=0.0, le=45.0, description="steepest pitch to dive and climb with, degrees")
+    ] = 20.0
     command_timeout_s: Annotated[
-        int, Meta(ge=1, le=120, description="the vehicle keeps its own plan again so long after a command that no other follows, s")
+        int,
+        Meta(
+            ge=1,
+            le=120,
+            description="the vehicle keeps its own plan again so long after a command that no other follows, s",
+        ),
     ] = 5
     poll_s: Annotated[float, Meta(ge=0.1, le=2.0, description="period of requests for the vehicle's state, s")] = 0.5
     contact_sentence: Annotated[
-        str, Meta(pattern="^(P[A-Z0-9]{3,5})?$", description="name of the sentence for contacts and health; empty: neither is reported")
+        str,
+        Meta(
+            pattern="^(P[A-Z0-9]{3,5})?$",
+            description="name of the sentence for contacts and health; empty: neither is reported",
+        ),
     ] = "PMCM"
 
 
@@ -134,7 +184,11 @@ class ReconSettings(_Settings, frozen=True, kw_only=True):
     """Set up a REMUS by RECON."""
 
     contact_type: Annotated[
-        str, Meta(pattern="^[ABDF-PRTUW-Z]?$", description="type letter of the frame for contacts; empty: contacts are not reported")
+        str,
+        Meta(
+            pattern="^[ABDF-PRTUW-Z]?$",
+            description="type letter of the frame for contacts; empty: contacts are not reported",
+        ),
     ] = "K"
 
 
@@ -142,7 +196,8 @@ BLUEFIN_SENTENCES: Final = (
     "ABT BOY CON CPD CTD DCL DVR EMB GBP GHP KIL LOG MSG NPU RBO RCA RCB RCE RCN RES "
     "RGP RMB RMP RNS RTC SAN SEM SIL SMC SPD STS SUS TMR TOP TRK TRM VEL VER"
 )
-"""Sentences that payloads may send under Bluefin's standard payload interface, each after `BP`; none of these may name something else."""
+"""Sentences that payloads may send under Bluefin's standard payload interface, each after `BP`; none of these may name
+something else."""
 
 
 class BluefinSettings(_Settings, frozen=True, kw_only=True):
@@ -156,9 +211,15 @@ class BluefinSettings(_Settings, frozen=True, kw_only=True):
         ),
     ] = "BFCTL"
     contact_sentence: Annotated[
-        str, Meta(pattern="^(BP[A-Z]{3})?$", description="name of the sentence for contacts; empty: contacts are not reported")
+        str,
+        Meta(
+            pattern="^(BP[A-Z]{3})?$", description="name of the sentence for contacts; empty: contacts are not reported"
+        ),
     ] = "BPMCM"
 
     def __post_init__(self) -> None:
         if self.contact_sentence and self.contact_sentence[2:] in BLUEFIN_SENTENCES.split():
-            raise ValueError(f"contact_sentence: {self.contact_sentence} means something else to the vehicle; take another name, as BPMCM")
+            raise ValueError(
+                f"contact_sentence: {self.contact_sentence} means something else to the vehicle; take another name, as "
+                "BPMCM"
+            )

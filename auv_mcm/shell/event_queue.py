@@ -15,12 +15,14 @@ _OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and not
 class EventQueue:
     """Hold events between source and perception: at most `max_pings` pings and a proportionate number of others.
 
-    A source that can wait puts its events in and is held back while there is no room. A live source cannot wait and pushes them: the
-    oldest event of the same kind is dropped, counted as `service.ping_dropped` or `service.event_dropped`, because the newest gives
-    the vehicle's present position. One task takes events out.
+    A source that can wait puts its events in and is held back while there is no room. A live source cannot wait and
+    pushes them: the oldest event of the same kind is dropped, counted as `service.ping_dropped` or
+    `service.event_dropped`, because the newest gives the vehicle's present position. One task takes events out.
     """
 
-    def __init__(self, max_pings: int, counters: Counter[str], see: Callable[[SourceEvent], None] = lambda event: None) -> None:
+    def __init__(
+        self, max_pings: int, counters: Counter[str], see: Callable[[SourceEvent], None] = lambda event: None
+    ) -> None:
         """see: is given every event as it comes, before it waits or is dropped."""
         self._max_pings = max_pings
         self._max_events = max_pings * (1 + _OTHERS_PER_PING)

@@ -45,7 +45,10 @@ class Journal:
 
         The file then ends in a whole line, and the records are written with the next ones.
         """
-        lines = [json.dumps(finite(record), ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n" for record in records]
+        lines = [
+            json.dumps(finite(record), ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+            for record in records
+        ]
         self._owed += "".join(lines).encode("utf-8", "replace")
         self._write_owed()
 

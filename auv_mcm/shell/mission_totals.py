@@ -26,7 +26,9 @@ def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch
     covered_m2 = math.fsum(patch.covered_m2 for patch in coverage)
     counted: Counter[str] = Counter()
     for contact in contacts:
-        counted.update(contacts=1, contacts_mine_like=int(is_mine_like(contact)), contacts_called=int(bool(contact.called)))
+        counted.update(
+            contacts=1, contacts_mine_like=int(is_mine_like(contact)), contacts_called=int(bool(contact.called))
+        )
     return {
         "covered_km2": round(covered_m2 / 1e6, 6),
         **{name: counted[name] for name in ("contacts", "contacts_mine_like", "contacts_called")},
@@ -51,9 +53,12 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
     }
     if point.background is not None:
         expected = point.background.false_alarms(level) if level < math.inf else FalseAlarms(0.0, 0.0, 0.0)
-        totals["expected_per_km2"] = {name: round(value, 3) for name, value in zip(("middle", "low", "high"), expected, strict=True)}
+        totals["expected_per_km2"] = {
+            name: round(value, 3) for name, value in zip(("middle", "low", "high"), expected, strict=True)
+        }
         totals["background_per_km2"] = {
-            f"{p:g}": round(point.background.false_alarms(odds_of(p)).per_km2, 3) for p in (LOWEST_P_MINE, 0.1, 0.2, 0.5, 0.8)
+            f"{p:g}": round(point.background.false_alarms(odds_of(p)).per_km2, 3)
+            for p in (LOWEST_P_MINE, 0.1, 0.2, 0.5, 0.8)
         }
     return {"operating_point": totals}
 
@@ -127,7 +132,9 @@ def clearance_notices(clearance: Clearance | None) -> list[Notice]:
     if clearance is None or not clearance.n_elsewhere:
         return []
     text = (
-        f"{clearance.n_elsewhere * clearance.cell_m**2 * 1e-6:.3g} km² were searched too far from the rest to be in the clearance map "
-        "and in the figures of the search. Check the positions in coverage.geojson; replay separate sites apart, or raise plan.cell_m."
+        f"{clearance.n_elsewhere * clearance.cell_m**2 * 1e-6:.3g} km² were searched too far from the rest to be in "
+        "the clearance map "
+        "and in the figures of the search. Check the positions in coverage.geojson; replay separate sites apart, or "
+        "raise plan.cell_m."
     )
     return [Notice(code="clearance.elsewhere", text=text)]

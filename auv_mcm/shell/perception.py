@@ -1,13 +1,14 @@
 """Run perception in a process of its own, so that its computations never delay the ports of the main process.
 
-The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them out,
-feeds its pipeline and answers each message with the events that came of it, tiles left out and a picture in place of what it is drawn
-from. The answer also gives the ring space back. The process is spawned, not forked: it starts clean whatever the parent has open.
-The shared memory has no name: it goes with the last of the two processes, however they end, all killed at once included.
+The parent writes a ping's samples into a ring in shared memory and sends the rest down a pipe; the worker copies them
+out, feeds its pipeline and answers each message with the events that came of it, tiles left out and a picture in place
+of what it is drawn from. The answer also gives the ring space back. The process is spawned, not forked: it starts clean
+whatever the parent has open. The shared memory has no name: it goes with the last of the two processes, however they
+end, all killed at once included.
 
-Contacts and coverage go to a file that the parent opened and both hold, so that a long mission needs no more memory than a short one.
-Their places in it cross with the answers. A contact crosses as well, without its pictures: its announcement must not wait for the
-disk to give it back, and no contact is lost where the disk takes no more.
+Contacts and coverage go to a file that the parent opened and both hold, so that a long mission needs no more memory
+than a short one. Their places in it cross with the answers. A contact crosses as well, without its pictures: its
+announcement must not wait for the disk to give it back, and no contact is lost where the disk takes no more.
 """
 
 from __future__ import annotations
@@ -207,7 +208,8 @@ class Perception:
             name="perception",
             daemon=True,
         )
-        # A terminal's Ctrl-C and a service manager's SIGTERM reach the whole group; the worker has to outlive them to finish. It
+        # A terminal's Ctrl-C and a service manager's SIGTERM reach the whole group; the worker has to outlive them to
+        # finish. It
         # inherits the blocked signals, so that there is no moment at its start when one would kill it.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
         try:
@@ -320,9 +322,17 @@ class Perception:
     def _die(self) -> None:
         self._process.join(timeout=5.0)  # its end of the pipe is closed: it is gone or going
         code = self._process.exitcode
-        how = "did not end" if code is None else f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+        how = (
+            "did not end"
+            if code is None
+            else f"was killed by {signal.Signals(-code).name}"
+            if code < 0
+            else f"ended with code {code}"
+        )
         self._set_dead(
-            PerceptionError(f"the perception process {how}. Contacts announced so far are safe. Check memory and the system log.")
+            PerceptionError(
+                f"the perception process {how}. Contacts announced so far are safe. Check memory and the system log."
+            )
         )
 
     def _set_dead(self, error: Exception) -> None:
@@ -367,7 +377,9 @@ def _traces(event: SourceEvent) -> list[EchoTrace]:
     return [trace for trace in (event.port, event.starboard) if trace is not None] if isinstance(event, Ping) else []
 
 
-def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, records: RecordFile) -> None:
+def _work(
+    connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, records: RecordFile
+) -> None:
     """Run the worker process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -405,9 +417,13 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
         _note_coverage(events, searched, area)
         connection.send(_answer(events, store, records))
         clearance = searched.snapshot()
-        of_disk = Counter({"perception.kept_in_memory": store.n_in_memory, "perception.unreadable": records.n_unreadable})
+        of_disk = Counter(
+            {"perception.kept_in_memory": store.n_in_memory, "perception.unreadable": records.n_unreadable}
+        )
         png = b"" if clearance is None else _clearance_png(clearance)
-        connection.send(Finished(pipeline.counters + of_disk, pipeline.places, pipeline.operating_point, clearance, png))
+        connection.send(
+            Finished(pipeline.counters + of_disk, pipeline.places, pipeline.operating_point, clearance, png)
+        )
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone: no reader for an answer
     except errors.AuvMcmError as error:
@@ -417,7 +433,8 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
         connection.send(
             _Failure(
                 "PerceptionError",
-                f"perception failed ({place}): {type(error).__name__}: {error}. This is a defect: report it with the log.",
+                f"perception failed ({place}): {type(error).__name__}: {error}. This is a defect: report it with the "
+                "log.",
             )
         )
     finally:
@@ -427,7 +444,10 @@ def _work(connection: Connection, shared: _Shared, config: Config, make_pipeline
 def _disk_full() -> Notice:
     return Notice(
         code="perception.disk_full",
-        text="the disk takes no more of the contacts that perception lays aside; they stay in memory. Free space on the disk.",
+        text=(
+            "the disk takes no more of the contacts that perception lays aside; they stay in memory. Free space on "
+            "the disk."
+        ),
     )
 
 
@@ -439,7 +459,9 @@ def _clear_area(config: Config, model: Performance) -> ClearArea | None:
     return ClearArea(config, model)
 
 
-def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | None, request: PlanRequest, config: Config) -> Proposal:
+def _proposal(
+    pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | None, request: PlanRequest, config: Config
+) -> Proposal:
     """Make a plan. Contacts matter more than plans: a planner that fails does not stop perception."""
     from auv_mcm.plan.propose import propose
 
@@ -447,11 +469,15 @@ def _proposal(pipeline: Perceiving, searched: ClearanceMap, area: ClearArea | No
     try:
         asking = pipeline.asking(config.plan.min_p_mine)
         if area is not None:
-            return area.propose(searched.snapshot(), asking, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s)
+            return area.propose(
+                searched.snapshot(), asking, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s
+            )
         return propose(asking, request, config.plan, config.vehicle)
     except Exception as error:
         print(clean_lines(traceback.format_exc()), file=sys.stderr)
-        return Proposal((), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),))
+        return Proposal(
+            (), (("any contact", f"planning failed: {error!r}. This is a defect: report it with the log."),)
+        )
 
 
 def _note_coverage(events: list[PipelineEvent], searched: ClearanceMap, area: ClearArea | None) -> None:
@@ -468,7 +494,9 @@ def _answer(events: list[PipelineEvent], store: ContactStore, records: RecordFil
     contacts = [event for event in events if isinstance(event, Contact)]
     places = {number: store.place(number) for number in (contact_number(contact.id) for contact in contacts)}
     return Fed(
-        events=tuple(_without_pictures(event) for event in events if isinstance(event, Contact | EarlyContact | Notice)),
+        events=tuple(
+            _without_pictures(event) for event in events if isinstance(event, Contact | EarlyContact | Notice)
+        ),
         snippets=_snippets(contacts),
         places={number: place for number, place in places.items() if place is not None},
         patches=tuple(store_patch(records, event) for event in events if isinstance(event, CoveragePatch)),
@@ -490,7 +518,9 @@ def _without_picture(view: Detection) -> Detection:
     close = view.confirmation
     if close is not None:
         model = close.model and msgspec.structs.replace(close.model, highlight=_NO_OUTLINE, shadow=_NO_OUTLINE)
-        close = msgspec.structs.replace(close, labels=_NO_PICTURE, highlight=_NO_OUTLINE, shadow=_NO_OUTLINE, model=model)
+        close = msgspec.structs.replace(
+            close, labels=_NO_PICTURE, highlight=_NO_OUTLINE, shadow=_NO_OUTLINE, model=model
+        )
     return msgspec.structs.replace(view, snippet=_NO_PICTURE, confirmation=close)
 
 

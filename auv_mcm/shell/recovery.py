@@ -1,4 +1,5 @@
-"""Find out what a session that was cut off, or whose disk was full, left out of its results, and report how to get it."""
+"""Find out what a session that was cut off, or whose disk was full, left out of its results, and report how to get
+it."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ RECORDING: Final = "recording"
 JOURNAL: Final = "contacts.jsonl"
 """The file, among the results, of contacts as they were announced."""
 EARLY_JOURNAL: Final = "early.jsonl"
-"""The file of early contacts as they were announced, and of what became of them; there is none without early contacts."""
+"""The file of early contacts as they were announced, and of what became of them; there is none without early
+contacts."""
 SUMMARY: Final = "summary.json"
 """The file that is written last: its presence shows that the session came to its end."""
 
@@ -28,13 +30,15 @@ _MIN_BALLAST_BYTES: Final = 1 << 16
 
 
 class Ballast:
-    """Hold disk space until the results are written, so that pictures, recording and other programs leave some for them.
+    """Hold disk space until the results are written, so that pictures, recording and other programs leave some for
+    them.
 
     n_bytes: what is held, 0 where the disk is full or cannot set space aside.
     """
 
     def __init__(self, folder: Path, max_bytes: int = BALLAST_BYTES) -> None:
-        """Take `max_bytes`, or the largest half, quarter ... of it that there is. The file has no name and goes with the process."""
+        """Take `max_bytes`, or the largest half, quarter ... of it that there is. The file has no name and goes with
+        the process."""
         self.n_bytes = 0
         self._file = contextlib.ExitStack()
         with contextlib.suppress(OSError):
@@ -54,7 +58,8 @@ class Ballast:
 
 
 def unfinished_session(parent: Path) -> Notice | None:
-    """Report that the session to which `latest` points has a recording but no results: it was killed, or the power was cut."""
+    """Report that the session to which `latest` points has a recording but no results: it was killed, or the power was
+    cut."""
     try:
         last = parent / os.readlink(parent / "latest")
         if (last / SUMMARY).exists() or not any((last / RECORDING).iterdir()) or Journal.is_in_use(last / JOURNAL):
@@ -87,8 +92,13 @@ def results_missing(folder: Path, errors: Mapping[str, OSError]) -> Notice:
         f"{', '.join(errors)} cannot be written to {folder}: {next(iter(errors.values())).strerror}. "
         f"Contacts announced while there was room are in {JOURNAL} there. Make room on the disk."
     )
-    return Notice(code="results_missing", text=text + (f" {_replay_advice(folder)}" if (folder / RECORDING).is_dir() else ""))
+    return Notice(
+        code="results_missing", text=text + (f" {_replay_advice(folder)}" if (folder / RECORDING).is_dir() else "")
+    )
 
 
 def _replay_advice(folder: Path) -> str:
-    return f"To get them run: auv-mcm replay {shlex.quote(str(folder / RECORDING))} --out {shlex.quote(str(folder / 'replayed'))}"
+    return (
+        f"To get them run: auv-mcm replay {shlex.quote(str(folder / RECORDING))} --out "
+        f"{shlex.quote(str(folder / 'replayed'))}"
+    )

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from auv_mcm.settings.plugins import PluginKind
 
-SOURCES: Final[dict[str, str]] = {"ports": "drivers.port_source:open_source", "replay": "sim_replay.logs.recorded:open_source"}
+SOURCES: Final[dict[str, str]] = {
+    "ports": "drivers.port_source:open_source",
+    "replay": "sim_replay.logs.recorded:open_source",
+}
 """Openers of sources, by the scheme of `service.source`."""
 
 RECORDER: Final = "drivers.recording.start_recording:start_recording"

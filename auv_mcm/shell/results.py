@@ -29,7 +29,9 @@ from auv_mcm.shell.whole_files import write_file, write_parts
 T = TypeVar("T")
 
 
-def plan_waypoints(contacts: Iterable[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]) -> tuple[Waypoint, ...]:
+def plan_waypoints(
+    contacts: Iterable[Contact], tally: Tally, config: PlanConfig, counters: Counter[str]
+) -> tuple[Waypoint, ...]:
     """Make the re-inspection plan from the last known pose; empty and counted if there is no pose."""
     from auv_mcm.plan.reinspect import plan_reinspection
 
@@ -41,18 +43,27 @@ def plan_waypoints(contacts: Iterable[Contact], tally: Tally, config: PlanConfig
 
 
 def write_results(
-    folder: Path, contacts: Iterable[Contact], coverage: Iterable[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
+    folder: Path,
+    contacts: Iterable[Contact],
+    coverage: Iterable[CoveragePatch],
+    waypoints: Sequence[Waypoint],
+    mission: str,
 ) -> None:
     """Write contacts, coverage and way-points in `folder`, each file whole or not at all.
 
-    contacts, coverage: gone through several times; one at a time where they come in the order in which they are written.
+    contacts, coverage: gone through several times; one at a time where they come in the order in which they are
+    written.
     """
     for write in result_writers(folder, contacts, coverage, waypoints, mission).values():
         write()
 
 
 def result_writers(
-    folder: Path, contacts: Iterable[Contact], coverage: Iterable[CoveragePatch], waypoints: Sequence[Waypoint], mission: str
+    folder: Path,
+    contacts: Iterable[Contact],
+    coverage: Iterable[CoveragePatch],
+    waypoints: Sequence[Waypoint],
+    mission: str,
 ) -> dict[str, Callable[[], None]]:
     """Give what writes each file of `write_results`, by the file's name; each raises OSError for itself."""
     contacts, coverage = _in_order(contacts, contact_order), _in_order(coverage, coverage_order)
@@ -68,7 +79,9 @@ def result_writers(
 
 def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:
     """Give the records themselves where they come in order, so that not all of them are held at once."""
-    return records if all(key(before) <= key(after) for before, after in pairwise(records)) else sorted(records, key=key)
+    return (
+        records if all(key(before) <= key(after) for before, after in pairwise(records)) else sorted(records, key=key)
+    )
 
 
 def write_clearance(folder: Path, clearance: Clearance | None, picture: bytes) -> None:

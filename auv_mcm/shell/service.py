@@ -37,7 +37,14 @@ from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, 
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.journal import Journal
-from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, notice_lists, point_totals, search_totals
+from auv_mcm.shell.mission_totals import (
+    area_totals,
+    clearance_notices,
+    contact_totals,
+    notice_lists,
+    point_totals,
+    search_totals,
+)
 from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
 from auv_mcm.shell.recovery import (
     EARLY_JOURNAL,
@@ -64,10 +71,12 @@ log = logging.getLogger(__name__)
 _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25
 _ATTEND_S: Final = 0.5  # s between two updates of the vehicle
-_SWITCH_S: Final = 5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
+_SWITCH_S: Final = (
+    5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
+)
 _SHED_FROM, _SHED_ALL = 0.25, 0.5
-"""Shares of the queue of pings: from the first on, work on tiles is shed; from the second on all but the cheapest pass. Tiles take half a
-minute to come and a second to work off, which does not fill a quarter of the queue."""
+"""Shares of the queue of pings: from the first on, work on tiles is shed; from the second on all but the cheapest pass.
+Tiles take half a minute to come and a second to work off, which does not fill a quarter of the queue."""
 _CLUTTER: Final = 1
 _NO_CLUTTER: Final = 2
 
@@ -145,7 +154,10 @@ class Service:
                 gc.collect()
                 gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
                 log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
-                health = [tasks.create_task(self._watch_lag()), tasks.create_task(self._report_health(queue, perception))]
+                health = [
+                    tasks.create_task(self._watch_lag()),
+                    tasks.create_task(self._report_health(queue, perception)),
+                ]
                 if self._vehicle_link is not None:
                     health.append(tasks.create_task(self._attend_vehicle(self._vehicle_link, queue, perception)))
                 tasks.create_task(self._feed(queue, perception))
@@ -212,7 +224,9 @@ class Service:
 
     async def _part_from_vehicle(self, failure: AuvMcmError | None) -> None:
         if self._vehicle_link is not None:
-            for notice in await self._vehicle_link.part("the service ends" if failure is None else f"the service ends: {failure}"):
+            for notice in await self._vehicle_link.part(
+                "the service ends" if failure is None else f"the service ends: {failure}"
+            ):
                 self._announce(notice)
 
     def _start_recording(self) -> None:
@@ -244,7 +258,9 @@ class Service:
             if not reading.cancelled() and (error := reading.exception()) is not None:
                 # What came in before is worth working off; the failure is raised at the end.
                 log.error("the source failed: %s", error, exc_info=None if isinstance(error, AuvMcmError) else error)
-                self._source_failure = error if isinstance(error, AuvMcmError) else HardwareError(f"the source failed: {error!r}")
+                self._source_failure = (
+                    error if isinstance(error, AuvMcmError) else HardwareError(f"the source failed: {error!r}")
+                )
         finally:
             reading.cancel()
             stopping.cancel()
@@ -322,23 +338,32 @@ class Service:
         except OSError as error:
             # Contacts are announced even where the disk is full.
             self._counters["service.journal_failed"] += 1
-            log.error("contacts announced below are NOT on disk: %s: %s. Free space on the disk.", self._folder, error.strerror)
+            log.error(
+                "contacts announced below are NOT on disk: %s: %s. Free space on the disk.",
+                self._folder,
+                error.strerror,
+            )
         try:
             await self._on_disk(partial(self._snippets.write, snippets))
         except OSError as error:
             self._counters["service.snippets_failed"] += 1
-            log.error("pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror)
+            log.error(
+                "pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror
+            )
 
     async def _make_early_durable(self, contacts: list[EarlyContact]) -> None:
         now = iso_time(self._clock.utc_s())
         records = [
-            {"time": now, "state": early.state, "became": early.became, "contact": contact_feature(early.contact)} for early in contacts
+            {"time": now, "state": early.state, "became": early.became, "contact": contact_feature(early.contact)}
+            for early in contacts
         ]
         try:
             await self._on_disk(partial(self._append_early, records))
         except (OSError, AuvMcmError) as error:
             self._counters["service.early_journal_failed"] += 1
-            log.error("early contacts announced below are not on disk: %s: %s. Free space on the disk.", self._folder, error)
+            log.error(
+                "early contacts announced below are not on disk: %s: %s. Free space on the disk.", self._folder, error
+            )
 
     def _append_early(self, records: list[dict[str, Any]]) -> None:
         if self._early_journal is None:
@@ -404,14 +429,18 @@ class Service:
             log.info("health %s", self._health(queue, perception))
             # A lossless source, such as a recorded mission, waits on purpose while perception works.
             if not self._source.lossless and self._tally.pings == pings and perception.in_flight and queue.pings:
-                log.warning("perception has taken no ping for %g s although pings wait", self._config.service.health_period_s)
+                log.warning(
+                    "perception has taken no ping for %g s although pings wait", self._config.service.health_period_s
+                )
             pings, self._lag_s = self._tally.pings, 0.0
 
     def _health(self, queue: EventQueue, perception: Perception) -> str:
         contacts, clutter = self._announced_as.count(_NO_CLUTTER), self._announced_as.count(_CLUTTER)
         return (
-            f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} in_flight={perception.in_flight} "
-            f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} lag_ms={self._lag_s * 1e3:.1f}"
+            f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} "
+            f"in_flight={perception.in_flight} "
+            f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} "
+            f"lag_ms={self._lag_s * 1e3:.1f}"
             + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
             + (f" {self._vehicle_link.health()}" if self._vehicle_link is not None else "")
         )
@@ -423,7 +452,9 @@ class Service:
         if self._operating_point is not None:  # of the whole mission; those announced carry what was known then
             contacts = MarkedContacts(contacts, self._operating_point)
         proposed = None if self._vehicle_link is None else self._vehicle_link.plan
-        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
+        waypoints = (
+            plan_waypoints(contacts, self._tally, self._config.plan, self._counters) if proposed is None else proposed
+        )
         writers = result_writers(self._folder, contacts, coverage, waypoints, self._config.mission)
         writers["clearance.geojson"] = partial(write_clearance, self._folder, self._clearance, self._clearance_png)
         errors = all_written(writers)
@@ -437,7 +468,9 @@ class Service:
             **contact_totals(contacts, coverage),
             **point_totals(self._operating_point),
             **search_totals(self._clearance, contacts),
-            **area_totals(self._clearance, self._config.plan, "" if self._vehicle_link is None else self._vehicle_link.verdict),
+            **area_totals(
+                self._clearance, self._config.plan, "" if self._vehicle_link is None else self._vehicle_link.verdict
+            ),
             "waypoints": len(waypoints),
             **({} if self._vehicle_link is None else {"vehicle": self._vehicle_link.health()}),
             "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
@@ -495,8 +528,10 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
 def _work_shed(n_waiting: int) -> Notice:
     return Notice(
         code="service.work_shed",
-        text=f"perception is behind, {n_waiting} pings wait: until it has caught up work on the least likely places of tiles is left out, "
-        "which then earn less coverage. Set budget.duty to what this computer affords, which 'auv-mcm calibrate budget' measures, or use "
+        text=f"perception is behind, {n_waiting} pings wait: until it has caught up work on the least likely places of "
+        "tiles is left out, "
+        "which then earn less coverage. Set budget.duty to what this computer affords, which 'auv-mcm calibrate "
+        "budget' measures, or use "
         "coarser pixels. Pings with less work are counted.",
     )
 

@@ -19,7 +19,8 @@ _SNIPPET_NAME: Final = re.compile(r"C[0-9]+\.png")
 
 
 def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
-    """Write `snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, other files stay.
+    """Write `snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, other
+    files stay.
 
     Raises OSError, also for a link in the place of `snippets`.
     """
@@ -58,11 +59,14 @@ def _write_snippet(snippets: int, contact_id: str, picture: bytes) -> None:
 
 
 def make_results_directory(path: Path) -> Path:
-    """Make the directory of a replay's results, with `snippets/` in it. Raises UsageError if one of them cannot be written to."""
+    """Make the directory of a replay's results, with `snippets/` in it. Raises UsageError if one of them cannot be
+    written to."""
     make_directory(path)
     snippets = path / _SNIPPETS
     try:
         with own_directory(snippets):
             return path
     except OSError as error:
-        raise UsageError(f"{snippets} is a link or cannot be opened: {error.strerror}. Remove it, or name another directory.") from error
+        raise UsageError(
+            f"{snippets} is a link or cannot be opened: {error.strerror}. Remove it, or name another directory."
+        ) from error

@@ -20,7 +20,9 @@ def parse_source_uri(text: str) -> SourceUri:
     """Parse `service.source`: `ports`, or scheme:path?option=value&... Raises UsageError."""
     known = "ports, " + ", ".join(f"{scheme}:" for scheme in sorted(SOURCES) if scheme != "ports")
     if not text:
-        raise UsageError("service.source is empty: name where pings come from, e.g. source: replay:///data/mission.xtf?speed=1")
+        raise UsageError(
+            "service.source is empty: name where pings come from, e.g. source: replay:///data/mission.xtf?speed=1"
+        )
     if text == "ports":
         return SourceUri(text, text, "", {})
     try:
@@ -31,7 +33,9 @@ def parse_source_uri(text: str) -> SourceUri:
     if parts.scheme not in SOURCES:
         raise UsageError(f"service.source '{text}': unknown scheme '{parts.scheme}'. Known: {known}")
     if parts.netloc:
-        raise UsageError(f"service.source '{text}': '{parts.netloc}' is read as a host. A path has three slashes: {parts.scheme}:///path")
+        raise UsageError(
+            f"service.source '{text}': '{parts.netloc}' is read as a host. A path has three slashes: {parts.scheme}:///path"
+        )
     if len(dict(options)) < len(options):
         raise UsageError(f"service.source '{text}': an option is given twice")
     return SourceUri(text, parts.scheme, unquote(parts.path), dict(options))

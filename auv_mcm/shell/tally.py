@@ -8,7 +8,8 @@ from typing import Any, Final
 from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.records import NAN, NavSample, Notice, Ping, SourceEvent
 
-# A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time surveyed.
+# A longer step between two fixes or two pings is a jump, or a hole between logs: neither distance sailed nor time
+# surveyed.
 MAX_STEP_M: Final = 100.0
 MAX_STEP_S: Final = 60.0
 

@@ -86,7 +86,9 @@ class VehicleLink:
         position_lost = now_s - self._position_s > _POSITION_LOST_S
         faults = [self._ending] if self._ending else [*faults, "there is no position"] if position_lost else faults
         area = self._look_again.area
-        self._report_health("fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])]))
+        self._report_health(
+            "fault" if faults else "normal", "; ".join([*faults, *([] if area is None else [area.words()])])
+        )
         if self._plans and not self._ending and not position_lost and self.vehicle.authority != "down":
             self._look_again.move(*self._position_deg, self.vehicle.authority == "granted", now_s)
             if (plan := self._look_again.insist(now_s)) is not None:

@@ -1,6 +1,7 @@
 """Find the lowest points of a cost over a box: many starts spread evenly, then the best of them walk downhill.
 
-Everything is the same in every run: starts and directions come from the additive recurrence of M. Roberts' generalised golden ratio.
+Everything is the same in every run: starts and directions come from the additive recurrence of M. Roberts' generalised
+golden ratio.
 """
 
 from __future__ import annotations
@@ -75,7 +76,9 @@ def look_around(cost: Callable[[Array], Array], box: SearchBox, n_starts: int, n
     return apart(Optima(unit, cost(box.points(unit))), box, n_kept)
 
 
-def walk(cost: Callable[[Array], Array], box: SearchBox, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float) -> Optima:
+def walk(
+    cost: Callable[[Array], Array], box: SearchBox, optima: Optima, n_steps: int, n_tries: int, *, first_stride: float
+) -> Optima:
     """Walk each place n_steps times to the best of n_tries steps if that is better.
 
     Steps grow with success and shrink without.
@@ -134,7 +137,8 @@ def curvature_covariance(cost: Callable[[Array], Array], box: SearchBox, point: 
         return cost(box.points(unit.reshape(-1, d))).reshape(points.shape[:-1])
 
     here, ahead, back = np.split(
-        at(np.concatenate([point[np.newaxis], (point + offsets).reshape(-1, d), (point - offsets).reshape(-1, d)])), (1, 1 + 6 * d)
+        at(np.concatenate([point[np.newaxis], (point + offsets).reshape(-1, d), (point - offsets).reshape(-1, d)])),
+        (1, 1 + 6 * d),
     )
     rise = (0.5 * (ahead + back) - here).reshape(len(scales), d)
     enough = rise >= _RISE

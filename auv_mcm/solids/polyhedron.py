@@ -30,11 +30,12 @@ class _Incidence(NamedTuple):
 def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range: Array, altitude: Array) -> Slice:
     """Compute the slice of a convex polyhedron above the floor.
 
-    vertices: (..., n_vertices, 3) along-track and across-track from the object's place, and height. faces: indices of their vertices
-    in circular order. offset, ground_range, altitude: arrays that broadcast against the leading axes of the vertices.
+    vertices: (..., n_vertices, 3) along-track and across-track from the object's place, and height. faces: indices of
+    their vertices in circular order. offset, ground_range, altitude: arrays that broadcast against the leading axes of
+    the vertices.
 
-    A side of the polygon lies in a face and joins the crossings of two of its edges. All pairs of edges of a face are taken: those
-    that are not sides lie within the polygon and change neither the farthest nor the nearest point.
+    A side of the polygon lies in a face and joins the crossings of two of its edges. All pairs of edges of a face are
+    taken: those that are not sides lie within the polygon and change neither the farthest nor the nearest point.
     """
     incidence = _incidence(faces)
     shape = np.broadcast_shapes(vertices.shape[:-2], offset.shape, ground_range.shape, altitude.shape)
@@ -42,7 +43,9 @@ def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range:
     corners = corners.reshape(corners.shape[:2] + (1,) * (len(shape) - corners.ndim + 2) + corners.shape[2:])
     start, end = corners[incidence.edges[:, 0]], corners[incidence.edges[:, 1]]
     run = end[:, 0] - start[:, 0]
-    crosses = (np.minimum(start[:, 0], end[:, 0]) <= offset) & (offset <= np.maximum(start[:, 0], end[:, 0])) & (run != 0.0)
+    crosses = (
+        (np.minimum(start[:, 0], end[:, 0]) <= offset) & (offset <= np.maximum(start[:, 0], end[:, 0])) & (run != 0.0)
+    )
     part = np.divide(offset - start[:, 0], run, out=np.zeros(crosses.shape), where=crosses)
     y = np.broadcast_to(ground_range, shape) + start[:, 1] + part * (end[:, 1] - start[:, 1])
     z = start[:, 2] + part * (end[:, 2] - start[:, 2])
@@ -50,7 +53,9 @@ def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range:
     first, second = incidence.pairs[:, 0], incidence.pairs[:, 1]
     sides = crosses[first] & crosses[second]
     y0, z0, y1, z1 = y[first], z[first], y[second], z[second]
-    if np.any(corners[:, 2] < 0.0):  # the floor cuts sides, and the new corners are farther out than what remains of the old ones
+    if np.any(
+        corners[:, 2] < 0.0
+    ):  # the floor cuts sides, and the new corners are farther out than what remains of the old ones
         sides = sides & (np.maximum(z0, z1) >= 0.0)
         (y0, z0), (y1, z1) = _raised_to_floor(y0, z0, y1, z1), _raised_to_floor(y1, z1, y0, z0)
         y, z, crosses = np.concatenate((y0, y1)), np.concatenate((z0, z1)), np.concatenate((sides, sides))
@@ -74,7 +79,9 @@ def require_convex(vertices: Array, faces: Faces) -> None:
     sides = [frozenset(side) for face in faces for side in _sides(face)]
     open_sides = {tuple(sorted(side)) for side in sides if sides.count(side) != 2}
     if open_sides or not faces:
-        raise ValueError(f"faces must close the surface: edges {sorted(open_sides)} do not belong to exactly two of them")
+        raise ValueError(
+            f"faces must close the surface: edges {sorted(open_sides)} do not belong to exactly two of them"
+        )
     size = np.ptp(vertices, axis=-2).max(axis=-1, keepdims=True)
     for face in faces:
         corner = vertices[..., face[0], :]
@@ -84,13 +91,20 @@ def require_convex(vertices: Array, faces: Faces) -> None:
         on_one_side = (distance <= scale).all(axis=-1) | (distance >= -scale).all(axis=-1)
         plane = (np.abs(distance[..., list(face)]) <= scale).all(axis=-1)
         if not (on_one_side & plane & (scale[..., 0] > 0.0)).all():
-            raise ValueError(f"face {face} must be plane with all vertices on one side of it, as faces of a convex solid are")
+            raise ValueError(
+                f"face {face} must be plane with all vertices on one side of it, as faces of a convex solid are"
+            )
 
 
 @functools.cache
 def _incidence(faces: Faces) -> _Incidence:
-    edges = {frozenset(side): index for index, side in enumerate({frozenset(side): side for face in faces for side in _sides(face)})}
-    pairs = [sorted(pair) for face in faces for pair in combinations([edges[frozenset(side)] for side in _sides(face)], 2)]
+    edges = {
+        frozenset(side): index
+        for index, side in enumerate({frozenset(side): side for face in faces for side in _sides(face)})
+    }
+    pairs = [
+        sorted(pair) for face in faces for pair in combinations([edges[frozenset(side)] for side in _sides(face)], 2)
+    ]
     return _Incidence(np.array([sorted(edge) for edge in edges], dtype=np.intp), np.array(pairs, dtype=np.intp))
 
 

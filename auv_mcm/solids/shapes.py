@@ -1,15 +1,17 @@
 """Compute highlight and shadow of simple solids on the sea floor, in closed form for every ping.
 
 A side-scan sonar is a push-broom camera: each ping sees only the vertical slice of the world across its track, so the
-shadow is a perspective across the track and a parallel projection along it. A point at ground range y and height z casts its shadow to
-H y / (H - z). Treating all rays as parallel instead, as if the sonar were far away, moves the shadow's end by decimetres at 5 m
-altitude.
+shadow is a perspective across the track and a parallel projection along it. A point at ground range y and height z
+casts its shadow to H y / (H - z). Treating all rays as parallel instead, as if the sonar were far away, moves the
+shadow's end by decimetres at 5 m altitude.
 
-Solids lie or stand on a plane floor, pushed into it by burial_m; what is below the floor is neither seen nor throws a shadow. Every
-field of a solid may be an array: fields, pings and altitudes broadcast, so hypotheses (n, 1) times pings (m,) give (n, m) in one call.
+Solids lie or stand on a plane floor, pushed into it by burial_m; what is below the floor is neither seen nor throws a
+shadow. Every field of a solid may be an array: fields, pings and altitudes broadcast, so hypotheses (n, 1) times pings
+(m,) give (n, m) in one call.
 
-Frame of an object: along-track, across-track to the side looked at, up. azimuth_rad turns its long axis from along-track to
-across-track. On the port side that is counter-clockwise seen from above, which matters for solids without a plane of symmetry only.
+Frame of an object: along-track, across-track to the side looked at, up. azimuth_rad turns its long axis from
+along-track to across-track. On the port side that is counter-clockwise seen from above, which matters for solids
+without a plane of symmetry only.
 """
 
 from __future__ import annotations
@@ -122,10 +124,11 @@ Shape: TypeAlias = Sphere | Cylinder | TruncatedCone | Box | Wedge | ConvexPolyh
 class SolidView(NamedTuple):
     """Hold what pings see of a solid: float64 arrays of the broadcast shape, NaN where a slice misses it.
 
-    front_slant_range_m: of its nearest point, where the highlight begins; on the image it lies before the object's foot.
-    tangent_slant_range_m: of the last point lit, which the ray along the shadow's far end touches. A ray that grazes along an edge
-    or face touches everywhere on it; then it is some point of that. The echo of the floor before the object's foot may come later.
-    shadow_end_m: ground range at which the shadow ends; infinite if the solid is as high as the sonar or higher.
+    front_slant_range_m: of its nearest point, where the highlight begins; on the image it lies before the object's
+    foot. tangent_slant_range_m: of the last point lit, which the ray along the shadow's far end touches. A ray that
+    grazes along an edge or face touches everywhere on it; then it is some point of that. The echo of the floor before
+    the object's foot may come later. shadow_end_m: ground range at which the shadow ends; infinite if the solid is as
+    high as the sonar or higher.
     """
 
     front_slant_range_m: Array
@@ -144,26 +147,32 @@ def view_shape(
 ) -> SolidView:
     """Compute the view of a solid by pings.
 
-    along_track_offset_m: of the ping from the object's place, positive after it has passed. ground_range_m: of that place from the
-    track. altitude_m: of the sonar over the floor vertically below it. All broadcast; NaN in any of them gives NaN.
-    slope_rad: of the floor within the slice, positive if it rises away from the track; the solid stands perpendicular to it.
-    squint_rad: by which the slices are turned forward from broadside, as in parts of a synthetic aperture. Ground ranges of the
-    result are then along the squinted slice.
+    along_track_offset_m: of the ping from the object's place, positive after it has passed. ground_range_m: of that
+    place from the track. altitude_m: of the sonar over the floor vertically below it. All broadcast; NaN in any of them
+    gives NaN. slope_rad: of the floor within the slice, positive if it rises away from the track; the solid stands
+    perpendicular to it. squint_rad: by which the slices are turned forward from broadside, as in parts of a synthetic
+    aperture. Ground ranges of the result are then along the squinted slice.
 
-    Raises ValueError if an altitude is not positive, a slope is vertical, or a slice of the solid reaches back to the point of the
-    floor nearest to the sonar: beyond it, sonar and shadow would be on different sides.
+    Raises ValueError if an altitude is not positive, a slope is vertical, or a slice of the solid reaches back to the
+    point of the floor nearest to the sonar: beyond it, sonar and shadow would be on different sides.
     """
     offset, ground_range, altitude, slope, squint = (
-        np.asarray(value, dtype=np.float64) for value in (along_track_offset_m, ground_range_m, altitude_m, slope_rad, squint_rad)
+        np.asarray(value, dtype=np.float64)
+        for value in (along_track_offset_m, ground_range_m, altitude_m, slope_rad, squint_rad)
     )
     if np.any(altitude <= 0.0):
-        raise ValueError(f"altitude_m must be positive, got {np.nanmin(altitude):g}: leave out pings without a known altitude")
+        raise ValueError(
+            f"altitude_m must be positive, got {np.nanmin(altitude):g}: leave out pings without a known altitude"
+        )
     if np.any(np.abs(slope) >= 0.5 * np.pi):
-        raise ValueError(f"slope_rad must be between -pi/2 and pi/2, got {slope.ravel()[np.nanargmax(np.abs(slope))]:g}")
+        raise ValueError(
+            f"slope_rad must be between -pi/2 and pi/2, got {slope.ravel()[np.nanargmax(np.abs(slope))]:g}"
+        )
     across, along = np.sin(squint), np.cos(squint)
     offset, ground_range = offset * along + ground_range * across, ground_range * along - offset * across
 
-    # On a slope the slice is a flat floor's, turned about the sonar: the foot of the perpendicular takes the place of the nadir.
+    # On a slope the slice is a flat floor's, turned about the sonar: the foot of the perpendicular takes the place of
+    # the nadir.
     foot = altitude * np.sin(slope)
     altitude = altitude * np.cos(slope)
     seen = _slice(shape, squint, offset, ground_range / np.cos(slope) - foot, altitude)
@@ -173,7 +182,9 @@ def view_shape(
             "its whole slice must lie beyond that point on the side viewed: place it farther away"
         )
     below = seen.tangent_height_m < altitude
-    reach = np.divide(altitude * seen.tangent_m, altitude - seen.tangent_height_m, out=np.full(below.shape, np.inf), where=below)
+    reach = np.divide(
+        altitude * seen.tangent_m, altitude - seen.tangent_height_m, out=np.full(below.shape, np.inf), where=below
+    )
     return SolidView(
         front_slant_range_m=seen.front_slant_range_m,
         tangent_slant_range_m=np.hypot(seen.tangent_m, altitude - seen.tangent_height_m),
@@ -191,7 +202,9 @@ def flat_ground_range_m(slant_range_m: ArrayLike, altitude_m: ArrayLike) -> Arra
 
 
 # Corners in units of length, width and height; the face lists go round each face.
-_BOX_CORNERS: Final = np.array([(x, y, z) for z in (0.0, 1.0) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))])
+_BOX_CORNERS: Final = np.array(
+    [(x, y, z) for z in (0.0, 1.0) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+)
 _BOX_FACES: Final[Faces] = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 _WEDGE_CORNERS: Final = np.concatenate((_BOX_CORNERS[:4], _BOX_CORNERS[5:7]))
 _WEDGE_FACES: Final[Faces] = ((0, 1, 2, 3), (1, 2, 5, 4), (0, 3, 5, 4), (0, 1, 4), (3, 2, 5))
@@ -205,18 +218,29 @@ def _slice(shape: Shape, turn: Array, offset: Array, ground_range: Array, altitu
             return sphere_slice(radius, radius - burial, offset, ground_range, altitude)
         case Cylinder():
             radius, length = np.asarray(shape.radius_m, dtype=np.float64), np.asarray(shape.length_m, dtype=np.float64)
-            return cylinder_slice(radius, length, shape.azimuth_rad + turn, radius - burial, offset, ground_range, altitude)
+            return cylinder_slice(
+                radius, length, shape.azimuth_rad + turn, radius - burial, offset, ground_range, altitude
+            )
         case TruncatedCone():
-            base, top, height = (np.asarray(value, dtype=np.float64) for value in (shape.base_radius_m, shape.top_radius_m, shape.height_m))
-            return cone_slice(base - (base - top) * (burial / height), top, height - burial, offset, ground_range, altitude)
+            base, top, height = (
+                np.asarray(value, dtype=np.float64)
+                for value in (shape.base_radius_m, shape.top_radius_m, shape.height_m)
+            )
+            return cone_slice(
+                base - (base - top) * (burial / height), top, height - burial, offset, ground_range, altitude
+            )
         case Box() | Wedge():
-            size = np.stack(np.broadcast_arrays(shape.length_m, shape.width_m, shape.height_m), axis=-1)[..., np.newaxis, :]
+            size = np.stack(np.broadcast_arrays(shape.length_m, shape.width_m, shape.height_m), axis=-1)[
+                ..., np.newaxis, :
+            ]
             corners, faces = (_BOX_CORNERS, _BOX_FACES) if isinstance(shape, Box) else (_WEDGE_CORNERS, _WEDGE_FACES)
             placed = _placed(size * corners, shape.azimuth_rad + turn, burial)
             return polyhedron_slice(placed, faces, offset, ground_range, altitude)
         case ConvexPolyhedron():
             vertices = np.asarray(shape.vertices_m, dtype=np.float64)
-            return polyhedron_slice(_placed(vertices, shape.azimuth_rad + turn, burial), shape.faces, offset, ground_range, altitude)
+            return polyhedron_slice(
+                _placed(vertices, shape.azimuth_rad + turn, burial), shape.faces, offset, ground_range, altitude
+            )
         case _:
             assert_never(shape)
 

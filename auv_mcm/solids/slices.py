@@ -1,9 +1,9 @@
 """Compute the vertical slices of round solids that single pings see.
 
-Coordinates within a slice: y is ground range from the sonar, z height over the floor, the sonar is at (0, H). All solids are convex,
-and so are their slices and what the floor z = 0 leaves of them. Two facts then replace all searching: the elevation (z - H) / y of
-points along the upper boundary has one maximum, and so has their nearness to the sonar; where the boundary is cut (end planes, rims,
-floor), the best point moves to the cut.
+Coordinates within a slice: y is ground range from the sonar, z height over the floor, the sonar is at (0, H). All
+solids are convex, and so are their slices and what the floor z = 0 leaves of them. Two facts then replace all
+searching: the elevation (z - H) / y of points along the upper boundary has one maximum, and so has their nearness to
+the sonar; where the boundary is cut (end planes, rims, floor), the best point moves to the cut.
 
 All arguments are float64 arrays that broadcast against each other, lengths in metres.
 """
@@ -27,8 +27,8 @@ _UPRIGHT: Final = 1e-9  # taper below which the sides of a cone count as upright
 class Slice(NamedTuple):
     """Hold near end, front and tangent of slices, arrays of one shape; NaN where a slice misses the solid.
 
-    near_m: minimum ground range. front_slant_range_m: of the point nearest to the sonar. tangent_m, tangent_height_m: ground range and
-    height of the point that the ray along the far edge of the shadow touches.
+    near_m: minimum ground range. front_slant_range_m: of the point nearest to the sonar. tangent_m, tangent_height_m:
+    ground range and height of the point that the ray along the far edge of the shadow touches.
     """
 
     near_m: Array
@@ -42,16 +42,24 @@ def sphere_slice(radius: Array, centre_height: Array, offset: Array, ground_rang
     circle = np.sqrt(np.maximum((radius - offset) * (radius + offset), 0.0))
     hit = np.abs(offset) < radius
     zero, one = np.zeros(()), np.ones(())
-    return _arch_slice(circle, centre_height, zero, one, (np.where(hit, -np.inf, np.inf), np.inf + zero), ground_range, altitude)
+    return _arch_slice(
+        circle, centre_height, zero, one, (np.where(hit, -np.inf, np.inf), np.inf + zero), ground_range, altitude
+    )
 
 
 def cylinder_slice(
-    radius: Array, length: Array, azimuth: Array, centre_height: Array, offset: Array, ground_range: Array, altitude: Array
+    radius: Array,
+    length: Array,
+    azimuth: Array,
+    centre_height: Array,
+    offset: Array,
+    ground_range: Array,
+    altitude: Array,
 ) -> Slice:
     """Slice a lying cylinder with flat ends: the slice is an ellipse cut by two verticals.
 
-    Everything is done in the lateral coordinate l of the cylinder, in which it is a circle, because the ellipse's long semi-axis
-    radius / |cos azimuth| has no bound.
+    Everything is done in the lateral coordinate l of the cylinder, in which it is a circle, because the ellipse's long
+    semi-axis radius / |cos azimuth| has no bound.
     """
     cosine, sine = np.cos(azimuth), np.sin(azimuth)
     sine, cosine = np.where(cosine < 0.0, -sine, sine), np.abs(cosine)  # the axis has no sign
@@ -59,13 +67,15 @@ def cylinder_slice(
     return _arch_slice(radius, centre_height, -offset * sine, cosine, ends, ground_range, altitude)
 
 
-def cone_slice(base_radius: Array, top_radius: Array, height: Array, offset: Array, ground_range: Array, altitude: Array) -> Slice:
+def cone_slice(
+    base_radius: Array, top_radius: Array, height: Array, offset: Array, ground_range: Array, altitude: Array
+) -> Slice:
     """Slice an upright truncated cone on the floor, top_radius <= base_radius.
 
     The slice is bounded by a hyperbola and the flat top.
 
-    With ρ² = y'² + u² (y' from the axis, u the offset) the lateral height is (R - ρ) / k, and the ray from the sonar touches it where
-    u² - y_c y' = (R - kH) ρ, which is a sine in the polar angle of (y', u).
+    With ρ² = y'² + u² (y' from the axis, u the offset) the lateral height is (R - ρ) / k, and the ray from the sonar
+    touches it where u² - y_c y' = (R - kH) ρ, which is a sine in the polar angle of (y', u).
     """
     hit = (np.abs(offset) <= base_radius) & (height > 0.0)
     base_radius = np.where(hit, base_radius, 1.0)
@@ -79,16 +89,22 @@ def cone_slice(base_radius: Array, top_radius: Array, height: Array, offset: Arr
     flat = u <= top_radius
 
     def lateral_height(across: Array) -> Array:
-        sloping = np.clip((base_radius - np.hypot(across, u)) / np.where(k > 0.0, k, 1.0), 0.0, np.where(hit, height, 0.0))
+        sloping = np.clip(
+            (base_radius - np.hypot(across, u)) / np.where(k > 0.0, k, 1.0), 0.0, np.where(hit, height, 0.0)
+        )
         return np.where(flat & (np.abs(across) <= rim), height, np.where(np.abs(across) >= base, 0.0, sloping))
 
-    angle = np.arctan2(ground_range, u) + np.arcsin(np.clip(apex / np.maximum(np.hypot(u, ground_range), _TINY), -1.0, 1.0))
+    angle = np.arctan2(ground_range, u) + np.arcsin(
+        np.clip(apex / np.maximum(np.hypot(u, ground_range), _TINY), -1.0, 1.0)
+    )
     lit_down_to_the_floor = angle <= 0.0
     touch = np.where(lit_down_to_the_floor, np.inf, u / np.tan(np.where(lit_down_to_the_floor, 1.0, angle)))
     # Seen from above its rim the flat top hides behind its far end, from below behind the near one.
     below_rim = flat & (altitude < height)
     across = np.clip(touch, np.where(flat & ~below_rim, rim, -base), np.where(below_rim, -rim, base))
-    front = -np.clip(_cone_front(base_radius, np.maximum(k, _UPRIGHT), u, ground_range, altitude), np.where(flat, rim, 0.0), base)
+    front = -np.clip(
+        _cone_front(base_radius, np.maximum(k, _UPRIGHT), u, ground_range, altitude), np.where(flat, rim, 0.0), base
+    )
     return _masked(
         hit,
         near=ground_range - base,
@@ -101,10 +117,10 @@ def cone_slice(base_radius: Array, top_radius: Array, height: Array, offset: Arr
 def _cone_front(base_radius: Array, k: Array, u: Array, ground_range: Array, altitude: Array) -> Array:
     """Compute how far before the axis the sloping side is nearest to the sonar, if it had neither top nor base.
 
-    With x the inverse of that distance and m = R - kH: s x + m S(x) = T, where s = k² y_c, T = 1 + k² and S(x) = x / sqrt(1 + u²x²).
-    The left side is concave for m >= 0 and convex for m < 0, so Newton's method from below, or from above, closes in from one side.
-    It starts from the best of the bounds S <= x, S <= 1/u, and S <= x (1 - e u²x²) for ux <= 1, S <= (1 - e / (ux)²) / u for ux >= 1
-    with e = 1 - sqrt(1/2).
+    With x the inverse of that distance and m = R - kH: s x + m S(x) = T, where s = k² y_c, T = 1 + k² and S(x) = x /
+    sqrt(1 + u²x²). The left side is concave for m >= 0 and convex for m < 0, so Newton's method from below, or from
+    above, closes in from one side. It starts from the best of the bounds S <= x, S <= 1/u, and S <= x (1 - e u²x²) for
+    ux <= 1, S <= (1 - e / (ux)²) / u for ux >= 1 with e = 1 - sqrt(1/2).
     """
     u = np.maximum(u, 1e-12 * base_radius)  # through the axis the side has a corner
     m = base_radius - k * altitude
@@ -131,7 +147,13 @@ def _cone_front(base_radius: Array, k: Array, u: Array, ground_range: Array, alt
 
 
 def _arch_slice(
-    radius: Array, centre_height: Array, lateral: Array, cosine: Array, ends: tuple[Array, Array], ground_range: Array, altitude: Array
+    radius: Array,
+    centre_height: Array,
+    lateral: Array,
+    cosine: Array,
+    ends: tuple[Array, Array],
+    ground_range: Array,
+    altitude: Array,
 ) -> Slice:
     """Slice an arch, y' from y_c.
 
@@ -167,10 +189,11 @@ def _arch_slice(
 def _arch_front(radius: Array, lateral: Array, cosine: Array, sonar: Array, rise: Array, ground_range: Array) -> Array:
     """Compute where, from y_c, the nearest point to the sonar is if the ellipse had neither ends nor floor.
 
-    The multiplier t >= 0 of the ellipse's equation solves F(t) = (A / (c²t + 1))² + (B / (t + 1))² = 1 with A, B the sonar's lateral
-    coordinate and rise over the radius. F^(-1/2) is concave, so Newton's method on it closes in from below (J. J. Moré and
-    D. C. Sorensen, "Computing a trust region step", SIAM J. Sci. Stat. Comput. 4, 1983). It starts from the best of the bounds
-    c = 1, B = 0, and (1 + c²t)^-2 >= 1 - 2 c²t; the last one counts where the sonar is all but above the ellipse's long end.
+    The multiplier t >= 0 of the ellipse's equation solves F(t) = (A / (c²t + 1))² + (B / (t + 1))² = 1 with A, B the
+    sonar's lateral coordinate and rise over the radius. F^(-1/2) is concave, so Newton's method on it closes in from
+    below (J. J. Moré and D. C. Sorensen, "Computing a trust region step", SIAM J. Sci. Stat. Comput. 4, 1983). It
+    starts from the best of the bounds c = 1, B = 0, and (1 + c²t)^-2 >= 1 - 2 c²t; the last one counts where the sonar
+    is all but above the ellipse's long end.
     """
     size = np.where(radius > 0.0, radius, 1.0)
     first, second = sonar / size, rise / size
@@ -179,7 +202,9 @@ def _arch_front(radius: Array, lateral: Array, cosine: Array, sonar: Array, rise
     first, second = np.where(outside, first, 2.0), np.where(outside, second, 0.0)
     excess = (np.abs(first) - 1.0) * (np.abs(first) + 1.0)
     falling, second_square = np.maximum(2.0 * first * first * squeeze, 1e-60), second * second
-    bent = np.minimum(np.sqrt(0.5 * second_square / np.maximum(np.abs(excess), 1e-30)), np.cbrt(0.5 * second_square / falling))
+    bent = np.minimum(
+        np.sqrt(0.5 * second_square / np.maximum(np.abs(excess), 1e-30)), np.cbrt(0.5 * second_square / falling)
+    )
     bent = np.where(excess >= 0.0, np.cbrt(second_square / falling), bent) - 1.0
     along_axis = np.where(squeeze > 1e-30, (np.abs(first) - 1.0) / np.maximum(squeeze, 1e-30), 0.0)
     t = np.maximum(np.maximum(np.hypot(first, second) - 1.0, along_axis), bent)

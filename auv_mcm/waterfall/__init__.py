@@ -1,1 +1,2 @@
-"""Turn pings into metric waterfall tiles: quality control, bottom tracking, ground range, radiometry, along-track grid."""
+"""Turn pings into metric waterfall tiles: quality control, bottom tracking, ground range, radiometry, along-track
+grid."""

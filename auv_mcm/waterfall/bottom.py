@@ -1,10 +1,10 @@
 """Track the first bottom return from the samples themselves.
 
-Per ping, every slant range is scored as the change point between water column and sea floor: a likelihood ratio for a step
-in the mean of ln I (variance of single-look ln I: pi^2/6), both sides summed since both see the same altitude. The logarithm
-keeps a short ring-down or a fish from outweighing metres of dark water, and makes the score independent of gain. A best-path
-search over pings then takes the sequence of ranges that fits all pings together. An altitude reading only favours its
-neighbourhood: recorders disagree with the first return by metres.
+Per ping, every slant range is scored as the change point between water column and sea floor: a likelihood ratio for a
+step in the mean of ln I (variance of single-look ln I: pi^2/6), both sides summed since both see the same altitude. The
+logarithm keeps a short ring-down or a fish from outweighing metres of dark water, and makes the score independent of
+gain. A best-path search over pings then takes the sequence of ranges that fits all pings together. An altitude reading
+only favours its neighbourhood: recorders disagree with the first return by metres.
 """
 
 from __future__ import annotations
@@ -51,14 +51,17 @@ class BottomTrack(NamedTuple):
     seen: NDArray[np.bool_]
 
 
-def change_point_scores(log_intensity: NDArray[np.float64], valid: NDArray[np.bool_], blank_bins: int) -> NDArray[np.float64]:
+def change_point_scores(
+    log_intensity: NDArray[np.float64], valid: NDArray[np.bool_], blank_bins: int
+) -> NDArray[np.float64]:
     """Compute the log-likelihood ratio (n_pings, n_bins) float64 >= 0 that the bottom starts at each bin.
 
     0 where it cannot start.
 
-    log_intensity: (n_pings, n_bins) float64, read where valid. Two-sample Gaussian likelihood ratio for a rise of the mean
-    from the 0.5 m before bin k to the 0.5 m from it; zero unless the 0.5 m from k also stands at least ln 2 above the mean of
-    everything between the blanked range and k, so that edges inside the sea floor do not compete with the first one.
+    log_intensity: (n_pings, n_bins) float64, read where valid. Two-sample Gaussian likelihood ratio for a rise of the
+    mean from the 0.5 m before bin k to the 0.5 m from it; zero unless the 0.5 m from k also stands at least ln 2 above
+    the mean of everything between the blanked range and k, so that edges inside the sea floor do not compete with the
+    first one.
     """
     window = max(2, round(_WINDOW_M / BIN_M))
     return step_ratios(log_intensity, valid, blank_bins, window, _MIN_STEP, 2.0 * _LOG_VARIANCE)
@@ -87,10 +90,13 @@ class BottomTracker:
         self._before = _NO_PATH  # just before the held block
         self._level: float | None = None
 
-    def add(self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float) -> BottomTrack | None:
+    def add(
+        self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float
+    ) -> BottomTrack | None:
         """Score a block; return the path of the block before it, None for the first.
 
-        sides: cumulative sums per side, None for a side without data. altitude_m: (n_pings,) float64 prior, NaN where unknown.
+        sides: cumulative sums per side, None for a side without data. altitude_m: (n_pings,) float64 prior, NaN where
+        unknown.
         """
         score = self._score(sides, altitude_m, max_range_m)
         n_bins = score.shape[1]
@@ -140,7 +146,9 @@ class BottomTracker:
             level[ping] = self._level
         return level
 
-    def _score(self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float) -> NDArray[np.float64]:
+    def _score(
+        self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float
+    ) -> NDArray[np.float64]:
         n_bins = max(int(0.95 * max_range_m / BIN_M), 2)
         edges_m = np.arange(n_bins + 1, dtype=np.float64)[None, :] * BIN_M
         score = np.zeros((altitude_m.shape[0], n_bins))
@@ -148,10 +156,13 @@ class BottomTracker:
             if traces is None:
                 continue
             means = mean_between(traces, edges_m)
-            independent = min(1.0, BIN_M / traces.spacing_m)  # share of bins that do not repeat their neighbour's sample
+            independent = min(
+                1.0, BIN_M / traces.spacing_m
+            )  # share of bins that do not repeat their neighbour's sample
             log_intensity = np.log(_not_below_floor(means.intensity))
             ratios = change_point_scores(log_intensity, means.valid, self._blank_bins)
-            # Every side of every ping has the same weight: a loud fish, on one side, must not outvote the other and its neighbours.
+            # Every side of every ping has the same weight: a loud fish, on one side, must not outvote the other and its
+            # neighbours.
             add_votes(score, ratios, independent, _SIDE_VOTE, _EVIDENCE)
         known = np.isfinite(altitude_m) & (altitude_m > 0.0)
         if known.any():
@@ -197,7 +208,9 @@ def _running_means(values: NDArray[np.float64], reach: int, start: int, stop: in
     whole_stop = max(min(stop, values.shape[0] - reach), whole_start)
     means = np.empty(stop - start)
     if whole_stop > whole_start:
-        windows = np.lib.stride_tricks.sliding_window_view(values[whole_start - reach : whole_stop + reach], 2 * reach + 1)
+        windows = np.lib.stride_tricks.sliding_window_view(
+            values[whole_start - reach : whole_stop + reach], 2 * reach + 1
+        )
         means[whole_start - start : whole_stop - start] = windows.mean(axis=1)
     for ping in [*range(start, whole_start), *range(whole_stop, stop)]:
         means[ping - start] = values[max(ping - reach, 0) : ping + reach + 1].mean()
@@ -207,15 +220,17 @@ def _running_means(values: NDArray[np.float64], reach: int, start: int, stop: in
 def _running_medians(bins: NDArray[np.int64], reach: int, start: int, stop: int) -> NDArray[np.float64]:
     """Take medians over `reach` pings to either side of pings [start, stop), (stop - start,) float64.
 
-    A rock under the array is not the bottom everything else lies on. At the ends of `bins` the window shrinks evenly, so that a
-    steady dive is not bent.
+    A rock under the array is not the bottom everything else lies on. At the ends of `bins` the window shrinks evenly,
+    so that a steady dive is not bent.
     """
     last = bins.shape[0] - 1
     whole_start = min(max(start, reach), stop)
     whole_stop = max(min(stop, last - reach + 1), whole_start)
     medians = np.empty(stop - start)
     if whole_stop > whole_start:
-        windows = np.lib.stride_tricks.sliding_window_view(bins[whole_start - reach : whole_stop + reach], 2 * reach + 1)
+        windows = np.lib.stride_tricks.sliding_window_view(
+            bins[whole_start - reach : whole_stop + reach], 2 * reach + 1
+        )
         medians[whole_start - start : whole_stop - start] = np.partition(windows, reach, axis=1)[:, reach]
     for ping in [*range(start, whole_start), *range(whole_stop, stop)]:
         half = min(reach, ping, last - ping)

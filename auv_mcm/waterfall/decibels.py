@@ -18,7 +18,8 @@ from auv_mcm.waterfall.shape import Shape
 from auv_mcm.waterfall.speckle import Speckle
 
 _DB_PER_NAT: Final = 10.0 / math.log(10.0)
-# 8 bits span from 50 to 130 dB, and no span within that is likelier than another: what recorders document is spread over
+# 8 bits span from 50 to 130 dB, and no span within that is likelier than another: what recorders document is spread
+# over
 # all of it, and a narrower prior makes 0.2 dB per count of 4 to 8 looks over rippled or patchy floors a third too many.
 USUAL_DB_PER_COUNT: Final = 0.32
 _LEVEL_NATS: Final = 0.46

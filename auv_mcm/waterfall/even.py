@@ -93,7 +93,9 @@ def log_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64], *, is_c
     return shape._replace(mean=float(np.median(mean[even])))
 
 
-def _even_regions(by_half: Floats, share: float, trim: float) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], float]:
+def _even_regions(
+    by_half: Floats, share: float, trim: float
+) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], float]:
     """Choose the regions that each half of their windows, by_half (n, 2, 2), shows to be even.
 
     Returns those chosen by either half, increasing, and the variance of the most even share.

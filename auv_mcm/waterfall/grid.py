@@ -1,9 +1,9 @@
 """Resample pings onto the mission-fixed along-track grid.
 
-Grid row k covers along-track distance [k, k + 1) * row_spacing_m from mission start, so tile boundaries never move a sample.
-A ping stands for the stretch half-way to its neighbours; beside a longer gap than permitted, and at the ends of a segment, for as
-much as on its other side. A row is the mean of the pings it overlaps, weighted by overlap, and a stretch without pings stays
-without data.
+Grid row k covers along-track distance [k, k + 1) * row_spacing_m from mission start, so tile boundaries never move a
+sample. A ping stands for the stretch half-way to its neighbours; beside a longer gap than permitted, and at the ends of
+a segment, for as much as on its other side. A row is the mean of the pings it overlaps, weighted by overlap, and a
+stretch without pings stays without data.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class SideImage(NamedTuple):
 
     intensity: (n, n_columns) float32, 0 where not VALID; mask: (n, n_columns) uint8.
 
-    offset: (n, ceil(n_columns / LEVEL_COLUMNS)) float32, nats: the angle response taken off the intensity less that of the whole mission so
-    far. None where it was never measured.
+    offset: (n, ceil(n_columns / LEVEL_COLUMNS)) float32, nats: the angle response taken off the intensity less that of
+    the whole mission so far. None where it was never measured.
     """
 
     intensity: NDArray[np.float32]
@@ -43,8 +43,8 @@ class SideImage(NamedTuple):
 class Swath(NamedTuple):
     """Hold n pings, or n grid rows, of all sides over ground range, with their poses.
 
-    along_m: (n,) float64 distance from mission start, strictly increasing. first_return_m, first_return_sigma_m: (n,) float64.
-    ping_number: (n,) int64.
+    along_m: (n,) float64 distance from mission start, strictly increasing. first_return_m, first_return_sigma_m: (n,)
+    float64. ping_number: (n,) int64.
     """
 
     along_m: NDArray[np.float64]
@@ -61,7 +61,9 @@ class Swath(NamedTuple):
 
 def concatenate_poses(poses: list[PoseTrack]) -> PoseTrack:
     """Join poses of consecutive pings or rows."""
-    return PoseTrack(**{name: np.concatenate([getattr(pose, name) for pose in poses]) for name in PoseTrack.__struct_fields__})
+    return PoseTrack(
+        **{name: np.concatenate([getattr(pose, name) for pose in poses]) for name in PoseTrack.__struct_fields__}
+    )
 
 
 def slice_swath(swath: Swath, rows: slice) -> Swath:
@@ -73,7 +75,9 @@ def slice_swath(swath: Swath, rows: slice) -> Swath:
         swath.first_return_sigma_m[rows],
         swath.ping_number[rows],
         {
-            side: SideImage(image.intensity[rows], image.mask[rows], None if image.offset is None else image.offset[rows])
+            side: SideImage(
+                image.intensity[rows], image.mask[rows], None if image.offset is None else image.offset[rows]
+            )
             for side, image in swath.sides.items()
         },
     )
@@ -116,7 +120,9 @@ def _widened(image: SideImage | None, n_rows: int, n_columns: int) -> SideImage:
     offset = image.offset
     if offset is not None:
         offset = np.concatenate([offset, unknown_offset((n_rows, n_columns))[:, offset.shape[1] :]], axis=1)
-    return SideImage(np.pad(image.intensity, ((0, 0), (0, missing))), np.pad(image.mask, ((0, 0), (0, missing))), offset)
+    return SideImage(
+        np.pad(image.intensity, ((0, 0), (0, missing))), np.pad(image.mask, ((0, 0), (0, missing))), offset
+    )
 
 
 def unknown_offset(shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -176,13 +182,19 @@ class AlongTrackGrid:
         step = np.diff(along_m, prepend=self._previous_along_m, append=np.inf)
         half = np.where(step <= 2.0 * self._half_gap_m, 0.5 * step, np.inf)
         before, after = half[:-1], half[1:]
-        # Beside a gap a ping reaches no farther than on its other side: one ping's speckle, drawn out, looks like an object.
+        # Beside a gap a ping reaches no farther than on its other side: one ping's speckle, drawn out, looks like an
+        # object.
         before, after = np.where(np.isinf(before), after, before), np.where(np.isinf(after), before, after)
         return along_m - np.minimum(before, self._half_gap_m), along_m + np.minimum(after, self._half_gap_m)
 
 
 def _average_rows(
-    pings: Swath, start_m: NDArray[np.float64], stop_m: NDArray[np.float64], first_row: int, stop_row: int, spacing_m: float
+    pings: Swath,
+    start_m: NDArray[np.float64],
+    stop_m: NDArray[np.float64],
+    first_row: int,
+    stop_row: int,
+    spacing_m: float,
 ) -> Swath:
     n_rows = stop_row - first_row
     edges = (first_row + np.arange(n_rows + 1)) * spacing_m
@@ -217,12 +229,15 @@ def _average_rows(
     )
 
 
-def _place_between(along_m: NDArray[np.float64], wanted_m: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _place_between(
+    along_m: NDArray[np.float64], wanted_m: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Find the ping before each wanted distance, and the fraction of the way to the next.
 
     Distances beyond the ends give the ends.
 
-    Fractions are multiples of 2^-30, so that index plus fraction is exact and does not depend on how many pings went before.
+    Fractions are multiples of 2^-30, so that index plus fraction is exact and does not depend on how many pings went
+    before.
     """
     if along_m.shape[0] == 1:
         return np.zeros(wanted_m.shape, dtype=np.intp), np.zeros(wanted_m.shape)

@@ -1,17 +1,20 @@
 """Weigh what recorded numbers can be, amplitude, intensity or a logarithm, against what their speckle shows.
 
-Intensity of L averaged looks of speckle has a Gamma distribution about its local mean, its root a Nakagami distribution, its logarithm a
-log-Gamma distribution. So each law predicts, as a function of L alone, how standard deviation and skewness go together:
+Intensity of L averaged looks of speckle has a Gamma distribution about its local mean, its root a Nakagami
+distribution, its logarithm a log-Gamma distribution. So each law predicts, as a function of L alone, how standard
+deviation and skewness go together:
 
     amplitude   std / mean 0.52 / sqrt(L) or so, skewness / (std / mean) from 1.2 (L = 1) down to 1
     intensity   std / mean 1 / sqrt(L), skewness / (std / mean) always 2
-    logarithm   std 10 / ln 10 sqrt(psi'(L)) dB (5.57 dB for L = 1), skewness psi''(L) / psi'(L)^1.5 (-1.14 for L = 1, -0.36 for L = 8)
+    logarithm   std 10 / ln 10 sqrt(psi'(L)) dB (5.57 dB for L = 1),
+                skewness psi''(L) / psi'(L)^1.5 (-1.14 for L = 1, -0.36 for L = 8)
 
-Besides, the standard deviation follows the mean from range to range unless the samples are logarithms. Bayes' rule turns this into
-odds. What logarithms mean in decibels, `decibels` estimates.
+Besides, the standard deviation follows the mean from range to range unless the samples are logarithms. Bayes' rule
+turns this into odds. What logarithms mean in decibels, `decibels` estimates.
 
-Recorders that detect, smooth or decimate in their own way keep to no such law. Each law has therefore a wide part, too, which grants it
-other shapes; where only the wide parts are left, the prior decides, which for linear samples is amplitude.
+Recorders that detect, smooth or decimate in their own way keep to no such law. Each law has therefore a wide part, too,
+which grants it other shapes; where only the wide parts are left, the prior decides, which for linear samples is
+amplitude.
 """
 
 from __future__ import annotations
@@ -36,7 +39,8 @@ _TEXTURE_NATS: Final = 0.1  # of ln intensity, left in the most even regions of 
 # (an Iver2's) must not pass for it: that sets how rare.
 _PRIOR: Final[dict[Law, float]] = {"amplitude": 0.63, "intensity": 0.02, "log": 0.35}
 _WIDE_SHARE: Final = 0.02  # of a law's probability, for recorders that follow no law of speckle
-# Where the skewness of even regions lies below that of pure speckle (range-correlated samples, trimming, what texture is left), and how
+# Where the skewness of even regions lies below that of pure speckle (range-correlated samples, trimming, what texture
+# is left), and how
 # closely the rest follows: medians and spread over the missions that `auv-mcm bench law` calls fitted.
 _LOG_SKEWNESS_KEPT: Final = 0.95
 _LINEAR_SKEWNESS_SHIFT: Final = 0.03  # of skewness / (std / mean)
@@ -48,8 +52,8 @@ _LOG_STD_SIGMA: Final = 0.05
 class LawOdds(NamedTuple):
     """Hold the posterior probability of each law in the order of LAWS, and what follows if it is a logarithm.
 
-    db_per_count: posterior median, NaN without usable samples; db_interval: its 5 to 95 % interval. looks_interval: the same of the looks
-    of the likeliest law. n_regions: that could be used; 0 where only the prior counts.
+    db_per_count: posterior median, NaN without usable samples; db_interval: its 5 to 95 % interval. looks_interval: the
+    same of the looks of the likeliest law. n_regions: that could be used; 0 where only the prior counts.
     """
 
     probability: tuple[float, float, float]
@@ -117,7 +121,13 @@ def _relative_likelihood(law: Law, shape: Shape) -> tuple[NDArray[np.float64], f
     cv, ratio = (_NAKAGAMI_CV, _NAKAGAMI_RATIO) if law == "amplitude" else (_GAMMA_CV, _GAMMA_RATIO)
     expected = (ratio + _LINEAR_SKEWNESS_SHIFT) * shape.std
     sigma = np.hypot(_RELATIVE_SKEWNESS_SIGMA * shape.std, shape.skewness_sigma)
-    tight = LOOKS_PRIOR * _student((log_cv - np.log(cv)) / cv_sigma) / cv_sigma * _normal((skewness - expected) / sigma) / sigma
+    tight = (
+        LOOKS_PRIOR
+        * _student((log_cv - np.log(cv)) / cv_sigma)
+        / cv_sigma
+        * _normal((skewness - expected) / sigma)
+        / sigma
+    )
     middle = math.log(0.4 if law == "amplitude" else 0.7)
     wide_sigma = math.hypot(1.0 * shape.std, shape.skewness_sigma)
     wide = _normal((log_cv - middle) / 0.4) / 0.4 * _normal((skewness - 1.8 * shape.std) / wide_sigma) / wide_sigma

@@ -1,8 +1,8 @@
 """Decide what samples mean from the first pings, and keep checking while pings come.
 
-The decision depends on the pings alone, in their order, not on their delivery. Without a configured law, several hundred
-pings decide, or as many as come within half a minute where pings are rare. The law turns if later pings strongly
-contradict it.
+The decision depends on the pings alone, in their order, not on their delivery. Without a configured law, several
+hundred pings decide, or as many as come within half a minute where pings are rare. The law turns if later pings
+strongly contradict it.
 """
 
 from __future__ import annotations
@@ -31,9 +31,12 @@ _DECIDE_S: Final = 30.0  # slow pings decide after this much time, so that conta
 _MAX_S: Final = 60.0
 _DECISIVE: Final = 0.99
 _NARROW_NATS: Final = 0.35  # between the ends of the interval of decibels per count; wider, more pings are awaited
-_STRONG: Final = 1e-3  # probability below which a law is contradicted: a notice, or a turn, must not come of an odd stretch of sea floor
+# Probability below which a law is contradicted: a notice, or a turn, must not come of an odd stretch of sea floor
+_STRONG: Final = 1e-3
 _TURN_NATS: Final = 0.2  # decibels per count that differ by less are not worth starting anew for
-_DOUBT_RATIO: Final = 1.6  # beyond the interval of decibels per count: fields of boulders bring the estimate down by a third
+_DOUBT_RATIO: Final = (
+    1.6  # beyond the interval of decibels per count: fields of boulders bring the estimate down by a third
+)
 _GAP_S: Final = 2.0
 _GAP_STEPS: Final = 3.0  # of the time between pings: those of a long-range sonar come seconds apart
 _RECENT_BLOCKS: Final = 32  # 512 pings
@@ -67,7 +70,8 @@ class LawWatch:
         self._in_doubt = False
 
     def add(self, ping: Ping) -> LawVerdict | None:
-        """Take a ping; a verdict where one is due. The first verdict always names a transfer; no ping can be read before."""
+        """Take a ping; a verdict where one is due. The first verdict always names a transfer; no ping can be read
+        before."""
         self._note_time(ping)
         self._collect(ping)
         if self._transfer is None:
@@ -171,9 +175,15 @@ class LawWatch:
 
     def _decibels_turned(self, odds: LawOdds) -> bool:
         held = self._transfer
-        if held is None or held.kind != "log" or self._sonar.db_per_count is not None or self._n_blocks < self._next_decibels:
+        if (
+            held is None
+            or held.kind != "log"
+            or self._sonar.db_per_count is not None
+            or self._n_blocks < self._next_decibels
+        ):
             return False
-        # Checked after twice as many pings each time: an estimate that wavers must not restart statistics again and again.
+        # Checked after twice as many pings each time: an estimate that wavers must not restart statistics again and
+        # again.
         self._next_decibels = 2 * self._n_blocks
         low, high = odds.db_interval
         outside = not low <= held.db_per_count <= high
@@ -194,7 +204,8 @@ class LawWatch:
             notices.append(
                 Notice(
                     code="transfer.disagrees",
-                    text=f"{source} '{kind}' but the samples look like '{odds.likeliest}' (odds {_odds_text(odds, odds.likeliest, kind)}). "
+                    text=f"{source} '{kind}' but the samples look like '{odds.likeliest}' (odds "
+                    f"{_odds_text(odds, odds.likeliest, kind)}). "
                     "If that is wrong, contrast and false alarms suffer. Check the recorder's manual.",
                     place=place,
                 )
@@ -244,7 +255,10 @@ def _samples(trace: EchoTrace | None) -> NDArray[Any]:
 
 
 def _form(ping: Ping) -> tuple[object, ...]:
-    return tuple(None if trace is None else (trace.samples.shape[0], trace.samples.dtype.str) for trace in (ping.port, ping.starboard))
+    return tuple(
+        None if trace is None else (trace.samples.shape[0], trace.samples.dtype.str)
+        for trace in (ping.port, ping.starboard)
+    )
 
 
 def _odds_text(odds: LawOdds, law: Law, other: Law) -> str:
@@ -254,7 +268,9 @@ def _odds_text(odds: LawOdds, law: Law, other: Law) -> str:
 
 def _detail(transfer: Transfer, odds: LawOdds) -> str:
     low, high = odds.looks_interval
-    looks = f"about {low:.0f} looks averaged" if round(low) == round(high) else f"{low:.0f} to {high:.0f} looks averaged"
+    looks = (
+        f"about {low:.0f} looks averaged" if round(low) == round(high) else f"{low:.0f} to {high:.0f} looks averaged"
+    )
     if transfer.kind != "log":
         return looks
     low, high = odds.db_interval
@@ -268,7 +284,8 @@ def _chosen(transfer: Transfer, odds: LawOdds, n_pings: int) -> Notice:
     keys = "sonar.transfer and sonar.db_per_count" if transfer.kind == "log" else "sonar.transfer"
     return Notice(
         code="transfer.chosen",
-        text=f"samples are taken as '{transfer.kind}': odds {_odds_text(odds, transfer.kind, next_likeliest)} against '{next_likeliest}' "
+        text=f"samples are taken as '{transfer.kind}': odds {_odds_text(odds, transfer.kind, next_likeliest)} against "
+        f"'{next_likeliest}' "
         f"from {n_pings} pings; {_detail(transfer, odds)}. Set {keys} if the recorder's manual states otherwise.",
         for_the_record=is_settled,
     )
@@ -284,12 +301,14 @@ def _turned(held: Transfer, transfer: Transfer, odds: LawOdds, place: str) -> No
         what = f"'log' samples look like {_detail(transfer, odds)} instead of {held.db_per_count:.3f} dB"
     else:
         what = (
-            f"samples look like '{transfer.kind}' instead of '{held.kind}' (odds {_odds_text(odds, transfer.kind, held.kind)}; "
+            f"samples look like '{transfer.kind}' instead of '{held.kind}' (odds "
+            f"{_odds_text(odds, transfer.kind, held.kind)}; "
             f"{_detail(transfer, odds)})"
         )
     return Notice(
         code="transfer.turned",
-        text=f"{what} and are taken so from here on; statistics of the sea floor start anew. Contacts before may be wrong or missing: set "
+        text=f"{what} and are taken so from here on; statistics of the sea floor start anew. Contacts before may be "
+        "wrong or missing: set "
         "sonar.transfer and replay the record, and replay logs of different recorders apart.",
         place=place,
     )

@@ -1,7 +1,7 @@
 """Lay out the pixels of a block of pings: slant ranges and grazing angles, computed once per height of the sonar.
 
-The first return is tracked in bins of 5 cm and smoothed by medians, so that pings in a row mostly share it to the bit; what follows
-from it alone is the same for them and for both sides.
+The first return is tracked in bins of 5 cm and smoothed by medians, so that pings in a row mostly share it to the bit;
+what follows from it alone is the same for them and for both sides.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ class PixelGeometry(NamedTuple):
     """Hold the geometry of n_columns pixels across the track.
 
     return_m: first returns; edges_m: (n returns, n_columns + 1) float64, slant range of the pixels' edges.
-    level_m: first returns without what rises from the bottom, which the angle response must not follow; tangent: (n levels, n_columns)
-    float64, of the grazing angle; coarse: the same shape, uint8, LOW_RESOLUTION where the angle is too steep or too shallow, else 0.
+    level_m: first returns without what rises from the bottom, which the angle response must not follow; tangent: (n
+    levels, n_columns) float64, of the grazing angle; coarse: the same shape, uint8, LOW_RESOLUTION where the angle is
+    too steep or too shallow, else 0.
     """
 
     ground_m: NDArray[np.float64]
@@ -52,7 +53,10 @@ def pixel_geometry(track: BottomTrack, n_columns: int, waterfall: WaterfallConfi
     level_m = runs(np.maximum(track.level_return_m, _MIN_RETURN_M))
     ground_m = (np.arange(n_columns, dtype=np.float64) + 0.5) * waterfall.column_spacing_m
     tangent = level_m.values[:, np.newaxis] / ground_m
-    flattest, steepest = math.tan(math.radians(waterfall.min_grazing_deg)), math.tan(math.radians(waterfall.max_grazing_deg))
+    flattest, steepest = (
+        math.tan(math.radians(waterfall.min_grazing_deg)),
+        math.tan(math.radians(waterfall.max_grazing_deg)),
+    )
     coarse = ((tangent > steepest) | (tangent < flattest)) * np.uint8(LOW_RESOLUTION)
     edges_m = ground_edges_m(return_m.values, n_columns, waterfall.column_spacing_m)
     return PixelGeometry(ground_m, return_m, edges_m, level_m, tangent, coarse)

@@ -15,7 +15,9 @@ from auv_mcm.waterfall.ground import Traces, make_traces, sum_of_clipped
 from auv_mcm.waterfall.transfer import to_intensity
 
 _SATURATION_FRACTION: Final = 0.98
-_FLAT_LOG_VARIANCE: Final = 0.02  # sixty-four looks of pure speckle still have 0.016, and a real trace a range profile on top
+_FLAT_LOG_VARIANCE: Final = (
+    0.02  # sixty-four looks of pure speckle still have 0.016, and a real trace a range profile on top
+)
 _MANY_SATURATED: Final = 0.05
 _ABSURD_RATIO: Final = 1e10
 _NEAR_M: Final = 2.0
@@ -74,8 +76,8 @@ class TraceChecker:
     def cumulate(self, traces: Sequence[EchoTrace]) -> Traces:
         """Check traces of one layout, which follow each other, and add them up along range.
 
-        Samples of one or two bytes without a sign, which nearly all recorders store, have few values: what each stands for is looked up
-        as it is added up, and only what `check_all` would reject is checked one by one.
+        Samples of one or two bytes without a sign, which nearly all recorders store, have few values: what each stands
+        for is looked up as it is added up, and only what `check_all` would reject is checked one by one.
         """
         layout = traces[0].first_range_m, traces[0].spacing_m
         kind = traces[0].samples.dtype
@@ -123,7 +125,9 @@ class TraceChecker:
                 intensity[ping][absurd] = 0.0
                 valid[ping] &= ~absurd
                 highest[ping] = intensity[ping].max(initial=0.0)
-        saturated = self._saturated(samples, samples.max(axis=1, initial=0) if samples.dtype.kind in "ui" else None) & valid
+        saturated = (
+            self._saturated(samples, samples.max(axis=1, initial=0) if samples.dtype.kind in "ui" else None) & valid
+        )
         self._count_saturation(traces[0], saturated)
         dead, stuck = _dead(intensity, highest), self._stuck(samples)
         for ping in np.flatnonzero(dead | stuck).tolist():
@@ -141,7 +145,8 @@ class TraceChecker:
             return np.zeros(samples.shape, dtype=np.bool_)
         ceilings = np.empty(len(samples), dtype=np.int64)
         for ping, trace_highest in enumerate(highest.tolist()):
-            # Converters clip at all ones, often of fewer bits than the stored type has. One corrupt sample is no ceiling, three are.
+            # Converters clip at all ones, often of fewer bits than the stored type has. One corrupt sample is no
+            # ceiling, three are.
             if trace_highest > self._highest:
                 trace = samples[ping]
                 third_highest = np.partition(trace, -3)[-3] if trace.shape[0] >= 3 else trace.min()

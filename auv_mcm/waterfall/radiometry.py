@@ -1,8 +1,8 @@
 """Normalise radiometry: remove electronic gain steps and the sonar's angle response, then the local seabed level.
 
-First pass, while pings stream: one curve per side of mean log intensity against grazing angle, learnt recursively, so that a
-change of altitude does not smear it. Second pass, on the metric grid: division by the masked mean over a few metres. The result
-does not depend on absolute gain.
+First pass, while pings stream: one curve per side of mean log intensity against grazing angle, learnt recursively, so
+that a change of altitude does not smear it. Second pass, on the metric grid: division by the masked mean over a few
+metres. The result does not depend on absolute gain.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
 _CLIP_NATS: Final = 3.0
 _TIME_CONSTANT_PINGS: Final = 150.0
 REFERENCE_PINGS: Final = 20_000.0
-"""Time constant of the angle response that levels of the sea floor are measured against: half an hour and more, so that a patch of one
-kind of sea floor does not become its own reference."""
+"""Time constant of the angle response that levels of the sea floor are measured against: half an hour and more, so that
+a patch of one kind of sea floor does not become its own reference."""
 _MIN_BIN_SAMPLES: Final = 8
 
 _GAIN_STEP_NATS: Final = 0.7
@@ -33,7 +33,9 @@ _GAIN_HISTORY: Final = 8
 _MIN_LEVEL_SAMPLES: Final = 24
 
 LOCAL_MEAN_M: Final = 7.5
-LOCAL_MEAN_REACH_M: Final = LOCAL_MEAN_M  # how far away a pixel still matters: half a box to the mean's edge, half around what lies there
+LOCAL_MEAN_REACH_M: Final = (
+    LOCAL_MEAN_M  # how far away a pixel still matters: half a box to the mean's edge, half around what lies there
+)
 _MIN_VALID_FRACTION: Final = 0.25
 _GLINT_LIMIT: Final = 6.0
 _SLACK_NATS: Final = 1e-3  # more than a logarithm's rounding
@@ -59,9 +61,9 @@ class AngleCurve:
     ) -> NDArray[np.float64]:
         """Learn from a block of pings; return the curve at each row of `tangent`, the same shape, float64, nats.
 
-        That is the curve as it was before this block, for angles already known, so that a shadow does not brighten itself.
-        log_intensity, usable: (n_pings, n_columns), which pixels to learn from. tangent: of the grazing angle, the same shape; or
-        (n, n_columns) with tangent_row: (n_pings,) int64, the row each ping takes.
+        That is the curve as it was before this block, for angles already known, so that a shadow does not brighten
+        itself. log_intensity, usable: (n_pings, n_columns), which pixels to learn from. tangent: of the grazing angle,
+        the same shape; or (n, n_columns) with tangent_row: (n_pings,) int64, the row each ping takes.
         """
         if tangent_row is None:
             tangent_row = np.arange(len(log_intensity))
@@ -102,11 +104,13 @@ class GainStepFilter:
         self._baseline = math.nan  # corrected level of the sea floor before the last step
         self._since_step: list[float] = []  # its recorded levels after it
 
-    def corrections(self, seabed_level: NDArray[np.float64], water_level: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    def corrections(
+        self, seabed_level: NDArray[np.float64], water_level: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], int]:
         """Compute the correction in nats to subtract from ln I per ping, (n_pings,) float64, and count gain steps.
 
-        seabed_level, water_level: (n_pings,) float64 median ln I of sea floor and of the water column as recorded, NaN where there
-        are too few samples.
+        seabed_level, water_level: (n_pings,) float64 median ln I of sea floor and of the water column as recorded, NaN
+        where there are too few samples.
         """
         n_pings = seabed_level.shape[0]
         if self._is_steady(seabed_level):
@@ -134,7 +138,8 @@ class GainStepFilter:
         return out, n_steps
 
     def _is_steady(self, seabed_level: NDArray[np.float64]) -> bool:
-        """Check whether no ping of a block can jump: levels closer together than a step are so to any median of them."""
+        """Check whether no ping of a block can jump: levels closer together than a step are so to any median of
+        them."""
         if len(self._since_step) < _GAIN_HISTORY and math.isfinite(self._baseline):
             return False
         levels = seabed_level[np.isfinite(seabed_level)] - self._correction
@@ -176,10 +181,10 @@ def local_mean(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Average over the 7.5 m x 7.5 m around each pixel, masked: (n_rows, n_columns) float64, and where known, bool.
 
-    intensity, usable: (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable. Pixels above six
-    times the mean that single-look speckle of the local geometric mean would have count as that much: one glint must not darken
-    everything around it. A box that leaves the image is clipped there. Known where at least a quarter of the box is usable and
-    not all of it is zero.
+    intensity, usable: (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable. Pixels
+    above six times the mean that single-look speckle of the local geometric mean would have count as that much: one
+    glint must not darken everything around it. A box that leaves the image is clipped there. Known where at least a
+    quarter of the box is usable and not all of it is zero.
     """
     half = _half_box(row_spacing_m, column_spacing_m)
     level = np.array(intensity, dtype=np.float32, order="C")
@@ -216,6 +221,8 @@ def _clip_glints(level: NDArray[np.float32], usable: NDArray[np.bool_], half: tu
     np.log(log_level, out=log_level)
     log_level *= usable
     # Hardly any pixel reaches its limit, which takes an exponential: comparing logarithms shows which may.
-    places, log_limits = bright_spots(log_level, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS)
+    places, log_limits = bright_spots(
+        log_level, usable, half, np.euler_gamma + math.log(_GLINT_LIMIT), _CLIP_NATS, _SLACK_NATS
+    )
     flat = level.ravel()
     flat[places] = np.minimum(flat[places], np.exp(log_limits).astype(np.float32))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace, Notice, Side
 
-# Intensities are squares of amplitudes in float32, which ends at 2^-126 and 2^127; 2^12 = 36 dB above and below the middle sample fit.
+# Intensities are squares of amplitudes in float32, which ends at 2^-126 and 2^127; 2^12 = 36 dB above and below the
+# middle sample fit.
 _MAX_EXPONENT: Final = 50
 _N_SOME: Final = 128  # samples that give the exponent of the middle one
 _N_NEGATIVE: Final = 20  # traces in a row: two seconds at 10 Hz, so that a single damaged ping raises nothing
@@ -20,7 +21,8 @@ _N_NEGATIVE: Final = 20  # traces in a row: two seconds at 10 Hz, so that a sing
 class SampleCheck:
     """Check traces of one side in order; count in `counters`.
 
-    Floating-point samples are scaled by a power of two where their squares would not fit into float32: nothing depends on absolute gain.
+    Floating-point samples are scaled by a power of two where their squares would not fit into float32: nothing depends
+    on absolute gain.
     """
 
     def __init__(self, side: Side, full_scale: float | None, counters: Counter[str]) -> None:
@@ -60,8 +62,10 @@ class SampleCheck:
             return []
         self._reported = True
         text = (
-            f"the samples of {self._side} are negative, in {_N_NEGATIVE} pings in a row. They may be decibels below full scale, or signed "
-            "numbers read with the wrong sign or offset. Check the recorder's sample format and set sonar.transfer; contacts cannot be "
+            f"the samples of {self._side} are negative, in {_N_NEGATIVE} pings in a row. They may be decibels below "
+            "full scale, or signed "
+            "numbers read with the wrong sign or offset. Check the recorder's sample format and set sonar.transfer; "
+            "contacts cannot be "
             "relied on until then."
         )
         return [Notice(code="quality.samples_negative", text=text, place=place)]

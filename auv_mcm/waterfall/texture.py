@@ -51,7 +51,10 @@ def _log_correlation(correlation: Floats) -> Floats:
 
 # Share of the variance left in windows of each stride, by correlation.
 _LEFT: Final = np.array(
-    [1.0 - sum((WINDOW_PINGS - k) * _log_correlation(_CORRELATION ** ((k * stride) ** 2)) for k in _LAGS) / _N_PAIRS for stride in STRIDES]
+    [
+        1.0 - sum((WINDOW_PINGS - k) * _log_correlation(_CORRELATION ** ((k * stride) ** 2)) for k in _LAGS) / _N_PAIRS
+        for stride in STRIDES
+    ]
 )
 
 

@@ -16,8 +16,8 @@ from auv_mcm.waterfall.radiometry import level_out
 class TileCutter:
     """Hold rows until a tile's core and its overlap on both ends are there.
 
-    The cores of tiles partition the mission grid at multiples of `tile_rows` (shifted by `origin_row`); the overlap holds what any
-    decision about a core pixel can depend on, so where the boundaries lie does not matter to the result.
+    The cores of tiles partition the mission grid at multiples of `tile_rows` (shifted by `origin_row`); the overlap
+    holds what any decision about a core pixel can depend on, so where the boundaries lie does not matter to the result.
     """
 
     def __init__(self, config: WaterfallConfig, overlap_m: float, origin_row: int = 0) -> None:
@@ -49,9 +49,11 @@ class TileCutter:
         return tiles
 
     def newest(self, from_row: int, min_rows: int, n_behind: int, n_ahead: int) -> list[Tile]:
-        """Give the rows from `from_row` on, or from the first that is held, as tiles that belong to no partition; it leaves all as it is.
+        """Give the rows from `from_row` on, or from the first that is held, as tiles that belong to no partition; it
+        leaves all as it is.
 
-        The newest `n_ahead` rows and up to `n_behind` rows before are overlap. Empty where the core would have fewer than `min_rows` rows.
+        The newest `n_ahead` rows and up to `n_behind` rows before are overlap. Empty where the core would have fewer
+        than `min_rows` rows.
         """
         core_start, core_stop = max(from_row, self._first_row), self._stop_row - n_ahead
         if core_stop - core_start < max(min_rows, 1):
@@ -67,7 +69,11 @@ class TileCutter:
         rows = concatenate_swaths(pieces[::-1])
         piece = slice_swath(rows, slice(n_rows - (self._stop_row - start), None))
         index = (core_start - self._origin) // self._config.tile_rows
-        return [self._tile(side, index, start, core_start - start, core_stop - start, piece) for side in SIDES if side in piece.sides]
+        return [
+            self._tile(side, index, start, core_start - start, core_stop - start, piece)
+            for side in SIDES
+            if side in piece.sides
+        ]
 
     def next_segment_row(self) -> int:
         """Give the first row another segment may start at, so that no two tiles share an index."""
@@ -87,7 +93,11 @@ class TileCutter:
         stop = min(core_stop + self._overlap, self._stop_row)
         piece = slice_swath(rows, slice(start - self._first_row, stop - self._first_row))
         index = (self._core_row - self._origin) // self._config.tile_rows
-        tiles = [self._tile(side, index, start, self._core_row - start, core_stop - start, piece) for side in SIDES if side in piece.sides]
+        tiles = [
+            self._tile(side, index, start, self._core_row - start, core_stop - start, piece)
+            for side in SIDES
+            if side in piece.sides
+        ]
         self._core_row = core_stop
         keep = max(core_stop - self._overlap, self._first_row)
         self._pieces = [slice_swath(rows, slice(keep - self._first_row, None))]
@@ -118,8 +128,11 @@ class TileCutter:
         )
 
 
-def _level(offset: NDArray[np.float32] | None, mean: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float32] | None:
-    """Measure the local mean against that of the mission at the same grazing angle; all (n_rows, n), in the columns of the offset."""
+def _level(
+    offset: NDArray[np.float32] | None, mean: NDArray[np.float64], known: NDArray[np.bool_]
+) -> NDArray[np.float32] | None:
+    """Measure the local mean against that of the mission at the same grazing angle; all (n_rows, n), in the columns of
+    the offset."""
     if offset is None:
         return None
     log_mean = np.log(mean, out=np.full(mean.shape, np.nan), where=known & (mean > 0.0))

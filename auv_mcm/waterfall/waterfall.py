@@ -44,7 +44,9 @@ class Waterfall:
 
     def read_as(self, transfer: Transfer) -> None:
         """Read samples as `transfer` states from the next segment on, and drop what was learnt before."""
-        self._checkers = {side: TraceChecker(side, transfer, self._config.sonar.full_scale, self._counters) for side in SIDES}
+        self._checkers = {
+            side: TraceChecker(side, transfer, self._config.sonar.full_scale, self._counters) for side in SIDES
+        }
         self._curves = {side: AngleCurve() for side in SIDES}
         self._references = {side: AngleCurve(REFERENCE_PINGS) for side in SIDES}
         self._gains = {side: GainStepFilter() for side in SIDES}
@@ -54,7 +56,8 @@ class Waterfall:
         """Take the next block of a segment; return the tiles that are complete."""
         traces = {side: made for side in SIDES if (made := self._traces(side, block.pings)) is not None}
         max_range_m = min(
-            max((t.first_range_m + t.n_samples * t.spacing_m for t in traces.values()), default=1.0), self._config.sonar.max_range_m
+            max((t.first_range_m + t.n_samples * t.spacing_m for t in traces.values()), default=1.0),
+            self._config.sonar.max_range_m,
         )
         track = self._tracker.add([traces.get(side) for side in SIDES], block.poses.altitude_m, max_range_m)
         tiles = self._finish_block(track) if track is not None else []
@@ -114,7 +117,9 @@ class Waterfall:
         turning = self._turning(side, block, first_return_m)
         max_ratio = self._config.waterfall.max_spacing_ratio
         level_row = geometry.level_m.row
-        mask = ping_masks(ground.valid, ground.saturated, turning, geometry.ground_m, geometry.coarse, level_row, max_ratio)
+        mask = ping_masks(
+            ground.valid, ground.saturated, turning, geometry.ground_m, geometry.coarse, level_row, max_ratio
+        )
         positive = ground.valid & (ground.intensity > 0.0)
         log_intensity = _logarithms(ground.intensity, positive)
         learnable = positive & ~ground.saturated
@@ -133,13 +138,16 @@ class Waterfall:
         n_columns = mask.shape[1]
         some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
         log_few, learnable_few = np.take(log_intensity, some, axis=1), np.take(learnable, some, axis=1)
-        reference = self._references[side].learn(log_few, learnable_few, np.take(geometry.tangent, some, axis=1), level_row)
+        reference = self._references[side].learn(
+            log_few, learnable_few, np.take(geometry.tangent, some, axis=1), level_row
+        )
         return SideImage(intensity, mask, (curve[:, some] - reference).astype(np.float32)[level_row])
 
     def _turning(self, side: Side, block: PingBlock, first_return_m: NDArray[np.float64]) -> Turning:
         """Compute the rotation that spreads or squeezes the pings on the bottom.
 
-        Spacing over its straight-line value: 1 -+ y * yaw rate / v on the inside / outside, plus altitude * pitch rate / v.
+        Spacing over its straight-line value: 1 -+ y * yaw rate / v on the inside / outside, plus altitude * pitch rate
+        / v.
         """
         speed = np.maximum(block.poses.speed_mps, _MIN_SPEED_MPS)
         yaw = _TURN_SIGN[side] * block.yaw_rate_rad_s / speed

@@ -1,4 +1,5 @@
-"""Write the pages of the site that are made from the code: configuration, commands, notices, counters, wires, examples."""
+"""Write the pages of the site that are made from the code: configuration, commands, notices, counters, wires,
+examples."""
 
 from __future__ import annotations
 
@@ -49,14 +50,25 @@ def configuration_page() -> str:
     """List every key of the configuration with its meaning, range and default."""
     lines = [
         *(f"{_MADE}# Configuration", ""),
-        "One YAML file. Every key may be left out; its default then holds. An unknown key, a wrong type and a value out of range are",
-        "rejected with the key's path. `auv-mcm config --write vehicle.yaml` writes a file with all keys, `auv-mcm check --config",
+        (
+            "One YAML file. Every key may be left out; its default then holds. An unknown key, a wrong type "
+            "and a value out of range are"
+        ),
+        (
+            "rejected with the key's path. `auv-mcm config --write vehicle.yaml` writes a file with all keys, `auv-mcm "
+            "check --config"
+        ),
         "vehicle.yaml` checks one, `auv-mcm config --schema` prints a JSON Schema for editors.",
         "",
     ]
     for section, about, keys in _sections(config_yaml(Config())):
         lines += [f"## {section}", "", about, "", "| key | value | meaning |", "|---|---|---|", *keys, ""]
-    lines += ["## Keys of a port", "", "Each entry of `ports:` has these keys; `auv-mcm run --example` prints a list to begin with.", ""]
+    lines += [
+        "## Keys of a port",
+        "",
+        "Each entry of `ports:` has these keys; `auv-mcm run --example` prints a list to begin with.",
+        "",
+    ]
     lines += ["| key | value | meaning |", "|---|---|---|"]
     for line in port_keys():
         key, _, rest = line.partition(": ")
@@ -122,14 +134,26 @@ def notices_page() -> str:
     """List every notice by its code, with its text, which says what to do."""
     lines = [
         *(f"{_MADE}# Notices", ""),
-        "A notice asks a person to do something. It stands among the `notices` of `summary.json`, in the report and in the",
-        "service's log. A *remark* asks for nothing: it stands among the `remarks`. Codes are stable, for scripts; texts are not.",
+        (
+            "A notice asks a person to do something. It stands among the `notices` of `summary.json`, in "
+            "the report and in the"
+        ),
+        (
+            "service's log. A *remark* asks for nothing: it stands among the `remarks`. Codes are stable, for scripts; "
+            "texts are not."
+        ),
         "A name in italics stands for a value, a stroke between two texts for one or the other.",
         "",
     ]
     for code, notices in notices_by_code(raised_notices()).items():
         flags = {notice.for_the_record for notice in notices}
-        kind = "Remark." if flags == {True} else "Notice." if flags == {False} else "Notice, or a remark where nobody has to do anything."
+        kind = (
+            "Remark."
+            if flags == {True}
+            else "Notice."
+            if flags == {False}
+            else "Notice, or a remark where nobody has to do anything."
+        )
         lines += [f"## {code}", "", f"{kind} Raised in `{notices[0].module}`.", ""]
         lines += [f"> {_plain(notice.text)}\n" for notice in notices]
     return "\n".join(lines)
@@ -139,7 +163,10 @@ def counters_page() -> str:
     """List every counter of summary.json with its meaning."""
     lines = [
         *(f"{_MADE}# Counters", ""),
-        "`counters` of `summary.json` state how often data was rejected, skipped or degraded, and how much work was done. Only",
+        (
+            "`counters` of `summary.json` state how often data was rejected, skipped or degraded, and how "
+            "much work was done. Only"
+        ),
         "counters above 0 are there. A name in angle brackets stands for a value. What `drivers/` counts at a port has",
         "`port.NAME.` before it.",
         "",
@@ -164,7 +191,9 @@ def _meaning(name: str) -> str:
     meanings = {skip.counter: f"{skip.leaves_out}: {skip.because}" for skip in SKIPS} | MEANINGS
     if general in meanings:
         return meanings[general]
-    return meanings.get(name.rpartition(".")[0], "") or name.rpartition(".")[2].replace("_", " ").replace("<", "*").replace(">", "*")
+    return meanings.get(name.rpartition(".")[0], "") or name.rpartition(".")[2].replace("_", " ").replace(
+        "<", "*"
+    ).replace(">", "*")
 
 
 def wire_interfaces_page() -> str:
@@ -172,7 +201,10 @@ def wire_interfaces_page() -> str:
     return "\n".join(
         [
             *(f"{_MADE}# Wire interfaces", ""),
-            "What `auv-mcm run --interface` prints without ports: links and devices, and each device's messages to the byte. With",
+            (
+                "What `auv-mcm run --interface` prints without ports: links and devices, and each device's messages to "
+                "the byte. With"
+            ),
             "`--config vehicle.yaml` it prints those of that vehicle, with the commands that the payload sends.",
             *("", "```text", interface_text(Config()).rstrip(), "```", ""),
             *("## Example of ports", "", "What `auv-mcm run --example` prints, without its list of keys.", ""),
@@ -185,17 +217,26 @@ def benchmarks_page(history: Path = HISTORY) -> str:
     """Tabulate what each version's run of the bench found, the newest version first."""
     lines = [
         *(f"{_MADE}# Benchmark history", ""),
-        "Run time against error of each version on the same two simulated missions, beside a plain script in the same run. `sh",
-        "deploy/bench.sh` measures this version, says what moved beyond noise since the one before, and keeps the result. Compare",
+        (
+            "Run time against error of each version on the same two simulated missions, beside a plain script "
+            "in the same run. `sh"
+        ),
+        (
+            "deploy/bench.sh` measures this version, says what moved beyond noise since the one before, and keeps the "
+            "result. Compare"
+        ),
         "the ratio to the plain script: computers differ and are busy. [More points and targets](run-time.md).",
         "",
     ]
-    for path in sorted(history.glob("*.json"), key=lambda path: [int(part) for part in path.stem.split(".")], reverse=True):
+    for path in sorted(
+        history.glob("*.json"), key=lambda path: [int(part) for part in path.stem.split(".")], reverse=True
+    ):
         results = read_results(path)
         machine = results.machine
         lines += [f"## {path.stem}", ""]
         lines.append(
-            f"{machine.date}, {machine.processor}, {machine.cores} cores, kernels {machine.kernels}; {', '.join(results.missions)};"
+            f"{machine.date}, {machine.processor}, {machine.cores} cores, kernels {machine.kernels}; "
+            f"{', '.join(results.missions)};"
         )
         lines += [f"medians of {results.repeat} repeats.", "", markdown(POINT_HEADER, point_rows(results)), ""]
     return "\n".join(lines)
@@ -208,7 +249,10 @@ def example_pages(documents: Path) -> dict[str, str]:
         source = path.read_text("utf-8")
         about = inspect.cleandoc(ast.get_docstring(ast.parse(source)) or "")
         title = path.stem.replace("_", " ").capitalize()
-        text = f"{_MADE}# {title}\n\n{about}\n\nThe file: `auv_mcm/docs/examples/{path.name}`.\n\n```python\n{source.rstrip()}\n```\n"
+        text = (
+            f"{_MADE}# {title}\n\n{about}\n\nThe file: "
+            f"`auv_mcm/docs/examples/{path.name}`.\n\n```python\n{source.rstrip()}\n```\n"
+        )
         pages[(EXAMPLES / f"{path.stem}.md").as_posix()] = text
     return pages
 

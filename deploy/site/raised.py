@@ -141,7 +141,9 @@ class _Module:
         """Read the values of the table of the module that a loop over `TABLE.items()` gives a name."""
         for node in self._nodes:
             match node:
-                case ast.For(target=target, iter=ast.Call(func=ast.Attribute(value=ast.Name(id=table)))) if name.id in _names(target):
+                case ast.For(target=target, iter=ast.Call(func=ast.Attribute(value=ast.Name(id=table)))) if (
+                    name.id in _names(target)
+                ):
                     return [str(value) for value in getattr(self._imported, table).values()]
         return []
 
@@ -186,7 +188,11 @@ class _Module:
     def _assigned(self, name: ast.Name, function: _Function) -> str:
         """Read the text that was last assigned to a name before its use, and what was added to it."""
         words = ""
-        found = [node for node in ast.walk(function) if isinstance(node, ast.Assign | ast.AugAssign) and node.lineno < name.lineno]
+        found = [
+            node
+            for node in ast.walk(function)
+            if isinstance(node, ast.Assign | ast.AugAssign) and node.lineno < name.lineno
+        ]
         for node in sorted(found, key=lambda node: node.lineno):
             target = node.targets[0] if isinstance(node, ast.Assign) else node.target
             if isinstance(target, ast.Name) and target.id == name.id and _is_text(node.value):
@@ -203,7 +209,13 @@ class _Module:
                     if isinstance(key, ast.Constant):
                         yield CountedName(str(key.value), self.name)
         for node in self._nodes:
-            target = node.target if isinstance(node, ast.AugAssign) else node.targets[0] if isinstance(node, ast.Assign) else None
+            target = (
+                node.target
+                if isinstance(node, ast.AugAssign)
+                else node.targets[0]
+                if isinstance(node, ast.Assign)
+                else None
+            )
             if not isinstance(target, ast.Subscript) or _last_name(target.value) not in _COUNTERS:
                 continue
             for name in self._counter_names(target.slice, self._function_around(target)):

@@ -51,8 +51,10 @@ class CanBusPort:
                 self._counters["can.error_frames"] += 1
                 if message.arbitration_id & _ERROR_BUS_OFF:
                     raise HardwareError(
-                        f"{self._place}: the controller switched itself off after too many errors. Check bit rate, wires and termination; "
-                        f"ip link set {self._place.rpartition('/')[2]} type can restart-ms 100 lets it come back by itself."
+                        f"{self._place}: the controller switched itself off after too many errors. Check bit rate, "
+                        "wires and termination; "
+                        f"ip link set {self._place.rpartition('/')[2]} type can restart-ms 100 lets it come back by "
+                        "itself."
                     )
             elif message.is_remote_frame:
                 self._counters["can.remote"] += 1
@@ -65,7 +67,10 @@ class CanBusPort:
         import can
 
         try:
-            self._bus.send(can.Message(arbitration_id=item.can_id, data=item.data, is_extended_id=item.extended, check=True), timeout=0)
+            self._bus.send(
+                can.Message(arbitration_id=item.can_id, data=item.data, is_extended_id=item.extended, check=True),
+                timeout=0,
+            )
         except Exception:  # usually a full queue; a lost bus shows when it is read
             self._counters["can.send_failed"] += 1
             return False
@@ -103,9 +108,17 @@ def _lost(place: str, error: Exception) -> str:
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
     match number:
         case errno.ENODEV | errno.ENXIO:
-            return f"{place}: no such CAN interface. Plug in the adapter, or name another: ip -br link shows what is there."
+            return (
+                f"{place}: no such CAN interface. Plug in the adapter, or name another: ip -br link shows what is "
+                "there."
+            )
         case errno.ENETDOWN:
-            return f"{place}: the interface is down. Bring it up, e.g. ip link set {channel} up type can bitrate 250000."
+            return (
+                f"{place}: the interface is down. Bring it up, e.g. ip link set {channel} up type can bitrate 250000."
+            )
         case errno.EAFNOSUPPORT:
-            return f"{place}: this system has no SocketCAN. Load the kernel's can module, or use an adapter that speaks slcan."
+            return (
+                f"{place}: this system has no SocketCAN. Load the kernel's can module, or use an adapter that speaks "
+                "slcan."
+            )
     return f"{place}: the CAN bus failed ({error}). Check the adapter; the bus is opened again as soon as it is back."

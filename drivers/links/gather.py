@@ -12,7 +12,8 @@ GATHER_S: Final = 0.002
 """Maximum time of gathering; arrival stamps are late by no more than this."""
 
 PLENTY_BYTES: Final = 1024
-"""A read of as many was worth it: the wire is fast, or the reader late, and neither may wait. The kernel holds 4096 of a serial line."""
+"""A read of as many was worth it: the wire is fast, or the reader late, and neither may wait. The kernel holds 4096 of
+a serial line."""
 
 _GATHER_BYTES: Final = 256  # no more than come at the line's rate meanwhile
 _BITS_PER_BYTE: Final = 10

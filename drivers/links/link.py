@@ -275,7 +275,8 @@ class Link(Generic[T]):
             loop.remove_writer(port.fileno())
 
     def _report_not_opened(self, reason: str) -> None:
-        """Report a failed attempt to open, but only the first, or where the device is back and still cannot be opened."""
+        """Report a failed attempt to open, but only the first, or where the device is back and still cannot be
+        opened."""
         is_news = self._reported[1] == "" or (self._device is not None and os.path.exists(self._device))
         if is_news:
             self._report("down", reason)
@@ -294,4 +295,6 @@ class Link(Generic[T]):
         except Exception:
             self.counters["link.callback_failed"] += 1
             if self.counters["link.callback_failed"] == 1:
-                log.exception("%s: a receiver failed; the link goes on. This is a defect: report it with the log.", self.place)
+                log.exception(
+                    "%s: a receiver failed; the link goes on. This is a defect: report it with the log.", self.place
+                )

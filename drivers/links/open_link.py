@@ -19,7 +19,9 @@ from drivers.links.udp import open_udp
 from drivers.links.uri import CanAddress, LinkAddress, PulseAddress, SerialAddress, SlcanAddress, TcpAddress, UdpAddress
 
 
-def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on_state: OnState, clock: Clock) -> Link[bytes]:
+def byte_link(
+    address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on_state: OnState, clock: Clock
+) -> Link[bytes]:
     """Make a link that carries bytes: chunks of a stream, whole UDP datagrams, or the edges of a pulse.
 
     Raises UsageError for the address of a CAN bus.
@@ -35,12 +37,16 @@ def byte_link(address: LinkAddress, on_bytes: Callable[[bytes, Stamp], None], on
         case PulseAddress():
             open_port = partial(open_pulse, address.path, address.place, clock)
         case SlcanAddress() | CanAddress():
-            raise UsageError(f"{address.place} is a CAN bus, but this device speaks in bytes: give it a serial, tcp or udp link")
+            raise UsageError(
+                f"{address.place} is a CAN bus, but this device speaks in bytes: give it a serial, tcp or udp link"
+            )
     device = address.path if isinstance(address, SerialAddress | PulseAddress) else None
     return Link(address.place, open_port, on_bytes, on_state, clock, address.silent_s, device)
 
 
-def can_link(address: LinkAddress, on_frame: Callable[[CanFrame, Stamp], None], on_state: OnState, clock: Clock) -> Link[CanFrame]:
+def can_link(
+    address: LinkAddress, on_frame: Callable[[CanFrame, Stamp], None], on_state: OnState, clock: Clock
+) -> Link[CanFrame]:
     """Make a link that carries CAN frames. Raises UsageError for the address of a wire that does not."""
     open_port: Callable[[Counter[str]], Awaitable[Wire[CanFrame]]]
     match address:
@@ -49,6 +55,8 @@ def can_link(address: LinkAddress, on_frame: Callable[[CanFrame, Stamp], None], 
         case CanAddress():
             open_port = partial(open_can_bus, address.interface, address.channel, address.place)
         case SerialAddress() | TcpAddress() | UdpAddress() | PulseAddress():
-            raise UsageError(f"{address.place} is not a CAN bus, but this device is on one: give it an slcan or socketcan link")
+            raise UsageError(
+                f"{address.place} is not a CAN bus, but this device is on one: give it an slcan or socketcan link"
+            )
     device = address.path if isinstance(address, SlcanAddress) else None
     return Link(address.place, open_port, on_frame, on_state, clock, address.silent_s, device)

@@ -17,7 +17,8 @@ from typing import Final, NamedTuple
 from auv_mcm.clock import Clock
 from auv_mcm.errors import HardwareError
 
-# linux/pps.h: struct pps_fdata, which is two sequence numbers, the times of both edges, the mode, and how long to wait: not at all.
+# linux/pps.h: struct pps_fdata, which is two sequence numbers, the times of both edges, the mode, and how long to wait:
+# not at all.
 _FDATA: Final = struct.Struct("=II qiI qiI i4x qiI")
 _FETCH: Final = 3 << 30 | struct.calcsize("P") << 16 | ord("p") << 8 | 0xA4
 _NS: Final = 1_000_000_000
@@ -50,7 +51,12 @@ class PulsePort:
     """
 
     def __init__(
-        self, fetch: Callable[[], KernelEdge], close: Callable[[], None], place: str, clock: Clock, counters: Counter[str]
+        self,
+        fetch: Callable[[], KernelEdge],
+        close: Callable[[], None],
+        place: str,
+        clock: Clock,
+        counters: Counter[str],
     ) -> None:
         """fetch: the newest edge; raises OSError."""
         self.note = ""
@@ -71,7 +77,9 @@ class PulsePort:
         try:
             edge = self._fetch()
         except OSError as error:
-            raise HardwareError(f"{self._place}: the pulse failed ({error.strerror}). It is opened again as soon as it is back.") from error
+            raise HardwareError(
+                f"{self._place}: the pulse failed ({error.strerror}). It is opened again as soon as it is back."
+            ) from error
         age_ns = round(self._clock.utc_s() * 1e9) - edge.utc_ns
         mono_ns = round(self._clock.monotonic_s() * 1e9)
         if edge.sequence == self._sequence or edge.sequence == 0:
@@ -119,7 +127,15 @@ def _fetched(descriptor: int) -> KernelEdge:
 def _refusal(path: str, error: OSError) -> str:
     match error.errno:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:
-            return f"{path}: no such device. ls /sys/class/pps shows what is there; ldattach PPS /dev/ttyS0 makes one of a serial port."
+            return (
+                f"{path}: no such device. ls /sys/class/pps shows what is there; ldattach PPS /dev/ttyS0 makes one of "
+                "a serial port."
+            )
         case errno.EACCES | errno.EPERM:
-            return f"{path}: permission denied. Let the user of this service open it, e.g. by a udev rule for the subsystem pps."
-    return f"{path}: cannot be opened ({error.strerror}). Name a source of pulses: ls /sys/class/pps shows what is there."
+            return (
+                f"{path}: permission denied. Let the user of this service open it, e.g. by a udev rule for the "
+                "subsystem pps."
+            )
+    return (
+        f"{path}: cannot be opened ({error.strerror}). Name a source of pulses: ls /sys/class/pps shows what is there."
+    )

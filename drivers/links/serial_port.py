@@ -23,7 +23,9 @@ async def open_serial(path: str, baud: int, counters: Counter[str]) -> StreamPor
 
     def lost(error: OSError | None) -> str:
         how = "hung up" if error is None or error.errno == errno.EIO else f"failed ({error.strerror})"
-        return f"{path}: the port {how}. Check the cable and the device's power; it is opened again as soon as it is back."
+        return (
+            f"{path}: the port {how}. Check the cable and the device's power; it is opened again as soon as it is back."
+        )
 
     def on_silence() -> str:
         return f"Check the cable, the device's power, and that it is set to {baud} baud."
@@ -56,11 +58,20 @@ def _open(path: str, baud: int) -> Any:
 def _refusal(path: str, error: Exception) -> str:
     match error.errno if isinstance(error, OSError) else error.args[0]:  # of termios.error, its number
         case errno.ENOENT:
-            return f"{path}: no such device. Plug it in and switch it on, or name another: ls -l /dev/serial/by-id shows what is there."
+            return (
+                f"{path}: no such device. Plug it in and switch it on, or name another: ls -l /dev/serial/by-id shows "
+                "what is there."
+            )
         case errno.EACCES | errno.EPERM:
-            return f"{path}: permission denied. Add the user of this service to the group that ls -l {path} shows, usually dialout."
+            return (
+                f"{path}: permission denied. Add the user of this service to the group that ls -l {path} shows, "
+                "usually dialout."
+            )
         case errno.EAGAIN | errno.EBUSY:
             return f"{path}: in use by another program. Stop that one: fuser -v {path} shows which it is."
         case errno.ENODEV | errno.ENXIO | errno.EIO:
             return f"{path}: the port does not answer ({error}). Check the adapter and its power."
-    return f"{path}: cannot be used as a serial port ({error}). Name a serial device: ls -l /dev/serial/by-id shows what is there."
+    return (
+        f"{path}: cannot be used as a serial port ({error}). Name a serial device: ls -l /dev/serial/by-id shows what "
+        "is there."
+    )

@@ -20,9 +20,12 @@ from drivers.links.uri import CAN_BITRATES
 MAX_LINE_BYTES: Final = 26  # T, identifier, length, 8 bytes of data
 _MAX_EXTENDED_ID: Final = 0x1FFFFFFF
 _MAX_STANDARD_ID: Final = 0x7FF
-_FRAME: Final = rb"(?:T[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}|t[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10})\r"  # MAX_LINE_BYTES
+_FRAME: Final = (
+    rb"(?:T[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}|t[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10})\r"  # MAX_LINE_BYTES
+)
 _FRAME_PARTS: Final = (
-    rb"[Tt](?P<frame>(?:(?<=T)[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}|(?<=t)[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10}))\r"
+    rb"[Tt](?P<frame>(?:(?<=T)[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}"
+    rb"|(?<=t)[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10}))\r"
 )
 _REMOTE: Final = rb"(?:R[0-9A-Fa-f]{8}|r[0-9A-Fa-f]{3})[0-8]\r"
 _ANSWER: Final = rb"(?:[zZ]?|V[0-9A-Fa-f]{4}|N[0-9A-SU-Za-su-z]{4}|F[0-9A-Fa-f]{2})\r"
@@ -31,7 +34,8 @@ _LINE_BEGINS: Final = rb"(?<![^\r\a])"
 _ANSWERS: Final = re.compile(_LINE_BEGINS + _ANSWER)
 _REMOTES: Final = re.compile(_LINE_BEGINS + _REMOTE)
 _BARE_BELLS: Final = re.compile(_LINE_BEGINS + rb"\a")
-# One frame and what stands before it, or a run of other lines, as garbage can be nothing but ends of lines. A line's last T or t begins its
+# One frame and what stands before it, or a run of other lines, as garbage can be nothing but ends of lines. A line's
+# last T or t begins its
 # frame, as no digit is one.
 _LINES: Final = re.compile(rb"(%b)%b|(?P<others>(?:(?!%b%b)%b[\r\a])+)" % (_TEXT, _FRAME_PARTS, _TEXT, _FRAME, _TEXT))
 
@@ -154,9 +158,15 @@ class SlcanPort:
         refused = self._counters["slcan.refused.line"] > self._n_refused_before
         self._start()
         if answered:
-            return f"The adapter answers: check that the bus has {self._bitrate} bit/s and power, its wires and its termination."
+            return (
+                f"The adapter answers: check that the bus has {self._bitrate} bit/s and power, its wires and its "
+                "termination."
+            )
         if refused:
-            return "What arrives is neither a frame nor an answer: check that the adapter speaks slcan, and the rate of its serial line."
+            return (
+                "What arrives is neither a frame nor an answer: check that the adapter speaks slcan, and the rate of "
+                "its serial line."
+            )
         return "The adapter does not answer either: check its power, and that it speaks slcan."
 
     def _n_answers(self) -> int:
@@ -165,7 +175,9 @@ class SlcanPort:
     def _start(self) -> None:
         self._n_answers_before = self._n_answers()
         self._n_refused_before = self._counters["slcan.refused.line"]
-        self._stream.write(b"\r\rC\rZ0\rS%d\rO\r" % CAN_BITRATES.index(self._bitrate))  # the first ends a command cut short
+        self._stream.write(
+            b"\r\rC\rZ0\rS%d\rO\r" % CAN_BITRATES.index(self._bitrate)
+        )  # the first ends a command cut short
 
 
 async def open_slcan(path: str, baud: int, bitrate: int, counters: Counter[str]) -> SlcanPort:

@@ -55,24 +55,35 @@ def _port(connection: socket.socket, place: str, counters: Counter[str]) -> Stre
         return f"{place}: {how}. Check that it is running; it is connected again as soon as it answers."
 
     def on_silence() -> str:
-        raise HardwareError(f"{place}: nothing received, so the connection is taken for dead. Check that the device is running and sends.")
+        raise HardwareError(
+            f"{place}: nothing received, so the connection is taken for dead. Check that the device is running and "
+            "sends."
+        )
 
     return StreamPort(connection.fileno(), connection.close, lost, on_silence, GATHER_S, counters)
 
 
-async def addresses_of(host: str, port: int, kind: socket.SocketKind, place: str, family: int = 0) -> list[tuple[int, tuple[Any, ...]]]:
-    """Return address family and socket address for each address of a host. Raises HardwareError for one that has none."""
+async def addresses_of(
+    host: str, port: int, kind: socket.SocketKind, place: str, family: int = 0
+) -> list[tuple[int, tuple[Any, ...]]]:
+    """Return address family and socket address for each address of a host. Raises HardwareError for one that has
+    none."""
     try:
         found = await asyncio.get_running_loop().getaddrinfo(host, port, type=kind, family=family)
     except (OSError, UnicodeError) as error:
-        raise HardwareError(f"{place}: host '{host}' is unknown ({error}). Check its name, or write its address in numbers.") from error
+        raise HardwareError(
+            f"{place}: host '{host}' is unknown ({error}). Check its name, or write its address in numbers."
+        ) from error
     return [(entry[0], entry[4]) for entry in found]
 
 
 def _refusal(place: str, error: OSError) -> str:
     match error:
         case ConnectionRefusedError():
-            return f"{place}: refused. The host is there, but nothing listens on this port: check it, and start the device."
+            return (
+                f"{place}: refused. The host is there, but nothing listens on this port: check it, and start the "
+                "device."
+            )
         case TimeoutError():
             return f"{place}: no answer within {CONNECT_S:g} s. Check the cable, the device's power and its address."
     return f"{place}: cannot be reached ({error.strerror}). Check the cable, the network settings and the address."

@@ -51,7 +51,9 @@ class UdpPort:
         except BlockingIOError:
             pass
         except OSError as error:
-            raise HardwareError(f"{self._place}: failed ({error.strerror}). Check the network; it is opened again at once.") from error
+            raise HardwareError(
+                f"{self._place}: failed ({error.strerror}). Check the network; it is opened again at once."
+            ) from error
         return datagrams
 
     def write(self, item: bytes) -> bool:
@@ -85,7 +87,9 @@ async def open_udp(address: UdpAddress, counters: Counter[str]) -> UdpPort:
     family, local = (await addresses_of(address.host, address.port, socket.SOCK_DGRAM, place))[0]
     peer_host = address.peer_host
     if peer_host:
-        peer_host = (await addresses_of(peer_host, address.peer_port, socket.SOCK_DGRAM, f"{place}, peer", family))[0][1][0]
+        peer_host = (await addresses_of(peer_host, address.peer_port, socket.SOCK_DGRAM, f"{place}, peer", family))[0][
+            1
+        ][0]
     bound = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
     try:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
@@ -106,7 +110,10 @@ async def open_udp(address: UdpAddress, counters: Counter[str]) -> UdpPort:
 def _refusal(place: str, error: OSError) -> str:
     match error.errno:
         case errno.EADDRINUSE:
-            return f"{place}: in use by another program. Stop that one (ss -ulpn shows which it is), or choose another port."
+            return (
+                f"{place}: in use by another program. Stop that one (ss -ulpn shows which it is), or choose another "
+                "port."
+            )
         case errno.EADDRNOTAVAIL:
             return f"{place}: not an address of this computer. Write 0.0.0.0 to receive on all its addresses."
         case errno.EACCES:

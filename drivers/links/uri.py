@@ -14,10 +14,42 @@ from auv_mcm.errors import UsageError
 
 # Those that Linux has a name for; any other is far more often a slip of the pen than a device.
 BAUD_RATES: Final = (
-    *(50, 75, 110, 134, 150, 200, 300, 600, 1200, 1800, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 500000, 576000),
+    *(
+        50,
+        75,
+        110,
+        134,
+        150,
+        200,
+        300,
+        600,
+        1200,
+        1800,
+        2400,
+        4800,
+        9600,
+        19200,
+        38400,
+        57600,
+        115200,
+        230400,
+        460800,
+        500000,
+        576000,
+    ),
     *(921600, 1000000, 1152000, 1500000, 2000000, 2500000, 3000000, 3500000, 4000000),
 )
-CAN_BITRATES: Final = (10000, 20000, 50000, 100000, 125000, 250000, 500000, 800000, 1000000)  # S0 to S8 of the slcan protocol
+CAN_BITRATES: Final = (
+    10000,
+    20000,
+    50000,
+    100000,
+    125000,
+    250000,
+    500000,
+    800000,
+    1000000,
+)  # S0 to S8 of the slcan protocol
 SILENT_S: Final = 5.0
 _MAX_SILENT_S: Final = 3600.0
 
@@ -134,7 +166,9 @@ class _Uri:
         if not text:
             raise self._error("it is empty", f"write e.g. {EXAMPLES[0]}")
         if re.search(r"[\x00-\x20\x7f\\#]", text):
-            raise self._error("spaces, backslashes, '#' and control characters have no place in it", f"write e.g. {EXAMPLES[0]}")
+            raise self._error(
+                "spaces, backslashes, '#' and control characters have no place in it", f"write e.g. {EXAMPLES[0]}"
+            )
         try:
             parts = urlsplit(text)
             options = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
@@ -162,7 +196,9 @@ class _Uri:
         address = makers[self._scheme]()
         unknown = [name for name in self._options if name not in self._known]
         if unknown:
-            raise self._error(f"'{unknown[0]}' is not an option of {self._scheme}", f"known options: {', '.join(self._known)}")
+            raise self._error(
+                f"'{unknown[0]}' is not an option of {self._scheme}", f"known options: {', '.join(self._known)}"
+            )
         return address
 
     def _serial(self) -> SerialAddress:
@@ -170,7 +206,10 @@ class _Uri:
 
     def _slcan(self) -> SlcanAddress:
         return SlcanAddress(
-            self._device(), self._rate("bitrate", CAN_BITRATES), self._rate("baud", BAUD_RATES, default=115200), self._silent_s()
+            self._device(),
+            self._rate("bitrate", CAN_BITRATES),
+            self._rate("baud", BAUD_RATES, default=115200),
+            self._silent_s(),
         )
 
     def _tcp(self) -> TcpAddress:
@@ -186,12 +225,16 @@ class _Uri:
         peer = self._option("peer")
         peer_host, peer_port = ("", 0) if peer is None else self._host_port(peer, "192.168.2.92:51200")
         if not (port or peer_port):
-            raise self._error("without a port it cannot receive", "write e.g. udp://0.0.0.0:5000, or name a peer with its port")
+            raise self._error(
+                "without a port it cannot receive", "write e.g. udp://0.0.0.0:5000, or name a peer with its port"
+            )
         return UdpAddress(host, port, peer_host, peer_port, self._silent_s())
 
     def _device(self) -> str:
         if self._netloc:
-            raise self._error(f"'{self._netloc}' is read as a host", f"a path has three slashes: {self._scheme}:///dev/ttyUSB0")
+            raise self._error(
+                f"'{self._netloc}' is read as a host", f"a path has three slashes: {self._scheme}:///dev/ttyUSB0"
+            )
         if not re.fullmatch(r"/[^\x00-\x1f\x7f]*[^\x00-\x1f\x7f/]", self._path):
             raise self._error("the device is missing", f"name one, e.g. {self._scheme}:///dev/ttyUSB0")
         return self._path
@@ -199,7 +242,9 @@ class _Uri:
     def _channel(self) -> str:
         self._refuse_path()
         if not re.fullmatch(r"[A-Za-z0-9_.-]{1,15}", self._netloc):
-            raise self._error(f"'{self._netloc}' is not the name of a CAN interface", f"write e.g. {self._scheme}://can0")
+            raise self._error(
+                f"'{self._netloc}' is not the name of a CAN interface", f"write e.g. {self._scheme}://can0"
+            )
         return self._netloc
 
     def _host_port(self, text: str, example: str) -> tuple[str, int]:
@@ -222,7 +267,9 @@ class _Uri:
         text = self._option(name)
         if text is None:
             if default is None:
-                raise self._error(f"{name} is missing", f"add ?{name}={rates[len(rates) // 2]} or whatever the device is set to")
+                raise self._error(
+                    f"{name} is missing", f"add ?{name}={rates[len(rates) // 2]} or whatever the device is set to"
+                )
             return default
         if not re.fullmatch(r"[0-9]{1,9}", text):
             raise self._error(f"{name}='{text}' is not a whole number", f"write e.g. {name}={rates[len(rates) // 2]}")
@@ -236,7 +283,10 @@ class _Uri:
         if text is None:
             return SILENT_S
         if not re.fullmatch(r"[0-9]{1,6}(\.[0-9]{1,6})?", text) or not 0.0 < float(text) <= _MAX_SILENT_S:
-            raise self._error(f"silent_s='{text}' is not a time", f"write seconds above 0 and up to {_MAX_SILENT_S:g}, e.g. silent_s=5")
+            raise self._error(
+                f"silent_s='{text}' is not a time",
+                f"write seconds above 0 and up to {_MAX_SILENT_S:g}, e.g. silent_s=5",
+            )
         return float(text)
 
     def _option(self, name: str) -> str | None:

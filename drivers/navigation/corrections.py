@@ -35,7 +35,8 @@ class AttitudeReading(NamedTuple):
 
 
 class SpeedReading(NamedTuple):
-    """Hold a velocity. course_rad: over ground, NaN if not reported; drift_rad: against the bow, NaN if not reported."""
+    """Hold a velocity. course_rad: over ground, NaN if not reported; drift_rad: against the bow, NaN if not
+    reported."""
 
     speed_mps: float
     course_rad: float
@@ -67,7 +68,11 @@ def readings_of(fix: NavFix, unit: NavUnitSettings) -> tuple[Readings, list[Quan
     latitude_deg, longitude_deg = fix.latitude_deg, fix.longitude_deg
     known = not (math.isnan(latitude_deg) or math.isnan(longitude_deg))
     # Nobody dives at 0, 0: unfilled records hold it.
-    if plausible("position", known, abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0, 0)):
+    if plausible(
+        "position",
+        known,
+        abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0, 0),
+    ):
         position = Position(latitude_deg, longitude_deg, _sigma(fix.position_sigma_m, unit.position_sigma_m))
     if plausible("heading", fix.heading_rad == fix.heading_rad, abs(fix.heading_rad) <= _TURN + 0.02):
         turned = unit.heading_sign * fix.heading_rad + math.radians(unit.heading_offset_deg)
@@ -131,7 +136,9 @@ def _radii_m(latitude_deg: float) -> tuple[float, float]:
     sine = math.sin(latitude)
     squeezed = 1.0 - ECCENTRICITY_SQUARED * sine * sine
     prime_vertical_m = SEMI_MAJOR_M / math.sqrt(squeezed)
-    return prime_vertical_m * (1.0 - ECCENTRICITY_SQUARED) / squeezed, prime_vertical_m * max(math.cos(latitude), _SHARPEST_COSINE)
+    return prime_vertical_m * (1.0 - ECCENTRICITY_SQUARED) / squeezed, prime_vertical_m * max(
+        math.cos(latitude), _SHARPEST_COSINE
+    )
 
 
 def _sigma(reported: float, otherwise: float) -> float:

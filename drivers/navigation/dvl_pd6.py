@@ -171,7 +171,9 @@ class Pd6Unit:
         if first is None:
             return []
         fix_fields: dict[str, Any] = {}
-        lock = all(line.good for line in group.values() if isinstance(line, InstrumentVelocity | ShipVelocity | EarthVelocity))
+        lock = all(
+            line.good for line in group.values() if isinstance(line, InstrumentVelocity | ShipVelocity | EarthVelocity)
+        )
         if not lock:
             self._own["pd6.no_bottom_lock"] += 1
         for kind in (Pd6Attitude, Water, InstrumentVelocity, ShipVelocity, EarthVelocity, Bottom):
@@ -189,7 +191,9 @@ def _fix_fields(line: Line) -> dict[str, Any]:
         case Water():
             return {"time_utc_s": line.time_utc_s, "depth_m": line.depth_m}
         case InstrumentVelocity():
-            return {"speed_mps": math.hypot(line.x_mps, line.y_mps)}  # the axes point anywhere: a speed, not a direction
+            return {
+                "speed_mps": math.hypot(line.x_mps, line.y_mps)
+            }  # the axes point anywhere: a speed, not a direction
         case ShipVelocity():
             return {
                 "speed_mps": math.hypot(line.starboard_mps, line.forward_mps),
@@ -241,10 +245,13 @@ def line_of(line: Line) -> bytes:
         case InstrumentVelocity() | ShipVelocity() | EarthVelocity():
             kind = {InstrumentVelocity: "BI", ShipVelocity: "BS", EarthVelocity: "BE"}[type(line)]
             *velocities, good = line
-            text = f":{kind}," + ",".join(f"{velocity * 1e3 if good else _BAD_VELOCITY:+06.0f}" for velocity in velocities)
+            text = f":{kind}," + ",".join(
+                f"{velocity * 1e3 if good else _BAD_VELOCITY:+06.0f}" for velocity in velocities
+            )
             text += ",A" if good else ",V"
         case Bottom():
-            text = f":BD,{line.east_m:+012.2f},{line.north_m:+012.2f},{line.up_m:+012.2f},{line.range_m:07.2f},{line.since_good_s:06.2f}"
+            moved = f"{line.east_m:+012.2f},{line.north_m:+012.2f},{line.up_m:+012.2f}"
+            text = f":BD,{moved},{line.range_m:07.2f},{line.since_good_s:06.2f}"
     return text.encode("ascii") + b"\r\n"
 
 
@@ -280,4 +287,6 @@ def _read_time(text: str) -> float:
     if len(text) != 14 or not text.isdecimal():
         raise ValueError(f"not a time: {text}")
     year, month, day, hour, minute, second, hundredth = (int(text[at : at + 2]) for at in range(0, 14, 2))
-    return (datetime(2000 + year, month, day, hour, minute, second, tzinfo=UTC) - _EPOCH).total_seconds() + hundredth * 1e-2
+    return (
+        datetime(2000 + year, month, day, hour, minute, second, tzinfo=UTC) - _EPOCH
+    ).total_seconds() + hundredth * 1e-2

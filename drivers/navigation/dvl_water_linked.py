@@ -23,7 +23,8 @@ _RUN: Final = re.compile(rb"w%b*" % _BODY)
 _MAX_RUN_BYTES: Final = _MAX_MESSAGE_BYTES - 3
 _CANDIDATES: Final = MessageCandidates(
     (b"w",),
-    alive=rb"w(?:%b{3,%d}+\*(?:[0-9A-Fa-f]{2}|.?\Z)|%b{0,%d}+\Z)" % (_BODY, _MAX_MESSAGE_BYTES - 4, _BODY, _MAX_RUN_BYTES - 1),
+    alive=rb"w(?:%b{3,%d}+\*(?:[0-9A-Fa-f]{2}|.?\Z)|%b{0,%d}+\Z)"
+    % (_BODY, _MAX_MESSAGE_BYTES - 4, _BODY, _MAX_RUN_BYTES - 1),
     dead=rb"((?:w(?=w))++)|w(?:(%b{%d})|%b*+(?:(?=(w))|(?=(\*))|()))" % (_BODY, _MAX_RUN_BYTES, _BODY),
     reasons=("interrupted", "oversize", "interrupted", "checksum_malformed", "malformed"),
 )
@@ -197,7 +198,11 @@ def message_of(record: Record) -> bytes:
         velocities = [velocity if record.good else 0.0 for velocity in record[:3]]
         texts = [f"{velocity:.3f}" for velocity in velocities]
         texts += ["y" if record.good else "n", f"{record.altitude_m:.2f}", f"{record.figure_of_merit_mps:.3f}"]
-        texts += [";".join(f"{value:.6g}" for value in record.covariance), str(record.validity_us), str(record.transmission_us)]
+        texts += [
+            ";".join(f"{value:.6g}" for value in record.covariance),
+            str(record.validity_us),
+            str(record.transmission_us),
+        ]
         body = ",".join(["wrz", *texts, f"{record.interval_ms:.2f}", str(record.status)])
     else:
         metres = [f"{value:.3f}" for value in record[:5]]

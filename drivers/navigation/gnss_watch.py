@@ -63,7 +63,9 @@ class GnssWatch:
             east_m, north_m = offset_m(before.position[:2], seen.position[:2])
             way_east_m = seen.travelled.east_m - before.travelled.east_m
             way_north_m = seen.travelled.north_m - before.travelled.north_m
-            slack_m = 3.0 * math.hypot(before.position.sigma_m, seen.position.sigma_m) + _WAY_SLACK * math.hypot(way_east_m, way_north_m)
+            slack_m = 3.0 * math.hypot(before.position.sigma_m, seen.position.sigma_m) + _WAY_SLACK * math.hypot(
+                way_east_m, way_north_m
+            )
             if math.hypot(east_m - way_east_m, north_m - way_north_m) > slack_m:
                 return "not_the_way_made"
         return None

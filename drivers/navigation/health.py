@@ -6,7 +6,8 @@ import math
 from typing import Final
 
 START_S: Final = 5.0
-"""Time after the first unit is heard in which a better one serves at once: units do not all start at the same moment."""
+"""Time after the first unit is heard in which a better one serves at once: units do not all start at the same
+moment."""
 
 
 class UnitHealth:

@@ -46,7 +46,9 @@ _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or recko
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a notice is raised; as many that agree end it
 _N_SIGMA: Final = 3.0
-_N_IMPOSSIBLE: Final = 20  # values in a row, 2 s at 10 Hz: a bottom lock is lost for longer than a ping, a sentence damaged only once
+_N_IMPOSSIBLE: Final = (
+    20  # values in a row, 2 s at 10 Hz: a bottom lock is lost for longer than a ping, a sentence damaged only once
+)
 _FIELDS: Final[dict[Quantity, tuple[str, ...]]] = {
     "position": ("latitude_deg", "longitude_deg"),
     "heading": ("heading_rad",),
@@ -90,7 +92,9 @@ class _Given(NamedTuple):
 class _Channel:
     """Hold the state of one quantity of one unit."""
 
-    def __init__(self, source: str, unit: NavUnitSettings, surface_depth_m: float, agreement: FixAgreement[_Given]) -> None:
+    def __init__(
+        self, source: str, unit: NavUnitSettings, surface_depth_m: float, agreement: FixAgreement[_Given]
+    ) -> None:
         self.health = UnitHealth(source, unit.priority, unit.valid_s)
         self.watch = GnssWatch(surface_depth_m) if unit.surface_only else None
         self.doubt: Doubt | None = None  # of its newest position
@@ -207,7 +211,9 @@ class NavMerge:
         health = {}
         for quantity, fallback in self._fallbacks.items():
             serving = None if fallback.serving is None else fallback.serving.source
-            health[quantity] = QuantityHealth(serving, {unit.source: self._now_s - unit.last_s for unit in fallback.units})
+            health[quantity] = QuantityHealth(
+                serving, {unit.source: self._now_s - unit.last_s for unit in fallback.units}
+            )
         return health
 
     def _refuse(self, impossible: list[Quantity], readings: Readings, fix: NavFix) -> list[Event]:
@@ -226,7 +232,8 @@ class NavMerge:
                 continue
             self._impossible_reported.add(key)
             values = ", ".join(
-                f"{name.rpartition('_')[0]} {getattr(fix, name):g} {_UNITS[name.rpartition('_')[2]]}" for name in _FIELDS[quantity]
+                f"{name.rpartition('_')[0]} {getattr(fix, name):g} {_UNITS[name.rpartition('_')[2]]}"
+                for name in _FIELDS[quantity]
             )
             text = f"'{fix.source}' sends an impossible {quantity} ({values}); it is not used. "
             text += "Check the unit's settings, sensor and wiring."
@@ -238,7 +245,10 @@ class NavMerge:
         if source in self._unknown or len(self._unknown) >= _MAX_UNKNOWN:
             return []
         self._unknown.add(source)
-        text = f"navigation unit '{source}' is heard, but has no settings: its data is not used. Give it some, or ignore this."
+        text = (
+            f"navigation unit '{source}' is heard, but has no settings: its data is not used. Give it some, or ignore "
+            "this."
+        )
         return [Notice(code="nav_unit_unknown", text=text)]
 
     def _age_s(self, fix: NavFix, unit: NavUnitSettings, events: list[Event]) -> float:
@@ -327,7 +337,9 @@ class NavMerge:
         """Return whether a satellite receiver is under water, or sends positions as if it were."""
         depth_m = self._fresh("depth")
         channel = self._channels.get(("position", source))
-        return (depth_m is not None and depth_m > self._settings.surface_depth_m) or (channel is not None and channel.doubt is not None)
+        return (depth_m is not None and depth_m > self._settings.surface_depth_m) or (
+            channel is not None and channel.doubt is not None
+        )
 
     def _reach_m(self, before: _Given, after: _Given) -> float:
         slack_m = _JUMP_SLACK_M + _N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
@@ -344,14 +356,21 @@ class NavMerge:
             self._lost.add(quantity)
             if quantity == "position":
                 return []  # reported with its consequence: dead reckoning or nothing
-            text = f"{quantity} is lost: '{before.source}' gave none for {before.valid_s:g} s and no other unit does. Check its cable."
+            text = (
+                f"{quantity} is lost: '{before.source}' gave none for {before.valid_s:g} s and no other unit does. "
+                "Check its cable."
+            )
             return [Notice(code="nav_quantity_lost", text=text)]
         if now is None:
             return []
         if before is None:
             was_reported = quantity in self._lost and quantity != "position"
             self._lost.discard(quantity)
-            return [Notice(code="nav_quantity_back", text=f"{quantity} is back, from '{now.source}'")] if was_reported else []
+            return (
+                [Notice(code="nav_quantity_back", text=f"{quantity} is back, from '{now.source}'")]
+                if was_reported
+                else []
+            )
         if before.is_healthy(self._now_s) and fallback.is_starting(now):
             return []  # nothing failed: the units start one after the other
         why = "which is better and has been healthy for a while"
@@ -378,7 +397,8 @@ class NavMerge:
             return []
         channel.disagrees = True
         text = (
-            f"{quantity} of '{channel.health.source}' and '{serving.source}' differ by more than their errors; '{serving.source}' is used. "
+            f"{quantity} of '{channel.health.source}' and '{serving.source}' differ by more than their errors; "
+            f"'{serving.source}' is used. "
         )
         return [Notice(code="nav_disagreement", text=text + "Check signs, offsets and mounting of both.")]
 
@@ -413,7 +433,10 @@ class NavMerge:
             text = f"no unit gives a plausible position{self._doubts()}: continuing by heading and speed, "
             text += f"1-sigma {position.sigma_m:.1f} m and growing"
             events.append(Notice(code="nav_dead_reckoning", text=text))
-        elif self._n_steps_reported < len(_RECKONING_STEPS_M) and position.sigma_m >= _RECKONING_STEPS_M[self._n_steps_reported]:
+        elif (
+            self._n_steps_reported < len(_RECKONING_STEPS_M)
+            and position.sigma_m >= _RECKONING_STEPS_M[self._n_steps_reported]
+        ):
             self._n_steps_reported += 1
             text = f"still continuing by heading and speed: 1-sigma of the position is {position.sigma_m:.0f} m"
             events.append(Notice(code="nav_dead_reckoning", text=text))
@@ -427,7 +450,11 @@ class NavMerge:
         return [Notice(code="nav_position_lost", text=text)]
 
     def _doubts(self) -> str:
-        doubts = [f"{source}: {channel.doubt.replace('_', ' ')}" for (_, source), channel in self._channels.items() if channel.doubt]
+        doubts = [
+            f"{source}: {channel.doubt.replace('_', ' ')}"
+            for (_, source), channel in self._channels.items()
+            if channel.doubt
+        ]
         return f" ({', '.join(doubts)})" if doubts else ""
 
     def _position_back(self) -> list[Event]:
@@ -436,7 +463,9 @@ class NavMerge:
         self._reckoning = self._position_lost = False
         serving = self._fallbacks["position"].serving
         name = "" if serving is None else f" from '{serving.source}'"
-        return [Notice(code="nav_position_back", text=f"positions come{name} again, 1-sigma {self.position_sigma_m:.1f} m")]
+        return [
+            Notice(code="nav_position_back", text=f"positions come{name} again, 1-sigma {self.position_sigma_m:.1f} m")
+        ]
 
     def _put(self, time_s: float, sample: NavSample) -> None:
         if time_s < self._released_s:
@@ -488,11 +517,17 @@ def _difference(quantity: Quantity, given: _Given, reference: _Given, max_speed_
             distance_m = math.hypot(*offset_m(one[:2], other[:2]))
             apart = distance_m - _N_SIGMA * math.hypot(one.sigma_m, other.sigma_m) - max_speed_mps * apart_s
         case "heading":
-            apart = _angle(one.heading_rad - other.heading_rad) - _N_SIGMA * math.hypot(one.sigma_rad, other.sigma_rad) - apart_s
+            apart = (
+                _angle(one.heading_rad - other.heading_rad)
+                - _N_SIGMA * math.hypot(one.sigma_rad, other.sigma_rad)
+                - apart_s
+            )
         case "attitude":
             apart = max(_angle(one.pitch_rad - other.pitch_rad), _angle(one.roll_rad - other.roll_rad)) - apart_s
         case "speed":
-            apart = abs(one.speed_mps - other.speed_mps) - _N_SIGMA * math.hypot(one.sigma_mps, other.sigma_mps) - apart_s
+            apart = (
+                abs(one.speed_mps - other.speed_mps) - _N_SIGMA * math.hypot(one.sigma_mps, other.sigma_mps) - apart_s
+            )
         case _:
             apart = abs(one - other) - max_speed_mps * apart_s
     return float(apart)

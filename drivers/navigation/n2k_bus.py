@@ -136,7 +136,11 @@ class N2kBus:
                 return self._place(record.latitude_deg, record.longitude_deg) if talker.has_fix else {"valid": False}
             case RapidCourse():
                 course_rad = record.course_rad if record.reference == _TRUE else NAN
-                return {"speed_mps": record.speed_mps, "course_rad": course_rad, "valid": not math.isnan(record.speed_mps)}
+                return {
+                    "speed_mps": record.speed_mps,
+                    "course_rad": course_rad,
+                    "valid": not math.isnan(record.speed_mps),
+                }
             case GnssPosition():
                 talker.has_fix = not (record.method in _NOT_MEASURED or math.isnan(record.method))
                 place = self._place(record.latitude_deg, record.longitude_deg) if talker.has_fix else {"valid": False}

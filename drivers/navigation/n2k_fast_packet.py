@@ -64,10 +64,14 @@ class FastPackets:
 
 
 def frames_of(data: bytes, sequence: int) -> list[bytes]:
-    """Split a message into frames, the last one filled up with ones. Raises ValueError for more than 223 bytes or none."""
+    """Split a message into frames, the last one filled up with ones. Raises ValueError for more than 223 bytes or
+    none."""
     if not 0 < len(data) <= MAX_MESSAGE_BYTES:
         raise ValueError(f"a fast packet has 1 to {MAX_MESSAGE_BYTES} bytes, not {len(data)}")
     head = (sequence & 7) << 5
     frames = [bytes((head, len(data))) + data[:6]]
-    frames += [bytes((head | number,)) + data[start : start + 7] for number, start in enumerate(range(6, len(data), 7), start=1)]
+    frames += [
+        bytes((head | number,)) + data[start : start + 7]
+        for number, start in enumerate(range(6, len(data), 7), start=1)
+    ]
     return [frame.ljust(8, b"\xff") for frame in frames]

@@ -185,7 +185,8 @@ def can_id_of(identifier: Identifier) -> int:
 
 
 def decode(pgn: int, data: bytes) -> Record | None:
-    """Decode a message's bytes to its record; None for an unknown group. Raises ValueError for one that is too short."""
+    """Decode a message's bytes to its record; None for an unknown group. Raises ValueError for one that is too
+    short."""
     message = MESSAGES.get(pgn)
     if message is None:
         return None
@@ -238,18 +239,36 @@ MESSAGES: Final[dict[int, N2kMessage[Any]]] = {
             2,
             8,
             Heading,
-            (_SID, N2kField(8, 16, False, _ANGLE), N2kField(24, 16, True, _ANGLE), N2kField(40, 16, True, _ANGLE), N2kField(56, 2)),
+            (
+                _SID,
+                N2kField(8, 16, False, _ANGLE),
+                N2kField(24, 16, True, _ANGLE),
+                N2kField(40, 16, True, _ANGLE),
+                N2kField(56, 2),
+            ),
         ),
         N2kMessage(127251, 2, 8, RateOfTurn, (_SID, N2kField(8, 32, True, 3.125e-8))),
         N2kMessage(127252, 3, 8, Heave, (_SID, N2kField(8, 16, True, 0.01))),
         N2kMessage(127257, 3, 8, Attitude, (_SID, *(N2kField(start, 16, True, _ANGLE) for start in (8, 24, 40)))),
         N2kMessage(127258, 7, 6, MagneticVariation, (_SID, N2kField(8, 4), _DATE, N2kField(32, 16, True, _ANGLE))),
-        N2kMessage(128259, 2, 8, Speed, (_SID, N2kField(8, 16, False, 0.01), N2kField(24, 16, False, 0.01), N2kField(40, 8))),
         N2kMessage(
-            128267, 3, 8, WaterDepth, (_SID, N2kField(8, 32, False, 0.01), N2kField(40, 16, True, 1e-3), N2kField(56, 8, False, 10.0))
+            128259, 2, 8, Speed, (_SID, N2kField(8, 16, False, 0.01), N2kField(24, 16, False, 0.01), N2kField(40, 8))
+        ),
+        N2kMessage(
+            128267,
+            3,
+            8,
+            WaterDepth,
+            (_SID, N2kField(8, 32, False, 0.01), N2kField(40, 16, True, 1e-3), N2kField(56, 8, False, 10.0)),
         ),
         N2kMessage(129025, 2, 8, RapidPosition, (N2kField(0, 32, True, 1e-7), N2kField(32, 32, True, 1e-7))),
-        N2kMessage(129026, 2, 8, RapidCourse, (_SID, N2kField(8, 2), N2kField(16, 16, False, _ANGLE), N2kField(32, 16, False, 0.01))),
+        N2kMessage(
+            129026,
+            2,
+            8,
+            RapidCourse,
+            (_SID, N2kField(8, 2), N2kField(16, 16, False, _ANGLE), N2kField(32, 16, False, 0.01)),
+        ),
         N2kMessage(
             129029,
             3,

@@ -41,5 +41,7 @@ def nav_maker_of(plugin: Plugin) -> Callable[[str], NavDecoder]:
     """
     make = import_plugin(plugin)
     if not callable(make):
-        raise UsageError(f"{plugin}: {plugin.target} is of type {type(make).__name__}, and does not make decoders. {remedy(plugin)}")
+        raise UsageError(
+            f"{plugin}: {plugin.target} is of type {type(make).__name__}, and does not make decoders. {remedy(plugin)}"
+        )
     return checked(plugin, make, NavDecoder)

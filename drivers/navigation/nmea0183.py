@@ -22,10 +22,19 @@ _MAX_RUN_BYTES: Final = MAX_SENTENCE_BYTES - 5  # of `$` and body, with room for
 
 _CANDIDATES: Final = MessageCandidates(
     (b"$", b"!"),
-    alive=rb"[$!](?:%b{4,%d}+\*(?:[0-9A-Fa-f]{2}|[0-9A-Fa-f]?\Z)|%b{0,%d}+\Z)" % (_BODY, MAX_SENTENCE_BYTES - 6, _BODY, _MAX_RUN_BYTES - 1),
+    alive=rb"[$!](?:%b{4,%d}+\*(?:[0-9A-Fa-f]{2}|[0-9A-Fa-f]?\Z)|%b{0,%d}+\Z)"
+    % (_BODY, MAX_SENTENCE_BYTES - 6, _BODY, _MAX_RUN_BYTES - 1),
     dead=rb"((?:[$!](?=[$!]))++)|[$!](?:(%b{%d})|%b*+(?:(?=([$!]))|(?=(\*))|(?=([\r\n]))|(?=([\x80-\xff]))|()))"
     % (_BODY, _MAX_RUN_BYTES, _BODY),
-    reasons=("interrupted", "oversize", "interrupted", "checksum_malformed", "checksum_absent", "non_ascii", "control_character"),
+    reasons=(
+        "interrupted",
+        "oversize",
+        "interrupted",
+        "checksum_malformed",
+        "checksum_absent",
+        "non_ascii",
+        "control_character",
+    ),
 )
 
 
@@ -60,7 +69,11 @@ class NmeaGrammar(Grammar[str]):
             return end - at + 3
         stop = buffer[end]
         if stop == ord("*"):
-            return end - at + 3 if len(buffer) < end + 3 and _is_hex(buffer[end + 1 :]) and end - at > 4 else "checksum_malformed"
+            return (
+                end - at + 3
+                if len(buffer) < end + 3 and _is_hex(buffer[end + 1 :]) and end - at > 4
+                else "checksum_malformed"
+            )
         if stop in b"$!":
             return "interrupted"
         if stop in b"\r\n":
@@ -69,13 +82,15 @@ class NmeaGrammar(Grammar[str]):
 
 
 def sentence(body: str) -> bytes:
-    """Encode a body such as `GPHDT,123.4,T` as a whole line, with CR LF. Raises UnicodeEncodeError unless it is ASCII."""
+    """Encode a body such as `GPHDT,123.4,T` as a whole line, with CR LF. Raises UnicodeEncodeError unless it is
+    ASCII."""
     data = body.encode("ascii")
     return b"$%b*%02X\r\n" % (data, xor_of(data))
 
 
 def xor_of(data: bytes) -> int:
-    """Return the XOR of at most 256 bytes; more than a few are folded in halves, several times faster than one by one."""
+    """Return the XOR of at most 256 bytes; more than a few are folded in halves, several times faster than one by
+    one."""
     if len(data) <= _FEW_BYTES:
         return reduce(xor, data, 0)
     folded = int.from_bytes(data, "big")

@@ -64,7 +64,12 @@ class NmeaUnit:
         if self._since_burst == 0 or (isinstance(record, Hdt) and self._since_burst < _BURST_SENTENCES):
             return self._burst.add(record, arrived)
         return [
-            NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **self._fix_fields(record, arrived.received))
+            NavFix(
+                source=self._source,
+                received=arrived.received,
+                n_bytes=arrived.n_bytes,
+                **self._fix_fields(record, arrived.received),
+            )
         ]
 
     def _fix_fields(self, record: Any, stamp: Stamp) -> dict[str, Any]:
@@ -81,7 +86,9 @@ class NmeaUnit:
                 fix_fields["time_utc_s"] = self._date.dated(record.date_days, record.time_of_day_s, stamp)
                 if fix_fields["valid"]:
                     fix_fields.update(
-                        _place(record.latitude_deg, record.longitude_deg), speed_mps=record.speed_mps, course_rad=record.course_rad
+                        _place(record.latitude_deg, record.longitude_deg),
+                        speed_mps=record.speed_mps,
+                        course_rad=record.course_rad,
                     )
                 return fix_fields
             case Gll():
@@ -99,7 +106,10 @@ class NmeaUnit:
                 return fix_fields
             case Zda():
                 time_utc_s = self._date.dated(record.date_days, record.time_of_day_s, stamp)
-                return {"time_utc_s": time_utc_s, "is_time_message": time_utc_s is not None and not math.isnan(record.date_days)}
+                return {
+                    "time_utc_s": time_utc_s,
+                    "is_time_message": time_utc_s is not None and not math.isnan(record.date_days),
+                }
             case Dpt() | Dbt():
                 return {"altitude_m": record.depth_m if record.depth_m > 0.0 else NAN, "valid": record.depth_m > 0.0}
             case Pashr():

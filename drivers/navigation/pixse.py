@@ -1,4 +1,5 @@
-"""Assemble PHINS bursts (iXblue `$PIXSE`): the sentences of one instant, stamped with the time that comes after them."""
+"""Assemble PHINS bursts (iXblue `$PIXSE`): the sentences of one instant, stamped with the time that comes after
+them."""
 
 from __future__ import annotations
 
@@ -60,7 +61,9 @@ class Burst:
             case PixseSpeedSigma():
                 self._sigma["speed_sigma_mps"] = max(record.north_mps, record.east_mps)
             case PixseTime():
-                time_utc_s = None if self._first is None else self._date.nearest(record.time_of_day_s, self._first.received)
+                time_utc_s = (
+                    None if self._first is None else self._date.nearest(record.time_of_day_s, self._first.received)
+                )
                 return self.end(time_utc_s)
             case _:
                 begins = type(record) in self._records or (isinstance(record, Hdt) and bool(self._records))
@@ -81,7 +84,14 @@ class Burst:
         for record in records.values():
             fix_fields.update(_fix_fields(record))
         return [
-            NavFix(source=self._source, received=first.received, n_bytes=first.n_bytes, time_utc_s=time_utc_s, **fix_fields, **self._sigma),
+            NavFix(
+                source=self._source,
+                received=first.received,
+                n_bytes=first.n_bytes,
+                time_utc_s=time_utc_s,
+                **fix_fields,
+                **self._sigma,
+            ),
         ]
 
 

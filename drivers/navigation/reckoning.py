@@ -61,17 +61,29 @@ class Reckoner:
         self._anchor = _Anchor(time_s, position, self.travelled, self._distance_m)
 
     def position(self) -> tuple[float, Position] | None:
-        """Return time and place by reckoning; None if the distance run since the last measured position is not known."""
+        """Return time and place by reckoning; None if the distance run since the last measured position is not
+        known."""
         anchor = self._anchor
-        if anchor is None or self._velocity is None or anchor.travelled.leg != self._leg or self._heading is None or self._speed is None:
+        if (
+            anchor is None
+            or self._velocity is None
+            or anchor.travelled.leg != self._leg
+            or self._heading is None
+            or self._speed is None
+        ):
             return None
         place = anchor.position
         latitude_deg, longitude_deg = moved(
-            place.latitude_deg, place.longitude_deg, self._east_m - anchor.travelled.east_m, self._north_m - anchor.travelled.north_m
+            place.latitude_deg,
+            place.longitude_deg,
+            self._east_m - anchor.travelled.east_m,
+            self._north_m - anchor.travelled.north_m,
         )
         across_m = self._heading[1].sigma_rad * (self._distance_m - anchor.distance_m)
         along_m = self._speed[1].sigma_mps * max(self._time_s - anchor.time_s, 0.0)
-        return self._time_s, Position(latitude_deg, longitude_deg, math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2))
+        return self._time_s, Position(
+            latitude_deg, longitude_deg, math.sqrt(place.sigma_m**2 + across_m**2 + along_m**2)
+        )
 
     def _go_to(self, time_s: float) -> None:
         """Advance by the mean of the last two velocities. Late messages change the velocity, not the distance run."""

@@ -307,7 +307,9 @@ def _degrees_and_minutes(n_degree_digits: int, hemispheres: str) -> Codec:
             return "", ""
         degrees, micro_minutes = divmod(round(abs(value) * 60 * _MICRO), 60 * _MICRO)
         minutes, fraction = divmod(micro_minutes, _MICRO)
-        return f"{degrees:0{n_degree_digits}d}{minutes:02d}.{fraction:06d}", hemispheres[math.copysign(1.0, value) < 0.0]
+        return f"{degrees:0{n_degree_digits}d}{minutes:02d}.{fraction:06d}", hemispheres[
+            math.copysign(1.0, value) < 0.0
+        ]
 
     return Codec(2, read, write)
 

@@ -67,13 +67,22 @@ class SessionRecorder:
         self._thread = threading.Thread(target=self._run, name="session-recorder", daemon=True)
         try:
             self._writer = SessionWriter(
-                folder, session, file_bytes=file_bytes, reserve_bytes=reserve_bytes, open_file=open_file, free_bytes=free_bytes
+                folder,
+                session,
+                file_bytes=file_bytes,
+                reserve_bytes=reserve_bytes,
+                open_file=open_file,
+                free_bytes=free_bytes,
             )
         except FileExistsError as error:
-            raise UsageError(f"{folder} already holds a recorded session. Record each session into a folder of its own.") from error
+            raise UsageError(
+                f"{folder} already holds a recorded session. Record each session into a folder of its own."
+            ) from error
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-                raise UsageError(f"cannot record into {folder}: {error}. Check the path and its permissions.") from error
+                raise UsageError(
+                    f"cannot record into {folder}: {error}. Check the path and its permissions."
+                ) from error
             self._stop(error, [])
         else:
             self._thread.start()
@@ -158,7 +167,8 @@ class SessionRecorder:
         if not self._reported_slow:
             self._reported_slow = True
             text = (
-                f"the disk under {self._place} is too slow for what comes in: bytes are missing from the recording, which says where. The "
+                f"the disk under {self._place} is too slow for what comes in: bytes are missing from the recording, "
+                "which says where. The "
                 "mission goes on. Record to a faster disk."
             )
             self._raise_notice(Notice(code="session_bytes_lost", text=text, place=self._place))
@@ -172,7 +182,8 @@ class SessionRecorder:
             self._counters["session.bytes_lost"] += sum(len(chunk.data) for chunk in given_up)
             why = (error.strerror if isinstance(error, OSError) else None) or error
             text = (
-                f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded before can be read. "
+                f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded "
+                "before can be read. "
                 "Free disk space or check the disk, then start again."
             )
             self._raise_notice(Notice(code="session_stopped", text=text, place=self._place))

@@ -27,7 +27,9 @@ from drivers.recording.session_layout import (
 )
 
 FILE_BYTES: Final = 1 << 30
-FILE_FLUSHES: Final = 1200  # ten minutes of a recorder; until a file ends, the index of each of its chunks is kept in memory
+FILE_FLUSHES: Final = (
+    1200  # ten minutes of a recorder; until a file ends, the index of each of its chunks is kept in memory
+)
 RESERVE_BYTES: Final = 256 << 20
 _MESSAGE_BYTES: Final = 64  # at most, of a message beside its data, with its entry in the index
 
@@ -78,7 +80,8 @@ def free_bytes(folder: Path) -> int:
 
 
 class SessionWriter:
-    """Write the files of one session. After an OSError nothing more can be written; `abandon` then lets go of the file."""
+    """Write the files of one session. After an OSError nothing more can be written; `abandon` then lets go of the
+    file."""
 
     def __init__(
         self,
@@ -149,7 +152,9 @@ class SessionWriter:
             self._mcap.start(PROFILE, f"auv-mcm {self._session.version}")
             self._channels: dict[tuple[str, Direction], int] = {}
             self._notes: dict[str, int] = {}
-            self._add_note(HEAD_TOPIC, FileHead(file_number=self._n_files, session=self._session), self._session.started)
+            self._add_note(
+                HEAD_TOPIC, FileHead(file_number=self._n_files, session=self._session), self._session.started
+            )
             for port in self._session.ports:
                 self._add_channel(port.name, "in", port.uri, port.device)
                 self._add_channel(port.name, "out", port.uri, port.device)
@@ -187,4 +192,7 @@ class SessionWriter:
     def _refuse_full_disk(self) -> None:
         free = self._free_bytes(self._folder)
         if free < self._reserve_bytes + self._pending_bytes:
-            raise OSError(errno.ENOSPC, f"only {free / 1e6:.1f} MB are free, {self._reserve_bytes / 1e6:.1f} MB are kept for others")
+            raise OSError(
+                errno.ENOSPC,
+                f"only {free / 1e6:.1f} MB are free, {self._reserve_bytes / 1e6:.1f} MB are kept for others",
+            )

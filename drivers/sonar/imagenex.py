@@ -34,7 +34,9 @@ _TERMINATOR: Final = 0xFC
 _COMMAND_START: Final = b"\xfe\x44"
 _COMMAND_END: Final = 0xFD
 _MAX_ECHO: Final = 127
-_HEADER: Final = rb"\x10.[\x00\x01][\x01-\x03][\x0f\x1e\x3c\x5a\x78].."  # head, status, kind, channel, range, two unused
+_HEADER: Final = (
+    rb"\x10.[\x00\x01][\x01-\x03][\x0f\x1e\x3c\x5a\x78].."  # head, status, kind, channel, range, two unused
+)
 _COUNT: Final = rb"(?:\x10\x03|\x1c\x03)"  # 400 or 412, seven bits a byte
 _SOUND_SPEED_MPS: Final = 1500.0
 _OVERRUN: Final = 0x80  # of the serial status
@@ -76,14 +78,20 @@ def encode_command(command: SwitchCommand) -> bytes:
     frame[19] = command.data_points
     frame[25] = command.frequency
     if _COMMAND_END in frame:
-        raise UsageError(f"sportscan: {command} has a value of {_COMMAND_END}, which ends the command. Give one more or less.")
+        raise UsageError(
+            f"sportscan: {command} has a value of {_COMMAND_END}, which ends the command. Give one more or less."
+        )
     frame[26] = _COMMAND_END
     return bytes(frame)
 
 
 def decode_command(frame: bytes) -> SwitchCommand | None:
     """Decode a switch command from 27 bytes; return None for other bytes."""
-    if len(frame) != COMMAND_BYTES or not frame.startswith(_COMMAND_START) or frame.find(_COMMAND_END) != COMMAND_BYTES - 1:
+    if (
+        len(frame) != COMMAND_BYTES
+        or not frame.startswith(_COMMAND_START)
+        or frame.find(_COMMAND_END) != COMMAND_BYTES - 1
+    ):
         return None
     return SwitchCommand(frame[3], frame[8], frame[10], frame[14], frame[19], frame[25])
 
@@ -184,7 +192,8 @@ class SportScanDecoder:
 
 
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
-    """Return the command to send for every ping; none while not enabled. Raises UsageError for what the head cannot do."""
+    """Return the command to send for every ping; none while not enabled. Raises UsageError for what the head cannot
+    do."""
     check_settings(settings, "sportscan", max_range_m=float(RANGES_M[-1]), max_gain=MAX_GAIN)
     if settings.range_m not in RANGES_M:
         known = ", ".join(map(str, RANGES_M))

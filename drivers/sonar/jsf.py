@@ -51,12 +51,17 @@ _PADDING_BYTES: Final = 64  # that a data message may have behind its samples
 _LENGTH_KNOWN_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
 _MAX_WEIGHTING: Final = 40
 _MAX_REPORTED_RANGE_M: Final = 2000.0
-_NAVIGATION: Final = Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
+_NAVIGATION: Final = (
+    Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
+)
 _KNOT_MPS: Final = 1852.0 / 3600.0
 _SAME_SPEED_MPS: Final = 0.5
-_REPEATED_S: Final = 1.25  # between the second of slow receivers and the 1.5 s after which a unit without a new position counts as lost
+_REPEATED_S: Final = (
+    1.25  # between the second of slow receivers and the 1.5 s after which a unit without a new position counts as lost
+)
 
-# Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below _MAX_BODY_BYTES.
+# Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below
+# _MAX_BODY_BYTES.
 _AFTER_SYNC: Final = (
     rb"[\x00-\x20][\x00-\xff](?:[\x01-\xff]\x00|[\x00-\xff][\x01-\x26]|[\x00-\x0f]\x27)"
     rb"[\x00-\x03][\x00-\xff][\x00-\x0f][\x00-\xff]{5}[\x00-\x03]\x00"
@@ -96,7 +101,9 @@ class JsfGrammar(Grammar[JsfMessage]):
         if reason is not None:
             return reason
         n_there = len(buffer) - at
-        _, version, session, kind, command, subsystem, channel, sequence, reserved, n_body = HEADER.unpack_from(buffer, at)
+        _, version, session, kind, command, subsystem, channel, sequence, reserved, n_body = HEADER.unpack_from(
+            buffer, at
+        )
         if kind == SIDE_SCAN and n_there < _LENGTH_KNOWN_BYTES:
             return _LENGTH_KNOWN_BYTES
         n_bytes: int = HEADER_BYTES + n_body
@@ -176,7 +183,9 @@ class JsfDecoder:
             elif message.message_type != SIDE_SCAN:
                 self.counters["jsf.other_messages"] += 1
             elif message.subsystem != self._subsystem or message.channel not in (PORT, STARBOARD):
-                name = f"subsystem_{message.subsystem}" if message.subsystem in SIDE_SCAN_SUBSYSTEMS else "other_subsystem"
+                name = (
+                    f"subsystem_{message.subsystem}" if message.subsystem in SIDE_SCAN_SUBSYSTEMS else "other_subsystem"
+                )
                 self.counters[f"jsf.not_used.{name}"] += 1
             else:
                 found += self._frames(arrived)
@@ -192,7 +201,9 @@ class JsfDecoder:
         if reason is not None:
             self.counters[f"jsf.refused.{reason}"] += 1
             return []
-        trace = EchoTrace(samples=amplitude(data), first_range_m=header.start_depth_samples * spacing_m, spacing_m=spacing_m)
+        trace = EchoTrace(
+            samples=amplitude(data), first_range_m=header.start_depth_samples * spacing_m, spacing_m=spacing_m
+        )
         to_port = arrived.message.channel == PORT
         time_s = header.utc_s if header.time_s > 0 else None
         altitude_m = _valued(header, Validity.ALTITUDE, 1e-3 * header.altitude_mm)
@@ -247,7 +258,11 @@ def _unusable(data: SideScanData, spacing_m: float) -> str | None:
     header = data.header
     if header.data_format not in (DataFormat.ENVELOPE, DataFormat.ANALYTIC):
         return "data_format"
-    if header.n_samples == 0 or spacing_m <= 0.0 or (header.start_depth_samples + header.n_samples) * spacing_m > _MAX_REPORTED_RANGE_M:
+    if (
+        header.n_samples == 0
+        or spacing_m <= 0.0
+        or (header.start_depth_samples + header.n_samples) * spacing_m > _MAX_REPORTED_RANGE_M
+    ):
         return "range"
     if abs(header.weighting) > _MAX_WEIGHTING:
         return "weighting"

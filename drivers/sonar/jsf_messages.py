@@ -192,7 +192,9 @@ def to_wire(message: JsfMessage) -> bytes:
 def encode_data(data: SideScanData, subsystem: int, channel: int, sequence: int = 0) -> bytes:
     """Encode a data message, with its number of samples from `values`."""
     n_samples = data.values.shape[0] // values_per_sample(data.header.data_format)
-    header = data.header._replace(samples_low=n_samples & 0xFFFF, msb=data.header.msb & 0xF0FF | (n_samples >> 16 & 0xF) << 8)
+    header = data.header._replace(
+        samples_low=n_samples & 0xFFFF, msb=data.header.msb & 0xF0FF | (n_samples >> 16 & 0xF) << 8
+    )
     kind = "<u2" if header.data_format == DataFormat.ENVELOPE else "<i2"
     body = DATA_HEADER.pack(*header) + data.values.astype(kind, copy=False).tobytes()
     return to_wire(JsfMessage(SIDE_SCAN, body, subsystem=subsystem, channel=channel, sequence=sequence))

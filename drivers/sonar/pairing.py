@@ -53,7 +53,9 @@ class SidePairer:
 def _repeats(known: SonarFrame | None, frame: SonarFrame) -> bool:
     if known is None or frame.number != known.number or frame.device_time_s != known.device_time_s:
         return False
-    return (frame.port is not None and known.port is not None) or (frame.starboard is not None and known.starboard is not None)
+    return (frame.port is not None and known.port is not None) or (
+        frame.starboard is not None and known.starboard is not None
+    )
 
 
 def _together(one: SonarFrame, other: SonarFrame) -> bool:

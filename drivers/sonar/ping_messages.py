@@ -21,7 +21,10 @@ CHECKSUM_BYTES: Final = 2
 ACK, NACK, ASCII_TEXT, DEVICE_INFORMATION, PROTOCOL_VERSION, GENERAL_REQUEST, JSON_WRAPPER = 1, 2, 3, 4, 5, 6, 10
 SET_SPEED_OF_SOUND, OLD_SET_SPEED_OF_SOUND = 116, 1002  # devices made before the spring of 2026 take the old number
 OS_PING_PARAMS, OS_MONO_PROFILE = 2197, 2198
-NMEA_WRAPPER, MAVLINK_WRAPPER = 109, 150  # in logs of SonarView (Cerulean, "Cerulean Ping Protocol", General Packet Definitions)
+NMEA_WRAPPER, MAVLINK_WRAPPER = (
+    109,
+    150,
+)  # in logs of SonarView (Cerulean, "Cerulean Ping Protocol", General Packet Definitions)
 
 PROFILE_HEADER: Final = Struct("<5I3HBB6f")
 N_RESULTS_OFFSET: Final = 22  # of the profile's payload, u16
@@ -151,8 +154,16 @@ FIXED_LAYOUTS: Final[dict[int, tuple[Any, Struct]]] = {
     OS_PING_PARAMS: (OsPingParams, Struct("<3I4fhH4B")),
 }
 # In the order of PROFILE_HEADER, which the results follow.
-PROFILE_FIELDS: Final = (*OsMonoProfile._fields[:6], "n_results", *OsMonoProfile._fields[6:8], "reserved", *OsMonoProfile._fields[8:14])
-_ID_OF: Final[dict[type, int]] = {kind: number for number, (kind, _) in FIXED_LAYOUTS.items() if number != OLD_SET_SPEED_OF_SOUND}
+PROFILE_FIELDS: Final = (
+    *OsMonoProfile._fields[:6],
+    "n_results",
+    *OsMonoProfile._fields[6:8],
+    "reserved",
+    *OsMonoProfile._fields[8:14],
+)
+_ID_OF: Final[dict[type, int]] = {
+    kind: number for number, (kind, _) in FIXED_LAYOUTS.items() if number != OLD_SET_SPEED_OF_SOUND
+}
 _MAX_TEXT_BYTES: Final = 1024
 
 # Plausible minimum and maximum bytes of payload by message id; OTHER_LIMITS for ids not listed.
@@ -169,7 +180,10 @@ MAX_MESSAGE_BYTES: Final = HEADER_BYTES + max(max_bytes for _, max_bytes in PAYL
 
 def to_wire(message: PingMessage) -> bytes:
     """Encode the message, checksum included."""
-    body = HEADER.pack(SYNC, len(message.payload), message.message_id, message.source, message.destination) + message.payload
+    body = (
+        HEADER.pack(SYNC, len(message.payload), message.message_id, message.source, message.destination)
+        + message.payload
+    )
     return body + (sum(body) & 0xFFFF).to_bytes(2, "little")
 
 
@@ -222,7 +236,12 @@ def linear_power(profile: OsMonoProfile) -> NDArray[np.float32]:
 
 def _encode_profile(profile: OsMonoProfile) -> bytes:
     head = PROFILE_HEADER.pack(
-        *profile[:6], profile.pwr_results.shape[0], profile.sound_speed_dmps, profile.channel_number, profile.reserved, *profile[8:14]
+        *profile[:6],
+        profile.pwr_results.shape[0],
+        profile.sound_speed_dmps,
+        profile.channel_number,
+        profile.reserved,
+        *profile[8:14],
     )
     return head + profile.pwr_results.astype("<u2", copy=False).tobytes()
 

@@ -84,7 +84,10 @@ class PingGrammar(Grammar[PingMessage]):
                 n_length += 1
             elif message_id == OS_MONO_PROFILE and n_there - at < _PROFILE_HEAD_BYTES:
                 break
-            elif message_id == OS_MONO_PROFILE and n_payload != PROFILE_HEADER.size + 2 * _N_RESULTS(buffer, at + _N_RESULTS_AT)[0]:
+            elif (
+                message_id == OS_MONO_PROFILE
+                and n_payload != PROFILE_HEADER.size + 2 * _N_RESULTS(buffer, at + _N_RESULTS_AT)[0]
+            ):
                 n_length += 1
             elif stop + CHECKSUM_BYTES > n_there:
                 break
@@ -170,7 +173,9 @@ class PingDecoder:
             return []
         n_samples = profile.pwr_results.shape[0]
         spacing_m = 1e-3 * profile.length_mm / n_samples
-        trace = EchoTrace(samples=linear_power(profile), first_range_m=1e-3 * profile.start_mm + 0.5 * spacing_m, spacing_m=spacing_m)
+        trace = EchoTrace(
+            samples=linear_power(profile), first_range_m=1e-3 * profile.start_mm + 0.5 * spacing_m, spacing_m=spacing_m
+        )
         to_port = profile.channel_number == self._port_channel
         frame = SonarFrame(
             number=profile.ping_number,
@@ -190,7 +195,9 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
     check_settings(settings, "ping_protocol", max_range_m=MAX_RANGE_M, max_gain=MAX_GAIN)
     min_samples, max_samples = _RESULTS
     if not min_samples <= settings.n_samples <= max_samples:
-        raise UsageError(f"ping_protocol: {settings.n_samples} samples per side cannot be set. Give {min_samples} to {max_samples}.")
+        raise UsageError(
+            f"ping_protocol: {settings.n_samples} samples per side cannot be set. Give {min_samples} to {max_samples}."
+        )
     parameters = OsPingParams(
         start_mm=0,
         length_mm=round(1e3 * settings.range_m),
@@ -205,7 +212,11 @@ def _unusable(profile: OsMonoProfile) -> str | None:
     """Return why no trace can be made of it, in one word."""
     if profile.channel_number > 1:
         return "channel"
-    if profile.pwr_results.shape[0] == 0 or profile.length_mm == 0 or profile.start_mm + profile.length_mm > _MAX_TRACE_MM:
+    if (
+        profile.pwr_results.shape[0] == 0
+        or profile.length_mm == 0
+        or profile.start_mm + profile.length_mm > _MAX_TRACE_MM
+    ):
         return "range"
     if not 1300.0 <= 0.1 * profile.sound_speed_dmps <= 1700.0:
         return "sound_speed"
@@ -223,7 +234,9 @@ def _reply(arrived: StampedMessage[PingMessage]) -> SonarReply:
     elif isinstance(content, Nack):
         request, text = content.nacked_id, content.text
     elif isinstance(content, DeviceInformation):
-        text = f"device type {content.device_type} revision {content.device_revision}, firmware " + ".".join(map(str, content[2:5]))
+        text = f"device type {content.device_type} revision {content.device_revision}, firmware " + ".".join(
+            map(str, content[2:5])
+        )
     elif isinstance(content, ProtocolVersion):
         text = "protocol " + ".".join(map(str, content[:3]))
     accepted = not isinstance(content, Nack)

@@ -54,7 +54,9 @@ class Table:
         """Encode a record of this table as a body."""
         kind = self._by_record[type(record)]
         values = iter(record)
-        return ",".join(chain((kind.key,), *(("",) if codec is None else codec.write(next(values)) for codec in kind.codecs)))
+        return ",".join(
+            chain((kind.key,), *(("",) if codec is None else codec.write(next(values)) for codec in kind.codecs))
+        )
 
 
 def _values(kind: Sentence[Any], texts: Sequence[str]) -> Iterable[Any]:
@@ -212,7 +214,8 @@ CONTACT: Final = Codec(
 )
 """Write a contact in 25 fields, for vehicles whose protocol has no sentence for one:
 
-session, number, revision, time (UTC seconds since 1970), latitude (ddmm.mmmmmm, N or S), longitude (dddmm.mmmmmm, E or W), 1-sigma of the
-position (m), depth of the sea floor (m), class, probability of a mine, belief in cylinder, sphere, truncated_cone, wedge, clutter
-and unknown, number of views, then length, width and height, each followed by its 1-sigma (m). Empty: not known.
+session, number, revision, time (UTC seconds since 1970), latitude (ddmm.mmmmmm, N or S), longitude (dddmm.mmmmmm, E or
+W), 1-sigma of the position (m), depth of the sea floor (m), class, probability of a mine, belief in cylinder, sphere,
+truncated_cone, wedge, clutter and unknown, number of views, then length, width and height, each followed by its 1-sigma
+(m). Empty: not known.
 """

@@ -17,8 +17,12 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 
 AuthorityState: TypeAlias = Literal["down", "listening", "requested", "granted", "revoked"]
 
-ANSWER_WITHIN_S: Final = 10.0  # a request that nobody answers for so long is withdrawn, to be made again: it may have been lost
-SETTLE_S: Final = 1.0  # between giving back and what is said next of control: answers to what was said before are still on their way
+ANSWER_WITHIN_S: Final = (
+    10.0  # a request that nobody answers for so long is withdrawn, to be made again: it may have been lost
+)
+SETTLE_S: Final = (
+    1.0  # between giving back and what is said next of control: answers to what was said before are still on their way
+)
 
 
 class Ask(NamedTuple):

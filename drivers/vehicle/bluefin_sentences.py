@@ -164,7 +164,9 @@ def table_of(settings: BluefinSettings) -> Table:
     name = settings.contact_sentence
     return Table(
         Sentence("BFACK", BluefinAnswer, (CLOCK, needed(TEXT), CLOCK, None, one_of(*"0123"), None, TEXT)),
-        Sentence("BFNVG", BluefinPosition, (CLOCK, LATITUDE, LONGITUDE, COUNT, DEPTH, DEPTH, HEADING, ROLL, PITCH, CLOCK)),
+        Sentence(
+            "BFNVG", BluefinPosition, (CLOCK, LATITUDE, LONGITUDE, COUNT, DEPTH, DEPTH, HEADING, ROLL, PITCH, CLOCK)
+        ),
         Sentence("BFNVR", BluefinVelocity, (CLOCK, SPEED, SPEED, SPEED)),
         Sentence("BFCTL", BluefinControl, (CLOCK, one_of("0", "1"))),
         Sentence("BFMIS", BluefinMission, (CLOCK, TEXT, needed(TEXT))),

@@ -16,8 +16,12 @@ from drivers.vehicle.can_messages import CRC16_BYTES, CRC32_BYTES, FRAME_BYTES, 
 _EXTENDED: Final = 1 << 31  # marks identifiers of 29 bits in a DBC file
 _NODES: Final = {"payload": "PAYLOAD", "vehicle": "VEHICLE"}
 _PART: Final = Signal("part", 1, 0, 255, "which frame of the transfer this is")
-_SEQUENCE: Final = Signal("sequence", 1, 0, 255, "the same in all frames of a transfer, goes on by 1 with the next, repetitions too")
-_CRC16: Final = Signal("crc", CRC16_BYTES, 0, 0xFFFF, "CRC-16/IBM-3740 of message number, sender's address and bytes 0 to 5")
+_SEQUENCE: Final = Signal(
+    "sequence", 1, 0, 255, "the same in all frames of a transfer, goes on by 1 with the next, repetitions too"
+)
+_CRC16: Final = Signal(
+    "crc", CRC16_BYTES, 0, 0xFFFF, "CRC-16/IBM-3740 of message number, sender's address and bytes 0 to 5"
+)
 _CRC32: Final = Signal(
     "crc",
     CRC32_BYTES,
@@ -44,10 +48,15 @@ def dbc_text() -> str:
     lines.append(f"CM_ {_quoted(can_messages.__doc__ or '')};")
     for message in MESSAGES:
         lines.append(f"CM_ BO_ {ids[message.number]} {_quoted(message.comment)};")
-        lines += [f"CM_ SG_ {ids[message.number]} {signal.name} {_quoted(_comment(signal))};" for signal, _, _ in _signals(message)]
+        lines += [
+            f"CM_ SG_ {ids[message.number]} {signal.name} {_quoted(_comment(signal))};"
+            for signal, _, _ in _signals(message)
+        ]
     lines += ['BA_DEF_ BO_ "GenMsgCycleTime" INT 0 60000;', 'BA_DEF_DEF_ "GenMsgCycleTime" 0;']
     lines += [
-        f'BA_ "GenMsgCycleTime" BO_ {ids[message.number]} {round(1e3 * message.period_s)};' for message in MESSAGES if message.period_s
+        f'BA_ "GenMsgCycleTime" BO_ {ids[message.number]} {round(1e3 * message.period_s)};'
+        for message in MESSAGES
+        if message.period_s
     ]
     for message in MESSAGES:
         for signal, _, _ in _signals(message):
@@ -81,7 +90,10 @@ def _signal_line(signal: Signal, first_byte: int, mark: str, message: CanMessage
     sign = "-" if signal.signed else "+"
     scale = 1 if signal.scale is None else signal.scale
     bounds = f"[{signal.low:.12g}|{signal.high:.12g}]"
-    return f' SG_ {signal.name} {mark}: {8 * first_byte}|{8 * signal.n_bytes}@1{sign} ({scale:g},0) {bounds} "{signal.unit}" {receiver}'
+    return (
+        f" SG_ {signal.name} {mark}: {8 * first_byte}|{8 * signal.n_bytes}@1{sign} ({scale:g},0) {bounds} "
+        f'"{signal.unit}" {receiver}'
+    )
 
 
 def _comment(signal: Signal) -> str:

@@ -166,7 +166,16 @@ class ReportAnswer(NamedTuple):
     answer: int
 
 
-Record: TypeAlias = PayloadStatus | GoToMessage | SteerMessage | ReportMessage | HealthText | VehicleStatus | StateMessage | ReportAnswer
+Record: TypeAlias = (
+    PayloadStatus
+    | GoToMessage
+    | SteerMessage
+    | ReportMessage
+    | HealthText
+    | VehicleStatus
+    | StateMessage
+    | ReportAnswer
+)
 
 
 class Signal(NamedTuple):
@@ -337,13 +346,19 @@ _LONGITUDE: Final = Signal("longitude_deg", 4, -180.0, 180.0, "WGS 84, east posi
 _HEADING: Final = Signal("heading_rad", 2, 0.0, 6.2832, "clockwise from true north; a full turn is 0", 1e-4, "rad")
 _SPEED: Final = Signal("speed_mps", 2, 0.0, 655.0, "over ground", 0.01, "m/s")
 _DEPTH: Final = Signal("depth_m", 4, 0.0, 12_000.0, "below the surface", 1e-3, "m")
-_VERTICAL: Final = Signal("vertical_m", 4, 0.0, 12_000.0, "rounded to the shallower: altitudes up, depths down", 1e-3, "m")
+_VERTICAL: Final = Signal(
+    "vertical_m", 4, 0.0, 12_000.0, "rounded to the shallower: altitudes up, depths down", 1e-3, "m"
+)
 _REFERENCE: Final = _code("vertical_reference", REFERENCES, "vertical_m is below the surface, or above the sea floor")
 _VALID: Final = Signal("valid_s", 1, 0.0, 25.0, "void so long after its last frame, unless given again", 0.1, "s")
-_COMMAND_NUMBER: Final = _number("command_number", 1, "goes on by 1 for a command unlike the one before, not for a repetition")
+_COMMAND_NUMBER: Final = _number(
+    "command_number", 1, "goes on by 1 for a command unlike the one before, not for a repetition"
+)
 _REQUEST_NUMBER: Final = _number("request_number", 1, "of the request in whose grant it is given; refused in any other")
 _REASON: Final = Signal("reason", 1, 0, 255, "why the grant is what it is; readers take any number", names=REASONS)
-_COUNTER: Final = _number("counter", 1, "goes on by 1 with every frame; one that does not, or goes back, is no sign of life")
+_COUNTER: Final = _number(
+    "counter", 1, "goes on by 1 with every frame; one that does not, or goes back, is no sign of life"
+)
 
 MESSAGES: Final = (
     CanMessage(
@@ -353,7 +368,8 @@ MESSAGES: Final = (
         2,
         STATUS_PERIOD_S,
         PayloadStatus,
-        "Sign of life, health, and whether the payload wants control. Sent at once when it changes. A release is sent three times; one "
+        "Sign of life, health, and whether the payload wants control. Sent at once when it changes. A release is sent "
+        "three times; one "
         "that names the granted request, or none as after a restart, counts whatever its counter. "
         f"Without one for {PAYLOAD_SILENT_S:g} s the vehicle takes control back.",
         (
@@ -373,7 +389,8 @@ MESSAGES: Final = (
         3,
         COMMAND_PERIOD_S,
         GoToMessage,
-        f"Go to a place and stay there. Only while granted. The vehicle forgets it after valid_s ({COMMAND_VALID_S:g} s as sent), takes "
+        f"Go to a place and stay there. Only while granted. The vehicle forgets it after valid_s ({COMMAND_VALID_S:g} "
+        "s as sent), takes "
         "control back and flies its own plan. A sequence not newer than the last one's is refused and extends nothing.",
         (
             (_LATITUDE, _SPEED),
@@ -389,7 +406,8 @@ MESSAGES: Final = (
         3,
         COMMAND_PERIOD_S,
         SteerMessage,
-        "Hold a heading, a depth or altitude, and a speed. Otherwise as GO_TO, with which it shares sequence and command numbers.",
+        "Hold a heading, a depth or altitude, and a speed. Otherwise as GO_TO, with which it shares sequence and "
+        "command numbers.",
         ((_VERTICAL, _REFERENCE, _VALID), (_HEADING, _SPEED, _COMMAND_NUMBER, _REQUEST_NUMBER), ()),
     ),
     CanMessage(
@@ -399,16 +417,23 @@ MESSAGES: Final = (
         7,
         0.0,
         ReportMessage,
-        "A contact. Repeated until answered, after 1 s and then less and less often; session, number and revision identify a repetition. "
+        "A contact. Repeated until answered, after 1 s and then less and less often; session, number and revision "
+        "identify a repetition. "
         "Sizes, errors and depths too large are sent as the largest value.",
         (
-            (_number("ticket", 2, "to be named in the answer; 1 to 65535"), _number("number", 4, "of the contact in its session")),
+            (
+                _number("ticket", 2, "to be named in the answer; 1 to 65535"),
+                _number("number", 4, "of the contact in its session"),
+            ),
             (
                 _number("session", 4, "of the run that numbers its contacts"),
                 _number("revision", 2, "which report of the contact; 1 the first"),
             ),
             (Signal("time_s", 6, 0.0, 1e11, "UTC since 1970 of the first view", 1e-3, "s"),),
-            (_LATITUDE, Signal("sigma_m", 2, 0.0, 655.0, "1-sigma, semi-major axis of the position's error ellipse", 0.01, "m")),
+            (
+                _LATITUDE,
+                Signal("sigma_m", 2, 0.0, 655.0, "1-sigma, semi-major axis of the position's error ellipse", 0.01, "m"),
+            ),
             (_LONGITUDE, _share("p_mine", "probability of a mine")),
             (
                 _DEPTH._replace(comment="of the sea floor below the surface"),
@@ -429,7 +454,8 @@ MESSAGES: Final = (
         7,
         10.0,
         HealthText,
-        "Why the payload's health is as it is, for people: up to 44 bytes of UTF-8, filled up with zeros. Also sent when it changes.",
+        "Why the payload's health is as it is, for people: up to 44 bytes of UTF-8, filled up with zeros. Also sent "
+        "when it changes.",
         (
             *((_number(f"text_{n}", 6, "first byte least significant"),) for n in range(1, 8)),
             (_number("text_8", 2, "first byte least significant"),),
@@ -481,11 +507,16 @@ MESSAGES: Final = (
         6,
         0.0,
         ReportAnswer,
-        "A report was taken, or refused: then it is not repeated. Sent for every CONTACT_REPORT that came whole, repetitions too.",
+        "A report was taken, or refused: then it is not repeated. Sent for every CONTACT_REPORT that came whole, "
+        "repetitions too.",
         (
             (
                 _number("ticket", 2, "of the report"),
-                _number("report_crc", 2, "lower 16 bits of the report's CRC, so that no other report with this ticket is meant"),
+                _number(
+                    "report_crc",
+                    2,
+                    "lower 16 bits of the report's CRC, so that no other report with this ticket is meant",
+                ),
                 Signal("answer", 1, 0, 255, "readers take any number above 0 for a refusal", names=ANSWERS),
             ),
         ),

@@ -94,7 +94,8 @@ class CanReceiver:
         transfer = self._transfer(message, sequence, now_s)
         if part in transfer.contents:
             self._refuse("repeated")
-        # The later one counts: a damaged frame that strayed in here came before the part that belongs here more often than after it.
+        # The later one counts: a damaged frame that strayed in here came before the part that belongs here more often
+        # than after it.
         transfer.contents[part] = content
         if len(transfer.contents) < len(message.parts):
             return None

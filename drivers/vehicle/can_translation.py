@@ -19,7 +19,9 @@ _MAX_VIEWS: Final = 255
 _STEPS_PER_M: Final = 1000.0
 
 
-def command_message(command: Command, valid_s: float, command_number: int, request_number: int) -> GoToMessage | SteerMessage:
+def command_message(
+    command: Command, valid_s: float, command_number: int, request_number: int
+) -> GoToMessage | SteerMessage:
     """Translate a command. Depths and altitudes are rounded to the shallower, so that bounds stay kept."""
     vertical_m = _shallower(command.vertical)
     reference = REFERENCES.index(command.vertical.reference)

@@ -31,8 +31,8 @@ class Refusal(NamedTuple):
 class Fence:
     """Hold a polygon on the sea surface, its corners in either order; edges are the shortest lines between corners.
 
-    Raises UsageError for corners that form no polygon: fewer than three, edges that cross, no area, more than 50 km from
-    their middle.
+    Raises UsageError for corners that form no polygon: fewer than three, edges that cross, no area, more than 50 km
+    from their middle.
     """
 
     def __init__(self, corners_deg: Sequence[tuple[float, float]]) -> None:
@@ -40,10 +40,13 @@ class Fence:
         corners = [self._plane.point(*corner) for corner in corners_deg]
         if not all(math.hypot(*corner) <= MAX_FENCE_RADIUS_M for corner in corners):
             raise UsageError(
-                f"vehicle: fence_deg has corners more than {MAX_FENCE_RADIUS_M / 1e3:g} km from its middle; fence the area of this mission"
+                f"vehicle: fence_deg has corners more than {MAX_FENCE_RADIUS_M / 1e3:g} km from its middle; fence the "
+                "area of this mission"
             )
         ring = [
-            corner for before, corner in zip([corners[-1], *corners], corners, strict=False) if distance_m(before, corner) > _ROUNDING_M
+            corner
+            for before, corner in zip([corners[-1], *corners], corners, strict=False)
+            if distance_m(before, corner) > _ROUNDING_M
         ]
         self._edges = list(zip(ring, [*ring[1:], *ring[:1]], strict=True))
         if len(ring) < 3 or _cross_themselves(self._edges) or abs(_area_m2(ring)) < 1.0:
@@ -54,11 +57,15 @@ class Fence:
 
     def ahead(self, latitude_deg: float, longitude_deg: float, heading_rad: float, reach_m: float) -> Point:
         """Return where a course along a true heading leads."""
-        here, step = self._plane.point(latitude_deg, longitude_deg), self._plane.direction(latitude_deg, longitude_deg, heading_rad)
+        here, step = (
+            self._plane.point(latitude_deg, longitude_deg),
+            self._plane.direction(latitude_deg, longitude_deg, heading_rad),
+        )
         return Point(here.east_m + reach_m * step.east_m, here.north_m + reach_m * step.north_m)
 
     def clearance_m(self, start: Point, end: Point) -> float:
-        """Return the minimum distance of a straight leg to the fence, in m; -inf if it leaves the fence or the chart."""
+        """Return the minimum distance of a straight leg to the fence, in m; -inf if it leaves the fence or the
+        chart."""
         if not (self.inside(start) and self.inside(end)):
             return -math.inf
         if any(_cross(start, end, *edge) for edge in self._edges):
@@ -125,9 +132,14 @@ class Guard:
         if not math.isfinite(state.altitude_m):
             return Refusal("altitude_unknown", "the vehicle's altitude is not known")
         if state.altitude_m < self._config.min_altitude_m:
-            return Refusal("too_low", f"altitude {state.altitude_m:.1f} m is below min_altitude_m ({self._config.min_altitude_m:g})")
+            return Refusal(
+                "too_low",
+                f"altitude {state.altitude_m:.1f} m is below min_altitude_m ({self._config.min_altitude_m:g})",
+            )
         if state.depth_m > self._config.max_depth_m:
-            return Refusal("too_deep", f"depth {state.depth_m:.1f} m is beyond max_depth_m ({self._config.max_depth_m:g})")
+            return Refusal(
+                "too_deep", f"depth {state.depth_m:.1f} m is beyond max_depth_m ({self._config.max_depth_m:g})"
+            )
         here = self._fence.point(state.latitude_deg, state.longitude_deg)
         if not self._fence.inside(here):
             return Refusal("outside_fence", "the vehicle is outside the fence")
@@ -136,13 +148,18 @@ class Guard:
     def age(self, age_s: float) -> Refusal | None:
         """Return why a command that the payload confirmed so long ago is void. NaN is too old."""
         if not age_s <= self._config.command_valid_s:
-            return Refusal("expired", f"commands were not confirmed for {age_s:.1f} s, command_valid_s is {self._config.command_valid_s:g}")
+            return Refusal(
+                "expired",
+                f"commands were not confirmed for {age_s:.1f} s, command_valid_s is {self._config.command_valid_s:g}",
+            )
         return None
 
     def plan_age(self, age_s: float) -> Refusal | None:
         """Return why a plan proposed so long ago is void."""
         if not age_s <= self._config.plan_valid_s:
-            return Refusal("plan_expired", f"the plan is {age_s:.0f} s old, plan_valid_s is {self._config.plan_valid_s:g}")
+            return Refusal(
+                "plan_expired", f"the plan is {age_s:.0f} s old, plan_valid_s is {self._config.plan_valid_s:g}"
+            )
         return None
 
     def command(self, command: Command, state: ReportedState | None) -> Refusal | None:
@@ -154,12 +171,18 @@ class Guard:
         return (
             self._speed(command)
             or self._vertical(command.vertical, state)
-            or (self._steer(command, state, self._fence) if isinstance(command, Steer) else self._go_to(command, state, self._fence))
+            or (
+                self._steer(command, state, self._fence)
+                if isinstance(command, Steer)
+                else self._go_to(command, state, self._fence)
+            )
         )
 
     def _speed(self, command: Command) -> Refusal | None:
         if not 0.0 < command.speed_mps <= self._config.speed_mps:
-            return Refusal("speed", f"speed {command.speed_mps:g} m/s is not within 0 and speed_mps ({self._config.speed_mps:g})")
+            return Refusal(
+                "speed", f"speed {command.speed_mps:g} m/s is not within 0 and speed_mps ({self._config.speed_mps:g})"
+            )
         return None
 
     def _vertical(self, vertical: Vertical, state: ReportedState) -> Refusal | None:
@@ -171,20 +194,28 @@ class Guard:
         depth_m = vertical.value_m if vertical.reference == "depth" else floor_m - vertical.value_m
         if not altitude_m >= self._config.min_altitude_m:
             return Refusal(
-                "commands_too_low", f"altitude {altitude_m:.1f} m would be below min_altitude_m ({self._config.min_altitude_m:g})"
+                "commands_too_low",
+                f"altitude {altitude_m:.1f} m would be below min_altitude_m ({self._config.min_altitude_m:g})",
             )
         if not depth_m <= self._config.max_depth_m:
-            return Refusal("commands_too_deep", f"depth {depth_m:.1f} m would be beyond max_depth_m ({self._config.max_depth_m:g})")
+            return Refusal(
+                "commands_too_deep", f"depth {depth_m:.1f} m would be beyond max_depth_m ({self._config.max_depth_m:g})"
+            )
         return None
 
     def _go_to(self, command: GoTo, state: ReportedState, fence: Fence) -> Refusal | None:
         if not 0.0 < command.radius_m < math.inf:
             return Refusal("radius", f"radius {command.radius_m:g} m is not valid")
-        here, there = fence.point(state.latitude_deg, state.longitude_deg), fence.point(command.latitude_deg, command.longitude_deg)
+        here, there = (
+            fence.point(state.latitude_deg, state.longitude_deg),
+            fence.point(command.latitude_deg, command.longitude_deg),
+        )
         if (refusal := self._way(here, there, fence)) is not None:
             return refusal
         if not fence.clearance_m(there, there) >= self._config.fence_margin_m - _ROUNDING_M:
-            return Refusal("target_near_fence", f"the place to go to is not {self._config.fence_margin_m:g} m inside the fence")
+            return Refusal(
+                "target_near_fence", f"the place to go to is not {self._config.fence_margin_m:g} m inside the fence"
+            )
         return None
 
     def _steer(self, command: Steer, state: ReportedState, fence: Fence) -> Refusal | None:
@@ -194,16 +225,21 @@ class Guard:
             return Refusal("heading", f"heading {command.heading_rad:g} rad is not within 0 and 2 pi")
         here = fence.point(state.latitude_deg, state.longitude_deg)
         reach_m = command.speed_mps * self._config.command_valid_s
-        return self._way(here, fence.ahead(state.latitude_deg, state.longitude_deg, command.heading_rad, reach_m), fence)
+        return self._way(
+            here, fence.ahead(state.latitude_deg, state.longitude_deg, command.heading_rad, reach_m), fence
+        )
 
     def _way(self, here: Point, there: Point, fence: Fence) -> Refusal | None:
-        """Return why a heading must not be held. A vehicle within the margin may leave it, but not approach the fence."""
+        """Return why a heading must not be held. A vehicle within the margin may leave it, but not approach the
+        fence."""
         clearance_m = fence.clearance_m(here, there)
         if clearance_m >= max(self._config.fence_margin_m, _TOUCH_M):
             return None
         min_clearance_m = min(self._config.fence_margin_m, fence.clearance_m(here, here))
         if not clearance_m >= max(min_clearance_m - _ROUNDING_M, _TOUCH_M):
-            return Refusal("leads_out", f"the straight way leads out of the fence, or nearer to it than {min_clearance_m:.1f} m")
+            return Refusal(
+                "leads_out", f"the straight way leads out of the fence, or nearer to it than {min_clearance_m:.1f} m"
+            )
         return None
 
 

@@ -21,8 +21,12 @@ from drivers.vehicle.plane import LocalPlane, Point, distance_to_line_m
 
 CURRENT_SETTLES_S: Final = 8.0  # both poles of the observer: noise of positions is not to be seen, a turn's length is
 MAX_CURRENT_SHARE: Final = 0.95  # of the speed: beyond, no heading holds a track
-LARGEST_JUMP_M: Final = 10.0  # between where the vehicle was expected and is: a correction of its navigation, no current
-MAX_LEAD_RAD: Final = math.radians(60.0)  # of the commanded heading before the vehicle's: far from where it would turn the other way
+LARGEST_JUMP_M: Final = (
+    10.0  # between where the vehicle was expected and is: a correction of its navigation, no current
+)
+MAX_LEAD_RAD: Final = math.radians(
+    60.0
+)  # of the commanded heading before the vehicle's: far from where it would turn the other way
 _LONGEST_STEP_S: Final = 5.0  # after a longer silence the observer starts anew, but keeps the current
 _MAX_CUT_RADII: Final = 1.5
 _CHART_M: Final = 10_000.0  # from its origin: farther, the estimate's chart is laid anew
@@ -46,7 +50,9 @@ class WaypointTrack:
     that turn by themselves.
     """
 
-    def __init__(self, places_deg: tuple[tuple[float, float], ...], *, radius_m: float, cut_radius_m: float = 0.0) -> None:
+    def __init__(
+        self, places_deg: tuple[tuple[float, float], ...], *, radius_m: float, cut_radius_m: float = 0.0
+    ) -> None:
         self._places_deg = places_deg
         self._radius_m = radius_m
         self._cut_radius_m = cut_radius_m
@@ -218,7 +224,12 @@ class LineOfSight:
         self._current.restart()
 
     def heading_rad(
-        self, track: WaypointTrack, position_deg: tuple[float, float], position_s: float, heading_rad: float, now_s: float
+        self,
+        track: WaypointTrack,
+        position_deg: tuple[float, float],
+        position_s: float,
+        heading_rad: float,
+        now_s: float,
     ) -> float:
         """Return the true heading to command, [0, 2 pi).
 

@@ -100,7 +100,9 @@ def _nibble_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
 
     2 MiB in all, made within 10 ms when the first candidate is to be proven.
     """
-    steps = np.fromiter(accumulate(range(_PERIOD - 1), _divided, initial=1), np.uint16, _PERIOD)  # reflected remainders of x^15, x^16, ...
+    steps = np.fromiter(
+        accumulate(range(_PERIOD - 1), _divided, initial=1), np.uint16, _PERIOD
+    )  # reflected remainders of x^15, x^16, ...
     first_bit = -8 * np.arange(_PERIOD)
     of_bit = [steps[(first_bit - bit) % _PERIOD] for bit in range(8)]
     values = np.arange(_NIBBLE)

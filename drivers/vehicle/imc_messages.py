@@ -127,7 +127,8 @@ class EntityState(_Message, frozen=True):
 
 
 class Announce(_Message, frozen=True):
-    """Who is there, every ten seconds. sys_type: 2 under water, 3 on the surface, others are no vehicles that carry us."""
+    """Who is there, every ten seconds. sys_type: 2 under water, 3 on the surface, others are no vehicles that carry
+    us."""
 
     sys_name: str
     sys_type: int
@@ -442,13 +443,25 @@ _ROWS: Final = (
     _layout(480, FollowRefState, "u16", "u8", One(Reference), "u8", "u8"),
     _layout(500, VehicleState, "u8", "u8", "text", "u16", "f64", "u16", "u32", "u8", "text", "f64"),
     _layout(550, Abort),
-    _layout(551, PlanSpecification, *_times(3, "text"), Many(), "text", Many(PlanManeuver), Many(PlanTransition), Many(), Many()),
+    _layout(
+        551,
+        PlanSpecification,
+        *_times(3, "text"),
+        Many(),
+        "text",
+        Many(PlanManeuver),
+        Many(PlanTransition),
+        Many(),
+        Many(),
+    ),
     _layout(552, PlanManeuver, "text", One(FollowReference), Many(), Many()),
     _layout(553, PlanTransition, *_times(3, "text"), Many()),
     _layout(559, PlanControl, "u8", "u8", "u16", "text", "u16", One(), "text"),
     _layout(560, PlanControlState, "u8", "text", "i32", "f32", "text", "u16", "i32", "u8"),
     _layout(800, Target, "text", "f64", "f64", "f32", "u8", "f32", "f32"),
-    _layout(1700, MineContact, "u32", "u32", "u16", *_times(3, "f64"), *_times(3, "f32"), "u8", "u16", *_times(12, "f32")),
+    _layout(
+        1700, MineContact, "u32", "u32", "u16", *_times(3, "f64"), *_times(3, "f32"), "u8", "u16", *_times(12, "f32")
+    ),
     _layout(1701, MineContactTaken, "u32", "u32", "u16", "u8", "text"),
 )
 LAYOUTS: Final = {row.number: row for row in _ROWS}

@@ -33,7 +33,9 @@ _OTHER_LIMITS: Final = (0, MAX_PAYLOAD_BYTES)
 _LIMITS: Final = {number: (layout.min_bytes, layout.max_bytes) for number, layout in LAYOUTS.items()}
 
 # Sync and a size that is plausible for some message; one byte wide, as two may overlap.
-_PLAUSIBLE: Final = re.compile(rb"\x54(?=\xfe...[\x00-%b])|\xfe(?=\x54..[\x00-%b].)" % (2 * (_HIGHEST_SIZE,)), re.DOTALL)
+_PLAUSIBLE: Final = re.compile(
+    rb"\x54(?=\xfe...[\x00-%b])|\xfe(?=\x54..[\x00-%b].)" % (2 * (_HIGHEST_SIZE,)), re.DOTALL
+)
 _BEGUN: Final = re.compile(rb"(?:\x54\xfe|\xfe\x54).{0,3}\Z", re.DOTALL)
 _START_OF: Final = re.Match.start
 
@@ -51,7 +53,9 @@ class ImcPacket(NamedTuple):
     order: Order = "<"
 
 
-def packed(message: ImcMessage, source: int, *, entity: int = ANY_ENTITY, to: int = ANYONE, time_s: float = 0.0) -> bytes:
+def packed(
+    message: ImcMessage, source: int, *, entity: int = ANY_ENTITY, to: int = ANYONE, time_s: float = 0.0
+) -> bytes:
     """Encode a message as the bytes of a packet. Raises as `encode` does."""
     return to_wire(ImcPacket(number_of(type(message)), encode(message), source, entity, to, ANY_ENTITY, time_s))
 
@@ -59,7 +63,9 @@ def packed(message: ImcMessage, source: int, *, entity: int = ANY_ENTITY, to: in
 def to_wire(packet: ImcPacket) -> bytes:
     """Encode the packet, checksum included."""
     number, payload, source, source_entity, destination, destination_entity, time_s, order = packet
-    head = _HEADERS[order].pack(SYNC, number, len(payload), time_s, source, source_entity, destination, destination_entity)
+    head = _HEADERS[order].pack(
+        SYNC, number, len(payload), time_s, source, source_entity, destination, destination_entity
+    )
     body = head + payload
     return body + _CHECKSUMS[order].pack(crc16_arc(body))
 
@@ -132,9 +138,13 @@ class ImcGrammar(Grammar[ImcPacket]):
         plain = self._remainder.plain(buffer)
         if plain[at] != (plain[stop + CHECKSUM_BYTES] if order == "<" else self._remainder.swapped(buffer)[stop]):
             return "checksum"
-        _, _, _, time_s, source, source_entity, destination, destination_entity = _HEADERS[order].unpack_from(buffer, at)
+        _, _, _, time_s, source, source_entity, destination, destination_entity = _HEADERS[order].unpack_from(
+            buffer, at
+        )
         payload = bytes(buffer[at + HEADER_BYTES : stop])
-        return ImcPacket(number, payload, source, source_entity, destination, destination_entity, time_s, order), n_bytes
+        return ImcPacket(
+            number, payload, source, source_entity, destination, destination_entity, time_s, order
+        ), n_bytes
 
     def forget(self, n_bytes: int) -> None:
         self._remainder.forget(n_bytes)

@@ -41,7 +41,8 @@ _COMPASS: Final = re.compile(r"C([\d.+-]+)P([\d.+-]+)R([\d.+-]+)T([\d.+-]+)D([\d
 
 
 class IverState(NamedTuple):
-    """`$OSI`. mode: its first letter is N normal, S stopped, P parking, M manual, m manual parking, A servo, W mission."""
+    """`$OSI`. mode: its first letter is N normal, S stopped, P parking, M manual, m manual parking, A servo, W
+    mission."""
 
     mode: str
     latitude_deg: float
@@ -125,7 +126,13 @@ def table_of(settings: IverSettings) -> Table:
         Sentence(
             "OMS",
             IverSteer,
-            (needed(heading(1)), needed(depth(TENTHS, depth_unit_m)), needed(TENTHS), needed(speed(TENTHS, KNOT_MPS)), needed(COUNT)),
+            (
+                needed(heading(1)),
+                needed(depth(TENTHS, depth_unit_m)),
+                needed(TENTHS),
+                needed(speed(TENTHS, KNOT_MPS)),
+                needed(COUNT),
+            ),
         ),
         *((Sentence(f"{name},C", IverContact, (CONTACT,)), Sentence(f"{name},H", IverHealth, (TEXT,))) if name else ()),
     )

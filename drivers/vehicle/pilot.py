@@ -46,7 +46,9 @@ W = TypeVar("W")
 
 _MAX_NOTICES: Final = 256
 _ARRIVED_WITHIN_RADII: Final = 5.0
-_STEER_AGAIN_S: Final = 0.2  # not sooner with another heading, so that a slow wire is not asked for more than it carries
+_STEER_AGAIN_S: Final = (
+    0.2  # not sooner with another heading, so that a slow wire is not asked for more than it carries
+)
 _STEER_STEP_RAD: Final = math.radians(1.0)  # a heading that differs less waits for the next repetition
 
 
@@ -73,7 +75,9 @@ class _Plan(NamedTuple):
         first = self.track.index
         while self.waypoints[first].kind in (ON_LEG, "leg_exit") and first > 1:
             first -= 1
-        last = next((index for index in range(first, len(self.waypoints)) if self.waypoints[index].kind == "leg_entry"), first)
+        last = next(
+            (index for index in range(first, len(self.waypoints)) if self.waypoints[index].kind == "leg_entry"), first
+        )
         return self.track.nearest(position_deg, first, last)
 
 
@@ -101,7 +105,9 @@ class Pilot(Generic[W]):
         )
         self._guard = Guard(config)
         self._report_queue = ReportQueue(
-            session=session, min_p_mine=config.report_min_p_mine, acknowledges=Capability.ACKNOWLEDGED in talker.capabilities
+            session=session,
+            min_p_mine=config.report_min_p_mine,
+            acknowledges=Capability.ACKNOWLEDGED in talker.capabilities,
         )
         self._line_of_sight = LineOfSight(turn_radius_m=turn_radius_m, speed_mps=config.speed_mps)
         self._whereabouts = Whereabouts(config.state_valid_s)
@@ -238,7 +244,9 @@ class Pilot(Generic[W]):
             return
         self._own["vehicle.plans"] += 1
         places_deg = tuple((waypoint.latitude_deg, waypoint.longitude_deg) for waypoint in plan)
-        if (refusal := self._guard.plan(places_deg[1:], self._config.arrival_radius_m if self._may_steer else 0.0)) is not None:
+        if (
+            refusal := self._guard.plan(places_deg[1:], self._config.arrival_radius_m if self._may_steer else 0.0)
+        ) is not None:
             self._refused(refusal)
             return
         radius_m, cut_radius_m = self._config.arrival_radius_m, self._turn_radius_m if self._may_steer else 0.0
@@ -295,7 +303,9 @@ class Pilot(Generic[W]):
             return
         command: Command
         if self._may_steer:
-            heading_rad = self._line_of_sight.heading_rad(plan.track, position_deg, self._whereabouts.position_s, state.heading_rad, now_s)
+            heading_rad = self._line_of_sight.heading_rad(
+                plan.track, position_deg, self._whereabouts.position_s, state.heading_rad, now_s
+            )
             command = Steer(heading_rad, self._vertical, self._config.speed_mps)
         else:
             command = self._go_to(*plan.track.target_deg)
@@ -326,11 +336,19 @@ class Pilot(Generic[W]):
     def _arrived(self) -> None:
         """Take the vehicle's report of arrival where it is plausible; it may still refer to the way-point before."""
         plan, position = self._plan, self._whereabouts
-        if plan is None or self._authority.state != "granted" or not isinstance(self._command, GoTo) or plan.track.finished:
+        if (
+            plan is None
+            or self._authority.state != "granted"
+            or not isinstance(self._command, GoTo)
+            or plan.track.finished
+        ):
             return
         if (self._command.latitude_deg, self._command.longitude_deg) != plan.track.target_deg:
             return
-        if not math.hypot(*plan.track.off_track(position.position_deg)) > _ARRIVED_WITHIN_RADII * self._config.arrival_radius_m:
+        if (
+            not math.hypot(*plan.track.off_track(position.position_deg))
+            > _ARRIVED_WITHIN_RADII * self._config.arrival_radius_m
+        ):
             plan.track.arrive()
 
     def _drop_plan(self, refusal: Refusal, now_s: float) -> None:
@@ -345,7 +363,9 @@ class Pilot(Generic[W]):
             return
         self._counted.add(refusal.code)
         self._own[f"vehicle.refused.{refusal.code}"] += 1
-        self._raise_notice("vehicle_refused", f"the vehicle is not commanded: {refusal.text} [{refusal.code}]", logging.WARNING)
+        self._raise_notice(
+            "vehicle_refused", f"the vehicle is not commanded: {refusal.text} [{refusal.code}]", logging.WARNING
+        )
 
     def _do(self, action: Action | None, now_s: float) -> None:
         match action:
@@ -356,7 +376,9 @@ class Pilot(Generic[W]):
                 self._command, self._joined = None, False
                 self._own["vehicle.returned"] += 1
                 self._talker.release(reason, now_s)
-                self._raise_notice("vehicle_control_returned", f"control of the vehicle is released: {reason}", logging.INFO)
+                self._raise_notice(
+                    "vehicle_control_returned", f"control of the vehicle is released: {reason}", logging.INFO
+                )
 
     def _notice_authority(self) -> None:
         """Raise a notice of a new state, once."""
@@ -378,13 +400,17 @@ class Pilot(Generic[W]):
         report = self._report_queue.reject(rejected.ticket)
         if report is not None and report.number not in self._rejected:
             self._rejected.add(report.number)
-            self._raise_notice("vehicle_report_rejected", f"the vehicle rejects {report.label}: {rejected.reason}", logging.WARNING)
+            self._raise_notice(
+                "vehicle_report_rejected", f"the vehicle rejects {report.label}: {rejected.reason}", logging.WARNING
+            )
 
     def _doubted(self, reason: str) -> None:
         """Report the first rejected message, and count the others: an attacker may send many."""
         self._own["vehicle.doubted"] += 1
         if self._own["vehicle.doubted"] == 1:
-            self._raise_notice("vehicle_doubted", f"a message of the vehicle is rejected: {reason} More are counted.", logging.WARNING)
+            self._raise_notice(
+                "vehicle_doubted", f"a message of the vehicle is rejected: {reason} More are counted.", logging.WARNING
+            )
 
     def _raise_notice(self, code: str, text: str, level: int) -> None:
         log.log(level, "%s", text)

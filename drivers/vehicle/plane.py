@@ -64,7 +64,9 @@ class LocalPlane:
             sine * self._east[1] + cosine * self._north[1],
             sine * self._east[2] + cosine * self._north[2],
         )
-        return math.atan2(_dot(ahead, east), _dot(ahead, north)) % _TURN % _TURN  # once more: just below zero rounds up to a turn
+        return (
+            math.atan2(_dot(ahead, east), _dot(ahead, north)) % _TURN % _TURN
+        )  # once more: just below zero rounds up to a turn
 
 
 def distance_m(a: Point, b: Point) -> float:
@@ -86,7 +88,11 @@ def _ecef_m(latitude_deg: float, longitude_deg: float) -> Vector:
     sine = math.sin(latitude)
     prime_vertical_m = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sine * sine)
     from_axis_m = prime_vertical_m * math.cos(latitude)
-    return from_axis_m * math.cos(longitude), from_axis_m * math.sin(longitude), prime_vertical_m * (1.0 - ECCENTRICITY_SQUARED) * sine
+    return (
+        from_axis_m * math.cos(longitude),
+        from_axis_m * math.sin(longitude),
+        prime_vertical_m * (1.0 - ECCENTRICITY_SQUARED) * sine,
+    )
 
 
 def _east_north(latitude_deg: float, longitude_deg: float) -> tuple[Vector, Vector]:

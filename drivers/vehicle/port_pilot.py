@@ -91,7 +91,8 @@ class PortPilot:
                 return
             log.exception("the pilot at port '%s' failed", self._name)
             text = (
-                f"the pilot at port '{self._name}' failed ({error!r}). Control is released and not requested again. This is a defect: "
+                f"the pilot at port '{self._name}' failed ({error!r}). Control is released and not requested again. "
+                "This is a defect: "
                 "report it with the log and the recording."
             )
             self._notices.append(Notice(code="vehicle_failed", text=text, place=self._name))

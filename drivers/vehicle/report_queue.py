@@ -22,8 +22,12 @@ MAX_CONTACTS: Final = 10_000
 MAX_UNACKNOWLEDGED: Final = 64
 """Reports sent and not acknowledged, before new ones wait."""
 _MAX_UNACKNOWLEDGED_REPEATS: Final = 8  # as above, before repetitions wait: new reports go first
-_MAX_AT_ONCE: Final = 8  # reports per call, so that a slow wire without acknowledgements is not asked for more than it carries
-_REPEAT_S: Final = 30.0  # without an answer on a link that stays up: the dialect's own repetitions have ended, or the answer was lost
+_MAX_AT_ONCE: Final = (
+    8  # reports per call, so that a slow wire without acknowledgements is not asked for more than it carries
+)
+_REPEAT_S: Final = (
+    30.0  # without an answer on a link that stays up: the dialect's own repetitions have ended, or the answer was lost
+)
 _MAX_TICKET: Final = 65_535  # 16 bits on the bus; 0 stands for none
 
 
@@ -132,7 +136,9 @@ class ReportQueue:
     def link_lost(self) -> None:
         """Queue for repetition whatever was on its way when the link was lost."""
         numbers = (
-            self._unacknowledged.values() if self._acknowledges else [n for n, queued in self._contacts.items() if queued.sent is not None]
+            self._unacknowledged.values()
+            if self._acknowledges
+            else [n for n, queued in self._contacts.items() if queued.sent is not None]
         )
         for number in numbers:
             self._contacts[number].ticket = None

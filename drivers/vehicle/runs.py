@@ -27,6 +27,8 @@ def with_points_on_legs(plan: tuple[Waypoint, ...], spacing_m: float) -> tuple[W
             n_parts = max(1, math.ceil(math.hypot(east_m, north_m) / spacing_m))
             for part in range(1, n_parts):
                 latitude_deg, longitude_deg = moved(*start, east_m * part / n_parts, north_m * part / n_parts)
-                points.append(structs.replace(point, kind=ON_LEG, latitude_deg=latitude_deg, longitude_deg=longitude_deg))
+                points.append(
+                    structs.replace(point, kind=ON_LEG, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+                )
         points.append(point)
     return tuple(points)

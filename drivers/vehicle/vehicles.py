@@ -46,8 +46,8 @@ class VehicleKind(NamedTuple):
 
     make_decoder: from settings of its own type and the port's name, which fixes carry as `source`. make_talker: from
     settings and a number drawn for each run, 0 to 65534. settings: a msgspec.Struct with forbid_unknown_fields=True and
-    a default for every field that has one; of another package's dialect it is read from the port's section `options`. is_bus: it
-    speaks in CAN frames instead of bytes.
+    a default for every field that has one; of another package's dialect it is read from the port's section `options`.
+    is_bus: it speaks in CAN frames instead of bytes.
     """
 
     make_decoder: Callable[[Any, str], VehicleDecoder[Any]]
@@ -83,7 +83,10 @@ def vehicle_of(plugin: Plugin) -> VehicleKind:
     if not (isinstance(kind.settings, type) and issubclass(kind.settings, msgspec.Struct)):
         raise UsageError(f"{plugin}: its settings are not a class of msgspec.Struct. {remedy(plugin)}")
     if not kind.settings.__struct_config__.forbid_unknown_fields:
-        raise UsageError(f"{plugin}: its settings lack forbid_unknown_fields=True, so that no mistake in them would show. {remedy(plugin)}")
+        raise UsageError(
+            f"{plugin}: its settings lack forbid_unknown_fields=True, so that no mistake in them would show. "
+            f"{remedy(plugin)}"
+        )
     return kind._replace(
         make_decoder=checked(plugin, kind.make_decoder, VehicleDecoder),
         make_talker=checked(plugin, kind.make_talker, Talker),
@@ -93,7 +96,8 @@ def vehicle_of(plugin: Plugin) -> VehicleKind:
 def vehicle_settings_of(port: PortConfig, key: str) -> VehicleSettings:
     """Return the settings of a vehicle's port, its dialect's defaults where it gives none.
 
-    key: path of the port in the configuration, for messages. Raises UsageError for options that its dialect does not have.
+    key: path of the port in the configuration, for messages. Raises UsageError for options that its dialect does not
+    have.
     """
     kind = vehicle_named(port.device)
     if port.device in VEHICLE_NAMES:

@@ -39,10 +39,15 @@ class Whereabouts:
     def hear(self, state: ReportedState, now_s: float) -> None:
         self._state = state
         latitude_deg, longitude_deg = state.latitude_deg, state.longitude_deg
-        possible = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0.0, 0.0)
+        possible = (
+            abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and (latitude_deg, longitude_deg) != (0.0, 0.0)
+        )
         if possible:
             self._position_s = now_s
-            self._reported["latitude_deg"], self._reported["longitude_deg"] = (latitude_deg, now_s), (longitude_deg, now_s)
+            self._reported["latitude_deg"], self._reported["longitude_deg"] = (
+                (latitude_deg, now_s),
+                (longitude_deg, now_s),
+            )
         for quantity in _QUANTITIES:
             value = getattr(state, quantity)
             if math.isfinite(value):
@@ -53,6 +58,7 @@ class Whereabouts:
         if self._state is None:
             return None
         known = {
-            quantity: value if now_s - reported_s <= self._valid_s else NAN for quantity, (value, reported_s) in self._reported.items()
+            quantity: value if now_s - reported_s <= self._valid_s else NAN
+            for quantity, (value, reported_s) in self._reported.items()
         }
         return ReportedState(self._state.received, **known)

@@ -28,7 +28,8 @@ from sim_replay.simulator.plan import local_frame, planned_legs
 from sim_replay.simulator.scene import Origin
 
 ABOVE: Final = 0.02
-"""By how much of mean clearance the replanned flight is to be better than what the lawnmower would give on the sea floor as mapped."""
+"""By how much of mean clearance the replanned flight is to be better than what the lawnmower would give on the sea
+floor as mapped."""
 HALF_P: Final = 0.5
 GATE_M: Final = 2.0
 
@@ -111,20 +112,27 @@ def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
     """
     scene = drawn_scene(seed, order.side_m)
     limits, config = limits_of(scene, order), config_for(scene)
-    # Over vegetation the first pings may be taken for intensities; the integrator has configured what its recorder writes.
+    # Over vegetation the first pings may be taken for intensities; the integrator has configured what its recorder
+    # writes.
     config = msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, transfer="amplitude"))
     first = planned_legs(scene.track.plan)[0]
     start = PlanePose(first.east_m, first.north_m, first.direction_rad)
-    lawnmower = shortest_lawnmower(order.side_m, order.required, {worst_seabed(model, limits): 1.0}, model, limits, start)
+    lawnmower = shortest_lawnmower(
+        order.side_m, order.required, {worst_seabed(model, limits): 1.0}, model, limits, start
+    )
     if lawnmower is None:
-        raise UsageError(f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less")
+        raise UsageError(
+            f"no lawnmower is expected to find {order.required:g} of the mines on the worst sea floor: order less"
+        )
     origin, legs = local_frame(scene.origin), lawnmower.legs
     careful = msgspec.structs.replace(model, same_look_correlation=max(model.same_look_correlation, MIN_ALIKE))
 
     def wanted(ground: Clearance) -> float:
         return max(order.required, would_come_to(ground, legs, origin, careful, limits) + ABOVE)
 
-    adaptive = fly_adaptive(scene, order, by_replanning(order, careful, limits, origin), limits, careful, config, wanted)
+    adaptive = fly_adaptive(
+        scene, order, by_replanning(order, careful, limits, origin), limits, careful, config, wanted
+    )
     return Flights(adaptive, fly_fixed(scene, order, legs, careful, config), lawnmower)
 
 
@@ -138,11 +146,16 @@ def _arm(flight: AdaptiveFlight, order: Order) -> Arm:
         return bool(0.0 <= east <= order.side_m and 0.0 <= north <= order.side_m)
 
     objects = tuple(msgspec.structs.replace(target, looks=None) for target in truth.objects)
-    contacts = tuple(filter(inside, parse_contacts(json.loads(contacts_geojson(flight.contacts)), "the flight's contacts")))
+    contacts = tuple(
+        filter(inside, parse_contacts(json.loads(contacts_geojson(flight.contacts)), "the flight's contacts"))
+    )
     scored = Truth(area_km2=order.side_m**2 / 1e6, objects=objects)
     called = [contact for contact in contacts if contact.p_mine >= MINE_LIKE_P]
     targets = tuple(
-        AreaMine(p_detected=_p_at(flight.ground, target), found=any(_apart_m(target, contact) <= GATE_M for contact in called))
+        AreaMine(
+            p_detected=_p_at(flight.ground, target),
+            found=any(_apart_m(target, contact) <= GATE_M for contact in called),
+        )
         for target in objects
         if target.is_target
     )
@@ -159,7 +172,9 @@ def _arm(flight: AdaptiveFlight, order: Order) -> Arm:
 
 
 def _counts(mission: ScoredMission) -> Counts:
-    mine_like, half = (score_missions([mission], gate_m=GATE_M, threshold=p).at_threshold for p in (MINE_LIKE_P, HALF_P))
+    mine_like, half = (
+        score_missions([mission], gate_m=GATE_M, threshold=p).at_threshold for p in (MINE_LIKE_P, HALF_P)
+    )
     return Counts(
         n_found=mine_like.pd.count,
         n_false=mine_like.false_alarms.count,
@@ -171,7 +186,10 @@ def _counts(mission: ScoredMission) -> Counts:
 def _p_at(ground: Clearance, target: TruthObject) -> float:
     frame = LocalFrame(latitude_deg=ground.origin_latitude_deg, longitude_deg=ground.origin_longitude_deg)
     east, north, _ = frame.to_enu(target.latitude_deg, target.longitude_deg, 0.0).tolist()
-    row, column = math.floor(north / ground.cell_m) - ground.first_north, math.floor(east / ground.cell_m) - ground.first_east
+    row, column = (
+        math.floor(north / ground.cell_m) - ground.first_north,
+        math.floor(east / ground.cell_m) - ground.first_east,
+    )
     n_north, n_east = ground.exponent.shape
     return float(ground.p_detected[min(max(row, 0), n_north - 1), min(max(column, 0), n_east - 1)])
 

@@ -44,7 +44,12 @@ def by_replanning(order: Order, model: LookModel, limits: Limits, origin: LocalF
         # Its first leg will lie behind, and may be worth flying again, but not for having been planned.
         previous, plane = msgspec.structs.replace(plan, legs=plan.legs[1:]), here
         legs = tuple(
-            Leg(leg.entry.east_m, leg.entry.north_m, leg.entry.heading_rad, float(np.hypot(*np.subtract(leg.exit[:2], leg.entry[:2]))))
+            Leg(
+                leg.entry.east_m,
+                leg.entry.north_m,
+                leg.entry.heading_rad,
+                float(np.hypot(*np.subtract(leg.exit[:2], leg.entry[:2]))),
+            )
             for leg in plan.legs
         )
         return LegDecision(legs, plan.verdict, "; ".join(leg.why for leg in plan.legs[:1]) or plan.verdict)

@@ -126,7 +126,9 @@ class _Loop:
         limits: Limits | None,
         wanted: Wanted,
     ) -> None:
-        config = msgspec.structs.replace(config, waterfall=msgspec.structs.replace(config.waterfall, tile_rows=_TILE_ROWS))
+        config = msgspec.structs.replace(
+            config, waterfall=msgspec.structs.replace(config.waterfall, tile_rows=_TILE_ROWS)
+        )
         self._scene, self._order, self._model, self._config = scene, order, model, config
         self._decide, self._limits, self._wanted = decide, limits, wanted
         self._mission = Mission(scene, block_pings=_BLOCK_PINGS)
@@ -204,7 +206,9 @@ class _Loop:
         self._map.add(patch)
         self._reported_until[patch.side] = max(self._reported_until[patch.side], patch.stop_s)
         if patch.cells is not None:
-            self._plane = LocalFrame(latitude_deg=patch.cells.origin_latitude_deg, longitude_deg=patch.cells.origin_longitude_deg)
+            self._plane = LocalFrame(
+                latitude_deg=patch.cells.origin_latitude_deg, longitude_deg=patch.cells.origin_longitude_deg
+            )
         if patch.side != SIDES[-1]:
             return
         reported_s = min(self._reported_until.values())
@@ -219,7 +223,9 @@ class _Loop:
             self._verdict = f"done: mines in the area are found with probability {p_detected:.3f}"
 
     def _ground(self) -> Clearance:
-        return clearance_over_order(self._map.snapshot(), self._order, self._origin, self._plane, self._config.plan.cell_m)
+        return clearance_over_order(
+            self._map.snapshot(), self._order, self._origin, self._plane, self._config.plan.cell_m
+        )
 
     def _steer(self, here: _Flown) -> None:
         if self._verdict:
@@ -246,7 +252,11 @@ class _Loop:
         for side in SIDES:
             until = self._reported_until[side]
             ground = with_expected(
-                ground, self._model, self._limits, side, self._in_plane([f for f in self._unreported if f.time_s > until])
+                ground,
+                self._model,
+                self._limits,
+                side,
+                self._in_plane([f for f in self._unreported if f.time_s > until]),
             )
         pose = PlanePose(*self._in_plane([here])[0].tolist())
         complete = self._last is None or min(self._reported_until.values()) >= min(self._waits_from_s, here.time_s)

@@ -41,7 +41,9 @@ def _floor(scene: Scene, order: Order) -> Bytes:
     picture = covers[sea.world.seabed_at(*np.meshgrid(at, at[::-1]))]
     size = round(len(at) * _STEP_M * _PER_M)
     picture = np.asarray(cv2.resize(picture, (size, size), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
-    corners = _pixels(order, np.array([(0.0, 0.0), (order.side_m, 0.0), (order.side_m, order.side_m), (0.0, order.side_m)]))
+    corners = _pixels(
+        order, np.array([(0.0, 0.0), (order.side_m, 0.0), (order.side_m, order.side_m), (0.0, order.side_m)])
+    )
     cv2.polylines(picture, [corners], isClosed=True, color=_INK, thickness=2)
     for scene_object in sea.objects:
         if scene_object.is_target:
@@ -52,7 +54,9 @@ def _floor(scene: Scene, order: Order) -> Bytes:
 
 def _row(title: str, floor: Bytes, order: Order, flight: AdaptiveFlight) -> Bytes:
     picture = floor.copy()
-    cv2.polylines(picture, [_pixels(order, flight.track)], isClosed=False, color=_TRACK, thickness=1, lineType=cv2.LINE_AA)
+    cv2.polylines(
+        picture, [_pixels(order, flight.track)], isClosed=False, color=_TRACK, thickness=1, lineType=cv2.LINE_AA
+    )
     words = f"{title}: {flight.way_m:.0f} m, clearance {flight.ground.p_detected.mean():.2f}"
     cv2.putText(picture, words, (12, 26), cv2.FONT_HERSHEY_SIMPLEX, 0.7, _INK, 2, cv2.LINE_AA)
     maps = clearance_picture(flight.ground)

@@ -64,7 +64,9 @@ def worst_seabed(model: LookModel, limits: Limits) -> SeabedType:
     return min(known, key=lambda kind: float(_p(model, kind, ground_m, np.zeros(32), limits).mean()))
 
 
-def expected_clearance(legs: Sequence[Leg], side_m: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits) -> float:
+def expected_clearance(
+    legs: Sequence[Leg], side_m: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits
+) -> float:
     """Average p_detected over the square, were it everywhere the assumed mixture.
 
     Of a further look counts what `ClearanceMap` counts.
@@ -88,7 +90,9 @@ def expected_clearance(legs: Sequence[Leg], side_m: float, assumed: dict[SeabedT
             direction = round(look_rad / (0.5 * math.pi)) % 4
             first = ~seen[:, cells].any(axis=0)
             again = seen[direction, cells]
-            weight = np.where(first, 1.0, np.where(again, 1.0 - model.same_look_correlation, 1.0 - model.other_look_correlation))
+            weight = np.where(
+                first, 1.0, np.where(again, 1.0 - model.same_look_correlation, 1.0 - model.other_look_correlation)
+            )
             for number, kind in enumerate(kinds):
                 p = part[cells] * _p(model, kind, ground_m[cells], np.full(len(cells), look_rad), limits)
                 exponent[number, cells] -= weight * np.log1p(-p)

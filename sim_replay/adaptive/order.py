@@ -93,7 +93,12 @@ def drawn_scene(seed: int, side_m: float = SIDE_M) -> Scene:
         world=World(depth_m=25.0, seabeds=seabeds, patch_m=50.0, relief_rms_m=0.1),
         objects=_objects(rng, side_m),
         sonar=Sonar(
-            range_m=40.0, n_samples=800, ping_rate_hz=10.0, range_resolution_m=0.07, speckle_along_track_m=0.15, recorder=_UNCLIPPED
+            range_m=40.0,
+            n_samples=800,
+            ping_rate_hz=10.0,
+            range_resolution_m=0.07,
+            speckle_along_track_m=0.15,
+            recorder=_UNCLIPPED,
         ),
         track=Track(
             plan=Lawnmower(
@@ -143,7 +148,9 @@ def _objects(rng: np.random.Generator, side_m: float) -> tuple[SceneObject, ...]
         if len(places) == len(kinds):
             break
     else:
-        raise UsageError(f"no room for {len(kinds)} objects {_APART_M:g} m apart in a square of {side_m:g} m: take a larger one")
+        raise UsageError(
+            f"no room for {len(kinds)} objects {_APART_M:g} m apart in a square of {side_m:g} m: take a larger one"
+        )
     return tuple(_object(rng, kind, *place) for kind, place in zip(kinds, places, strict=True))
 
 

@@ -26,7 +26,9 @@ _ACROSS_M: Final = 0.5
 _ALONG_M: Final = 1.0
 
 
-def clearance_over_order(clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float) -> Clearance:
+def clearance_over_order(
+    clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float
+) -> Clearance:
     """Return the clearance of cells whose middles lie in the ordered area, and of no others; nothing where nothing was
     seen.
 
@@ -86,7 +88,9 @@ def with_expected(ground: Clearance, model: LookModel, limits: Limits, side: Sid
     return msgspec.structs.replace(ground, exponent=exponent, looks=looks, towards=towards)
 
 
-def would_come_to(ground: Clearance, legs: Sequence[Leg], origin: LocalFrame, model: LookModel, limits: Limits) -> float:
+def would_come_to(
+    ground: Clearance, legs: Sequence[Leg], origin: LocalFrame, model: LookModel, limits: Limits
+) -> float:
     """Return the mean clearance that legs would give over the known sea floor, were nothing else flown.
 
     legs: in the plane of `origin`, which is as good as parallel to the clearance's. Where nothing is known the worst is
@@ -95,7 +99,10 @@ def would_come_to(ground: Clearance, legs: Sequence[Leg], origin: LocalFrame, mo
     here = LocalFrame(latitude_deg=ground.origin_latitude_deg, longitude_deg=ground.origin_longitude_deg)
     corner = here.to_enu(origin.latitude_deg, origin.longitude_deg, 0.0)
     flown = msgspec.structs.replace(
-        ground, exponent=np.zeros_like(ground.exponent), looks=np.zeros_like(ground.looks), towards=np.zeros_like(ground.towards)
+        ground,
+        exponent=np.zeros_like(ground.exponent),
+        looks=np.zeros_like(ground.looks),
+        towards=np.zeros_like(ground.towards),
     )
     for leg in legs:
         along = np.arange(0.5 * _ALONG_M, leg.length_m, _ALONG_M)

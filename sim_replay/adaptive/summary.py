@@ -50,11 +50,14 @@ def rows(missions: Sequence[Compared]) -> list[list[str]]:
     targets = np.array([float(mission.adaptive.n_targets) for mission in missions])
     both = [mission for mission in missions if None not in (mission.adaptive.reached_m, mission.fixed.reached_m)]
 
-    def row(title: str, value: Callable[[Arm], float], of: Array, form: str, some: Sequence[Compared] = missions) -> list[str]:
+    def row(
+        title: str, value: Callable[[Arm], float], of: Array, form: str, some: Sequence[Compared] = missions
+    ) -> list[str]:
         if not some:
             return [title, "0", "-", "-", "-"]
         adaptive, fixed = (
-            np.array([float(value(arm)) for arm in arms]) for arms in zip(*((m.adaptive, m.fixed) for m in some), strict=True)
+            np.array([float(value(arm)) for arm in arms])
+            for arms in zip(*((m.adaptive, m.fixed) for m in some), strict=True)
         )
         reported = paired(adaptive, fixed, of)
         sign = form.replace(":", ":+")
@@ -65,9 +68,17 @@ def rows(missions: Sequence[Compared]) -> list[list[str]]:
         row("track flown, m", lambda arm: arm.track_m, ones, "{:.0f}"),
         row("time, s", lambda arm: arm.duration_s, ones, "{:.0f}"),
         row("share that reached the order", lambda arm: arm.reached_m is not None, ones, "{:.2f}"),
-        row("track until reached where both did, m", lambda arm: arm.reached_m or 0.0, np.ones(len(both)), "{:.0f}", both),
+        row(
+            "track until reached where both did, m",
+            lambda arm: arm.reached_m or 0.0,
+            np.ones(len(both)),
+            "{:.0f}",
+            both,
+        ),
         row("clearance at the end, as believed", lambda arm: arm.believed, ones, "{:.3f}"),
-        row("the same where mines lie", lambda arm: sum(target.p_detected for target in arm.targets), targets, "{:.3f}"),
+        row(
+            "the same where mines lie", lambda arm: sum(target.p_detected for target in arm.targets), targets, "{:.3f}"
+        ),
         row("Pd at the end, mine-like", lambda arm: arm.at_end.n_found, targets, "{:.3f}"),
         row("Pd at the end, p_mine 0.5", lambda arm: arm.at_end.n_found_half, targets, "{:.3f}"),
         row("FA/km² at the end, mine-like", lambda arm: arm.at_end.n_false, area, "{:.0f}"),
@@ -78,4 +89,7 @@ def rows(missions: Sequence[Compared]) -> list[list[str]]:
 def planned_words(missions: Sequence[Compared]) -> str:
     """Describe the plans of the lawnmowers."""
     planned_m, expected = np.mean([(mission.planned_m, mission.expected) for mission in missions], axis=0).tolist()
-    return f"beside the lawnmower laid for the worst sea floor: {planned_m:.0f} m planned, clearance expected there {expected:.3f}"
+    return (
+        f"beside the lawnmower laid for the worst sea floor: {planned_m:.0f} m planned, clearance expected there "
+        f"{expected:.3f}"
+    )

@@ -1,1 +1,2 @@
-"""Embed targets in recorded side-scan logs, from the relief, reflectivity and beam pattern of the recorded sea floor."""
+"""Embed targets in recorded side-scan logs, from the relief, reflectivity and beam pattern of the recorded sea
+floor."""

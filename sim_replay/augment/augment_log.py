@@ -52,7 +52,9 @@ def augment(
     folder = make_directory(out)
     target = folder / log.name
     if target.exists() and target.samefile(log):
-        raise UsageError(f"--out {out} is where the log itself lies, which is never overwritten: name another directory")
+        raise UsageError(
+            f"--out {out} is where the log itself lies, which is never overwritten: name another directory"
+        )
     done = embed(survey, track, placements, config, spec.seed, progress=progress)
     (folder / TRUTH_NAME).unlink(missing_ok=True)  # written last: its presence shows that it belongs to the log
     write_file(target, done.data)

@@ -99,7 +99,8 @@ def read_survey(path: Path, config: Config) -> Survey:
     released: list[PingBlock | SegmentEnd] = []
     if (found := log_format(path)) != "xtf":
         raise BadInputError(
-            f"{path} is a log of format {format_title(found)}; objects are embedded in XTF logs alone, since every other byte is kept. "
+            f"{path} is a log of format {format_title(found)}; objects are embedded in XTF logs alone, since every "
+            "other byte is kept. "
             "Export it as XTF."
         )
     for event in XtfLog(path, config.sonar):
@@ -113,7 +114,9 @@ def read_survey(path: Path, config: Config) -> Survey:
     full_scale = {side: _full_scale(pings, side, config.sonar.full_scale) for side in SIDES}
     stretches = tuple(_stretches(released, intake, transfer, config))
     if not stretches:
-        raise BadInputError(f"{path} has no pings that can be placed along a track. Give a log with time stamps and navigation.")
+        raise BadInputError(
+            f"{path} has no pings that can be placed along a track. Give a log with time stamps and navigation."
+        )
     return Survey(path, stretches, transfer, full_scale, _absorption_per_m(path))
 
 
@@ -143,7 +146,9 @@ def _full_scale(pings: Sequence[Ping], side: Side, configured: float | None) -> 
     return float(max((1 << highest.bit_length()) - 1, 255))
 
 
-def _stretches(released: Sequence[PingBlock | SegmentEnd], intake: Intake, transfer: Transfer, config: Config) -> Iterator[Stretch]:
+def _stretches(
+    released: Sequence[PingBlock | SegmentEnd], intake: Intake, transfer: Transfer, config: Config
+) -> Iterator[Stretch]:
     run: list[PingBlock] = []
     along_m = 0.0
     for item in released:
@@ -158,7 +163,10 @@ def _stretches(released: Sequence[PingBlock | SegmentEnd], intake: Intake, trans
 
 
 def _layout(ping: Ping) -> tuple[object, ...]:
-    return tuple((t.samples.shape[0], t.first_range_m, t.spacing_m) if t is not None else None for t in (ping.port, ping.starboard))
+    return tuple(
+        (t.samples.shape[0], t.first_range_m, t.spacing_m) if t is not None else None
+        for t in (ping.port, ping.starboard)
+    )
 
 
 def _tracked(blocks: Sequence[PingBlock], transfer: Transfer, config: Config) -> Stretch:
@@ -200,7 +208,9 @@ def _traces(pings: Sequence[Ping], side: Side, checker: TraceChecker) -> Traces 
 # --- samples ---
 
 
-def window_intensity(stretch: Stretch, pings: slice, side: Side, transfer: Transfer) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def window_intensity(
+    stretch: Stretch, pings: slice, side: Side, transfer: Transfer
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return linear intensity (n_pings, n_samples) float32 of some pings, near to far, and its validity, bool.
 
     The side must have been recorded, see `side_recorded`.
@@ -223,7 +233,9 @@ def to_samples(intensity: Floats, transfer: Transfer, full_scale: float | None, 
     if dtype.kind in "ui":
         limits = np.iinfo(dtype)
         # A logarithm, too, starts at the minimum that the recorder stores.
-        return np.asarray(np.rint(np.clip(counts, max(limits.min, 0), min(limits.max, full_scale or limits.max))), dtype=dtype)
+        return np.asarray(
+            np.rint(np.clip(counts, max(limits.min, 0), min(limits.max, full_scale or limits.max))), dtype=dtype
+        )
     return np.asarray(np.minimum(counts, np.inf if full_scale is None else full_scale), dtype=dtype)
 
 
@@ -238,12 +250,17 @@ def sample_places(path: Path, pings: Sequence[Ping]) -> dict[tuple[int, Side], S
         size = path.stat().st_size
         first = header_bytes(file, 0, size) or HEADER_BLOCK
         packets = read_packets(file, first, size, (_SONAR_PACKET,), lambda data: None)
-        channels = ((item.offset, item.data) for item in packets if isinstance(item, XtfPacket) and item.kind == _SONAR_PACKET)
+        channels = (
+            (item.offset, item.data) for item in packets if isinstance(item, XtfPacket) and item.kind == _SONAR_PACKET
+        )
         for ping in pings:
             for offset, data in channels:
                 found = _matches(ping, data)
                 if found:
-                    places |= {(ping.number, side): SamplePlace(offset + start, turned) for side, (start, turned) in found.items()}
+                    places |= {
+                        (ping.number, side): SamplePlace(offset + start, turned)
+                        for side, (start, turned) in found.items()
+                    }
                     break
     return places
 

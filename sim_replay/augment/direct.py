@@ -32,7 +32,12 @@ REFLECTIVITY_M: Final = 1.0  # standard deviation of the mean that reflectivity 
 _ITERATIONS: Final = 3
 _BRIDGE_WEIGHT: Final = 0.05  # of level slopes where nothing was recorded, against those that were seen
 _MIN_LOOKS: Final = 4.0
-_SMOOTHING_PX: Final = ((0.5, 2), (0.8, 3), (1.1, 4), (1.5, 5))  # standard deviation, and a lag farther than that and speckle reach
+_SMOOTHING_PX: Final = (
+    (0.5, 2),
+    (0.8, 3),
+    (1.1, 4),
+    (1.5, 5),
+)  # standard deviation, and a lag farther than that and speckle reach
 _LOOKS_BLOCK: Final = 16
 _MAX_LOOKS: Final = 50.0
 
@@ -73,7 +78,9 @@ def invert(intensity: Array, valid: Bools, altitude_m: Array, along_m: Array, co
     row_spacing_m = mean_spacing_m(along_m)
     table = _slope_table(image.looks)
     elevation = np.zeros(intensity.shape)
-    scene = fit_levels(image.intensity, valid, elevation, np.ones_like(elevation), altitude_m, along_m, column_spacing_m)
+    scene = fit_levels(
+        image.intensity, valid, elevation, np.ones_like(elevation), altitude_m, along_m, column_spacing_m
+    )
     weight = None if valid.all() else np.where(valid, 1.0, _BRIDGE_WEIGHT)
     for _ in range(_ITERATIONS):
         slope = _expected_slope(table, image.intensity, scene)
@@ -125,12 +132,21 @@ def _block_variogram(level: Array, usable: Bools, lag: int) -> Array:
     rows, columns = (np.arange(0, n, _LOOKS_BLOCK) for n in both.shape)
     if not len(rows) or not len(columns):
         return np.full((0, 0), np.nan)
-    total, count = (np.add.reduceat(np.add.reduceat(plane, rows, axis=0), columns, axis=1) for plane in (energy, both.astype(np.float64)))
+    total, count = (
+        np.add.reduceat(np.add.reduceat(plane, rows, axis=0), columns, axis=1)
+        for plane in (energy, both.astype(np.float64))
+    )
     return np.divide(total, count, out=np.full_like(total, np.nan), where=count >= 0.5 * _LOOKS_BLOCK**2)
 
 
 def fit_levels(
-    intensity: Array, valid: Bools, elevation_m: Array, reflectivity: Array, altitude_m: Array, along_m: Array, column_spacing_m: float
+    intensity: Array,
+    valid: Bools,
+    elevation_m: Array,
+    reflectivity: Array,
+    altitude_m: Array,
+    along_m: Array,
+    column_spacing_m: float,
 ) -> SeafloorScene:
     """Fit the beam pattern and then the reflectivity of a scene of known relief to a smoothed image.
 
@@ -162,7 +178,8 @@ def fit_levels(
 
 
 def _fit_beam(depression: Array, intensity: Array, accounted: Array) -> BeamPattern:
-    """Return the mean echo over the other factors, per half degree; each mean belongs to the mean angle of its pixels."""
+    """Return the mean echo over the other factors, per half degree; each mean belongs to the mean angle of its
+    pixels."""
     which = _angle_bins(depression)
     count, echo, share = (np.bincount(which, weights, minlength=_N_ANGLES) for weights in (None, intensity, accounted))
     known = np.flatnonzero((count >= _MIN_BIN_PIXELS) & (share > 0.0))
@@ -197,12 +214,18 @@ def _expected_slope(table: Array, intensity: Array, scene: SeafloorScene) -> Arr
     """Rise per metre across the track, with mean 0 over all pings at each half degree of depression; 0 where not
     valid."""
     depression = depression_rad(scene.elevation_m, scene.altitude_m, scene.column_spacing_m)
-    level = beam_gain(scene.beam, scene.elevation_m, scene.altitude_m, scene.column_spacing_m) * scene.reflectivity * np.sin(depression)
+    level = (
+        beam_gain(scene.beam, scene.elevation_m, scene.altitude_m, scene.column_spacing_m)
+        * scene.reflectivity
+        * np.sin(depression)
+    )
     root = np.sqrt(intensity / np.maximum(level, _NO_ECHO))
     place = np.stack([depression * (_N_ANGLES / (0.5 * math.pi)) - 0.5, root * ((_TABLE_ECHOES - 1) / _MAX_ROOT_ECHO)])
     slope = scipy.ndimage.map_coordinates(table, place, order=1, mode="nearest")
     which = _angle_bins(depression)[scene.valid]
-    bias = np.bincount(which, slope[scene.valid], minlength=_N_ANGLES) / np.maximum(np.bincount(which, minlength=_N_ANGLES), 1)
+    bias = np.bincount(which, slope[scene.valid], minlength=_N_ANGLES) / np.maximum(
+        np.bincount(which, minlength=_N_ANGLES), 1
+    )
     return np.where(scene.valid, slope - bias[_angle_bins(depression)], 0.0)
 
 

@@ -116,9 +116,13 @@ def embed(
             stretch_number, index = int(track.stretch[ping]), int(track.row[ping])
             stretch = survey.stretches[stretch_number]
             if (stretch_number, side) not in lines:
-                lines[stretch_number, side] = measure_line(stretch, side, survey.transfer, config.sonar.blank_m, survey.absorption_per_m)
+                lines[stretch_number, side] = measure_line(
+                    stretch, side, survey.transfer, config.sonar.blank_m, survey.absorption_per_m
+                )
             window = _Window(data, places, stretch, index, side, ground_range_m, ahead_m, lines[stretch_number, side])
-            looks.append(_embed_look(window, survey, placement.scene_object, config, recover, seed, 64 * number + pass_number))
+            looks.append(
+                _embed_look(window, survey, placement.scene_object, config, recover, seed, 64 * number + pass_number)
+            )
             looks[-1] = looks[-1]._replace(ping=int(track.number[ping]))
         latitude, longitude = _position(survey, track, placement, config)
         done.append(Embedded(placement.scene_object, latitude, longitude, tuple(looks)))
@@ -138,7 +142,10 @@ def passes_over_object(track: PingTrack, placement: Placement) -> list[tuple[int
         if any(track.stretch[one[0]] == stretch and abs(track.along_m[one[0]] - along_m) < near for one in own):
             continue
         sine, cosine = math.sin(track.heading_rad[ping]), math.cos(track.heading_rad[ping])
-        east_m, north_m = placement.scene_object.east_m - track.east_m[ping], placement.scene_object.north_m - track.north_m[ping]
+        east_m, north_m = (
+            placement.scene_object.east_m - track.east_m[ping],
+            placement.scene_object.north_m - track.north_m[ping],
+        )
         own.append((ping, side, ground_range_m, float(east_m * sine + north_m * cosine)))
     return own
 
@@ -166,7 +173,8 @@ class _Window(NamedTuple):
             trace, place = self.stretch.trace(k, self.side), self.places.get((self.stretch.pings[k].number, self.side))
             if trace is None or place is None:
                 raise BadInputError(
-                    f"{self.stretch.pings[k].place}: its {self.side} samples cannot be overwritten, as the log stores them scaled. "
+                    f"{self.stretch.pings[k].place}: its {self.side} samples cannot be overwritten, as the log stores "
+                    "them scaled. "
                     "Keep targets away from there"
                 )
             stored = np.frombuffer(self.data, trace.samples.dtype, trace.samples.shape[0], place.offset)
@@ -175,7 +183,13 @@ class _Window(NamedTuple):
 
 
 def _embed_look(
-    window: _Window, survey: Survey, scene_object: PlacedObject, config: Config, recover: Recover, seed: int, stream: int
+    window: _Window,
+    survey: Survey,
+    scene_object: PlacedObject,
+    config: Config,
+    recover: Recover,
+    seed: int,
+    stream: int,
 ) -> EmbeddedView:
     stretch, side, line, ground_m = window.stretch, window.side, window.line, window.ground_range_m
     trace = stretch.trace(window.ping, side)
@@ -186,7 +200,9 @@ def _embed_look(
     reach_m = scene_object.reach_m * (1.0 + 0.6 * (scene_object.scour_m > 0.0))
     shadow_m = 1.5 * ((ground_m + reach_m) * height_m / (height_m - top_m) - ground_m)
     farthest_m = ground_m + shadow_m + _BEYOND_M
-    around_m = reach_m + math.radians(config.sonar.beam_width_deg) * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
+    around_m = (
+        reach_m + math.radians(config.sonar.beam_width_deg) * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
+    )
     along = stretch.along_m - stretch.along_m[window.ping]
     pings = slice(int(np.searchsorted(along, -around_m)), int(np.searchsorted(along, around_m, side="right")))
     # As far as every ping of the window reaches.
@@ -215,7 +231,8 @@ def _embed_look(
         east_m=SIGN[side] * ground_m,
         north_m=REFERENCE_NORTH_M + window.ahead_m,
         azimuth_rad=scene_object.azimuth_rad - float(stretch.poses.heading_rad[window.ping]),
-        strength_db=scene_object.strength_db + 10.0 * math.log10(_floor_strength(stands_on, ground_m, window.ahead_m, height_m)),
+        strength_db=scene_object.strength_db
+        + 10.0 * math.log10(_floor_strength(stands_on, ground_m, window.ahead_m, height_m)),
     )
     heard = echoes(view, hides, placed, stands_on, farthest_m)
     changed_intensity, changed, contrast_db = _heard_anew(intensity, heard, line, trace.spacing_m, seed, stream)
@@ -248,17 +265,23 @@ def _picture(
     farthest_m: float,
 ) -> EmbeddedPicture:
     n_columns = max(8, math.floor(farthest_m / _COLUMN_M))
-    traces = make_traces(intensity.astype(np.float32), valid, np.zeros(valid.shape, dtype=np.bool_), first_range_m, spacing_m)
+    traces = make_traces(
+        intensity.astype(np.float32), valid, np.zeros(valid.shape, dtype=np.bool_), first_range_m, spacing_m
+    )
     edges = ground_edges_m(stretch.first_return_m[pings], n_columns, _COLUMN_M)
     ground = mean_between(traces, edges)
-    sample = np.clip((0.5 * (edges[:, 1:] + edges[:, :-1]) - first_range_m) / spacing_m, 0, window.line.noise.size - 1).astype(np.intp)
+    sample = np.clip(
+        (0.5 * (edges[:, 1:] + edges[:, :-1]) - first_range_m) / spacing_m, 0, window.line.noise.size - 1
+    ).astype(np.intp)
     along_m = stretch.along_m[pings]
     row_m = max(float(along_m[-1] - along_m[0]) / max(len(along_m) - 1, 1), 1e-3)
     shadow = shadow_runs(ground.intensity, window.line.noise[sample], row_m, _COLUMN_M)
     return EmbeddedPicture(ground.intensity, ground.valid, shadow, stretch.first_return_m[pings], along_m, _COLUMN_M)
 
 
-def reliefs(scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, first_column: int) -> tuple[Relief, Relief]:
+def reliefs(
+    scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, first_column: int
+) -> tuple[Relief, Relief]:
     """Return the floor that an object stands on, and the floor that hides and echoes.
 
     The second rises where recorded shadows begin, as high as their length asks for, and nowhere faces away from the
@@ -275,7 +298,11 @@ def reliefs(scene: SeafloorScene, picture: EmbeddedPicture, along_m: Floats, fir
     echoing = reflectivity.copy()
     runs = picture.shadow
     inside = runs.stop > first_column
-    row, start, stop = runs.row[inside], np.maximum(runs.start[inside] - first_column, 0), runs.stop[inside] - first_column
+    row, start, stop = (
+        runs.row[inside],
+        np.maximum(runs.start[inside] - first_column, 0),
+        runs.stop[inside] - first_column,
+    )
     crest_m = picture.altitude_m[row] * (1.0 - ground_m[start] / (ground_m[stop - 1] + 0.5 * spacing_m))
     elevation[row, start] = np.maximum(elevation[row, start], crest_m)
     echoing[row, start] = 0.0
@@ -317,7 +344,10 @@ def _heard_anew(
     if not highlight.any():
         return new, changed, math.nan
     bright = highlight > 0.5 * highlight.max()
-    there, around = float(new[bright].mean()), float(np.broadcast_to(level * heard.bare.mean(axis=0), recorded.shape)[bright].mean())
+    there, around = (
+        float(new[bright].mean()),
+        float(np.broadcast_to(level * heard.bare.mean(axis=0), recorded.shape)[bright].mean()),
+    )
     return new, changed, 10.0 * (math.log10(there) - math.log10(around)) if there > 0.0 and around > 0.0 else math.nan
 
 

@@ -60,11 +60,16 @@ class Relief(NamedTuple):
         low_row = np.minimum(row.astype(np.intp), max(len(self.along_m) - 2, 0))
         low_column = np.clip(column.astype(np.intp), 0, max(self.elevation_m.shape[1] - 2, 0))
         part_row, part_column = (row - low_row)[:, None], np.clip(column - low_column, 0.0, 1.0)
-        high_row, high_column = np.minimum(low_row + 1, len(self.along_m) - 1), np.minimum(low_column + 1, self.elevation_m.shape[1] - 1)
+        high_row, high_column = (
+            np.minimum(low_row + 1, len(self.along_m) - 1),
+            np.minimum(low_column + 1, self.elevation_m.shape[1] - 1),
+        )
 
         def taken(values: Floats, outside: float) -> Floats:
             between = values[low_row] * (1.0 - part_row) + values[high_row] * part_row
-            return np.where(inside, between[:, low_column] * (1.0 - part_column) + between[:, high_column] * part_column, outside)
+            return np.where(
+                inside, between[:, low_column] * (1.0 - part_column) + between[:, high_column] * part_column, outside
+            )
 
         return taken(self.elevation_m, 0.0), taken(self.reflectivity, 1.0)
 
@@ -107,7 +112,9 @@ def floor_bodies(scene_object: PlacedObject, relief: Relief, side: Side) -> list
     return bodies_of(scene_object, floor_m, _TARGET)
 
 
-def echoes(view: PingWindow, relief: Relief, scene_object: PlacedObject, stands_on: Relief, farthest_m: float) -> Echoes:
+def echoes(
+    view: PingWindow, relief: Relief, scene_object: PlacedObject, stands_on: Relief, farthest_m: float
+) -> Echoes:
     """Render mean echoes without and with an object.
 
     relief: the floor as it hides and echoes. stands_on: the floor as the object stands on it, without what only hides.
@@ -124,7 +131,9 @@ def echoes(view: PingWindow, relief: Relief, scene_object: PlacedObject, stands_
     beam = _beam_table(view.beam)
     patches = _patches(relief, lines, n_nodes, view.side)
     level = _patches(stands_on._replace(elevation_m=np.zeros_like(stands_on.elevation_m)), lines, n_nodes, view.side)
-    alone = pack(floor_bodies(scene_object, stands_on._replace(elevation_m=np.zeros_like(stands_on.elevation_m)), view.side))
+    alone = pack(
+        floor_bodies(scene_object, stands_on._replace(elevation_m=np.zeros_like(stands_on.elevation_m)), view.side)
+    )
 
     def heard(floor: Patches, standing: Bodies, tables: NDArray[np.float32]) -> Floats:
         first_bin = round(view.first_edge_m / view.spacing_m)

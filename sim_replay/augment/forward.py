@@ -54,7 +54,8 @@ class SeafloorScene(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             or self.along_m.shape != n_pings
         ):
             raise ValueError(
-                f"scene of {shape} pings and columns: reflectivity {self.reflectivity.shape}, valid {self.valid.shape}, "
+                f"scene of {shape} pings and columns: reflectivity {self.reflectivity.shape}, valid "
+                f"{self.valid.shape}, "
                 f"altitude_m {self.altitude_m.shape} and along_m {self.along_m.shape} do not fit"
             )
 
@@ -83,7 +84,9 @@ def ground_range_m(n_columns: int, column_spacing_m: float) -> NDArray[np.float6
     return np.asarray((np.arange(n_columns) + 0.5) * column_spacing_m)
 
 
-def depression_rad(elevation_m: NDArray[np.float64], altitude_m: NDArray[np.float64], column_spacing_m: float) -> NDArray[np.float64]:
+def depression_rad(
+    elevation_m: NDArray[np.float64], altitude_m: NDArray[np.float64], column_spacing_m: float
+) -> NDArray[np.float64]:
     """Return the angle below the horizontal of the line of sight to each pixel, (n_pings, n_columns) float64."""
     return np.arctan2(altitude_m[:, None] - elevation_m, ground_range_m(elevation_m.shape[1], column_spacing_m))
 
@@ -120,7 +123,10 @@ def along_slope(elevation_m: NDArray[np.float64], along_m: NDArray[np.float64]) 
 
 
 def cos_incidence(
-    elevation_m: NDArray[np.float64], altitude_m: NDArray[np.float64], along_m: NDArray[np.float64], column_spacing_m: float
+    elevation_m: NDArray[np.float64],
+    altitude_m: NDArray[np.float64],
+    along_m: NDArray[np.float64],
+    column_spacing_m: float,
 ) -> NDArray[np.float64]:
     """Return the cosine between the line of sight and each facet's normal (-dZ/dy, -dZ/dx, 1), 0 for facets turned
     away.
@@ -131,7 +137,9 @@ def cos_incidence(
     return np.asarray(facing / np.sqrt((ground_m**2 + depth_m**2) * (1.0 + across**2 + along**2)))
 
 
-def cast_shadow(elevation_m: NDArray[np.float64], altitude_m: NDArray[np.float64], column_spacing_m: float) -> NDArray[np.bool_]:
+def cast_shadow(
+    elevation_m: NDArray[np.float64], altitude_m: NDArray[np.float64], column_spacing_m: float
+) -> NDArray[np.bool_]:
     """Mask pixels where a nearer pixel of the same ping rises above the line of sight, (n_pings, n_columns) bool: O(n)
     by a running maximum.
     """

@@ -62,7 +62,9 @@ class SampleScatter(NamedTuple):
     floor: Floats
 
 
-def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: float, absorption_per_m: float) -> SampleScatter:
+def measure_line(
+    stretch: Stretch, side: Side, transfer: Transfer, blank_m: float, absorption_per_m: float
+) -> SampleScatter:
     """Measure the statistics of one side of a stretch, from up to 24 blocks of 64 pings spread over it.
 
     absorption_per_m: two-way, nepers of power, that a recorder whose gain makes up for spreading makes up for as well;
@@ -78,7 +80,9 @@ def measure_line(stretch: Stretch, side: Side, transfer: Transfer, blank_m: floa
         pings = slice(start, min(start + _BLOCK_PINGS, stretch.n_pings))
         intensity, valid = window_intensity(stretch, pings, side, transfer)
         way_m = float(stretch.along_m[pings.stop - 1] - stretch.along_m[start]) / max(pings.stop - start - 1, 1)
-        blocks.append(_Block(np.where(valid, intensity, 0.0).astype(np.float64), stretch.first_return_m[pings], max(way_m, 1e-3)))
+        blocks.append(
+            _Block(np.where(valid, intensity, 0.0).astype(np.float64), stretch.first_return_m[pings], max(way_m, 1e-3))
+        )
     sea_floor = [block.intensity[:, _floor_from(block, range_m) :] for block in blocks]
     level = _floor_level(blocks, range_m, spacing_m)
     noise, quantiles = _noise(blocks, range_m, spacing_m, level, blank_m, absorption_per_m)
@@ -169,10 +173,14 @@ def _darkest(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Flo
     known = np.flatnonzero(np.isfinite(joined).any(axis=0))
     if not known.size:
         return np.full(range_m.size, np.inf)
-    return np.interp(np.arange(range_m.size), known, np.nanquantile(joined[:, known], 0.05, axis=0) / _DARKEST_OF_SPECKLE)
+    return np.interp(
+        np.arange(range_m.size), known, np.nanquantile(joined[:, known], 0.05, axis=0) / _DARKEST_OF_SPECKLE
+    )
 
 
-def _water_column(blocks: Sequence[_Block], range_m: Floats, blank_m: float, absorption_per_m: float) -> tuple[Floats, list[Floats]]:
+def _water_column(
+    blocks: Sequence[_Block], range_m: Floats, blank_m: float, absorption_per_m: float
+) -> tuple[Floats, list[Floats]]:
     """Noise that the water column shows, ln N = a + b ln r + c r as a recorder's gain makes of it, and its samples
     over their mean.
 
@@ -184,7 +192,9 @@ def _water_column(blocks: Sequence[_Block], range_m: Floats, blank_m: float, abs
     samples: list[Floats] = []
     for block in blocks:
         last_m = _WATER_SHARE * float(block.first_return_m.min())
-        columns = np.flatnonzero((range_m > max(blank_m, 0.5 * last_m)) & (range_m < last_m))  # nearer, ring-down dies away
+        columns = np.flatnonzero(
+            (range_m > max(blank_m, 0.5 * last_m)) & (range_m < last_m)
+        )  # nearer, ring-down dies away
         if columns.size < 8:
             continue
         heard = block.intensity[:, columns]
@@ -289,7 +299,9 @@ def spread_over_taps(energy: Floats, taps: Float32s) -> Floats:
     return total
 
 
-def mixed(recorded: Floats, change: Change, line: SampleScatter, noise: Floats, seed: int, stream: int) -> tuple[Floats, NDArray[np.bool_]]:
+def mixed(
+    recorded: Floats, change: Change, line: SampleScatter, noise: Floats, seed: int, stream: int
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the intensity with the change made, and a mask of the change; elsewhere the recorded value is restored.
 
     recorded: (n_pings, n_samples) linear intensity. noise: (n_samples,) of these samples. seed and stream (below 2^56)

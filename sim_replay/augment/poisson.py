@@ -76,7 +76,11 @@ def _right_side(slope: Array, column_spacing_m: float) -> Array:
 
 
 def _curvature(
-    shape: tuple[int, ...], row_spacing_m: float, column_spacing_m: float, stiffness: Stiffness, across_weight: float = 1.0
+    shape: tuple[int, ...],
+    row_spacing_m: float,
+    column_spacing_m: float,
+    stiffness: Stiffness,
+    across_weight: float = 1.0,
 ) -> Array:
     """Return eigenvalues of the equation for every pair of cosine waves, 1/m^2."""
     rows, columns = ((2.0 * np.sin(0.5 * np.pi * np.arange(n) / n)) ** 2 for n in shape)

@@ -45,10 +45,14 @@ def shadow_runs(intensity: Floats, noise: Floats | None, row_spacing_m: float, c
     noise: mean intensity of noise that broadcasts against it, None if not known. Columns may be slant or ground range.
     """
     # A running sum leaves rounding errors where nothing was recorded, of either sign.
-    box = np.maximum(uniform_filter(intensity, (BOX_PINGS, max(3, round(BOX_M / column_spacing_m))), mode="nearest"), 0.0)
+    box = np.maximum(
+        uniform_filter(intensity, (BOX_PINGS, max(3, round(BOX_M / column_spacing_m))), mode="nearest"), 0.0
+    )
     typical = np.median(box, axis=0)[None, :]
     around = (max(5, round(_AROUND_M / row_spacing_m)), max(5, round(_AROUND_M / column_spacing_m)))
-    level = np.maximum(uniform_filter(np.minimum(box, 4.0 * typical + 1e-30), around, mode="nearest"), _MIN_LEVEL * typical)
+    level = np.maximum(
+        uniform_filter(np.minimum(box, 4.0 * typical + 1e-30), around, mode="nearest"), _MIN_LEVEL * typical
+    )
     if noise is None:
         dark = box < _DARK * level
     else:

@@ -135,7 +135,9 @@ def parse_target_spec(text: str, place: str) -> TargetSpec:
 
 
 def _contradictions(spec: TargetSpec) -> Iterator[str]:
-    placed: list[tuple[str, EmbeddedTarget | ClearPlace]] = [(f"targets[{k}]", target) for k, target in enumerate(spec.targets)]
+    placed: list[tuple[str, EmbeddedTarget | ClearPlace]] = [
+        (f"targets[{k}]", target) for k, target in enumerate(spec.targets)
+    ]
     placed += [(f"keep_clear[{k}]", clear) for k, clear in enumerate(spec.keep_clear)]
     for where, scene_object in placed:
         if (scene_object.ping is None) == (scene_object.along_m is None):
@@ -184,7 +186,10 @@ def _ping_of(track: PingTrack, scene_object: EmbeddedTarget | ClearPlace, where:
     if scene_object.ping is not None:
         found = np.flatnonzero(track.number == scene_object.ping)
         if not found.size:
-            raise UsageError(f"`{where}.ping` is {scene_object.ping}: the log has usable pings {track.number[0]} to {track.number[-1]}")
+            raise UsageError(
+                f"`{where}.ping` is {scene_object.ping}: the log has usable pings {track.number[0]} to "
+                f"{track.number[-1]}"
+            )
         return int(found[0])
     along_m = float(track.along_m[0]) + (scene_object.along_m or 0.0)
     if along_m > track.along_m[-1]:
@@ -199,7 +204,8 @@ def _named(track: PingTrack, target: EmbeddedTarget, index: int) -> Placement:
     reason = track.refusal(ping, target.side, target.ground_range_m)
     if reason:
         raise UsageError(
-            f"`{where}` ({target.kind}), ping {track.number[ping]}, {target.side}, {target.ground_range_m:g} m: {reason}. "
+            f"`{where}` ({target.kind}), ping {track.number[ping]}, {target.side}, {target.ground_range_m:g} m: "
+            f"{reason}. "
             "Choose another place"
         )
     usual = USUAL[target.kind]
@@ -223,7 +229,9 @@ def _named(track: PingTrack, target: EmbeddedTarget, index: int) -> Placement:
     )
 
 
-def solid_sizes(kind: EmbeddedKind, length_m: float | None, width_m: float | None, height_m: float | None) -> dict[str, float]:
+def solid_sizes(
+    kind: EmbeddedKind, length_m: float | None, width_m: float | None, height_m: float | None
+) -> dict[str, float]:
     """Return length, width and height of a kind; missing ones are usual, those that its shape couples are equal."""
     usual = USUAL[kind]
     width = usual.width_m if width_m is None else width_m
@@ -253,7 +261,8 @@ def _placement(
     above_m, below_sonar_m = sizes["height_m"] - burial_m, float(track.first_return_m[ping])
     if above_m > HIGHEST_SHARE * below_sonar_m:
         raise UsageError(
-            f"`{where}` ({kind}) rises {above_m:.2f} m, more than {HIGHEST_SHARE:g} of the sonar's {below_sonar_m:.2f} m above the floor "
+            f"`{where}` ({kind}) rises {above_m:.2f} m, more than {HIGHEST_SHARE:g} of the sonar's {below_sonar_m:.2f} "
+            "m above the floor "
             f"at ping {track.number[ping]}: take a lower one or a ping from higher up"
         )
     usual = USUAL[kind]
@@ -309,7 +318,8 @@ def _scattered(
             refused[reason] += 1
         else:
             raise UsageError(
-                f"`{where}`: no room for number {number + 1} of {group.count}; mostly because: {refused.most_common(1)[0][0]}. "
+                f"`{where}`: no room for number {number + 1} of {group.count}; mostly because: "
+                f"{refused.most_common(1)[0][0]}. "
                 "Take fewer, a smaller `apart_m`, or another `ground_range_m`"
             )
         placed.append(

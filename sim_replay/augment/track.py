@@ -59,7 +59,10 @@ class PingTrack(NamedTuple):
         if math.isnan(farthest):
             return f"the log has no {side} samples there"
         if ground_range_m < nearest:
-            return f"too close to the nadir: from {nearest:.1f} m on the sea floor is seen at a grazing angle that shows objects"
+            return (
+                f"too close to the nadir: from {nearest:.1f} m on the sea floor is seen at a grazing angle that shows "
+                "objects"
+            )
         if ground_range_m > farthest:
             return f"outside the swath: the sonar shows the sea floor up to {farthest:.1f} m"
         ratio = 1.0 + self.pitch_stretch[ping] - SIGN[side] * self.yaw_per_m[ping] * ground_range_m
@@ -70,9 +73,13 @@ class PingTrack(NamedTuple):
     def plane_place(self, ping: int, side: Side, ground_range_m: float) -> tuple[float, float]:
         """Return east and north of a place abeam of a ping."""
         across, heading = SIGN[side] * ground_range_m, float(self.heading_rad[ping])
-        return float(self.east_m[ping]) + across * math.cos(heading), float(self.north_m[ping]) - across * math.sin(heading)
+        return float(self.east_m[ping]) + across * math.cos(heading), float(self.north_m[ping]) - across * math.sin(
+            heading
+        )
 
-    def draw(self, random: np.random.Generator, sides: Sequence[Side], low_m: float, high_m: float) -> tuple[int, Side, float]:
+    def draw(
+        self, random: np.random.Generator, sides: Sequence[Side], low_m: float, high_m: float
+    ) -> tuple[int, Side, float]:
         """Draw a ping, side and ground range, even over the sea floor seen between two ranges; high_m may be inf.
 
         Raises BadInputError if none is seen there.
@@ -85,8 +92,13 @@ class PingTrack(NamedTuple):
         if area[-1] <= 0.0:
             where = f"between ground ranges {low_m:g} and {high_m:g} m" if math.isfinite(high_m) else "of the log"
             because = "" if good.any() else f"; mostly because: {Counter(self.why).most_common(1)[0][0]}"
-            raise BadInputError(f"no sea floor {where} is shown well enough to put objects on it{because}. Give another range or log")
-        row, ping = divmod(int(np.searchsorted(area, random.uniform(0.0, area[-1]), side="right").clip(0, area.size - 1)), near.shape[1])
+            raise BadInputError(
+                f"no sea floor {where} is shown well enough to put objects on it{because}. Give another range or log"
+            )
+        row, ping = divmod(
+            int(np.searchsorted(area, random.uniform(0.0, area[-1]), side="right").clip(0, area.size - 1)),
+            near.shape[1],
+        )
         return ping, sides[row], float(random.uniform(near[row, ping], far[row, ping]))
 
     def looks(self, east_m: float, north_m: float) -> list[tuple[int, Side, float]]:
@@ -108,11 +120,14 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
     """Compute the track of a log. Raises BadInputError if none of its pings has a position."""
     waterfall = config.waterfall
     latitude, longitude = (
-        np.concatenate([getattr(stretch.poses, name) for stretch in survey.stretches]) for name in ("latitude_deg", "longitude_deg")
+        np.concatenate([getattr(stretch.poses, name) for stretch in survey.stretches])
+        for name in ("latitude_deg", "longitude_deg")
     )
     known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not known.size:
-        raise BadInputError(f"{survey.path} has no positions: a target's place cannot be computed. Give a log with navigation.")
+        raise BadInputError(
+            f"{survey.path} has no positions: a target's place cannot be computed. Give a log with navigation."
+        )
     frame = LocalFrame(latitude_deg=float(latitude[known[0]]), longitude_deg=float(longitude[known[0]]))
     enu = frame.to_enu(latitude, longitude, 0.0)
 
@@ -131,7 +146,9 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
         reach = np.concatenate([_reach_m(survey, k, side) for k in range(len(survey.stretches))])
         reach = np.minimum(reach, config.sonar.max_range_m)
         nearest[row] = height / math.tan(steepest) + _MARGIN_M
-        farthest[row] = np.minimum(np.sqrt(np.maximum(reach**2 - height**2, 0.0)), height / math.tan(shallowest)) - _MARGIN_M
+        farthest[row] = (
+            np.minimum(np.sqrt(np.maximum(reach**2 - height**2, 0.0)), height / math.tan(shallowest)) - _MARGIN_M
+        )
         farthest[row][~np.isfinite(reach)] = np.nan
     index = np.concatenate([np.arange(stretch.n_pings) for stretch in survey.stretches])
     count = np.concatenate([np.full(stretch.n_pings, stretch.n_pings) for stretch in survey.stretches])
@@ -151,7 +168,10 @@ def track_of(survey: Survey, config: Config) -> PingTrack:
         first_return_m=height,
         nearest_m=nearest,
         farthest_m=farthest,
-        why=tuple(_whole_ping_reason(*flags) for flags in zip(lost.tolist(), blind.tolist(), fast.tolist(), edge.tolist(), strict=True)),
+        why=tuple(
+            _whole_ping_reason(*flags)
+            for flags in zip(lost.tolist(), blind.tolist(), fast.tolist(), edge.tolist(), strict=True)
+        ),
         yaw_per_m=joined("yaw_rate_rad_s") / speed,
         pitch_stretch=height * joined("pitch_rate_rad_s") / speed,
         max_spacing_ratio=waterfall.max_spacing_ratio,

@@ -34,11 +34,16 @@ FIRST_SEED: Final = 9430  # on seeds from here on nothing was ever tuned
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--missions", type=count, default=30, help="worlds, each flown both ways (default 30)")
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first world (default {FIRST_SEED})")
+    parser.add_argument(
+        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first world (default {FIRST_SEED})"
+    )
     parser.add_argument("--workers", type=count, default=2, help="worlds flown at once (default 2)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result of each mission to FILE")
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="draw the first world, flown both ways, to FILE (PNG), and fly no other"
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="draw the first world, flown both ways, to FILE (PNG), and fly no other",
     )
 
 
@@ -51,7 +56,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         order = usual_order()
         flights = fly_comparison(first, order, shipped_performance())
-        drawn = mission_png(drawn_scene(first, order.side_m), order, {"replanned": flights.adaptive, "lawnmower": flights.fixed})
+        drawn = mission_png(
+            drawn_scene(first, order.side_m), order, {"replanned": flights.adaptive, "lawnmower": flights.fixed}
+        )
         _write("--picture", arguments.picture, drawn)
         return 0
     seeds = range(first, first + arguments.missions)

@@ -72,7 +72,9 @@ class ClassifierVerdict(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench augment`."""
-    parser.add_argument("--scenes", nargs="+", default=["flat", "ripple"], help="named scenes or scene files (default flat ripple)")
+    parser.add_argument(
+        "--scenes", nargs="+", default=["flat", "ripple"], help="named scenes or scene files (default flat ripple)"
+    )
     parser.add_argument("--missions", type=count, default=4, help="missions per scene, at least 2 (default 4)")
     parser.add_argument("--targets", type=count, default=40, help="targets per mission (default 40)")
 
@@ -84,14 +86,19 @@ def run(arguments: argparse.Namespace) -> int:
         parts, n_targets, seconds = [], 0, 0.0
         for number in range(max(arguments.missions, 2)):
             with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
-                chips, taken_s = mission_chips(read_scene(name), _FIRST_SEED + number, arguments.targets, Path(folder), number)
+                chips, taken_s = mission_chips(
+                    read_scene(name), _FIRST_SEED + number, arguments.targets, Path(folder), number
+                )
             parts.append(chips)
             n_targets += int(chips.embedded.sum())
             seconds += taken_s
         joined = ChipStatistics(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         verdict = discriminate(joined)
         rate = 60.0 * n_targets / seconds
-        print(f"{name:12s} {n_targets:7d}  {rate:19.0f}  {100.0 * verdict.accuracy:8.1f} %  ({200.0 * verdict.sigma:.1f} %)")
+        print(
+            f"{name:12s} {n_targets:7d}  {rate:19.0f}  {100.0 * verdict.accuracy:8.1f} %  ({200.0 * verdict.sigma:.1f} "
+            "%)"
+        )
     return 0
 
 
@@ -99,9 +106,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number: int) -> tuple[ChipStatistics, float]:
-    """Cut chips of both kinds from one mission over a scene's floor; return them with the time that embedding took, s."""
+    """Cut chips of both kinds from one mission over a scene's floor; return them with the time that embedding took,
+    s."""
     plan = Lawnmower(heading_deg=20.0, n_legs=1, leg_m=_LEG_M)
-    floor = replace(scene, seed=seed, scatter=(), objects=(), faults=(), navigation_error=EXACT, track=replace(scene.track, plan=plan))
+    floor = replace(
+        scene,
+        seed=seed,
+        scatter=(),
+        objects=(),
+        faults=(),
+        navigation_error=EXACT,
+        track=replace(scene.track, plan=plan),
+    )
     rocks, targets = _rocks_and_targets(floor, seed, n_targets)
     with_targets = simulate(replace(floor, objects=(*rocks, *targets)), folder / "native")
     without = simulate(replace(floor, objects=rocks), folder / "bare")
@@ -120,7 +136,9 @@ def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number:
     return ChipStatistics(np.array(rows), embedded, np.full(len(rows), number)), taken_s
 
 
-def _rocks_and_targets(scene: Scene, seed: int, n_targets: int) -> tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]]:
+def _rocks_and_targets(
+    scene: Scene, seed: int, n_targets: int
+) -> tuple[tuple[SceneObject, ...], tuple[SceneObject, ...]]:
     """Place rocks and targets on a grid along the only leg, each somewhere in its cell."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0x42454E43])))
     farthest_m = 0.85 * math.sqrt(scene.sonar.range_m**2 - scene.track.altitude_m**2)
@@ -193,7 +211,9 @@ def chip(survey: Survey, track: PingTrack, placement: Placement) -> Floats:
     traces = make_traces(intensity, valid, np.zeros(valid.shape, dtype=np.bool_), trace.first_range_m, trace.spacing_m)
     n_columns = math.ceil((placement.ground_range_m + _CHIP_FAR_M) / _COLUMN_M)
     # Native and bare pings are the same in geometry: one track serves both.
-    ground = mean_between(traces, ground_edges_m(np.full(len(intensity), track.first_return_m[placement.ping]), n_columns, _COLUMN_M))
+    ground = mean_between(
+        traces, ground_edges_m(np.full(len(intensity), track.first_return_m[placement.ping]), n_columns, _COLUMN_M)
+    )
     near = max(n_columns - round((_CHIP_NEAR_M + _CHIP_FAR_M) / _COLUMN_M), 0)
     logarithm = np.log(np.maximum(ground.intensity[:, near:], 1e-3))
     return np.asarray(logarithm - np.median(logarithm))

@@ -39,7 +39,15 @@ from auv_mcm import kernels
 from auv_mcm.detect.candidates import STEP_M
 from auv_mcm.detect.cascade.bands import N_BANDS, WINDOW, FeatureBox, band_edges, margins_px
 from auv_mcm.detect.cascade.codes import CodePlane, codes_of, make_plane
-from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, Calibration, CascadeModel, Stump, check_model, parse_model
+from auv_mcm.detect.cascade.model import (
+    MAX_LEAF,
+    MAX_STUMPS,
+    Calibration,
+    CascadeModel,
+    Stump,
+    check_model,
+    parse_model,
+)
 from auv_mcm.detect.cascade.run import CascadeResult, opening_groups, run_plane, tables_of
 from auv_mcm.detect.cascade.speed import measure_speed
 from auv_mcm.detect.contrasts import Contrasts, contrasts
@@ -128,7 +136,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Print every table of this bench; returns the exit code. Raises BadInputError for a file that is no model."""
     model = drawn_model("soft") if arguments.model is None else _read(arguments.model)
     cv2.setNumThreads(1)
-    print(f"CPU time of one thread, kernels: {kernels.loaded().reason}, median of {arguments.repeat} interleaved repetitions\n")
+    print(
+        f"CPU time of one thread, kernels: {kernels.loaded().reason}, median of {arguments.repeat} interleaved "
+        "repetitions\n"
+    )
     print("\n".join(_step_lines(arguments.repeat)) + "\n")
     tiles = tile_rows(model, SHAPE, arguments.repeat)
     print("\n".join(_tile_lines(tiles)) + "\n")
@@ -142,7 +153,10 @@ def run(arguments: argparse.Namespace) -> int:
     if (worst := tiles[-1]).budget:
         share = (worst.plane_ms + worst.run_ms) * 1e-3 * speed / worst.budget
         print(f"the {worst.name} tile takes {share:.2f} times as long as its budget at that speed")
-    print(f"a tenth of one core with a tile every {_PERIOD_S:g} s is a budget of {budget / 1e6:.0f} million evaluations per tile")
+    print(
+        f"a tenth of one core with a tile every {_PERIOD_S:g} s is a budget of {budget / 1e6:.0f} million evaluations "
+        "per tile"
+    )
     return 0
 
 
@@ -219,7 +233,14 @@ def tile_rows(model: CascadeModel, shape: tuple[int, int], n_repeats: int) -> li
     for k, job in enumerate(jobs):
         result = job.run()
         rows.append(
-            TileRow(job.name, result, job.budget, times_ms[2 * k], times_ms[2 * k + 1], same_in_numpy(job.plane, job.model, result))
+            TileRow(
+                job.name,
+                result,
+                job.budget,
+                times_ms[2 * k],
+                times_ms[2 * k + 1],
+                same_in_numpy(job.plane, job.model, result),
+            )
         )
     return rows
 
@@ -295,7 +316,9 @@ def same_in_numpy(plane: CodePlane, model: CascadeModel, result: CascadeResult) 
     stride = plane.sums.shape[1]
     corner = plane.margin_rows * stride + plane.margin_near
     tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
-    windows = open_windows_numpy(WindowField(plane.sums, plane.counts, corner, usable, edges), tables, len(model.groups)).windows
+    windows = open_windows_numpy(
+        WindowField(plane.sums, plane.counts, corner, usable, edges), tables, len(model.groups)
+    ).windows
     order = np.argsort(windows.place)
     expected = corner + result.rows * stride + result.columns
     return np.array_equal(windows.place[order], expected) and np.array_equal(windows.score[order], result.scores)
@@ -311,7 +334,10 @@ def against_opencv(model: CascadeModel, image: Image, n_repeats: int) -> Against
         path.write_text(exported.xml, encoding="ascii")
         classifier = cv2.CascadeClassifier(str(path))
     n_rows, n_columns = greys.shape[0] - exported.n_rows, greys.shape[1] - exported.n_columns
-    inside = (slice(exported.centre_row, exported.centre_row + n_rows), slice(exported.centre_column, exported.centre_column + n_columns))
+    inside = (
+        slice(exported.centre_row, exported.centre_row + n_rows),
+        slice(exported.centre_column, exported.centre_column + n_columns),
+    )
 
     codes = greys.astype(np.uint16) * np.uint16(_CODES_PER_GREY)
 
@@ -382,7 +408,9 @@ class _Job(NamedTuple):
         return run_plane(self.plane, self.model, self.budget)
 
 
-def _in_one_band(codes: NDArray[np.uint16], inside: tuple[slice, slice], model: CascadeModel, n_groups: int) -> tuple[CodePlane, Opened]:
+def _in_one_band(
+    codes: NDArray[np.uint16], inside: tuple[slice, slice], model: CascadeModel, n_groups: int
+) -> tuple[CodePlane, Opened]:
     """Run the first groups on windows centred `inside`, as if all of the tile were in one band.
 
     Windows count however much of them is valid.
@@ -411,7 +439,11 @@ def _drawn_stump(random: np.random.Generator) -> Stump:
     Most of those drawn separate objects.
     """
     low, high = sorted(random.uniform(-0.45, 0.45, 2).tolist())
-    beside = WINDOW if random.random() < 0.5 else FeatureBox(*((0.5, 1.0) if random.random() < 0.5 else (-1.0, -0.5)), -0.8, 0.0, 0.8, 0.8)
+    beside = (
+        WINDOW
+        if random.random() < 0.5
+        else FeatureBox(*((0.5, 1.0) if random.random() < 0.5 else (-1.0, -0.5)), -0.8, 0.0, 0.8, 0.8)
+    )
     sure = int(random.integers(100, 500))
     if random.random() < 0.5:
         inner = FeatureBox(low, high + 0.1, -0.3, 0.0, float(random.uniform(-0.1, 0.3)), 0.0)
@@ -441,7 +473,10 @@ def _step_lines(n_repeats: int) -> list[str]:
     bare, padded, signed = (np.empty(integral_shape(codes, m), dtype=np.uint32) for m in (plain, margins, plain))
     steps: dict[str, tuple[Callable[[], object], Callable[[], object] | None]] = {
         "codes of intensities": (lambda: encode(image, mask), lambda: encode_numpy(image, mask)),
-        "integral image, no margins": (lambda: integral(codes, plain, 0, bare), lambda: integral_numpy(codes, plain, 0, bare)),
+        "integral image, no margins": (
+            lambda: integral(codes, plain, 0, bare),
+            lambda: integral_numpy(codes, plain, 0, bare),
+        ),
         "integral image with margins": (
             lambda: integral(codes, margins, CODE_OF_MEAN, padded),
             lambda: integral_numpy(codes, margins, CODE_OF_MEAN, padded),
@@ -486,27 +521,51 @@ def _tile_lines(rows: list[TileRow]) -> list[str]:
     quiet, busy = by_name["quiet"], by_name["busy"]
     of_time = (quiet.plane_ms + quiet.run_ms) / (busy.plane_ms + busy.run_ms)
     of_evaluations = quiet.result.n_evaluations / busy.result.n_evaluations
-    return [*lines, f"each: evaluations per window. Quiet over busy: {of_evaluations:.2f} of the evaluations, {of_time:.2f} of the time"]
+    return [
+        *lines,
+        (
+            f"each: evaluations per window. Quiet over busy: {of_evaluations:.2f} of the evaluations, {of_time:.2f} of "
+            "the time"
+        ),
+    ]
 
 
 def _contrast_lines(rows: list[ContrastRow], tiles: list[TileRow]) -> list[str]:
     heads = ("peaks", "all ms", "ms", "ratio", "equal")
     lines = [f"{'contrasts':<12}" + "".join(f"{head:>12}" for head in heads)]
     for row in rows:
-        cells = (f"{row.n_peaks}", f"{row.everywhere_ms:.1f}", f"{row.ms:.1f}", f"{row.everywhere_ms / row.ms:.1f}", _yes(row.same))
+        cells = (
+            f"{row.n_peaks}",
+            f"{row.everywhere_ms:.1f}",
+            f"{row.ms:.1f}",
+            f"{row.everywhere_ms / row.ms:.1f}",
+            _yes(row.same),
+        )
         lines.append(f"{row.name:<12}" + "".join(f"{cell:>12}" for cell in cells))
     cascade_ms = {tile.name: tile.plane_ms + tile.run_ms for tile in tiles}
     before = {row.name: cascade_ms[row.name] + row.everywhere_ms for row in rows}
     now = {row.name: cascade_ms[row.name] + row.ms for row in rows}
-    shares = [f"{both['quiet']:.0f} of {both['busy']:.0f} ms ({both['quiet'] / both['busy']:.2f})" for both in (before, now)]
-    return [*lines, f"quiet over busy, cascade and contrasts: {shares[0]} with all pixels scored, {shares[1]} as it runs"]
+    shares = [
+        f"{both['quiet']:.0f} of {both['busy']:.0f} ms ({both['quiet'] / both['busy']:.2f})" for both in (before, now)
+    ]
+    return [
+        *lines,
+        f"quiet over busy, cascade and contrasts: {shares[0]} with all pixels scored, {shares[1]} as it runs",
+    ]
 
 
 def _opencv_lines(against: dict[str, AgainstOpenCv]) -> list[str]:
     heads = ("ours, M/s", "OpenCV, M/s", "ratio", "visited", "found", "different")
     lines = [f"{'one band':<12}" + "".join(f"{head:>12}" for head in heads)]
     for name, row in against.items():
-        cells = (f"{row.ours:.1f}", f"{row.opencv:.1f}", f"{row.ours / row.opencv:.1f}", row.n_visited, row.n_found, row.n_different)
+        cells = (
+            f"{row.ours:.1f}",
+            f"{row.opencv:.1f}",
+            f"{row.ours / row.opencv:.1f}",
+            row.n_visited,
+            row.n_found,
+            row.n_different,
+        )
         lines.append(f"{name:<12}" + "".join(f"{cell:>12}" for cell in cells))
     return lines
 

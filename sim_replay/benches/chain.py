@@ -57,9 +57,14 @@ def _bench(log: Path, folder: Path, minutes: float, repeat: int) -> None:
     write_xtf(long_log, tiled(log, minutes * 60.0), sample_type=stored_sample_type(log))
     runs = {"short": [_run_chain(log) for _ in range(repeat)], "long": [_run_chain(long_log) for _ in range(repeat)]}
     exhaustive = [_run_chain(log, "--exhaustive") for _ in range(repeat)]
-    print(f"log: {log.name}, whole chain from file to contacts, one core, kernels: {runs['short'][0]['kernels']}, median of {repeat}\n")
+    print(
+        f"log: {log.name}, whole chain from file to contacts, one core, kernels: {runs['short'][0]['kernels']}, median "
+        f"of {repeat}\n"
+    )
     stages = list(runs["short"][0]["costs_s"])
-    print(f"{'stage':<12}" + "".join(f"{name + ' ms':>12}{'us/ping':>10}{'ns/sample':>11}{'share':>8}" for name in runs))
+    print(
+        f"{'stage':<12}" + "".join(f"{name + ' ms':>12}{'us/ping':>10}{'ns/sample':>11}{'share':>8}" for name in runs)
+    )
     for stage, parts in [*((stage, (stage,)) for stage in stages), ("front end", _FRONT_END), ("total", ())]:
         line = f"{stage:<12}"
         for results in runs.values():
@@ -75,7 +80,8 @@ def _bench(log: Path, folder: Path, minutes: float, repeat: int) -> None:
         memory_mb = statistics.median(r["peak_memory_mb"] for r in results)
         first = results[0]
         print(
-            f"{name:<6} {first['duration_s']:8.1f} s of mission, {first['pings']:6d} pings, {first['contacts']:5d} contacts: "
+            f"{name:<6} {first['duration_s']:8.1f} s of mission, {first['pings']:6d} pings, {first['contacts']:5d} "
+            "contacts: "
             f"{speed:6.0f} x real time, peak memory {memory_mb:5.0f} MB"
         )
     saved = statistics.median(a["total_s"] / b["total_s"] for a, b in zip(exhaustive, runs["short"], strict=True))
@@ -86,7 +92,9 @@ def _beside(log: Path, other: Path, repeat: int) -> str:
     pairs = [(_run_chain(log), _run_chain(other)) for _ in range(repeat)]
     ratio = statistics.median(ours["total_s"] / theirs["total_s"] for ours, theirs in pairs)
     ours_s, theirs_s = (statistics.median(pair[k]["total_s"] for pair in pairs) for k in range(2))
-    return f"processor time: {log} {ours_s:.2f} s, {other} {theirs_s:.2f} s, ratio {ratio:.2f}, median of {repeat} pairs"
+    return (
+        f"processor time: {log} {ours_s:.2f} s, {other} {theirs_s:.2f} s, ratio {ratio:.2f}, median of {repeat} pairs"
+    )
 
 
 def _run_chain(log: Path, *options: str) -> dict[str, Any]:
@@ -95,7 +103,8 @@ def _run_chain(log: Path, *options: str) -> dict[str, Any]:
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         raise BadInputError(
-            f"the chain failed on {log}: {result.stderr.strip().splitlines()[-1] if result.stderr.strip() else 'no message'}"
+            f"the chain failed on {log}: "
+            f"{result.stderr.strip().splitlines()[-1] if result.stderr.strip() else 'no message'}"
         )
     answer: dict[str, Any] = json.loads(result.stdout)
     return answer
@@ -134,12 +143,17 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
 
 
 def tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
-    """Repeat the log end to end until `duration_s` is reached, each copy later in time and farther along its own line."""
+    """Repeat the log end to end until `duration_s` is reached, each copy later in time and farther along its own
+    line."""
     events = [event for event in open_log(log, Config()) if isinstance(event, NavSample | Ping)]
     times = [event.time_s for event in events if isinstance(event, Ping)]
     period_s = times[-1] - times[0] + statistics.median(np.diff(times).tolist())
     fixes = [event for event in events if isinstance(event, NavSample) and math.isfinite(event.latitude_deg)]
-    step_deg = (fixes[-1].latitude_deg - fixes[0].latitude_deg, fixes[-1].longitude_deg - fixes[0].longitude_deg) if fixes else (0.0, 0.0)
+    step_deg = (
+        (fixes[-1].latitude_deg - fixes[0].latitude_deg, fixes[-1].longitude_deg - fixes[0].longitude_deg)
+        if fixes
+        else (0.0, 0.0)
+    )
     for copy in range(max(1, math.ceil(duration_s / period_s))):
         for event in events:
             if isinstance(event, Ping):

@@ -88,8 +88,15 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
-    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
+    parser.add_argument(
+        "--first-seed",
+        type=count,
+        default=FIRST_SEED,
+        help=f"seed of each scene's first mission (default {FIRST_SEED})",
+    )
+    parser.add_argument(
+        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
+    )
     parser.add_argument("--without-mines", action="store_true", help="take the mines out of the scenes")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
@@ -105,7 +112,11 @@ def run(arguments: argparse.Namespace) -> int:
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    tasks = [ClearanceTask(scene=name, seed=seed, with_targets=not arguments.without_mines) for name in names for seed in seeds]
+    tasks = [
+        ClearanceTask(scene=name, seed=seed, with_targets=not arguments.without_mines)
+        for name in names
+        for seed in seeds
+    ]
     missions = list(_counted(run_tasks(judged, tasks, Farm(arguments.workers)), len(tasks)))
     print(f"{len(missions)} missions, seeds {seeds[0]} to {seeds[-1]} of each scene\n")
     print(report(missions, arguments.markdown))
@@ -121,7 +132,9 @@ def judged(task: ClearanceTask) -> JudgedClearance:
     """Fly one mission with the whole chain."""
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
     if not task.with_targets:
-        scene = msgspec.structs.replace(scene, scatter=tuple(some for some in scene.scatter if some.kind not in TARGET_KINDS))
+        scene = msgspec.structs.replace(
+            scene, scatter=tuple(some for some in scene.scatter if some.kind not in TARGET_KINDS)
+        )
     mission = Mission(scene)
     pipeline = Pipeline(config_for(scene))
     searched = ClearanceMap(shipped_performance())
@@ -135,7 +148,9 @@ def judged(task: ClearanceTask) -> JudgedClearance:
     clearance = searched.snapshot()
     assert clearance is not None  # a named scene is seen
     targets = [item for item in mission.truth()["objects"] if item["is_target"] and item["looks"]]
-    return judge_mission(task.scene, clearance, pipeline.contacts, [(target["lat"], target["lon"]) for target in targets])
+    return judge_mission(
+        task.scene, clearance, pipeline.contacts, [(target["lat"], target["lon"]) for target in targets]
+    )
 
 
 def judge_mission(
@@ -176,7 +191,9 @@ def report(missions: Sequence[JudgedClearance], in_markdown: bool = False) -> st
     The share that the scene's estimates use is fitted on the other scenes alone.
     """
     names = list(dict.fromkeys(mission.scene for mission in missions))
-    shares = {name: fitted_share([mission for mission in missions if mission.scene != name] or missions) for name in names}
+    shares = {
+        name: fitted_share([mission for mission in missions if mission.scene != name] or missions) for name in names
+    }
     rows = []
     for name in (*names, "all"):
         some = [mission for mission in missions if name in (mission.scene, "all")]
@@ -197,7 +214,8 @@ def report(missions: Sequence[JudgedClearance], in_markdown: bool = False) -> st
     laid_out = markdown if in_markdown else columns
     low, high = min(shares.values()), max(shares.values())
     return laid_out(_HEADER, rows) + (
-        f"\n\nof the sum of p_mine over contacts not called {fitted_share(missions):.3f} were mines left, {low:.3f} to {high:.3f} with a "
+        f"\n\nof the sum of p_mine over contacts not called {fitted_share(missions):.3f} were mines left, {low:.3f} to "
+        f"{high:.3f} with a "
         f"scene left out; {DOUBTFUL_SHARE:g} is what the payload takes"
     )
 

@@ -26,7 +26,14 @@ from auv_mcm.settings.config import Config
 from sim_replay.benches.log import add_log, given_or_flown
 from sim_replay.logs.open_log import open_log
 
-_STEPS: Final[tuple[ExaminationStep, ...]] = ("survey", "first contours", "field", "second contours", "solids", "features")
+_STEPS: Final[tuple[ExaminationStep, ...]] = (
+    "survey",
+    "first contours",
+    "field",
+    "second contours",
+    "solids",
+    "features",
+)
 _WHOLE: Final = "whole look"
 _QUANTILES: Final = (0.5, 0.9, 0.99)
 _MOVED: Final = 0.01  # of p_mine
@@ -44,7 +51,9 @@ EFFORTS: Final = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_log(parser)
-    parser.add_argument("--efforts", action="store_true", help="measure how far p_mine moves with less search for solids")
+    parser.add_argument(
+        "--efforts", action="store_true", help="measure how far p_mine moves with less search for solids"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -112,7 +121,8 @@ def p_mine_by_effort(detection: Detection, config: Config) -> list[float]:
     beam_width_rad, odds = math.radians(config.sonar.beam_width_deg), _odds_for(detection)
     region = region_of(detection, detection.surroundings, beam_width_rad)
     looks = (
-        examine(detection, region, odds, config.confirm.min_p_mine, thoroughness=Thoroughness(effort=effort)) for effort in EFFORTS.values()
+        examine(detection, region, odds, config.confirm.min_p_mine, thoroughness=Thoroughness(effort=effort))
+        for effort in EFFORTS.values()
     )
     return [odds.p_mine(evidence_of(look, odds)) for look in looks]
 
@@ -123,7 +133,8 @@ def _bench(log: Path, repeat: int, efforts: bool) -> None:
     costs = [look_costs_s(detection, config, repeat, time.process_time) for detection in detections]
     n_deep = sum("solids" in each for each in costs)
     print(
-        f"log: {log.name}: {len(costs)} looks, {n_deep} of them through all steps, kernels in {kernels.backend()}, processor time, "
+        f"log: {log.name}: {len(costs)} looks, {n_deep} of them through all steps, kernels in {kernels.backend()}, "
+        "processor time, "
         f"best of {repeat} for each look\n"
     )
     print(f"{'step':<18}{'looks':>7}{'median ms':>11}{'p90 ms':>9}{'p99 ms':>9}")
@@ -135,6 +146,11 @@ def _bench(log: Path, repeat: int, efforts: bool) -> None:
     if efforts and detections:
         p_mine = np.array([p_mine_by_effort(detection, config) for detection in detections])
         moved = np.abs(p_mine - p_mine[:, :1])
-        print(f"\n{'search for solids':<22}{'looks moved by over ' + format(_MOVED, 'g'):>27}{'p99 of moves':>14}{'largest':>9}")
+        print(
+            f"\n{'search for solids':<22}{'looks moved by over ' + format(_MOVED, 'g'):>27}"
+            f"{'p99 of moves':>14}{'largest':>9}"
+        )
         for name, of_look in zip(EFFORTS, moved.T, strict=True):
-            print(f"{name:<22}{np.mean(of_look > _MOVED):>27.1%}{np.quantile(of_look, 0.99):>14.3f}{of_look.max():>9.3f}")
+            print(
+                f"{name:<22}{np.mean(of_look > _MOVED):>27.1%}{np.quantile(of_look, 0.99):>14.3f}{of_look.max():>9.3f}"
+            )

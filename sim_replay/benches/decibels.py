@@ -30,7 +30,14 @@ SCENES: Final = ("flat", "ripple", "mixed", "seagrass")
 FACTORS: Final = (0.73, 0.85, 1.0, 1.15, 1.44)
 """Of the true decibels per count: within 15 % as most estimates are, and the worst estimates of `auv-mcm bench law`."""
 DB_PER_COUNT: Final = 0.3
-_HEADER: Final = ("decibels per count", "Pd at 10 FA/km²", "at 30", "at 100", "Pd at p_mine 0.5", "FA/km² at p_mine 0.5")
+_HEADER: Final = (
+    "decibels per count",
+    "Pd at 10 FA/km²",
+    "at 30",
+    "at 100",
+    "Pd at p_mine 0.5",
+    "FA/km² at p_mine 0.5",
+)
 
 
 class MisreadMission(NamedTuple):
@@ -41,8 +48,15 @@ class MisreadMission(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=count, default=1, help=f"missions of each scene, from seed {FIRST_SEED} (default 1)")
-    parser.add_argument("--scene", action="append", choices=named_scenes(), help=f"named scene, repeatable (default {', '.join(SCENES)})")
+    parser.add_argument(
+        "--seeds", type=count, default=1, help=f"missions of each scene, from seed {FIRST_SEED} (default 1)"
+    )
+    parser.add_argument(
+        "--scene",
+        action="append",
+        choices=named_scenes(),
+        help=f"named scene, repeatable (default {', '.join(SCENES)})",
+    )
     parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
 
@@ -66,7 +80,9 @@ def read_mission(task: tuple[str, int]) -> MisreadMission:
     recorder = SampleRecorder(samples="log_uint8", db_per_count=DB_PER_COUNT)
     scene = msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, recorder=recorder))
     mission, config = Mission(scene), config_for(scene)
-    misread = [msgspec.structs.replace(config.sonar, transfer="log", db_per_count=DB_PER_COUNT * factor) for factor in FACTORS]
+    misread = [
+        msgspec.structs.replace(config.sonar, transfer="log", db_per_count=DB_PER_COUNT * factor) for factor in FACTORS
+    ]
     pipelines = [Pipeline(msgspec.structs.replace(config, sonar=sonar)) for sonar in (*misread, config.sonar)]
     for event in mission.events():
         for pipeline in pipelines:
@@ -76,7 +92,9 @@ def read_mission(task: tuple[str, int]) -> MisreadMission:
     scored = []
     for pipeline in pipelines:
         pipeline.finish()
-        scored.append(ScoredMission(parse_contacts(json.loads(contacts_geojson(pipeline.contacts)), place), truth, place))
+        scored.append(
+            ScoredMission(parse_contacts(json.loads(contacts_geojson(pipeline.contacts)), place), truth, place)
+        )
     return MisreadMission(tuple(scored[:-1]), scored[-1])
 
 
@@ -86,10 +104,17 @@ def rows(missions: Sequence[MisreadMission]) -> list[list[str]]:
     read = [[mission.by_factor[k] for mission in missions] for k in range(len(FACTORS))]
     return [
         _row(name, score_missions(scored))
-        for name, scored in zip([*names, "estimated"], [*read, [mission.estimated for mission in missions]], strict=True)
+        for name, scored in zip(
+            [*names, "estimated"], [*read, [mission.estimated for mission in missions]], strict=True
+        )
     ]
 
 
 def _row(name: str, score: Score) -> list[str]:
     point = score.at_threshold
-    return [name, *(share_cell(headline.pd) for headline in score.headlines), share_cell(point.pd), density_cell(point.false_alarms)]
+    return [
+        name,
+        *(share_cell(headline.pd) for headline in score.headlines),
+        share_cell(point.pd),
+        density_cell(point.false_alarms),
+    ]

@@ -51,11 +51,16 @@ def _bench(log: Path, repeat: int) -> None:
             for peak in tile_peaks:
                 measure(tile, contrast.floor(peak.row, peak.column), peak, math.radians(config.sonar.beam_width_deg))
         marks.append(time.process_time())
-        for step, cost_s in zip(("weigh contrasts", "find peaks", "measure peaks"), np.diff(marks).tolist(), strict=True):
+        for step, cost_s in zip(
+            ("weigh contrasts", "find peaks", "measure peaks"), np.diff(marks).tolist(), strict=True
+        ):
             costs[step].append(cost_s)
         n_peaks = sum(map(len, peaks))
     pixels = sum(tile.mask.size for tile in tiles)
-    print(f"log: {log.name}: {len(tiles)} tiles, {pixels / 1e6:.2f} million pixels, {n_peaks} peaks, processor time, median of {repeat}\n")
+    print(
+        f"log: {log.name}: {len(tiles)} tiles, {pixels / 1e6:.2f} million pixels, {n_peaks} peaks, processor time, "
+        f"median of {repeat}\n"
+    )
     print(f"{'step':<20}{'ms':>9}{'ns/pixel':>10}{'us/peak':>9}")
     for step, values in costs.items():
         cost_s = statistics.median(values)

@@ -73,7 +73,8 @@ class FramedWire(NamedTuple):
 
 
 class Damaged(NamedTuple):
-    """A stream after faults. intact: which of the messages it was made of are still in it, unbroken. n_faults: by kind."""
+    """A stream after faults. intact: which of the messages it was made of are still in it, unbroken. n_faults: by
+    kind."""
 
     stream: bytes
     intact: list[bool]
@@ -182,7 +183,9 @@ def campaign(wire: FramedWire, n_faults: int, seed: int) -> CampaignRow:
     return CampaignRow(wire.name, n_done, n_messages, n_intact, n_lost, n_other, n_false)
 
 
-def read_with(grammar: Callable[[], Grammar[Any]], key: Callable[[Any], Hashable]) -> Callable[[Iterable[bytes]], list[Hashable]]:
+def read_with(
+    grammar: Callable[[], Grammar[Any]], key: Callable[[Any], Hashable]
+) -> Callable[[Iterable[bytes]], list[Hashable]]:
     """Make `Wire.read` of a grammar of drivers.framing. key: of a message, equal for equal messages."""
 
     def read(chunks: Iterable[bytes]) -> list[Hashable]:
@@ -210,7 +213,9 @@ def _jsf_messages(random: np.random.Generator, n: int) -> list[bytes]:
             body = number.to_bytes(4, "little") + random.bytes(int(random.integers(80)))
             wired.append(jsf_messages.to_wire(JsfMessage(2002, body, session=number & 0xFF)))
         else:
-            wired.append(jsf_messages.encode_data(made_side(number, int(random.integers(20, 200)), random), 21, number & 1))
+            wired.append(
+                jsf_messages.encode_data(made_side(number, int(random.integers(20, 200)), random), 21, number & 1)
+            )
     return wired
 
 
@@ -226,7 +231,11 @@ def _nmea_messages(random: np.random.Generator, n: int) -> list[bytes]:
         if number % 4 == 0:
             records.append(sentences.Gga(time_of_day_s, latitude_deg, longitude_deg, 1.0, 9.0, 1.1, 12.3, 40.1))
         elif number % 4 == 1:
-            records.append(sentences.Rmc(time_of_day_s, "A", latitude_deg, longitude_deg, 2.0, random.uniform(0.0, 6.0), 19_700.0, "A"))
+            records.append(
+                sentences.Rmc(
+                    time_of_day_s, "A", latitude_deg, longitude_deg, 2.0, random.uniform(0.0, 6.0), 19_700.0, "A"
+                )
+            )
         elif number % 4 == 2:
             records.append(sentences.Zda(time_of_day_s, 19_700.0))
         else:
@@ -261,7 +270,9 @@ def _water_linked_messages(random: np.random.Generator, n: int) -> list[bytes]:
         reported_us = validity_us + 80_000
         forward, starboard, down = random.normal(0.0, 1.0, 3).tolist()
         records.append(
-            dvl_water_linked.Velocity(forward, starboard, down, True, 7.5, 0.002, covariance, validity_us, reported_us, 125.0, 0)
+            dvl_water_linked.Velocity(
+                forward, starboard, down, True, 7.5, 0.002, covariance, validity_us, reported_us, 125.0, 0
+            )
         )
     return [dvl_water_linked.message_of(record) for record in records]
 
@@ -294,10 +305,16 @@ def _imc_messages(random: np.random.Generator, n: int) -> list[bytes]:
             reference = imc_messages.Reference(1, lat=random.uniform(-1.5, 1.5), lon=random.uniform(-3.0, 3.0))
             message = imc_messages.FollowRefState(0x6000, 255, reference, 2, 1)
         else:
-            wired.append(to_wire(ImcPacket(276, random.bytes(int(random.integers(200))), 0x1E, time_s=float(number), order=order)))
+            wired.append(
+                to_wire(
+                    ImcPacket(276, random.bytes(int(random.integers(200))), 0x1E, time_s=float(number), order=order)
+                )
+            )
             continue
         payload = imc_messages.encode(message, order)
-        wired.append(to_wire(ImcPacket(imc_messages.number_of(type(message)), payload, 0x1E, time_s=float(number), order=order)))
+        wired.append(
+            to_wire(ImcPacket(imc_messages.number_of(type(message)), payload, 0x1E, time_s=float(number), order=order))
+        )
     return wired
 
 
@@ -323,9 +340,13 @@ def _iver_messages(random: np.random.Generator, n: int) -> list[bytes]:
     for number in range(n):
         angle_rad, place_deg = random.uniform(0.0, 1.5), random.uniform(-80.0, 80.0, 2).tolist()
         if number % 2:
-            records.append(iver_sentences.IverCompass(0.004 * number, angle_rad, -angle_rad, 20.0, random.uniform(0.0, 90.0)))
+            records.append(
+                iver_sentences.IverCompass(0.004 * number, angle_rad, -angle_rad, 20.0, random.uniform(0.0, 90.0))
+            )
         else:
-            records.append(iver_sentences.IverState._make(["NAWM"[number % 4], *place_deg, 1.5, 5.0, 0.004 * number, 12.0]))
+            records.append(
+                iver_sentences.IverState._make(["NAWM"[number % 4], *place_deg, 1.5, 5.0, 0.004 * number, 12.0])
+            )
     return [iver_sentences.line_of(table, record) for record in records]
 
 
@@ -386,7 +407,9 @@ def _vehicle_can_messages(random: np.random.Generator, n: int) -> list[bytes]:
             place = random.uniform(-80.0, 80.0), 1.0, random.uniform(-179.0, 179.0)
             message = can_messages.ReportMessage(1, number, 7, 1, 1e9, *place, 0.5, 18.0, 0, 1, *random.random(12))
         elif number % 3 == 1:
-            message = can_messages.GoToMessage(random.uniform(-80.0, 80.0), 1.5, random.uniform(-179.0, 179.0), 3.0, 5.0, 1, 3.0, number, 1)
+            message = can_messages.GoToMessage(
+                random.uniform(-80.0, 80.0), 1.5, random.uniform(-179.0, 179.0), 3.0, 5.0, 1, 3.0, number, 1
+            )
         else:
             message = can_messages.PayloadStatus(1, 3, 1, 1, number)
         wired.append(b"".join(map(slcan_encode, can_messages.encode(message, _VEHICLE_CAN_ADDRESS, number))))
@@ -497,11 +520,16 @@ def speed_lines(n_pings: int) -> list[str]:
     seconds = {name: _seconds(step) for name, (step, _, _) in rows.items()}
     for name, (_, n_messages, n_bytes) in rows.items():
         took = seconds[name]
-        lines.append(f"{name:<38}{n_messages / took:>12.0f}{1e-6 * n_bytes / took:>9.1f}{1e6 * took / n_messages:>10.2f}")
+        lines.append(
+            f"{name:<38}{n_messages / took:>12.0f}{1e-6 * n_bytes / took:>9.1f}{1e6 * took / n_messages:>10.2f}"
+        )
     if "ping_protocol, brping's PingParser" in rows:
         brping = seconds["ping_protocol, brping's PingParser"]
         framed, decoded = brping / seconds["ping_protocol"], brping / seconds["ping_protocol, to linear power"]
-        lines.append(f"brping takes {framed:.0f} times as long as framing alone, {decoded:.0f} times as long as all the way to power")
+        lines.append(
+            f"brping takes {framed:.0f} times as long as framing alone, {decoded:.0f} times as long as all the way to "
+            "power"
+        )
     else:
         lines.append("brping is not installed: pip install bluerobotics-ping to compare")
     return lines
@@ -547,7 +575,10 @@ def junk_lines(rows: list[JunkRow]) -> list[str]:
     lines = [f"{'junk, processor time':<16}{'s per MB':>10}  of the worst, which is"]
     lines += [f"{row.name:<16}{row.s_per_mb:>10.3f}  {row.junk}" for row in rows]
     above = [row.name for row in rows if row.s_per_mb > MAX_S_PER_MB]
-    return [*lines, f"allowed are {MAX_S_PER_MB:g} s per MB: " + (f"FAILED by {', '.join(above)}" if above else "held by all")]
+    return [
+        *lines,
+        f"allowed are {MAX_S_PER_MB:g} s per MB: " + (f"FAILED by {', '.join(above)}" if above else "held by all"),
+    ]
 
 
 def _fed(make: Callable[[], Callable[[bytes], object]], stream: bytes) -> None:
@@ -609,7 +640,10 @@ def campaign_lines(rows: list[CampaignRow]) -> list[str]:
     heads = ("faults", "messages", "intact", "lost", "other", "false")
     lines = [f"{'damaged streams':<16}" + "".join(f"{head:>10}" for head in heads)]
     lines += [f"{row.name:<16}" + "".join(f"{cell:>10}" for cell in row[1:]) for row in rows]
-    lines.append("lost: intact messages that were not read. other: read once more, or where only bytes were hit that do not matter,")
+    lines.append(
+        "lost: intact messages that were not read. other: read once more, or where only bytes were hit that do not "
+        "matter,"
+    )
     return [*lines, "or from damage that no checksum detects. false: of those, messages that nobody sent"]
 
 

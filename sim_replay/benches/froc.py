@@ -121,12 +121,25 @@ class FlownLine(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})")
-    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
-    parser.add_argument("--log", type=Path, action="append", default=[], metavar="FILE", help="a recorded line to augment, XTF; repeatable")
+    parser.add_argument(
+        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"
+    )
+    parser.add_argument(
+        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
+    )
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a recorded line to augment, XTF; repeatable",
+    )
     parser.add_argument("--log-seeds", type=count, default=4, help="draws of targets per recorded line (default 4)")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once on this computer (default 2)")
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="fly on the cluster of this dask scheduler instead")
+    parser.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT", help="fly on the cluster of this dask scheduler instead"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
@@ -139,8 +152,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
     first = arguments.first_seed
-    lines: list[Line] = [HeldOutSimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)]
-    lines += [HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)]
+    lines: list[Line] = [
+        HeldOutSimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)
+    ]
+    lines += [
+        HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)
+    ]
 
     def progress(done: int) -> None:
         print(f"\r{done} of {len(lines)} missions flown", end="", file=sys.stderr, flush=True)
@@ -148,17 +165,25 @@ def run(arguments: argparse.Namespace) -> int:
     flown = list(run_tasks(fly_line, lines, Farm(arguments.workers, arguments.scheduler), progress))
     print(file=sys.stderr)
     scores = {
-        (group, system): score_missions([one.reported[system] for one in some]) for group, some in _groups(flown) for system in SYSTEMS
+        (group, system): score_missions([one.reported[system] for one in some])
+        for group, some in _groups(flown)
+        for system in SYSTEMS
     }
     print(
-        f"{arguments.seeds} missions per scene, seeds {first} to {first + arguments.seeds - 1}; intervals are 95 %: Wilson's for Pd, exact"
+        f"{arguments.seeds} missions per scene, seeds {first} to {first + arguments.seeds - 1}; intervals are 95 %: "
+        "Wilson's for Pd, exact"
     )
     print("Poisson for FA\n")
     laid_out = markdown if arguments.markdown else columns
     print(laid_out(_HEADER, [_row(group, SYSTEMS[system], score) for (group, system), score in scores.items()]))
     print()
     groups = dict.fromkeys(group for group, _ in scores)
-    print(laid_out(_OUTDONE_HEADER, [_outdone_row(group, scores[group, "chain"], scores[group, "baseline"]) for group in groups]))
+    print(
+        laid_out(
+            _OUTDONE_HEADER,
+            [_outdone_row(group, scores[group, "chain"], scores[group, "baseline"]) for group in groups],
+        )
+    )
     print()
     print(laid_out(_ROCK_HEADER, list(_rock_rows(list(joined.from_iterable(one.rocks for one in flown))))))
     if arguments.json is not None:
@@ -215,7 +240,9 @@ def comparison_model(name: str) -> bytes:
     return resources.files("sim_replay.benches").joinpath("models", f"{name}.json").read_bytes()
 
 
-def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: Callable[[], dict[str, object]]) -> FlownLine:
+def _seen(
+    line: Line, config: Config, events: Iterator[SourceEvent], truth_of: Callable[[], dict[str, object]]
+) -> FlownLine:
     place = f"{line.group}, seed {line.seed}"
     alone = unconfirmed(config)
     untrained = untrained_alone(config)
@@ -242,7 +269,8 @@ def _seen(line: Line, config: Config, events: Iterator[SourceEvent], truth_of: C
     for system, step in _STEPS.items():
         contacts[system] = [as_after(contact, step, prior) for contact in pipelines["chain"].contacts]
     reported = {
-        name: ScoredMission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place) for name, found in contacts.items()
+        name: ScoredMission(parse_contacts(json.loads(contacts_geojson(found)), place), truth, place)
+        for name, found in contacts.items()
     }
     reported["baseline"] = ScoredMission(tuple(baseline_contacts(kept)), truth, place)
     return FlownLine(line.group, reported, tuple(_rocks(pipelines["chain"].contacts, reported["chain"])))
@@ -255,7 +283,10 @@ def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetection
 def scattered(seed: int) -> TargetSpec:
     """Draw targets and as many rocks over a recorded line."""
     targets = ScatteredTargets(
-        kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=True
+        kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"),
+        count=_TARGETS_PER_LINE,
+        apart_m=_APART_M,
+        is_target=True,
     )
     rocks = ScatteredTargets(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
     return TargetSpec(seed=seed, scatter=(targets, rocks))
@@ -283,7 +314,9 @@ def _groups(flown: Sequence[FlownLine]) -> Iterator[tuple[str, list[FlownLine]]]
     for name in names:
         yield name, [one for one in flown if one.group == name]
     pooled = {
-        "all simulated but held-out sea floors": [one for one in flown if one.group in SCENES and one.group not in HELD_OUT],
+        "all simulated but held-out sea floors": [
+            one for one in flown if one.group in SCENES and one.group not in HELD_OUT
+        ],
         "all recorded": [one for one in flown if one.group not in SCENES],
     }
     for title, some in pooled.items():
@@ -295,7 +328,15 @@ def _row(group: str, system: str, score: Score) -> list[str]:
     pds = [best_pd(score, limit) for limit in LIMITS_PER_KM2]
     pds += [best_pd(score, limit, on_objects=False) for limit in BARE_LIMITS_PER_KM2]
     at = score.at_threshold
-    return [_title(group), system, str(score.n_targets), f"{score.area_km2:.3f}", *pds, share_cell(at.pd), density_cell(at.false_alarms)]
+    return [
+        _title(group),
+        system,
+        str(score.n_targets),
+        f"{score.area_km2:.3f}",
+        *pds,
+        share_cell(at.pd),
+        density_cell(at.false_alarms),
+    ]
 
 
 def _outdone_row(group: str, chain: Score, baseline: Score) -> list[str]:
@@ -308,7 +349,11 @@ def _title(group: str) -> str:
 
 
 def _rock_rows(rocks: Sequence[Rock]) -> Iterator[list[str]]:
-    for words, views in (("seen once", range(1, 2)), ("seen twice or more", range(2, 1000)), ("not detected", range(1))):
+    for words, views in (
+        ("seen once", range(1, 2)),
+        ("seen twice or more", range(2, 1000)),
+        ("not detected", range(1)),
+    ):
         some = [rock for rock in rocks if rock.n_views in views]
         called = sum(rock.called for rock in some)
         yield [words, f"{called} of {len(some)}", share_cell(proportion(called, len(some)))]

@@ -75,7 +75,10 @@ _KINDS: Final[tuple[tuple[Law, float | None], ...]] = (
     ("log", 0.4),
     ("log", 0.5),
 )
-STORES: Final = tuple(Store(law, db_per_count, bits, clips) for (law, db_per_count), bits, clips in product(_KINDS, (8, 16), (False, True)))
+STORES: Final = tuple(
+    Store(law, db_per_count, bits, clips)
+    for (law, db_per_count), bits, clips in product(_KINDS, (8, 16), (False, True))
+)
 
 
 class JudgedLaw(NamedTuple):
@@ -104,9 +107,13 @@ def floor_intensity(scene_name: str, seed: int, looks: int, n_pings: int = N_PIN
     """
     scene = read_scene(scene_name)
     recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
-    scene = msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, looks=looks, recorder=recorder))
+    scene = msgspec.structs.replace(
+        scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, looks=looks, recorder=recorder)
+    )
     heard = (event for event in Mission(scene).events() if isinstance(event, Ping))
-    amplitude = [[trace.samples for trace in (ping.port, ping.starboard) if trace is not None] for ping in islice(heard, n_pings)]
+    amplitude = [
+        [trace.samples for trace in (ping.port, ping.starboard) if trace is not None] for ping in islice(heard, n_pings)
+    ]
     return np.square(np.array(amplitude, dtype=np.float64))
 
 
@@ -124,7 +131,9 @@ def stored(intensity: NDArray[np.float64], store: Store) -> NDArray[Any]:
     return np.rint(np.clip(counts, 0.0, full)).astype(np.uint8 if store.bits == 8 else np.uint16)
 
 
-def judge_law(scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np.float64], rate_hz: float = 14.0) -> JudgedLaw:
+def judge_law(
+    scene: str, seed: int, looks: int, store: Store, intensity: NDArray[np.float64], rate_hz: float = 14.0
+) -> JudgedLaw:
     """Recognise the law of a mission of these echoes, and doubt it when configured rightly."""
     pings = [
         Ping(
@@ -140,7 +149,17 @@ def judge_law(scene: str, seed: int, looks: int, store: Store, intensity: NDArra
     cpu_s = time.process_time() - start_s
     _, notices = _watched(SonarConfig(transfer=store.law, db_per_count=store.db_per_count), pings)
     interval = weigh_pings(pings).db_interval
-    return JudgedLaw(scene, seed, looks, store, transfers[0], transfers[-1], interval, tuple(notice.code for notice in notices), cpu_s)
+    return JudgedLaw(
+        scene,
+        seed,
+        looks,
+        store,
+        transfers[0],
+        transfers[-1],
+        interval,
+        tuple(notice.code for notice in notices),
+        cpu_s,
+    )
 
 
 def _watched(sonar: SonarConfig, pings: Sequence[Ping]) -> tuple[list[Transfer], list[Notice]]:
@@ -159,11 +178,20 @@ def judged_missions(task: tuple[str, int, int]) -> list[JudgedLaw]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=count, default=4, help=f"floors of each scene, from seed {FIRST_SEED} (default 4)")
-    parser.add_argument("--scene", action="append", choices=named_scenes(), help=f"named scene, repeatable (default {', '.join(FLOORS)})")
+    parser.add_argument(
+        "--seeds", type=count, default=4, help=f"floors of each scene, from seed {FIRST_SEED} (default 4)"
+    )
+    parser.add_argument(
+        "--scene",
+        action="append",
+        choices=named_scenes(),
+        help=f"named scene, repeatable (default {', '.join(FLOORS)})",
+    )
     parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
-    parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="recorded log to judge instead, repeatable")
+    parser.add_argument(
+        "--log", type=Path, action="append", metavar="LOG", help="recorded log to judge instead, repeatable"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -183,7 +211,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def print_tables(missions: Sequence[JudgedLaw], laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]) -> None:
+def print_tables(
+    missions: Sequence[JudgedLaw], laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]
+) -> None:
     header = (
         "",
         "missions",
@@ -208,7 +238,10 @@ def print_tables(missions: Sequence[JudgedLaw], laid_out: Callable[[Sequence[str
             rows.append(_row(name, [mission for mission in missions if key(mission) == name]))
     print(laid_out(header, rows))
     cpu_ms = [1e3 * mission.cpu_s for mission in missions]
-    print(f"\nprocessor time of the decision per mission: median {np.median(cpu_ms):.0f} ms, 95 % {np.quantile(cpu_ms, 0.95):.0f} ms")
+    print(
+        f"\nprocessor time of the decision per mission: median {np.median(cpu_ms):.0f} ms, 95 % "
+        f"{np.quantile(cpu_ms, 0.95):.0f} ms"
+    )
 
 
 def _row(name: str, missions: Sequence[JudgedLaw]) -> tuple[str, ...]:

@@ -16,14 +16,18 @@ _SCENE: Final = "demo"
 
 def add_log(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "log", nargs="?", type=Path, help=f"an XTF, JSF or svlog file or a recorded session; without it the scene '{_SCENE}' is flown"
+        "log",
+        nargs="?",
+        type=Path,
+        help=f"an XTF, JSF or svlog file or a recorded session; without it the scene '{_SCENE}' is flown",
     )
     parser.add_argument("--repeat", type=count, default=5, help="repetitions (default 5)")
 
 
 @contextmanager
 def given_or_flown(log: Path | None) -> Iterator[tuple[Path, Path]]:
-    """Return the log given, or one of a simulated mission, and a folder for further files that is removed afterwards."""
+    """Return the log given, or one of a simulated mission, and a folder for further files that is removed
+    afterwards."""
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
         yield log or _flown(Path(folder)), Path(folder)
 

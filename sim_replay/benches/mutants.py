@@ -68,7 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF log to damage")
     parser.add_argument("--mutants", metavar="N", type=count, default=300, help="damaged logs in all (default 300)")
     parser.add_argument("--seed", metavar="N", type=count, default=1, help="seed of the damage (default 1)")
-    parser.add_argument("--pings", metavar="N", type=count, default=461, help="maximum packets of each log, from its start (default 461)")
+    parser.add_argument(
+        "--pings",
+        metavar="N",
+        type=count,
+        default=461,
+        help="maximum packets of each log, from its start (default 461)",
+    )
     parser.add_argument("--keep", metavar="DIR", type=Path, help="folder for mutants that fail, with their results")
 
 
@@ -105,7 +111,9 @@ def kinds_of(number: int) -> tuple[str, ...]:
     return (first,) if second == first else (first, second)
 
 
-def judge_mutant(number: int, log: str, kinds: tuple[str, ...], data: bytes, scratch: Path, keep: Path | None = None) -> Mutant:
+def judge_mutant(
+    number: int, log: str, kinds: tuple[str, ...], data: bytes, scratch: Path, keep: Path | None = None
+) -> Mutant:
     """Replay one damaged log in a process of its own and judge the outcome."""
     path, out, console, usage = (scratch / name for name in ("mutant.xtf", "out", "console.txt", "usage.json"))
     path.write_bytes(data)
@@ -157,7 +165,8 @@ def _replay(path: Path, out: Path, console: Path, usage: Path) -> None:
 
 
 def wrong_results(out: Path, log: Path) -> list[str]:
-    """List impossible results: numbers that are not finite, failed tiles, contacts far from every position of the log."""
+    """List impossible results: numbers that are not finite, failed tiles, contacts far from every position of the
+    log."""
     read: dict[str, Any] = {}
     for name in ("contacts.geojson", "coverage.geojson", "waypoints.geojson", "clearance.geojson", "summary.json"):
         try:
@@ -173,9 +182,12 @@ def wrong_results(out: Path, log: Path) -> list[str]:
         if not (-180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0):
             wrong.append(f"{feature['properties']['id']} lies at {latitude}, {longitude}")
             continue
-        away_m = float(np.sqrt(((fixes_m - geodetic_to_ecef(latitude, longitude, 0.0)) ** 2).sum(axis=1).min(initial=math.inf)))
+        away_m = float(
+            np.sqrt(((fixes_m - geodetic_to_ecef(latitude, longitude, 0.0)) ** 2).sum(axis=1).min(initial=math.inf))
+        )
         if away_m > _NEAR_M + _SIGMAS * (feature["properties"]["sigma_m"] or 0.0):
-            wrong.append(f"{feature['properties']['id']} lies {away_m:.0f} m from every position of the log, with sigma_m "
+            wrong.append(f"{feature['properties']['id']} lies {away_m:.0f} m from every position of the log, with "
+                "sigma_m "
                          f"{feature['properties']['sigma_m']}")  # fmt: skip
             break
     return wrong
@@ -190,7 +202,11 @@ def _fixes_m(log: Path) -> NDArray[np.float64]:
     fixes = []
     try:
         for event in XtfLog(log, SonarConfig()):
-            if isinstance(event, NavSample) and math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
+            if (
+                isinstance(event, NavSample)
+                and math.isfinite(event.latitude_deg)
+                and math.isfinite(event.longitude_deg)
+            ):
                 fixes.append((event.latitude_deg, event.longitude_deg))
     except AuvMcmError:
         pass
@@ -208,6 +224,9 @@ def table(mutants: Sequence[Mutant]) -> list[str]:
         n_codes = [sum(mutant.code == code for mutant in group) for code in GOOD_CODES]
         failed = sum(bool(mutant.failures) for mutant in group)
         ended = [mutant for mutant in group if mutant.cpu_s == mutant.cpu_s]
-        most = max((mutant.cpu_s for mutant in ended), default=math.nan), max((mutant.rss_mb for mutant in ended), default=math.nan)
+        most = (
+            max((mutant.cpu_s for mutant in ended), default=math.nan),
+            max((mutant.rss_mb for mutant in ended), default=math.nan),
+        )
         lines.append(f"{name:36}{len(group):8}{n_codes[0]:8}{n_codes[1]:8}{failed:8}{most[0]:12.1f}{most[1]:9.0f}")
     return lines

@@ -1,4 +1,5 @@
-"""Damage copies of XTF logs, reproducibly from a seed: bytes, packets, header fields, navigation, clocks and samples."""
+"""Damage copies of XTF logs, reproducibly from a seed: bytes, packets, header fields, navigation, clocks and
+samples."""
 
 from __future__ import annotations
 
@@ -63,7 +64,11 @@ def mutated(log: XtfPieces, kinds: Sequence[str], random: Random) -> bytes:
 
 def _pings(log: XtfPieces) -> list[Any]:
     """View the headers of the pings, which write through to the packets."""
-    return [pyxtf.XTFPingHeader.from_buffer(packet) for packet in log.packets if packet[2] == _SONAR and len(packet) >= _PING_HEADER_BYTES]
+    return [
+        pyxtf.XTFPingHeader.from_buffer(packet)
+        for packet in log.packets
+        if packet[2] == _SONAR and len(packet) >= _PING_HEADER_BYTES
+    ]
 
 
 def _some(random: Random, n: int) -> slice:
@@ -143,7 +148,11 @@ def _set_fields(*names: str) -> Change:
 
     def change(log: XtfPieces, random: Random) -> XtfPieces:
         name = names[int(random.integers(len(names)))]
-        value = _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.6 else float(random.normal(0.0, 100.0))
+        value = (
+            _NONSENSE[int(random.integers(len(_NONSENSE)))]
+            if random.random() < 0.6
+            else float(random.normal(0.0, 100.0))
+        )
         pings = _pings(log)
         for header in pings if random.random() < 0.5 else pings[_some(random, len(pings))]:
             _set(header, name, value)
@@ -165,10 +174,14 @@ def _random_fields(log: XtfPieces, random: Random) -> XtfPieces:
     pings = _pings(log)
     if not pings:
         return log
-    names = [field[0] for field in pyxtf.XTFPingHeader._fields_ if field[0] not in ("MagicNumber", "NumBytesThisRecord")]
+    names = [
+        field[0] for field in pyxtf.XTFPingHeader._fields_ if field[0] not in ("MagicNumber", "NumBytesThisRecord")
+    ]
     for _ in range(int(random.integers(1, 30))):
         name = names[int(random.integers(len(names)))]
-        value = _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e4))
+        value = (
+            _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e4))
+        )
         _set(pings[int(random.integers(len(pings)))], name, value)
     return log
 
@@ -219,7 +232,12 @@ def _clock(log: XtfPieces, random: Random) -> XtfPieces:
         return log
     for header in part:
         if how == 0:
-            header.Hour, header.Minute, header.Second, header.HSeconds = part[0].Hour, part[0].Minute, part[0].Second, part[0].HSeconds
+            header.Hour, header.Minute, header.Second, header.HSeconds = (
+                part[0].Hour,
+                part[0].Minute,
+                part[0].Second,
+                part[0].HSeconds,
+            )
         elif how == 2:
             header.Year = int(random.choice([1970, 1980, 2150, 9999]))
         else:
@@ -234,7 +252,9 @@ def _clock(log: XtfPieces, random: Random) -> XtfPieces:
 def _order(how: Callable[[list[bytearray], Random], list[bytearray]]) -> Change:
     def change(log: XtfPieces, random: Random) -> XtfPieces:
         part = _some(random, len(log.packets))
-        return XtfPieces(log.header, [*log.packets[: part.start], *how(log.packets[part], random), *log.packets[part.stop :]])
+        return XtfPieces(
+            log.header, [*log.packets[: part.start], *how(log.packets[part], random), *log.packets[part.stop :]]
+        )
 
     return change
 
@@ -258,8 +278,14 @@ def _channel_fields(log: XtfPieces, random: Random) -> XtfPieces:
         packet = log.packets[int(random.integers(len(log.packets)))]
         if packet[2] != _SONAR or len(packet) < _PING_HEADER_BYTES + _CHANNEL_HEADER_BYTES:
             continue
-        value = _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e3))
-        _set(pyxtf.XTFPingChanHeader.from_buffer(packet, _PING_HEADER_BYTES), names[int(random.integers(len(names)))], value)
+        value = (
+            _NONSENSE[int(random.integers(len(_NONSENSE)))] if random.random() < 0.5 else float(random.normal(0.0, 1e3))
+        )
+        _set(
+            pyxtf.XTFPingChanHeader.from_buffer(packet, _PING_HEADER_BYTES),
+            names[int(random.integers(len(names)))],
+            value,
+        )
     return log
 
 
@@ -270,9 +296,12 @@ def _samples(log: XtfPieces, random: Random) -> XtfPieces:
         start = _PING_HEADER_BYTES + _CHANNEL_HEADER_BYTES
         n_bytes = len(packet) - start
         if n_bytes > 0 and packet[2] == _SONAR:
-            packet[start:] = (bytes(n_bytes), b"\xff" * n_bytes, random.bytes(n_bytes), b"\x07\x00" * (n_bytes // 2) + bytes(n_bytes % 2))[
-                how
-            ]
+            packet[start:] = (
+                bytes(n_bytes),
+                b"\xff" * n_bytes,
+                random.bytes(n_bytes),
+                b"\x07\x00" * (n_bytes // 2) + bytes(n_bytes % 2),
+            )[how]
     return log
 
 
@@ -343,7 +372,9 @@ BYTES: Final[dict[str, Change]] = {
 }
 CHANGES: Final[dict[str, Change]] = {
     **JUMPS,
-    "nonsense in positions": _set_fields("SensorYcoordinate", "SensorXcoordinate", "ShipYcoordinate", "ShipXcoordinate"),
+    "nonsense in positions": _set_fields(
+        "SensorYcoordinate", "SensorXcoordinate", "ShipYcoordinate", "ShipXcoordinate"
+    ),
     "mirrored positions": _mirrored_position,
     "pole or antimeridian": _near_pole_or_antimeridian,
     "nonsense in heading": _set_fields("SensorHeading", "ShipGyro"),

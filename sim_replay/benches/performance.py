@@ -16,7 +16,13 @@ from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
 from sim_replay.fitting.detection_performance.fit_performance import outcomes
-from sim_replay.fitting.detection_performance.judge import MIN_LOOKS, JudgedPredictions, PerformanceShare, judge_predictions, mean_error
+from sim_replay.fitting.detection_performance.judge import (
+    MIN_LOOKS,
+    JudgedPredictions,
+    PerformanceShare,
+    judge_predictions,
+    mean_error,
+)
 from sim_replay.scoring.intervals import wilson_interval
 from sim_replay.text_tables import NOTHING, columns, markdown
 
@@ -27,7 +33,9 @@ _DPI: Final = 110
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=12, help="missions (default 12)")
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first mission (default {FIRST_SEED})")
+    parser.add_argument(
+        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first mission (default {FIRST_SEED})"
+    )
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
     parser.add_argument("--tables", type=Path, metavar="FILE", help="tables to judge (default: those that ship)")
@@ -43,7 +51,9 @@ def run(arguments: argparse.Namespace) -> int:
     performance = _read(arguments.tables)
     if arguments.plot is not None:
         if arguments.plot.suffix.lower() != ".png":
-            raise UsageError(f"--plot {arguments.plot}: '{arguments.plot.suffix}' is not drawn. Use a name that ends in .png")
+            raise UsageError(
+                f"--plot {arguments.plot}: '{arguments.plot.suffix}' is not drawn. Use a name that ends in .png"
+            )
         if not arguments.plot.parent.is_dir():
             raise UsageError(f"--plot {arguments.plot}: there is no folder {arguments.plot.parent}. Make it first")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
@@ -74,7 +84,8 @@ def report(found: JudgedPredictions, in_markdown: bool = False) -> str:
     if found.judged:
         error, by_chance, by_mission = mean_error(found.judged)
         lines.append(
-            f"mean absolute error over {len(found.judged)} kinds and bands with {MIN_LOOKS} looks or more: {error:.3f}; "
+            f"mean absolute error over {len(found.judged)} kinds and bands with {MIN_LOOKS} looks or more: "
+            f"{error:.3f}; "
             f"right tables would have {by_chance:.3f} by chance, {by_mission:.3f} with missions as different as these"
         )
     header = ("sea floor", "ground range", "looks", "predicted", "realised", "error", "by chance", "by missions")
@@ -109,15 +120,28 @@ def plot_performance(found: JudgedPredictions, path: Path) -> None:
             linewidth=0.0,
             label=name,
         )
-    predicted, realised = (np.array([getattr(share, part) for share in found.bins]) for part in ("predicted", "realised"))
+    predicted, realised = (
+        np.array([getattr(share, part) for share in found.bins]) for part in ("predicted", "realised")
+    )
     n = np.array([share.n for share in found.bins])
     low, high = wilson_interval(np.rint(realised * n), n)
-    axes.errorbar(predicted, realised, [realised - low, high - realised], fmt="o-", color="black", markersize=4.0, capsize=3.0, label="all")
+    axes.errorbar(
+        predicted,
+        realised,
+        [realised - low, high - realised],
+        fmt="o-",
+        color="black",
+        markersize=4.0,
+        capsize=3.0,
+        label="all",
+    )
     axes.set_xlim(0.0, 1.0)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlabel("predicted probability that a look finds its target")
     axes.set_ylabel("share found")
-    axes.set_title(f"{found.n_looks} looks in {found.n_missions} missions held out, Brier score {found.brier:.3f}", fontsize=10)
+    axes.set_title(
+        f"{found.n_looks} looks in {found.n_missions} missions held out, Brier score {found.brier:.3f}", fontsize=10
+    )
     axes.grid(color="0.9")
     axes.set_axisbelow(True)
     axes.legend(loc="upper left", framealpha=1.0, edgecolor="none")

@@ -108,9 +108,20 @@ class Reached(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})")
-    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
-    parser.add_argument("--log", type=Path, action="append", default=[], metavar="FILE", help="a recorded line to augment, XTF; repeatable")
+    parser.add_argument(
+        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"
+    )
+    parser.add_argument(
+        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
+    )
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a recorded line to augment, XTF; repeatable",
+    )
     parser.add_argument("--log-seeds", type=count, default=3, help="draws of targets per recorded line (default 3)")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
@@ -154,7 +165,8 @@ def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
     """Estimate a mission's background by a prior that it was left out of."""
     prior = next((left.prior for left in model.left_out if left.scene == mission.scene), model.cascade)
     whole, bare = (
-        estimate_background(counted_log_odds(log_odds), mission.area_km2, prior) for log_odds in (mission.everything, mission.background)
+        estimate_background(counted_log_odds(log_odds), mission.area_km2, prior)
+        for log_odds in (mission.everything, mission.background)
     )
     return Judged(mission, prior, whole, bare)
 
@@ -188,7 +200,12 @@ def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64
     reaching = np.exp(one.background.middle)
     background = np.maximum(reaching - np.append(reaching[1:], 0.0), 1e-300)
     off = (LEVELS_NATS + 0.5 * BIN_NATS - one.prior.mine_mean_nats) / one.prior.mine_sd_nats
-    mines = one.background.mines_per_km2 * np.exp(-0.5 * off**2) / (np.sqrt(2.0 * np.pi) * one.prior.mine_sd_nats) * BIN_NATS
+    mines = (
+        one.background.mines_per_km2
+        * np.exp(-0.5 * off**2)
+        / (np.sqrt(2.0 * np.pi) * one.prior.mine_sd_nats)
+        * BIN_NATS
+    )
     share = mines / (mines + background)
     number = np.clip(np.searchsorted(LEVELS_NATS, log_odds, side="right") - 1, 0, len(LEVELS_NATS) - 1)
     is_mine = np.arange(len(log_odds)) >= len(one.mission.background)
@@ -199,7 +216,10 @@ def report(missions: Sequence[SortedContacts], model: BackgroundModel, *, in_mar
     """Lay out every domain, and all simulated and all recorded ones together."""
     laid_out = markdown if in_markdown else columns
     some = [judged(mission, model) for mission in missions]
-    groups = {name: [one for one in some if one.mission.scene == name] for name in dict.fromkeys(one.mission.scene for one in some)}
+    groups = {
+        name: [one for one in some if one.mission.scene == name]
+        for name in dict.fromkeys(one.mission.scene for one in some)
+    }
     for title, is_recorded in (("all simulated", False), ("all recorded", True)):
         pooled = [one for one in some if (one.mission.scene not in named_scenes()) is is_recorded]
         if len({one.mission.scene for one in pooled}) > 1:
@@ -252,7 +272,8 @@ def _reaching(log_odds: NDArray[np.float64], level: float) -> int:
 
 
 def _is_inside(n: int, one: Judged, level: float) -> bool:
-    """Check that a Poisson count with a mean in the interval makes so many, or so few, in more than one case of forty."""
+    """Check that a Poisson count with a mean in the interval makes so many, or so few, in more than one case of
+    forty."""
     from scipy.special import pdtr
 
     expected = one.background.false_alarms(level)

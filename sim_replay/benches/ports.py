@@ -158,7 +158,8 @@ class Served:
         return self._process.pid
 
     def said_s(self, text: str) -> float:
-        """Return the instant of the monotonic clock at which a line was printed. Raises HardwareError if it never was."""
+        """Return the instant of the monotonic clock at which a line was printed. Raises HardwareError if it never
+        was."""
         deadline_s = time.monotonic() + _READY_S
         while time.monotonic() < deadline_s:
             running = self._process.poll() is None
@@ -168,7 +169,9 @@ class Served:
             if not running:
                 break
             time.sleep(_POLL_S)
-        raise HardwareError(f"the service did not say '{text.strip()}', but: {' / '.join(line for _, line in self._lines[-3:])}")
+        raise HardwareError(
+            f"the service did not say '{text.strip()}', but: {' / '.join(line for _, line in self._lines[-3:])}"
+        )
 
     def stop(self) -> None:
         """End it in order. Raises HardwareError if it does not end."""
@@ -197,7 +200,8 @@ class Served:
 
 @contextmanager
 def served(line: PacedLine, folder: Path, baud: int, *, watched: bool = False) -> Iterator[Served]:
-    """Start a new service at a line. watched: perception is busy, and `queued.json` is written, as of `ports_watched`."""
+    """Start a new service at a line. watched: perception is busy, and `queued.json` is written, as of
+    `ports_watched`."""
     folder.mkdir()
     config = folder / "service.yaml"
     settings = {
@@ -213,11 +217,22 @@ def served(line: PacedLine, folder: Path, baud: int, *, watched: bool = False) -
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--only", nargs="+", choices=_PARTS, default=_PARTS, metavar="PART", help=f"what to measure: {', '.join(_PARTS)}")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=_PARTS,
+        default=_PARTS,
+        metavar="PART",
+        help=f"what to measure: {', '.join(_PARTS)}",
+    )
     parser.add_argument("--seconds", type=count, default=15, help="length of each run, s (default 15)")
     parser.add_argument("--repeat", type=count, default=3, help="runs of each kind (default 3)")
     parser.add_argument(
-        "--baud", type=int, default=921_600, choices=(115_200, 230_400, 460_800, 921_600), help="baud rate of the line (default 921600)"
+        "--baud",
+        type=int,
+        default=921_600,
+        choices=(115_200, 230_400, 460_800, 921_600),
+        help="baud rate of the line (default 921600)",
     )
 
 
@@ -229,7 +244,8 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="auv-mcm-ports-") as name:
         folders = (Path(name) / str(number) for number in range(1_000_000))
         print(
-            f"a sort of a million numbers by numpy takes {_sort_ms():.1f} ms of a core; {repeat} runs of each kind at {baud} baud\n",
+            f"a sort of a million numbers by numpy takes {_sort_ms():.1f} ms of a core; {repeat} runs of each kind at "
+            f"{baud} baud\n",
             flush=True,
         )
         if "start" in arguments.only:
@@ -246,7 +262,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _print_starts(starts: Sequence[StartUp]) -> None:
     for word, taken in zip(
-        ("perception is ready", "first ping decoded", "first ping taken by perception"), zip(*starts, strict=True), strict=True
+        ("perception is ready", "first ping decoded", "first ping taken by perception"),
+        zip(*starts, strict=True),
+        strict=True,
     ):
         print(f"{word:<34}{statistics.median(taken):>8.2f} s after the start of the process", flush=True)
 
@@ -257,7 +275,10 @@ def _print_latencies(runs: Sequence[Latency]) -> None:
     share = statistics.median(run.perception_share for run in runs)
     waited = statistics.median(run.waited_share for run in runs)
     print(f"{sum(run.n_pings for run in runs)} pings, while perception took {100.0 * share:.0f} % of a core", end="")
-    print(f" and the service waited for one {100.0 * waited:.1f} % of the time; {sum(run.n_lost for run in runs)} bytes lost by the bench")
+    print(
+        f" and the service waited for one {100.0 * waited:.1f} % of the time; {sum(run.n_lost for run in runs)} bytes "
+        "lost by the bench"
+    )
 
 
 def start_up(folder: Path, baud: int) -> StartUp:
@@ -267,7 +288,9 @@ def start_up(folder: Path, baud: int) -> StartUp:
         time.sleep(_SETTLE_S)
         service.stop()
     return StartUp(
-        ready_s - service.begun_s, _first_decoded_s(folder / "results/latest/recording") - service.begun_s, taken_s - service.begun_s
+        ready_s - service.begun_s,
+        _first_decoded_s(folder / "results/latest/recording") - service.begun_s,
+        taken_s - service.begun_s,
     )
 
 
@@ -295,11 +318,18 @@ def latency(seconds: float, folder: Path, baud: int) -> Latency:
         begun_cpu_s, begun_wait_s = sum(map(_cpu_s, perception)), _waited_s(service.pid)
         time.sleep(seconds)
         took_s = time.monotonic() - begun_s
-        share, waited_share = (sum(map(_cpu_s, perception)) - begun_cpu_s) / took_s, (_waited_s(service.pid) - begun_wait_s) / took_s
+        share, waited_share = (
+            (sum(map(_cpu_s, perception)) - begun_cpu_s) / took_s,
+            (_waited_s(service.pid) - begun_wait_s) / took_s,
+        )
         n_lost = line.n_lost - n_lost_before
         service.stop()
     queued_s = {int(number): at_s for number, at_s in json.loads((folder / "queued.json").read_bytes()).items()}
-    late_s = [at_s - line.sent_s[2 * number + 1] for number, at_s in queued_s.items() if line.sent_s[2 * number + 1] >= begun_s]
+    late_s = [
+        at_s - line.sent_s[2 * number + 1]
+        for number, at_s in queued_s.items()
+        if line.sent_s[2 * number + 1] >= begun_s
+    ]
     return Latency(len(late_s), tuple((1e3 * np.percentile(late_s, _SPIKES)).tolist()), share, waited_share, n_lost)
 
 

@@ -1,4 +1,5 @@
-"""Measure what the chain and each of its steps find in the named scenes, and what the baseline finds in the same pings."""
+"""Measure what the chain and each of its steps find in the named scenes, and what the baseline finds in the same
+pings."""
 
 from __future__ import annotations
 
@@ -93,14 +94,19 @@ class FlownMission(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=int, default=3, help="missions per scene (default 3)")
-    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
+    parser.add_argument(
+        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
+    )
+    parser.add_argument(
+        "--first-seed", type=int, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})"
+    )
     parser.add_argument("--workers", type=int, default=2, help="missions flown at once (default 2)")
     parser.add_argument(
         "--detector",
         choices=get_args(Detector),
         default="cascade",
-        help="what the chain confirms: detections of the trained cascade, or of contrasts, as for a sonar without a model "
+        help="what the chain confirms: detections of the trained cascade, or of contrasts, as for a sonar without a "
+        "model "
         "(default cascade)",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
@@ -144,7 +150,10 @@ def run(arguments: argparse.Namespace) -> int:
     looks_s = [look_s for mission in pooled[last] for look_s in mission.looks_s]
     if looks_s:
         middle_ms, slow_ms = (1e3 * np.quantile(looks_s, (0.5, 0.99))).tolist()
-        print(f"\na look through all steps: {middle_ms:.0f} ms in the median, {slow_ms:.0f} ms at the 99th percentile of {len(looks_s)}")
+        print(
+            f"\na look through all steps: {middle_ms:.0f} ms in the median, {slow_ms:.0f} ms at the 99th percentile of "
+            f"{len(looks_s)}"
+        )
     print()
     print(laid_out(_SEABED_HEADER, list(_seabed_rows({system: scores[last, system] for system in SYSTEMS}))))
     if arguments.json is not None:
@@ -203,14 +212,18 @@ def as_after(contact: Contact, step: LookStep, prior: float) -> Contact:
     """Return the contact as it would be if no view had been confirmed beyond a step."""
     views = [
         msgspec.structs.replace(
-            view, p_mine=[p for name, p in view.p_by_step.items() if _ORDER[name] <= _ORDER[step]][-1], confirmation=None
+            view,
+            p_mine=[p for name, p in view.p_by_step.items() if _ORDER[name] <= _ORDER[step]][-1],
+            confirmation=None,
         )
         for view in contact.views
     ]
     return msgspec.structs.replace(contact, p_mine=fuse(views, prior).p_mine)
 
 
-def _costs_s(alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s: Mapping[LookStep, Sequence[float]]) -> dict[str, float]:
+def _costs_s(
+    alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s: Mapping[LookStep, Sequence[float]]
+) -> dict[str, float]:
     """Compute seconds up to and with each step.
 
     Contours of confirmations that went on cost what those of confirmations that ended there did.
@@ -226,7 +239,9 @@ def _costs_s(alone_s: Mapping[str, float], chain_s: Mapping[str, float], looks_s
     }
 
 
-def _fly_all(names: Sequence[str], seeds: Sequence[int], workers: int, detector: Detector) -> Iterator[tuple[str, FlownMission]]:
+def _fly_all(
+    names: Sequence[str], seeds: Sequence[int], workers: int, detector: Detector
+) -> Iterator[tuple[str, FlownMission]]:
     """Fly every scene with every seed, in order."""
     tasks = [(name, seed, detector) for name in names for seed in seeds]
     if workers == 1:
@@ -260,7 +275,14 @@ def _seabed_rows(scores: dict[System, Score]) -> Iterator[list[str]]:
                 if group.name == name:
                     alarms = group.false_alarms
                     area_text = NOTHING if alarms.area_km2 is None else f"{alarms.area_km2:.3f}"
-                    yield [name.replace("_", " "), system, str(group.pd.of), area_text, share_cell(group.pd), density_cell(alarms)]
+                    yield [
+                        name.replace("_", " "),
+                        system,
+                        str(group.pd.of),
+                        area_text,
+                        share_cell(group.pd),
+                        density_cell(alarms),
+                    ]
 
 
 def _step_rows(missions: Sequence[FlownMission], detector: Detector) -> Iterator[list[str]]:
@@ -281,7 +303,9 @@ def _step_rows(missions: Sequence[FlownMission], detector: Detector) -> Iterator
             share_cell(score.at_threshold.pd),
             density_cell(score.at_threshold.false_alarms),
             NOTHING if enough is None else density_cell(enough.false_alarms),
-            NOTHING if enough is None else density_cell(density(enough.false_alarms.count - enough.on_known_clutter, score.area_km2)),
+            NOTHING
+            if enough is None
+            else density_cell(density(enough.false_alarms.count - enough.on_known_clutter, score.area_km2)),
             n_looks,
             f"{seconds:.0f}",
         ]

@@ -65,15 +65,26 @@ class Scored(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})")
-    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)")
+    parser.add_argument(
+        "--first-seed",
+        type=count,
+        default=FIRST_SEED,
+        help=f"seed of each scene's first mission (default {FIRST_SEED})",
+    )
+    parser.add_argument(
+        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
+    )
     parser.add_argument("--model", type=Path, metavar="FILE", help="model to score (default: the one that ships)")
     parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the areas to FILE")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing"
+    )
     parser.add_argument("--log", type=Path, action="append", metavar="LOG", help="log to draw, repeatable")
-    parser.add_argument("--tiles", type=count, default=6, help="tiles drawn of each log, from its beginning (default 6)")
+    parser.add_argument(
+        "--tiles", type=count, default=6, help="tiles drawn of each log, from its beginning (default 6)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -93,12 +104,20 @@ def run(arguments: argparse.Namespace) -> int:
     tasks = [SeabedTask(name, seed, data) for name in names for seed in seeds]
     missions = list(_counted(run_tasks(scored, tasks, Farm(arguments.workers)), len(tasks)))
     by_scene = {
-        name: np.sum([each.confusion_m2 for task, each in zip(tasks, missions, strict=True) if task.scene == name], axis=0)
+        name: np.sum(
+            [each.confusion_m2 for task, each in zip(tasks, missions, strict=True) if task.scene == name], axis=0
+        )
         for name in names
     }
-    print(f"{len(seeds)} missions per scene, seeds {seeds[0]} to {seeds[-1]}; {parse_seabed_model(data, 'model').fitted_on}\n")
+    print(
+        f"{len(seeds)} missions per scene, seeds {seeds[0]} to {seeds[-1]}; "
+        f"{parse_seabed_model(data, 'model').fitted_on}\n"
+    )
     print(report(by_scene, arguments.markdown))
-    print(f"\nper tile, processor time: {1e3 * float(np.median([each.stage_s for each in missions])):.1f} ms in the median")
+    print(
+        f"\nper tile, processor time: {1e3 * float(np.median([each.stage_s for each in missions])):.1f} ms in the "
+        "median"
+    )
     if arguments.json is not None:
         areas = {name: area_m2.tolist() for name, area_m2 in by_scene.items()}
         try:
@@ -143,7 +162,11 @@ def report(by_scene: dict[str, Array], in_markdown: bool = False) -> str:
     rows = [_row(name, area_m2) for name, area_m2 in {**by_scene, "all": pooled}.items()]
     header = ("scene", "km²", "right", "unknown", "right where a kind is given")
     kinds = [
-        [name, *(f"{part / 1e6:.3f}" for part in pooled[index].tolist()), f"{pooled[index, index] / pooled[index].sum():.2f}"]
+        [
+            name,
+            *(f"{part / 1e6:.3f}" for part in pooled[index].tolist()),
+            f"{pooled[index, index] / pooled[index].sum():.2f}",
+        ]
         for index, name in enumerate(SEABED_TYPES)
         if pooled[index].sum() > 0.0
     ]
@@ -167,7 +190,9 @@ def _model_bytes(path: Path | None) -> bytes:
 
 
 def _draw(logs: Sequence[Path], n_tiles: int, out: Path, model: SeabedModel) -> int:
-    options = {".png": [cv2.IMWRITE_PNG_COMPRESSION, 9], ".jpg": [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]}.get(out.suffix.lower())
+    options = {".png": [cv2.IMWRITE_PNG_COMPRESSION, 9], ".jpg": [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]}.get(
+        out.suffix.lower()
+    )
     if options is None:
         raise UsageError(f"--picture {out}: name a file that ends in .png or .jpg")
     picture = encoded(seabed_picture(logs, n_tiles, model), out.suffix.lower(), options)

@@ -59,14 +59,19 @@ Speckle: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.uint64]], NDArray
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench simulate`."""
     parser.add_argument("--repeat", type=count, default=15, help="repetitions of each step (default 15)")
-    parser.add_argument("--minutes", type=duration_min, default=30.0, help="length of the mission that is streamed (default 30)")
+    parser.add_argument(
+        "--minutes", type=duration_min, default=30.0, help="length of the mission that is streamed (default 30)"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print; returns the exit code."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    print(f"CPU time of one core, C library: {backend.simulator_library().reason}, median of {arguments.repeat} interleaved repetitions\n")
+    print(
+        f"CPU time of one core, C library: {backend.simulator_library().reason}, median of {arguments.repeat} "
+        "interleaved repetitions\n"
+    )
     _print_rendering(arguments.repeat)
     _print_accuracy(arguments.repeat)
     _print_mission(arguments.minutes)
@@ -99,7 +104,9 @@ def _task(what: Scene, world: SimulatedFloor) -> RayTask:
     """Place pings to starboard every 5 cm along the western side of the square."""
     depth_m = what.world.depth_m - _ALTITUDE_M
     norths = np.arange(_N_PINGS) * (_SWATH_M / _N_PINGS)
-    poses = [SonarPose(0.0, 0.0, float(north), depth_m, 0.0, 0.0, 0.0, 0.0, what.track.speed_mps, 0) for north in norths]
+    poses = [
+        SonarPose(0.0, 0.0, float(north), depth_m, 0.0, 0.0, 0.0, 0.0, what.track.speed_mps, 0) for north in norths
+    ]
     fan = rays.fan(poses, np.zeros(_N_PINGS), what.sonar, what.world.depth_m, what.world.cell_m)
     starboard = fan.ping % 2 == 1
     fan = fan._replace(**{name: values[starboard] for name, values in fan._asdict().items() if name != "n_nodes"})
@@ -200,7 +207,9 @@ def _print_rendering(repeat: int) -> None:
 _SOLIDS: Final[dict[ObjectKind, Callable[[PlacedObject], Shape]]] = {
     "sphere": lambda p: Sphere(radius_m=0.5 * p.width_m),
     "cylinder": lambda p: Cylinder(radius_m=0.5 * p.width_m, length_m=p.length_m, azimuth_rad=p.azimuth_rad),
-    "truncated_cone": lambda p: TruncatedCone(base_radius_m=0.5 * p.width_m, top_radius_m=0.5 * p.top_m, height_m=p.height_m),
+    "truncated_cone": lambda p: TruncatedCone(
+        base_radius_m=0.5 * p.width_m, top_radius_m=0.5 * p.top_m, height_m=p.height_m
+    ),
     "wedge": lambda p: Wedge(length_m=p.length_m, width_m=p.width_m, height_m=p.height_m, azimuth_rad=p.azimuth_rad),
     "box": lambda p: Box(length_m=p.length_m, width_m=p.width_m, height_m=p.height_m, azimuth_rad=p.azimuth_rad),
 }
@@ -255,15 +264,23 @@ def _print_accuracy(repeat: int) -> None:
     for cell_m in _CELLS_M:
         what = _scene(cell_m, 1)
         tasks[cell_m] = _task(what, SimulatedFloor(what.world, what.seed))
-    medians = _medians_ms({f"{cell_m}": partial(_render_all, task, render_pings, None) for cell_m, task in tasks.items()}, repeat)
-    print(f"shadow ends against closed forms, {len(_SOLIDS)} shapes at 10 to 30 m, and {_N_PINGS} pings of {_SWATH_M:.0f} m")
+    medians = _medians_ms(
+        {f"{cell_m}": partial(_render_all, task, render_pings, None) for cell_m, task in tasks.items()}, repeat
+    )
+    print(
+        f"shadow ends against closed forms, {len(_SOLIDS)} shapes at 10 to 30 m, and {_N_PINGS} pings of "
+        f"{_SWATH_M:.0f} m"
+    )
     print(f"  {'cell':<16}{'rms error cm':>14}{'in cells':>10}{'worst cm':>10}{'ms':>10}")
     for cell_m in _CELLS_M:
         errors = _shadow_errors_m(cell_m)
         rms = float(np.sqrt(np.mean(errors**2)))
         worst = float(np.abs(errors).max())
         cost_ms = medians[f"{cell_m}"]
-        print(f"  {1e2 * cell_m:4.1f} cm{'':<9}{1e2 * rms:>14.1f}{rms / cell_m:>10.2f}{1e2 * worst:>10.1f}{cost_ms:>10.1f}")
+        print(
+            f"  {1e2 * cell_m:4.1f} "
+            f"cm{'':<9}{1e2 * rms:>14.1f}{rms / cell_m:>10.2f}{1e2 * worst:>10.1f}{cost_ms:>10.1f}"
+        )
     print()
 
 

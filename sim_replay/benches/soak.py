@@ -1,7 +1,8 @@
 """Run the service for long, and to a sudden end: memory, counters and tasks over a mission, and what SIGKILL costs.
 
-auv-mcm bench soak [--minutes MIN] [--speed X]   the real service between fake devices; memory over time, counters, tasks
-auv-mcm bench soak --kills N [--seed N]          killed N times: at most a second of the recording and no announced contact may be lost
+auv-mcm bench soak [--minutes MIN] [--speed X]   the real service between fake devices: memory, counters, tasks
+auv-mcm bench soak --kills N [--seed N]          killed N times: at most a second of the recording and no announced
+                                                 contact may be lost
 
 Service, perception and devices are processes of their own on virtual ports, as of auv-mcm hil. Exit code 5 if anything
 has died or is lost.
@@ -57,12 +58,16 @@ _SAMPLE_S: Final = 0.5
 _MAX_ROWS: Final = 12
 _PATIENCE_S: Final = 60.0  # for the last contacts of a mission, on a computer that has much else to do
 _BYTES_PER_MB: Final = 1e6
-_HEALTH: Final = re.compile(r"^(\S+)Z INFO health pings=(\d+) .*contacts=(\d+) clutter=(\d+) .*ports=(\S+)", re.MULTILINE)
+_HEALTH: Final = re.compile(
+    r"^(\S+)Z INFO health pings=(\d+) .*contacts=(\d+) clutter=(\d+) .*ports=(\S+)", re.MULTILINE
+)
 _TRACEBACK: Final = "Traceback (most recent call last):"
 _OVERRUN: Final = "port.overrun"
 _STOPPING: Final = " INFO stopping: "
 _CONTACT: Final = re.compile(r"^contact (\S+) (?:new|updated): (\S+), p_mine (\S+), (\S+) (\S+), (\d+) views$")
-_DEAD: Final = re.compile(r"Traceback|\bERROR\b|perception has taken no ping|notice (?:intake_failed|decoder_failed|session_\w+):")
+_DEAD: Final = re.compile(
+    r"Traceback|\bERROR\b|perception has taken no ping|notice (?:intake_failed|decoder_failed|session_\w+):"
+)
 _SERVICE: Final[dict[str, Any]] = {
     "service": {"source": "ports"},
     "ports": [
@@ -143,7 +148,9 @@ class KillOutcome(NamedTuple):
         if self.n_holes:
             found.append(f"{self.n_holes} messages are missing within the recording")
         if self.n_pings < self.n_pings_reported:
-            found.append(f"the recording has {self.n_pings} pings, but {self.n_pings_reported} were reported a second before")
+            found.append(
+                f"the recording has {self.n_pings} pings, but {self.n_pings_reported} were reported a second before"
+            )
         found += [f"announced but not in contacts.jsonl: {line}" for line in self.not_in_journal]
         return tuple(found)
 
@@ -152,7 +159,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--minutes", type=duration_min, default=5.0, help="length of the mission (default 5)")
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")
-    parser.add_argument("--speed", type=int, choices=range(3, 13), default=6, help="speed of the mission, times real time (default 6)")
+    parser.add_argument(
+        "--speed", type=int, choices=range(3, 13), default=6, help="speed of the mission, times real time (default 6)"
+    )
     parser.add_argument("--seed", type=count, default=1, help="seed of the moments of the kills (default 1)")
 
 
@@ -215,12 +224,15 @@ def _bench_kills(n_kills: int, seed: int, folder: Path) -> None:
     for kill in killed(n_kills, seed, folder):
         kills.append(kill)
         print(
-            f"{len(kills):>4}{kill.at_s:>9.2f}{kill.lost_s:>8.2f}{kill.n_bytes:>9}{kill.n_pings:>7}{kill.n_pings_reported:>10}{kill.n_contacts:>10}"
-            f"  {'; '.join(kill.problems) or 'none'}",
+            f"{len(kills):>4}{kill.at_s:>9.2f}{kill.lost_s:>8.2f}{kill.n_bytes:>9}{kill.n_pings:>7}"
+            f"{kill.n_pings_reported:>10}{kill.n_contacts:>10}  {'; '.join(kill.problems) or 'none'}",
             flush=True,
         )
     n_bad = sum(bool(kill.problems) for kill in kills)
-    print(f"\nlost at most {max(kill.lost_s for kill in kills):.2f} s; {sum(kill.n_contacts for kill in kills)} lines announced contacts")
+    print(
+        f"\nlost at most {max(kill.lost_s for kill in kills):.2f} s; {sum(kill.n_contacts for kill in kills)} lines "
+        "announced contacts"
+    )
     if n_bad:
         raise SelfCheckError(f"{n_bad} of {n_kills} kills cost more than they may; the table says what")
 
@@ -236,7 +248,9 @@ def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> KillOutcome:
             over.set()
         struck = striking.result()
     if struck is None or evidence.exit_code != -signal.SIGKILL:
-        raise HardwareError(f"the service ended (exit code {evidence.exit_code}) before it could be killed; see {folder / SERVICE_LOG}")
+        raise HardwareError(
+            f"the service ended (exit code {evidence.exit_code}) before it could be killed; see {folder / SERVICE_LOG}"
+        )
     results = folder / RESULTS / "latest"
     session = Session(results / "recording")
     heard = [recorded for recorded in session if recorded.direction == "in"]
@@ -296,7 +310,10 @@ def _bench_soak(minutes: float, speed: float, folder: Path) -> None:
         finally:
             over.set()
         watched = watching.result()
-    print(f"{duration_s / 60.0:.1f} min of mission at {speed:g} times real time; service, perception and 2 devices as processes\n")
+    print(
+        f"{duration_s / 60.0:.1f} min of mission at {speed:g} times real time; service, perception and 2 devices as "
+        "processes\n"
+    )
     _print_memory(watched.memory, speed)
     if watched.ending:
         service_bytes, perception_bytes = (max(found[index] for found in watched.ending) for index in (1, 2))
@@ -318,9 +335,16 @@ def _print_memory(memory: Sequence[Memory], speed: float) -> None:
     print(f"{'s':>8}{'service MB':>12}{'perception MB':>15}{'contacts':>10}")
     for index in np.unique(np.linspace(0, len(memory) - 1, _MAX_ROWS).astype(int)):
         at_s, service_bytes, perception_bytes, n_contacts = memory[index]
-        print(f"{at_s:>8.1f}{service_bytes / _BYTES_PER_MB:>12.1f}{perception_bytes / _BYTES_PER_MB:>15.1f}{n_contacts:>10}")
+        service_mb, perception_mb = service_bytes / _BYTES_PER_MB, perception_bytes / _BYTES_PER_MB
+        print(f"{at_s:>8.1f}{service_mb:>12.1f}{perception_mb:>15.1f}{n_contacts:>10}")
     # The first half fills caches. Medians, since memory that is used for a moment comes and goes.
-    late = np.array([np.median(part, axis=0) for part in np.array_split(np.asarray(memory[len(memory) // 2 :]), _MAX_ROWS) if len(part)])
+    late = np.array(
+        [
+            np.median(part, axis=0)
+            for part in np.array_split(np.asarray(memory[len(memory) // 2 :]), _MAX_ROWS)
+            if len(part)
+        ]
+    )
     mission_h = (late[:, 0] - late[0, 0]) * speed / 3600.0
     service, perception, contacts = np.polynomial.polynomial.polyfit(mission_h, late[:, 1:], 1)[1]
     print(
@@ -335,12 +359,18 @@ def _print_memory(memory: Sequence[Memory], speed: float) -> None:
 def print_counters(evidence: Evidence) -> list[str]:
     """Print all counters, and return the names of those that a sound run has no reason for."""
     unexplained = []
-    counters_of = {name: report.details for name, reports in evidence.reports.items() for report in reports if report.what == "counters"}
+    counters_of = {
+        name: report.details
+        for name, reports in evidence.reports.items()
+        for report in reports
+        if report.what == "counters"
+    }
     expected = dict(_EXPECTED)
     for name, counters in counters_of.items():
         if counters.get(_OVERRUN, 0):
             expected |= {
-                f"port.{name}.*.{what}": "messages that lost bytes on the line" for what in ("bytes_skipped", "refused.*", "lone_*")
+                f"port.{name}.*.{what}": "messages that lost bytes on the line"
+                for what in ("bytes_skipped", "refused.*", "lone_*")
             }
     print(f"{'count':>10}  {'counter':<36}reason")
     for name, n in sorted(evidence.summary.get("counters", {}).items()):
@@ -352,7 +382,10 @@ def print_counters(evidence: Evidence) -> list[str]:
         if n := counters.get("device.skipped", 0):
             print(f"{n:>10}  events that the fake device '{name}' left out, since the computer was too slow")
         if n := counters.get(_OVERRUN, 0):
-            print(f"{n:>10}  bytes that the line of the fake device '{name}' lost, since the computer was too slow to read them")
+            print(
+                f"{n:>10}  bytes that the line of the fake device '{name}' lost, since the computer was too slow to "
+                "read them"
+            )
     return unexplained
 
 
@@ -360,7 +393,11 @@ def found_dead(evidence: Evidence) -> list[str]:
     """List what did not live to the end of a run, with the evidence."""
     lines = [line.text for line in evidence.lines]
     dead = [] if evidence.exit_code == 0 else [f"the service ended with {evidence.exit_code}"]
-    dead += [line if line != _TRACEBACK else _raised(lines[index + 1 :]) for index, line in enumerate(lines) if _DEAD.search(line)]
+    dead += [
+        line if line != _TRACEBACK else _raised(lines[index + 1 :])
+        for index, line in enumerate(lines)
+        if _DEAD.search(line)
+    ]
     live = lines[: next((index for index, line in enumerate(lines) if _STOPPING in line), len(lines))]
     last = next((match for line in reversed(live) if (match := _HEALTH.match(line))), None)
     if last is None:

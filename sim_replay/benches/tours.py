@@ -73,13 +73,18 @@ def _tour_rows(n_worlds: int) -> list[str]:
                 plan = replan(world, _START, limits, None, _always)
                 shares.append(plan.gain_m2 / best)
                 bounds.append(plan.bound_m2 / best)
-        rows.append(f"{n_contacts:>9}{statistics.median(shares):>9.3f}{min(shares):>9.3f}{statistics.median(bounds):>17.2f}")
+        rows.append(
+            f"{n_contacts:>9}{statistics.median(shares):>9.3f}{min(shares):>9.3f}{statistics.median(bounds):>17.2f}"
+        )
     return rows
 
 
 def _survey_rows(n_worlds: int, yardstick_ms: float) -> list[str]:
     rows = [
-        f"{_SIDE_CELLS**2} open cells of mixed sea floor in a fence, required {_REQUIRED}; gain as a share of the upper bound",
+        (
+            f"{_SIDE_CELLS**2} open cells of mixed sea floor in a fence, required {_REQUIRED}; gain as a share of the "
+            "upper bound"
+        ),
         f"{'contacts':>9}{'time':>9}{'gain':>8}{'track':>9}{'ms':>8}{'yardsticks':>12}",
     ]
     for n_contacts in (0, 10, 40):
@@ -94,13 +99,17 @@ def _survey_rows(n_worlds: int, yardstick_ms: float) -> list[str]:
             gain = statistics.median(found.plan.gain_m2 / found.plan.bound_m2 for found in timed)
             track_m = statistics.median(found.plan.length_m for found in timed)
             ms = statistics.median(found.ms for found in timed)
-            rows.append(f"{n_contacts:>9}{limit_ms:>6.0f} ms{gain:>8.3f}{track_m:>7.0f} m{ms:>8.0f}{ms / yardstick_ms:>12.1f}")
+            rows.append(
+                f"{n_contacts:>9}{limit_ms:>6.0f} ms{gain:>8.3f}{track_m:>7.0f} m{ms:>8.0f}{ms / yardstick_ms:>12.1f}"
+            )
     return rows
 
 
 def _world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> SurveyState:
     """Draw a square whose eastern part is rippled, and contacts strewn over it."""
-    clearance = clearance_over(unsearched(_ORIGIN.latitude_deg, _ORIGIN.longitude_deg, _CELL_M), 0, 0, (_SIDE_CELLS, _SIDE_CELLS))
+    clearance = clearance_over(
+        unsearched(_ORIGIN.latitude_deg, _ORIGIN.longitude_deg, _CELL_M), 0, 0, (_SIDE_CELLS, _SIDE_CELLS)
+    )
     clearance.seabed[:] = SEABED_TYPES.index("flat")
     edge = int(generator.integers(0, _SIDE_CELLS))
     clearance.seabed[:, edge:] = SEABED_TYPES.index("ripple")
@@ -110,10 +119,18 @@ def _world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> Su
     places = generator.uniform(0.0, _SIDE_CELLS * _CELL_M, (n_contacts, 2))
     latitude, longitude, _ = _ORIGIN.to_geodetic(np.column_stack([places, np.zeros(n_contacts)]))
     contacts = tuple(
-        _contact(f"C{k:05d}", float(latitude[k]), float(longitude[k]), generator.uniform(0.1, 0.9), generator.uniform(0.0, 180.0))
+        _contact(
+            f"C{k:05d}",
+            float(latitude[k]),
+            float(longitude[k]),
+            generator.uniform(0.1, 0.9),
+            generator.uniform(0.0, 180.0),
+        )
         for k in range(n_contacts)
     )
-    return SurveyState(clearance, np.ones(clearance.looks.shape, dtype=np.bool_), _REQUIRED, shipped_performance(), contacts)
+    return SurveyState(
+        clearance, np.ones(clearance.looks.shape, dtype=np.bool_), _REQUIRED, shipped_performance(), contacts
+    )
 
 
 def _contact(name: str, latitude_deg: float, longitude_deg: float, p_mine: float, look_deg: float) -> Contact:
@@ -142,7 +159,9 @@ def _optimum_m2(world: SurveyState, limits: Limits) -> float:
     if not looks:
         return 0.0
     back = np.array([0.0, 0.0, math.pi])
-    ways = [way for look in looks for entry, leave in look.runs for way in ((entry, leave), (leave + back, entry + back))]
+    ways = [
+        way for look in looks for entry, leave in look.runs for way in ((entry, leave), (leave + back, entry + back))
+    ]
     entries, exits = np.array([entry for entry, _ in ways]), np.array([_START, *(leave for _, leave in ways)])
     runs_m: NDArray[np.float64] = np.hypot(*(exits[1:] - entries)[:, :2].T)
     cost = dubins_lengths(exits[:, np.newaxis], entries[np.newaxis], limits.turn_radius_m / math.cos(math.radians(7.5)))

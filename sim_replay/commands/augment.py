@@ -13,8 +13,10 @@ def add(commands: Commands) -> None:
         commands,
         "augment",
         "embed targets in a recorded log and write the log and the truth",
-        "Writes the log with the targets of SPEC in it, under its own name, and truth.json, for 'auv-mcm score'. The sea floor\n"
-        "around each place is inverted, so that shadows follow it and what stands before a target hides it. All samples that no\n"
+        "Writes the log with the targets of SPEC in it, under its own name, and truth.json, for 'auv-mcm score'. The "
+        "sea floor\n"
+        "around each place is inverted, so that shadows follow it and what stands before a target hides it. All "
+        "samples that no\n"
         "target changes stay as they are. The same log and SPEC give the same bytes.",
         [
             "auv-mcm augment mission.xtf --targets targets.yaml --out augmented",
@@ -22,11 +24,19 @@ def add(commands: Commands) -> None:
             "auv-mcm score results/contacts.geojson augmented/truth.json",
         ],
     )
-    parser.add_argument("log", metavar="LOG", type=Path, help="XTF file with side-scan pings; other formats are not written")
     parser.add_argument(
-        "--targets", metavar="SPEC", type=Path, required=True, help="YAML file: targets one by one, or how many to draw where"
+        "log", metavar="LOG", type=Path, help="XTF file with side-scan pings; other formats are not written"
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
+    parser.add_argument(
+        "--targets",
+        metavar="SPEC",
+        type=Path,
+        required=True,
+        help="YAML file: targets one by one, or how many to draw where",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there"
+    )
     parser.add_argument("--seabed", metavar="NAME", help="seabed type to name in the truth and in scores")
     add_config_option(parser)
     parser.set_defaults(command=_run)

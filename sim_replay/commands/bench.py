@@ -34,7 +34,10 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left, estimated against true"),
     "performance": ("benches.performance", "predicted against realised detection, by sea floor and range"),
-    "point": ("benches.point", "false alarms at the operating point against those requested, and Pd, on domains left out"),
+    "point": (
+        "benches.point",
+        "false alarms at the operating point against those requested, and Pd, on domains left out",
+    ),
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
@@ -47,7 +50,8 @@ def add(commands: Commands) -> None:
         commands,
         "bench",
         "measure speed, memory and what is found",
-        "\n".join(f"{name + ':':14}{does}" for name, (_, does) in BENCHES.items()) + "\n\nFurther arguments go to the bench.",
+        "\n".join(f"{name + ':':14}{does}" for name, (_, does) in BENCHES.items())
+        + "\n\nFurther arguments go to the bench.",
         ["auv-mcm bench waterfall mission.xtf", "auv-mcm bench scenes --help"],
     )
     parser.add_argument("bench", metavar="BENCH", choices=list(BENCHES), help="what to measure")
@@ -62,7 +66,9 @@ def _run(chosen: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if not (error.name or "").startswith("sim_replay.studies"):
             raise
-        raise UsageError(f"'{chosen.bench}' is a study, which is not installed: run it from a checkout of the sources") from error
+        raise UsageError(
+            f"'{chosen.bench}' is a study, which is not installed: run it from a checkout of the sources"
+        ) from error
     parser = Parser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure {does}.")
     bench.add_arguments(parser)
     return int(bench.run(parser.parse_args(chosen.arguments)))

@@ -17,9 +17,12 @@ from sim_replay.arguments import count
 _LAST_SEED: Final = 2**32 - 1
 
 _BUDGET: Final = (
-    "Measures what each unit of the chain's work costs on one core: stored samples, pixels, comparisons of the cascade, peaks\n"
-    "measured, moves of contours, hypotheses on solids. --write puts these prices and the duty into a configuration. A mission\n"
-    "counts its work by them and never looks at a clock. Run it on the vehicle's computer, with nothing else running; it takes\n"
+    "Measures what each unit of the chain's work costs on one core: stored samples, pixels, comparisons of the "
+    "cascade, peaks\n"
+    "measured, moves of contours, hypotheses on solids. --write puts these prices and the duty into a configuration. A "
+    "mission\n"
+    "counts its work by them and never looks at a clock. Run it on the vehicle's computer, with nothing else running; "
+    "it takes\n"
     "half a minute. --speed is for the summary of what the duty buys; a mission goes by its own speed."
 )
 
@@ -29,11 +32,14 @@ def add(commands: Commands) -> None:
         commands,
         "calibrate",
         "measure this computer, or the payload's own performance",
-        "background:   how the background of non-mines scores, from simulated missions; the file that ships was fitted so\n"
+        "background:   how the background of non-mines scores, from simulated missions; the file that ships was fitted "
+        "so\n"
         "budget:       what the chain's work costs on this computer; also without the word, with --speed\n"
-        "gate:         which places of a tile can become contacts and are worth measuring, from simulated missions; the file\n"
+        "gate:         which places of a tile can become contacts and are worth measuring, from simulated missions; "
+        "the file\n"
         "              that ships was fitted so\n"
-        "odds:         what each measurement of a detection says about the odds of a mine, from simulated missions; the\n"
+        "odds:         what each measurement of a detection says about the odds of a mine, from simulated missions; "
+        "the\n"
         "              weights that ship were fitted so\n"
         "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
         "              'detect.performance' of the configuration loads the file\n"
@@ -66,12 +72,21 @@ def _add_background(kinds: Commands) -> None:
         kinds,
         "background",
         "learn how the background of non-mines scores",
-        "Flies simulated missions through the named scenes, with both detectors, and fits how densely contacts on no mine reach each\n"
-        "log-odds, and how that differs from mission to mission. Fit it anew after new odds. The same seeds make the same model.",
-        ["auv-mcm calibrate background --out background.json", "auv-mcm calibrate background --seeds 1500-1501 --out background.json"],
+        "Flies simulated missions through the named scenes, with both detectors, and fits how densely contacts on no "
+        "mine reach each\n"
+        "log-odds, and how that differs from mission to mission. Fit it anew after new odds. The same seeds make the "
+        "same model.",
+        [
+            "auv-mcm calibrate background --out background.json",
+            "auv-mcm calibrate background --seeds 1500-1501 --out background.json",
+        ],
     )
     parser.add_argument(
-        "--seeds", metavar="FIRST-LAST", type=_seeds, default=range(1500, 1503), help="seeds of the missions (default 1500-1502)"
+        "--seeds",
+        metavar="FIRST-LAST",
+        type=_seeds,
+        default=range(1500, 1503),
+        help="seeds of the missions (default 1500-1502)",
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the model, JSON")
@@ -92,11 +107,19 @@ def _add_budget(kinds: Commands) -> None:
 
 def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     add_config_option(parser)
-    parser.add_argument("--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s")
     parser.add_argument(
-        "--duty", metavar="SHARE", type=_between(0.0, 1.0), default=0.25, help="budget.duty: of one core's time (default 0.25)"
+        "--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s"
     )
-    parser.add_argument("--write", metavar="FILE", type=Path, help="new file for the configuration with those prices and that duty")
+    parser.add_argument(
+        "--duty",
+        metavar="SHARE",
+        type=_between(0.0, 1.0),
+        default=0.25,
+        help="budget.duty: of one core's time (default 0.25)",
+    )
+    parser.add_argument(
+        "--write", metavar="FILE", type=Path, help="new file for the configuration with those prices and that duty"
+    )
 
 
 def _add_gate(kinds: Commands) -> None:
@@ -104,11 +127,19 @@ def _add_gate(kinds: Commands) -> None:
         kinds,
         "gate",
         "learn which places of a tile can become contacts",
-        "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine in the end\n"
-        "follow from the score, contrast and range of a place. Fit it anew after new odds. The same seeds make the same gate.",
+        "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine "
+        "in the end\n"
+        "follow from the score, contrast and range of a place. Fit it anew after new odds. The same seeds make the "
+        "same gate.",
         ["auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"],
     )
-    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, default=range(500, 501), help="seeds of the missions (default 500)")
+    parser.add_argument(
+        "--seeds",
+        metavar="FIRST-LAST",
+        type=_seeds,
+        default=range(500, 501),
+        help="seeds of the missions (default 500)",
+    )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the gate, JSON")
     parser.set_defaults(command=_run_gate)
@@ -119,7 +150,8 @@ def _add_odds(kinds: Commands) -> None:
         kinds,
         "odds",
         "learn the odds of a mine from what confirmation measures",
-        "Flies simulated missions through the named scenes, and fits the weights that turn measurements into p_mine. Prints how\n"
+        "Flies simulated missions through the named scenes, and fits the weights that turn measurements into p_mine. "
+        "Prints how\n"
         "they do on scenes left out, and what more missions would bring. The same seeds make the same weights.",
         [
             "auv-mcm calibrate odds --out odds.json",
@@ -127,13 +159,21 @@ def _add_odds(kinds: Commands) -> None:
         ],
     )
     parser.add_argument(
-        "--detector", choices=("cascade", "contrast"), default="cascade", help="detector whose odds to fit (default cascade)"
+        "--detector",
+        choices=("cascade", "contrast"),
+        default="cascade",
+        help="detector whose odds to fit (default cascade)",
     )
     parser.add_argument("--seeds", metavar="N", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument(
-        "--crowded", metavar="N", type=count, help="further missions per scene with 3 times as many mines and rocks (default none)"
+        "--crowded",
+        metavar="N",
+        type=count,
+        help="further missions per scene with 3 times as many mines and rocks (default none)",
     )
-    parser.add_argument("--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)")
+    parser.add_argument(
+        "--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)"
+    )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the weights, JSON")
     parser.set_defaults(command=_run_odds)
@@ -144,7 +184,8 @@ def _add_performance(kinds: Commands) -> None:
         kinds,
         "performance",
         "fit the probability that one look finds a mine",
-        "Flies simulated missions full of targets over all seabed types, and fits the probability that one look finds a mine\n"
+        "Flies simulated missions full of targets over all seabed types, and fits the probability that one look finds "
+        "a mine\n"
         "to the outcome of each look. The same seeds make the same tables, here or on a dask cluster.",
         [
             "auv-mcm calibrate performance --out performance.json",
@@ -162,8 +203,10 @@ def _add_seabed(kinds: Commands) -> None:
         kinds,
         "seabed",
         "fit the look of seabed types",
-        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. Seeds from\n"
-        "4000 on fly missions like the named scenes, lower ones know nothing of them. The same seeds make the same model.",
+        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. "
+        "Seeds from\n"
+        "4000 on fly missions like the named scenes, lower ones know nothing of them. The same seeds make the same "
+        "model.",
         ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json"],
     )
     _add_mission_options(parser, "3000-3049 and 4000-4079")
@@ -173,13 +216,18 @@ def _add_seabed(kinds: Commands) -> None:
 def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
     parser.add_argument("--out", metavar="FILE", type=Path, help="new file for the result, JSON")
     parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help=f"seeds of the missions (default {seeds})")
-    parser.add_argument("--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)")
+    parser.add_argument(
+        "--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)"
+    )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
 
 
 def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
-        parser.error("choose what to calibrate: background, budget, gate, odds, performance or seabed; or give --speed for the budget")
+        parser.error(
+            "choose what to calibrate: background, budget, gate, odds, performance or seabed; or give --speed for the "
+            "budget"
+        )
     return _run_budget(arguments)
 
 

@@ -15,9 +15,12 @@ def add(commands: Commands) -> None:
         commands,
         "hil",
         "run the service between fake devices with faults, and judge what it does",
-        "A SCENARIO is a YAML file or the name of one that ships with the package (--list). It says which devices are at which\n"
-        "virtual ports, what goes wrong when, and what is expected of the service then. Service and devices run as processes\n"
-        "of their own, and all are gone when the command ends. One line per expectation, and verdict.json for scripts; exit\n"
+        "A SCENARIO is a YAML file or the name of one that ships with the package (--list). It says which devices are "
+        "at which\n"
+        "virtual ports, what goes wrong when, and what is expected of the service then. Service and devices run as "
+        "processes\n"
+        "of their own, and all are gone when the command ends. One line per expectation, and verdict.json for scripts; "
+        "exit\n"
         "code 5 if any is not met.",
         [
             "auv-mcm hil --list",
@@ -26,9 +29,15 @@ def add(commands: Commands) -> None:
             "auv-mcm hil --all                                     every scenario that ships, 16 minutes in all",
         ],
     )
-    parser.add_argument("scenarios", metavar="SCENARIO", nargs="*", help="YAML file, or name of a scenario that ships with the package")
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("hil-out"), help="logs and results, a directory per scenario (default hil-out)"
+        "scenarios", metavar="SCENARIO", nargs="*", help="YAML file, or name of a scenario that ships with the package"
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("hil-out"),
+        help="logs and results, a directory per scenario (default hil-out)",
     )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
@@ -62,7 +71,9 @@ def _run(arguments: argparse.Namespace) -> int:
         print(as_table(verdicts), end="\n\n", flush=True)
         write_json(folder / "verdict.json", [verdict._asdict() for verdict in verdicts])
         if not all(verdict.passed for verdict in verdicts):
-            failed.append(f"{read.name} ({sum(not verdict.passed for verdict in verdicts)} of {len(verdicts)}; see {folder})")
+            failed.append(
+                f"{read.name} ({sum(not verdict.passed for verdict in verdicts)} of {len(verdicts)}; see {folder})"
+            )
     if failed:
         raise SelfCheckError(f"expectations were not met: {', '.join(failed)}")
     return 0

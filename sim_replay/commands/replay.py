@@ -17,9 +17,11 @@ def add(commands: Commands) -> None:
         "replay recorded missions and write contacts, maps and a report",
         "Writes contacts.geojson, contacts.csv, contacts.kml, waypoints.geojson, coverage.geojson, summary.json,\n"
         "report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay\n"
-        "in the same directory are replaced. Several logs are one mission, taken in order of time. EdgeTech (.jsf) and\n"
+        "in the same directory are replaced. Several logs are one mission, taken in order of time. EdgeTech (.jsf) "
+        "and\n"
         "SonarView (.svlog) logs go through the decoders of the live ports. A session that\n"
-        "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with unless\n"
+        "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with "
+        "unless\n"
         "another is given.",
         [
             "auv-mcm replay mission.xtf --out results",
@@ -33,9 +35,14 @@ def add(commands: Commands) -> None:
         metavar="LOG",
         nargs="+",
         type=Path,
-        help="XTF, JSF or svlog file, or a recorded session: its folder or an .mcap file of it; the format is recognised by content",
+        help=(
+            "XTF, JSF or svlog file, or a recorded session: its folder or an .mcap file of it; the format is "
+            "recognised by content"
+        ),
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there"
+    )
     add_config_option(parser)
     parser.add_argument(
         "--exhaustive",
@@ -50,10 +57,17 @@ def add(commands: Commands) -> None:
         help="switch one skip off, repeatable: " + "; ".join(f"{skip.name} ({skip.leaves_out})" for skip in SKIPS),
     )
     parser.add_argument(
-        "--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work; the contacts are the same (default 1)"
+        "--threads",
+        metavar="N",
+        type=whole(1, 64),
+        default=1,
+        help="threads that share the work; the contacts are the same (default 1)",
     )
     parser.add_argument(
-        "--speed", choices=("real", "max"), default="max", help="real: as fast as it was recorded; max: as fast as possible (default)"
+        "--speed",
+        choices=("real", "max"),
+        default="max",
+        help="real: as fast as it was recorded; max: as fast as possible (default)",
     )
     parser.add_argument(
         "--chunk-bytes",
@@ -86,8 +100,14 @@ def _run(arguments: argparse.Namespace) -> int:
         )
     speed = f", {summary['times_real_time']:g} times real time" if summary["times_real_time"] else ""
     print(f"{summary['pings']} pings in {summary['duration_s']:.0f} s over {summary['distance_m']:.0f} m{speed}")
-    print(f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; {summary['covered_km2']:g} km² covered")
+    print(
+        f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; "
+        f"{summary['covered_km2']:g} km² covered"
+    )
     for notice in summary["notices"]:
-        print(f"notice: {notice['text']}" + (f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else ""))
+        print(
+            f"notice: {notice['text']}"
+            + (f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else "")
+        )
     print(f"report: {clean(str(arguments.out / 'report.html'))}")
     return 0

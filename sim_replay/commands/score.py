@@ -14,22 +14,38 @@ def add(commands: Commands) -> None:
         commands,
         "score",
         "score contacts against the truth: detections, false alarms, errors",
-        "Takes pairs of a contacts.geojson and a truth.json; several pairs are pooled. Prints Pd with Wilson and false alarms\n"
+        "Takes pairs of a contacts.geojson and a truth.json; several pairs are pooled. Prints Pd with Wilson and false "
+        "alarms\n"
         "per km² with exact Poisson intervals (95 %) over thresholds of p_mine, and where they come from.",
         [
             "auv-mcm score results/contacts.geojson sim/truth.json",
-            "auv-mcm score r1/contacts.geojson s1/truth.json r2/contacts.geojson s2/truth.json --json score.json --plot froc.png",
+            (
+                "auv-mcm score r1/contacts.geojson s1/truth.json r2/contacts.geojson s2/truth.json --json score.json "
+                "--plot froc.png"
+            ),
         ],
     )
-    parser.add_argument("files", metavar="FILE", nargs="+", type=Path, help="contacts.geojson and truth.json of each mission, in pairs")
     parser.add_argument(
-        "--gate-m", metavar="M", type=float, default=2.0, help="maximum distance of a contact from its object, m (default 2)"
+        "files", metavar="FILE", nargs="+", type=Path, help="contacts.geojson and truth.json of each mission, in pairs"
     )
     parser.add_argument(
-        "--threshold", metavar="P", type=float, default=0.5, help="minimum p_mine of a contact that counts as a call (default 0.5)"
+        "--gate-m",
+        metavar="M",
+        type=float,
+        default=2.0,
+        help="maximum distance of a contact from its object, m (default 2)",
+    )
+    parser.add_argument(
+        "--threshold",
+        metavar="P",
+        type=float,
+        default=0.5,
+        help="minimum p_mine of a contact that counts as a call (default 0.5)",
     )
     parser.add_argument("--json", metavar="PATH", type=Path, help="write everything as JSON, too")
-    parser.add_argument("--plot", metavar="PATH", type=Path, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)")
+    parser.add_argument(
+        "--plot", metavar="PATH", type=Path, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)"
+    )
     parser.set_defaults(command=_run)
 
 

@@ -15,7 +15,8 @@ def add(commands: Commands) -> None:
         commands,
         "simulate",
         "fly a simulated mission and write its log and the truth",
-        "Writes mission.xtf, for 'auv-mcm replay', and truth.json, for 'auv-mcm score'. SCENE is a YAML file or the name of a\n"
+        "Writes mission.xtf, for 'auv-mcm replay', and truth.json, for 'auv-mcm score'. SCENE is a YAML file or the "
+        "name of a\n"
         "scene that ships with the package (--list). The same scene and seed give the same bytes.",
         [
             "auv-mcm simulate --list",
@@ -23,13 +24,22 @@ def add(commands: Commands) -> None:
             "auv-mcm simulate my-scene.yaml --out sim --seed 7",
         ],
     )
-    parser.add_argument("scene", metavar="SCENE", nargs="?", help="YAML file, or name of a scene that ships with the package")
+    parser.add_argument(
+        "scene", metavar="SCENE", nargs="?", help="YAML file, or name of a scene that ships with the package"
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help="directory for the results, made if it is not there")
     parser.add_argument(
-        "--seed", metavar="N", type=whole(0, 2**32 - 1), help="seed to use instead of the scene's own: other speckle, other drawn objects"
+        "--seed",
+        metavar="N",
+        type=whole(0, 2**32 - 1),
+        help="seed to use instead of the scene's own: other speckle, other drawn objects",
     )
     parser.add_argument(
-        "--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work; the bytes are the same (default 1)"
+        "--threads",
+        metavar="N",
+        type=whole(1, 64),
+        default=1,
+        help="threads that share the work; the bytes are the same (default 1)",
     )
     parser.add_argument("--list", action="store_true", help="list the scenes that ship with the package")
     parser.set_defaults(command=_run)

@@ -17,7 +17,8 @@ def add(commands: Commands) -> None:
         commands,
         "train",
         "train the detector's cascade from simulated missions and augmented logs",
-        "Renders labelled tiles as a YAML file says, or takes those of a folder, and writes a model file for 'detect.model'.\n"
+        "Renders labelled tiles as a YAML file says, or takes those of a folder, and writes a model file for "
+        "'detect.model'.\n"
         "Without a SPEC the set that ships is rendered. The same files and seeds give the same bytes on one platform.",
         [
             "auv-mcm train --out model.json",
@@ -25,19 +26,38 @@ def add(commands: Commands) -> None:
             "auv-mcm train theatre.yaml --out model.json --scheduler tcp://10.0.0.1:8786",
         ],
     )
-    parser.add_argument("spec", nargs="?", type=Path, metavar="SPEC", help="YAML file: what to render (default: the set that ships)")
+    parser.add_argument(
+        "spec", nargs="?", type=Path, metavar="SPEC", help="YAML file: what to render (default: the set that ships)"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="new file for the model, JSON")
-    parser.add_argument("--tiles", type=Path, metavar="DIR", help="folder of the tiles; rendered into it unless it holds those of the spec")
+    parser.add_argument(
+        "--tiles",
+        type=Path,
+        metavar="DIR",
+        help="folder of the tiles; rendered into it unless it holds those of the spec",
+    )
     parser.add_argument(
         "--kind",
         choices=("soft", "stages", "classical"),
         default="soft",
-        help="soft cascade; for comparison: stages as in the source paper, or a discriminant on classical features (default soft)",
+        help=(
+            "soft cascade; for comparison: stages as in the source paper, or a discriminant on classical features "
+            "(default soft)"
+        ),
     )
     parser.add_argument(
-        "--stumps", metavar="N", type=whole(1, _MAX_COUNT), help="stumps of a soft cascade (default: as the model that ships)"
+        "--stumps",
+        metavar="N",
+        type=whole(1, _MAX_COUNT),
+        help="stumps of a soft cascade (default: as the model that ships)",
     )
-    parser.add_argument("--workers", metavar="N", type=whole(1, _MAX_COUNT), default=2, help="tasks at once on this computer (default 2)")
+    parser.add_argument(
+        "--workers",
+        metavar="N",
+        type=whole(1, _MAX_COUNT),
+        default=2,
+        help="tasks at once on this computer (default 2)",
+    )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run the tasks on a dask cluster, tcp://HOST:PORT")
     parser.set_defaults(command=_run)
 

@@ -34,7 +34,10 @@ _SETTLE_S: Final = 0.3  # for the host to open the port
 def main() -> int:
     parser = Parser(prog="python -m sim_replay.fakes", description="Play a mission as one device on a port.")
     parser.add_argument(
-        "job", metavar="JOB", type=Path, help="YAML: name, folder, device, log or scene, ...; or devices, folder, scene, ..."
+        "job",
+        metavar="JOB",
+        type=Path,
+        help="YAML: name, folder, device, log or scene, ...; or devices, folder, scene, ...",
     )
     parser.add_argument("--now", action="store_true", help="begin at once instead of at a start line on standard input")
     arguments = parser.parse_args()

@@ -1,4 +1,5 @@
-"""Put the controller of a fake vehicle on its wire, report its commands and actions, and corrupt its output on request."""
+"""Put the controller of a fake vehicle on its wire, report its commands and actions, and corrupt its output on
+request."""
 
 from __future__ import annotations
 

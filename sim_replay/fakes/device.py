@@ -40,7 +40,11 @@ from sim_replay.fakes.sonar import DeviceTime, FakeSonar, JsfSonar, PingProtocol
 from sim_replay.fakes.wires import DeviceWire, Weather, make_wire, opened
 from sim_replay.fakes.worst_bytes import WORST_BYTES
 
-SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {"ping_protocol": PingProtocolSonar, "jsf": JsfSonar, "sportscan": SportScanSonar}
+SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {
+    "ping_protocol": PingProtocolSonar,
+    "jsf": JsfSonar,
+    "sportscan": SportScanSonar,
+}
 
 _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves something out
 _HELD_S: Final = 0.02  # 0.12 m at 6 m/s: a vehicle waits for a later device
@@ -139,7 +143,9 @@ class FakeDevice:
         """Let the controller send before its vehicle flies."""
         while self._controller is not None and self._standing is not None:
             now_s = time.monotonic()
-            for message in self._controller.tick(structs.replace(self._standing, time_s=self._time(now_s).utc_s), now_s):
+            for message in self._controller.tick(
+                structs.replace(self._standing, time_s=self._time(now_s).utc_s), now_s
+            ):
                 await self.wire.send(message)
             await asyncio.sleep(_TICK_S)
 
@@ -285,7 +291,11 @@ class FakeDevice:
 
 def _travel_s(ping: Ping) -> float:
     """Return the travel time of sound to the end of the trace and back; nothing can be sent before."""
-    ends_m = [trace.first_range_m + trace.spacing_m * trace.samples.shape[0] for trace in (ping.port, ping.starboard) if trace is not None]
+    ends_m = [
+        trace.first_range_m + trace.spacing_m * trace.samples.shape[0]
+        for trace in (ping.port, ping.starboard)
+        if trace is not None
+    ]
     return 2.0 * max(ends_m, default=0.0) / ping.sound_speed_mps
 
 

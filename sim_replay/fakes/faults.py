@@ -53,7 +53,11 @@ class Faults:
         return happens
 
     def _delay_s(self) -> float:
-        return float(self._random.uniform(0.0, self._rates.delay_s)) if self._happens(self._rates.delay, "delayed") else 0.0
+        return (
+            float(self._random.uniform(0.0, self._rates.delay_s))
+            if self._happens(self._rates.delay, "delayed")
+            else 0.0
+        )
 
     def _damaged(self, message: bytes) -> bytes:
         rates = self._rates

@@ -44,7 +44,10 @@ def mission_events(log: Path | None, scene: str | None) -> Iterator[SourceEvent]
     mission = Mission(read_scene(scene))
     samples = complete(mission.sea.recorder).samples
     if samples.startswith("log"):
-        raise UsageError(f"scene {scene} stores '{samples}', but fake sonars are fed with amplitudes: give sonar.samples an amplitude")
+        raise UsageError(
+            f"scene {scene} stores '{samples}', but fake sonars are fed with amplitudes: give sonar.samples an "
+            "amplitude"
+        )
     return mission.events()
 
 
@@ -53,7 +56,8 @@ def _of_amplitudes(event: SourceEvent) -> SourceEvent:
     if not isinstance(event, Ping) or event.transfer != "intensity":
         return event
     port, starboard = (
-        None if trace is None else structs.replace(trace, samples=np.sqrt(trace.samples)) for trace in (event.port, event.starboard)
+        None if trace is None else structs.replace(trace, samples=np.sqrt(trace.samples))
+        for trace in (event.port, event.starboard)
     )
     return structs.replace(event, port=port, starboard=starboard, transfer="amplitude")
 

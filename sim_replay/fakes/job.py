@@ -95,7 +95,9 @@ class Flood(_Fault, frozen=True, kw_only=True, tag="flood"):
     bytes_per_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 100_000.0
 
 
-Fault: TypeAlias = Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset | Revoke | Nonsense | Flood
+Fault: TypeAlias = (
+    Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset | Revoke | Nonsense | Flood
+)
 
 
 class Device(_Record, frozen=True, kw_only=True):
@@ -120,21 +122,30 @@ class Device(_Record, frozen=True, kw_only=True):
         bauds = [self.baud, self.host_baud, *(fault.baud for fault in self.faults if isinstance(fault, WrongBaud))]
         for baud in bauds:
             if baud is not None and baud not in BAUD_RATES:
-                raise ValueError(f"a rate of {baud} baud is not standard; give one of {', '.join(map(str, BAUD_RATES))}")
+                raise ValueError(
+                    f"a rate of {baud} baud is not standard; give one of {', '.join(map(str, BAUD_RATES))}"
+                )
         if self.bus_bitrate not in CAN_BITRATES:
-            raise ValueError(f"a bus of {self.bus_bitrate} bit/s is not standard; give one of {', '.join(map(str, CAN_BITRATES))}")
+            raise ValueError(
+                f"a bus of {self.bus_bitrate} bit/s is not standard; give one of {', '.join(map(str, CAN_BITRATES))}"
+            )
         serial = self.link in ("serial", "slcan")
         for fault in self.faults:
             if isinstance(fault, WrongBaud) and not serial:
                 raise ValueError(f"a link '{self.link}' has no baud rate that could be wrong")
             if isinstance(fault, Freeze | Offset) and (self.is_sonar or self.is_vehicle):
-                raise ValueError(f"a device '{self.device}' is not a navigation unit; freeze and offset need one. Remove the fault")
+                raise ValueError(
+                    f"a device '{self.device}' is not a navigation unit; freeze and offset need one. Remove the fault"
+                )
             if not self.is_vehicle and (isinstance(fault, Revoke | Nonsense) or fault.after == "grant"):
                 raise ValueError(
-                    f"a device '{self.device}' is not a vehicle; revoke, nonsense and 'after: grant' need one. Remove the fault"
+                    f"a device '{self.device}' is not a vehicle; revoke, nonsense and 'after: grant' need one. Remove "
+                    "the fault"
                 )
         if self.beside is not None and (not self.is_vehicle or (self.beside in CAN_DEVICES) != (self.link == "slcan")):
-            raise ValueError(f"a unit '{self.beside}' cannot share the wire of a device '{self.device}' on a link '{self.link}'")
+            raise ValueError(
+                f"a unit '{self.beside}' cannot share the wire of a device '{self.device}' on a link '{self.link}'"
+            )
 
     @property
     def is_sonar(self) -> bool:
@@ -169,7 +180,10 @@ class VehicleJob(_Record, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if (n_vehicles := sum(device.is_vehicle for device in self.devices.values())) != 1:
-            raise ValueError(f"`devices` has {n_vehicles} controllers of vehicles: a vehicle has one, one of {', '.join(VEHICLE_NAMES)}")
+            raise ValueError(
+                f"`devices` has {n_vehicles} controllers of vehicles: a vehicle has one, one of "
+                f"{', '.join(VEHICLE_NAMES)}"
+            )
 
 
 def read_job(path: Path) -> Job | VehicleJob:
@@ -177,7 +191,9 @@ def read_job(path: Path) -> Job | VehicleJob:
 
     Raises UsageError with the path of a key that is not understood.
     """
-    data = load_mapping(read_text(path, "job of a fake device"), str(path), "expected keys such as 'name:' and 'device:'")
+    data = load_mapping(
+        read_text(path, "job of a fake device"), str(path), "expected keys such as 'name:' and 'device:'"
+    )
     kind: type[Job] | type[VehicleJob] = VehicleJob if "devices" in data else Job
     try:
         return msgspec.convert(data, kind)

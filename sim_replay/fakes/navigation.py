@@ -19,7 +19,9 @@ Message: TypeAlias = bytes | CanFrame
 _DAY_S: Final = 86_400.0
 _N_SID: Final = 253
 _N2K_ADDRESS: Final = 12
-_N2K_NAME: Final = 0xC0_32_82_00_1B_E0_04_D2  # a GNSS and attitude sensor of marine industry, manufacturer 223, number 1234
+_N2K_NAME: Final = (
+    0xC0_32_82_00_1B_E0_04_D2  # a GNSS and attitude sensor of marine industry, manufacturer 223, number 1234
+)
 _CLAIM_EVERY: Final = 50  # samples
 _TURN: Final = 2.0 * math.pi
 
@@ -39,7 +41,9 @@ class Nmea0183Unit:
         day, time_of_day_s = divmod(utc_s, _DAY_S)
         has_place = math.isfinite(sample.latitude_deg) and math.isfinite(sample.longitude_deg)
         records: list[sentences.Record] = [
-            sentences.Gga(time_of_day_s, sample.latitude_deg, sample.longitude_deg, 4.0 if has_place else 0.0, 12.0, 0.8),
+            sentences.Gga(
+                time_of_day_s, sample.latitude_deg, sample.longitude_deg, 4.0 if has_place else 0.0, 12.0, 0.8
+            ),
             sentences.Vtg(sample.heading_rad % _TURN, sample.speed_mps, "A"),
             sentences.Pashr(time_of_day_s, sample.heading_rad % _TURN, sample.roll_rad, sample.pitch_rad),
             sentences.Zda(time_of_day_s, day),
@@ -88,7 +92,8 @@ class FakePd6Unit:
 
 
 class FakeWaterLinkedUnit:
-    """Simulate a Water Linked DVL: velocity, altitude, attitude, and its own dead reckoning, which stays at its start."""
+    """Simulate a Water Linked DVL: velocity, altitude, attitude, and its own dead reckoning, which stays at its
+    start."""
 
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
         good = math.isfinite(sample.speed_mps)
@@ -101,7 +106,9 @@ class FakeWaterLinkedUnit:
         message = dvl_water_linked.message_of(velocity)
         angles = sample.roll_rad, sample.pitch_rad, sample.heading_rad % _TURN
         if all(map(math.isfinite, angles)):
-            message += dvl_water_linked.message_of(dvl_water_linked.WaterLinkedAttitude(utc_s, 0.0, 0.0, 0.0, 0.1, *angles, 0))
+            message += dvl_water_linked.message_of(
+                dvl_water_linked.WaterLinkedAttitude(utc_s, 0.0, 0.0, 0.0, 0.1, *angles, 0)
+            )
         return [message]
 
 

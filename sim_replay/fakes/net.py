@@ -1,4 +1,5 @@
-"""Put devices on a network cable: a TCP server and a sender of UDP datagrams, with the faults of a serial port's fake."""
+"""Put devices on a network cable: a TCP server and a sender of UDP datagrams, with the faults of a serial port's
+fake."""
 
 from __future__ import annotations
 

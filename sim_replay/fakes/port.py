@@ -20,7 +20,9 @@ from sim_replay.fakes.uart import misread
 _SLICE_S: Final = 0.002  # on the line at once
 _BITS_PER_BYTE: Final = 10
 _KERNEL_BYTES: Final = 640 * 1024  # that Linux keeps for the reader of a tty (tty_buffer.c, TTYB_DEFAULT_MEM_LIMIT)
-_BAUD_OF: Final = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()}
+_BAUD_OF: Final = {
+    getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
+}
 
 
 class FakePort:
@@ -36,7 +38,9 @@ class FakePort:
     were lost while unplugged or stalled), port.received.
     """
 
-    def __init__(self, path: Path, baud: int, faults: Faults | None = None, on_bytes: Callable[[bytes], None] | None = None) -> None:
+    def __init__(
+        self, path: Path, baud: int, faults: Faults | None = None, on_bytes: Callable[[bytes], None] | None = None
+    ) -> None:
         self.path = path
         self.baud = baud
         self.stalled = False
@@ -54,7 +58,8 @@ class FakePort:
 
     @property
     def host_baud(self) -> int:
-        """Return the rate the host has set, 0 for one that Linux has no name for. Raises RuntimeError while unplugged."""
+        """Return the rate the host has set, 0 for one that Linux has no name for. Raises RuntimeError while
+        unplugged."""
         if not self.plugged:
             raise RuntimeError(f"{self.path}: no rate is set while the port is unplugged; plug it first")
         return _BAUD_OF.get(termios.tcgetattr(self._master)[5], 0)

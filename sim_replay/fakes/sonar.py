@@ -12,7 +12,15 @@ from auv_mcm.records import EchoTrace, Ping
 from drivers.framing import Framer
 from drivers.sonar import jsf_messages as jsf
 from drivers.sonar import ping_messages as ping_protocol
-from drivers.sonar.imagenex import BOTH, COMMAND_BYTES, RANGES_M, IgxReturn, SwitchCommand, decode_command, encode_return
+from drivers.sonar.imagenex import (
+    BOTH,
+    COMMAND_BYTES,
+    RANGES_M,
+    IgxReturn,
+    SwitchCommand,
+    decode_command,
+    encode_return,
+)
 from drivers.sonar.jsf import HIGH_FREQUENCY, JsfGrammar
 from drivers.sonar.ping_protocol import PingGrammar
 
@@ -68,7 +76,9 @@ class PingProtocolSonar:
         if command is None:
             return ""
         gain = "automatic gain" if command.gain_index < 0 else f"gain {command.gain_index}"
-        return f"{'on' if command.enable else 'off'}, {command.length_mm / 1e3:g} m, {gain}, {command.num_results} results"
+        return (
+            f"{'on' if command.enable else 'off'}, {command.length_mm / 1e3:g} m, {gain}, {command.num_results} results"
+        )
 
     def power_up(self) -> None:
         self._framer = Framer(PingGrammar())
@@ -90,7 +100,11 @@ class PingProtocolSonar:
     def _answer(self, message: ping_protocol.PingMessage) -> bytes | None:
         match ping_protocol.decode(message):
             case ping_protocol.OsPingParams() as command:
-                if not (1_000 <= command.length_mm <= 200_000 and 200 <= command.num_results <= 1200 and -1 <= command.gain_index <= 7):
+                if not (
+                    1_000 <= command.length_mm <= 200_000
+                    and 200 <= command.num_results <= 1200
+                    and -1 <= command.gain_index <= 7
+                ):
                     return ping_protocol.encode(ping_protocol.Nack(message.message_id, "out of range"))
                 self._parameters = command
                 return ping_protocol.encode(ping_protocol.Ack(message.message_id))
@@ -105,7 +119,9 @@ class PingProtocolSonar:
                 return ping_protocol.encode(ping_protocol.Nack(requested, "not known here"))
         return None
 
-    def _profile(self, command: ping_protocol.OsPingParams, number: int, channel: int, trace: EchoTrace, time: DeviceTime) -> bytes:
+    def _profile(
+        self, command: ping_protocol.OsPingParams, number: int, channel: int, trace: EchoTrace, time: DeviceTime
+    ) -> bytes:
         spacing_m = 1e-3 * command.length_mm / command.num_results
         amplitude = resampled(trace, 1e-3 * command.start_mm + 0.5 * spacing_m, spacing_m, command.num_results)
         intensity = np.square(amplitude)
@@ -161,7 +177,9 @@ class JsfSonar:
         return [self._data(ping, number, channel, trace, time.utc_s) for channel, trace in sides if trace is not None]
 
     def heard(self, data: bytes, time: DeviceTime) -> list[bytes]:
-        return [answer for framed in self._framer.feed(data) if (answer := self._answer(framed.message, time)) is not None]
+        return [
+            answer for framed in self._framer.feed(data) if (answer := self._answer(framed.message, time)) is not None
+        ]
 
     def _answer(self, message: jsf.JsfMessage, time: DeviceTime) -> bytes | None:
         if message.message_type == jsf.SYSTEM_TIME and message.command == jsf.Command.GET:

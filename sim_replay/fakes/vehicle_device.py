@@ -72,19 +72,25 @@ class FakeVehicle:
     def __init__(self, job: VehicleJob, report: ReportOf, make_controller: MakeController | None = None) -> None:
         scene = read_scene(job.scene)
         if scene.sonar.synthetic_aperture is not None:
-            raise UsageError(f"scene {job.scene}: a synthetic aperture is made of whole legs and cannot be steered; leave it out")
+            raise UsageError(
+                f"scene {job.scene}: a synthetic aperture is made of whole legs and cannot be steered; leave it out"
+            )
         self._name, controls = next((name, device) for name, device in job.devices.items() if device.is_vehicle)
         self._report = report
         self._sea = Sea(scene)
         self._frame = local_frame(scene.origin)
-        self._vehicle = SteeredVehicle(scene.track, planned_legs(scene.track.plan), scene.seed, self._frame, self._depth_of_floor)
+        self._vehicle = SteeredVehicle(
+            scene.track, planned_legs(scene.track.plan), scene.seed, self._frame, self._depth_of_floor
+        )
         self._navigation = NavigationModel(scene.navigation_error, scene.origin, scene.seed)
         self._rate_hz = scene.sonar.ping_rate_hz
         self._targets = [scene_object for scene_object in self._sea.objects if scene_object.is_target]
         self._counters: Counter[str] = Counter()
         self._start_s = 0.0
         make = make_controller or CONTROLLERS[controls.device]
-        self._controller = ReportingController(make(), job.seed, lambda what, details: report(self._name, what, details))
+        self._controller = ReportingController(
+            make(), job.seed, lambda what, details: report(self._name, what, details)
+        )
         self._queues: dict[str, asyncio.Queue[TimedEvent]] = {name: asyncio.Queue() for name in job.devices}
         self._is_sonar = {name: device.is_sonar for name, device in job.devices.items()}
         self.devices: Final = {
@@ -120,8 +126,12 @@ class FakeVehicle:
     def _standing(self) -> NavSample:
         """Return the navigation sample before the vehicle moves."""
         scene = self._sea.scene
-        (pose,) = SteeredVehicle(scene.track, self._vehicle.legs, scene.seed, self._frame, self._depth_of_floor).fly(1, self._rate_hz)
-        sample = NavigationModel(scene.navigation_error, scene.origin, scene.seed).reported(pose, self._sea.altitude_m(pose))
+        (pose,) = SteeredVehicle(scene.track, self._vehicle.legs, scene.seed, self._frame, self._depth_of_floor).fly(
+            1, self._rate_hz
+        )
+        sample = NavigationModel(scene.navigation_error, scene.origin, scene.seed).reported(
+            pose, self._sea.altitude_m(pose)
+        )
         return structs.replace(sample, speed_mps=0.0)
 
     async def _fly(self, start_s: float) -> None:
@@ -146,7 +156,9 @@ class FakeVehicle:
                 if at_s >= next_pose_s:
                     next_pose_s += _POSE_S
                     self._report(self._name, "pose", self._described(pose, at_s))
-                for passed in [] if before is None else passes(before, pose, self._targets, self._sea.scene.sonar.range_m):
+                for passed in (
+                    [] if before is None else passes(before, pose, self._targets, self._sea.scene.sonar.range_m)
+                ):
                     self._report(self._name, "passed", self._passed(passed))
                 before = pose
             if self._vehicle.legs_flown > legs_flown:
@@ -215,7 +227,9 @@ def passes(before: SonarPose, pose: SonarPose, targets: Sequence[PlacedObject], 
 
 
 def _ahead_m(pose: SonarPose, target: PlacedObject) -> float:
-    return (target.east_m - pose.east_m) * math.sin(pose.heading_rad) + (target.north_m - pose.north_m) * math.cos(pose.heading_rad)
+    return (target.east_m - pose.east_m) * math.sin(pose.heading_rad) + (target.north_m - pose.north_m) * math.cos(
+        pose.heading_rad
+    )
 
 
 async def _taken_from(queue: asyncio.Queue[TimedEvent]) -> AsyncIterator[TimedEvent]:

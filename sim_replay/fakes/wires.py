@@ -126,7 +126,9 @@ class SlcanWire(SerialWire):
 
     def __init__(self, device: Device, path: Path, weather: Weather, hear: Heard | None) -> None:
         super().__init__(device, path, weather, None)
-        self.uri = f"slcan://{path}?bitrate={device.bus_bitrate}&baud={device.host_baud or device.baud}{_silence(device, '&')}"
+        self.uri = (
+            f"slcan://{path}?bitrate={device.bus_bitrate}&baud={device.host_baud or device.baud}{_silence(device, '&')}"
+        )
         self._adapter = FakeSlcanAdapter(self.port, device.bus_bitrate, hear)
 
     @property

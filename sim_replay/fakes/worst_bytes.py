@@ -17,8 +17,12 @@ from drivers.sonar import ping_messages
 from drivers.vehicle import can_messages
 from drivers.vehicle.imc_messages import MAX_PAYLOAD_BYTES
 
-_IGX: Final = b"IGX\x10\xfc\x00\x03\x1e\x00\x00\x10\x03"  # its status is the terminator of another that begins 408 bytes before
-_PROFILE: Final = struct.pack("<2sHH", b"BR", ping_messages.PROFILE_HEADER.size + 2 * 1200, ping_messages.OS_MONO_PROFILE)
+_IGX: Final = (
+    b"IGX\x10\xfc\x00\x03\x1e\x00\x00\x10\x03"  # its status is the terminator of another that begins 408 bytes before
+)
+_PROFILE: Final = struct.pack(
+    "<2sHH", b"BR", ping_messages.PROFILE_HEADER.size + 2 * 1200, ping_messages.OS_MONO_PROFILE
+)
 _SIDE_SCAN: Final = struct.pack("<HBBHBBBBHI", 0x1601, 1, 0, 80, 0, 20, 0, 0, 0, 240 + 2000)
 _TEXT: Final[dict[str, bytes]] = {"beginnings, each followed by a letter": b"a", "beginnings alone": b""}
 
@@ -61,7 +65,12 @@ WORST_BYTES: Final[Mapping[str, Mapping[str, bytes]]] = MappingProxyType(
             "side-scan headers": _SIDE_SCAN,
             "side-scans": _SIDE_SCAN + bytes(500),
         },
-        "sportscan": {"syncs": b"IGX", "headers": _IGX, "broken headers": b"IGX\x10", "without terminators": _IGX[:4] + b"\0" + _IGX[5:]},
+        "sportscan": {
+            "syncs": b"IGX",
+            "headers": _IGX,
+            "broken headers": b"IGX\x10",
+            "without terminators": _IGX[:4] + b"\0" + _IGX[5:],
+        },
         "nmea0183": _sentences(b"$"),
         "bluefin": _sentences(b"$"),
         "iver": _sentences(b"$"),

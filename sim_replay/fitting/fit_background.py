@@ -134,7 +134,10 @@ def fit_prior(missions: Sequence[SortedContacts]) -> BackgroundPrior:
     mines = np.concatenate([mission.mines for mission in missions]) if missions else np.empty(0)
     area_km2 = sum(mission.area_km2 for mission in missions)
     if len(mines) < 2 or area_km2 <= 0.0:
-        raise UsageError(f"{len(missions)} missions with {len(mines)} contacts on mines are too few to fit on. Fly more, with --seeds")
+        raise UsageError(
+            f"{len(missions)} missions with {len(mines)} contacts on mines are too few to fit on. Fly more, with "
+            "--seeds"
+        )
     counts = [counted_log_odds(mission.background) for mission in missions]
     smooth = _SMOOTH_SD**2 * np.exp(-np.abs(KNOTS_NATS[:, np.newaxis] - KNOTS_NATS) / _SMOOTH_NATS)
     pooled = np.log((np.sum(counts, axis=0) + 0.5) / (area_km2 * BIN_NATS))
@@ -173,11 +176,15 @@ def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
     for scene in dict.fromkeys(mission.scene for mission in missions):
         prior = fit_prior([mission for mission in missions if mission.scene != scene])
         own = [mission for mission in missions if mission.scene == scene]
-        found.append(LeftOutScene(scene=scene, prior=prior, reached=tuple(judged(own, prior, asked) for asked in ASKED_PER_KM2)))
+        found.append(
+            LeftOutScene(scene=scene, prior=prior, reached=tuple(judged(own, prior, asked) for asked in ASKED_PER_KM2))
+        )
     return tuple(found)
 
 
-def calibrate_background(seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None) -> BackgroundModel:
+def calibrate_background(
+    seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None
+) -> BackgroundModel:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the model.
 
     n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError
@@ -193,7 +200,13 @@ def background_tasks(seeds: Sequence[int]) -> list[Task]:
     with the first.
     """
     of_detector: tuple[tuple[Detector, Sequence[int]], ...] = (("cascade", seeds), ("contrast", seeds[:1]))
-    return [(name, seed, detector) for detector, own in of_detector for name in SCENES if name not in HELD_OUT for seed in own]
+    return [
+        (name, seed, detector)
+        for detector, own in of_detector
+        for name in SCENES
+        if name not in HELD_OUT
+        for seed in own
+    ]
 
 
 def fitted_model(tasks: Sequence[Task], missions: Sequence[SortedContacts]) -> BackgroundModel:

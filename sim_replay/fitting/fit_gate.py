@@ -1,8 +1,8 @@
 """Fit which places of a tile can become contacts: `auv-mcm calibrate gate`.
 
-Simulated missions over the named scenes, but for those held out, are flown without the gate, by the cascade and by contrasts alone. The
-log-odds that each detection ends with are forecast by least squares from its score, its contrast and its range. The margin is the one that
-leaves in all but one in two hundred of the detections that would be reported.
+Simulated missions over the named scenes, but for those held out, are flown without the gate, by the cascade and by
+contrasts alone. The log-odds that each detection ends with are forecast by least squares from its score, its contrast
+and its range. The margin is the one that leaves in all but one in two hundred of the detections that would be reported.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from sim_replay.simulator.scene_file import read_scene
 
 FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on
 LOST_SHARE: Final = 0.005
-"""Share of the detections to report that the gate may drop: 19 of 2232 in ten scenes, each judged by the nine others, none of which had
-p_mine 0.1 or more."""
+"""Share of the detections to report that the gate may drop: 19 of 2232 in ten scenes, each judged by the nine others,
+none of which had p_mine 0.1 or more."""
 _FAR_BELOW_NATS: Final = 2.0  # under the lowest log-odds reported; from there down a detection counts a tenth
 _FAINT_WEIGHT: Final = 0.1
 _LOWEST_NATS: Final = -9.2  # p_mine 1e-4: how much less does not matter
@@ -79,20 +79,26 @@ def outcomes_of(task: tuple[str, int, Detector]) -> list[PlaceOutcome]:
     return [_outcome(name, view) for contact in pipeline.contacts for view in contact.views]
 
 
-def calibrate_gate(seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None) -> Gate:
+def calibrate_gate(
+    seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None
+) -> Gate:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the gate.
 
-    n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError as fit_gate does.
+    n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError
+    as fit_gate does.
     """
     scenes = [name for name in SCENES if name not in HELD_OUT]
     detectors: tuple[Detector, ...] = get_args(Detector)
     tasks = [(name, seed, detector) for detector in detectors for name in scenes for seed in seeds]
     outcomes = list(run_tasks(outcomes_of, tasks, Farm(n_workers), lambda done: show(done, len(tasks))))
     found = {
-        detector: [one for task, some in zip(tasks, outcomes, strict=True) if task[2] == detector for one in some] for detector in detectors
+        detector: [one for task, some in zip(tasks, outcomes, strict=True) if task[2] == detector for one in some]
+        for detector in detectors
     }
     n_detections = sum(map(len, outcomes))
-    fitted_on = f"{n_detections} detections of simulated missions: {', '.join(scenes)}; seeds {', '.join(map(str, seeds))}"
+    fitted_on = (
+        f"{n_detections} detections of simulated missions: {', '.join(scenes)}; seeds {', '.join(map(str, seeds))}"
+    )
     return fit_gate(found["cascade"], found["contrast"], ContactsConfig().min_p_mine, fitted_on)
 
 
@@ -113,7 +119,8 @@ def _fit(outcomes: Sequence[PlaceOutcome], names: Sequence[Feature], min_p_mine:
     reported = p_mine >= min_p_mine
     if np.count_nonzero(reported) * lost_share < 1.0:
         raise UsageError(
-            f"{np.count_nonzero(reported)} detections to report are too few to know the margin. Fly more missions, with --seeds"
+            f"{np.count_nonzero(reported)} detections to report are too few to know the margin. Fly more missions, "
+            "with --seeds"
         )
     columns = np.column_stack([np.ones(len(p_mine)), *(features[name] for name in names)])
     root = np.sqrt(np.where(log_odds > lowest - _FAR_BELOW_NATS, 1.0, _FAINT_WEIGHT))

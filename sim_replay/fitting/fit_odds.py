@@ -51,7 +51,10 @@ _CROWD_SEEDS: Final = 50  # after the first: other floors than those of the scen
 _GATE_M: Final = 2.0
 _CLEAR_M: Final = 3.0
 _PASSAGE_S: Final = 60.0
-_FAINT_P, _FAINT_KEPT = 0.03, 4  # of detections that the detector gives less than this, one in so many is kept, and counts as many
+_FAINT_P, _FAINT_KEPT = (
+    0.03,
+    4,
+)  # of detections that the detector gives less than this, one in so many is kept, and counts as many
 _RIDGE: Final = 2.0
 _DIGITS: Final = 5
 _MAX_SHIFT: Final = 50.0  # nats
@@ -136,7 +139,9 @@ def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookS
 
     Raises UsageError if there are no targets, or nothing else, among those.
     """
-    is_target, usual = (np.array([getattr(example, name) for example in examples], dtype=np.bool_) for name in ("is_target", "usual"))
+    is_target, usual = (
+        np.array([getattr(example, name) for example in examples], dtype=np.bool_) for name in ("is_target", "usual")
+    )
     weight = np.array([example.weight for example in examples])
     if not is_target[usual].any() or is_target[usual].all():
         n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
@@ -183,7 +188,12 @@ def fit_from_missions(
     scenes = [name for name in SCENES if detector == "contrast" or name not in HELD_OUT]
     first_crowd = first_seed + max(_CROWD_SEEDS, n_seeds)
     crowds = range(first_crowd, first_crowd + n_crowded)
-    tasks = [(name, seed, detector, crowd) for chunk, crowd in ((seeds, 1), (crowds, CROWD)) for seed in chunk for name in scenes]
+    tasks = [
+        (name, seed, detector, crowd)
+        for chunk, crowd in ((seeds, 1), (crowds, CROWD))
+        for seed in chunk
+        for name in scenes
+    ]
     examples: list[Example] = []
     with ProcessPoolExecutor(min(n_workers, len(tasks)), mp_context=get_context("spawn")) as pool:
         for done, found in enumerate(pool.map(examples_of, *zip(*tasks, strict=True)), 1):
@@ -213,7 +223,10 @@ def written(odds: MineOdds) -> bytes:
         weighed: Weights = getattr(odds, step)
         weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())
         trees = ",\n".join(f"   {msgspec.json.encode(tree).decode()}" for tree in weighed.trees)
-        parts.append(f' "{step}": {{\n  "offset": {weighed.offset!r},\n  "weights": {{\n{weights}\n  }},\n  "trees": [\n{trees}\n  ]\n }}')
+        parts.append(
+            f' "{step}": {{\n  "offset": {weighed.offset!r},\n  "weights": {{\n{weights}\n  }},\n  "trees": '
+            f"[\n{trees}\n  ]\n }}"
+        )
     return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
 
 
@@ -226,18 +239,27 @@ def _looking_at_everything(config: Config) -> Config:
 
 
 def _labelled(
-    scene: str, seed: int, usual: bool, seen: list[_Seen], not_confirmed: list[Detection], objects: Sequence[dict[str, Any]]
+    scene: str,
+    seed: int,
+    usual: bool,
+    seen: list[_Seen],
+    not_confirmed: list[Detection],
+    objects: Sequence[dict[str, Any]],
 ) -> list[Example]:
     detections = [*(item.detection for item in seen), *not_confirmed]
     if not detections:
         return []
     frame = LocalFrame(latitude_deg=detections[0].latitude_deg, longitude_deg=detections[0].longitude_deg)
     places = np.array([frame.to_enu(d.latitude_deg, d.longitude_deg, 0.0)[:2] for d in detections])
-    scene_objects = np.array([frame.to_enu(scene_object["lat"], scene_object["lon"], 0.0)[:2] for scene_object in objects]).reshape(-1, 2)
+    scene_objects = np.array(
+        [frame.to_enu(scene_object["lat"], scene_object["lon"], 0.0)[:2] for scene_object in objects]
+    ).reshape(-1, 2)
     sizes = np.array([max(scene_object["length_m"], scene_object["width_m"]) for scene_object in objects])
     sigma_m = np.sqrt([max(float(np.linalg.eigvalsh(d.covariance_m2)[-1]), 0.0) for d in detections])
     distance_m = (
-        np.hypot(*(places[:, np.newaxis] - scene_objects).transpose(2, 0, 1)) if len(objects) else np.full((len(detections), 1), np.inf)
+        np.hypot(*(places[:, np.newaxis] - scene_objects).transpose(2, 0, 1))
+        if len(objects)
+        else np.full((len(detections), 1), np.inf)
     )
     nearest = distance_m.argmin(axis=1)
     on_object = distance_m.min(axis=1) <= gates_m(_GATE_M, sigma_m)
@@ -257,7 +279,17 @@ def _labelled(
         known = detection_details(item.detection)
         details: dict[LookStep, Features] = {"detector": known, "contours": known, "shape": item.details}
         examples.append(
-            Example(scene, seed, usual, is_target, item.weight, detector_features(item.detection), item.contours, item.shape, details)
+            Example(
+                scene,
+                seed,
+                usual,
+                is_target,
+                item.weight,
+                detector_features(item.detection),
+                item.contours,
+                item.shape,
+                details,
+            )
         )
     return examples
 
@@ -275,18 +307,23 @@ def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight:
     slopes = np.where(used, found[:-1] / np.where(used, scale, 1.0), 0.0)
     offset = float(found[-1] - slopes @ mean)
     return Weights(
-        offset=round(offset, _DIGITS), weights={name: round(float(slope), _DIGITS) for name, slope in zip(names, slopes, strict=True)}
+        offset=round(offset, _DIGITS),
+        weights={name: round(float(slope), _DIGITS) for name, slope in zip(names, slopes, strict=True)},
     )
 
 
-def _fit_trees(features: Sequence[Features], sums: Weights, is_target: NDArray[np.bool_], weight: Array, n_trees: int) -> tuple[Tree, ...]:
+def _fit_trees(
+    features: Sequence[Features], sums: Weights, is_target: NDArray[np.bool_], weight: Array, n_trees: int
+) -> tuple[Tree, ...]:
     """Fit trees that add to `sums` what it misses."""
     names = list(features[0])
     values = np.array([[item[name] for name in names] for item in features])
     start = np.array([sums.log_odds(item) for item in features])
     return tuple(
         Tree(
-            ask=tuple((names[column], _rounded(at)) for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)),
+            ask=tuple(
+                (names[column], _rounded(at)) for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)
+            ),
             nats=tuple(round(nats, _DIGITS) for nats in tree.nats.tolist()),
         )
         for tree in trees.boost(values, is_target, weight, start, n_trees)
@@ -356,7 +393,10 @@ def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> Non
         for step in _STEPS:
             p[step][at] = _p_mine(others, step, inside)
     raw = 1.0 / (1.0 + np.exp([-example.detector["detector_odds"] for example in usual]))
-    print(f"{is_target.sum()} looks at targets, {weight[~is_target].sum():.0f} others; each scene judged with the weights of the others\n")
+    print(
+        f"{is_target.sum()} looks at targets, {weight[~is_target].sum():.0f} others; each scene judged with the "
+        "weights of the others\n"
+    )
     print(f"{'':<24}others above the p_mine that this share of targets reaches")
     print(f"{'step':<24}{''.join(f'{share:>9.0%}' for share in _SHARES)}{'calibration error':>20}")
     for name, values in (("detector as it is", raw), *p.items()):
@@ -367,8 +407,11 @@ def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> Non
 
 
 def _report_learning(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> None:
-    """Report missions of the last seed as they are, judged with weights from a part of the other seeds of every scene."""
-    seeds, crowds = (sorted({example.seed for example in examples if example.usual is usual}) for usual in (True, False))
+    """Report missions of the last seed as they are, judged with weights from a part of the other seeds of every
+    scene."""
+    seeds, crowds = (
+        sorted({example.seed for example in examples if example.usual is usual}) for usual in (True, False)
+    )
     *seeds, last = seeds
     judged = [example for example in examples if example.usual and example.seed == last]
     is_target, weight = _labels(judged)
@@ -391,7 +434,9 @@ def _labels(examples: Sequence[Example]) -> tuple[NDArray[np.bool_], Array]:
 
 def _p_mine(odds: MineOdds, step: LookStep, examples: Sequence[Example]) -> Array:
     """Return (n,) p_mine of each example by itself."""
-    log_odds = log_odds_of(getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples])
+    log_odds = log_odds_of(
+        getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples]
+    )
     return np.asarray(np.exp(-np.logaddexp(0.0, -log_odds)))
 
 

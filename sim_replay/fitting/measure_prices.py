@@ -1,4 +1,5 @@
-"""Measure on this computer what each unit of the chain's work costs: the price list of `budget:` in the configuration."""
+"""Measure on this computer what each unit of the chain's work costs: the price list of `budget:` in the
+configuration."""
 
 from __future__ import annotations
 
@@ -14,7 +15,14 @@ import msgspec
 from auv_mcm.budget import HYPOTHESES_PER_LOOK, MOVES_PER_LOOK, Allowance, look_price_us
 from auv_mcm.classify.fit import SOLIDS, Effort
 from auv_mcm.classify.odds import MineOdds, shipped_odds
-from auv_mcm.confirmation import Examination, ExaminationStep, confirm_detection, examine, is_worth_confirming, region_of
+from auv_mcm.confirmation import (
+    Examination,
+    ExaminationStep,
+    confirm_detection,
+    examine,
+    is_worth_confirming,
+    region_of,
+)
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.cascade.speed import measure_speed
@@ -52,7 +60,8 @@ class PriceList(NamedTuple):
 
 
 def measure_prices(config: Config, clock: Clock = time.thread_time) -> PriceList:
-    """Fly a short mission over rough ground through the chain of this configuration, and divide the time of each stage by its work.
+    """Fly a short mission over rough ground through the chain of this configuration, and divide the time of each stage
+    by its work.
 
     clock: processor time, s.
     """
@@ -76,7 +85,11 @@ def measure_prices(config: Config, clock: Clock = time.thread_time) -> PriceList
         tiles += [found for found in pipeline.feed(event) if isinstance(found, Tile)]
     tiles += [found for found in pipeline.finish() if isinstance(found, Tile)]
     n_pixels = sum((tile.core_stop - tile.core_start) * tile.mask.shape[1] for tile in tiles)
-    speed = math.nan if model is None else measure_speed(model, config.waterfall.row_spacing_m, config.waterfall.column_spacing_m)
+    speed = (
+        math.nan
+        if model is None
+        else measure_speed(model, config.waterfall.row_spacing_m, config.waterfall.column_spacing_m)
+    )
     comparison_s = BudgetConfig().comparison_us / _US_PER_S if model is None else 1.0 / speed
     bare_s, peak_s, n_peaks = _detection_costs(tiles, config, model, comparison_s, clock)
     looks_s, n_work = _look_costs(looked_at[:_MAX_LOOKS], config, odds, clock)
@@ -102,10 +115,12 @@ def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: fl
     bare = Allowance(duty * period_s * _US_PER_S, grid.tile_rows * n_columns * prices.pixel_us, prices)
     n_comparisons = bare.comparisons() or 0
     return (
-        f"at {speed_mps:g} m/s a tile every {period_s:.1f} s; {duty:.0%} of one core is {bare.total_us / 1e3:.0f} ms of work on each. "
+        f"at {speed_mps:g} m/s a tile every {period_s:.1f} s; {duty:.0%} of one core is {bare.total_us / 1e3:.0f} ms "
+        "of work on each. "
         f"Of that, for {n_columns} columns:\n"
         f"  {bare.cheapest_us / 1e3:.0f} ms for the cheapest pass, and {prices.sample_us:g} us for each stored sample\n"
-        f"  {bare.left_us / 1e3:.0f} ms more, in which the cascade could make {n_comparisons / 1e6:.0f} million comparisons\n"
+        f"  {bare.left_us / 1e3:.0f} ms more, in which the cascade could make {n_comparisons / 1e6:.0f} million "
+        "comparisons\n"
         f"  or {bare.n_looks(0, 0)} close looks of {look_price_us(prices) / 1e3:.1f} ms be made"
     )
 
@@ -120,7 +135,9 @@ def _detection_costs(
     tiles: list[Tile], config: Config, model: CascadeModel | None, comparison_s: float, clock: Clock
 ) -> tuple[float, float, int]:
     """Time detection without measuring or the cascade, and measuring; s each, with the number of peaks measured."""
-    unmeasured = msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, max_candidates_per_tile=0))
+    unmeasured = msgspec.structs.replace(
+        config, detect=msgspec.structs.replace(config.detect, max_candidates_per_tile=0)
+    )
     gate = shipped_gate()
     bare_s, whole_s, n_peaks = 0.0, 0.0, 0
     for tile in filter(worth_looking, tiles):
@@ -146,7 +163,9 @@ def _look_costs(
         if found is not None:
             work["looks"] += 1
             work["moves"] += found.contours.n_moves
-            work["hypotheses"] += 0 if found.fits is None else hypotheses_of(Effort(), sum(fit.refined for fit in found.fits.fits))
+            work["hypotheses"] += (
+                0 if found.fits is None else hypotheses_of(Effort(), sum(fit.refined for fit in found.fits.fits))
+            )
     return spent, work
 
 
@@ -183,4 +202,7 @@ def look_work(n_work: dict[str, int]) -> str:
     """Say how many moves and hypotheses a look took here, beside the averages that looks are priced with."""
     n_looks = max(n_work.get("looks", 0), 1)
     moves, hypotheses = n_work.get("moves", 0) / n_looks, n_work.get("hypotheses", 0) / n_looks
-    return f"a look made {moves:.0f} moves and weighed {hypotheses:.0f} hypotheses (priced: {MOVES_PER_LOOK} and {HYPOTHESES_PER_LOOK})"
+    return (
+        f"a look made {moves:.0f} moves and weighed {hypotheses:.0f} hypotheses (priced: {MOVES_PER_LOOK} and "
+        f"{HYPOTHESES_PER_LOOK})"
+    )

@@ -49,7 +49,9 @@ _DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units co
 _AFTERMATH_S: Final = 1.5  # for the service to report its reaction to a fault
 _ALONE_S: Final = 4.0  # mission time of a vehicle after the service's end, to see that it goes on by itself
 _LOOK_S: Final = 0.1  # between looks at the mission time
-_SLOWEST: Final = 10.0  # wall time per mission time of a vehicle's world on a busy computer; a run that needs more is over
+_SLOWEST: Final = (
+    10.0  # wall time per mission time of a vehicle's world on a busy computer; a run that needs more is over
+)
 _TAIL_LINES: Final = 5
 _PR_SET_PDEATHSIG: Final = 1
 
@@ -157,7 +159,11 @@ class _Run:
         return await _Process.begin(f"fake device '{name}'", arguments, self._folder / f"{name}.log")
 
     def _mission_time(self) -> MissionTime:
-        holds = () if self._vehicle is None else [(at_s, hold_s) for at_s, line in self._vehicle.lines if (hold_s := _hold_s(line))]
+        holds = (
+            ()
+            if self._vehicle is None
+            else [(at_s, hold_s) for at_s, line in self._vehicle.lines if (hold_s := _hold_s(line))]
+        )
         return MissionTime(self._start_s, holds)
 
     async def _wait(self, for_s: float) -> None:
@@ -166,7 +172,9 @@ class _Run:
         until_s = self._mission_time().at(now_s) + for_s
         while (left_s := until_s - self._mission_time().at(time.monotonic())) > 0.0:
             if time.monotonic() - now_s > _SLOWEST * for_s:
-                self._progress(f"this computer makes {for_s:g} s of mission time in more than {_SLOWEST * for_s:g} s: given up")
+                self._progress(
+                    f"this computer makes {for_s:g} s of mission time in more than {_SLOWEST * for_s:g} s: given up"
+                )
                 return
             await asyncio.sleep(left_s if self._vehicle is None else min(left_s, _LOOK_S))
 
@@ -422,7 +430,11 @@ def _replayed(log: Path, folder: Path, config: Config) -> list[Placed]:
 
 async def _uris_of(device: _Process, job: Job | VehicleJob) -> dict[str, str]:
     """Return addresses of a device's wire, or of those of a vehicle, by name."""
-    ready = {job.name: '"what": "ready"'} if isinstance(job, Job) else {name: f'"ready", "device": "{name}"' for name in job.devices}
+    ready = (
+        {job.name: '"what": "ready"'}
+        if isinstance(job, Job)
+        else {name: f'"ready", "device": "{name}"' for name in job.devices}
+    )
     return {name: str(json.loads(await device.printed(text, _READY_S))["uri"]) for name, text in ready.items()}
 
 

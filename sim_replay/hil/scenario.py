@@ -126,7 +126,8 @@ class Reopened(_Rule, frozen=True, kw_only=True, tag="reopened"):
 
 
 class TargetsFound(_Count, frozen=True, kw_only=True, tag="targets_found"):
-    """Count targets of the scene's truth that have a contact of their own this near, with this probability of a mine."""
+    """Count targets of the scene's truth that have a contact of their own this near, with this probability of a
+    mine."""
 
     within_m: float
     min_p_mine: float
@@ -195,17 +196,29 @@ class OwnPlanAtEnd(_Rule, frozen=True, kw_only=True, tag="own_plan_at_end"):
 
 
 class Silence(_Rule, frozen=True, kw_only=True, tag="own_plan_after_kill"):
-    """Expect a vehicle to leave the last command this soon after the service's kill and fly its own plan until the end."""
+    """Expect a vehicle to leave the last command this soon after the service's kill and fly its own plan until the
+    end."""
 
     device: str
     within_s: float
 
 
 Counted: TypeAlias = (
-    CounterRule | SummaryRule | NoticeRule | LineRule | SettingsRule | DeviceRule | TargetsFound | ReportRule | Passed | Sharper
+    CounterRule
+    | SummaryRule
+    | NoticeRule
+    | LineRule
+    | SettingsRule
+    | DeviceRule
+    | TargetsFound
+    | ReportRule
+    | Passed
+    | Sharper
 )
 VehicleRule: TypeAlias = ReportRule | ReportedInTime | Passed | Sharper | InsideFence | OwnPlanAtEnd | Silence
-Rule: TypeAlias = Counted | ExitCode | AnswersStop | Reopened | AsReplayed | ReportedInTime | InsideFence | OwnPlanAtEnd | Silence
+Rule: TypeAlias = (
+    Counted | ExitCode | AnswersStop | Reopened | AsReplayed | ReportedInTime | InsideFence | OwnPlanAtEnd | Silence
+)
 
 
 class Expectation(_Record, frozen=True, kw_only=True):
@@ -306,7 +319,9 @@ def parse_scenario(text: str, place: str) -> Scenario:
     if missing := [key for key in _NEEDED if data.get(key) is None]:
         emptiness = "The file is empty. " if not data else ""
         written = "\n".join(f"  {_NEEDED[key]}" for key in missing)
-        raise UsageError(f"{place}: {emptiness}Missing: {', '.join(missing)}. For example, write:\n{written}\n{_EXAMPLE}.")
+        raise UsageError(
+            f"{place}: {emptiness}Missing: {', '.join(missing)}. For example, write:\n{written}\n{_EXAMPLE}."
+        )
     try:
         scenario = msgspec.convert(data, Scenario)
     except msgspec.ValidationError as error:
@@ -339,7 +354,9 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
     if scenario.vehicle is not None and scenario.scene is None:
         yield f"`devices.{scenario.vehicle}` is a vehicle, which needs a world to fly in: give a `scene`"
     if scenario.vehicle is not None and scenario.speed != 1.0:
-        yield f"`speed` is {scenario.speed:g}, but a vehicle flies in real time: give the scene's vehicle a higher speed"
+        yield (
+            f"`speed` is {scenario.speed:g}, but a vehicle flies in real time: give the scene's vehicle a higher speed"
+        )
     if scenario.vehicle is None and scenario.kill is not None:
         yield "`kill` waits for a grant, and `devices` has no vehicle that could give one"
     if scenario.ends_after is not None and scenario.ends_after.device not in scenario.devices:

@@ -22,7 +22,11 @@ def reported_in_time(rule: ReportedInTime, lines: Sequence[Line], reports: Seque
     """Check that every contact came within its time; one that changed again by then may come in its later form."""
     expected = f"every contact with p_mine >= {rule.min_p_mine:g} reaches '{rule.device}' within {rule.within_s:g} s"
     announced = [(line.at_s, int(found[1]), float(found[2])) for line in lines if (found := _CONTACT.match(line.text))]
-    reported = [(report.at_s, report.details["number"], report.details["p_mine"]) for report in reports if report.what == "contact"]
+    reported = [
+        (report.at_s, report.details["number"], report.details["p_mine"])
+        for report in reports
+        if report.what == "contact"
+    ]
     late = []
     slowest_s = 0.0
     n_announced = 0
@@ -30,7 +34,11 @@ def reported_in_time(rule: ReportedInTime, lines: Sequence[Line], reports: Seque
         if p_mine < rule.min_p_mine + _P_MINE_WITHIN:
             continue
         n_announced += 1
-        after_s = [t - at_s for t, n, p in reported if n == number and abs(p - p_mine) < _P_MINE_WITHIN and t > at_s - rule.within_s]
+        after_s = [
+            t - at_s
+            for t, n, p in reported
+            if n == number and abs(p - p_mine) < _P_MINE_WITHIN and t > at_s - rule.within_s
+        ]
         changed = any(n == number and t <= at_s + rule.within_s for t, n, _ in announced[index + 1 :])
         if after_s and min(after_s) <= rule.within_s:
             slowest_s = max(slowest_s, min(after_s))
@@ -61,7 +69,8 @@ def n_sharper(reports: Sequence[Report]) -> int:
         reported.setdefault(details["number"], []).append(details)
     ends = [(reports_of_one[0], reports_of_one[-1]) for reports_of_one in reported.values()]
     return sum(
-        first["n_views"] == 1 and last["n_views"] >= 2 and abs(last["p_mine"] - 0.5) > abs(first["p_mine"] - 0.5) for first, last in ends
+        first["n_views"] == 1 and last["n_views"] >= 2 and abs(last["p_mine"] - 0.5) > abs(first["p_mine"] - 0.5)
+        for first, last in ends
     )
 
 
@@ -70,9 +79,19 @@ def inside_fence(fence_deg: Sequence[tuple[float, float]], reports: Sequence[Rep
     commands = list(_details(reports, "command"))
     sent = [(command["latitude_deg"], command["longitude_deg"]) for command in commands if "latitude_deg" in command]
     been = [(pose["latitude_deg"], pose["longitude_deg"]) for pose in _details(reports, "pose") if pose["in_control"]]
-    n_outside = sum(not _is_inside(place, fence_deg) for place in sent), sum(not _is_inside(place, fence_deg) for place in been)
-    found = f"{n_outside[0]} of {len(sent)} places and {n_outside[1]} of {len(been)} poses outside, {len(commands)} commands"
-    return "commands, and the vehicle under command, stay inside the fence", found, n_outside == (0, 0) and bool(commands)
+    n_outside = (
+        sum(not _is_inside(place, fence_deg) for place in sent),
+        sum(not _is_inside(place, fence_deg) for place in been),
+    )
+    found = (
+        f"{n_outside[0]} of {len(sent)} places and {n_outside[1]} of {len(been)} poses outside, {len(commands)} "
+        "commands"
+    )
+    return (
+        "commands, and the vehicle under command, stay inside the fence",
+        found,
+        n_outside == (0, 0) and bool(commands),
+    )
 
 
 def own_plan_at_end(rule: OwnPlanAtEnd, reports: Sequence[Report]) -> Judged:
@@ -89,7 +108,11 @@ def own_plan_after(rule: Silence, killed_s: float | None, reports: Sequence[Repo
     if killed_s is None:
         return expected, "the service was never killed", False
     released_s = [report.at_s - killed_s for report in reports if report.what == "released" and report.at_s > killed_s]
-    later = [report.details["in_control"] for report in reports if report.what == "pose" and report.at_s > killed_s + rule.within_s + 0.5]
+    later = [
+        report.details["in_control"]
+        for report in reports
+        if report.what == "pose" and report.at_s > killed_s + rule.within_s + 0.5
+    ]
     if not released_s or not later:
         return expected, "it was not released, or not seen afterwards", False
     found = f"released after {released_s[0]:.1f} s, commanded in {sum(later)} of {len(later)} poses after that"
@@ -101,10 +124,13 @@ def _details(reports: Iterable[Report], what: str) -> Iterable[Mapping[str, Any]
 
 
 def _is_inside(place_deg: tuple[float, float], corners_deg: Sequence[tuple[float, float]]) -> bool:
-    """Apply the even-odd rule in latitude and longitude, exact enough for an area without the poles or the date line."""
+    """Apply the even-odd rule in latitude and longitude, exact enough for an area without the poles or the date
+    line."""
     latitude, longitude = place_deg
     inside = False
     for (lat0, lon0), (lat1, lon1) in pairwise([*corners_deg, *corners_deg[:1]]):
-        if (lat0 > latitude) != (lat1 > latitude) and longitude < lon0 + (latitude - lat0) / (lat1 - lat0) * (lon1 - lon0):
+        if (lat0 > latitude) != (lat1 > latitude) and longitude < lon0 + (latitude - lat0) / (lat1 - lat0) * (
+            lon1 - lon0
+        ):
             inside = not inside
     return inside

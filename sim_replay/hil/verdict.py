@@ -39,7 +39,14 @@ from sim_replay.hil.scenario import (
     TargetsFound,
     Window,
 )
-from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, reported_in_time
+from sim_replay.hil.vehicle_verdict import (
+    inside_fence,
+    n_passed,
+    n_sharper,
+    own_plan_after,
+    own_plan_at_end,
+    reported_in_time,
+)
 
 _STOPPING: Final = re.compile(r"\bstopping: ")
 
@@ -89,9 +96,14 @@ def judge(expectation: Expectation, evidence: Evidence) -> Verdict:
 
 def as_table(verdicts: Sequence[Verdict]) -> str:
     """Format a line per verdict: passed or FAILED, test, expectation, outcome."""
-    rows = [("", "Test", "Expected", "Found"), *(("passed" if v.passed else "FAILED", v.test, v.expected, v.found) for v in verdicts)]
+    rows = [
+        ("", "Test", "Expected", "Found"),
+        *(("passed" if v.passed else "FAILED", v.test, v.expected, v.found) for v in verdicts),
+    ]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    return "\n".join("  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]) for row in rows)
+    return "\n".join(
+        "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]) for row in rows
+    )
 
 
 def contacts_of(geojson: Mapping[str, Any]) -> list[Placed]:
@@ -99,7 +111,9 @@ def contacts_of(geojson: Mapping[str, Any]) -> list[Placed]:
     placed = []
     for feature in geojson["features"]:
         longitude_deg, latitude_deg = feature["geometry"]["coordinates"][:2]
-        placed.append(Placed(latitude_deg, longitude_deg, feature["properties"]["p_mine"], feature["properties"]["class"]))
+        placed.append(
+            Placed(latitude_deg, longitude_deg, feature["properties"]["p_mine"], feature["properties"]["class"])
+        )
     return placed
 
 
@@ -117,15 +131,25 @@ def _answered(rule: AnswersStop, evidence: Evidence) -> tuple[str, str, bool]:
     stopped_s = evidence.stopped_s
     if stopped_s is None:
         return expected, "it was not requested to stop", False
-    after_s = [line.at_s - stopped_s for line in evidence.lines if line.at_s >= stopped_s and _STOPPING.search(line.text)]
-    return expected, f"after {after_s[0]:.2f} s" if after_s else "it announced nothing", bool(after_s) and after_s[0] <= rule.within_s
+    after_s = [
+        line.at_s - stopped_s for line in evidence.lines if line.at_s >= stopped_s and _STOPPING.search(line.text)
+    ]
+    return (
+        expected,
+        f"after {after_s[0]:.2f} s" if after_s else "it announced nothing",
+        bool(after_s) and after_s[0] <= rule.within_s,
+    )
 
 
 def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
     match rule:
         case ExitCode():
             code = evidence.exit_code
-            return f"exit code {rule.code}", "had to be killed" if code is None else f"exit code {code}", code == rule.code
+            return (
+                f"exit code {rule.code}",
+                "had to be killed" if code is None else f"exit code {code}",
+                code == rule.code,
+            )
         case AnswersStop():
             return _answered(rule, evidence)
         case CounterRule():
@@ -141,16 +165,22 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _limited(rule, float(reported), rule.key)
         case NoticeRule():
             matching = re.compile(rf"^notice {re.escape(rule.code)}: ")
-            return _limited(rule, _n_lines(evidence, matching, rule.between_s), f"notices {rule.code}{_window(rule.between_s)}")
+            return _limited(
+                rule, _n_lines(evidence, matching, rule.between_s), f"notices {rule.code}{_window(rule.between_s)}"
+            )
         case LineRule():
             n_lines = _n_lines(evidence, re.compile(rule.matching), rule.between_s)
             return _limited(rule, n_lines, f"lines with '{rule.matching}'{_window(rule.between_s)}")
         case SettingsRule():
-            reported = [str(report.details["applied"]) for report in evidence.reports[rule.device] if report.what == "settings"]
+            reported = [
+                str(report.details["applied"]) for report in evidence.reports[rule.device] if report.what == "settings"
+            ]
             n_explained = sum(rule.containing in settings for settings in reported)
             return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
         case DeviceRule():
-            counters = next((report.details for report in evidence.reports[rule.device] if report.what == "counters"), {})
+            counters = next(
+                (report.details for report in evidence.reports[rule.device] if report.what == "counters"), {}
+            )
             return _limited(rule, float(counters.get(rule.counter, 0)), f"{rule.counter} of '{rule.device}'")
         case Reopened():
             return _reopened(rule, evidence.reports[rule.device])
@@ -163,13 +193,22 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _as_replayed(rule, evidence)
         case ReportRule():
             first_s, last_s = rule.between_s or (-math.inf, math.inf)
-            reports = [report for report in evidence.reports[rule.device] if report.what == rule.what and first_s <= report.at_s <= last_s]
+            reports = [
+                report
+                for report in evidence.reports[rule.device]
+                if report.what == rule.what and first_s <= report.at_s <= last_s
+            ]
             n_reports = sum(rule.containing in json.dumps(report.details) for report in reports)
             containing = f" with {rule.containing}" if rule.containing else ""
-            return _limited(rule, n_reports, f"times '{rule.device}' reports {rule.what}{containing}{_window(rule.between_s)}")
+            return _limited(
+                rule, n_reports, f"times '{rule.device}' reports {rule.what}{containing}{_window(rule.between_s)}"
+            )
         case Passed():
             low_m, high_m = rule.ground_range_m
-            what = f"passes under command at {low_m:g} to {high_m:g} m, {rule.other_look_deg:g} degrees or more from looks before"
+            what = (
+                f"passes under command at {low_m:g} to {high_m:g} m, {rule.other_look_deg:g} degrees or more from "
+                "looks before"
+            )
             return _limited(rule, n_passed(rule, evidence.reports[rule.device]), what)
         case Sharper():
             what = "contacts with one view first, with more last, and then farther from 0.5"
@@ -221,10 +260,15 @@ def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
 
     Pairs are matched among all contacts, so that one whose probability lies at the threshold does not count as missing.
     """
-    expected = f"contacts as replayed, within {rule.within_m:g} m and {rule.p_mine_within:g} in p_mine, of the same class"
+    expected = (
+        f"contacts as replayed, within {rule.within_m:g} m and {rule.p_mine_within:g} in p_mine, of the same class"
+    )
     replayed = evidence.replayed or ()
     problems = []
-    partner = {first: (second, distance_m) for first, second, distance_m in _matched(replayed, evidence.contacts, rule.within_m)}
+    partner = {
+        first: (second, distance_m)
+        for first, second, distance_m in _matched(replayed, evidence.contacts, rule.within_m)
+    }
     n_likely = 0
     largest_m = largest_p = 0.0
     for index, contact in enumerate(replayed):
@@ -232,7 +276,9 @@ def _as_replayed(rule: AsReplayed, evidence: Evidence) -> tuple[str, str, bool]:
             continue
         n_likely += 1
         if index not in partner:
-            problems.append(f"a {contact.classification} with p_mine {contact.p_mine:.2f} has none within {rule.within_m:g} m")
+            problems.append(
+                f"a {contact.classification} with p_mine {contact.p_mine:.2f} has none within {rule.within_m:g} m"
+            )
             continue
         second, distance_m = partner[index]
         other = evidence.contacts[second]
@@ -262,7 +308,9 @@ def _matched(first: Sequence[Placed], second: Sequence[Placed], gate_m: float) -
     apart_m = np.linalg.norm(first_m[:, None, :] - second_m[None, :, :], axis=2)
     out_of_gate_m = 1.0 + gate_m * min(len(first), len(second))  # dearer than all pairs together
     pairs = zip(*linear_sum_assignment(np.where(apart_m <= gate_m, apart_m, out_of_gate_m)), strict=True)
-    return [(int(row), int(column), float(apart_m[row, column])) for row, column in pairs if apart_m[row, column] <= gate_m]
+    return [
+        (int(row), int(column), float(apart_m[row, column])) for row, column in pairs if apart_m[row, column] <= gate_m
+    ]
 
 
 def _plane(scene_objects: Sequence[Placed], frame: LocalFrame) -> NDArray[np.float64]:

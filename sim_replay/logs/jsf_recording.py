@@ -39,7 +39,8 @@ NMEA_PORT: Final = "nmea"
 MOTION_PORT: Final = "motion"
 NO_NAVIGATION: Final = (
     "neither its side-scan messages (type 80, validity bit 0, in minutes of arc: metres of an unknown projection do "
-    "not serve) nor NMEA strings (type 2002) give one. Record with the navigation connected to the sonar, or replay the "
+    "not serve) nor NMEA strings (type 2002) give one. Record with the navigation connected to the sonar, or replay "
+    "the "
     "session that 'auv-mcm run' recorded, which holds every port."
 )
 
@@ -98,7 +99,11 @@ class JsfRecording:
         if (damage := self._file.damage()) is not None:
             self.notices.append(damage)
         if n_back := self._own["reader.time_backwards"]:
-            self._notify("reader.time_backwards", f"time went backwards {n_back} times; check the recorder's clock", self._file.path.name)
+            self._notify(
+                "reader.time_backwards",
+                f"time went backwards {n_back} times; check the recorder's clock",
+                self._file.path.name,
+            )
 
     def _chosen(self, wanted: int | None) -> int:
         path = self._file.path
@@ -106,11 +111,14 @@ class JsfRecording:
         names = " and ".join(map(str, found))
         if not found:
             raise BadInputError(
-                f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22). Whole messages in it: {self._inventory()}. "
+                f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22). Whole messages in it: "
+                f"{self._inventory()}. "
                 "Fetch the file again if it was cut off, or give a log recorded with side scan switched on."
             )
         if wanted is not None and wanted not in found:
-            raise UsageError(f"sonar.subsystem is {wanted}, but {path} holds side scan of subsystem {names}. Set one that it holds.")
+            raise UsageError(
+                f"sonar.subsystem is {wanted}, but {path} holds side scan of subsystem {names}. Set one that it holds."
+            )
         if wanted is None and len(found) > 1:
             raise UsageError(f"{path} holds side scan of subsystems {names}: set sonar.subsystem to the one to use.")
         return found[0] if wanted is None else wanted
@@ -130,7 +138,9 @@ class JsfRecording:
         kinds: Counter[str] = Counter()
         for framed in self._file:
             message = framed.message
-            name = f"type {message.message_type}" + (f" of subsystem {message.subsystem}" if message.message_type == SIDE_SCAN else "")
+            name = f"type {message.message_type}" + (
+                f" of subsystem {message.subsystem}" if message.message_type == SIDE_SCAN else ""
+            )
             kinds[name] += 1
         return ", ".join(f"{n} of {name}" for name, n in kinds.most_common(8)) or "none"
 
@@ -167,7 +177,9 @@ class JsfRecording:
             return None
         seconds, milliseconds = _TIME.unpack_from(body)
         time_ns = self._time_ns(seconds, milliseconds, offset)
-        return None if time_ns is None else _received(NMEA_PORT, body[_STRING_AT:].rstrip(b"\0\r\n ") + b"\r\n", time_ns)
+        return (
+            None if time_ns is None else _received(NMEA_PORT, body[_STRING_AT:].rstrip(b"\0\r\n ") + b"\r\n", time_ns)
+        )
 
     def _of_motion(self, body: bytes, offset: int) -> Recorded | None:
         if len(body) < _ATTITUDE.size:

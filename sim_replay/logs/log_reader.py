@@ -24,7 +24,8 @@ log = logging.getLogger(__name__)
 
 
 class Log(Protocol):
-    """Read one recorded log. Iterate for its events in order of time; every iteration starts anew, with new counters."""
+    """Read one recorded log. Iterate for its events in order of time; every iteration starts anew, with new
+    counters."""
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
@@ -151,5 +152,8 @@ class AddedLog:
             except Exception as error:  # code of others raises whatever it likes
                 self._counters["reader.failed"] += 1
                 log.exception("the reader %s failed", self._plugin)
-                text = f"{self._path} was read up to event {n_events} only: {self._plugin} failed with {error!r}. {remedy(self._plugin)}"
+                text = (
+                    f"{self._path} was read up to event {n_events} only: {self._plugin} failed with {error!r}. "
+                    f"{remedy(self._plugin)}"
+                )
                 yield Notice(code="log_reader_failed", text=text, place=str(self._path))

@@ -43,7 +43,10 @@ class MessageFile(Generic[M]):
         n_bytes = self._framer.counters[f"{self._grammar.name}.bytes_skipped"]
         if not n_bytes:
             return None
-        text = f"{n_bytes} bytes of {self.path} belong to no whole message and are left out. If it is much, fetch the file again."
+        text = (
+            f"{n_bytes} bytes of {self.path} belong to no whole message and are left out. If it is much, fetch the "
+            "file again."
+        )
         return Notice(code="reader.damaged_bytes", text=text, place=self.path.name)
 
     def __iter__(self) -> Iterator[Framed[M]]:

@@ -95,8 +95,10 @@ def log_format(path: Path) -> LogFormat | AddedFormat:
     if not added:
         raise BadInputError(
             f"{path} is not a readable log: it begins with 0x{head[:4].hex()}, and no message of a known format is "
-            f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog "
-            "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), and formats of plug-ins ('auv-mcm check' lists "
+            f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol "
+            "svlog "
+            "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), and formats of plug-ins ('auv-mcm "
+            "check' lists "
             "them). Export the log as one of these."
             + "".join(f"\nA plug-in that may know it does not work: {problem}." for problem in problems)
         )
@@ -205,7 +207,9 @@ def _only(config: Config, device: str) -> PortConfig | None:
     return found[0] if len(found) == 1 else None
 
 
-def _sonar_port(name: str, device: SonarName, given: PortConfig | None, navigation: NavUnitSettings | None) -> PortConfig:
+def _sonar_port(
+    name: str, device: SonarName, given: PortConfig | None, navigation: NavUnitSettings | None
+) -> PortConfig:
     """Return the sonar mounted as configured; a log holds both sides, so one-sided heads use the sonar's own side."""
     swapped = given is not None and given.sonar is not None and given.sonar.sides == "swapped"
     sides = SonarPortConfig(sides="swapped" if swapped else "as_told")

@@ -64,7 +64,9 @@ class PortRecording(Protocol):
 class PortLog:
     """Replay a recording of ports as a log. Iterate for its events; every iteration starts anew."""
 
-    def __init__(self, recording: PortRecording, make_intake: Callable[[], PortDecoding], *, pause_s: float = math.inf) -> None:
+    def __init__(
+        self, recording: PortRecording, make_intake: Callable[[], PortDecoding], *, pause_s: float = math.inf
+    ) -> None:
         """Store the recording. make_intake: a new intake, from the same configuration as the recorded one.
 
         pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
@@ -92,7 +94,9 @@ class PortLog:
 
     def first_time_s(self) -> float:
         """Find the time of the first ping, s since 1970; infinite without one."""
-        return next((event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)
+        return next(
+            (event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf
+        )
 
     def __iter__(self) -> Iterator[SourceEvent]:
         self._intake, self._finished = self._make_intake(), Counter()
@@ -102,7 +106,11 @@ class PortLog:
             n_notices = len(self._recording.notices)
             if recorded.direction != "in":
                 continue
-            if last_ns is not None and math.isfinite(self._pause_ns) and not 0 <= recorded.stamp.mono_ns - last_ns <= self._pause_ns:
+            if (
+                last_ns is not None
+                and math.isfinite(self._pause_ns)
+                and not 0 <= recorded.stamp.mono_ns - last_ns <= self._pause_ns
+            ):
                 yield from self._intake.finish()
                 self._finished += self._intake.counters
                 self._intake = self._make_intake()
@@ -119,7 +127,12 @@ class SonarLog(PortLog):
     """
 
     def __init__(
-        self, recording: PortRecording, make_intake: Callable[[], PortDecoding], place: Path, no_navigation: str, pause_s: float
+        self,
+        recording: PortRecording,
+        make_intake: Callable[[], PortDecoding],
+        place: Path,
+        no_navigation: str,
+        pause_s: float,
     ) -> None:
         """no_navigation: for the message, where a log of this format would hold positions, and what to do."""
         super().__init__(recording, make_intake, pause_s=pause_s)
@@ -136,14 +149,19 @@ class SonarLog(PortLog):
         for event in self:
             if isinstance(event, Ping) and first_s is None and math.isfinite(event.time_s):
                 first_s = event.time_s
-            elif isinstance(event, NavSample) and math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
+            elif (
+                isinstance(event, NavSample)
+                and math.isfinite(event.latitude_deg)
+                and math.isfinite(event.longitude_deg)
+            ):
                 has_position = True
             if first_s is not None and has_position:
                 return first_s
         if first_s is None:
             seen = ", ".join(f"{name} {n}" for name, n in sorted(self.counters.items())) or "nothing"
             raise BadInputError(
-                f"{self._place} holds no usable side-scan ping ({seen}). Check that the recording was not stopped at once and that the "
+                f"{self._place} holds no usable side-scan ping ({seen}). Check that the recording was not stopped at "
+                "once and that the "
                 "file was fetched whole."
             )
         raise BadInputError(f"{self._place} holds pings but not one position: {self._no_navigation}")

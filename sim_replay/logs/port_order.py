@@ -38,7 +38,9 @@ class PortOrderEvidence(NamedTuple):
         return self.water_column + self.ring_down + self.starboard
 
 
-def port_order_evidence(port: NDArray[Any], starboard: NDArray[Any] | None, spacing_m: float, blank_m: float) -> PortOrderEvidence:
+def port_order_evidence(
+    port: NDArray[Any], starboard: NDArray[Any] | None, spacing_m: float, blank_m: float
+) -> PortOrderEvidence:
     """Return evidence from some pings.
 
     port, starboard: (n_pings, n_samples) as stored, any real dtype; starboard may be None or have another number of

@@ -26,7 +26,9 @@ def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK
     """Open logs of pings, or one recorded session of ports, as one mission. Raises UsageError or BadInputError."""
     sessions = [path for path in paths if is_session(path)]
     if sessions and len(paths) > 1:
-        raise UsageError(f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart.")
+        raise UsageError(
+            f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart."
+        )
     return RecordedMission(paths, config, chunk_bytes)
 
 
@@ -53,7 +55,9 @@ class RecordedMission:
                 self._counters["replay.log_unusable"] += 1
                 self._notices.append(Notice(code="log_unusable", text=f"log left out: {error}", place=str(path)))
         if not found:
-            raise BadInputError("none of the logs can be used:\n" + "\n".join(f"  {notice.text}" for notice in self._notices))
+            raise BadInputError(
+                "none of the logs can be used:\n" + "\n".join(f"  {notice.text}" for notice in self._notices)
+            )
         found.sort(key=lambda item: item[:2])
         self._logs = [log for _, _, log in found]
         self._done_bytes = 0

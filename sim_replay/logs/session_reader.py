@@ -31,7 +31,12 @@ from drivers.recording.session_layout import (
 )
 
 _MAX_RECORD_BYTES: Final = 64 << 20  # far more than a chunk has; a damaged length does not claim memory
-_UNREADABLE: Final = (McapError, struct.error, ValueError, EOFError)  # what the MCAP reader raises on damage; a wrong CRC is a ValueError
+_UNREADABLE: Final = (
+    McapError,
+    struct.error,
+    ValueError,
+    EOFError,
+)  # what the MCAP reader raises on damage; a wrong CRC is a ValueError
 
 
 class _File(NamedTuple):
@@ -56,7 +61,10 @@ class Session:
             raise BadInputError(f"{path} does not exist. Check the path.")
         candidates = sorted(path.glob(FILE_PATTERN)) if path.is_dir() else [path]
         if not candidates:
-            raise BadInputError(f"{path} holds no recorded session: it contains no {FILE_PATTERN}. Name a folder that was recorded into.")
+            raise BadInputError(
+                f"{path} holds no recorded session: it contains no {FILE_PATTERN}. Name a folder that was recorded "
+                "into."
+            )
         self._left_out: list[Notice] = []
         files = []
         for candidate in candidates:
@@ -65,15 +73,22 @@ class Session:
             except BadInputError as error:
                 if len(candidates) == 1:
                     raise
-                self._left_out.append(Notice(code="session_file_unusable", text=f"file left out: {error}", place=str(candidate)))
+                self._left_out.append(
+                    Notice(code="session_file_unusable", text=f"file left out: {error}", place=str(candidate))
+                )
         if not files:
-            raise BadInputError("nothing of this session can be read:\n" + "\n".join(f"  {notice.text}" for notice in self._left_out))
+            raise BadInputError(
+                "nothing of this session can be read:\n" + "\n".join(f"  {notice.text}" for notice in self._left_out)
+            )
         files.sort(key=lambda file: file.head.file_number)
         self.description: SessionDescription = files[0].head.session
         self._files = [file for file in files if file.head.session == self.description]
         for file in files:
             if file.head.session != self.description:
-                text = f"{file.path} was recorded in another session and is left out. Keep each session in a folder of its own."
+                text = (
+                    f"{file.path} was recorded in another session and is left out. Keep each session in a folder of "
+                    "its own."
+                )
                 self._left_out.append(Notice(code="session_file_unusable", text=text, place=str(file.path)))
         self._whole = path.is_dir()
         self._begin()
@@ -112,7 +127,10 @@ class Session:
             torn_bytes = file.size_bytes - whole_bytes
             self.counters["session.files_unfinished"] += 1
             self.counters["session.bytes_torn"] += torn_bytes
-            text = f"the recording of {file.path} was cut off: its last {torn_bytes} bytes cannot be read, all before them can."
+            text = (
+                f"the recording of {file.path} was cut off: its last {torn_bytes} bytes cannot be read, all before "
+                "them can."
+            )
             self.notices.append(Notice(code="session_cut_off", text=text, place=f"{file.path}: byte {whole_bytes}"))
 
     def _messages(self, chunk: Chunk, channels: dict[int, Channel], file: _File) -> Iterator[Recorded]:
@@ -132,12 +150,17 @@ class Session:
                 elif (direction := channel.metadata.get("direction")) in get_args(Direction):
                     self._check_sequence(record.sequence, file)
                     stamp = Stamp(mono_ns=record.publish_time, utc_ns=record.log_time)
-                    yield Recorded(channel.metadata.get("port", channel.topic), cast(Direction, direction), stamp, record.data)
+                    yield Recorded(
+                        channel.metadata.get("port", channel.topic), cast(Direction, direction), stamp, record.data
+                    )
 
     def _check_sequence(self, sequence: int, file: _File) -> None:
         if self._next_sequence is not None and (n_missing := (sequence - self._next_sequence) % SEQUENCE_SPAN):
             self.counters["session.messages_missing"] += n_missing
-            text = f"{n_missing} messages are missing before this place in {file.path}: a damaged chunk, or a file that is not there."
+            text = (
+                f"{n_missing} messages are missing before this place in {file.path}: a damaged chunk, or a file that "
+                "is not there."
+            )
             self.notices.append(Notice(code="session_messages_missing", text=text, place=str(file.path)))
         self._next_sequence = (sequence + 1) % SEQUENCE_SPAN
 
@@ -146,7 +169,8 @@ class Session:
         self.counters["session.chunks_lost"] += lost.n_chunks
         self.counters["session.bytes_lost"] += n_bytes
         text = (
-            f"{n_bytes} bytes of {', '.join(sorted(lost.n_bytes))} came too fast for the disk and were not recorded, within "
+            f"{n_bytes} bytes of {', '.join(sorted(lost.n_bytes))} came too fast for the disk and were not recorded, "
+            "within "
             f"{(lost.last.mono_ns - lost.first.mono_ns) / 1e9:.1f} s. A replay differs from the mission there."
         )
         self.notices.append(Notice(code="session_bytes_lost", text=text, place=str(file.path)))
@@ -158,7 +182,8 @@ def recorded_config(session: Session) -> Config:
         return parse_config(session.description.config_yaml, "the session's configuration")
     except UsageError as error:
         raise BadInputError(
-            f"{error}\nIt was recorded by version {session.description.version}; replay it with that, or give a configuration."
+            f"{error}\nIt was recorded by version {session.description.version}; replay it with that, or give a "
+            "configuration."
         ) from error
 
 
@@ -194,13 +219,18 @@ def _read_head(path: Path) -> FileHead:
         with open_regular(path) as stream:
             for record in _records(_WholeReads(stream, path.stat().st_size)):
                 if isinstance(record, Header) and record.profile != PROFILE:
-                    raise BadInputError(f"{path} is an MCAP file of profile '{record.profile}', not a session ('{PROFILE}'). Name another.")
+                    raise BadInputError(
+                        f"{path} is an MCAP file of profile '{record.profile}', not a session ('{PROFILE}'). Name "
+                        "another."
+                    )
                 if isinstance(record, Chunk):
                     return _head_in(record)
     except OSError as error:
         raise BadInputError(f"{path} cannot be read: {error}. Check the path.") from error
     except msgspec.MsgspecError as error:
-        raise BadInputError(f"{path}: its head is not that of a session: {error}. It was recorded by another version.") from error
+        raise BadInputError(
+            f"{path}: its head is not that of a session: {error}. It was recorded by another version."
+        ) from error
     except _UNREADABLE as error:
         raise BadInputError(
             f"{path} is not a recorded session, or nothing is left of it: {error}. Name a session's folder or file."

@@ -119,7 +119,10 @@ class SvlogRecording:
         time_ns = self._clock.time_ns(message.payload[_CHANNEL_AT], counter_ms, round(1e9 * echo_s))
         if self._clock.n_restarts > self._own["reader.sonar_restarted"]:
             self._own["reader.sonar_restarted"] = self._clock.n_restarts
-            text = "the sonar's counter started anew: later times are too early by as long as it was off, which is not in the log"
+            text = (
+                "the sonar's counter started anew: later times are too early by as long as it was off, which is not "
+                "in the log"
+            )
             self.notices.append(Notice(code="reader.sonar_restarted", text=text, place=place))
         return Stamp(time_ns, time_ns)
 
@@ -158,7 +161,9 @@ class SvlogRecording:
 
     def _read_head(self, message: PingMessage) -> None:
         head = decode(message)
-        text = head.content.get("timestamp") if isinstance(head, JsonWrapper) and isinstance(head.content, dict) else None
+        text = (
+            head.content.get("timestamp") if isinstance(head, JsonWrapper) and isinstance(head.content, dict) else None
+        )
         try:
             when = datetime.fromisoformat(text) if isinstance(text, str) else None
         except ValueError:

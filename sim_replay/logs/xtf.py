@@ -39,7 +39,15 @@ from sim_replay.logs.xtf_header import (
     kind_name,
     name_channels,
 )
-from sim_replay.logs.xtf_packets import FILE_FORMAT, HEADER_BLOCK, DamagedBytes, FileHeader, XtfPacket, header_bytes, read_packets
+from sim_replay.logs.xtf_packets import (
+    FILE_FORMAT,
+    HEADER_BLOCK,
+    DamagedBytes,
+    FileHeader,
+    XtfPacket,
+    header_bytes,
+    read_packets,
+)
 
 KNOT_MPS: Final = 1852.0 / 3600.0
 PROBE_PINGS: Final = 50
@@ -52,7 +60,15 @@ _MAX_DAMAGE_NOTICES: Final = 10
 _MENDED: Final = frozenset(
     f"reader.{name}"
     for name in (
-        *("ping_empty", "side_empty", "time_tied", "clock_stuck", "joined_log", "other_channel", "sound_speed_overridden"),
+        *(
+            "ping_empty",
+            "side_empty",
+            "time_tied",
+            "clock_stuck",
+            "joined_log",
+            "other_channel",
+            "sound_speed_overridden",
+        ),
         *("sample_type_change", "sample_count_change", "weight_change", "sample_not_finite", "time_delay"),
     )
 )
@@ -176,7 +192,9 @@ class XtfLog:
             try:
                 self._use_header(header, 0)
             except _NoSideScanError as error:
-                raise BadInputError(f"{error} It holds {self._inventory(file)}. Give a log recorded with side scan switched on.") from error
+                raise BadInputError(
+                    f"{error} It holds {self._inventory(file)}. Give a log recorded with side scan switched on."
+                ) from error
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
@@ -185,7 +203,9 @@ class XtfLog:
 
     def first_time_s(self) -> float:
         """Find the time of the first ping, s since 1970. Raises BadInputError if there is none."""
-        return next((event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf)
+        return next(
+            (event.time_s for event in self if isinstance(event, Ping) and math.isfinite(event.time_s)), math.inf
+        )
 
     def __iter__(self) -> Iterator[SourceEvent]:
         """Iterate. Raises BadInputError if there is no usable ping at all."""
@@ -237,15 +257,20 @@ class XtfLog:
     def _read_file_header(self, file: BinaryIO) -> tuple[int, bytes]:
         size = os.fstat(file.fileno()).st_size
         if size == 0:
-            raise BadInputError(f"{self._path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again.")
+            raise BadInputError(
+                f"{self._path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again."
+            )
         first = file.read(1)
         if first[0] != FILE_FORMAT:
             raise BadInputError(
-                f"{self._path} is not an XTF file: byte 0 is 0x{first[0]:02x}, an XTF file starts with 0x{FILE_FORMAT:02x}. "
+                f"{self._path} is not an XTF file: byte 0 is 0x{first[0]:02x}, an XTF file starts with "
+                f"0x{FILE_FORMAT:02x}. "
                 "Give the XTF export of this log."
             )
         if size < HEADER_BLOCK:
-            raise BadInputError(f"{self._path} ends inside its file header ({size} of {HEADER_BLOCK} bytes). Fetch the file again.")
+            raise BadInputError(
+                f"{self._path} ends inside its file header ({size} of {HEADER_BLOCK} bytes). Fetch the file again."
+            )
         length = header_bytes(file, 0, size) or HEADER_BLOCK
         file.seek(0)
         return length, file.read(length)
@@ -272,12 +297,14 @@ class XtfLog:
                 )
             if header_channel(header, data, channel.number).CorrectionFlags == GROUND_RANGE:
                 raise BadInputError(
-                    f"{place}: channel {channel.number} ({channel.name}) is already corrected to ground range; slant range is needed. "
+                    f"{place}: channel {channel.number} ({channel.name}) is already corrected to ground range; slant "
+                    "range is needed. "
                     "Export the log without slant-range correction."
                 )
         if header.NavUnits != LATITUDE_LONGITUDE:
             raise BadInputError(
-                f"{place}: positions are projected coordinates in metres (NavUnits {header.NavUnits}) and the projection is not given. "
+                f"{place}: positions are projected coordinates in metres (NavUnits {header.NavUnits}) and the "
+                "projection is not given. "
                 "Export the log with latitude and longitude (NavUnits 3)."
             )
 
@@ -291,7 +318,8 @@ class XtfLog:
     def _no_ping_text(self) -> str:
         seen = ", ".join(f"{name} {n}" for name, n in sorted(self.counters.items())) or "no packets"
         return (
-            f"{self._path} has side-scan channels but no usable side-scan ping ({seen}). Check that the recording was not stopped at once."
+            f"{self._path} has side-scan channels but no usable side-scan ping ({seen}). Check that the recording was "
+            "not stopped at once."
         )
 
     # --- packets to raw pings ---
@@ -393,12 +421,20 @@ class XtfLog:
             self._raise_notice_once(
                 "reader.time_invalid",
                 f"a ping's date or time is impossible ({clock.Year}-{clock.Month}-{clock.Day} "
-                f"{clock.Hour}:{clock.Minute}:{clock.Second}); such pings are skipped and counted: set the recorder's clock",
+                f"{clock.Hour}:{clock.Minute}:{clock.Second}); such pings are skipped and counted: set the recorder's "
+                "clock",
                 self._place(packet.offset),
             )
             return None
         ping_header = _PingHeader._make(_PING_FIELDS.unpack_from(data))
-        return _RawPing(packet.offset, ping_header, time_s, interval, traces.get(self._port_number), traces.get(self._starboard_number))
+        return _RawPing(
+            packet.offset,
+            ping_header,
+            time_s,
+            interval,
+            traces.get(self._port_number),
+            traces.get(self._starboard_number),
+        )
 
     # --- evidence of the first pings ---
 
@@ -411,11 +447,14 @@ class XtfLog:
         def any_known(field: str) -> bool:
             return any(_number(getattr(h, field)) != 0.0 for h in headers)
 
-        ship_position = all_unknown("SensorYcoordinate") and all_unknown("SensorXcoordinate") and any_known("ShipYcoordinate")
+        ship_position = (
+            all_unknown("SensorYcoordinate") and all_unknown("SensorXcoordinate") and any_known("ShipYcoordinate")
+        )
         if ship_position:
             self._raise_notice_once(
                 "reader.ship_position",
-                "the log has no sensor positions; the vessel's are used, without layback. For a towed sonar log sensor positions",
+                "the log has no sensor positions; the vessel's are used, without layback. For a towed sonar log "
+                "sensor positions",
                 self._place(probe[0].offset),
             )
         return _Habits(
@@ -451,7 +490,8 @@ class XtfLog:
         if seen is not None and seen != wanted and abs(evidence.total) >= 2 * DECISIVE:
             self._raise_notice(
                 "reader.port_order_disagrees",
-                f"sonar.port_order is {wanted}, but the first pings look {seen} ({cues}). The setting is obeyed; check the port waterfall",
+                f"sonar.port_order is {wanted}, but the first pings look {seen} ({cues}). The setting is obeyed; "
+                "check the port waterfall",
                 place,
             )
         return wanted
@@ -527,7 +567,8 @@ class XtfLog:
         if speed != logged:
             self._raise_notice_once(
                 "reader.sound_speed_overridden",
-                f"sonar.sound_speed_mps {speed:g} replaces the log's {logged:g} m/s; slant ranges are scaled by {speed / logged:.4f}",
+                f"sonar.sound_speed_mps {speed:g} replaces the log's {logged:g} m/s; slant ranges are scaled by "
+                f"{speed / logged:.4f}",
                 place,
             )
         altitude = _number(raw.header.SensorPrimaryAltitude)
@@ -542,7 +583,9 @@ class XtfLog:
             place=f"{place}, ping {number}",
         )
 
-    def _echo(self, side: str, trace: _Trace | None, speed: float, logged: float, turned: bool, place: str) -> EchoTrace | None:
+    def _echo(
+        self, side: str, trace: _Trace | None, speed: float, logged: float, turned: bool, place: str
+    ) -> EchoTrace | None:
         if trace is None:
             return None
         samples = trace.samples
@@ -554,28 +597,35 @@ class XtfLog:
             self.counters[f"reader.{what}_change"] += 1
             self._raise_notice_once(
                 f"reader.{what}_change",
-                f"{side} changes from {known[0]} samples of {known[1].str} to {form[0]} of {form[1].str}; later changes are counted",
+                f"{side} changes from {known[0]} samples of {known[1].str} to {form[0]} of {form[1].str}; later "
+                "changes are counted",
                 place,
             )
         reference = self._reference_weight.setdefault(side, trace.weight)
         if trace.weight != reference:
-            # A sample's value is stored * 2^-weight; only a change against the first ping matters, absolute gain does not.
+            # A sample's value is stored * 2^-weight; only a change against the first ping matters, absolute gain does
+            # not.
             samples = np.ldexp(samples.astype(np.float32), max(-60, min(60, reference - trace.weight)))
             self.counters["reader.weight_change"] += 1
             self._raise_notice_once(
-                "reader.weight_change", f"{side} changes its weight factor; samples are scaled to the first ping's", place
+                "reader.weight_change",
+                f"{side} changes its weight factor; samples are scaled to the first ping's",
+                place,
             )
         if samples.dtype.kind == "f" and not np.all(np.isfinite(samples)):
             self.counters["reader.sample_not_finite"] += 1
             self._raise_notice_once(
-                "reader.sample_not_finite", f"{side} holds samples that are NaN or infinite; they are delivered as such", place
+                "reader.sample_not_finite",
+                f"{side} holds samples that are NaN or infinite; they are delivered as such",
+                place,
             )
         spacing = trace.range_m * speed / logged / samples.shape[0]
         delay = trace.delay_s if 0.0 < trace.delay_s < 10.0 else 0.0
         if delay:
             self._raise_notice_once(
                 "reader.time_delay",
-                f"{side} was recorded from {delay:g} s after the transmission on; its ranges start {delay * speed / 2:.2f} m out",
+                f"{side} was recorded from {delay:g} s after the transmission on; its ranges start "
+                f"{delay * speed / 2:.2f} m out",
                 place,
             )
         return EchoTrace(
@@ -616,7 +666,9 @@ class XtfLog:
         outcome = "everything before it is used" if damage.at_end else "reading goes on after it"
         more = "; further damage is only counted" if n_damaged == _MAX_DAMAGE_NOTICES else ""
         self._raise_notice(
-            "reader.damaged_packet", f"{damage.what}; {damage.n_bytes} bytes are left out, {outcome}{more}", self._place(damage.offset)
+            "reader.damaged_packet",
+            f"{damage.what}; {damage.n_bytes} bytes are left out, {outcome}{more}",
+            self._place(damage.offset),
         )
 
     def _raise_joined_notice(self, item: FileHeader) -> None:
@@ -625,14 +677,20 @@ class XtfLog:
         try:
             self._use_header(item.data, item.offset)
             self._raise_notice_once(
-                "reader.joined_log", "another file header starts here: logs were joined; its channels hold from here on", place
+                "reader.joined_log",
+                "another file header starts here: logs were joined; its channels hold from here on",
+                place,
             )
         except BadInputError as error:
             self._channels, self._port_number, self._starboard_number = [], -1, -1
             self._raise_notice_once("reader.joined_log_unusable", f"{error} Its pings are skipped", place)
 
     def _raise_other_channels_notice(self, data: bytes) -> None:
-        others = [c for c in self._channels if c.kind in SIDE_SCAN and c.number not in (self._port_number, self._starboard_number)]
+        others = [
+            c
+            for c in self._channels
+            if c.kind in SIDE_SCAN and c.number not in (self._port_number, self._starboard_number)
+        ]
         if others:
             self._raise_notice(
                 "reader.other_channel",
@@ -660,7 +718,9 @@ class XtfLog:
 
     def _raise_total_notices(self) -> None:
         place = self._path.name
-        tied, stuck, backwards = (self.counters[f"reader.{name}"] for name in ("time_tied", "clock_stuck", "time_backwards"))
+        tied, stuck, backwards = (
+            self.counters[f"reader.{name}"] for name in ("time_tied", "clock_stuck", "time_backwards")
+        )
         if tied:
             text = f"{tied} pings shared a time stamp with the one before; they are spread evenly"
             self._raise_notice("reader.time_tied", text, place)
@@ -668,7 +728,9 @@ class XtfLog:
             text = f"the clock stood still for {stuck} pings; they are timed by their interval"
             self._raise_notice("reader.clock_stuck", text, place)
         if backwards:
-            self._raise_notice("reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place)
+            self._raise_notice(
+                "reader.time_backwards", f"time went backwards {backwards} times; check the recorder's clock", place
+            )
 
 
 class _NoSideScanError(BadInputError):
@@ -689,7 +751,9 @@ def _utc_seconds(clock: _PingTime) -> float | None:
     if clock.HSeconds > 99 or clock.Year < 1980:
         return None
     try:
-        whole = datetime(clock.Year, clock.Month, clock.Day, clock.Hour, clock.Minute, min(clock.Second, 59), tzinfo=UTC)
+        whole = datetime(
+            clock.Year, clock.Month, clock.Day, clock.Hour, clock.Minute, min(clock.Second, 59), tzinfo=UTC
+        )
     except ValueError:
         return None
     if clock.Second > 60:
@@ -704,8 +768,18 @@ def _probe_port_order(probe: list[_RawPing], blank_m: float) -> PortOrderEvidenc
     if not forms:
         return None
     n_samples, range_m = forms.most_common(1)[0][0]
-    chosen = [raw for raw in probe if raw.port is not None and (raw.port.samples.shape[0], raw.port.range_m) == (n_samples, range_m)]
+    chosen = [
+        raw
+        for raw in probe
+        if raw.port is not None and (raw.port.samples.shape[0], raw.port.range_m) == (n_samples, range_m)
+    ]
     port = np.stack([raw.port.samples for raw in chosen if raw.port is not None])
-    others = [raw.starboard.samples for raw in chosen if raw.starboard is not None and raw.starboard.samples.shape[0] == n_samples]
+    others = [
+        raw.starboard.samples
+        for raw in chosen
+        if raw.starboard is not None and raw.starboard.samples.shape[0] == n_samples
+    ]
     starboard = np.stack(others) if others else None
-    return port_order_evidence(np.nan_to_num(port), None if starboard is None else np.nan_to_num(starboard), range_m / n_samples, blank_m)
+    return port_order_evidence(
+        np.nan_to_num(port), None if starboard is None else np.nan_to_num(starboard), range_m / n_samples, blank_m
+    )

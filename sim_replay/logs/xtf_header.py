@@ -22,7 +22,8 @@ _DTYPE_OF_WIDTH: Final = {1: "u1", 2: "<u2", 4: "<u4"}
 
 
 class Channel(NamedTuple):
-    """Describe one channel by the file header. legacy_samples: samples per ping where pings do not carry it themselves."""
+    """Describe one channel by the file header. legacy_samples: samples per ping where pings do not carry it
+    themselves."""
 
     number: int
     kind: int
@@ -73,7 +74,9 @@ def first_pair(side_scan: list[Channel]) -> tuple[Channel | None, Channel | None
 
 def name_channels(some: list[Channel]) -> str:
     names = {0: "sub-bottom", PORT: "port", STARBOARD: "starboard", 3: "bathymetry"}
-    return ", ".join(f"{c.number} {names.get(c.kind, 'unknown')} {c.name}".rstrip() for c in some) or "no channels at all"
+    return (
+        ", ".join(f"{c.number} {names.get(c.kind, 'unknown')} {c.name}".rstrip() for c in some) or "no channels at all"
+    )
 
 
 def kind_name(kind: int) -> str:

@@ -61,7 +61,9 @@ def read_packets(
     """
     position = first_packet
     search_from = first_packet  # no packet that was already delivered starts at or after this
-    newest_wanted: tuple[int, int] | None = None  # offset and length; how far its content goes is looked at only where damage follows
+    newest_wanted: tuple[int, int] | None = (
+        None  # offset and length; how far its content goes is looked at only where damage follows
+    )
     file.seek(position)
     while position < size:
         start = file.read(_START.size)

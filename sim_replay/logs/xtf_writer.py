@@ -85,7 +85,9 @@ def _merged(known: NavSample, new: NavSample) -> NavSample:
     return NavSample(**{name: getattr(known, name) if math.isnan(value) else value for name, value in values.items()})
 
 
-def _ping_packet(ping: Ping, nav: NavSample, sides: tuple[Side, ...], sample_type: SampleType, port_far_to_near: bool) -> bytes:
+def _ping_packet(
+    ping: Ping, nav: NavSample, sides: tuple[Side, ...], sample_type: SampleType, port_far_to_near: bool
+) -> bytes:
     body = b""
     n_channels = 0
     for number, side in enumerate(sides):
@@ -133,7 +135,9 @@ def _as_type(samples: NDArray[Any], sample_type: SampleType, ping: Ping) -> NDAr
     with np.errstate(invalid="ignore", over="ignore"):
         converted = samples.astype(dtype)
     if not np.array_equal(converted, samples, equal_nan=samples.dtype.kind == "f"):
-        raise UsageError(f"ping {ping.number}: its {samples.dtype} samples do not fit into {sample_type}. Write them as float32.")
+        raise UsageError(
+            f"ping {ping.number}: its {samples.dtype} samples do not fit into {sample_type}. Write them as float32."
+        )
     return converted
 
 

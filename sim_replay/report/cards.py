@@ -119,7 +119,11 @@ def strips_with(contact: Contact, strips: Sequence[PictureStrip]) -> list[int]:
 
 
 def _card(
-    contact: Contact, shown: Detection | None, picture: ViewPicture | None, strips: Sequence[PictureStrip], legs: Mapping[str, int]
+    contact: Contact,
+    shown: Detection | None,
+    picture: ViewPicture | None,
+    strips: Sequence[PictureStrip],
+    legs: Mapping[str, int],
 ) -> Card:
     listed = _listed_views(contact)
     views = [_view_line(number, view) for number, view in listed]
@@ -153,13 +157,19 @@ def _card(
 def _shown_view(contact: Contact) -> Detection | None:
     """Choose the view with the greatest score, of those with a confirmation if there are any."""
     close = tuple(view for view in contact.views if view.confirmation is not None and view.snippet.size)
-    return max(close, key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s), default=best_view(contact))
+    return max(
+        close,
+        key=lambda view: (-math.inf if math.isnan(view.score) else view.score, -view.time_s),
+        default=best_view(contact),
+    )
 
 
 def _listed_views(contact: Contact) -> list[tuple[int, Detection]]:
     """Number the views in order of time; of very many keep those with the greatest scores."""
     numbered = list(enumerate(contact.views, start=1))
-    strongest = sorted(numbered, key=lambda one: (-one[1].score if math.isfinite(one[1].score) else math.inf, one[0]))[:_MAX_VIEWS]
+    strongest = sorted(numbered, key=lambda one: (-one[1].score if math.isfinite(one[1].score) else math.inf, one[0]))[
+        :_MAX_VIEWS
+    ]
     return sorted(strongest, key=lambda one: one[0])
 
 
@@ -169,7 +179,8 @@ def _verdict(contact: Contact) -> tuple[str, str]:
     rejected = sum(found.rejected for found in close)
     solid = words.class_name(contact.classification)
     fitting = sum(
-        found.model is not None and found.model.classification == contact.classification and not found.rejected for found in close
+        found.model is not None and found.model.classification == contact.classification and not found.rejected
+        for found in close
     )
     called = "Mine-like" if is_mine_like(contact) else "Not mine-like"
     if not close:
@@ -199,7 +210,10 @@ def _view_line(number: int, view: Detection) -> ViewLine:
         return ViewLine(number, place, "Not confirmed", [], "", "", _reasons(view.reasons))
     verdict, model = "Contours rejected" if found.rejected else "Contours of an object", ""
     if found.model is not None:
-        model = f"Best model: {words.class_name(found.model.classification)}, {words.model_sizes(found.model.sizes, found.model.sigma)}"
+        model = (
+            f"Best model: {words.class_name(found.model.classification)}, "
+            f"{words.model_sizes(found.model.sizes, found.model.sigma)}"
+        )
     return ViewLine(
         number,
         place,
@@ -219,7 +233,11 @@ def _reasons(codes: Sequence[str]) -> list[Reason]:
 
 def _shares(belief: Mapping[str, float]) -> list[Share]:
     """Sort the belief: greatest first, the unknown last."""
-    shares = [Share(name, words.class_name(name), 100.0 * share) for name, share in belief.items() if share >= _MIN_SHARE_SHOWN]
+    shares = [
+        Share(name, words.class_name(name), 100.0 * share)
+        for name, share in belief.items()
+        if share >= _MIN_SHARE_SHOWN
+    ]
     return sorted(shares, key=lambda share: (share.name == "unknown", -share.percent))
 
 
@@ -235,7 +253,10 @@ def _next_look(contact: Contact) -> str:
     line = f"along {_compass_deg(first)} or {_compass_deg(first + 180.0)}"
     off = [abs(math.remainder(aspect - first, 180.0)) for aspect in contact.aspects_deg if math.isfinite(aspect)]
     why = [f"the nearest view so far was {min(off):.0f}° off"] if off else []
-    likely = sorted(((share, name) for name, share in contact.belief.items() if share >= _OPEN_FROM and name != "unknown"), reverse=True)
+    likely = sorted(
+        ((share, name) for name, share in contact.belief.items() if share >= _OPEN_FROM and name != "unknown"),
+        reverse=True,
+    )
     if contact.belief.get("unknown", 0.0) >= 0.5:
         why.append("most of the belief is still unknown")
     elif len(likely) > 1:
@@ -257,7 +278,9 @@ def _compass(contact: Contact, numbers: Sequence[int]) -> Compass | None:
     for number, aspect in looks:
         right, down = math.sin(math.radians(aspect)), -math.cos(math.radians(aspect))
         tip, tail = (-9.0 * right, -9.0 * down), (-_COMPASS * right, -_COMPASS * down)
-        barbs = [(tip[0] - 8.0 * right + side * 4.0 * down, tip[1] - 8.0 * down - side * 4.0 * right) for side in (-1.0, 1.0)]
+        barbs = [
+            (tip[0] - 8.0 * right + side * 4.0 * down, tip[1] - 8.0 * down - side * 4.0 * right) for side in (-1.0, 1.0)
+        ]
         path = f"M{_at(tail)}L{_at(tip)}M{_at(barbs[0])}L{_at(tip)}L{_at(barbs[1])}"
         arrows.append(Arrow(path, str(number), -(_COMPASS + 9.0) * right, -(_COMPASS + 9.0) * down + 3.5))
     line = ""
@@ -265,7 +288,9 @@ def _compass(contact: Contact, numbers: Sequence[int]) -> Compass | None:
         turn = math.radians(contact.next_look_deg[0])
         end = _COMPASS * math.sin(turn), -_COMPASS * math.cos(turn)
         line = f"M{_at((-end[0], -end[1]))}L{_at(end)}"
-    label = "Look angles so far: " + (words.listed([_compass_deg(aspect) for _, aspect in looks]) or "directions not known")
+    label = "Look angles so far: " + (
+        words.listed([_compass_deg(aspect) for _, aspect in looks]) or "directions not known"
+    )
     return Compass(label, arrows, line)
 
 
@@ -286,8 +311,17 @@ def _facts(contact: Contact) -> list[tuple[str, str]]:
     facts = [
         ("Size", f"{length} × {width}, height {height}"),
         ("Position", f"{contact.latitude_deg:.7f}, {contact.longitude_deg:.7f}"),
-        ("", f"{words.degrees_minutes(contact.latitude_deg, 'N', 'S')}, {words.degrees_minutes(contact.longitude_deg, 'E', 'W')}"),
-        ("Error, 1 σ", f"{major_m:.2f} × {minor_m:.2f} m along {direction_deg:03.0f}°" if major_m >= 0.0 else "not known"),
+        (
+            "",
+            (
+                f"{words.degrees_minutes(contact.latitude_deg, 'N', 'S')}, "
+                f"{words.degrees_minutes(contact.longitude_deg, 'E', 'W')}"
+            ),
+        ),
+        (
+            "Error, 1 σ",
+            f"{major_m:.2f} × {minor_m:.2f} m along {direction_deg:03.0f}°" if major_m >= 0.0 else "not known",
+        ),
         ("First seen", f"{words.utc(contact.time_s)} UTC"),
         ("Aspect", ", ".join(_compass_deg(aspect) for aspect in contact.aspects_deg) or "not known"),
     ]

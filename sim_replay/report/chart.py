@@ -24,7 +24,12 @@ _MIN_HEIGHT: Final = 380.0
 _MAX_HEIGHT: Final = 900.0
 _MARGIN: Final = 46.0
 _MIN_SPAN_M: Final = 60.0
-_MINUTE_STEPS: Final = [factor * 10.0**power for power in range(-4, 2) for factor in (1.0, 2.0, 5.0)] + [60.0, 120.0, 300.0, 600.0]
+_MINUTE_STEPS: Final = [factor * 10.0**power for power in range(-4, 2) for factor in (1.0, 2.0, 5.0)] + [
+    60.0,
+    120.0,
+    300.0,
+    600.0,
+]
 
 
 class Marker(NamedTuple):
@@ -78,7 +83,10 @@ class _Projection(NamedTuple):
     height: float
 
     def drawn(self, east_north_m: Points) -> Points:
-        return np.column_stack([(east_north_m[:, 0] - self.west_m), (self.north_m - east_north_m[:, 1])]) * self.units_per_m
+        return (
+            np.column_stack([(east_north_m[:, 0] - self.west_m), (self.north_m - east_north_m[:, 1])])
+            * self.units_per_m
+        )
 
 
 def draw_chart(
@@ -88,7 +96,9 @@ def draw_chart(
 
     track_deg: (n, 2) latitude, longitude, NaN where the track breaks.
     """
-    located = [contact for contact in contacts if math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)]
+    located = [
+        contact for contact in contacts if math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)
+    ]
     contacts_deg = np.array([(contact.latitude_deg, contact.longitude_deg) for contact in located]).reshape(-1, 2)
     rings_deg = [ring[:, ::-1] for patch in patches for ring in patch.rings_deg if np.isfinite(ring).all()]
     way_deg = np.array([(point.latitude_deg, point.longitude_deg) for point in waypoints]).reshape(-1, 2)
@@ -120,7 +130,9 @@ def draw_chart(
 
 
 def _plane(frame: LocalFrame, places_deg: Points) -> Points:
-    return np.asarray(frame.to_enu(places_deg[:, 0], places_deg[:, 1], np.zeros(len(places_deg)))[:, :2], dtype=np.float64)
+    return np.asarray(
+        frame.to_enu(places_deg[:, 0], places_deg[:, 1], np.zeros(len(places_deg)))[:, :2], dtype=np.float64
+    )
 
 
 def _fitted(frame: LocalFrame, plane: Points) -> _Projection:
@@ -129,7 +141,9 @@ def _fitted(frame: LocalFrame, plane: Points) -> _Projection:
     middle = (low + high) / 2.0
     scale = min((WIDTH - 2.0 * _MARGIN) / span[0], (_MAX_HEIGHT - 2.0 * _MARGIN) / span[1])
     height = max(_MIN_HEIGHT, span[1] * scale + 2.0 * _MARGIN)
-    return _Projection(frame, middle[0] - WIDTH / 2.0 / scale, middle[1] + height / 2.0 / scale, float(scale), float(height))
+    return _Projection(
+        frame, middle[0] - WIDTH / 2.0 / scale, middle[1] + height / 2.0 / scale, float(scale), float(height)
+    )
 
 
 def svg_path(points: Points) -> str:
@@ -142,7 +156,11 @@ def svg_path(points: Points) -> str:
 
 def _unbroken(points: Points) -> list[Points]:
     known = np.isfinite(points).all(axis=1)
-    return [piece for piece in np.split(points, np.flatnonzero(np.diff(known)) + 1) if len(piece) > 1 and np.isfinite(piece).all()]
+    return [
+        piece
+        for piece in np.split(points, np.flatnonzero(np.diff(known)) + 1)
+        if len(piece) > 1 and np.isfinite(piece).all()
+    ]
 
 
 def _markers(contacts: Sequence[Contact], places: Points, projection: _Projection) -> tuple[Marker, ...]:
@@ -152,7 +170,9 @@ def _markers(contacts: Sequence[Contact], places: Points, projection: _Projectio
     """
     order = sorted(range(len(contacts)), key=lambda number: (-contacts[number].p_mine, contacts[number].id))
     likely = [places[number].tolist() for number in order if is_mine_like(contacts[number])]
-    taken: list[tuple[float, float, float, float]] = [(right - 5, down - 5, right + 5, down + 5) for right, down in likely]
+    taken: list[tuple[float, float, float, float]] = [
+        (right - 5, down - 5, right + 5, down + 5) for right, down in likely
+    ]
     markers = []
     for number in order:
         contact, (right, down) = contacts[number], places[number].tolist()
@@ -163,7 +183,9 @@ def _markers(contacts: Sequence[Contact], places: Points, projection: _Projectio
                 left = right + shift - {"start": 0.0, "end": wide, "middle": wide / 2.0}[anchor]
                 box = left, down + drop - 11.0, left + wide, down + drop + 2.0
                 inside = box[0] > 0.0 and box[2] < WIDTH
-                if inside and not any(box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken):
+                if inside and not any(
+                    box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken
+                ):
                     taken.append(box)
                     label = right + shift, down + drop, anchor
                     break
@@ -222,13 +244,21 @@ def _graticule(projection: _Projection) -> _Graticule:
     frame, scale = projection.frame, projection.units_per_m
     edge = np.linspace(0.0, 1.0, 17)
     across, along = WIDTH / scale * edge, projection.height / scale * edge
-    border = np.vstack([
-        *(np.column_stack([projection.west_m + across, np.full(17, projection.north_m - side)]) for side in (0.0, along[-1])),
-        *(np.column_stack([np.full(17, projection.west_m + side), projection.north_m - along]) for side in (0.0, across[-1])),
-    ])  # fmt: skip
+    east_m, north_m = projection.west_m + across, projection.north_m - along
+    border = np.vstack(
+        [
+            *(np.column_stack([east_m, np.full(17, side_m)]) for side_m in north_m[[0, -1]]),
+            *(np.column_stack([np.full(17, side_m), north_m]) for side_m in east_m[[0, -1]]),
+        ]
+    )
     latitudes, longitudes, _ = frame.to_geodetic(np.column_stack([border, np.zeros(len(border))]))
     relative = (longitudes - frame.longitude_deg + 180.0) % 360.0 - 180.0
-    south, north, west, east = float(latitudes.min()), float(latitudes.max()), float(relative.min()), float(relative.max())
+    south, north, west, east = (
+        float(latitudes.min()),
+        float(latitudes.max()),
+        float(relative.min()),
+        float(relative.max()),
+    )
     lines: list[str] = []
     labels: tuple[list[Label], list[Label]] = [], []
     if east - west > 90.0:  # too near a pole for meridians to mean much

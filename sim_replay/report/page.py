@@ -89,7 +89,11 @@ def render_report(
 
     folder = Path(__file__).parent
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.FileSystemLoader(folder),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     ranked = sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
     strips = pictures.strips()
@@ -141,7 +145,13 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
         facts.insert(1, (str(called), "called", "no more false alarms as mine-like are expected than accepted"))
     if mission.wall_s > 0.0 and math.isfinite(span_s):
         speed = span_s / mission.wall_s
-        facts.append((f"{speed:.0f}×" if speed >= 10.0 else f"{speed:.1f}×", "real time", f"processed in {words.duration(mission.wall_s)}"))
+        facts.append(
+            (
+                f"{speed:.0f}×" if speed >= 10.0 else f"{speed:.1f}×",
+                "real time",
+                f"processed in {words.duration(mission.wall_s)}",
+            )
+        )
     return facts
 
 
@@ -181,10 +191,14 @@ def _mines_left(searched: Mapping[str, Any]) -> str:
         return ""
     left = searched["mines_left"]
     return (
-        f"Contacts called mine-like stand for {searched['mines_found']:.1f} mines found; mines left are those among the "
-        f"{left['among_contacts']} contacts that are not called: their p_mine add up to {left['p_mine_sum']:.1f}, of which "
-        f"{DOUBTFUL_SHARE:.0%} were mines in simulated missions, and a little is added for mines that make no contact at all. "
-        f"That holds where mines lie about as densely as there, {USUAL_PER_KM2} per km²; over a floor without mines the number is too high."
+        f"Contacts called mine-like stand for {searched['mines_found']:.1f} mines found; mines left are those among "
+        "the "
+        f"{left['among_contacts']} contacts that are not called: their p_mine add up to {left['p_mine_sum']:.1f}, of "
+        "which "
+        f"{DOUBTFUL_SHARE:.0%} were mines in simulated missions, and a little is added for mines that make no contact "
+        "at all. "
+        f"That holds where mines lie about as densely as there, {USUAL_PER_KM2} per km²; over a floor without mines "
+        "the number is too high."
     )
 
 
@@ -192,14 +206,20 @@ def _period(mission: MissionRecord) -> str:
     if not (math.isfinite(mission.start_s) and math.isfinite(mission.stop_s)):
         return "no time was recorded"
     same_day = words.utc(mission.start_s, "%Y-%m-%d") == words.utc(mission.stop_s, "%Y-%m-%d")
-    return f"{words.utc(mission.start_s)} to {words.utc(mission.stop_s, '%H:%M:%S' if same_day else '%Y-%m-%d %H:%M:%S')} UTC"
+    return (
+        f"{words.utc(mission.start_s)} to "
+        f"{words.utc(mission.stop_s, '%H:%M:%S' if same_day else '%Y-%m-%d %H:%M:%S')} UTC"
+    )
 
 
 def _bands(contacts: Sequence[Contact]) -> list[tuple[str, str, int, float]]:
     counted = [sum(band(contact.p_mine) == name for contact in contacts) for name in ("p4", "p3", "p2", "p1")]
     texts = ("0.8 and above", "0.5 to 0.8", "0.2 to 0.5", "below 0.2")
     most = max(1, *counted)
-    return [(name, text, n, 100.0 * n / most) for name, text, n in zip(("p4", "p3", "p2", "p1"), texts, counted, strict=True)]
+    return [
+        (name, text, n, 100.0 * n / most)
+        for name, text, n in zip(("p4", "p3", "p2", "p1"), texts, counted, strict=True)
+    ]
 
 
 class _Box(NamedTuple):
@@ -211,7 +231,9 @@ class _Box(NamedTuple):
     flip: bool  # label on the left
 
 
-def _strip_view(strip: PictureStrip, contacts: Sequence[Contact], times: tuple[NDArray[np.float64], NDArray[np.float64]]) -> dict[str, Any]:
+def _strip_view(
+    strip: PictureStrip, contacts: Sequence[Contact], times: tuple[NDArray[np.float64], NDArray[np.float64]]
+) -> dict[str, Any]:
     """Lay overlays over a strip, in per cent of the picture."""
     length_m, width_m = strip.stop_m - strip.start_m, 2.0 * strip.half_width_m
 
@@ -227,7 +249,11 @@ def _strip_view(strip: PictureStrip, contacts: Sequence[Contact], times: tuple[N
             tall = _box_m(view.length_m)
             wide = max(_box_m(view.length_m), _box_m(view.width_m))
             left = 50.0 + 100.0 * (across_m - wide / 2.0) / width_m
-            boxes.append(_Box(contact, left, top(row_m + tall / 2.0), 100.0 * wide / width_m, 100.0 * tall / length_m, left > 80.0))
+            boxes.append(
+                _Box(
+                    contact, left, top(row_m + tall / 2.0), 100.0 * wide / width_m, 100.0 * tall / length_m, left > 80.0
+                )
+            )
     along_step = words.nice_step(length_m, 6)
     across_step = words.nice_step(strip.half_width_m, 4)
     ticks = []
@@ -247,7 +273,9 @@ def _strip_view(strip: PictureStrip, contacts: Sequence[Contact], times: tuple[N
         "boxes": boxes,
         "likely": sum(is_mine_like(contact) for contact in {box.contact.id: box.contact for box in boxes}.values()),
         "ticks": ticks,
-        "ranges": sorted({(50.0 + side * 50.0 * far / strip.half_width_m, f"{far:g}") for far in across for side in (-1.0, 1.0)}),
+        "ranges": sorted(
+            {(50.0 + side * 50.0 * far / strip.half_width_m, f"{far:g}") for far in across for side in (-1.0, 1.0)}
+        ),
         "gaps": [
             (top(stop), 100.0 * (stop - start) / length_m, words.distance(stop - start))
             for start, stop in strip.gaps_m
@@ -274,7 +302,11 @@ def _by_code(notices: Iterable[Notice]) -> list[tuple[str, int, list[Notice]]]:
 
 def _costs(costs: Mapping[str, float]) -> list[tuple[str, str, float]]:
     total = sum(costs.values())
-    return [(name.replace("_", " "), f"{seconds:.2f} s", 100.0 * seconds / total) for name, seconds in costs.items()] if total > 0.0 else []
+    return (
+        [(name.replace("_", " "), f"{seconds:.2f} s", 100.0 * seconds / total) for name, seconds in costs.items()]
+        if total > 0.0
+        else []
+    )
 
 
 def _legend() -> dict[str, Any]:

@@ -72,7 +72,11 @@ def view_picture(view: Detection, *, panels: bool) -> ViewPicture:
     bar_m = next((step for step in _BARS_M if step <= 0.4 * width_m), 0.1)
     found = outlines(view, view.confirmation) if view.confirmation else ()
     labels = labelled_panel(view, view.confirmation.labels) if view.confirmation else ()
-    plain, classified, contoured = Panel("As seen", ()), Panel("Pixels classified", labels), Panel(_contour_title(found), found)
+    plain, classified, contoured = (
+        Panel("As seen", ()),
+        Panel("Pixels classified", labels),
+        Panel(_contour_title(found), found),
+    )
     separate = plain, *(panel for panel in (classified, contoured) if panel.strokes)
     return ViewPicture(
         uri=f"data:image/jpeg;base64,{base64.b64encode(snippet_jpeg(view)).decode('ascii')}",
@@ -101,7 +105,10 @@ def outlines(view: Detection, found: Confirmation) -> tuple[Stroke, ...]:
 
 def labelled_panel(view: Detection, labels: NDArray[np.uint8]) -> tuple[Stroke, ...]:
     """Draw the pixels of echo and of shadow as areas."""
-    strokes = (Stroke("l-echo", _runs(view, labels == HIGHLIGHT), "echo"), Stroke("l-shadow", _runs(view, labels == SHADOW), "shadow"))
+    strokes = (
+        Stroke("l-echo", _runs(view, labels == HIGHLIGHT), "echo"),
+        Stroke("l-shadow", _runs(view, labels == SHADOW), "shadow"),
+    )
     return tuple(stroke for stroke in strokes if stroke.path)
 
 
@@ -128,6 +135,10 @@ def _runs(view: Detection, chosen: NDArray[np.bool_]) -> str:
         for near, far in begun.keys() - runs:
             corners += [(begun[near, far], near), (row, far)]
         begun = {run: begun.get(run, row) for run in runs}
-    places = _drawn(view, np.array(sorted(zip(corners[::2], corners[1::2], strict=True)), dtype=np.float64).reshape(-1, 2))
+    places = _drawn(
+        view, np.array(sorted(zip(corners[::2], corners[1::2], strict=True)), dtype=np.float64).reshape(-1, 2)
+    )
     rectangles = places.reshape(-1, 4).tolist()
-    return "".join(f"M{left:.5g} {top:.5g}H{right:.5g}V{bottom:.5g}H{left:.5g}Z" for left, top, right, bottom in rectangles)
+    return "".join(
+        f"M{left:.5g} {top:.5g}H{right:.5g}V{bottom:.5g}H{left:.5g}Z" for left, top, right, bottom in rectangles
+    )

@@ -15,7 +15,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.contacts.contact_picture import COLOURS, LEVELS, SOFT, TURNED, Bytes, display_levels, encoded, snippet_picture
+from auv_mcm.contacts.contact_picture import (
+    COLOURS,
+    LEVELS,
+    SOFT,
+    TURNED,
+    Bytes,
+    display_levels,
+    encoded,
+    snippet_picture,
+)
 from auv_mcm.contacts.contact_picture import snippet_png as snippet_png
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Detection, Side, Tile
 
@@ -128,12 +137,18 @@ class PictureCollector:
         edges = np.linspace(first, stop, n_strips + 1).round().astype(int).tolist()
         strips: list[PictureStrip] = []
         for start_row, stop_row in pairwise(edges):
-            here = [piece for piece in self._pieces if piece.first_row < stop_row and piece.first_row + piece.n_rows > start_row]
+            here = [
+                piece
+                for piece in self._pieces
+                if piece.first_row < stop_row and piece.first_row + piece.n_rows > start_row
+            ]
             if here:
                 strips.append(self._strip(len(strips) + 1, here, start_row, stop_row, half_px, quality))
         return tuple(strips)
 
-    def _strip(self, number: int, pieces: Sequence[_Piece], start_row: int, stop_row: int, half_px: int, quality: int) -> PictureStrip:
+    def _strip(
+        self, number: int, pieces: Sequence[_Piece], start_row: int, stop_row: int, half_px: int, quality: int
+    ) -> PictureStrip:
         rows = max(1, -(-(stop_row - start_row) // self._rows_per_pixel))
         canvas = np.zeros((rows, 2 * half_px), dtype=np.uint8)
         for piece in pieces:

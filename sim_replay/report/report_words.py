@@ -67,9 +67,13 @@ MEANINGS: Final = {
     "service.work_shed": "pings with which less work was allowed because perception was behind",
     "service.ping_too_large": "pings larger than the buffer between processes",
     "transfer.turned": "changes of the sample law after pings had been read by another one",
-    "bottom.not_seen": "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours",
+    "bottom.not_seen": (
+        "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours"
+    ),
     "navigation.not_finite": "navigation values that were not numbers, dropped",
-    "navigation.ping_stale": "pings too far from a navigation sample: their position is uncertain, they earn no coverage",
+    "navigation.ping_stale": (
+        "pings too far from a navigation sample: their position is uncertain, they earn no coverage"
+    ),
     "navigation.position_jump": "position fixes rejected because the vehicle cannot have moved that far",
     "navigation.position_out_of_range": "positions that do not exist on Earth, rejected",
     "navigation.position_refix": "times a jump was accepted after several fixes agreed on the new place",
@@ -125,7 +129,9 @@ def is_loss(name: str) -> bool:
     return name not in WORK
 
 
-def explained_counters(counters: Mapping[str, float], wanted: Callable[[str], bool]) -> list[tuple[str, list[CounterLine]]]:
+def explained_counters(
+    counters: Mapping[str, float], wanted: Callable[[str], bool]
+) -> list[tuple[str, list[CounterLine]]]:
     """Explain the wanted counters that are not zero, by stage; one without an entry is shown by its own name."""
     stages: dict[str, list[CounterLine]] = {}
     for name in sorted(counters):
@@ -177,7 +183,9 @@ def distance(metres: float) -> str:
 def area(square_metres: float) -> str:
     if not math.isfinite(square_metres):
         return "unknown"
-    return f"{square_metres:,.0f} m²".replace(",", "\u202f") if square_metres < 1e5 else f"{square_metres / 1e6:.3f} km²"
+    return (
+        f"{square_metres:,.0f} m²".replace(",", "\u202f") if square_metres < 1e5 else f"{square_metres / 1e6:.3f} km²"
+    )
 
 
 def metres(value: float, digits: int = 2) -> str:
@@ -197,7 +205,11 @@ def evidence_words(log_ratio: float) -> str:
     """Write evidence for a mine against clutter in nats, and in words: steps of ten and a hundred to one."""
     if not math.isfinite(log_ratio):
         return "unknown"
-    strength = next(text for least, text in ((4.6, "strongly "), (2.3, ""), (1.0, "slightly "), (0.0, None)) if abs(log_ratio) >= least)
+    strength = next(
+        text
+        for least, text in ((4.6, "strongly "), (2.3, ""), (1.0, "slightly "), (0.0, None))
+        if abs(log_ratio) >= least
+    )
     verdict = "undecided" if strength is None else f"{strength}{'for' if log_ratio > 0.0 else 'against'} a mine"
     return f"{verdict} ({log_ratio:+.1f}\u00a0nats)".replace("-", "\u2212")
 

@@ -104,7 +104,9 @@ def _usable(events: Iterable[SourceEvent]) -> tuple[list[NavSample], list[Ping]]
             if all(math.isfinite(value) for value in pose):
                 navigation.append(event)
         elif isinstance(event, Ping) and event.port is not None and event.starboard is not None:
-            own = tuple((trace.samples.shape, trace.first_range_m, trace.spacing_m) for trace in (event.port, event.starboard))
+            own = tuple(
+                (trace.samples.shape, trace.first_range_m, trace.spacing_m) for trace in (event.port, event.starboard)
+            )
             layout = layout or (own if own[0] == own[1] else None)
             if own == layout:
                 pings.append(event)
@@ -114,7 +116,9 @@ def _usable(events: Iterable[SourceEvent]) -> tuple[list[NavSample], list[Ping]]
 def _lines(navigation: Sequence[NavSample], pings: Sequence[Ping], frame: LocalFrame) -> list[_Line]:
     """Split a mission into its straight runs."""
     navigation_s = np.array([sample.time_s for sample in navigation])
-    place = frame.to_enu([sample.latitude_deg for sample in navigation], [sample.longitude_deg for sample in navigation], 0.0)
+    place = frame.to_enu(
+        [sample.latitude_deg for sample in navigation], [sample.longitude_deg for sample in navigation], 0.0
+    )
     heading = np.unwrap([sample.heading_rad for sample in navigation])
     time_s = np.array([ping.time_s for ping in pings])
 

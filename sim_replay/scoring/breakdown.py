@@ -105,7 +105,11 @@ class FalseAlarm(NamedTuple):
 
 
 def objects_of(layout: MissionLayout, state: State) -> Iterator[FoundObject]:
-    holder = {truth_object: contact for contact, truth_object in enumerate(state.matched.tolist()) if truth_object != UNMATCHED}
+    holder = {
+        truth_object: contact
+        for contact, truth_object in enumerate(state.matched.tolist())
+        if truth_object != UNMATCHED
+    }
     for index, truth_object in enumerate(layout.objects):
         contact = holder.get(index)
         east_m, north_m = (NAN, NAN) if contact is None else layout.offset_m[contact, index].tolist()
@@ -127,8 +131,12 @@ def false_alarms_of(layout: MissionLayout, state: State) -> Iterator[FalseAlarm]
 def by_kind(found: Sequence[FoundObject]) -> tuple[KindRow, ...]:
     """Count seen objects and those called, by kind, targets first."""
     total = Counter((not item.truth_object.is_target, item.truth_object.kind) for item in found if item.is_seen)
-    called = Counter((not item.truth_object.is_target, item.truth_object.kind) for item in found if item.is_seen and item.contact)
-    return tuple(KindRow(kind=key[1], is_target=not key[0], called=proportion(called[key], total[key])) for key in sorted(total))
+    called = Counter(
+        (not item.truth_object.is_target, item.truth_object.kind) for item in found if item.is_seen and item.contact
+    )
+    return tuple(
+        KindRow(kind=key[1], is_target=not key[0], called=proportion(called[key], total[key])) for key in sorted(total)
+    )
 
 
 def rocks_called(found: Sequence[FoundObject]) -> Proportion:
@@ -150,18 +158,27 @@ def by_range(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], a
     return tuple(group for group in groups if group.pd.of or group.false_alarms.count)
 
 
-def by_seabed(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], areas_km2: dict[str, float]) -> tuple[Group, ...]:
+def by_seabed(
+    found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm], areas_km2: dict[str, float]
+) -> tuple[Group, ...]:
     """Rate seabed types over each type's own swept area; `unknown` is what the missions without a map swept."""
     targets = [(item.seabed, item) for item in found if item.is_seen and item.truth_object.is_target]
     alarms = Counter(alarm.seabed for alarm in false_alarms)
     names = {seabed for seabed, _ in targets} | set(alarms) | set(areas_km2)
-    groups = (_group(name, targets, alarms[name], areas_km2.get(name)) for name in sorted(names, key=lambda name: (name == UNKNOWN, name)))
+    groups = (
+        _group(name, targets, alarms[name], areas_km2.get(name))
+        for name in sorted(names, key=lambda name: (name == UNKNOWN, name))
+    )
     return tuple(group for group in groups if group.pd.of or group.false_alarms.count or group.false_alarms.area_km2)
 
 
 def confusion(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm]) -> Confusion:
     """Count truth's kinds against the classes of the contacts on them, duplicates left out."""
-    counts = Counter((not item.truth_object.is_target, item.truth_object.kind, _class_of(item.contact)) for item in found if item.is_seen)
+    counts = Counter(
+        (not item.truth_object.is_target, item.truth_object.kind, _class_of(item.contact))
+        for item in found
+        if item.is_seen
+    )
     elsewhere = Counter(alarm.contact.classification for alarm in false_alarms if not alarm.on_clutter)
     used = {name for _, _, name in counts} | set(elsewhere)
     columns = (*(name for name in _CLASSES if name in used), *sorted(used - {*_CLASSES, NOT_CALLED}), NOT_CALLED)
@@ -182,7 +199,13 @@ def position_errors(found: Sequence[FoundObject]) -> PositionErrors:
         east_m=_spread([item.offset_m[0] for item, _ in hits]),
         north_m=_spread([item.offset_m[1] for item, _ in hits]),
         total_m=_spread(total_m),
-        in_sigmas=_spread([error / contact.sigma_m for error, (_, contact) in zip(total_m, hits, strict=True) if contact.sigma_m > 0.0]),
+        in_sigmas=_spread(
+            [
+                error / contact.sigma_m
+                for error, (_, contact) in zip(total_m, hits, strict=True)
+                if contact.sigma_m > 0.0
+            ]
+        ),
     )
 
 
@@ -191,12 +214,21 @@ def size_errors(found: Sequence[FoundObject]) -> SizeErrors:
     return SizeErrors(
         length_m=_spread([contact.length_m - _known(truth_object.length_m) for truth_object, contact in hits]),
         width_m=_spread([contact.width_m - _known(truth_object.width_m) for truth_object, contact in hits]),
-        height_m=_spread([contact.height_m - (_known(truth_object.height_m) - truth_object.burial_m) for truth_object, contact in hits]),
+        height_m=_spread(
+            [
+                contact.height_m - (_known(truth_object.height_m) - truth_object.burial_m)
+                for truth_object, contact in hits
+            ]
+        ),
     )
 
 
 def _detections(found: Sequence[FoundObject]) -> list[tuple[FoundObject, ReportedContact]]:
-    return [(item, item.contact) for item in found if item.is_seen and item.truth_object.is_target and item.contact is not None]
+    return [
+        (item, item.contact)
+        for item in found
+        if item.is_seen and item.truth_object.is_target and item.contact is not None
+    ]
 
 
 def _group(name: str, targets: Sequence[tuple[str, FoundObject]], n_alarms: int, area_km2: float | None) -> Group:
@@ -232,4 +264,6 @@ def _spread(errors: Sequence[float]) -> PositionSpread:
     known = np.array([error for error in errors if math.isfinite(error)], dtype=np.float64)
     if not known.size:
         return PositionSpread(n=0, median=None, p95_absolute=None)
-    return PositionSpread(n=known.size, median=float(np.median(known)), p95_absolute=float(np.quantile(np.abs(known), 0.95)))
+    return PositionSpread(
+        n=known.size, median=float(np.median(known)), p95_absolute=float(np.quantile(np.abs(known), 0.95))
+    )

@@ -25,7 +25,10 @@ def calibration_error(probability: ArrayLike, came_true: ArrayLike, n_bins: int 
     """
     p, true = np.asarray(probability, dtype=np.float64), np.asarray(came_true, dtype=np.bool_)
     if p.ndim != 1 or p.shape != true.shape or not p.size:
-        raise ValueError(f"there must be as many probabilities as outcomes, one or more of each, got shapes {p.shape} and {true.shape}")
+        raise ValueError(
+            f"there must be as many probabilities as outcomes, one or more of each, got shapes {p.shape} and "
+            f"{true.shape}"
+        )
     if not ((p >= 0.0) & (p <= 1.0)).all():
         raise ValueError(f"probabilities must lie in [0, 1], got {p[~((p >= 0.0) & (p <= 1.0))][0]}")
     bins = np.minimum((p * n_bins).astype(np.intp), n_bins - 1)

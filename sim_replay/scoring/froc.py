@@ -113,7 +113,9 @@ def trace(layouts: Sequence[MissionLayout], area_km2: Sequence[float], threshold
 
 def operating_points(curve: Curve) -> tuple[OperatingPoint, ...]:
     pooled, targets, area_km2 = curve.counts.sum(axis=0), int(curve.targets.sum()), float(curve.area_km2.sum())
-    return tuple(_point(level, row, targets, area_km2) for level, row in zip(curve.thresholds.tolist(), pooled, strict=True))
+    return tuple(
+        _point(level, row, targets, area_km2) for level, row in zip(curve.thresholds.tolist(), pooled, strict=True)
+    )
 
 
 def point_at(curve: Curve, threshold: float) -> OperatingPoint:

@@ -25,7 +25,9 @@ from sim_replay.scoring.seabed_map import SeabedMap, decode
 LatitudeDeg = Annotated[float, Meta(ge=-90.0, le=90.0)]
 LongitudeDeg = Annotated[float, Meta(ge=-180.0, le=360.0)]
 
-_CONTACTS_HINT: Final = "A contacts file is a GeoJSON FeatureCollection of points with p_mine from 0 to 1, as auv-mcm replay writes it"
+_CONTACTS_HINT: Final = (
+    "A contacts file is a GeoJSON FeatureCollection of points with p_mine from 0 to 1, as auv-mcm replay writes it"
+)
 _TRUTH_HINT: Final = "A truth file holds area_km2 above 0 and objects, each with kind, lat, lon (degrees) and is_target"
 
 
@@ -198,7 +200,9 @@ def _read_json(path: Path, hint: str) -> Any:
 def _convert(document: Any, kind: type[_Record], place: str, hint: str) -> _Record:
     strange = _non_finite(document, "")
     if strange is not None:
-        raise BadInputError(f"{place}: {strange} is not a finite number. Write null or leave it out where it is not needed. {hint}")
+        raise BadInputError(
+            f"{place}: {strange} is not a finite number. Write null or leave it out where it is not needed. {hint}"
+        )
     try:
         return msgspec.convert(document, kind)
     except msgspec.ValidationError as error:

@@ -35,7 +35,9 @@ class Density(msgspec.Struct, frozen=True, kw_only=True):
     high: float | None
 
 
-def wilson_interval(count: ArrayLike, of: ArrayLike, confidence: float = CONFIDENCE) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def wilson_interval(
+    count: ArrayLike, of: ArrayLike, confidence: float = CONFIDENCE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Bound the probability behind `count` successes in `of` trials; arrays broadcast; 0..1 without trials.
 
     Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22 (1927). Its coverage is near
@@ -52,7 +54,9 @@ def wilson_interval(count: ArrayLike, of: ArrayLike, confidence: float = CONFIDE
     return low, high
 
 
-def poisson_interval(count: ArrayLike, confidence: float = CONFIDENCE) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def poisson_interval(
+    count: ArrayLike, confidence: float = CONFIDENCE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Bound the mean behind `count` Poisson events; covers with `confidence` or more, whatever the mean.
 
     Garwood, "Fiducial limits for the Poisson distribution", Biometrika 28 (1936).
@@ -72,4 +76,6 @@ def density(count: int, area_km2: float | None) -> Density:
     if not area_km2:
         return Density(count=count, area_km2=area_km2, per_km2=None, low=None, high=None)
     low, high = poisson_interval(count)
-    return Density(count=count, area_km2=area_km2, per_km2=count / area_km2, low=float(low) / area_km2, high=float(high) / area_km2)
+    return Density(
+        count=count, area_km2=area_km2, per_km2=count / area_km2, low=float(low) / area_km2, high=float(high) / area_km2
+    )

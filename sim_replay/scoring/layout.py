@@ -67,7 +67,9 @@ def lay_out(mission: ScoredMission, gate_m: float) -> MissionLayout:
     """
     truth = mission.truth
     objects = tuple(one for one in truth.objects if one.is_target or is_seen(one))
-    placed = tuple(contact for contact in mission.contacts if np.isfinite([contact.latitude_deg, contact.longitude_deg]).all())
+    placed = tuple(
+        contact for contact in mission.contacts if np.isfinite([contact.latitude_deg, contact.longitude_deg]).all()
+    )
     frame = _frame(truth, placed)
     offset_m = _east_north(frame, placed)[:, None] - _east_north(frame, objects)[None]
     gate = gates_m(gate_m, np.array([contact.sigma_m for contact in placed], dtype=np.float64))
@@ -120,7 +122,9 @@ def states(layout: MissionLayout) -> Iterator[State]:
 def nothing_called(layout: MissionLayout) -> State:
     """Make the state of a mission at a threshold that no contact reaches."""
     n_contacts = len(layout.contacts)
-    return State(np.inf, np.full(n_contacts, UNMATCHED, dtype=np.int64), np.full(n_contacts, Outcome.NOT_CALLED, dtype=np.int64))
+    return State(
+        np.inf, np.full(n_contacts, UNMATCHED, dtype=np.int64), np.full(n_contacts, Outcome.NOT_CALLED, dtype=np.int64)
+    )
 
 
 def _frame(truth: Truth, placed: tuple[ReportedContact, ...]) -> LocalFrame:
@@ -134,14 +138,18 @@ def _east_north(frame: LocalFrame, positioned: tuple[ReportedContact | TruthObje
     return frame.to_enu(*_latitude_longitude(positioned), 0.0)[..., :2]
 
 
-def _latitude_longitude(positioned: tuple[ReportedContact | TruthObject, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _latitude_longitude(
+    positioned: tuple[ReportedContact | TruthObject, ...],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return (
         np.array([one.latitude_deg for one in positioned], dtype=np.float64),
         np.array([one.longitude_deg for one in positioned], dtype=np.float64),
     )
 
 
-def _seabed_under(truth: Truth, positioned: tuple[ReportedContact | TruthObject, ...]) -> tuple[list[str], NDArray[np.bool_]]:
+def _seabed_under(
+    truth: Truth, positioned: tuple[ReportedContact | TruthObject, ...]
+) -> tuple[list[str], NDArray[np.bool_]]:
     """Look up the seabed type under each position, and whether the sonar swept there.
 
     Everything is swept where there is no map.
@@ -149,7 +157,9 @@ def _seabed_under(truth: Truth, positioned: tuple[ReportedContact | TruthObject,
     if truth.seabed_map is None:
         return [UNKNOWN] * len(positioned), np.ones(len(positioned), dtype=bool)
     kinds = types_at(truth.seabed_map, decode(truth.seabed_map), *_latitude_longitude(positioned))
-    return [UNKNOWN if kind == NOT_SWEPT else truth.seabed_map.types[kind] for kind in kinds.tolist()], kinds != NOT_SWEPT
+    return [
+        UNKNOWN if kind == NOT_SWEPT else truth.seabed_map.types[kind] for kind in kinds.tolist()
+    ], kinds != NOT_SWEPT
 
 
 def _seabed_areas(truth: Truth) -> dict[str, float]:

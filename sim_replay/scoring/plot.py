@@ -27,8 +27,8 @@ def plot(score: Score, path: Path) -> None:
 
     The suffix chooses the format, PNG at best.
 
-    Raises UsageError for a suffix that is not a picture format or missions without targets, OSError if the file cannot be
-    written.
+    Raises UsageError for a suffix that is not a picture format or missions without targets, OSError if the file cannot
+    be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -45,7 +45,14 @@ def plot(score: Score, path: Path) -> None:
     right = max(AREA_TO_PER_KM2, 1.5 * float(per_km2[-1]))
     axes.fill_between(per_km2, low, high, step="post", color=_INK, alpha=0.18, linewidth=0.0, label="95 % (Wilson)")
     axes.step(per_km2, pd, where="post", color=_INK, linewidth=1.8, label="Pd")
-    axes.plot([per_km2[-1], right], [pd[-1], pd[-1]], color=_INK, linewidth=1.2, linestyle=":", label="no contacts left to call")
+    axes.plot(
+        [per_km2[-1], right],
+        [pd[-1], pd[-1]],
+        color=_INK,
+        linewidth=1.2,
+        linestyle=":",
+        label="no contacts left to call",
+    )
     _mark_chosen(axes, score)
     axes.set_xscale("log")
     axes.set_xlim(_LEFT_PER_KM2, right)
@@ -58,7 +65,9 @@ def plot(score: Score, path: Path) -> None:
     axes.set_axisbelow(True)
     plural = "s" if len(score.missions) > 1 else ""
     axes.set_title(
-        f"{len(score.missions)} mission{plural}, {score.n_targets} targets, {score.area_km2:.3g} km², gate {score.gate_m:g} m", fontsize=10
+        f"{len(score.missions)} mission{plural}, {score.n_targets} targets, {score.area_km2:.3g} km², gate "
+        f"{score.gate_m:g} m",
+        fontsize=10,
     )
     axes.legend(loc="lower right", framealpha=1.0, edgecolor="none")
     figure.savefig(path)

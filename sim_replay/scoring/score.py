@@ -115,7 +115,8 @@ def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: flo
     _check(gate_m, threshold)
     pairs = zip(paths[::2], paths[1::2], strict=True)
     missions = [
-        ScoredMission(read_contacts(contacts), read_truth(truth), clean(str(contacts)), asked_beside(contacts)) for contacts, truth in pairs
+        ScoredMission(read_contacts(contacts), read_truth(truth), clean(str(contacts)), asked_beside(contacts))
+        for contacts, truth in pairs
     ]
     return score_missions(missions, gate_m=gate_m, threshold=threshold)
 
@@ -129,7 +130,9 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
     curve, chosen = trace(layouts, [mission.truth.area_km2 for mission in missions], threshold)
     area_km2 = float(curve.area_km2.sum())
     found = [item for layout, state in zip(layouts, chosen, strict=True) for item in objects_of(layout, state)]
-    false_alarms = [alarm for layout, state in zip(layouts, chosen, strict=True) for alarm in false_alarms_of(layout, state)]
+    false_alarms = [
+        alarm for layout, state in zip(layouts, chosen, strict=True) for alarm in false_alarms_of(layout, state)
+    ]
     seabed_area_km2: defaultdict[str, float] = defaultdict(float)
     for layout in layouts:
         for kind, kind_km2 in layout.seabed_area_km2.items():
@@ -155,7 +158,9 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
             MissionRow(
                 name=mission.name or f"mission {number}",
                 pd=proportion(_count(state.outcome, Outcome.DETECTION), int(targets)),
-                false_alarms=density(_count(state.outcome, Outcome.ON_CLUTTER, Outcome.ELSEWHERE), mission.truth.area_km2),
+                false_alarms=density(
+                    _count(state.outcome, Outcome.ON_CLUTTER, Outcome.ELSEWHERE), mission.truth.area_km2
+                ),
             )
             for number, (mission, state, targets) in enumerate(zip(missions, chosen, curve.targets, strict=True), 1)
         ),
@@ -163,7 +168,8 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
         ranges=by_range(found, false_alarms, area_km2),
         seabeds=by_seabed(found, false_alarms, seabed_area_km2),
         missed_targets_of_unknown_range=sum(
-            item.truth_object.is_target and item.is_seen and item.contact is None and not item.truth_object.looks for item in found
+            item.truth_object.is_target and item.is_seen and item.contact is None and not item.truth_object.looks
+            for item in found
         ),
         confusion=confusion(found, false_alarms),
         position_errors=position_errors(found),

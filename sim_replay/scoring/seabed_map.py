@@ -38,7 +38,9 @@ class SeabedMap(msgspec.Struct, frozen=True, kw_only=True):
     rows: tuple[str, ...]
 
 
-def encode(cells: NDArray[np.integer], *, types: Sequence[str], cell_m: float, latitude_deg: float, longitude_deg: float) -> SeabedMap:
+def encode(
+    cells: NDArray[np.integer], *, types: Sequence[str], cell_m: float, latitude_deg: float, longitude_deg: float
+) -> SeabedMap:
     """Encode the map of (n_rows, n_columns) indices into `types`, -1 where not swept.
 
     Raises ValueError for more than 26 types or an index without a type.
@@ -67,7 +69,9 @@ def decode(seabed: SeabedMap) -> NDArray[np.int8]:
     if len(seabed.rows) != seabed.n_rows:
         raise BadInputError(f"seabed_map.rows: {len(seabed.rows)} rows, but n_rows is {seabed.n_rows}. Make them agree")
     if seabed.n_rows * seabed.n_columns > _MAX_CELLS:
-        raise BadInputError(f"seabed_map: {seabed.n_rows} x {seabed.n_columns} cells are more than {_MAX_CELLS}. Use a larger cell_m")
+        raise BadInputError(
+            f"seabed_map: {seabed.n_rows} x {seabed.n_columns} cells are more than {_MAX_CELLS}. Use a larger cell_m"
+        )
     cells = np.empty((seabed.n_rows, seabed.n_columns), dtype=np.int8)
     signs = _SIGNS[: len(seabed.types) + 1]
     for index, text in enumerate(seabed.rows):
@@ -77,15 +81,21 @@ def decode(seabed: SeabedMap) -> NDArray[np.int8]:
         runs = _RUN.findall(text)
         strange = next((sign for _, sign in runs if sign not in signs), None)
         if strange is not None:
-            raise BadInputError(f"{where}: letter '{strange}' has no type, there are {len(seabed.types)}. Add it to seabed_map.types")
+            raise BadInputError(
+                f"{where}: letter '{strange}' has no type, there are {len(seabed.types)}. Add it to seabed_map.types"
+            )
         counts = [int(count) for count, _ in runs]
         if sum(counts) != seabed.n_columns:
-            raise BadInputError(f"{where}: runs of {sum(counts)} cells, but n_columns is {seabed.n_columns}. Make them agree")
+            raise BadInputError(
+                f"{where}: runs of {sum(counts)} cells, but n_columns is {seabed.n_columns}. Make them agree"
+            )
         cells[index] = np.repeat(np.array([signs.index(sign) - 1 for _, sign in runs], dtype=np.int8), counts)
     return cells
 
 
-def types_at(seabed: SeabedMap, cells: NDArray[np.int8], latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> NDArray[np.int64]:
+def types_at(
+    seabed: SeabedMap, cells: NDArray[np.int8], latitude_deg: ArrayLike, longitude_deg: ArrayLike
+) -> NDArray[np.int64]:
     """Look up indices into `types` under positions, in their shape.
 
     -1 off the grid, where it was not swept, and for NaN.
@@ -104,4 +114,6 @@ def _coded(row: NDArray[np.integer]) -> str:
         return ""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(row)) + 1])
     counts = np.diff(np.append(starts, row.size))
-    return "".join(f"{count}{_SIGNS[kind + 1]}" for count, kind in zip(counts.tolist(), row[starts].tolist(), strict=True))
+    return "".join(
+        f"{count}{_SIGNS[kind + 1]}" for count, kind in zip(counts.tolist(), row[starts].tolist(), strict=True)
+    )

@@ -44,7 +44,10 @@ def _about(score: Score) -> str:
     )
     lines = [
         f"{', '.join(_number_of(*number) for number in numbers)} on {score.area_km2:.4g} km²; intervals are 95 %",
-        f"matched one-to-one within {score.gate_m:g} m, or {SIGMAS:g} sigma of the contact if that is more, up to {MAX_SIGMA_GATE_M:g} m",
+        (
+            f"matched one-to-one within {score.gate_m:g} m, or {SIGMAS:g} sigma of the contact if that is more, up to "
+            f"{MAX_SIGMA_GATE_M:g} m"
+        ),
     ]
     counts = (
         (left_out.targets_never_seen, "target", "that no pass saw"),
@@ -69,7 +72,14 @@ def _at_threshold(score: Score) -> str:
         ["duplicates", str(point.duplicates), "", "further contacts on targets that have one; no false alarms"],
     ]
     if point.on_unseen_targets:
-        rows.append(["on unseen targets", str(point.on_unseen_targets), "", "contacts on targets that no pass saw; no false alarms"])
+        rows.append(
+            [
+                "on unseen targets",
+                str(point.on_unseen_targets),
+                "",
+                "contacts on targets that no pass saw; no false alarms",
+            ]
+        )
     if score.bootstrap:
         rows += _resampled(score.bootstrap)
     return _laid_out([f"p_mine >= {score.threshold:g}", "", "interval", "count"], rows, to_left=(0, 3))
@@ -105,7 +115,10 @@ def _calibration(score: Score) -> str:
 
 def _resampled(bootstrap: Bootstrap) -> list[list[str]]:
     how = f"missions resampled {bootstrap.n_resamples} times"
-    return [["Pd, by mission", "", _bounds(bootstrap.pd, 3), how], ["per km², by mission", "", _bounds(bootstrap.fa_per_km2, 1), how]]
+    return [
+        ["Pd, by mission", "", _bounds(bootstrap.pd, 3), how],
+        ["per km², by mission", "", _bounds(bootstrap.fa_per_km2, 1), how],
+    ]
 
 
 def _curve(score: Score) -> str:
@@ -114,10 +127,31 @@ def _curve(score: Score) -> str:
     for index, headline in enumerate(score.headlines):
         by_mission = [_bounds(score.bootstrap.headline_pd[index], 3)] if score.bootstrap else []
         where = _NOTHING if headline.threshold is None else f"{headline.threshold:.4g}"
-        best.append([f"{headline.limit_per_km2:g}", *_share(headline.pd)[:2], *by_mission, _three_figures(headline.per_km2), where])
-    columns = ["at most per km²", "best Pd", "interval", *(["by mission"] if score.bootstrap else []), "per km²", "p_mine >="]
-    area = "" if score.partial_area is None else f"\nmean Pd over 1 to 1000 per km², logarithmic (partial area): {score.partial_area:.3f}"
-    return _laid_out(columns, best) + area + "\n\n" + _laid_out(["p_mine >=", *_RATES, "on clutter", "duplicates"], rows)
+        best.append(
+            [
+                f"{headline.limit_per_km2:g}",
+                *_share(headline.pd)[:2],
+                *by_mission,
+                _three_figures(headline.per_km2),
+                where,
+            ]
+        )
+    columns = [
+        "at most per km²",
+        "best Pd",
+        "interval",
+        *(["by mission"] if score.bootstrap else []),
+        "per km²",
+        "p_mine >=",
+    ]
+    area = (
+        ""
+        if score.partial_area is None
+        else f"\nmean Pd over 1 to 1000 per km², logarithmic (partial area): {score.partial_area:.3f}"
+    )
+    return (
+        _laid_out(columns, best) + area + "\n\n" + _laid_out(["p_mine >=", *_RATES, "on clutter", "duplicates"], rows)
+    )
 
 
 def _missions(score: Score) -> str:
@@ -165,7 +199,8 @@ def _notes(score: Score) -> str:
         notes.append("no targets in the truth: there is no Pd, only false alarms")
     if score.missed_targets_of_unknown_range:
         notes.append(
-            f"the truth states no range of {_number_of(score.missed_targets_of_unknown_range, 'missed target')} (no 'looks'): "
+            f"the truth states no range of {_number_of(score.missed_targets_of_unknown_range, 'missed target')} (no "
+            "'looks'): "
             "Pd per range band leaves them out and is too high"
         )
     if any(group.false_alarms.count for group in score.ranges):
@@ -205,7 +240,10 @@ def _bounds(bounds: Bounds | None, digits: int) -> str:
 def _spread(spread: PositionSpread, unit: str) -> list[str]:
     if spread.median is None or spread.p95_absolute is None:
         return [_NOTHING, _NOTHING, "0"]
-    return [*(f"{round(error, 2) + 0.0:.2f} {unit}".rstrip() for error in (spread.median, spread.p95_absolute)), str(spread.n)]
+    return [
+        *(f"{round(error, 2) + 0.0:.2f} {unit}".rstrip() for error in (spread.median, spread.p95_absolute)),
+        str(spread.n),
+    ]
 
 
 def _three_figures(value: float) -> str:
@@ -226,5 +264,8 @@ def _laid_out(header: Sequence[str], rows: Iterable[Sequence[str]], to_left: Seq
     lines = [list(header), *map(list, rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
     sides = ["<" if column in to_left else ">" for column in range(len(header))]
-    texts = ["  ".join(f"{cell:{side}{width}}" for cell, side, width in zip(line, sides, widths, strict=True)) for line in lines]
+    texts = [
+        "  ".join(f"{cell:{side}{width}}" for cell, side, width in zip(line, sides, widths, strict=True))
+        for line in lines
+    ]
     return "\n".join(text.rstrip() for text in [texts[0], "-" * len(texts[0]), *texts[1:]])

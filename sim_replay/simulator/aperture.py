@@ -78,7 +78,9 @@ class Aperture:
         sonar = sea.sonar
         aperture = sonar.synthetic_aperture
         if aperture is None:
-            raise UsageError("`sonar.synthetic_aperture` is missing: give it, `{}` for what is usual, or fly the scene ping by ping")
+            raise UsageError(
+                "`sonar.synthetic_aperture` is missing: give it, `{}` for what is usual, or fly the scene ping by ping"
+            )
         self.sea: Final = sea
         self.aperture: Final[SyntheticAperture] = aperture
         self.bin_m: Final = sonar.range_m / sonar.n_samples
@@ -88,7 +90,8 @@ class Aperture:
         if self.integration_rad > WIDEST_RAD:
             min_m = wavelength_m / (2.0 * WIDEST_RAD)
             raise UsageError(
-                f"`sonar.synthetic_aperture.along_track_resolution_m` is {aperture.along_track_resolution_m:g}, which at "
+                f"`sonar.synthetic_aperture.along_track_resolution_m` is {aperture.along_track_resolution_m:g}, which "
+                "at "
                 f"{sonar.frequency_khz:g} kHz takes an aperture of {math.degrees(self.integration_rad):.0f} degrees; "
                 f"give {math.ceil(1e3 * min_m) / 1e3:g} or more"
             )
@@ -122,8 +125,10 @@ class Aperture:
         lowest_m = world.depth_m - depth - float(floor.max())
         if lowest_m < MIN_ALTITUDE_M or depth < MIN_DEPTH_M:
             raise UsageError(
-                f"`track.plan`: on leg {number} a synthetic aperture at one depth would pass {lowest_m:.1f} m above the floor and "
-                f"{depth:.1f} m below the surface; it needs {MIN_ALTITUDE_M:g} and {MIN_DEPTH_M:g}: give another `track.altitude_m`, "
+                f"`track.plan`: on leg {number} a synthetic aperture at one depth would pass {lowest_m:.1f} m above "
+                "the floor and "
+                f"{depth:.1f} m below the surface; it needs {MIN_ALTITUDE_M:g} and {MIN_DEPTH_M:g}: give another "
+                "`track.altitude_m`, "
                 "a larger `world.depth_m` or a gentler slope"
             )
         return strip._replace(depth_m=depth)
@@ -166,7 +171,9 @@ class Aperture:
 
         (sub_apertures, n_lines, 2, n_samples) float32 as of `intensity`.
         """
-        return np.stack([self.intensity(strip, first_line, n_lines, view) for view in range(self.aperture.sub_apertures)])
+        return np.stack(
+            [self.intensity(strip, first_line, n_lines, view) for view in range(self.aperture.sub_apertures)]
+        )
 
     def intensity(self, strip: Strip, first_line: int, n_lines: int, view: View) -> Float32s:
         """Return the speckled image with noise, (n_lines, 2, n_samples) float32, port first, in units of
@@ -277,7 +284,9 @@ class Aperture:
                 for at_column, column_share in _split(column):
                     row = at_line - first_line
                     if 0 <= row < len(image) and 0 <= at_column < sonar.n_samples:
-                        image[row, int(across > 0.0), at_column] += echo * line_share * column_share * self.sea.spreading[at_column]
+                        image[row, int(across > 0.0), at_column] += (
+                            echo * line_share * column_share * self.sea.spreading[at_column]
+                        )
 
 
 def _split(place: float) -> Sequence[tuple[int, float]]:

@@ -25,7 +25,19 @@ def library() -> ctypes.CDLL | None:
 
 def _declare(library: ctypes.CDLL) -> None:
     pointer, integer, real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
-    library.auv_mcm_render_lines.argtypes = [integer] * 3 + [real] * 2 + [integer] * 3 + [pointer] * 5 + [integer] + [pointer] * 9
+    library.auv_mcm_render_lines.argtypes = (
+        [integer] * 3 + [real] * 2 + [integer] * 3 + [pointer] * 5 + [integer] + [pointer] * 9
+    )
     library.auv_mcm_render_lines.restype = None
-    library.auv_mcm_speckle_rows.argtypes = [integer, integer, pointer, pointer, integer, pointer, pointer, integer, pointer]
+    library.auv_mcm_speckle_rows.argtypes = [
+        integer,
+        integer,
+        pointer,
+        pointer,
+        integer,
+        pointer,
+        pointer,
+        integer,
+        pointer,
+    ]
     library.auv_mcm_speckle_rows.restype = None

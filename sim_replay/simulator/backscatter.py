@@ -94,7 +94,12 @@ def sediment_from_grain_size(mean_grain_size_phi: float) -> Sediment:
     return Sediment(
         density_ratio=density,
         sound_speed_ratio=sound_speed,
-        loss=_attenuation_db_per_m_khz(phi) * sound_speed * 1e-3 * REFERENCE_SOUND_SPEED_MPS * math.log(10.0) / (40.0 * math.pi),
+        loss=_attenuation_db_per_m_khz(phi)
+        * sound_speed
+        * 1e-3
+        * REFERENCE_SOUND_SPEED_MPS
+        * math.log(10.0)
+        / (40.0 * math.pi),
         volume_parameter=0.002 if phi < 5.5 else 0.001,
         spectral_strength_cm4=0.00207 * rms_relief_cm**2,
     )
@@ -145,7 +150,10 @@ def extrapolated(frequency_hz: float) -> bool:
 
 
 def backscatter(
-    sediment: Sediment, frequency_hz: float, grazing_rad: Floats | float, sound_speed_mps: float = REFERENCE_SOUND_SPEED_MPS
+    sediment: Sediment,
+    frequency_hz: float,
+    grazing_rad: Floats | float,
+    sound_speed_mps: float = REFERENCE_SOUND_SPEED_MPS,
 ) -> Floats:
     """Return the backscattering cross section per unit area and solid angle, linear.
 
@@ -174,7 +182,9 @@ def lambert(grazing_rad: Floats | float, strength_db: float) -> Floats:
     return np.asarray(10.0 ** (strength_db / 10.0) * np.sin(grazing_rad) ** 2)
 
 
-def lookup_table(sediment: Sediment, frequency_hz: float, sound_speed_mps: float = REFERENCE_SOUND_SPEED_MPS) -> NDArray[np.float32]:
+def lookup_table(
+    sediment: Sediment, frequency_hz: float, sound_speed_mps: float = REFERENCE_SOUND_SPEED_MPS
+) -> NDArray[np.float32]:
     """Tabulate `backscatter` at evenly spaced sines of the grazing angle, for lookup without interpolation.
 
     Returns (TABLE_SIZE,) float32: entry k holds the value at sin g = (k + 0.5) / TABLE_SIZE and serves k <= TABLE_SIZE
@@ -194,7 +204,8 @@ def target_table(strength_db: float, specular_gain_db: float, specular_exponent:
     """
     if not (0.0 < specular_exponent < math.inf and strength_db <= 100.0 and specular_gain_db <= 100.0):
         raise ValueError(
-            f"strength_db is {strength_db}, specular_gain_db {specular_gain_db}, specular_exponent {specular_exponent}: "
+            f"strength_db is {strength_db}, specular_gain_db {specular_gain_db}, specular_exponent "
+            f"{specular_exponent}: "
             "the exponent must be positive, the others at most 100 dB"
         )
     sines = _table_sines()
@@ -245,9 +256,12 @@ def _kirchhoff(sediment: Sediment, wavenumber: float, alpha: float, grazing_deg:
     )
     q = structure * 2.0 ** (1.0 - 2.0 * alpha) * wavenumber ** (2.0 * (1.0 - alpha))
     half_over_alpha = 1.0 / (2.0 * alpha)
-    a = (8.0 * alpha**2 * gamma(half_over_alpha + 0.5) / (gamma(0.5) * gamma(1.0 / alpha) * gamma(half_over_alpha))) ** (2.0 * alpha)
+    a = (
+        8.0 * alpha**2 * gamma(half_over_alpha + 0.5) / (gamma(0.5) * gamma(1.0 / alpha) * gamma(half_over_alpha))
+    ) ** (2.0 * alpha)
     b = a ** (0.5 - half_over_alpha) * gamma(1.0 / alpha) * half_over_alpha
-    # The equations as printed are 3.56 dB below the report's own Table 3 wherever this approximation governs; this factor makes up for it.
+    # The equations as printed are 3.56 dB below the report's own Table 3 wherever this approximation governs; this
+    # factor makes up for it.
     level = 2.0 ** (2.0 * (1.0 - alpha) / alpha)
     grazing_rad = np.radians(grazing_deg)
     spread = np.cos(grazing_rad) ** (4.0 * alpha) + a * q**2 * np.sin(grazing_rad) ** 4
@@ -275,7 +289,11 @@ def _volume(sediment: Sediment, grazing_rad: Floats) -> Floats:
     density = sediment.density_ratio
     transmitted = 16.0 * density**2 * sine**4 / np.abs(density * sine + vertical) ** 4
     return np.asarray(
-        5.0 * sediment.loss * sediment.volume_parameter * transmitted / (sediment.sound_speed_ratio * math.log(10.0) * vertical.imag)
+        5.0
+        * sediment.loss
+        * sediment.volume_parameter
+        * transmitted
+        / (sediment.sound_speed_ratio * math.log(10.0) * vertical.imag)
     )
 
 
@@ -306,7 +324,11 @@ def _large_roughness(sediment: Sediment, rms_slope: float, grazing_deg: Floats) 
     ramp = 1.0 + 0.81 * critical_deg**2 / grazing_deg**2
     oblique = 0.04682 * rms_slope**1.25 * speed**3.25 * ((1.0 - 2.0 / sediment.density_ratio) / speed**2 + 1.0) ** 2
     oblique /= 1.0 + 3.54 * slope_deg / critical_deg
-    steep = 0.026 * _normal_reflection(sediment) / (rms_slope**2 * (1.0 + (grazing_deg - 90.0) ** 2 / (2.6 * slope_deg**2)) ** 1.9 * ramp)
+    steep = (
+        0.026
+        * _normal_reflection(sediment)
+        / (rms_slope**2 * (1.0 + (grazing_deg - 90.0) ** 2 / (2.6 * slope_deg**2)) ** 1.9 * ramp)
+    )
     return np.asarray(oblique * np.sin(math.pi / ramp) ** (0.7263 * rms_slope ** (-1.0 / 3.0)) + steep)
 
 

@@ -11,12 +11,14 @@ from sim_replay.simulator.fields import FloatArray, Noise, gaussian, generator, 
 from sim_replay.simulator.scene import Ripples
 
 _PERIODS: Final = (500, 567)
-# Of ripples with defects 1: the length over which crests stay in step, and the one over which their direction wanders, in wavelengths.
+# Of ripples with defects 1: the length over which crests stay in step, and the one over which their direction wanders,
+# in wavelengths.
 _STEP_WAVELENGTHS: Final = 2.5
 _BEND_WAVELENGTHS: Final = 6.0
 # Against the mean square of that field: where it is far below, ripples are low.
 _VANISHING: Final = 0.15
-# Of outcrops: a stratum against the relief's root mean square, its dip, and how much of the way from ledge to ledge the steps take.
+# Of outcrops: a stratum against the relief's root mean square, its dip, and how much of the way from ledge to ledge the
+# steps take.
 _SURFACE_EXPONENT: Final = 4.2
 _STRATUM_SHARE: Final = 1.0
 _DIP_DEG: Final = (4.0, 10.0)
@@ -57,7 +59,14 @@ class RippleTrain:
         self._envelope: tuple[Noise, ...] = ()
         if ripples.defects > 0.0:
             self._envelope = tuple(
-                Noise(seed, f"{name} {part}", step=self._step, cell_m=cell_m, spectrum=gaussian(length_m), periods=_PERIODS)
+                Noise(
+                    seed,
+                    f"{name} {part}",
+                    step=self._step,
+                    cell_m=cell_m,
+                    spectrum=gaussian(length_m),
+                    periods=_PERIODS,
+                )
                 for part, length_m in (
                     ("real", in_step_m),
                     ("imaginary", in_step_m),
@@ -181,7 +190,9 @@ class Canopy:
     """
 
     def __init__(self, rms_m: float, outer_m: float, seed: int, name: str, *, cell_m: float, step: int) -> None:
-        self._clumps = Noise(seed, f"{name} clumps", step=step, cell_m=cell_m, spectrum=power_law(outer_m), periods=_PERIODS)
+        self._clumps = Noise(
+            seed, f"{name} clumps", step=step, cell_m=cell_m, spectrum=power_law(outer_m), periods=_PERIODS
+        )
         self._gain = np.float32(rms_m / _CANOPY_RMS)
 
     def heights(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:

@@ -71,7 +71,12 @@ def near(bodies: Bodies, low_east_m: float, high_east_m: float, low_north_m: flo
     """Return the bodies that reach into a rectangle."""
     table = bodies.table
     east, north, reach = table[:, 1], table[:, 2], table[:, 3]
-    inside = (east + reach > low_east_m) & (east - reach < high_east_m) & (north + reach > low_north_m) & (north - reach < high_north_m)
+    inside = (
+        (east + reach > low_east_m)
+        & (east - reach < high_east_m)
+        & (north + reach > low_north_m)
+        & (north - reach < high_north_m)
+    )
     return Bodies(np.ascontiguousarray(table[inside]), bodies.planes)
 
 
@@ -136,7 +141,10 @@ def body_tops(b: Floats, planes: Floats, u: Floats, v: Floats) -> tuple[Floats, 
         root = np.sqrt(inside[covered])
         steep_ = -p2 * w[covered] / (p1 * root)
         top[covered] = p3 + p2 * root
-        slope_u[covered], slope_v[covered] = steep_ * u[covered] / across[covered], steep_ * v[covered] / across[covered]
+        slope_u[covered], slope_v[covered] = (
+            steep_ * u[covered] / across[covered],
+            steep_ * v[covered] / across[covered],
+        )
     elif kind == SCAR:
         s, t = u / p0, v / p1
         along, across = 1.0 - s * s, 1.0 - t * t

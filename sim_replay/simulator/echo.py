@@ -73,7 +73,9 @@ def _floor_table(world: World, sonar: Sonar, cover: Cover) -> NDArray[np.float32
 
 def material_tables(materials: list[Material]) -> NDArray[np.float32]:
     """Tabulate the same for the materials of bodies, (n_materials, 4096)."""
-    tables = [target_table(material.strength_db, material.specular_db, material.specular_exponent) for material in materials]
+    tables = [
+        target_table(material.strength_db, material.specular_db, material.specular_exponent) for material in materials
+    ]
     return np.stack(tables) if tables else np.empty((0, TABLE_SIZE), dtype=np.float32)
 
 
@@ -102,7 +104,9 @@ def flat_floor_intensity(
     far = np.sqrt(np.maximum((slant_range_m + 0.5 * bin_m) ** 2 - np.square(altitude_m), 0.0))
     near = np.sqrt(np.maximum((slant_range_m - 0.5 * bin_m) ** 2 - np.square(altitude_m), 0.0))
     tilt = math.radians(sonar.tilt_deg)
-    pattern = vertical_pattern(np.asarray(sine * math.cos(tilt) - cosine * math.sin(tilt)), sonar.vertical_beam_width_deg)
+    pattern = vertical_pattern(
+        np.asarray(sine * math.cos(tilt) - cosine * math.sin(tilt)), sonar.vertical_beam_width_deg
+    )
     strength: Floats = table.astype(np.float64)[np.minimum((sine * TABLE_SIZE).astype(np.int64), TABLE_SIZE - 1)]
     width = math.radians(sonar.beam_width_deg) * r
     return np.asarray(strength * pattern * width * (far - near) * propagation(r, absorption))
@@ -112,4 +116,6 @@ def recorder_gain(slant_range_m: Floats, sonar: Sonar, absorption: float, refere
     """Return the recorder's time-varied gain (power), 1 at reference_m."""
     made_up = absorption if sonar.gain.absorption_db_per_km is None else sonar.gain.absorption_db_per_km
     ratio = slant_range_m / reference_m
-    return np.asarray(ratio ** (0.1 * sonar.gain.spreading_db) * 10.0 ** (2e-4 * made_up * (slant_range_m - reference_m)))
+    return np.asarray(
+        ratio ** (0.1 * sonar.gain.spreading_db) * 10.0 ** (2e-4 * made_up * (slant_range_m - reference_m))
+    )

@@ -21,7 +21,9 @@ class _Beat(NamedTuple):
     ping: Ping | None
 
 
-def with_faults(events: Iterable[NavSample | Ping], faults: Sequence[Fault], recorder: SampleRecorder) -> Iterator[NavSample | Ping]:
+def with_faults(
+    events: Iterable[NavSample | Ping], faults: Sequence[Fault], recorder: SampleRecorder
+) -> Iterator[NavSample | Ping]:
     """Yield the events as they arrive once `faults` have happened, applied in the order given.
 
     A navigation sample belongs to the ping that follows it. A lost ping leaves its navigation behind and its number
@@ -72,7 +74,10 @@ def _struck(beats: Iterable[_Beat], fault: Fault, recorder: SampleRecorder) -> I
             case "gap" if happens:
                 yield beat._replace(ping=None)
             case "gain_step" if happens:
-                yield _bringing(beat, {side: _amplified(trace, factor, counts, recorder.full_scale) for side, trace in traces.items()})
+                yield _bringing(
+                    beat,
+                    {side: _amplified(trace, factor, counts, recorder.full_scale) for side, trace in traces.items()},
+                )
             case "stuck_channel" if happens:
                 yield _bringing(beat, {side: last.setdefault(side, trace) for side, trace in traces.items()})
             case "dead_channel" if happens:
@@ -106,7 +111,9 @@ def _gain(gain_db: float, recorder: SampleRecorder) -> tuple[float, float]:
     if not recorder.samples.startswith("log"):
         return 10.0 ** (gain_db / 20.0), 0.0
     if recorder.db_per_count is None:
-        raise UsageError("a gain step in logarithmic samples needs to know their scale: give `sonar.recorder.db_per_count`")
+        raise UsageError(
+            "a gain step in logarithmic samples needs to know their scale: give `sonar.recorder.db_per_count`"
+        )
     return 1.0, gain_db / recorder.db_per_count
 
 

@@ -54,7 +54,9 @@ def gaussian(length_m: float) -> Spectrum:
     return spectrum
 
 
-def periodic_field(random: np.random.Generator, period: int, spacing_m: float, spectrum: Spectrum, splined: bool = False) -> FloatArray:
+def periodic_field(
+    random: np.random.Generator, period: int, spacing_m: float, spectrum: Spectrum, splined: bool = False
+) -> FloatArray:
     """Shape white noise by `spectrum`, mean 0 and root mean square 1.
 
     Args:
@@ -62,7 +64,8 @@ def periodic_field(random: np.random.Generator, period: int, spacing_m: float, s
         period: nodes per side.
         spacing_m: between nodes.
         spectrum: power against wavenumber in rad/m; above the grid's limit pi / spacing_m it is cut.
-        splined: gives the coefficients of the cubic B-spline through the field instead of the field, and fades from half the limit.
+        splined: gives the coefficients of the cubic B-spline through the field instead of the field, and fades from
+        half the limit.
 
     Returns:
         (period, period) float32; the last row continues in the first, and so do columns.
@@ -100,13 +103,22 @@ class Noise:
     """
 
     def __init__(
-        self, seed: int, name: str, *, step: int, cell_m: float, spectrum: Spectrum, periods: tuple[int, int], splined: bool = False
+        self,
+        seed: int,
+        name: str,
+        *,
+        step: int,
+        cell_m: float,
+        spectrum: Spectrum,
+        periods: tuple[int, int],
+        splined: bool = False,
     ) -> None:
         self.step = step
         self._periods = periods
         self._padding = 0
         self._fields = [
-            math.sqrt(0.5) * periodic_field(generator(seed, f"{name} {period}"), period, step * cell_m, spectrum, splined)
+            math.sqrt(0.5)
+            * periodic_field(generator(seed, f"{name} {period}"), period, step * cell_m, spectrum, splined)
             for period in periods
         ]
 
@@ -137,7 +149,12 @@ class Noise:
 
 
 def refined_window(
-    coefficients: Callable[[int, int, int, int], FloatArray], factor: int, row: int, column: int, n_rows: int, n_columns: int
+    coefficients: Callable[[int, int, int, int], FloatArray],
+    factor: int,
+    row: int,
+    column: int,
+    n_rows: int,
+    n_columns: int,
 ) -> FloatArray:
     """Apply `refine` to a window that may start anywhere.
 
@@ -159,7 +176,9 @@ def refined_window(
 @functools.cache
 def _spline_weights(factor: int) -> FloatArray:
     t = np.arange(factor) / factor
-    weights = np.stack([(1.0 - t) ** 3, 3.0 * t**3 - 6.0 * t**2 + 4.0, -3.0 * t**3 + 3.0 * t**2 + 3.0 * t + 1.0, t**3]) / 6.0
+    weights = (
+        np.stack([(1.0 - t) ** 3, 3.0 * t**3 - 6.0 * t**2 + 4.0, -3.0 * t**3 + 3.0 * t**2 + 3.0 * t + 1.0, t**3]) / 6.0
+    )
     return weights.astype(np.float32)
 
 
@@ -172,8 +191,8 @@ def refine(coefficients: FloatArray, factor: int, n_rows: int, n_columns: int) -
         n_rows, n_columns: of the result, at most factor * (rows - 3) and factor * (columns - 3).
 
     Returns:
-        (..., n_rows, n_columns) float32. Element (0, 0) lies on coefficient (1, 1). A node's value depends on the coefficients around it
-        alone, to the last bit, however the call is cut.
+        (..., n_rows, n_columns) float32. Element (0, 0) lies on coefficient (1, 1). A node's value depends on the
+        coefficients around it alone, to the last bit, however the call is cut.
     """
     weights = _spline_weights(factor)[:, :, None]
     groups = -(-n_columns // factor)

@@ -33,7 +33,9 @@ class Ground:
         self._ledges = self._canopy = self._grain = self._ripples = self._texture = None
         if rms > 0.0:
             outer_m, share = _ROUGHENED.get(cover.type, (cover.relief_outer_m, 1.0))
-            self._grain = Noise(seed, f"{name} grain", step=1, cell_m=cell_m, spectrum=power_law(outer_m), periods=_GRAIN_PERIODS)
+            self._grain = Noise(
+                seed, f"{name} grain", step=1, cell_m=cell_m, spectrum=power_law(outer_m), periods=_GRAIN_PERIODS
+            )
             self._grain_rms = np.float32(share * rms)
             if cover.type == "rock_outcrop":
                 self._ledges = Ledges(rms, cover.relief_outer_m, seed, name, cell_m=cell_m, step=step)

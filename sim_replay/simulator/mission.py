@@ -60,7 +60,9 @@ class Mission:
         number = 0
         while block := list(islice(poses, self._block)):
             reported = self._reported(block)
-            for sample, ping in zip(reported, self.sea.sound(block, number, [sample.altitude_m for sample in reported]), strict=True):
+            for sample, ping in zip(
+                reported, self.sea.sound(block, number, [sample.altitude_m for sample in reported]), strict=True
+            ):
                 yield sample
                 yield ping
             number += len(block)

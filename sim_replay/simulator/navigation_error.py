@@ -33,7 +33,9 @@ class NavigationModel:
         self._error = error
         self._origin_m = geodetic_to_ecef(frame.latitude_deg, frame.longitude_deg, frame.height_m)
         self._rotation = frame.rotation()
-        once, east, north, noise = (np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence([seed, _STREAM]).spawn(4))
+        once, east, north, noise = (
+            np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence([seed, _STREAM]).spawn(4)
+        )
         drift_rad = once.uniform(0.0, 2.0 * math.pi)
         heading, altitude, speed = once.standard_normal(3).tolist()
         self._drift = 0.01 * error.drift_percent * math.sin(drift_rad), 0.01 * error.drift_percent * math.cos(drift_rad)
@@ -78,13 +80,17 @@ class NavigationModel:
             speed_mps=pose.speed_mps * self._speed_factor,
         )
 
-    def _on_the_globe(self, pose: SonarPose, reported_east_m: float, reported_north_m: float) -> tuple[float, float, float]:
+    def _on_the_globe(
+        self, pose: SonarPose, reported_east_m: float, reported_north_m: float
+    ) -> tuple[float, float, float]:
         """Return the reported latitude and longitude, and the heading against the true north at the sonar.
 
         Meridians converge, so that true north differs from the plane's.
         """
         sine, cosine = math.sin(pose.heading_rad), math.cos(pose.heading_rad)
-        plane = np.array([[reported_east_m, reported_north_m, 0.0], [pose.east_m, pose.north_m, 0.0], [sine, cosine, 0.0]])
+        plane = np.array(
+            [[reported_east_m, reported_north_m, 0.0], [pose.east_m, pose.north_m, 0.0], [sine, cosine, 0.0]]
+        )
         reported, true, ahead = plane @ self._rotation.T
         latitudes_deg, longitudes_deg, _ = ecef_to_geodetic(np.stack((reported, true)) + self._origin_m)
         latitude, longitude = math.radians(latitudes_deg[1]), math.radians(longitudes_deg[1])

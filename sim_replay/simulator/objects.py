@@ -112,7 +112,9 @@ def _named(scene: Scene, scene_object: SceneObject, index: int) -> PlacedObject:
         azimuth_rad=math.radians(scene_object.azimuth_deg),
         tilt_rad=math.radians(scene_object.tilt_deg),
         **_sizes(scene_object.kind, scene_object.length_m, width, scene_object.height_m),
-        top_m=min(usual.top_m * width / max(usual.width_m, 1e-9), width) if scene_object.top_m is None else scene_object.top_m,
+        top_m=min(usual.top_m * width / max(usual.width_m, 1e-9), width)
+        if scene_object.top_m is None
+        else scene_object.top_m,
         burial_m=scene_object.burial_m,
         scour_m=scene_object.scour_m,
         above_m=scene_object.above_m,
@@ -137,7 +139,9 @@ def _sizes(kind: ObjectKind, length_m: float | None, width_m: float | None, heig
     return {"length_m": length, "width_m": width, "height_m": height}
 
 
-def _scattered(scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], others: Sequence[PlacedObject]) -> list[PlacedObject]:
+def _scattered(
+    scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], others: Sequence[PlacedObject]
+) -> list[PlacedObject]:
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([scene.seed, _STREAM, index])))
     low, high = group.ground_range_m or (0.0, swath_m(scene))
     share = np.array([leg.length_m for leg in legs]) / sum(leg.length_m for leg in legs)
@@ -172,7 +176,8 @@ def _scattered(scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], ot
                 break
         else:
             raise UsageError(
-                f"`scatter[{index}]` ({group.kind}): no room for number {number + 1} of {group.count} after {_TRIES} tries; "
+                f"`scatter[{index}]` ({group.kind}): no room for number {number + 1} of {group.count} after {_TRIES} "
+                "tries; "
                 "take fewer, a smaller `apart_m`, or a longer track"
             )
         taken.append((east, north, reach))
@@ -225,7 +230,14 @@ def bodies_of(scene_object: PlacedObject, floor_m: HeightOfFloor, material: int)
     if scene_object.scour_m > 0.0:
         half = 0.5 * scene_object.length_m, 0.5 * scene_object.width_m
         bodies.append(
-            _body(scene_object, MOAT, base, (*half, scene_object.scour_m, _MOAT_WIDTH), material, (1.0 + _MOAT_WIDTH) * max(half))
+            _body(
+                scene_object,
+                MOAT,
+                base,
+                (*half, scene_object.scour_m, _MOAT_WIDTH),
+                material,
+                (1.0 + _MOAT_WIDTH) * max(half),
+            )
         )
     if scene_object.kind in ("boulder_cluster", "debris"):
         return bodies + _group(scene_object, floor_m, material)
@@ -235,7 +247,14 @@ def bodies_of(scene_object: PlacedObject, floor_m: HeightOfFloor, material: int)
 def _single(scene_object: PlacedObject, base_m: float, material: int) -> Body:
     half_length, half_width, buried = 0.5 * scene_object.length_m, 0.5 * scene_object.width_m, scene_object.burial_m
     if scene_object.kind == "sphere":
-        return _body(scene_object, ELLIPSOID, base_m, (half_width, half_width, half_width, half_width - buried), material, half_width)
+        return _body(
+            scene_object,
+            ELLIPSOID,
+            base_m,
+            (half_width, half_width, half_width, half_width - buried),
+            material,
+            half_width,
+        )
     if scene_object.kind in ("cylinder", "pipe"):
         raised = (
             scene_object
@@ -248,11 +267,23 @@ def _single(scene_object: PlacedObject, base_m: float, material: int) -> Body:
         return _body(raised, CYLINDER, base_m, (half_width, half_length, centre, sine, cosine), material, reach)
     if scene_object.kind == "truncated_cone":
         return _body(
-            scene_object, CONE, base_m, (half_width, 0.5 * scene_object.top_m, scene_object.height_m, buried), material, half_width
+            scene_object,
+            CONE,
+            base_m,
+            (half_width, 0.5 * scene_object.top_m, scene_object.height_m, buried),
+            material,
+            half_width,
         )
     if scene_object.kind == "tyre":
         tread = 0.5 * scene_object.height_m
-        return _body(scene_object, TORUS, base_m, (half_width - 0.8 * tread, 0.8 * tread, tread, tread - buried), material, half_width)
+        return _body(
+            scene_object,
+            TORUS,
+            base_m,
+            (half_width - 0.8 * tread, 0.8 * tread, tread, tread - buried),
+            material,
+            half_width,
+        )
     return _polyhedron(scene_object, base_m, material)
 
 
@@ -262,7 +293,9 @@ def _polyhedron(scene_object: PlacedObject, base_m: float, material: int) -> Bod
     if scene_object.kind == "rock":
         corners = _rock_corners(half_length, half_width, height, scene_object.seed)
     else:
-        corners = np.array([(u * half_length, v * half_width, top * height) for u in (-1, 1) for v in (-1, 1) for top in (0, 1)])
+        corners = np.array(
+            [(u * half_length, v * half_width, top * height) for u in (-1, 1) for v in (-1, 1) for top in (0, 1)]
+        )
         if scene_object.kind == "wedge":
             corners = corners[(corners[:, 0] > 0.0) | (corners[:, 2] == 0.0)]
     sine, cosine = math.sin(scene_object.tilt_rad), math.cos(scene_object.tilt_rad)
@@ -281,7 +314,11 @@ def hull_planes(corners_m: Floats) -> tuple[Planes, int]:
     """
     outline = ConvexHull(corners_m[:, :2])
     sides = {(float(a), float(b), float(-d)) for a, b, d in outline.equations}
-    tops = {(float(-a / c), float(-b / c), float(-d / c)) for a, b, c, d in ConvexHull(corners_m, qhull_options="Qt").equations if c > 1e-9}
+    tops = {
+        (float(-a / c), float(-b / c), float(-d / c))
+        for a, b, c, d in ConvexHull(corners_m, qhull_options="Qt").equations
+        if c > 1e-9
+    }
     return tuple(sorted(sides)) + tuple(sorted(tops)), len(sides)
 
 
@@ -308,14 +345,19 @@ def _group(scene_object: PlacedObject, floor_m: HeightOfFloor, material: int) ->
     bodies = []
     for member in range(scene_object.n_members):
         radius, turn = math.sqrt(float(random.uniform())), float(random.uniform(0.0, 2.0 * math.pi))
-        u, v = 0.5 * scene_object.length_m * radius * math.cos(turn), 0.5 * scene_object.width_m * radius * math.sin(turn)
+        u, v = (
+            0.5 * scene_object.length_m * radius * math.cos(turn),
+            0.5 * scene_object.width_m * radius * math.sin(turn),
+        )
         size = _power_law(float(random.uniform()), 0.35, 1.0) if member else 1.0
         height = scene_object.height_m * size
         long, wide = (float(value) for value in random.uniform(1.2, 2.4, 2) * height)
         kind: ObjectKind = "rock"
         if scene_object.kind == "debris":
             kind = ("box", "cylinder", "box")[member % 3] if member else "box"
-            long, wide, height = (1.5 * long, 0.3 * height, 0.3 * height) if kind == "cylinder" else (long, wide, 0.6 * height)
+            long, wide, height = (
+                (1.5 * long, 0.3 * height, 0.3 * height) if kind == "cylinder" else (long, wide, 0.6 * height)
+            )
         one = scene_object._replace(
             kind=kind,
             east_m=scene_object.east_m + u * sine + v * cosine,
@@ -343,7 +385,16 @@ def _body(
     n_sides: int = 0,
 ) -> Body:
     return Body(
-        kind, scene_object.east_m, scene_object.north_m, base_m, scene_object.azimuth_rad, reach_m, sizes, material, planes, n_sides
+        kind,
+        scene_object.east_m,
+        scene_object.north_m,
+        base_m,
+        scene_object.azimuth_rad,
+        reach_m,
+        sizes,
+        material,
+        planes,
+        n_sides,
     )
 
 
@@ -351,15 +402,27 @@ def points_of(scene_object: PlacedObject, floor_m: HeightOfFloor) -> list[tuple[
     """Return east, north, height above the datum (m) and target strength (linear, m2) of echoes without a body."""
     if scene_object.kind not in ("point", "fish_school"):
         return []
-    base, strength = floor_m(scene_object.east_m, scene_object.north_m) + scene_object.above_m, 10.0 ** (0.1 * scene_object.strength_db)
+    base, strength = (
+        floor_m(scene_object.east_m, scene_object.north_m) + scene_object.above_m,
+        10.0 ** (0.1 * scene_object.strength_db),
+    )
     if scene_object.kind == "point":
         return [(scene_object.east_m, scene_object.north_m, base, strength)]
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([_STREAM, 2, scene_object.seed])))
     sine, cosine = math.sin(scene_object.azimuth_rad), math.cos(scene_object.azimuth_rad)
     points = []
     for a, b, c in random.normal(size=(scene_object.n_members, 3)) * 0.25:
-        u, v, w = scene_object.length_m * float(a), scene_object.width_m * float(b), scene_object.height_m * (0.5 + float(c))
+        u, v, w = (
+            scene_object.length_m * float(a),
+            scene_object.width_m * float(b),
+            scene_object.height_m * (0.5 + float(c)),
+        )
         points.append(
-            (scene_object.east_m + u * sine + v * cosine, scene_object.north_m + u * cosine - v * sine, base + max(w, 0.0), strength)
+            (
+                scene_object.east_m + u * sine + v * cosine,
+                scene_object.north_m + u * cosine - v * sine,
+                base + max(w, 0.0),
+                strength,
+            )
         )
     return points

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from sim_replay.simulator.fields import FloatArray, Noise, Spectrum, generator, refine, refined_window, step_for
 
-# Boundaries are level lines of a surface of fractal dimension (8 - exponent) / 2 (Voss, "Random fractal forgeries", 1985).
+# Boundaries are level lines of a surface of fractal dimension (8 - exponent) / 2 (Voss, "Random fractal forgeries",
+# 1985).
 _EXPONENT: Final = 3.7
 _PERIODS: Final = (500, 567)
 _SHARE_ROUNDS: Final = 60
@@ -55,11 +56,20 @@ class Partition:
         patch_m *= math.sqrt(0.5 * len(shares))
         wide = max(step, step_for(patch_m / 20.0, cell_m))
         self._factor = wide // step
-        self._patches = Noise(seed, "partition", step=wide, cell_m=cell_m, spectrum=_spectrum(patch_m), periods=_PERIODS, splined=True)
+        self._patches = Noise(
+            seed, "partition", step=wide, cell_m=cell_m, spectrum=_spectrum(patch_m), periods=_PERIODS, splined=True
+        )
         self._bays, self._bays_rms = None, np.float32(0.0)
         if self._factor > 1:
             longest_m = 2.0 * wide * cell_m
-            self._bays = Noise(seed, "partition bays", step=step, cell_m=cell_m, spectrum=_spectrum(patch_m, longest_m), periods=_PERIODS)
+            self._bays = Noise(
+                seed,
+                "partition bays",
+                step=step,
+                cell_m=cell_m,
+                spectrum=_spectrum(patch_m, longest_m),
+                periods=_PERIODS,
+            )
             self._bays_rms = np.float32(_rms_below(patch_m, longest_m))
         self._fringes = None
         if step > 1:
@@ -77,7 +87,12 @@ class Partition:
         size = _PERIODS[0]
         height = np.stack(
             [
-                refine(self._patches.window(int(row) - size // 2, int(column) - size // 2, size, size), 1, size - 3, size - 3)
+                refine(
+                    self._patches.window(int(row) - size // 2, int(column) - size // 2, size, size),
+                    1,
+                    size - 3,
+                    size - 3,
+                )
                 for row, column in self._offsets
             ],
             axis=-1,

@@ -48,10 +48,19 @@ def planned_legs(plan: Lawnmower | Spiral | Waypoints) -> tuple[Leg, ...]:
             for start, end in pairwise(plan.points_m)
         )
     direction = math.radians(plan.heading_deg)
-    first = Leg(plan.start_east_m, plan.start_north_m, direction, plan.leg_m if isinstance(plan, Lawnmower) else plan.first_leg_m)
+    first = Leg(
+        plan.start_east_m,
+        plan.start_north_m,
+        direction,
+        plan.leg_m if isinstance(plan, Lawnmower) else plan.first_leg_m,
+    )
     if isinstance(plan, Lawnmower):
         return tuple(
-            Leg(*first.at(plan.leg_m * (index % 2), index * plan.spacing_m), direction + math.pi * (index % 2), plan.leg_m)
+            Leg(
+                *first.at(plan.leg_m * (index % 2), index * plan.spacing_m),
+                direction + math.pi * (index % 2),
+                plan.leg_m,
+            )
             for index in range(plan.n_legs)
         )
     legs = [first]
@@ -78,5 +87,7 @@ def place_in_plane(scene: Scene, scene_object: SceneObject) -> tuple[float, floa
         return scene_object.east_m, scene_object.north_m
     if scene_object.leg is not None and scene_object.along_m is not None and scene_object.across_m is not None:
         return planned_legs(scene.track.plan)[scene_object.leg].at(scene_object.along_m, scene_object.across_m)
-    east, north, _ = local_frame(scene.origin).to_enu(scene_object.latitude_deg or 0.0, scene_object.longitude_deg or 0.0, 0.0)
+    east, north, _ = local_frame(scene.origin).to_enu(
+        scene_object.latitude_deg or 0.0, scene_object.longitude_deg or 0.0, 0.0
+    )
     return float(east), float(north)

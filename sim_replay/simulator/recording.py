@@ -34,7 +34,11 @@ _TYPES: Final[dict[str, tuple[SampleType, type[np.generic]]]] = {
 def complete(recorder: SampleRecorder) -> SampleRecorder:
     """Fill the keys that the scene leaves open with the usual values of the recorder's samples."""
     usual = _USUAL[recorder.samples]
-    given = {name: value for name in ("seabed_counts", "full_scale", "db_per_count") if (value := getattr(recorder, name)) is not None}
+    given = {
+        name: value
+        for name in ("seabed_counts", "full_scale", "db_per_count")
+        if (value := getattr(recorder, name)) is not None
+    }
     return msgspec.structs.replace(usual, **given)
 
 

@@ -4,7 +4,8 @@ A ray is one vertical slice from the sonar outwards: a profile of nodes, one sea
 nodes is seen as far as it is less depressed than all nearer nodes: a running minimum of depression, exact for height
 fields. A seen facet sends back
 
-    sigma(sin of the local grazing angle) * texture * beam(angle off the axis)^2 * length along the ray * sqrt(1 + s^2 + q^2)
+    sigma(sin of the local grazing angle) * texture * beam(angle off the axis)^2 * length along the ray * sqrt(1 + s^2 +
+    q^2)
 
 per metre of width, s and q being the slopes along and across the ray, and the energy is spread evenly over the slant
 ranges that its seen part spans. Layover, foreshortening and shadow need no special case. Spreading, absorption and
@@ -307,7 +308,9 @@ def _gather(
     return z, rise, base
 
 
-def _cells(first: NDArray[np.float64], step: NDArray[np.float64], first_patch: int, index: Singles) -> tuple[NDArray[np.int32], Singles]:
+def _cells(
+    first: NDArray[np.float64], step: NDArray[np.float64], first_patch: int, index: Singles
+) -> tuple[NDArray[np.int32], Singles]:
     """Return cells from the first patch on along one axis, and the place within them."""
     whole = np.floor(first)
     place = index * step.astype(np.float32)
@@ -329,7 +332,10 @@ def _lit(t: Singles, index: Singles) -> Singles:
     seen &= before < t.ravel()[:-1]
     cut = np.flatnonzero(seen)
     j = (cut + 1) % t.shape[1]
-    out, hidden = (before[cut] - t.ravel()[cut + 1]) * index[j], (t.ravel()[cut] - before[cut]) * (index[j] - np.float32(1.0))
+    out, hidden = (
+        (before[cut] - t.ravel()[cut + 1]) * index[j],
+        (t.ravel()[cut] - before[cut]) * (index[j] - np.float32(1.0)),
+    )
     flat[cut] = out / (out + hidden)
     lit[:, 0] = 0.0
     return lit
@@ -371,7 +377,9 @@ def _raise_bodies(
         u = (easts[k] * sine + norths[k] * cosine) + j * ((away_east * sine + away_north * cosine) * step_m)
         v = (easts[k] * cosine - norths[k] * sine) + j * ((away_east * cosine - away_north * sine) * step_m)
         top, slope_u, slope_v, covered = body_tops(b, bodies.planes, u, v)
-        slope = slope_u * (away_north * sine + -away_east * cosine) + slope_v * (away_north * cosine - -away_east * sine)
+        slope = slope_u * (away_north * sine + -away_east * cosine) + slope_v * (
+            away_north * cosine - -away_east * sine
+        )
         nodes = slice(first, last + 1)
         if b[0] >= MOVES_FLOOR:
             z[nodes][covered] += top[covered].astype(np.float32)
@@ -411,15 +419,25 @@ def _turn_walls(
         east = (line[1] * cell_m - b[1]) + float(outer) * step_m * away_east
         north = (line[0] * cell_m - b[2]) + float(outer) * step_m * away_north
         normal_u, normal_v = body_wall(b, bodies.planes, east * sine + north * cosine, east * cosine - north * sine)
-        towards = normal_u * (away_east * sine + away_north * cosine) + normal_v * (away_east * cosine - away_north * sine)
-        aside = normal_u * (ahead_east * sine + ahead_north * cosine) + normal_v * (ahead_east * cosine - ahead_north * sine)
+        towards = normal_u * (away_east * sine + away_north * cosine) + normal_v * (
+            away_east * cosine - away_north * sine
+        )
+        aside = normal_u * (ahead_east * sine + ahead_north * cosine) + normal_v * (
+            ahead_east * cosine - ahead_north * sine
+        )
         limit = 20.0 * abs(towards)
         bounded = min(max(aside, -limit), limit)
         q[j] = np.float32(float(z[j] - z[j - 1]) / step_m * (bounded / towards)) if towards != 0.0 else 0.0
 
 
 def _deposit(
-    ping: NDArray[np.int64], sent: Singles, r: Singles, lit: Singles, bins_per_m: np.float32, n_bins: int, energy: NDArray[np.float64]
+    ping: NDArray[np.int64],
+    sent: Singles,
+    r: Singles,
+    lit: Singles,
+    bins_per_m: np.float32,
+    n_bins: int,
+    energy: NDArray[np.float64],
 ) -> None:
     """Spread each facet's energy evenly over the slant ranges that its lit part spans; bin n_bins takes what lies
     beyond."""

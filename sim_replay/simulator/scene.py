@@ -172,7 +172,9 @@ class SampleRecorder(_Section, frozen=True, kw_only=True):
     Above `full_scale` it clips.
     """
 
-    samples: Literal["amplitude_uint8", "amplitude_uint16", "amplitude_float32", "log_uint8", "log_uint16"] = "amplitude_uint16"
+    samples: Literal["amplitude_uint8", "amplitude_uint16", "amplitude_float32", "log_uint8", "log_uint16"] = (
+        "amplitude_uint16"
+    )
     seabed_counts: Annotated[float, Meta(gt=0.0, le=1e6)] | None = None
     full_scale: Annotated[int, Meta(ge=15, le=65535)] | None = None
     db_per_count: Annotated[float, Meta(gt=0.0, le=3.0)] | None = None

@@ -65,24 +65,40 @@ def check_scene(scene: Scene, place: str = "scene") -> None:
 def _contradictions(scene: Scene) -> Iterator[str]:
     sonar, track, world = scene.sonar, scene.track, scene.world
     if track.altitude_m >= sonar.range_m:
-        yield f"`track.altitude_m` is {track.altitude_m:g} m: a `sonar.range_m` of {sonar.range_m:g} does not reach the floor"
+        yield (
+            f"`track.altitude_m` is {track.altitude_m:g} m: a `sonar.range_m` of {sonar.range_m:g} does not reach the "
+            "floor"
+        )
     if track.altitude_m >= world.depth_m:
-        yield f"`track.altitude_m` is {track.altitude_m:g} m: above the surface, where `world.depth_m` is {world.depth_m:g}"
+        yield (
+            f"`track.altitude_m` is {track.altitude_m:g} m: above the surface, where `world.depth_m` is "
+            f"{world.depth_m:g}"
+        )
     current, strongest = track.motion.current_mps, STRONGEST_CURRENT * track.speed_mps
     if current > strongest:
-        yield f"`track.motion.current_mps` is {current:g}: the vehicle, at `track.speed_mps`, stays on track in {strongest:g}"
+        yield (
+            f"`track.motion.current_mps` is {current:g}: the vehicle, at `track.speed_mps`, stays on track in "
+            f"{strongest:g}"
+        )
     travel_s = 2.0 * sonar.range_m / sonar.sound_speed_mps
     if sonar.synthetic_aperture is None and sonar.ping_rate_hz * travel_s > 1.0 + 1e-9:
         yield (
-            f"`sonar.ping_rate_hz` is {sonar.ping_rate_hz:g}: an echo from `sonar.range_m` of {sonar.range_m:g} m takes {travel_s:.3f} s, "
+            f"`sonar.ping_rate_hz` is {sonar.ping_rate_hz:g}: an echo from `sonar.range_m` of {sonar.range_m:g} m "
+            f"takes {travel_s:.3f} s, "
             f"so at most {1.0 / travel_s:.1f} Hz"
         )
     aperture = sonar.synthetic_aperture
     if aperture is not None and aperture.view != "full" and aperture.view >= aperture.sub_apertures:
-        yield f"`sonar.synthetic_aperture.view` is {aperture.view}: there are {aperture.sub_apertures} sub-apertures, the first is 0"
+        yield (
+            f"`sonar.synthetic_aperture.view` is {aperture.view}: there are {aperture.sub_apertures} sub-apertures, "
+            "the first is 0"
+        )
     for index, seabed in enumerate(world.seabeds):
         if seabed.texture_shape is not None and 0.0 < seabed.texture_shape < FIERCEST_TEXTURE:
-            yield f"`world.seabeds[{index}].texture_shape` is {seabed.texture_shape:g}; give 0 for none, or at least {FIERCEST_TEXTURE:g}"
+            yield (
+                f"`world.seabeds[{index}].texture_shape` is {seabed.texture_shape:g}; give 0 for none, or at least "
+                f"{FIERCEST_TEXTURE:g}"
+            )
     legs = planned_legs(track.plan)
     for index, leg in enumerate(legs):
         if leg.length_m < 1.0:
@@ -96,8 +112,14 @@ def _contradictions(scene: Scene) -> Iterator[str]:
         where = f"scatter[{index}]"
         farthest = group.ground_range_m[1] if group.ground_range_m else 0.0
         if farthest > reach:
-            yield f"`{where}.ground_range_m` ends at {farthest:g} m; from `track.altitude_m` the sonar reaches {reach:.1f} m"
-        ranges = {name: getattr(group, name) for name in ("ground_range_m", "length_m", "width_m", "height_m", "burial_m", "scour_m")}
+            yield (
+                f"`{where}.ground_range_m` ends at {farthest:g} m; from `track.altitude_m` the sonar reaches "
+                f"{reach:.1f} m"
+            )
+        ranges = {
+            name: getattr(group, name)
+            for name in ("ground_range_m", "length_m", "width_m", "height_m", "burial_m", "scour_m")
+        }
         ranges |= {"tilt_deg": group.tilt_deg, "strength_db": group.strength_db}
         for name, limits in ranges.items():
             if limits is not None and limits[0] > limits[1]:
@@ -116,11 +138,16 @@ def _slope_contradictions(scene: Scene, legs: Sequence[Leg]) -> Iterator[str]:
         for east, north in ((leg.east_m, leg.north_m), leg.end):
             depth = world.depth_m - rise * (east * math.sin(towards) + north * math.cos(towards))
             if depth < track.altitude_m + 0.5 and world.slope_deg == 0.0:
-                yield f"`world.depth_m` is {depth:g}; a `track.altitude_m` of {track.altitude_m:g} needs 0.5 m more than that at least"
+                yield (
+                    f"`world.depth_m` is {depth:g}; a `track.altitude_m` of {track.altitude_m:g} needs 0.5 m more "
+                    "than that at least"
+                )
             elif depth < track.altitude_m + 0.5:
                 yield (
-                    f"`world.slope_deg` {world.slope_deg:g} leaves {depth:.1f} m of water at leg {index} of `track.plan`; "
-                    f"`track.altitude_m` {track.altitude_m:g} needs more: give a larger `world.depth_m` or a gentler slope"
+                    f"`world.slope_deg` {world.slope_deg:g} leaves {depth:.1f} m of water at leg {index} of "
+                    "`track.plan`; "
+                    f"`track.altitude_m` {track.altitude_m:g} needs more: give a larger `world.depth_m` or a gentler "
+                    "slope"
                 )
 
 
@@ -130,18 +157,31 @@ def _object_contradictions(scene: Scene, scene_object: SceneObject, legs: Sequen
         (scene_object.latitude_deg, scene_object.longitude_deg),
         (scene_object.leg, scene_object.along_m, scene_object.across_m),
     )
-    if sum(any(value is not None for value in way) for way in ways) != 1 or not any(all(v is not None for v in way) for way in ways):
-        yield "give its place once: `east_m` and `north_m`, or `latitude_deg` and `longitude_deg`, or `leg`, `along_m` and `across_m`"
+    if sum(any(value is not None for value in way) for way in ways) != 1 or not any(
+        all(v is not None for v in way) for way in ways
+    ):
+        yield (
+            "give its place once: `east_m` and `north_m`, or `latitude_deg` and `longitude_deg`, or `leg`, `along_m` "
+            "and `across_m`"
+        )
         return
     if scene_object.leg is not None and scene_object.leg >= len(legs):
         yield f"`leg` is {scene_object.leg}: the plan has {len(legs)} legs, the first is 0"
         return
     altitude = scene.track.altitude_m
-    if scene_object.height_m is not None and scene_object.kind != "anchor_scar" and scene_object.height_m > HIGHEST_SHARE * altitude:
+    if (
+        scene_object.height_m is not None
+        and scene_object.kind != "anchor_scar"
+        and scene_object.height_m > HIGHEST_SHARE * altitude
+    ):
         yield _too_high("height_m", scene_object.height_m, altitude)
     if scene_object.above_m + (scene_object.height_m or 0.0) > HIGHEST_SHARE * altitude:
         yield _too_high("above_m", scene_object.above_m + (scene_object.height_m or 0.0), altitude)
-    if scene_object.top_m is not None and scene_object.width_m is not None and scene_object.top_m > scene_object.width_m:
+    if (
+        scene_object.top_m is not None
+        and scene_object.width_m is not None
+        and scene_object.top_m > scene_object.width_m
+    ):
         yield f"`top_m` is {scene_object.top_m:g} m, wider than its base of {scene_object.width_m:g} m"
     east, north = place_in_plane(scene, scene_object)
     nearest = min(leg.distance_m(east, north) for leg in legs)
@@ -151,4 +191,7 @@ def _object_contradictions(scene: Scene, scene_object: SceneObject, legs: Sequen
 
 
 def _too_high(key: str, height_m: float, altitude_m: float) -> str:
-    return f"`{key}` is {height_m:g} m; at most {HIGHEST_SHARE:g} of `track.altitude_m` ({altitude_m:g} m), or shadows mean nothing"
+    return (
+        f"`{key}` is {height_m:g} m; at most {HIGHEST_SHARE:g} of `track.altitude_m` ({altitude_m:g} m), or shadows "
+        "mean nothing"
+    )

@@ -111,7 +111,9 @@ class Sea:
 
         def part(rows: tuple[int, int]) -> Floats:
             mine = (lines.ping >= rows[0]) & (lines.ping < rows[1])
-            own = Lines(**{name: values[mine] for name, values in lines._asdict().items()})._replace(ping=lines.ping[mine] - rows[0])
+            own = Lines(**{name: values[mine] for name, values in lines._asdict().items()})._replace(
+                ping=lines.ping[mine] - rows[0]
+            )
             return render_pings(
                 own,
                 patches,
@@ -132,7 +134,9 @@ class Sea:
         with ThreadPoolExecutor(len(spans)) as pool:
             return np.concatenate(list(pool.map(part, spans)))
 
-    def sound(self, poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None) -> list[Ping]:
+    def sound(
+        self, poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None
+    ) -> list[Ping]:
         """Yield pings numbered from `first_number`, one per pose. altitudes_m: by the sonar's altimeter, unknown if
         omitted.
 
@@ -141,15 +145,23 @@ class Sea:
         for pose in poses:
             if pose.depth_m <= 0.0:
                 raise UsageError(
-                    f"`world.depth_m` {self.scene.world.depth_m:g} leaves the sonar above the surface at {pose.east_m:.0f} m east, "
+                    f"`world.depth_m` {self.scene.world.depth_m:g} leaves the sonar above the surface at "
+                    f"{pose.east_m:.0f} m east, "
                     f"{pose.north_m:.0f} m north, where the floor rises: give more, or a gentler relief or slope"
                 )
         energy = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
-        sides = [self._speckled(energy[:, side], stream, first_number) for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM))]
+        sides = [
+            self._speckled(energy[:, side], stream, first_number)
+            for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM))
+        ]
         return self.record(np.stack(sides, axis=1), poses, first_number, altitudes_m)
 
     def record(
-        self, intensity: NDArray[np.float32], poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None
+        self,
+        intensity: NDArray[np.float32],
+        poses: Sequence[SonarPose],
+        first_number: int,
+        altitudes_m: Sequence[float] | None = None,
     ) -> list[Ping]:
         """Record pings of received intensity, (n_poses, 2, n_samples) in units of `reference`; the rest as in
         `sound`."""

@@ -73,7 +73,9 @@ def normal_table() -> Float32s:
     edges = ndtri(np.arange(1, n) / n)
     density = np.concatenate([[0.0], np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi), [0.0]])
     means = n * -np.diff(density)
-    wanted = np.array([1.0 / 2.0, 3.0 / 4.0, 15.0 / 8.0])  # moments of order 2, 4, 6 of a normal number with variance 1/2
+    wanted = np.array(
+        [1.0 / 2.0, 3.0 / 4.0, 15.0 / 8.0]
+    )  # moments of order 2, 4, 6 of a normal number with variance 1/2
     orders = np.array([2, 4, 6])
     powers = means ** np.array([[1], [3], [5]])
     coefficients = np.array([math.sqrt(0.5), 0.0, 0.0])
@@ -180,7 +182,9 @@ def band_limited_rows(
     row_taps, column_taps = _checked_taps(row_taps), _checked_taps(column_taps)
     row_half, column_half = row_taps.size // 2, column_taps.size // 2
     if amplitude is not None and amplitude.shape != (n_rows + 2 * row_half, n_columns + 2 * column_half):
-        raise ValueError(f"amplitude must have shape ({n_rows + 2 * row_half}, {n_columns + 2 * column_half}), not {amplitude.shape}")
+        raise ValueError(
+            f"amplitude must have shape ({n_rows + 2 * row_half}, {n_columns + 2 * column_half}), not {amplitude.shape}"
+        )
     keys = row_keys(seed, [stream], first_row - row_half, n_rows + 2 * row_half)[0]
     smooth_columns = np.empty((keys.size, 2 * n_columns), dtype=np.float32)
     for rows in _blocks(keys.size, n_columns):
@@ -224,7 +228,10 @@ def low_pass_taps(resolution: float) -> Float32s:
     lags = np.arange(-half, half + 1)
     window = np.cos(0.5 * math.pi * lags / (half + 1)) ** 2
     at_band_edge = np.cos(math.pi * lags / resolution)
-    low, high = 0.0, 0.5  # cut-off of the sinc in cycles per sample; the window blurs it, so that it is not the 3 dB point
+    low, high = (
+        0.0,
+        0.5,
+    )  # cut-off of the sinc in cycles per sample; the window blurs it, so that it is not the 3 dB point
     for _ in range(50):
         middle = 0.5 * (low + high)
         response = window * np.sinc(2.0 * middle * lags)
@@ -292,7 +299,9 @@ def _checked_taps(taps: Float32s) -> Float32s:
         raise ValueError(f"taps must have shape (n_taps,), n_taps odd and at most {MAX_TAPS}, not {taps.shape}")
     power = float(taps.astype(np.float64) @ taps)
     if not abs(power - 1.0) < 1e-5:
-        raise ValueError(f"the squares of the taps add up to {power}; they must add up to 1, or mean intensities change")
+        raise ValueError(
+            f"the squares of the taps add up to {power}; they must add up to 1, or mean intensities change"
+        )
     return taps
 
 
@@ -300,6 +309,9 @@ def _check(energy: NDArray[np.float64], keys: Keys) -> None:
     if energy.ndim != 2:
         raise ValueError(f"energy must have shape (n_rows, n_columns), not {energy.shape}")
     if keys.dtype != np.uint64 or keys.ndim != 2 or keys.shape[0] == 0 or keys.shape[1] != energy.shape[0]:
-        raise ValueError(f"keys must be uint64 of shape (n_looks, {energy.shape[0]}) with at least one look, not {keys.dtype} {keys.shape}")
+        raise ValueError(
+            f"keys must be uint64 of shape (n_looks, {energy.shape[0]}) with at least one look, not {keys.dtype} "
+            f"{keys.shape}"
+        )
     if energy.size and not (energy.min() >= 0.0 and energy.max() <= MAX_ENERGY):
         raise ValueError(f"energy must be from 0 to {MAX_ENERGY:g}; it goes from {energy.min()} to {energy.max()}")

@@ -23,7 +23,14 @@ from drivers.vehicle.dialect import Command, GoTo, Steer, Vertical
 from sim_replay.simulator.gauss_markov import GaussMarkov
 from sim_replay.simulator.plan import Leg
 from sim_replay.simulator.scene import Track
-from sim_replay.simulator.vehicle import MIN_ALTITUDE_M, MIN_DEPTH_M, SLOWEST, STRONGEST_CURRENT, WANDER_PERIOD_S, SonarPose
+from sim_replay.simulator.vehicle import (
+    MIN_ALTITUDE_M,
+    MIN_DEPTH_M,
+    SLOWEST,
+    STRONGEST_CURRENT,
+    WANDER_PERIOD_S,
+    SonarPose,
+)
 
 SAFE_ALTITUDE_M: Final = 1.5  # lower it goes for nobody
 FASTEST: Final = 1.5  # of the planned speed
@@ -81,14 +88,20 @@ class SteeredVehicle:
     """
 
     def __init__(
-        self, track: Track, legs: Sequence[Leg], seed: int, frame: LocalFrame, depth_of_floor: Callable[[float, float], float]
+        self,
+        track: Track,
+        legs: Sequence[Leg],
+        seed: int,
+        frame: LocalFrame,
+        depth_of_floor: Callable[[float, float], float],
     ) -> None:
         motion, speed_mps = track.motion, track.speed_mps
         if not legs:
             raise UsageError("the plan has no leg to start on: give it one at least")
         if motion.current_mps > STRONGEST_CURRENT * speed_mps:
             raise UsageError(
-                f"`track.motion.current_mps` is {motion.current_mps:g}: with a `track.speed_mps` of {speed_mps:g} the vehicle goes where "
+                f"`track.motion.current_mps` is {motion.current_mps:g}: with a `track.speed_mps` of {speed_mps:g} the "
+                "vehicle goes where "
                 f"it wants in at most {STRONGEST_CURRENT * speed_mps:g}"
             )
         self._track = track
@@ -164,7 +177,9 @@ class SteeredVehicle:
 
     def _tick(self, dt_s: float) -> None:
         wanted = self._wanted()
-        speed_mps = min(max(wanted.speed_mps, self._current_mps + SLOWEST * self._track.speed_mps), FASTEST * self._track.speed_mps)
+        speed_mps = min(
+            max(wanted.speed_mps, self._current_mps + SLOWEST * self._track.speed_mps), FASTEST * self._track.speed_mps
+        )
         speed_mps *= 1.0 + self._speed_error.at(self._time_s)[0]
         off_rad = math.remainder(wanted.heading_rad - self._heading_rad, 2.0 * math.pi)
         turn_rad = min(max(off_rad * -math.expm1(-dt_s / _TURN_LAG_S), -self._turn_rate * dt_s), self._turn_rate * dt_s)
@@ -216,7 +231,10 @@ class SteeredVehicle:
         if not self._on_leg:
             self._back = self._back or self._way_to(leg)
             here = self._east_m, self._north_m
-            while self._gone_m < self._back.gone_m[-1] and math.dist(here, self._back.at(self._gone_m)) < self._look_ahead_m:
+            while (
+                self._gone_m < self._back.gone_m[-1]
+                and math.dist(here, self._back.at(self._gone_m)) < self._look_ahead_m
+            ):
                 self._gone_m += _STEP_M
             self._on_leg = self._gone_m >= self._back.gone_m[-1]
         if not self._on_leg and self._back is not None:
@@ -234,7 +252,9 @@ class SteeredVehicle:
         self._gone_m = 0.0
         course_rad = math.atan2(*self._velocity(self._heading_rad))
         entry = dubins.PlanePose(*leg.at(self._way_m - _RUN_IN_RADII * self.turn_radius_m, 0.0), leg.direction_rad)
-        path = dubins.dubins_path(dubins.PlanePose(self._east_m, self._north_m, course_rad), entry, _WIDE * self.turn_radius_m)
+        path = dubins.dubins_path(
+            dubins.PlanePose(self._east_m, self._north_m, course_rad), entry, _WIDE * self.turn_radius_m
+        )
         east, north = np.vstack([dubins.sample_path(path, _ARC_STEP_RAD)[:, :2], leg.at(self._way_m, 0.0)]).T
         return _Way(np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)))]), east, north)
 
@@ -275,5 +295,7 @@ class SteeredVehicle:
             roll_rad=self._roll.at(self._time_s)[0],
             course_rad=math.atan2(east_mps, north_mps),
             speed_mps=math.hypot(east_mps, north_mps),
-            on_leg=self._leg if own and self.legs[self._leg].along_across(self._east_m, self._north_m)[0] >= 0.0 else -1,
+            on_leg=self._leg
+            if own and self.legs[self._leg].along_across(self._east_m, self._north_m)[0] >= 0.0
+            else -1,
         )

@@ -79,7 +79,9 @@ class Stones:
         # As a square's stones are drawn for the stoniest kind, others keep their part of them.
         rows = np.arange(math.floor(north_min / _SQUARE_M), math.floor(north_max / _SQUARE_M) + 1)
         columns = np.arange(math.floor(east_min / _SQUARE_M), math.floor(east_max / _SQUARE_M) + 1)
-        squares = _mixed(rows.astype(np.uint64) + np.array([self._seed], dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15))
+        squares = _mixed(
+            rows.astype(np.uint64) + np.array([self._seed], dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+        )
         squares = _mixed(squares[:, None] ^ (columns.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F))[None, :])
         counts = np.searchsorted(self._count_below, _uniform(squares, 1)[0], side="right")
         if not counts.any():
@@ -87,7 +89,9 @@ class Stones:
         row, column = np.nonzero(counts)
         repeats = counts[row, column]
         ordinal = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
-        keys = _mixed(np.repeat(squares[row, column], repeats) + ordinal.astype(np.uint64) * np.uint64(0xD6E8FEB86659FD93))
+        keys = _mixed(
+            np.repeat(squares[row, column], repeats) + ordinal.astype(np.uint64) * np.uint64(0xD6E8FEB86659FD93)
+        )
         draws = _uniform(keys, 7)
         north = (np.repeat(rows[row], repeats) + draws[0]) * _SQUARE_M
         east = (np.repeat(columns[column], repeats) + draws[1]) * _SQUARE_M
@@ -109,8 +113,8 @@ def raise_stones(layer: FloatArray, stones: Array, first_row: int, first_column:
     """Raise half-buried irregular ellipsoids out of a layer of heights; where stones overlap, the higher counts.
 
     Args:
-        layer: (rows, columns) float32 heights in m, changed in place; its element (0, 0) is node (first_row, first_column).
-        stones: (n, 6) as `Stones.within` gives them.
+        layer: (rows, columns) float32 heights in m, changed in place; its element (0, 0) is node (first_row,
+        first_column). stones: (n, 6) as `Stones.within` gives them.
         first_row, first_column: of the layer.
         cell_m: distance between nodes.
     """
@@ -120,7 +124,10 @@ def raise_stones(layer: FloatArray, stones: Array, first_row: int, first_column:
     for cells in np.unique(reach):
         group = stones[reach == cells]
         nodes = np.arange(-cells, cells + 1)
-        row, column = np.rint(group[:, NORTH] / cell_m).astype(np.int64), np.rint(group[:, EAST] / cell_m).astype(np.int64)
+        row, column = (
+            np.rint(group[:, NORTH] / cell_m).astype(np.int64),
+            np.rint(group[:, EAST] / cell_m).astype(np.int64),
+        )
         north = ((row[:, None] + nodes) * cell_m - group[:, NORTH, None]).astype(np.float32)[:, :, None]
         east = ((column[:, None] + nodes) * cell_m - group[:, EAST, None]).astype(np.float32)[:, None, :]
         azimuth = group[:, AZIMUTH, None, None]
@@ -134,9 +141,15 @@ def raise_stones(layer: FloatArray, stones: Array, first_row: int, first_column:
         dome[square > _OUTLINE_RADII**2] = 0.0
         height = np.sqrt(np.maximum(dome, 0.0)) * group[:, HEIGHT, None, None].astype(np.float32)
         size = 2 * int(cells) + 1
-        for block, top, left in zip(height, (row - cells - first_row).tolist(), (column - cells - first_column).tolist(), strict=True):
+        for block, top, left in zip(
+            height, (row - cells - first_row).tolist(), (column - cells - first_column).tolist(), strict=True
+        ):
             rows = slice(max(top, 0), min(top + size, layer.shape[0]))
             columns = slice(max(left, 0), min(left + size, layer.shape[1]))
             if rows.start < rows.stop and columns.start < columns.stop:
                 part = layer[rows, columns]
-                np.maximum(part, block[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left], out=part)
+                np.maximum(
+                    part,
+                    block[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left],
+                    out=part,
+                )

@@ -40,7 +40,12 @@ class TruthLog:
     def add(self, poses: Sequence[SonarPose], altitudes_m: Sequence[float]) -> None:
         """Add another stretch, as it was flown."""
         self._tracks.append(
-            np.array([(p.time_s, p.east_m, p.north_m, p.heading_rad, p.on_leg, a) for p, a in zip(poses, altitudes_m, strict=True)])
+            np.array(
+                [
+                    (p.time_s, p.east_m, p.north_m, p.heading_rad, p.on_leg, a)
+                    for p, a in zip(poses, altitudes_m, strict=True)
+                ]
+            )
         )
         sampled = []
         for pose, altitude in zip(poses, altitudes_m, strict=True):
@@ -71,7 +76,9 @@ class TruthLog:
             return np.empty((2, 0))
         across = np.arange(nearest, farthest, CELL_M / _SAMPLES_PER_CELL)
         across = np.concatenate([-across[::-1], across])
-        return np.stack([pose.east_m + across * math.cos(pose.heading_rad), pose.north_m - across * math.sin(pose.heading_rad)])
+        return np.stack(
+            [pose.east_m + across * math.cos(pose.heading_rad), pose.north_m - across * math.sin(pose.heading_rad)]
+        )
 
     def swept(self) -> tuple[Codes, Codes, NDArray[np.uint8]]:
         """Return rows and columns of swept cells, counted north and east from the origin, and the kind of floor
@@ -110,7 +117,11 @@ def truth_of(sea: Sea, log: TruthLog) -> dict[str, Any]:
     types = tuple(dict.fromkeys(cover.type for cover in sea.world.covers))
     of_cover = np.array([types.index(cover.type) for cover in sea.world.covers], dtype=np.int64)
     first_row, first_column = (int(rows.min()), int(columns.min())) if len(rows) else (0, 0)
-    cells = np.full((int(rows.max()) - first_row + 1, int(columns.max()) - first_column + 1) if len(rows) else (1, 1), -1, dtype=np.int64)
+    cells = np.full(
+        (int(rows.max()) - first_row + 1, int(columns.max()) - first_column + 1) if len(rows) else (1, 1),
+        -1,
+        dtype=np.int64,
+    )
     cells[rows - first_row, columns - first_column] = of_cover[labels]
     # The map's own plane touches at its corner: nearly parallel to the scene's, 1 mm apart after kilometres.
     corner = frame.to_geodetic([first_column * CELL_M, first_row * CELL_M, 0.0])
@@ -119,7 +130,10 @@ def truth_of(sea: Sea, log: TruthLog) -> dict[str, Any]:
         "scene": sea.scene.name,
         "seed": sea.scene.seed,
         "area_km2": len(rows) * CELL_M * CELL_M / 1e6,
-        "objects": [_object(sea, scene_object, types[of_cover[_label(sea, scene_object)]], track) for scene_object in sea.objects],
+        "objects": [
+            _object(sea, scene_object, types[of_cover[_label(sea, scene_object)]], track)
+            for scene_object in sea.objects
+        ],
         "seabed_map": msgspec.to_builtins(
             encode(cells, types=types, cell_m=CELL_M, latitude_deg=float(corner[0]), longitude_deg=float(corner[1]))
         ),

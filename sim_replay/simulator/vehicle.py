@@ -22,7 +22,9 @@ from sim_replay.simulator.plan import Leg
 from sim_replay.simulator.scene import Track
 
 STRONGEST_CURRENT: Final = 0.8  # of the planned speed
-SLOWEST: Final = 0.1  # of the planned speed is what the vehicle always makes through water on top of the current's speed
+SLOWEST: Final = (
+    0.1  # of the planned speed is what the vehicle always makes through water on top of the current's speed
+)
 MIN_ALTITUDE_M: Final = 0.5
 MIN_DEPTH_M: Final = 0.2
 RUN_IN_S: Final = 3.0  # straight before a leg starts
@@ -100,13 +102,16 @@ class Vehicle:
     Raises UsageError if there is no leg, or the current is too strong to fly in.
     """
 
-    def __init__(self, track: Track, legs: Sequence[Leg], seed: int, depth_of_floor: Callable[[float, float], float]) -> None:
+    def __init__(
+        self, track: Track, legs: Sequence[Leg], seed: int, depth_of_floor: Callable[[float, float], float]
+    ) -> None:
         motion, speed = track.motion, track.speed_mps
         if not legs:
             raise UsageError("the plan has no leg to start on: give it one at least")
         if motion.current_mps > STRONGEST_CURRENT * speed:
             raise UsageError(
-                f"`track.motion.current_mps` is {motion.current_mps:g}: with a `track.speed_mps` of {speed:g} the vehicle stays on its "
+                f"`track.motion.current_mps` is {motion.current_mps:g}: with a `track.speed_mps` of {speed:g} the "
+                "vehicle stays on its "
                 f"track in at most {STRONGEST_CURRENT * speed:g}"
             )
         self._track = track
@@ -114,7 +119,8 @@ class Vehicle:
         self._current_mps = motion.current_mps
         self._current_rad = math.radians(motion.current_towards_deg)
         self._slowest_mps = motion.current_mps + SLOWEST * speed
-        # In a turn, ground speed over radius is the course's rate. The heading's is that times ground speed over speed through water
+        # In a turn, ground speed over radius is the course's rate. The heading's is that times ground speed over speed
+        # through water
         # along the path, (v + c)^2 / (R v) at most, with the current from astern.
         tightest = (speed + motion.current_mps) ** 2 / (speed * math.radians(track.turn_rate_deg_s))
         self._radius_m = max(tightest, _SIGMAS_IN_TURN * motion.sway_sigma_m)
@@ -187,12 +193,19 @@ class Vehicle:
     def _transit(self, leg: Leg, east_m: float, north_m: float, direction_rad: float) -> list[_Piece]:
         along, across = leg.along_across(east_m, north_m)
         off = leg.direction_rad - direction_rad
-        if abs(math.sin(off)) < _SAME_DIRECTION_RAD and math.cos(off) > 0.0 and abs(across) < _SAME_PLACE_M and along < _SAME_PLACE_M:
+        if (
+            abs(math.sin(off)) < _SAME_DIRECTION_RAD
+            and math.cos(off) > 0.0
+            and abs(across) < _SAME_PLACE_M
+            and along < _SAME_PLACE_M
+        ):
             return [_Piece(-1, -along, east_m, north_m, direction_rad, 0.0)] if along < -_SAME_PLACE_M else []
         run_in = RUN_IN_S * self._track.speed_mps
         entry = dubins.PlanePose(*leg.at(-run_in, 0.0), leg.direction_rad)
         pieces = []
-        for turn, length in dubins.dubins_path(dubins.PlanePose(east_m, north_m, direction_rad), entry, self._radius_m).segments:
+        for turn, length in dubins.dubins_path(
+            dubins.PlanePose(east_m, north_m, direction_rad), entry, self._radius_m
+        ).segments:
             pieces.append(_Piece(-1, length, east_m, north_m, direction_rad, _SENSE[turn] / self._radius_m))
             east_m, north_m, direction_rad = pieces[-1].at(length)
         return [*pieces, _Piece(-1, run_in, *entry, 0.0)]

@@ -27,7 +27,8 @@ NODES: Final = PATCH + 1
 
 Labels: TypeAlias = NDArray[np.uint8]
 
-# Height and kind are worked out on nodes at most this far apart and drawn finer from there; kinds blend over about three of them.
+# Height and kind are worked out on nodes at most this far apart and drawn finer from there; kinds blend over about
+# three of them.
 _COARSE_M: Final = 0.5
 _FORM_PERIODS: Final = (625, 648)
 _STONE_BRIGHTNESS: Final = 3.0
@@ -88,7 +89,8 @@ class SimulatedFloor:
         self._stones = Stones(self.covers, seed)
         self._margin = math.ceil(self._stones.reach_m / (self._step * cell_m)) if self._stones else 0
         self._grounds = tuple(
-            Ground(cover, seed, f"{index} {cover.type}", cell_m=cell_m, step=self._step) for index, cover in enumerate(self.covers)
+            Ground(cover, seed, f"{index} {cover.type}", cell_m=cell_m, step=self._step)
+            for index, cover in enumerate(self.covers)
         )
         self._slot_of: dict[tuple[int, int], int] = {}
         self._patch_here: tuple[int, int] | None = None
@@ -111,7 +113,8 @@ class SimulatedFloor:
             self._elevation[: len(elevation)] = elevation
             self._texture[: len(texture)] = texture
             self._seabed[: len(seabed)] = seabed
-        # The dictionary's order is that of last use: what is wanted moves to its end before anything is dropped from its start.
+        # The dictionary's order is that of last use: what is wanted moves to its end before anything is dropped from
+        # its start.
         missing = []
         for place in wanted:
             slot = self._slot_of.pop(place, None)
@@ -189,7 +192,11 @@ class SimulatedFloor:
             for patch_column in range(math.floor(east_min / size_m), math.ceil(east_max / size_m)):
                 east = max(east_min, patch_column * size_m), min(east_max, (patch_column + 1) * size_m)
                 north = max(north_min, patch_row * size_m), min(north_max, (patch_row + 1) * size_m)
-                found.append(self._stones_within(patch_row, patch_column, self._coarse_fields(patch_row, patch_column), east, north))
+                found.append(
+                    self._stones_within(
+                        patch_row, patch_column, self._coarse_fields(patch_row, patch_column), east, north
+                    )
+                )
         return np.concatenate(found)
 
     def _coarse_fields(self, patch_row: int, patch_column: int) -> FloatArray | None:
@@ -204,7 +211,12 @@ class SimulatedFloor:
         return self._partition.fields(patch_row * nodes - 1 - margin, patch_column * nodes - 1 - margin, size, size)
 
     def _stones_within(
-        self, patch_row: int, patch_column: int, fields: FloatArray | None, east: tuple[float, float], north: tuple[float, float]
+        self,
+        patch_row: int,
+        patch_column: int,
+        fields: FloatArray | None,
+        east: tuple[float, float],
+        north: tuple[float, float],
     ) -> NDArray[np.float64]:
         nodes, before, spacing_m = PATCH // self._step, 1 + self._margin, self._step * self.cell_m
 
@@ -275,7 +287,8 @@ class SimulatedFloor:
         for kind, (rows, columns) in zip(kinds, boxes, strict=True):
             box = (rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start)
             cells = (patch_row * PATCH + box[0], patch_column * PATCH + box[1], *box[2:])
-            # A hair more than 1, then cut: weights must be exactly 1 where there is no other kind, or patches would differ on their sides.
+            # A hair more than 1, then cut: weights must be exactly 1 where there is no other kind, or patches would
+            # differ on their sides.
             scaled = weights[kind] * np.float32(1.0001)
             first_row, first_column = box[0] // self._step, box[1] // self._step
             weight = refine(scaled[first_row:, first_column:], self._step, *box[2:])
@@ -286,13 +299,17 @@ class SimulatedFloor:
             fringe = partition.fringe(kind, *cells)
             if fringe is not None:
                 weight *= fringe
-            # In bytes that wrap, this sets the kind where its weight is higher; several times faster than an index of truth values.
+            # In bytes that wrap, this sets the kind where its weight is higher; several times faster than an index of
+            # truth values.
             label = seabed[rows, columns]
             label += (np.uint8(kind) - label) * (weight > highest[rows, columns])
             np.maximum(highest[rows, columns], weight, out=highest[rows, columns])
         for kind, (rows, columns) in zip(kinds, boxes, strict=True):
             own = self._grounds[kind].texture(
-                patch_row * PATCH + rows.start, patch_column * PATCH + columns.start, rows.stop - rows.start, columns.stop - columns.start
+                patch_row * PATCH + rows.start,
+                patch_column * PATCH + columns.start,
+                rows.stop - rows.start,
+                columns.stop - columns.start,
             )
             if own is not None:
                 np.copyto(texture[rows, columns], own, where=seabed[rows, columns] == kind)

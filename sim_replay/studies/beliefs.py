@@ -5,11 +5,12 @@ auv-mcm bench beliefs [--objects N]
 
 Mines are drawn as for the bench of shapes; clutter is rocks of a mine's size. Every object is described twice:
 
-- By the likelihood: the free contour and the solids are all weighed by the echoes; clutter is what the free contour explains, less
-  the code length of its nodes, and whatever solid is of implausible size.
-- As the source paper does, after S. Reed, Y. Petillot, J. Bell, IEE Proc. Radar Sonar Navig. 151, 2004: the contour's shadow is
-  compared with simulated shadows by their Hausdorff distance d; the membership exp(-d^2 / 2 s^2) and the plausibility of the sizes
-  become masses by Appriou's first family. How the paper does either step is not published in detail; this is a derivation anew.
+- By the likelihood: the free contour and the solids are all weighed by the echoes; clutter is what the free contour
+  explains, less the code length of its nodes, and whatever solid is of implausible size.
+- As the source paper does, after S. Reed, Y. Petillot, J. Bell, IEE Proc. Radar Sonar Navig. 151, 2004: the contour's
+  shadow is compared with simulated shadows by their Hausdorff distance d; the membership exp(-d^2 / 2 s^2) and the
+  plausibility of the sizes become masses by Appriou's first family. How the paper does either step is not published in
+  detail; this is a derivation anew.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ from sim_replay.simulator.scene import SceneObject
 from sim_replay.studies.hausdorff import Mask, contour_distance_m, shadow_mask
 from sim_replay.studies.shapes import CORRELATION_AREA, draw_object, rendered_region
 
-# Bel of cylinder, sphere, cone and clutter for one view of each, as printed in the source paper's Table 1. It has no wedge.
+# Bel of cylinder, sphere, cone and clutter for one view of each, as printed in the source paper's Table 1. It has no
+# wedge.
 PAPER: Final[dict[ContactClass, dict[ContactClass, float]]] = {
     "cylinder": {"cylinder": 0.71, "sphere": 0.0, "truncated_cone": 0.0, "clutter": 0.2},
     "sphere": {"cylinder": 0.0, "sphere": 0.833, "truncated_cone": 0.0, "clutter": 0.083},
@@ -61,16 +63,22 @@ _ROCK_SLIMNESS, _ROCK_FLATNESS = (0.6, 0.95), (0.35, 0.7)
 _ROCK_TILT_DEG: Final = 35.0
 _ALTITUDE_ERROR: Final = 0.1
 
-# The source paper's route: membership and clutter's distance are those of the minimum log-loss on 60 objects of training seeds.
+# The source paper's route: membership and clutter's distance are those of the minimum log-loss on 60 objects of
+# training seeds.
 _MEMBERSHIP_SIGMA_M: Final = 0.07
 _CLUTTER_M: Final = 0.2  # a shadow this far from every solid's is clutter's as much as any solid's
 _QUANTILE: Final = 0.95  # of the gaps; their largest is set by one grain of speckle
 _FAR_M: Final = 10.0
 _N_STARTS, _N_WALKS, _N_STEPS, _N_TRIES = 48, 2, 8, 6
-_PLACE_M, _PLACE_GRAIN_M = (0.4, 0.6, 0.4), 0.05  # along track either way; nearer and farther than the shadow's near side
+_PLACE_M, _PLACE_GRAIN_M = (
+    (0.4, 0.6, 0.4),
+    0.05,
+)  # along track either way; nearer and farther than the shadow's near side
 _TURN: Final = math.pi
 _TOP_SHARE: Final = 0.51
-_SIZES: Final[dict[Solid, tuple[tuple[float, float, float], ...]]] = {  # from, to, grain: 30 % beyond the usual; azimuths all round
+_SIZES: Final[
+    dict[Solid, tuple[tuple[float, float, float], ...]]
+] = {  # from, to, grain: 30 % beyond the usual; azimuths all round
     "sphere": ((0.21, 0.65, 0.03),),
     "cylinder": ((0.14, 0.416, 0.03), (1.05, 3.38, 0.1), (-0.5 * _TURN, 0.5 * _TURN, 0.08)),
     "truncated_cone": ((0.28, 0.78, 0.03), (0.27, 0.75, 0.06)),
@@ -220,7 +228,8 @@ def looks_at(scene_object: DrawnObject) -> tuple[LikelihoodView, LikelihoodView]
 
 
 def shadow_evidence(region: Region, shadow: Mask) -> Evidence:
-    """Weigh evidence by the distance of a shadow (n_rows, n_columns) from the nearest simulated shadow of every solid."""
+    """Weigh evidence by the distance of a shadow (n_rows, n_columns) from the nearest simulated shadow of every
+    solid."""
     evidence: Evidence = {"clutter": ClassEvidence(nll=_membership_cost(_CLUTTER_M))}
     for solid in SOLIDS:
         distance_m, plausible = _nearest_shadow(solid, region, shadow) if shadow.any() else (math.inf, 0.0)
@@ -240,7 +249,10 @@ def _nearest_shadow(solid: Solid, region: Region, shadow: Mask) -> tuple[float, 
     along_m = 0.5 * float(rows.min() + rows.max() + 1) * region.row_spacing_m
     near_m = region.first_ground_range_m + float(np.quantile(columns, 0.05)) * region.column_spacing_m
     aside_m, before_m, behind_m = _PLACE_M
-    place = ((along_m - aside_m, along_m + aside_m, _PLACE_GRAIN_M), (near_m - before_m, near_m + behind_m, _PLACE_GRAIN_M))
+    place = (
+        (along_m - aside_m, along_m + aside_m, _PLACE_GRAIN_M),
+        (near_m - before_m, near_m + behind_m, _PLACE_GRAIN_M),
+    )
     low, high, grain = np.array(place + _SIZES[solid]).T
     box = SearchBox(low, high, (np.arange(low.size) == low.size - 1) & (solid in _TURNS), grain)
 
@@ -248,7 +260,9 @@ def _nearest_shadow(solid: Solid, region: Region, shadow: Mask) -> tuple[float, 
         found = np.empty(len(points))
         for k, hypothesis in enumerate(hypotheses_of(solid, _whole(solid, points))):
             observed, simulated = _around(shadow, shadow_mask(solid, hypothesis, image))
-            gap_m = contour_distance_m(observed, simulated, region.row_spacing_m, region.column_spacing_m, quantile=_QUANTILE)
+            gap_m = contour_distance_m(
+                observed, simulated, region.row_spacing_m, region.column_spacing_m, quantile=_QUANTILE
+            )
             found[k] = min(gap_m, _FAR_M)
         return found
 
@@ -353,7 +367,9 @@ def paper_rows() -> list[BeliefRow]:
     """Return the figures that the source paper prints; the rest is not known."""
     nan = math.nan
     return [
-        BeliefRow(name, np.array([printed.get(other, nan) for other in FRAME]), sum(printed.values()), nan, nan, nan, nan)
+        BeliefRow(
+            name, np.array([printed.get(other, nan) for other in FRAME]), sum(printed.values()), nan, nan, nan, nan
+        )
         for name, printed in PAPER.items()
     ]
 
@@ -371,12 +387,16 @@ def calibrations(scene_objects: Sequence[Judged], temperature: float) -> tuple[C
     singles = np.array([mass_of_one(seen, temperature) for _, looks in scene_objects for seen in looks])
     pairs = np.array([mass_of_two(looks, temperature) for _, looks in scene_objects])
     names = [name for name, _ in scene_objects]
-    return calibration_of(singles, [name for name in names for _ in range(2)], temperature), calibration_of(pairs, names, temperature)
+    return calibration_of(singles, [name for name in names for _ in range(2)], temperature), calibration_of(
+        pairs, names, temperature
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add options of `auv-mcm bench beliefs`."""
-    parser.add_argument("--objects", type=count, default=50, help="objects drawn, and as many to calibrate with (default 50)")
+    parser.add_argument(
+        "--objects", type=count, default=50, help="objects drawn, and as many to calibrate with (default 50)"
+    )
 
 
 def run(chosen: argparse.Namespace) -> int:
@@ -385,10 +405,16 @@ def run(chosen: argparse.Namespace) -> int:
     names = [scene_object.name for scene_object in drawn]
     looks = [looks_at(scene_object) for scene_object in drawn]
     ours = np.array([mass_of_one(first) for first, _ in looks])
-    papers = np.array([mass_as_paper(scene_object.views[0], first.shadow) for scene_object, (first, _) in zip(drawn, looks, strict=True)])
+    papers = np.array(
+        [
+            mass_as_paper(scene_object.views[0], first.shadow)
+            for scene_object, (first, _) in zip(drawn, looks, strict=True)
+        ]
+    )
     both = np.array([mass_of_two(pair) for pair in looks])
     print(
-        f"{chosen.objects} objects; medians of beliefs, their sum, masses on 'sphere or cone' and on 'any', probability of the true class\n"
+        f"{chosen.objects} objects; medians of beliefs, their sum, masses on 'sphere or cone' and on 'any', "
+        "probability of the true class\n"
     )
     _print_rows("printed in the source paper, one view of each", paper_rows())
     _print_rows("the source paper's route derived anew, one view", belief_rows(papers, names))
@@ -398,14 +424,21 @@ def run(chosen: argparse.Namespace) -> int:
     print(f"spheres and cones with more than a third of their mass on 'sphere or cone': {words}\n")
     singles = [seen for pair in looks for seen in pair]
     of_rocks = [seen for name, pair in zip(names, looks, strict=True) for seen in pair if name == "clutter"]
-    print(f"of {len(of_rocks)} views of clutter the free contour explains {sum(map(contour_wins, of_rocks))} better than every solid;")
+    print(
+        f"of {len(of_rocks)} views of clutter the free contour explains {sum(map(contour_wins, of_rocks))} better than "
+        "every solid;"
+    )
     print(f"without plausible sizes {sum(map(clutter_without_sizes, of_rocks))} would be called clutter\n")
     print(f"{'views':>5}{'promised':>10}{'right':>8}   by probability of the winning class, one view")
-    for entry in reliability(np.array([mass_of_one(seen) for seen in singles]), [name for name in names for _ in range(2)]):
+    for entry in reliability(
+        np.array([mass_of_one(seen) for seen in singles]), [name for name in names for _ in range(2)]
+    ):
         print(f"{entry.n_views:>5}{entry.promised:>10.3f}{entry.right:>8.3f}")
     print()
     training = draw_labelled_objects(chosen.objects, TRAINING_SEED)
-    _print_calibration([(scene_object.name, looks_at(scene_object)) for scene_object in training], list(zip(names, looks, strict=True)))
+    _print_calibration(
+        [(scene_object.name, looks_at(scene_object)) for scene_object in training], list(zip(names, looks, strict=True))
+    )
     return 0
 
 
@@ -423,10 +456,14 @@ def _ambiguous(masses: Array, names: Sequence[ContactClass]) -> str:
 
 
 def _print_calibration(training: Sequence[Judged], held_out: Sequence[Judged]) -> None:
-    print(f"{'calibration':<14}{'temperature':>12}{'log-loss of training':>22}{'of others':>11}{'calibration error':>19}")
+    print(
+        f"{'calibration':<14}{'temperature':>12}{'log-loss of training':>22}{'of others':>11}{'calibration error':>19}"
+    )
     for index, views in enumerate(("one view", "two views")):
         tried = [calibrations(training, temperature)[index] for temperature in TEMPERATURES]
         best = min(tried, key=lambda entry: entry.log_loss)
         for calibrated in (tried[TEMPERATURES.index(TEMPERATURE)], best):
             other = calibrations(held_out, calibrated.temperature)[index]
-            print(f"{views:<14}{calibrated.temperature:>12.1f}{calibrated.log_loss:>22.3f}{other.log_loss:>11.3f}{other.error:>19.3f}")
+            print(
+                f"{views:<14}{calibrated.temperature:>12.1f}{calibrated.log_loss:>22.3f}{other.log_loss:>11.3f}{other.error:>19.3f}"
+            )

@@ -73,7 +73,9 @@ class _Level(NamedTuple):
     column_spacing_m: float
 
 
-def invert_multiresolution(intensity: Array, valid: Bools, altitude_m: Array, along_m: Array, column_spacing_m: float) -> SeafloorScene:
+def invert_multiresolution(
+    intensity: Array, valid: Bools, altitude_m: Array, along_m: Array, column_spacing_m: float
+) -> SeafloorScene:
     """Recover the scene that one side of a line shows; arguments and result are those of
     `sim_replay.augment.direct.invert`.
     """
@@ -89,7 +91,9 @@ def invert_multiresolution(intensity: Array, valid: Bools, altitude_m: Array, al
     scene: SeafloorScene | None = None
     for k in range(len(pyramid) - 1, -1, -1):
         if scene is not None:
-            elevation, reflectivity = (_doubled(plane, pyramid[k].intensity.shape) for plane in (scene.elevation_m, scene.reflectivity))
+            elevation, reflectivity = (
+                _doubled(plane, pyramid[k].intensity.shape) for plane in (scene.elevation_m, scene.reflectivity)
+            )
         scene = _refine(pyramid[k], elevation, reflectivity, image.looks * 4.0**k)
     assert scene is not None
     return msgspec.structs.replace(scene, beam=msgspec.structs.replace(scene.beam, gain=scene.beam.gain * level))
@@ -155,7 +159,9 @@ def misfit(elevation: Array, expected: Expected) -> Misfit:
     tied, held = expected.prior * STIFFNESS.along_weight, expected.prior * expected.screen_per_m2
     steep = across.copy()
     steep[:, 0] = 0.0  # where no facet ends
-    value = float((residual**2).sum() + expected.prior * (steep**2).sum() + tied * (step**2).sum() + held * (elevation**2).sum())
+    value = float(
+        (residual**2).sum() + expected.prior * (steep**2).sum() + tied * (step**2).sum() + held * (elevation**2).sum()
+    )
 
     gradient = -2.0 * residual * cosine_per_depth + 2.0 * held * elevation
     gradient += _across_adjoint(2.0 * residual * cosine_per_across, spacing_m)
@@ -219,4 +225,6 @@ def _halved(level: _Level) -> _Level:
 def _doubled(plane: Array, shape: tuple[int, ...]) -> Array:
     """Interpolate between the centres of pixels twice as large, bilinear."""
     places = [np.clip((np.arange(n) - 0.5) / 2.0, 0.0, m - 1.0) for n, m in zip(shape, plane.shape, strict=True)]
-    return np.asarray(scipy.ndimage.map_coordinates(plane, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest"))
+    return np.asarray(
+        scipy.ndimage.map_coordinates(plane, np.meshgrid(*places, indexing="ij"), order=1, mode="nearest")
+    )

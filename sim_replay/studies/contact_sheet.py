@@ -53,7 +53,10 @@ def waterfall(scene: Scene, width: int, height: int) -> Picture:
             rows.append(np.concatenate([event.port.samples[::-1], event.starboard.samples]).astype(np.float32))
     picture = cv2.resize(np.stack(rows[::-1]), (width, height), interpolation=cv2.INTER_AREA)
     is_log = scene.sonar.recorder.samples.startswith("log")
-    black, white = float(np.quantile(picture, _BLACK_SHARE)) if is_log else 0.0, float(np.quantile(picture, _WHITE_SHARE))
+    black, white = (
+        float(np.quantile(picture, _BLACK_SHARE)) if is_log else 0.0,
+        float(np.quantile(picture, _WHITE_SHARE)),
+    )
     level = np.clip((picture - black) / max(white - black, 1e-6), 0.0, 1.0)
     shown: Picture = np.rint(255.0 * level ** (1.0 if is_log else _GAMMA)).astype(np.uint8)
     return shown
@@ -76,7 +79,10 @@ def contact_sheet(names: Sequence[str]) -> Picture:
 
 def main(arguments: Sequence[str]) -> int:
     """Draw the sheet; returns the exit code."""
-    parser = Parser(prog="python -m sim_replay.studies.contact_sheet", description="Draw waterfalls of the scenes that rates are taken on.")
+    parser = Parser(
+        prog="python -m sim_replay.studies.contact_sheet",
+        description="Draw waterfalls of the scenes that rates are taken on.",
+    )
     parser.add_argument("--out", type=Path, required=True, help="where the JPEG goes")
     chosen = parser.parse_args(arguments)
     _, coded = cv2.imencode(".jpg", contact_sheet(SCENES), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])

@@ -28,7 +28,13 @@ from sim_replay.fitting.cascade.classical.chips import reference_shadow_m
 from sim_replay.fitting.cascade.classical.classical_candidates import find_candidates
 from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, score_windows
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family
-from sim_replay.fitting.cascade.classical.train_classical import ChipSamples, collect, fit_classical_model, merged, of_kinds
+from sim_replay.fitting.cascade.classical.train_classical import (
+    ChipSamples,
+    collect,
+    fit_classical_model,
+    merged,
+    of_kinds,
+)
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import Kind, SeedRange, Seeds, SimulatedLine, Spec, Targets, lines_of
 from sim_replay.fitting.cascade.tiles import LabelledTile
@@ -39,7 +45,9 @@ from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import columns
 
 TYPES: Final[Mapping[str, TargetKind]] = MappingProxyType({"A": "truncated_cone", "B": "wedge", "C": "cylinder"})
-FEATURES: Final[Mapping[str, tuple[Family, ...]]] = MappingProxyType({"central filters": ("central",), "all features": FAMILIES})
+FEATURES: Final[Mapping[str, tuple[Family, ...]]] = MappingProxyType(
+    {"central filters": ("central",), "all features": FAMILIES}
+)
 
 _FIRST_TRAINING_SEED: Final = 600
 _LEG_M: Final = 120.0
@@ -93,7 +101,8 @@ EXPERIMENTS: Final = (
 
 
 class Sighting(NamedTuple):
-    """Hold the best odds in an image of one object, or of one place without any. what: its kind, "surface" or "floor"."""
+    """Hold the best odds in an image of one object, or of one place without any. what: its kind, "surface" or
+    "floor"."""
 
     what: str
     log_odds: float
@@ -115,7 +124,9 @@ class _Task(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add options of `auv-mcm bench figure9`."""
-    parser.add_argument("--images", type=count, default=10, help=f"images per experiment, seeds {FIRST_SEED} on (default 10)")
+    parser.add_argument(
+        "--images", type=count, default=10, help=f"images per experiment, seeds {FIRST_SEED} on (default 10)"
+    )
     parser.add_argument("--missions", type=count, default=2, help="missions per sea floor to learn from (default 2)")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
 
@@ -126,11 +137,20 @@ def run(arguments: argparse.Namespace) -> int:
     lines = training_lines(arguments.missions)
     parts = list(run_tasks(samples_of, lines, farm, _progress("training missions", len(lines))))
     for experiment in EXPERIMENTS:
-        chosen = [part for line, part in zip(lines, parts, strict=True) if line.background.startswith("flat/") or not experiment.flat_only]
+        chosen = [
+            part
+            for line, part in zip(lines, parts, strict=True)
+            if line.background.startswith("flat/") or not experiment.flat_only
+        ]
         samples = of_kinds(merged(chosen), [TYPES[name] for name in experiment.learned])
         models = {name: fit_classical_model(samples, families) for name, families in FEATURES.items()}
         images = list(
-            run_tasks(judge_figure, image_tasks(experiment, models, arguments.images), farm, _progress("images", arguments.images))
+            run_tasks(
+                judge_figure,
+                image_tasks(experiment, models, arguments.images),
+                farm,
+                _progress("images", arguments.images),
+            )
         )
         print(f"\n{experiment.name}; {len(images)} images, {sum(image.area_km2 for image in images):.3f} km² in all")
         print(f"learned from {next(iter(models.values())).trained_on}")
@@ -203,7 +223,9 @@ def judge_figure(task: _Task) -> Image:
         found = find_candidates(tile, task.line.config)
         for name, model in task.models.items():
             odds = score_windows(model, tile, found.rows, found.columns)
-            places = [Place(float(r), float(c), float(o)) for r, c, o in zip(found.rows, found.columns, odds, strict=True)]
+            places = [
+                Place(float(r), float(c), float(o)) for r, c, o in zip(found.rows, found.columns, odds, strict=True)
+            ]
             sightings[name] += sighted(tile, places, task.surface_m)
     return Image({name: tuple(found) for name, found in sightings.items()}, n_objects, usable_m2 / 1e6)
 
@@ -237,7 +259,9 @@ def sighted(tile: LabelledTile, places: Iterable[Place], surface_m: float) -> li
         elif not any(_covers(tile, other.row + 0.5, other.column + 0.5, place, _SAME_M) for other in kept):
             kept.append(place)
     objects = [Sighting(tile.objects[index].kind, place.log_odds) for index, place in sorted(taken.items())]
-    return objects + [Sighting("surface" if _on_surface(tile, place, surface_m) else "floor", place.log_odds) for place in kept]
+    return objects + [
+        Sighting("surface" if _on_surface(tile, place, surface_m) else "floor", place.log_odds) for place in kept
+    ]
 
 
 def table(experiment: Experiment, images: Sequence[Image]) -> str:
@@ -261,9 +285,27 @@ def table(experiment: Experiment, images: Sequence[Image]) -> str:
             called = Counter(sighting.what for sighting in seen if sighting.log_odds >= threshold)
             n_false = sum(called.values()) - sum(called[kind] for kind in TYPES.values())
             found = (f"{called[kind]} of {there[kind]}" for kind in kinds)
-            others = (str(called["surface"]), str(called["floor"]), f"{n_false / len(images):.1f}", f"{n_false / area_km2:.0f}")
-            rows.append((features, words, *found, *others) if math.isfinite(threshold) else (features, words, "not found at any"))
-    header = ("features", "called from", *TYPES, *sorted(experiment.not_targets), "surface", "floor", "FA per image", "FA/km²")
+            others = (
+                str(called["surface"]),
+                str(called["floor"]),
+                f"{n_false / len(images):.1f}",
+                f"{n_false / area_km2:.0f}",
+            )
+            rows.append(
+                (features, words, *found, *others)
+                if math.isfinite(threshold)
+                else (features, words, "not found at any")
+            )
+    header = (
+        "features",
+        "called from",
+        *TYPES,
+        *sorted(experiment.not_targets),
+        "surface",
+        "floor",
+        "FA per image",
+        "FA/km²",
+    )
     return columns(header, [(*row, *[""] * (len(header) - len(row))) for row in rows])
 
 
@@ -295,7 +337,9 @@ def _whole(config: Config) -> Config:
     return msgspec.structs.replace(
         config,
         waterfall=msgspec.structs.replace(config.waterfall, tile_rows=_TILE_ROWS),
-        detect=msgspec.structs.replace(config.detect, max_candidates_per_tile=n_tiles * config.detect.max_candidates_per_tile),
+        detect=msgspec.structs.replace(
+            config.detect, max_candidates_per_tile=n_tiles * config.detect.max_candidates_per_tile
+        ),
     )
 
 

@@ -17,7 +17,9 @@ from auv_mcm.kernels.shape import Array, ImageRowSums, Solid, intervals
 Mask = NDArray[np.bool_]
 
 
-def contour_distance_m(observed: Mask, simulated: Mask, row_spacing_m: float, column_spacing_m: float, *, quantile: float) -> float:
+def contour_distance_m(
+    observed: Mask, simulated: Mask, row_spacing_m: float, column_spacing_m: float, *, quantile: float
+) -> float:
     """Return the distance between the contours of two shadows on one grid, (n_rows, n_columns) bool; infinite if only
     one exists.
 
@@ -27,7 +29,10 @@ def contour_distance_m(observed: Mask, simulated: Mask, row_spacing_m: float, co
     if observed.ndim != 2 or observed.shape != simulated.shape:
         raise ValueError(f"masks must be planes of one shape, not {observed.shape} and {simulated.shape}")
     if not (row_spacing_m > 0.0 and column_spacing_m > 0.0 and 0.0 <= quantile <= 1.0):
-        raise ValueError(f"spacings must be positive and quantile from 0 to 1, not {row_spacing_m}, {column_spacing_m} and {quantile}")
+        raise ValueError(
+            f"spacings must be positive and quantile from 0 to 1, not {row_spacing_m}, {column_spacing_m} and "
+            f"{quantile}"
+        )
     if not observed.any() and not simulated.any():
         return 0.0
     if not (observed.any() and simulated.any()):

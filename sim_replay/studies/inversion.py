@@ -45,7 +45,8 @@ _ROWS_PER_COLUMN: Final = 2
 _ALTITUDE_M: Final = 5.0
 _NOISE: Final = 0.01  # over the typical echo
 _PERIODS: Final = (1000, 1127)
-_SHORT_M: Final = 1.0  # standard deviation of the mean that is taken off relief before it is compared: an image does not show slower waves
+# Standard deviation of the mean that is taken off relief before it is compared: an image does not show slower waves
+_SHORT_M: Final = 1.0
 _EDGE_ROWS, _FIRST_M, _EDGE_COLUMNS = 10, 3.0, 20  # left out: ends, and what lies below the sonar
 _RIPPLES: Final = Ripples(wavelength_m=1.2, height_m=0.16, direction_deg=60.0, defects=0.5, skew=0.5)
 _SIMULATED: Final[dict[FloorKind, World]] = {
@@ -59,7 +60,17 @@ Array = NDArray[np.float64]
 Inversion: TypeAlias = Callable[[Array, NDArray[np.bool_], Array, Array, float], SeafloorScene]
 METHODS: Final[dict[str, Inversion]] = {"direct": invert, "multiresolution": invert_multiresolution}
 
-_HEADER: Final = ("sea floor", "looks", "method", "relief r", "gain", "reflectivity r", "re-render %", "re-render dB", "cpu s")
+_HEADER: Final = (
+    "sea floor",
+    "looks",
+    "method",
+    "relief r",
+    "gain",
+    "reflectivity r",
+    "re-render %",
+    "re-render dB",
+    "cpu s",
+)
 
 
 class Figures(NamedTuple):
@@ -101,7 +112,9 @@ def made_up_scene(floor: FloorKind, seed: int) -> SeafloorScene:
         case "flat":
             pass
     angles = np.radians(np.linspace(2.0, 89.0, 200))
-    lobe = np.exp(-0.5 * ((angles - math.radians(25.0)) / math.radians(30.0)) ** 2) * (1.0 + 0.2 * np.sin(20.0 * angles + seed))
+    lobe = np.exp(-0.5 * ((angles - math.radians(25.0)) / math.radians(30.0)) ** 2) * (
+        1.0 + 0.2 * np.sin(20.0 * angles + seed)
+    )
     along_m = _ROWS_PER_COLUMN * _COLUMN_M * np.arange(_N_ROWS, dtype=np.float64)
     return SeafloorScene(
         elevation_m=elevation,
@@ -145,7 +158,9 @@ def simulated_line(floor: FloorKind, seed: int, looks: int) -> tuple[LinePicture
     )
     mission = Mission(scene)
     picture = max(waterfall_pictures(mission.events(), Config(), "starboard"), key=lambda one: len(one.along_m))
-    here = local_frame(scene.origin).to_enu(picture.pose.latitude_deg, picture.pose.longitude_deg, np.zeros(len(picture.along_m)))
+    here = local_frame(scene.origin).to_enu(
+        picture.pose.latitude_deg, picture.pose.longitude_deg, np.zeros(len(picture.along_m))
+    )
     ground_m = ground_range_m(picture.intensity.shape[1], picture.column_spacing_m)
     heights = mission.sea.world.elevation_m(here[:, :1] + ground_m, here[:, 1:2] + 0.0 * ground_m)
     # The waterfall takes the floor for flat: what is higher is nearer by slant range, and shows nearer by.
@@ -197,7 +212,14 @@ def _correlation(one: Array, other: Array) -> float:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add options of `auv-mcm bench inversion`."""
     parser.add_argument("--seeds", type=count, default=3, help="sea floors of each kind (default 3)")
-    parser.add_argument("--log", type=Path, action="append", default=[], metavar="FILE", help="a recorded line to invert, XTF; repeatable")
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a recorded line to invert, XTF; repeatable",
+    )
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
@@ -220,7 +242,12 @@ def _made_up_rows(seeds: Sequence[int]) -> Iterator[Sequence[str]]:
             scenes = [made_up_scene(floor, seed) for seed in seeds]
             images = [speckled(scene, looks, seed) for scene, seed in zip(scenes, seeds, strict=True)]
             for name, method in METHODS.items():
-                yield floor, str(looks), name, *_cells([figures(s, image, method) for s, image in zip(scenes, images, strict=True)])
+                yield (
+                    floor,
+                    str(looks),
+                    name,
+                    *_cells([figures(s, image, method) for s, image in zip(scenes, images, strict=True)]),
+                )
 
 
 def _simulated_rows(seeds: Sequence[int]) -> Iterator[Sequence[str]]:
@@ -228,7 +255,12 @@ def _simulated_rows(seeds: Sequence[int]) -> Iterator[Sequence[str]]:
         for looks in LOOKS:
             lines = [simulated_line(floor, seed, looks) for seed in seeds]
             for name, method in METHODS.items():
-                yield floor, str(looks), name, *_cells([line_figures(picture, heights, method) for picture, heights in lines])
+                yield (
+                    floor,
+                    str(looks),
+                    name,
+                    *_cells([line_figures(picture, heights, method) for picture, heights in lines]),
+                )
 
 
 def _recorded_rows(log: Path) -> Iterator[Sequence[str]]:
@@ -238,13 +270,24 @@ def _recorded_rows(log: Path) -> Iterator[Sequence[str]]:
         if not pictures:
             continue
         for name, method in METHODS.items():
-            yield f"{log.name} {side}", "-", name, *_cells([line_figures(picture, None, method) for picture in pictures])
+            yield (
+                f"{log.name} {side}",
+                "-",
+                name,
+                *_cells([line_figures(picture, None, method) for picture in pictures]),
+            )
 
 
 def _cells(found: Sequence[Figures]) -> tuple[str, ...]:
     """Format means over inversions as a row."""
     mean = Figures(*(statistics.fmean(values) for values in zip(*found, strict=True)))
-    cells = (f"{mean.relief:.2f}", f"{mean.gain:.2f}", f"{mean.reflectivity:.2f}", f"{100.0 * mean.error:.0f}", f"{mean.error_db:.1f}")
+    cells = (
+        f"{mean.relief:.2f}",
+        f"{mean.gain:.2f}",
+        f"{mean.reflectivity:.2f}",
+        f"{100.0 * mean.error:.0f}",
+        f"{mean.error_db:.1f}",
+    )
     return *("-" if cell == "nan" else cell for cell in cells), f"{mean.cpu_s:.2f}"
 
 
@@ -252,4 +295,7 @@ def _laid_out(rows: Sequence[Sequence[str]], markdown: bool) -> str:
     if markdown:
         return "\n".join(f"| {' | '.join(row)} |" for row in (_HEADER, ["---"] * len(_HEADER), *rows))
     widths = [max(len(row[column]) for row in (_HEADER, *rows)) for column in range(len(_HEADER))]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in (_HEADER, *rows))
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in (_HEADER, *rows)
+    )

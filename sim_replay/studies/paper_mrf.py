@@ -65,13 +65,16 @@ def segment_as_paper(region: Region) -> PaperSegmentation:
     for _ in range(_ROUNDS):
         markov = estimate_smoothness(labels, _PRIOR_SMOOTHNESS)
         cost = np.where(usable, _data_costs(amplitude, labels, usable), 0.0) + prior_pair_costs(labels, region, (1, 1))
-        labels, _ = icm(np.moveaxis(cost, 0, 2), edge_weights(markov.smoothness, (1, 1), _SINGLE_PIXELS), labels, _ICM_SWEEPS)
+        labels, _ = icm(
+            np.moveaxis(cost, 0, 2), edge_weights(markov.smoothness, (1, 1), _SINGLE_PIXELS), labels, _ICM_SWEEPS
+        )
     labels = without_odd_clusters(labels, region.row_spacing_m, region.column_spacing_m)
     return PaperSegmentation(labels=labels, markov=markov)
 
 
 def _data_costs(amplitude: Plane, labels: Labels, usable: NDArray[np.bool_]) -> Plane:
-    """Return minus the logarithms of the three densities, with parameters from the labels; amplitudes run from 0 to 1."""
+    """Return minus the logarithms of the three densities, with parameters from the labels; amplitudes run from 0 to
+    1."""
     cost = np.zeros((3, *amplitude.shape))  # the highlight's is uniform: 0
     shadow = amplitude[usable & (labels == SHADOW)]
     if len(shadow) < _MIN_PIXELS:
@@ -89,7 +92,8 @@ def _data_costs(amplitude: Plane, labels: Labels, usable: NDArray[np.bool_]) -> 
 
 
 def _clusters(amplitude: Plane) -> Labels:
-    """Find three clusters of amplitude (Lloyd's iteration), started where shadow, sea floor and highlight are likely."""
+    """Find three clusters of amplitude (Lloyd's iteration), started where shadow, sea floor and highlight are
+    likely."""
     median = float(np.median(amplitude))
     centre = median * np.array([0.4, 1.0, 2.2])
     for _ in range(_CLUSTER_ROUNDS):

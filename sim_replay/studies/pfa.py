@@ -48,7 +48,8 @@ def false_alarms_per_km2(probability: float, per_km2: float) -> float:
 
 
 def grids() -> tuple[DecisionGrid, ...]:
-    """Return one decision per pixel of the source paper's images and of this package's, and one per two pixels by two."""
+    """Return one decision per pixel of the source paper's images and of this package's, and one per two pixels by
+    two."""
     waterfall = Config().waterfall
     along_m, across_m = waterfall.row_spacing_m, waterfall.column_spacing_m
     return (
@@ -68,10 +69,17 @@ def run(arguments: argparse.Namespace) -> int:
     implied = PAPER_PER_KM2 / PAPER_PFA
     cell_m = (_M2_PER_KM2 / implied) ** 0.5
     print(
-        f"{PAPER_PER_KM2:g} false alarms per km² and a PFA of {PAPER_PFA:.3g}, as the source paper pairs them, are {implied:.4g} decisions"
+        f"{PAPER_PER_KM2:g} false alarms per km² and a PFA of {PAPER_PFA:.3g}, as the source paper pairs them, are "
+        f"{implied:.4g} decisions"
     )
-    print(f"per km², one in each square of {cell_m:.3f} m. Probabilities compare only where the number of decisions is the same.\n")
-    print(f"{'one decision for':<36}{'K per km²':>12}{'PFA at 100/km²':>17}{'FA/km² at PFA ' + format(PAPER_PFA, '.3g'):>26}")
+    print(
+        f"per km², one in each square of {cell_m:.3f} m. Probabilities compare only where the number of decisions is "
+        "the same.\n"
+    )
+    print(
+        f"{'one decision for':<36}{'K per km²':>12}{'PFA at 100/km²':>17}"
+        f"{'FA/km² at PFA ' + format(PAPER_PFA, '.3g'):>26}"
+    )
     for grid in grids():
         per_km2 = decisions_per_km2(grid.along_m, grid.across_m)
         alarms = false_alarms_per_km2(PAPER_PFA, per_km2)

@@ -44,7 +44,9 @@ def call(picture: Picture, geometry: Geometry, odds: MineOdds) -> Called:
 
 def is_call(detection: Detection, threshold: float) -> bool:
     """Report whether a confirmed detection is called mine-like and its contours do not contradict it."""
-    return detection.p_mine >= threshold and not (detection.confirmation is not None and detection.confirmation.rejected)
+    return detection.p_mine >= threshold and not (
+        detection.confirmation is not None and detection.confirmation.rejected
+    )
 
 
 def n_kept(of_object: Sequence[float], of_none: Sequence[float], n_false: int) -> int:

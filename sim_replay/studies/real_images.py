@@ -71,10 +71,19 @@ def run(chosen: argparse.Namespace) -> int:
 def _print_pictures(pictures: Sequence[Picture]) -> None:
     whole = [length_px(picture.mask) for picture in pictures if picture.mask is not None and not picture.cut]
     lower, middle, upper = quartiles(whole)
-    print(f"{len(pictures)} tiles with the object, {len(whole)} of them whole; {sum(p.inverted for p in pictures)} recorded inverted")
-    print(f"whole masks are {lower:.0f}, {middle:.0f}, {upper:.0f} pixels long (quartiles): {100.0 * EFFIGY_M / middle:.1f} cm a pixel")
+    print(
+        f"{len(pictures)} tiles with the object, {len(whole)} of them whole; {sum(p.inverted for p in pictures)} "
+        "recorded inverted"
+    )
+    print(
+        f"whole masks are {lower:.0f}, {middle:.0f}, {upper:.0f} pixels long (quartiles): "
+        f"{100.0 * EFFIGY_M / middle:.1f} cm a pixel"
+    )
     evidence = [picture_speckle(picture.amplitude) for picture in pictures]
-    for name, part in (("skewness", [e.skewness for e in evidence]), ("deviation over mean", [e.relative_std for e in evidence])):
+    for name, part in (
+        ("skewness", [e.skewness for e in evidence]),
+        ("deviation over mean", [e.relative_std for e in evidence]),
+    ):
         print(f"speckle's {name} (quartiles): " + ", ".join(f"{value:.2f}" for value in quartiles(part)))
 
 
@@ -94,17 +103,27 @@ def _print_overlaps(judged: Sequence[JudgedOutline]) -> None:
     for low, high in pairwise(_CONTRASTS_DB):
         part = [j for j in judged if low <= j.contrast_db < high]
         values = "".join(f"{statistics.median(j.given.iou[k] for j in part):>18.2f}" for k in range(len(names)))
-        print(f"{f'{low:g} to {high:g}':<18}{len(part):>6}{statistics.median(j.best_threshold for j in part):>9.2f}{values}")
+        threshold = statistics.median(j.best_threshold for j in part)
+        print(f"{f'{low:g} to {high:g}':<18}{len(part):>6}{threshold:>9.2f}{values}")
 
 
 def _print_quartiles(title: str, part: Sequence[JudgedOutline]) -> None:
-    print(f"\n{title}: {len(part)} tiles, {sum(j.detected for j in part)} detected, {sum(j.first for j in part)} as the most mine-like")
+    print(
+        f"\n{title}: {len(part)} tiles, {sum(j.detected for j in part)} detected, {sum(j.first for j in part)} as the "
+        "most mine-like"
+    )
     looked_at = [j.looked_at for j in part if j.looked_at is not None]
     for threshold in CALLED:
-        alone, after = sum(one.p_mine >= threshold for one, _ in looked_at), sum(is_call(one, threshold) for _, one in looked_at)
+        alone, after = (
+            sum(one.p_mine >= threshold for one, _ in looked_at),
+            sum(is_call(one, threshold) for _, one in looked_at),
+        )
         print(f"  called at {threshold:g}: {alone} by the detector alone, {after} after confirmation")
     rejected = sum(one.confirmation is not None and one.confirmation.rejected for _, one in looked_at)
-    print(f"  {sum(one.confirmation is not None for _, one in looked_at)} looked at closely, contours of {rejected} rejected")
+    print(
+        f"  {sum(one.confirmation is not None for _, one in looked_at)} looked at closely, contours of {rejected} "
+        "rejected"
+    )
     rows = [
         ("mask and a pixel more", [j.one_pixel for j in part]),
         ("mask by 16 nodes", [j.few_nodes for j in part]),
@@ -122,7 +141,9 @@ def _print_scales(whole: Sequence[Picture], odds: MineOdds) -> None:
     for pixel_m in OTHER_SCALES_M:
         part = [judge_outlines(picture, SIDE_SCAN._replace(pixel_m=pixel_m), odds) for picture in whole]
         iou = [statistics.median(j.given.iou[k] for j in part) for k in range(len(Overlaps._fields))]
-        overlaps = ", ".join(f"{name.replace('_', ' ')} {value:.2f}" for name, value in zip(Overlaps._fields, iou, strict=True))
+        overlaps = ", ".join(
+            f"{name.replace('_', ' ')} {value:.2f}" for name, value in zip(Overlaps._fields, iou, strict=True)
+        )
         print(f"  {100.0 * pixel_m:.1f} cm: {overlaps}; {sum(j.detected for j in part)} of {len(part)} detected")
 
 
@@ -136,7 +157,10 @@ def _print_kept(judged: Sequence[JudgedOutline], called: Sequence[Called]) -> No
             [_unless_rejected(d) for c in called for d in c.looked_at],
         ),
     }
-    print(f"\nobjects called of {len(judged)}, by false calls per tile without one" + "".join(f"{rate:>8g}" for rate in FALSE_CALLS))
+    print(
+        f"\nobjects called of {len(judged)}, by false calls per tile without one"
+        + "".join(f"{rate:>8g}" for rate in FALSE_CALLS)
+    )
     for name, (of_object, of_none) in scores.items():
         kept = "".join(f"{n_kept(of_object, of_none, round(rate * len(called))):>8}" for rate in FALSE_CALLS)
         print(f"  {name:<58}{kept}")
@@ -153,7 +177,9 @@ def _print_calls(called: Sequence[Called]) -> None:
         counts = "".join(f"{one.n_detector(p):>12}{one.n_confirmed(p):>12}" for p in CALLED)
         print(f"{one.picture.name:<22}{len(one.detections):>11}{counts}")
     means = "".join(
-        f"{statistics.fmean(count(c, p) for c in called):>12.2f}" for p in CALLED for count in (Called.n_detector, Called.n_confirmed)
+        f"{statistics.fmean(count(c, p) for c in called):>12.2f}"
+        for p in CALLED
+        for count in (Called.n_detector, Called.n_confirmed)
     )
     print(f"{'mean per picture':<22}{statistics.fmean(len(c.detections) for c in called):>11.1f}{means}")
 

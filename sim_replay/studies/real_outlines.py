@@ -92,7 +92,11 @@ def judge_outlines(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judg
     rows, columns = np.nonzero(mask)
     given = outline(cut_around(tile, float(rows.mean()) + 0.5, float(columns.mean()) + 0.5, beam_width_rad), mask)
     detections = sorted(detections_of(tile, config), key=lambda d: -d.p_mine)
-    near = [d for d in detections if float(np.hypot(rows + 0.5 - d.row, columns + 0.5 - d.column).min()) * geometry.pixel_m <= _NEAR_M]
+    near = [
+        d
+        for d in detections
+        if float(np.hypot(rows + 0.5 - d.row, columns + 0.5 - d.column).min()) * geometry.pixel_m <= _NEAR_M
+    ]
     found, looked_at = None, None
     if near and (surroundings := near[0].surroundings) is not None:
         corner = round(near[0].row - surroundings.row), round(near[0].column - surroundings.column)
@@ -120,7 +124,10 @@ def judge_outlines(picture: Picture, geometry: Geometry, odds: MineOdds) -> Judg
 def cut_around(tile: Tile, row: float, column: float, beam_width_rad: float) -> PlacedRegion:
     """Return the region that confirmation would use for a detection at a place of the tile."""
     n_rows, n_columns = tile.mask.shape
-    (before, after), reach = (round(away_m / tile.column_spacing_m) for away_m in _ACROSS_M), round(ROWS_M / tile.row_spacing_m)
+    (before, after), reach = (
+        (round(away_m / tile.column_spacing_m) for away_m in _ACROSS_M),
+        round(ROWS_M / tile.row_spacing_m),
+    )
     top, near = max(0, int(row) - reach), max(0, int(column) - before)
     part = slice(top, min(n_rows, int(row) + reach + 1)), slice(near, min(n_columns, int(column) + after + 1))
     region = Region(
@@ -148,7 +155,9 @@ def outline(placed: PlacedRegion, mask: Mask) -> Outlined:
     snake = converge(region, start_from_detection(region), correlation_px=area)
     again = snake if own is None else converge(region, start_from_labels(region, own), correlation_px=area)
     best = again if again.criterion < snake.criterion else snake
-    part = tuple(slice(corner, corner + size) for corner, size in zip(placed.corner, region.intensity.shape, strict=True))
+    part = tuple(
+        slice(corner, corner + size) for corner, size in zip(placed.corner, region.intensity.shape, strict=True)
+    )
     inside, n_mask = mask[part], int(mask.sum())
 
     def share(found: Mask) -> float:
@@ -172,7 +181,10 @@ def best_threshold(intensity: Plane, mask: Mask, pixel_m: float) -> float:
     smooth = cv2.blur(intensity, (_SMOOTHED_PX, _SMOOTHED_PX))
     rows, columns = np.nonzero(mask)
     reach = round(_AROUND_M / pixel_m)
-    part = slice(max(rows.min() - reach, 0), rows.max() + reach + 1), slice(max(columns.min() - reach, 0), columns.max() + reach + 1)
+    part = (
+        slice(max(rows.min() - reach, 0), rows.max() + reach + 1),
+        slice(max(columns.min() - reach, 0), columns.max() + reach + 1),
+    )
     levels = np.quantile(smooth[part], np.linspace(0.0, 1.0, 101))
     return max(overlap(smooth[part] >= level, mask[part]) for level in levels)
 

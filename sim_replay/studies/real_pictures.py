@@ -81,7 +81,9 @@ def read_picture(path: Path, *, mask_path: Path | None = None, mirrored: bool = 
     if mask_path is not None:
         mask = _gray(mask_path) > _BRIGHTEST // 2
         if mask.shape != counts.shape:
-            raise BadInputError(f"{mask_path}: the mask is {mask.shape}, the picture {counts.shape}; they must be alike")
+            raise BadInputError(
+                f"{mask_path}: the mask is {mask.shape}, the picture {counts.shape}; they must be alike"
+            )
     if mirrored:
         counts = np.ascontiguousarray(counts[:, ::-1])
         mask = None if mask is None else np.ascontiguousarray(mask[:, ::-1])
@@ -108,7 +110,9 @@ def _listed(folder: Path, patterns: Sequence[str]) -> list[Path]:
 def _gray(path: Path) -> Counts:
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
     if picture is None:
-        raise BadInputError(f"{path}: no picture that can be read; give the folder with sdvd_20240429 and sas as --data")
+        raise BadInputError(
+            f"{path}: no picture that can be read; give the folder with sdvd_20240429 and sas as --data"
+        )
     return np.asarray(picture, dtype=np.uint8)
 
 
@@ -127,7 +131,9 @@ def _range_marks(counts: Counts) -> Mask:
     """
     wide = np.pad(counts.astype(np.int64), ((0, 0), (2, 2)), mode="edge")
     tick = (wide[:, 2:-2] > 180) & (wide[:, :-4] < 70) & (wide[:, 4:] < 70)
-    long = cv2.erode(tick.astype(np.uint8), np.ones((_TICK_PX, 1), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    long = cv2.erode(
+        tick.astype(np.uint8), np.ones((_TICK_PX, 1), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
     above, beside = _LABEL_PX
     marked = np.zeros(counts.shape, dtype=np.bool_)
     for row, column in np.argwhere(long).tolist():

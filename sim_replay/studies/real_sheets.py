@@ -58,7 +58,8 @@ def _outlined(one: JudgedOutline) -> Canvas:
     assert mask is not None
     rows, columns = np.nonzero(mask)
     corner = [
-        min(max(int(places.mean()) - _CROP_PX // 2, 0), size - _CROP_PX) for places, size in zip((rows, columns), mask.shape, strict=True)
+        min(max(int(places.mean()) - _CROP_PX // 2, 0), size - _CROP_PX)
+        for places, size in zip((rows, columns), mask.shape, strict=True)
     ]
     part = tuple(slice(first, first + _CROP_PX) for first in corner)
     canvas = _enlarged(one.picture.amplitude[part], _ZOOM)
@@ -73,7 +74,9 @@ def _outlined(one: JudgedOutline) -> Canvas:
         nodes = (one.given.contour + np.subtract((top, near), corner)) * _ZOOM
         cv2.polylines(canvas, [_fixed(nodes)], True, _CYAN, 1, cv2.LINE_AA, _SHIFT)
     iou = one.given.iou
-    words = f"labels {iou.own_labels:.2f}  snake {iou.best_start:.2f}  {one.contrast_db:.0f} dB" + ("  cut" if one.picture.cut else "")
+    words = f"labels {iou.own_labels:.2f}  snake {iou.best_start:.2f}  {one.contrast_db:.0f} dB" + (
+        "  cut" if one.picture.cut else ""
+    )
     return _captioned(canvas, words)
 
 
@@ -93,19 +96,27 @@ def _called(one: Called) -> Canvas:
     for detection in one.looked_at:
         if is_call(detection, low):
             mark(detection.row, detection.column, 14, _RED if is_call(detection, high) else _ORANGE, 3)
-    words = f"alone {one.n_detector(high)} ({one.n_detector(low)})  looked at {one.n_confirmed(high)} ({one.n_confirmed(low)})"
+    words = (
+        f"alone {one.n_detector(high)} ({one.n_detector(low)})  looked at {one.n_confirmed(high)} "
+        f"({one.n_confirmed(low)})"
+    )
     return _captioned(canvas, f"{one.picture.name.removesuffix('_orig')}: {words}")
 
 
 def _enlarged(amplitude: NDArray[np.float64], zoom: float) -> Canvas:
     how = cv2.INTER_AREA if zoom < 1.0 else cv2.INTER_NEAREST
     gray = np.clip(amplitude * (110.0 / max(float(np.median(amplitude)), 1.0)), 0.0, 255.0).astype(np.uint8)
-    return np.asarray(cv2.cvtColor(cv2.resize(gray, None, fx=zoom, fy=zoom, interpolation=how), cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    return np.asarray(
+        cv2.cvtColor(cv2.resize(gray, None, fx=zoom, fy=zoom, interpolation=how), cv2.COLOR_GRAY2BGR), dtype=np.uint8
+    )
 
 
 def _borders(mask: Mask) -> list[NDArray[np.int32]]:
     large = cv2.resize(mask.astype(np.uint8), None, fx=_ZOOM, fy=_ZOOM, interpolation=cv2.INTER_NEAREST)
-    return [np.asarray(border, dtype=np.int32) for border in cv2.findContours(large, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]]
+    return [
+        np.asarray(border, dtype=np.int32)
+        for border in cv2.findContours(large, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    ]
 
 
 def _fixed(nodes: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -86,7 +86,9 @@ def tile_of_picture(picture: Picture, geometry: Geometry) -> Tile:
 def config_of(geometry: Geometry) -> Config:
     """Return the default configuration with the beam of the sonar that made the picture."""
     config = Config()
-    return msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=geometry.beam_width_deg))
+    return msgspec.structs.replace(
+        config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=geometry.beam_width_deg)
+    )
 
 
 def detections_of(tile: Tile, config: Config) -> list[Detection]:
@@ -99,7 +101,9 @@ def detections_of(tile: Tile, config: Config) -> list[Detection]:
 def _dark_stretches(intensity: Plane, measured: Mask, pixel_m: float) -> Mask:
     """Find the water column: metres without echo. Shadows of wrecks go with it."""
     side = 2 * round(0.5 * _DARK_M / pixel_m) + 1
-    total = cv2.boxFilter(np.where(measured, intensity, 0.0), -1, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT)
+    total = cv2.boxFilter(
+        np.where(measured, intensity, 0.0), -1, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT
+    )
     share = cv2.boxFilter(measured.astype(np.float64), -1, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT)
     level = float(np.median(intensity[measured])) if measured.any() else 1.0
     bright = float(np.quantile(intensity[measured], 0.75)) if measured.any() else 1.0
@@ -109,7 +113,9 @@ def _dark_stretches(intensity: Plane, measured: Mask, pixel_m: float) -> Mask:
 def _northward(n_rows: int, geometry: Geometry) -> PoseTrack:
     along_m: Plane = (np.arange(n_rows, dtype=np.float64) + 0.5) * geometry.pixel_m
     none, even = np.zeros(n_rows), np.ones(n_rows)
-    latitude, longitude, _ = LocalFrame(latitude_deg=45.0, longitude_deg=5.0).to_geodetic(np.stack((none, along_m, none), axis=-1))
+    latitude, longitude, _ = LocalFrame(latitude_deg=45.0, longitude_deg=5.0).to_geodetic(
+        np.stack((none, along_m, none), axis=-1)
+    )
     return PoseTrack(
         time_s=np.asarray(along_m / _SPEED_MPS, dtype=np.float64),
         latitude_deg=latitude,

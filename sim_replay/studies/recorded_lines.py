@@ -40,10 +40,15 @@ class LinePicture(NamedTuple):
     pose: PoseTrack
 
 
-def invert_waterfall(events: Iterable[SourceEvent], config: Config, side: Side) -> Iterator[tuple[LinePicture, SeafloorScene]]:
+def invert_waterfall(
+    events: Iterable[SourceEvent], config: Config, side: Side
+) -> Iterator[tuple[LinePicture, SeafloorScene]]:
     """Yield the pictures of one side of a mission and their recovered scenes, in the order of the track."""
     for picture in waterfall_pictures(events, config, side):
-        yield picture, invert(picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m)
+        yield (
+            picture,
+            invert(picture.intensity, picture.valid, picture.altitude_m, picture.along_m, picture.column_spacing_m),
+        )
 
 
 def waterfall_pictures(events: Iterable[SourceEvent], config: Config, side: Side) -> Iterator[LinePicture]:
@@ -53,7 +58,9 @@ def waterfall_pictures(events: Iterable[SourceEvent], config: Config, side: Side
     run: list[Tile] = []
     for tile in _tiles(events, config, side):
         n_rows = sum(one.core_stop - one.core_start for one in run)
-        if run and (_core_row(tile) != _core_row(run[-1]) + run[-1].core_stop - run[-1].core_start or n_rows >= _MAX_ROWS):
+        if run and (
+            _core_row(tile) != _core_row(run[-1]) + run[-1].core_stop - run[-1].core_start or n_rows >= _MAX_ROWS
+        ):
             yield _joined(run)
             run = []
         run.append(tile)

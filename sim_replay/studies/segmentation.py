@@ -49,16 +49,27 @@ def run(_: argparse.Namespace) -> int:
 def mrf_rows() -> list[str]:
     """Measure the segmentation: against the source paper over the grain of speckle, and over the sweeps of TRW-S."""
     rows = [
-        f"shadow at -9 dB, medians over {_N_REGIONS} regions of 144 x 160 pixels; pieces: parts of shadow found and holes in the true one",
+        (
+            f"shadow at -9 dB, medians over {_N_REGIONS} regions of 144 x 160 pixels; pieces: parts of shadow found "
+            "and holes in the true one"
+        ),
         f"{'grain':>6}  {'':<48}{'shadow IoU':>11}{'worst 1/8':>10}{'pieces':>8}{'highlight IoU':>14}{'ms':>8}",
     ]
     for spread in _SPREADS_PIXELS:
         grain = max(1.0, math.sqrt(2.0 * math.pi) * spread)
         for name, method in _METHODS.items():
             score = _score(method, aperture_drawings(_N_REGIONS, spread, seed=11))
-            figures = f"{score.shadow:>11.3f}{score.worst:>10.3f}{score.pieces:>8.0f}{score.highlight:>14.3f}{score.ms:>8.1f}"
+            figures = (
+                f"{score.shadow:>11.3f}{score.worst:>10.3f}{score.pieces:>8.0f}{score.highlight:>14.3f}{score.ms:>8.1f}"
+            )
             rows.append(f"{grain:>4.1f}px  {name:<48}{figures}")
-    rows += ["", f"128 x 128 cells, medians: {'sweeps':>8}{'ms':>8}{'numpy / C':>11}{'gap %':>8}{'above best %':>14}{'shadow IoU':>12}"]
+    rows += [
+        "",
+        (
+            "128 x 128 cells, medians: "
+            f"{'sweeps':>8}{'ms':>8}{'numpy / C':>11}{'gap %':>8}{'above best %':>14}{'shadow IoU':>12}"
+        ),
+    ]
     rows += [
         f"{'':<26}{knob.sweeps:>8}{knob.ms:>8.2f}{knob.ratio:>11.0f}{knob.gap_percent:>8.3f}{knob.excess_percent:>14.4f}{knob.shadow:>12.3f}"
         for knob in _sweeps_knob()
@@ -145,4 +156,6 @@ def _sweeps_knob() -> Iterator[_Knob]:
         trws_numpy(costs[0], _INDEPENDENT, sweeps)
         slow = time.perf_counter() - began
         fast = statistics.median(times)
-        yield _Knob(sweeps, 1e3 * fast, slow / fast, *(statistics.median(values) for values in (gaps, excesses, shadows)))
+        yield _Knob(
+            sweeps, 1e3 * fast, slow / fast, *(statistics.median(values) for values in (gaps, excesses, shadows))
+        )

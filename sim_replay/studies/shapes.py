@@ -116,7 +116,9 @@ def best_class(views: Sequence[ShapeFits]) -> Solid | None:
     show at all is out. None if none is left.
     """
     total = {
-        solid: math.fsum(min((_weighed(fit) for fit in fits.fits if fit.solid == solid), default=math.inf) for fits in views)
+        solid: math.fsum(
+            min((_weighed(fit) for fit in fits.fits if fit.solid == solid), default=math.inf) for fits in views
+        )
         for solid in SOLIDS
     }
     best = min(total, key=lambda solid: total[solid])
@@ -132,8 +134,12 @@ def numpy_ratio(region: Region, n: int = 64) -> float:
     beam."""
     image = image_row_sums(region, CORRELATION_AREA)
     assert image is not None
-    middle = np.array([region.row * image.row_spacing_m, image.first_ground_range_m + region.column * image.column_spacing_m])
-    points = np.column_stack((np.tile(middle, (n, 1)), np.full((n, 2), (0.27, 2.0)), np.linspace(-1.5, 1.5, n), np.zeros(n)))
+    middle = np.array(
+        [region.row * image.row_spacing_m, image.first_ground_range_m + region.column * image.column_spacing_m]
+    )
+    points = np.column_stack(
+        (np.tile(middle, (n, 1)), np.full((n, 2), (0.27, 2.0)), np.linspace(-1.5, 1.5, n), np.zeros(n))
+    )
     hypotheses = hypotheses_of("cylinder", points)
     cost_s = []
     for function in (shape_costs_numpy, shape_costs):
@@ -153,7 +159,11 @@ def draw_object(solid: Solid, seed: int) -> DrawnSolid:
     """
     random = np.random.Generator(np.random.PCG64(seed))
     range_m, azimuth_deg = float(random.uniform(10.0, 45.0)), float(random.uniform(0.0, 360.0))
-    scale, long, error = float(random.uniform(0.85, 1.15)), float(random.uniform(0.8, 1.2)), float(random.uniform(-1.0, 1.0))
+    scale, long, error = (
+        float(random.uniform(0.85, 1.15)),
+        float(random.uniform(0.8, 1.2)),
+        float(random.uniform(-1.0, 1.0)),
+    )
     size: dict[str, Any]
     match solid:
         case "sphere":
@@ -187,7 +197,9 @@ def rendered_region(scene_object: SceneObject, seed: int, *, altitude_error: flo
     ahead = 0.618 * seed % 1.0 - 0.5  # pings do not fall on the object's middle
     depth_m = world.depth_m - sea.world.floor_m(scene_object.east_m, 0.0) - _ALTITUDE_M
     poses = [
-        SonarPose(i / _PING_RATE_HZ, 0.0, (i - _N_ROWS // 2 + ahead) * row_m, depth_m, 0.0, 0.0, 0.0, 0.0, _SPEED_MPS, 0)
+        SonarPose(
+            i / _PING_RATE_HZ, 0.0, (i - _N_ROWS // 2 + ahead) * row_m, depth_m, 0.0, 0.0, 0.0, 0.0, _SPEED_MPS, 0
+        )
         for i in range(_N_ROWS)
     ]
     absorption = absorption_db_per_km(_SONAR, world.depth_m)
@@ -225,10 +237,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace) -> int:
     """Print the table; returns the exit code."""
-    print(f"{'effort':<10}{'hypotheses':>11}{'cpu ms':>9}{'one view':>10}{'two views':>11}{'size error':>12}{'numpy / C':>11}")
+    print(
+        f"{'effort':<10}{'hypotheses':>11}{'cpu ms':>9}{'one view':>10}{'two views':>11}"
+        f"{'size error':>12}{'numpy / C':>11}"
+    )
     for row in shape_rows(chosen.objects):
         print(
-            f"{row.effort:<10}{row.n_hypotheses:>11d}{row.cpu_ms:>9.1f}{row.accuracy:>10.3f}{row.accuracy_of_two:>11.3f}"
-            f"{row.size_error:>12.3f}{row.numpy_ratio:>11.0f}"
+            f"{row.effort:<10}{row.n_hypotheses:>11d}{row.cpu_ms:>9.1f}{row.accuracy:>10.3f}"
+            f"{row.accuracy_of_two:>11.3f}{row.size_error:>12.3f}{row.numpy_ratio:>11.0f}"
         )
     return 0

@@ -289,7 +289,9 @@ def _min_kept(p_targets: Sequence[float]) -> float:
 def _handed_on(name: str, seed: int) -> list[Handed]:
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     config = reporting_everything(config_for(scene))
-    config = msgspec.structs.replace(config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=_ALL))
+    config = msgspec.structs.replace(
+        config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=_ALL)
+    )
     odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
     detections: list[Detection] = []
     looked: list[tuple[float, float, bool]] = []
@@ -328,13 +330,20 @@ def _judged(name: str, seed: int) -> Iterator[tuple[Label, Contours]]:
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     for detection, label in zip(detections, labels, strict=True):
         if label is not None and detection.surroundings is not None:
-            yield label, examine(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, 0.0).contours
+            yield (
+                label,
+                examine(detection, region_of(detection, detection.surroundings, beam_width_rad), odds, 0.0).contours,
+            )
 
 
-def label_detections(detections: Sequence[Detection], objects: Sequence[dict[str, Any]], speed_mps: float) -> list[Label | None]:
+def label_detections(
+    detections: Sequence[Detection], objects: Sequence[dict[str, Any]], speed_mps: float
+) -> list[Label | None]:
     """Label each detection by the objects of truth.json; None for those that count for neither."""
     labels: list[Label | None] = []
-    latitude, longitude = (np.array([scene_object[key] for scene_object in objects], dtype=np.float64) for key in ("lat", "lon"))
+    latitude, longitude = (
+        np.array([scene_object[key] for scene_object in objects], dtype=np.float64) for key in ("lat", "lon")
+    )
     clear_m = _CLEAR_M + 0.5 * np.array(
         [max(scene_object["length_m"], scene_object["width_m"]) for scene_object in objects], dtype=np.float64
     )
@@ -357,18 +366,25 @@ def label_detections(detections: Sequence[Detection], objects: Sequence[dict[str
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add options of `auv-mcm bench snakes`."""
-    parser.add_argument("--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there")
-    parser.add_argument("--odds", action="store_true", help="also fly them and judge what the odds after contours reject")
+    parser.add_argument(
+        "--scenes", action="store_true", help="also fly simulated missions and judge what the detector finds there"
+    )
+    parser.add_argument(
+        "--odds", action="store_true", help="also fly them and judge what the odds after contours reject"
+    )
 
 
 def run(chosen: argparse.Namespace) -> int:
     """Print the tables; returns the exit code."""
-    print(f"one pair on {_SHAPE[0]} x {_SHAPE[1]} pixels, -10 dB, single look; the Python twin takes {twin_ratio():.0f} times as long\n")
+    print(
+        f"one pair on {_SHAPE[0]} x {_SHAPE[1]} pixels, -10 dB, single look; the Python twin takes {twin_ratio():.0f} "
+        "times as long\n"
+    )
     print(f"{'schedule':<22}{'shadow IoU':>11}{'5 %':>7}{'highlight':>11}{'pair ms':>9}{'proposals':>11}")
     for row in snake_rows():
         print(
-            f"{row.schedule:<22}{row.shadow_iou:>11.3f}{row.shadow_iou_5th:>7.3f}{row.highlight_iou:>11.3f}{row.pair_ms:>9.2f}"
-            f"{row.n_proposed:>11.0f}"
+            f"{row.schedule:<22}{row.shadow_iou:>11.3f}{row.shadow_iou_5th:>7.3f}{row.highlight_iou:>11.3f}"
+            f"{row.pair_ms:>9.2f}{row.n_proposed:>11.0f}"
         )
     if chosen.scenes:
         print(f"\n{'':<10}{'clutter':>9}{'rejected':>10}{'breaking':>10}{'targets':>9}{'lost':>8}{'breaking':>10}")
@@ -376,8 +392,10 @@ def run(chosen: argparse.Namespace) -> int:
             clutter, targets = max(scene.n_clutter, 1), max(scene.n_targets, 1)
             reasons = ", ".join(f"{code} {number}" for code, number in scene.reasons.most_common(6))
             print(
-                f"{scene.scene:<10}{scene.n_clutter:>9}{scene.n_rejected / clutter:>10.1%}{scene.n_clutter_breaking / clutter:>10.1%}"
-                f"{scene.n_targets:>9}{scene.n_lost / targets:>8.1%}{scene.n_targets_breaking / targets:>10.1%}  {reasons}",
+                f"{scene.scene:<10}{scene.n_clutter:>9}{scene.n_rejected / clutter:>10.1%}"
+                f"{scene.n_clutter_breaking / clutter:>10.1%}{scene.n_targets:>9}{scene.n_lost / targets:>8.1%}"
+                f"{scene.n_targets_breaking / targets:>10.1%}  "
+                f"{reasons}",
                 flush=True,
             )
     if chosen.odds:

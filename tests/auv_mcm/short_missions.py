@@ -8,7 +8,19 @@ from collections.abc import Iterable
 
 from auv_mcm.records import SourceEvent
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, Motion, Origin, Scene, SceneObject, Seabed, Sonar, Track, World
+from sim_replay.simulator.scene import (
+    EXACT,
+    STEADY,
+    Lawnmower,
+    Motion,
+    Origin,
+    Scene,
+    SceneObject,
+    Seabed,
+    Sonar,
+    Track,
+    World,
+)
 
 BARE = World(
     depth_m=25.0,

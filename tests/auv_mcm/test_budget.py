@@ -1,4 +1,5 @@
-"""One budget for a tile: more of it never finds less, it is never exceeded, and what is not done earns less coverage."""
+"""One budget for a tile: more of it never finds less, it is never exceeded, and what is not done earns less
+coverage."""
 
 from __future__ import annotations
 
@@ -42,9 +43,15 @@ from sim_replay.simulator.scene_file import read_scene
 DUTIES = (1e-4, 0.03, 0.06, 0.09, 0.13, 0.2, 1.0)
 """From less than the cheapest pass to more than everything."""
 _WINDOWS_FROM_US = RESERVED_LOOKS * look_price_us(BudgetConfig())
-BUDGETS_US = (0.0, *np.geomspace(2e3, 3e6, 16).tolist(), *(_WINDOWS_FROM_US + np.linspace(1e3, 9e3, 9)).tolist(), math.inf)
+BUDGETS_US = (
+    0.0,
+    *np.geomspace(2e3, 3e6, 16).tolist(),
+    *(_WINDOWS_FROM_US + np.linspace(1e3, 9e3, 9)).tolist(),
+    math.inf,
+)
 """Of a tile, beyond the cheapest pass; some of them pay for a part of the cascade."""
-REACH_M = 1.3  # thrice the distance at which two places are one: windows are thinned, moved to the clearest pixel, and thinned again
+# Thrice the distance at which two places are one: windows are thinned, moved to the clearest pixel, and thinned again
+REACH_M = 1.3
 MIN_P_MINE = Config().confirm.min_p_mine
 
 
@@ -64,7 +71,9 @@ def mission() -> tuple[SourceEvent, ...]:
 
 def config(duty: float | None) -> Config:
     given = config_for(scene())
-    return msgspec.structs.replace(given, waterfall=msgspec.structs.replace(given.waterfall, tile_rows=128), budget=BudgetConfig(duty=duty))
+    return msgspec.structs.replace(
+        given, waterfall=msgspec.structs.replace(given.waterfall, tile_rows=128), budget=BudgetConfig(duty=duty)
+    )
 
 
 @cache
@@ -83,19 +92,27 @@ def tiles() -> tuple[Tile, ...]:
 def within(which: int, left_us: float) -> TileDetections:
     """What is found in a tile with so much beyond the cheapest pass."""
     allowance = Allowance(left_us, 0.0, BudgetConfig())
-    found = detect_tile(tiles()[which], config(None), shipped_model(), shipped_gate(), max_evaluations=allowance.comparisons())
+    found = detect_tile(
+        tiles()[which], config(None), shipped_model(), shipped_gate(), max_evaluations=allowance.comparisons()
+    )
     return pay_looks(found, allowance, partial(detector_p_mine, odds=shipped_odds("cascade")), MIN_P_MINE)
 
 
 def looked_at(found: TileDetections) -> set[tuple[float, float]]:
     """Places worth a close look that get one."""
     odds = shipped_odds("cascade")
-    return {(d.row, d.column) for d in found.detections if d.surroundings is not None and detector_p_mine(d, odds) >= MIN_P_MINE}
+    return {
+        (d.row, d.column)
+        for d in found.detections
+        if d.surroundings is not None and detector_p_mine(d, odds) >= MIN_P_MINE
+    }
 
 
 def confirmed(pipeline: Pipeline) -> dict[tuple[str, float, float], float]:
     """p_mine of every view that had a close look."""
-    views: list[Detection] = [view for contact in pipeline.contacts for view in contact.views if view.confirmation is not None]
+    views: list[Detection] = [
+        view for contact in pipeline.contacts for view in contact.views if view.confirmation is not None
+    ]
     return {(view.side, view.row, view.column): view.p_mine for view in views}
 
 
@@ -120,10 +137,14 @@ def test_more_budget_looks_at_no_place_less_and_earns_no_less_coverage(which: in
 def test_with_more_budget_each_place_is_found_or_a_stronger_one_beside_it(which: int, one: float, other: float) -> None:
     less, more = within(which, min(one, other)), within(which, max(one, other))
     tile = tiles()[which]
-    places = [(d.row, d.column, d.strength) for d in more.detections] + list(zip(*(values.tolist() for values in more.faint), strict=True))
+    places = [(d.row, d.column, d.strength) for d in more.detections] + list(
+        zip(*(values.tolist() for values in more.faint), strict=True)
+    )
     rows, columns, strength = np.array(places).reshape(-1, 3).T
     for d in less.detections:
-        near = (np.abs(rows - d.row) * tile.row_spacing_m <= REACH_M) & (np.abs(columns - d.column) * tile.column_spacing_m <= REACH_M)
+        near = (np.abs(rows - d.row) * tile.row_spacing_m <= REACH_M) & (
+            np.abs(columns - d.column) * tile.column_spacing_m <= REACH_M
+        )
         assert (strength[near] >= d.strength).any()
 
 
@@ -189,7 +210,9 @@ def test_what_a_budget_leaves_out_is_counted_reported_once_and_said_of_the_conta
 
 def test_where_not_even_the_cheapest_pass_is_paid_it_is_done_and_said_once() -> None:
     pipeline, events = run(DUTIES[0])
-    assert len([event for event in events if isinstance(event, Notice) and event.code == "budget.cheapest_pass_over"]) == 1
+    assert (
+        len([event for event in events if isinstance(event, Notice) and event.code == "budget.cheapest_pass_over"]) == 1
+    )
     assert pipeline.counters["budget.cheapest_pass_over"] == sum(isinstance(event, Tile) for event in events)
     assert pipeline.contacts
 
@@ -220,12 +243,16 @@ def test_a_tiles_budget_is_the_time_that_passes_over_its_core() -> None:
 
 def test_a_tile_whose_times_are_unknown_has_no_time() -> None:
     tile = tiles()[0]
-    timeless = msgspec.structs.replace(tile, pose=msgspec.structs.replace(tile.pose, time_s=np.full(len(tile.pose), math.nan)))
+    timeless = msgspec.structs.replace(
+        tile, pose=msgspec.structs.replace(tile.pose, time_s=np.full(len(tile.pose), math.nan))
+    )
     assert tile_allowance(timeless, 0.0, 2, BudgetConfig(duty=1.0)).left_us == 0.0
 
 
 @given(
-    n=st.integers(1, 1000), cuts=st.tuples(st.integers(0, 1000), st.integers(0, 1000)), looks=st.tuples(st.floats(0, 1), st.floats(0, 1))
+    n=st.integers(1, 1000),
+    cuts=st.tuples(st.integers(0, 1000), st.integers(0, 1000)),
+    looks=st.tuples(st.floats(0, 1), st.floats(0, 1)),
 )
 def test_more_windows_and_more_looks_never_earn_less(n: int, cuts: tuple[int, int], looks: tuple[float, float]) -> None:
     some, fewer = (min(cut, n) for cut in (max(cuts), min(cuts)))

@@ -51,7 +51,9 @@ def test_a_log_record_is_one_line_and_its_traceback_is_indented() -> None:
     try:
         raise ValueError("x\n2026-01-01T00:00:00.000Z INFO ready\x1b[2J")
     except ValueError:
-        record = logging.LogRecord("x", logging.ERROR, __file__, 1, "it said %s", ("a\n2026 INFO ready\x1b",), sys.exc_info())
+        record = logging.LogRecord(
+            "x", logging.ERROR, __file__, 1, "it said %s", ("a\n2026 INFO ready\x1b",), sys.exc_info()
+        )
     first, *others = CleanFormatter("%(levelname)s %(message)s").format(record).split("\n")
     assert first == r"ERROR it said a\n2026 INFO ready\x1b"
     assert others
@@ -71,14 +73,18 @@ def test_the_log_of_the_service_is_clean() -> None:
         "run_service(Config())\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z INFO it said x\\x1b\[2J\\n2026 INFO ready\n", done.stderr)
+    assert re.fullmatch(
+        r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z INFO it said x\\x1b\[2J\\n2026 INFO ready\n", done.stderr
+    )
 
 
 def test_lines_of_an_error_stay_lines_and_none_of_them_begins_at_the_margin() -> None:
     assert clean_lines("auv-mcm: none:\n  one\nauv-mcm: two\x1b") == "auv-mcm: none:\n  one\n  auv-mcm: two\\x1b"
 
 
-def test_a_file_name_with_control_characters_is_refused_without_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_name_with_control_characters_is_refused_without_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     name = "no\x1b[2J\nauv-mcm: all good\udc80.xtf"
     assert main(["replay", str(tmp_path / name), "--out", str(tmp_path / "out")]) == BadInputError.exit_code
     printed = capsys.readouterr().err

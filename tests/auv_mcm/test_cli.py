@@ -30,7 +30,8 @@ def error_of(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize(
-    "command", [(), *((name,) for name in ("replay", "run", "check", "config", "bench", "augment", "train", "calibrate", "hil"))]
+    "command",
+    [(), *((name,) for name in ("replay", "run", "check", "config", "bench", "augment", "train", "calibrate", "hil"))],
 )
 def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
     command: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -48,12 +49,25 @@ def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
 @pytest.mark.parametrize(
     "arguments",
     [
-        *([], ["nonsense"], ["replay"], ["replay", "a.xtf"], ["config"], ["config", "--write", "a", "--schema"], ["bench", "everything"]),
+        *(
+            [],
+            ["nonsense"],
+            ["replay"],
+            ["replay", "a.xtf"],
+            ["config"],
+            ["config", "--write", "a", "--schema"],
+            ["bench", "everything"],
+        ),
         ["replay", "a.xtf", "--out", "o", "--threads", "0"],
         ["replay", "a.xtf", "--out", "o", "--chunk-bytes", "many"],
         ["replay", "a.xtf", "--out", "o", "--speed", "warp"],
         ["augment", "a.xtf", "--out", "o"],
-        *(["calibrate"], ["calibrate", "--speed", "0"], ["calibrate", "--speed", "nan"], ["calibrate", "--speed", "2", "--duty", "1.5"]),
+        *(
+            ["calibrate"],
+            ["calibrate", "--speed", "0"],
+            ["calibrate", "--speed", "nan"],
+            ["calibrate", "--speed", "2", "--duty", "1.5"],
+        ),
     ],
 )
 def test_bad_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -96,7 +110,9 @@ def test_a_wrong_flag_is_refused_with_the_usage_of_its_own_command(
 def test_the_beginning_of_an_option_is_not_taken_for_the_whole(
     arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sim_replay.fitting.cascade.train_cascade.train_model", lambda *_, **__: pytest.fail("the training began"))
+    monkeypatch.setattr(
+        "sim_replay.fitting.cascade.train_cascade.train_model", lambda *_, **__: pytest.fail("the training began")
+    )
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -108,7 +124,9 @@ def test_train_takes_an_option_as_its_first_argument(
     separator: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: list[object] = []
-    monkeypatch.setattr("sim_replay.fitting.cascade.train_cascade.train_model", lambda spec, out, **_: asked.append((spec, out)))
+    monkeypatch.setattr(
+        "sim_replay.fitting.cascade.train_cascade.train_model", lambda spec, out, **_: asked.append((spec, out))
+    )
     assert main(["train", *separator, "--out", str(tmp_path / "model.json")]) == 0
     assert asked == [(None, tmp_path / "model.json")]
     assert "model.json" in capsys.readouterr().out
@@ -125,7 +143,9 @@ def test_a_log_that_is_not_there_is_exit_code_3(tmp_path: Path, capsys: pytest.C
 
 
 @pytest.mark.parametrize("command", [["replay", "a.xtf", "--out", "o"], ["run"]])
-@pytest.mark.parametrize(("content", "message"), [(b"sonar: {typo: 1}", "typo"), (b"\xff\xfe", "UTF-8"), (None, "No such file")])
+@pytest.mark.parametrize(
+    ("content", "message"), [(b"sonar: {typo: 1}", "typo"), (b"\xff\xfe", "UTF-8"), (None, "No such file")]
+)
 def test_a_bad_configuration_is_exit_code_2(
     command: list[str], content: bytes | None, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,7 +163,9 @@ def test_run_without_a_source_says_what_to_set(capsys: pytest.CaptureFixture[str
     assert "service.source is empty" in error_of(capsys)
 
 
-def test_config_write_prints_or_writes_what_reads_back_and_never_overwrites(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_write_prints_or_writes_what_reads_back_and_never_overwrites(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["config", "--write"]) == 0
     assert parse_config(capsys.readouterr().out, "stdout") == Config()
     path = tmp_path / "vehicle.yaml"
@@ -182,7 +204,9 @@ def test_check_reports_every_part_and_passes_here(capsys: pytest.CaptureFixture[
     assert text.splitlines()[-1].startswith(("all good", "nothing failed, "))
 
 
-def test_check_of_a_bad_configuration_is_exit_code_5_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_of_a_bad_configuration_is_exit_code_5_and_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "c.yaml").write_text("sonar: {typo: 1}")
     assert main(["check", "--config", str(tmp_path / "c.yaml")]) == 5
     text = capsys.readouterr().out
@@ -202,11 +226,19 @@ def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsy
 @pytest.mark.parametrize(
     ("config", "name", "says"),
     [
-        ("ports: [{name: nav, link: 'serial:///dev/ttyNONE9?baud=4800', device: nmea0183}]", "port nav", "/dev/ttyNONE9: no such device"),
+        (
+            "ports: [{name: nav, link: 'serial:///dev/ttyNONE9?baud=4800', device: nmea0183}]",
+            "port nav",
+            "/dev/ttyNONE9: no such device",
+        ),
         ("service: {source: ports}", "configuration", "service.source is ports, but there are none"),
         ("service: {source: 'replay:///no/such/mission.xtf'}", "configuration", "/no/such/mission.xtf does not exist"),
         ("service: {output_directory: /proc/self/status}", "output directory", "is not a directory"),
-        ("detect: {performance: /no/such/tables.json}", "models", "detect.performance /no/such/tables.json: No such file"),
+        (
+            "detect: {performance: /no/such/tables.json}",
+            "models",
+            "detect.performance /no/such/tables.json: No such file",
+        ),
     ],
 )
 def test_check_of_what_a_mission_would_fail_by_is_exit_code_5(
@@ -232,12 +264,15 @@ def test_check_finds_a_base_package_that_cannot_be_imported(module: str) -> None
 def test_the_check_of_the_payload_does_not_import_the_simulator() -> None:
     code = (
         "import sys, auv_mcm.shell.check as check; check.has_extra = lambda extra: False\n"
-        "from auv_mcm.cli import main; main(['check']); print([name for name in sys.modules if name.startswith('sim_replay.simulator')])"
+        "from auv_mcm.cli import main; main(['check']); print([name for name in sys.modules if "
+        "name.startswith('sim_replay.simulator')])"
     )
     assert run(code=code).stdout.splitlines()[-1] == "[]"
 
 
-def test_check_notices_kernels_that_disagree(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_notices_kernels_that_disagree(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     from auv_mcm import kernels
     from auv_mcm.kernels import viterbi
 
@@ -249,7 +284,9 @@ def test_check_notices_kernels_that_disagree(monkeypatch: pytest.MonkeyPatch, ca
     assert "NOT EQUAL" in capsys.readouterr().out
 
 
-def test_ctrl_c_is_one_line_and_exit_code_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_is_one_line_and_exit_code_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -258,7 +295,9 @@ def test_ctrl_c_is_one_line_and_exit_code_130(monkeypatch: pytest.MonkeyPatch, c
     assert error_of(capsys) == "auv-mcm: interrupted"
 
 
-def test_a_full_disk_is_one_line_and_exit_code_4(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_is_one_line_and_exit_code_4(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device", "/out/report.html")
 
@@ -278,7 +317,10 @@ def test_without_the_bench_extra_replay_says_what_to_install(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("command", ["simulate", "hil"])
 def test_lists_need_no_bench_extra(command: str) -> None:
-    without = "import sys; sys.modules.update(dict.fromkeys(('pyxtf', 'rich', 'matplotlib', 'jinja2', 'dask', 'distributed')))"
+    without = (
+        "import sys; sys.modules.update(dict.fromkeys(('pyxtf', 'rich', 'matplotlib', 'jinja2', 'dask', "
+        "'distributed')))"
+    )
     done = run(code=f"{without}; from auv_mcm.cli import main; sys.exit(main(['{command}', '--list']))")
     assert (done.returncode, done.stderr) == (0, "")
     assert len(done.stdout.splitlines()) > 5
@@ -286,7 +328,9 @@ def test_lists_need_no_bench_extra(command: str) -> None:
 
 def test_without_a_base_package_run_says_what_to_install(tmp_path: Path) -> None:
     port = "{name: a, link: 'udp://127.0.0.1:0?peer=127.0.0.1:9', device: nmea0183}"
-    (tmp_path / "c.yaml").write_text(f"service: {{source: ports, output_directory: '{tmp_path / 'out'}'}}\nports: [{port}]")
+    (tmp_path / "c.yaml").write_text(
+        f"service: {{source: ports, output_directory: '{tmp_path / 'out'}'}}\nports: [{port}]"
+    )
     without = "import sys; sys.modules.update({'mcap': None, 'mcap.writer': None}); from auv_mcm.cli import main"
     # Perception is spawned, and imports the main module anew.
     (tmp_path / "main.py").write_text(f"if __name__ == '__main__':\n    {without}; sys.exit(main(sys.argv[1:]))\n")
@@ -307,6 +351,7 @@ def test_the_process_that_serves_stays_lean() -> None:
     code = (
         "import sys; import auv_mcm.cli; start = set(sys.modules)\n"
         "import auv_mcm.shell.service, sim_replay.logs.recorded\n"
-        "print(sorted({'numpy'} & start), sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2', 'can'} & set(sys.modules)))"
+        "print(sorted({'numpy'} & start), sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2', 'can'} & "
+        "set(sys.modules)))"
     )
     assert run(code=code).stdout == "[] []\n", "the command starts without numpy, the service runs without the others"

@@ -1,4 +1,5 @@
-"""Every code block of README, docs and project pages is executed, or read by what reads such a file; output is marked as text."""
+"""Every code block of README, docs and project pages is executed, or read by what reads such a file; output is marked
+as text."""
 
 from __future__ import annotations
 
@@ -64,7 +65,9 @@ def marked(language: str) -> pytest.MarkDecorator:
 
 
 def test_every_block_names_its_language() -> None:
-    assert [block.place for block in BLOCKS if block.language not in LANGUAGES] == [], f"name one of {', '.join(sorted(LANGUAGES))}"
+    assert [block.place for block in BLOCKS if block.language not in LANGUAGES] == [], (
+        f"name one of {', '.join(sorted(LANGUAGES))}"
+    )
 
 
 @marked("sh")

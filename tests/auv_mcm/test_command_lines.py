@@ -41,7 +41,10 @@ from tests.manual_clock import ManualClock
 from tests.sim_replay.logs.sonar_logs import run_of, write_jsf
 
 ROOT = Path(__file__).parents[2]
-PAGES = [*(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")), *sorted((ROOT / "auv_mcm" / "docs").rglob("*.md"))]
+PAGES = [
+    *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY")),
+    *sorted((ROOT / "auv_mcm" / "docs").rglob("*.md")),
+]
 SCRIPTS = sorted((ROOT / "deploy").glob("*.sh"))
 PROGRAMS = ("auv-mcm ", "python -m ", "sh deploy/")
 
@@ -53,7 +56,10 @@ objects: [{kind: cylinder, leg: 0, along_m: 15, across_m: 12, azimuth_deg: 30}]
 """
 PORTS = """
 ports:
-  - {name: sonar, link: 'udp://127.0.0.1:0?peer=127.0.0.1:9', device: ping_protocol, sonar: {range_m: 25, n_samples: 400}}
+  - name: sonar
+    link: 'udp://127.0.0.1:0?peer=127.0.0.1:9'
+    device: ping_protocol
+    sonar: {range_m: 25, n_samples: 400}
   - {name: nav, link: 'udp://127.0.0.1:0?peer=127.0.0.1:8', device: nmea0183}
 """
 TARGETS = "targets: [{kind: cylinder, side: port, ping: 60, ground_range_m: 12}]\n"
@@ -88,7 +94,9 @@ class Line(NamedTuple):
         words = shlex.split(aligned, comments=True)
         if ">" in words:
             words = words[: words.index(">")]
-        read = ["vehicle.yaml" if before == "--config" else PLACEHOLDERS.get(word, word) for before, word in pairwise(words)]
+        read = [
+            "vehicle.yaml" if before == "--config" else PLACEHOLDERS.get(word, word) for before, word in pairwise(words)
+        ]
         return [*words[:1], *read]
 
 
@@ -119,7 +127,9 @@ def help_lines() -> list[Line]:
     for parser in parsers(_parser()):
         text = parser.format_help()
         examples = text.partition("\nexamples:\n")[2].partition("\n\n")[0].splitlines()
-        found += [Line(f"{parser.prog} --help", line.strip()) for line in examples if line.strip().startswith("auv-mcm")]
+        found += [
+            Line(f"{parser.prog} --help", line.strip()) for line in examples if line.strip().startswith("auv-mcm")
+        ]
     return found
 
 
@@ -217,7 +227,9 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
 
 
 @pytest.mark.parametrize("line", LINES, ids=lambda line: f"{line.place}: {' '.join(line.words)}")
-def test_the_line_runs(line: Line, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_line_runs(
+    line: Line, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = line.words
     for option, value in pairwise(words):
         if option in WRITTEN:
@@ -227,7 +239,12 @@ def test_the_line_runs(line: Line, folder: Path, monkeypatch: pytest.MonkeyPatch
         assert (ROOT / arguments[0]).is_file()  # its own lines are among those that run
     elif program == "python":
         run_module(arguments[1], arguments[2:], monkeypatch)
-    elif arguments[:1] == ["simulate"] and "--list" not in arguments and arguments[1:2] != ["my-scene.yaml"] and len(arguments) > 1:
+    elif (
+        arguments[:1] == ["simulate"]
+        and "--list" not in arguments
+        and arguments[1:2] != ["my-scene.yaml"]
+        and len(arguments) > 1
+    ):
         monkeypatch.setattr("sim_replay.simulate.Mission", not_flown)
         with pytest.raises(Reached):  # the scenes that ship take half a minute
             main(arguments)
@@ -249,12 +266,16 @@ def run_command(arguments: Sequence[str]) -> None:
         assert arguments[0] in ("train", "calibrate", "hil", "bench"), "only what takes long may stop at its first step"
     except SystemExit as ended:
         if ended.code != 0:
-            assert not any(word.startswith("-") or "." in word for word in arguments), f"usage error: {' '.join(arguments)}"
+            assert not any(word.startswith("-") or "." in word for word in arguments), (
+                f"usage error: {' '.join(arguments)}"
+            )
             with pytest.raises(SystemExit) as helped:
                 main([*arguments, "--help"])
             assert helped.value.code == 0
     else:
-        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"]), arguments  # mere names: these ask for what to run
+        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"]), (
+            arguments
+        )  # mere names: these ask for what to run
 
 
 def run_module(name: str, arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -286,11 +307,17 @@ def test_every_subcommand_has_a_line_in_its_help() -> None:
 
 
 def test_lines_are_found_in_fences_and_between_backticks_and_nowhere_else() -> None:
-    fences = "```sh\nauv-mcm run --config FILE   # starts\nls\n```\nnot auv-mcm this, `x`\n```yaml\na: `auv-mcm no`\n```\n"
+    fences = (
+        "```sh\nauv-mcm run --config FILE   # starts\nls\n```\nnot auv-mcm this, `x`\n```yaml\na: `auv-mcm no`\n```\n"
+    )
     text = f"Say `auv-mcm check` or\n{fences}"
     found = lines_of("page", text)
     assert [line.words for line in found] == [["auv-mcm", "run", "--config", "vehicle.yaml"], ["auv-mcm", "check"]]
-    assert Line("", "auv-mcm run --example > vehicle.yaml        begin with ports").words == ["auv-mcm", "run", "--example"]
+    assert Line("", "auv-mcm run --example > vehicle.yaml        begin with ports").words == [
+        "auv-mcm",
+        "run",
+        "--example",
+    ]
     assert lines_of("page", "nothing here") == []
 
 

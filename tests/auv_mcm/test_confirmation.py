@@ -102,7 +102,10 @@ def test_what_is_drawn_lies_on_the_object_in_the_snippet(cylinder: Detection) ->
     highlight = np.argwhere(found.labels == HIGHLIGHT) + 0.5
     for contour, labels in ((found.shadow, shadow), (found.highlight, highlight), (found.model.shadow, shadow)):
         middle = 0.5 * (contour.min(axis=0) + contour.max(axis=0))
-        assert np.abs(middle - labels.mean(axis=0)) * (cylinder.row_spacing_m, cylinder.column_spacing_m) == pytest.approx(0.0, abs=0.4)
+        assert np.abs(middle - labels.mean(axis=0)) * (
+            cylinder.row_spacing_m,
+            cylinder.column_spacing_m,
+        ) == pytest.approx(0.0, abs=0.4)
 
 
 def test_in_the_shadow_of_something_nearer_there_is_no_evidence_for_a_mine(cylinder: Detection) -> None:
@@ -127,7 +130,10 @@ def test_p_mine_is_that_of_the_last_step_taken(cylinder: Detection) -> None:
 
 def test_no_step_follows_one_that_leaves_the_odds_too_low(cylinder: Detection) -> None:
     full = close_look(cylinder)
-    for least, steps in ((1.0, ["detector"]), (0.999 * min(full.p_by_step.values()), ["detector", "contours", "shape"])):
+    for least, steps in (
+        (1.0, ["detector"]),
+        (0.999 * min(full.p_by_step.values()), ["detector", "contours", "shape"]),
+    ):
         found = close_look(cylinder, ConfirmConfig(min_p_mine=least))
         assert list(found.p_by_step) == steps
         assert ("not_looked_at" in found.reasons) == (found.confirmation is None)
@@ -155,7 +161,9 @@ def test_a_look_is_the_same_every_time(cylinder: Detection) -> None:
 def test_a_region_holds_what_the_surroundings_held() -> None:
     region = mine("sphere", 1, width_m=0.8)
     detection = detection_in(
-        msgspec.structs.replace(region, valid=np.broadcast_to(np.arange(region.intensity.shape[1]) % 7 > 0, region.intensity.shape))
+        msgspec.structs.replace(
+            region, valid=np.broadcast_to(np.arange(region.intensity.shape[1]) % 7 > 0, region.intensity.shape)
+        )
     )
     assert detection.surroundings is not None
     again = region_of(detection, detection.surroundings, BEAM_RAD)
@@ -169,7 +177,9 @@ def test_a_region_holds_what_the_surroundings_held() -> None:
 def test_a_detection_without_geometry_is_reported_and_not_confirmed(cylinder: Detection, first_return_m: float) -> None:
     around = cylinder.surroundings
     assert around is not None
-    found = close_look(msgspec.structs.replace(cylinder, surroundings=msgspec.structs.replace(around, first_return_m=first_return_m)))
+    found = close_look(
+        msgspec.structs.replace(cylinder, surroundings=msgspec.structs.replace(around, first_return_m=first_return_m))
+    )
     assert found.reasons[-1] == "geometry_unknown"
     assert found.confirmation is None
 
@@ -181,7 +191,9 @@ def test_a_detection_without_geometry_is_reported_and_not_confirmed(cylinder: De
     level=st.sampled_from(["nothing", "constant", "speckle", "extremes"]),
     seed=st.integers(0, 99),
 )
-def test_whatever_surrounds_a_detection_it_comes_out_with_a_probability(n_rows: int, n_columns: int, level: str, seed: int) -> None:
+def test_whatever_surrounds_a_detection_it_comes_out_with_a_probability(
+    n_rows: int, n_columns: int, level: str, seed: int
+) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
     codes = {
         "nothing": np.zeros((n_rows, n_columns)),
@@ -190,8 +202,12 @@ def test_whatever_surrounds_a_detection_it_comes_out_with_a_probability(n_rows: 
         "extremes": random.choice([0, 1, 255], (n_rows, n_columns)),
     }[level].astype(np.uint8)
     region = mine_template()
-    around = Surroundings(codes=codes, row=0.4 * n_rows, column=0.4 * n_columns, first_ground_range_m=10.0, first_return_m=5.0)
-    detection = detection_in(region, surroundings=around, snippet=codes, snippet_row=0.4 * n_rows, snippet_column=0.4 * n_columns)
+    around = Surroundings(
+        codes=codes, row=0.4 * n_rows, column=0.4 * n_columns, first_ground_range_m=10.0, first_return_m=5.0
+    )
+    detection = detection_in(
+        region, surroundings=around, snippet=codes, snippet_row=0.4 * n_rows, snippet_column=0.4 * n_columns
+    )
     found = close_look(detection)
     assert 0.0 <= found.p_mine <= 1.0
     assert found.confirmation is None or found.confirmation.mass.sum() == pytest.approx(1.0)
@@ -221,4 +237,7 @@ def test_the_labels_of_a_detection_are_the_connected_ones_that_reach_it() -> Non
     near = labels_near(labels, region)
     assert near is not None
     assert np.array_equal(near, own)
-    assert labels_near(np.where(own, 0, labels).astype(np.uint8), msgspec.structs.replace(region, row=18.0, column=1.0)) is None
+    assert (
+        labels_near(np.where(own, 0, labels).astype(np.uint8), msgspec.structs.replace(region, row=18.0, column=1.0))
+        is None
+    )

@@ -31,7 +31,14 @@ def test_every_local_link_and_picture_of_a_page_exists(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_module_named_by_a_page_exists(page: Path) -> None:
     payload = ROOT / "auv_mcm"
-    places = (ROOT, payload, payload / "waterfall", payload / "detect", ROOT / "sim_replay" / "simulator", ROOT / "sim_replay" / "augment")
+    places = (
+        ROOT,
+        payload,
+        payload / "waterfall",
+        payload / "detect",
+        ROOT / "sim_replay" / "simulator",
+        ROOT / "sim_replay" / "augment",
+    )
     for name in re.findall(r"`([a-z_/]+\.py)`", page.read_text()):
         assert any((place / name).exists() for place in places), f"{page.name} names {name}"
 

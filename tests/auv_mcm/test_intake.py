@@ -25,7 +25,9 @@ OTHER_TRACE = structs.replace(TRACE, samples=SAMPLES[:6])
 
 
 def ping(number: int, time_s: float | None = None, trace: EchoTrace | None = TRACE) -> Ping:
-    return Ping(number=number, time_s=START_S + PING_S * number if time_s is None else time_s, port=trace, starboard=TRACE)
+    return Ping(
+        number=number, time_s=START_S + PING_S * number if time_s is None else time_s, port=trace, starboard=TRACE
+    )
 
 
 def navigation(index: int, shift_s: float = 0.0) -> NavSample:
@@ -167,7 +169,16 @@ def test_one_wrong_stamp_of_navigation_changes_no_pose(wrong_s: float) -> None:
 
 
 def test_repeated_and_slightly_older_times_are_dropped_and_counted() -> None:
-    pings = [ping(0), ping(1), ping(100, START_S + PING_S), ping(2), ping(101, START_S + 0.15), ping(3), ping(102, START_S - 0.6), ping(4)]
+    pings = [
+        ping(0),
+        ping(1),
+        ping(100, START_S + PING_S),
+        ping(2),
+        ping(101, START_S + 0.15),
+        ping(3),
+        ping(102, START_S - 0.6),
+        ping(4),
+    ]
     fed = Fed().feed(pings).flush()
     assert fed.segments == [[0, 1, 2, 3, 4]]
     assert fed.counters["ping.time_repeated"] == 1
@@ -178,20 +189,26 @@ def test_repeated_and_slightly_older_times_are_dropped_and_counted() -> None:
 def test_a_clock_set_back_ends_the_segment_and_goes_on(step_s: float) -> None:
     before = mission(100)
     after = [structs.replace(event, time_s=event.time_s + step_s + 10.0) for event in mission(100)]
-    numbered = [structs.replace(event, number=event.number + 100) if isinstance(event, Ping) else event for event in after]
+    numbered = [
+        structs.replace(event, number=event.number + 100) if isinstance(event, Ping) else event for event in after
+    ]
     fed = Fed().feed([*before, *numbered]).flush()
     assert fed.counters["ping.clock_stepped_back"] == 1
     assert fed.segments == [list(range(100)), list(range(100, 200))]
     assert fed.counters["navigation.ping_stale"] <= 10
     last = fed.blocks[-1]
     np.testing.assert_allclose(
-        last.poses.heading_rad[:-10], 0.1 + 0.01 * (PING_S * (np.array([p.number for p in last.pings[:-10]]) - 100)), atol=1e-6
+        last.poses.heading_rad[:-10],
+        0.1 + 0.01 * (PING_S * (np.array([p.number for p in last.pings[:-10]]) - 100)),
+        atol=1e-6,
     )
 
 
 def test_a_clock_set_forward_an_hour_ends_the_segment_and_goes_on() -> None:
     after = [structs.replace(event, time_s=event.time_s + 3600.0) for event in mission(100)]
-    numbered = [structs.replace(event, number=event.number + 100) if isinstance(event, Ping) else event for event in after]
+    numbered = [
+        structs.replace(event, number=event.number + 100) if isinstance(event, Ping) else event for event in after
+    ]
     fed = Fed().feed([*mission(100), *numbered]).flush()
     assert fed.counters["ping.gap"] == 1
     assert fed.segments == [list(range(100)), list(range(100, 200))]
@@ -230,7 +247,9 @@ def test_a_block_never_mixes_layouts(layouts: list[int]) -> None:
         assert len({layouts[p.number] for p in block.pings}) == 1
     longest = [len(block.pings) for block in fed.blocks]
     joined = [
-        len(a.pings) for a, b in zip(fed.blocks, fed.blocks[1:], strict=False) if layouts[a.pings[0].number] == layouts[b.pings[0].number]
+        len(a.pings)
+        for a, b in zip(fed.blocks, fed.blocks[1:], strict=False)
+        if layouts[a.pings[0].number] == layouts[b.pings[0].number]
     ]
     assert max(longest) <= BLOCK_PINGS
     assert all(length == BLOCK_PINGS for length in joined)
@@ -302,7 +321,9 @@ def test_unknown_speed_is_counted_and_guessed() -> None:
 # --- positions that jump ---------------------------------------------------------------------------------------------
 
 
-def displaced(events: Iterable[Ping | NavSample], from_ping: int, to_ping: int, degrees: float) -> list[Ping | NavSample]:
+def displaced(
+    events: Iterable[Ping | NavSample], from_ping: int, to_ping: int, degrees: float
+) -> list[Ping | NavSample]:
     """The events with the positions of some pings' time elsewhere."""
     first_s, stop_s = START_S + PING_S * from_ping, START_S + PING_S * to_ping
     return [
@@ -359,6 +380,10 @@ def test_what_is_decided_only_at_the_end_is_reported_too() -> None:
 def test_a_clock_that_steps_back_again_and_again_repeats_no_notice() -> None:
     fed = Fed()
     for lap in range(4):
-        events = [structs.replace(event, time_s=event.time_s - 1000.0 * lap) for event in displaced(mission(40), 10, 25, 0.5)]
+        events = [
+            structs.replace(event, time_s=event.time_s - 1000.0 * lap) for event in displaced(mission(40), 10, 25, 0.5)
+        ]
         fed.feed(events)
-    assert [notice.code for notice in fed.flush().notices + fed.intake.take_notices()] == ["navigation.positions_rejected"]
+    assert [notice.code for notice in fed.flush().notices + fed.intake.take_notices()] == [
+        "navigation.positions_rejected"
+    ]

@@ -29,7 +29,9 @@ def grids(elements: st.SearchStrategy[float], pings: int, bins: int) -> st.Searc
 
 
 def worth(path: tuple[int, ...], score: NDArray[np.float64], step_cost: float) -> float:
-    return sum(float(score[p, k]) for p, k in enumerate(path)) - step_cost * sum(abs(b - a) for a, b in itertools.pairwise(path))
+    return sum(float(score[p, k]) for p, k in enumerate(path)) - step_cost * sum(
+        abs(b - a) for a, b in itertools.pairwise(path)
+    )
 
 
 @given(score=grids(whole, 4, 4), max_step=st.integers(0, 4), step_cost=st.sampled_from([0.0, 1.0, 2.0]))
@@ -58,7 +60,9 @@ def test_c_and_numpy_agree_to_the_bit(score: NDArray[np.float64], max_step: int,
     cost_numpy, back_numpy = viterbi_forward_numpy(start, score, max_step, step_cost)
     np.testing.assert_array_equal(cost, cost_numpy, strict=True)
     np.testing.assert_array_equal(back, back_numpy, strict=True)
-    np.testing.assert_array_equal(viterbi_path(score, max_step, step_cost), viterbi_path_numpy(score, max_step, step_cost), strict=True)
+    np.testing.assert_array_equal(
+        viterbi_path(score, max_step, step_cost), viterbi_path_numpy(score, max_step, step_cost), strict=True
+    )
 
 
 @given(score=grids(whole, 9, 6), max_step=st.integers(0, 3), cut=st.integers(0, 9))
@@ -119,4 +123,7 @@ def test_no_pings_give_an_empty_path() -> None:
 def test_environment_forces_numpy() -> None:
     code = "from auv_mcm import kernels; print(kernels.backend())"
     environment = {**os.environ, "AUV_MCM_KERNELS": "numpy"}
-    assert subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout == "numpy\n"
+    assert (
+        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        == "numpy\n"
+    )

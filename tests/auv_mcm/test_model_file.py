@@ -1,4 +1,5 @@
-"""What `calibrate` writes can be loaded: the configuration names it, and a file that is wrong is refused by key and name."""
+"""What `calibrate` writes can be loaded: the configuration names it, and a file that is wrong is refused by key and
+name."""
 
 from __future__ import annotations
 

@@ -75,6 +75,8 @@ def test_example_configurations_are_valid(example: str) -> None:
 def test_a_script_without_a_fit_python_says_what_to_do(python: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "dirname").symlink_to("/usr/bin/dirname")  # the one tool on the path: no python of any name
     command = ["/bin/sh", str(ROOT / "deploy" / "venv.sh"), "bench"]
-    done = subprocess.run(command, env={"PATH": str(tmp_path), "PYTHON": python}, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env={"PATH": str(tmp_path), "PYTHON": python}, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 1
     assert message in done.stderr

@@ -32,9 +32,13 @@ Change = Callable[[int, Ping], Ping | None]
 
 @cache
 def mission() -> tuple[SourceEvent, ...]:
-    target = SceneObject(kind="box", leg=0, along_m=TARGET[0], across_m=TARGET[1], length_m=0.9, width_m=0.7, height_m=0.45)
+    target = SceneObject(
+        kind="box", leg=0, along_m=TARGET[0], across_m=TARGET[1], length_m=0.9, width_m=0.7, height_m=0.45
+    )
     sonar = Sonar(range_m=22.0, n_samples=512, ping_rate_hz=12.0, range_resolution_m=0.0, beam_lines=3)
-    return flown(one_leg([target], sonar, length_m=44.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE))
+    return flown(
+        one_leg([target], sonar, length_m=44.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE)
+    )
 
 
 def run(events: Iterable[SourceEvent]) -> tuple[Pipeline, list[PipelineEvent]]:
@@ -44,7 +48,8 @@ def run(events: Iterable[SourceEvent]) -> tuple[Pipeline, list[PipelineEvent]]:
 
 
 def changed(change: Change) -> Iterator[SourceEvent]:
-    """The mission with every ping replaced by what `change` makes of its running number and itself; None leaves it out."""
+    """The mission with every ping replaced by what `change` makes of its running number and itself; None leaves it
+    out."""
     number = -1
     for event in mission():
         if not isinstance(event, Ping):
@@ -99,9 +104,13 @@ SMALL_DISTURBANCES: dict[str, Change] = {
     "one ping all at full scale": lambda n, p: resampled(p, lambda s: np.full_like(s, 32767)) if n == 60 else p,
     "one ping of text": lambda n, p: resampled(p, lambda s: s.astype("U8")) if n == 60 else p,
     "one ping folded to two dimensions": lambda n, p: resampled(p, lambda s: s.reshape(2, -1)) if n == 60 else p,
-    "one ping without either side": lambda n, p: msgspec.structs.replace(p, port=None, starboard=None) if n == 60 else p,
+    "one ping without either side": lambda n, p: (
+        msgspec.structs.replace(p, port=None, starboard=None) if n == 60 else p
+    ),
     "one ping at no time": lambda n, p: msgspec.structs.replace(p, time_s=NAN) if n == 60 else p,
-    "one ping twice as late as it was": lambda n, p: msgspec.structs.replace(p, time_s=p.time_s - 0.1) if n == 60 else p,
+    "one ping twice as late as it was": lambda n, p: (
+        msgspec.structs.replace(p, time_s=p.time_s - 0.1) if n == 60 else p
+    ),
     "sample type changes half-way": lambda n, p: resampled(p, lambda s: s.astype(np.float64)) if n > 100 else p,
     "port falls silent": lambda n, p: msgspec.structs.replace(p, port=None) if n > 30 else p,
     "port stuck": lambda n, p: msgspec.structs.replace(p, port=first_port()) if n > 30 else p,
@@ -142,7 +151,9 @@ def test_a_disturbance_elsewhere_does_not_lose_the_target_and_what_is_refused_is
 
 
 LARGE_DISTURBANCES: dict[str, Change] = {
-    "noise alone": lambda n, p: resampled(p, lambda s: np.random.default_rng(n).integers(0, 50, s.shape).astype(np.uint16)),
+    "noise alone": lambda n, p: resampled(
+        p, lambda s: np.random.default_rng(n).integers(0, 50, s.shape).astype(np.uint16)
+    ),
     "all zero": lambda _, p: resampled(p, np.zeros_like),
     "constant": lambda _, p: resampled(p, lambda s: np.full_like(s, 7)),
     "all full scale": lambda _, p: resampled(p, lambda s: np.full_like(s, 65535)),
@@ -171,19 +182,27 @@ NavigationChange = Callable[[NavSample], NavSample | None]
 REPLACE = msgspec.structs.replace
 NAVIGATION: dict[str, NavigationChange] = {
     "none": lambda _: None,
-    "all zero": lambda s: NavSample(time_s=s.time_s, latitude_deg=0.0, longitude_deg=0.0, heading_rad=0.0, depth_m=0.0, speed_mps=0.0),
+    "all zero": lambda s: NavSample(
+        time_s=s.time_s, latitude_deg=0.0, longitude_deg=0.0, heading_rad=0.0, depth_m=0.0, speed_mps=0.0
+    ),
     "all NaN": lambda s: NavSample(time_s=s.time_s),
     "positions alone": lambda s: NavSample(time_s=s.time_s, latitude_deg=s.latitude_deg, longitude_deg=s.longitude_deg),
     "no positions": lambda s: REPLACE(s, latitude_deg=NAN, longitude_deg=NAN),
     "no time": lambda s: REPLACE(s, time_s=NAN),
-    "nonsense": lambda s: REPLACE(s, latitude_deg=1e9, longitude_deg=-1e9, heading_rad=1e9, pitch_rad=99.0, speed_mps=-5.0, depth_m=1e12),
+    "nonsense": lambda s: REPLACE(
+        s, latitude_deg=1e9, longitude_deg=-1e9, heading_rad=1e9, pitch_rad=99.0, speed_mps=-5.0, depth_m=1e12
+    ),
     "infinite": lambda s: REPLACE(s, latitude_deg=math.inf, heading_rad=math.inf, speed_mps=math.inf),
 }
 
 
 @pytest.mark.parametrize("name", list(NAVIGATION))
 def test_navigation_that_cannot_be_used_is_flagged_and_counted(name: str) -> None:
-    events = [out for event in mission() if (out := NAVIGATION[name](event) if isinstance(event, NavSample) else event) is not None]
+    events = [
+        out
+        for event in mission()
+        if (out := NAVIGATION[name](event) if isinstance(event, NavSample) else event) is not None
+    ]
     pipeline, results = run(events)
     if name == "positions alone":  # heading and speed made good over the fixes will do
         assert finds_the_target(pipeline)
@@ -210,7 +229,9 @@ def test_a_mission_of_few_pings_ends_properly(n_pings: int) -> None:
 
 
 def test_candidates_beyond_the_budget_are_reported() -> None:
-    config = msgspec.convert({"detect": {"model": "none", "max_candidates_per_tile": 3}, "contacts": {"min_p_mine": 0.0}}, Config)
+    config = msgspec.convert(
+        {"detect": {"model": "none", "max_candidates_per_tile": 3}, "contacts": {"min_p_mine": 0.0}}, Config
+    )
     pipeline = Pipeline(config)
     events = [result for event in mission() for result in pipeline.feed(event)] + pipeline.finish()
     assert pipeline.counters["detect.over_budget"] > 0
@@ -245,7 +266,9 @@ STAGES = {  # what fails: name in the pipeline, counter, what the notice says of
 
 @pytest.mark.filterwarnings("ignore::auv_mcm.defects.DefectWarning")
 @pytest.mark.parametrize(
-    "error", [MemoryError("Unable to allocate 4.9 GiB"), IndexError("index 7 is out of bounds")], ids=["memory", "index"]
+    "error",
+    [MemoryError("Unable to allocate 4.9 GiB"), IndexError("index 7 is out of bounds")],
+    ids=["memory", "index"],
 )
 @pytest.mark.parametrize("stage", list(STAGES))
 def test_a_stage_that_fails_on_one_tile_costs_that_tile_and_not_the_mission(
@@ -336,7 +359,9 @@ def test_contacts_of_a_disputed_position_say_so_in_their_sigma_and_nothing_there
 def turned(degrees: float) -> list[SourceEvent]:
     """The mission with every heading turned."""
     return [
-        msgspec.structs.replace(event, heading_rad=event.heading_rad + math.radians(degrees)) if isinstance(event, NavSample) else event
+        msgspec.structs.replace(event, heading_rad=event.heading_rad + math.radians(degrees))
+        if isinstance(event, NavSample)
+        else event
         for event in longer_mission()
     ]
 
@@ -347,10 +372,14 @@ def longer_mission() -> tuple[SourceEvent, ...]:
     return flown(one_leg([], sonar, length_m=70.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE))
 
 
-@pytest.mark.parametrize(("degrees", "words"), [(90.0, "90 degrees right"), (-90.0, "90 degrees left"), (180.0, "180 degrees")])
+@pytest.mark.parametrize(
+    ("degrees", "words"), [(90.0, "90 degrees right"), (-90.0, "90 degrees left"), (180.0, "180 degrees")]
+)
 def test_a_heading_off_the_course_for_a_whole_mission_is_reported(degrees: float, words: str) -> None:
     _, events = run(turned(degrees))
-    (notice,) = [event for event in events if isinstance(event, Notice) and event.code == "navigation.heading_off_course"]
+    (notice,) = [
+        event for event in events if isinstance(event, Notice) and event.code == "navigation.heading_off_course"
+    ]
     assert words in notice.text
 
 
@@ -359,10 +388,13 @@ def test_a_vehicle_that_crabs_in_a_current_raises_no_notice(degrees: float) -> N
     assert "navigation.heading_off_course" not in codes(run(turned(degrees))[1])
 
 
-@pytest.mark.parametrize(("altitude_m", "code"), [(60.0, "navigation.altitude_beyond_range"), (0.0, "navigation.altitude_zero")])
+@pytest.mark.parametrize(
+    ("altitude_m", "code"), [(60.0, "navigation.altitude_beyond_range"), (0.0, "navigation.altitude_zero")]
+)
 def test_an_altitude_that_cannot_be_is_reported(altitude_m: float, code: str) -> None:
     events = [
-        msgspec.structs.replace(event, altitude_m=altitude_m) if isinstance(event, Ping | NavSample) else event for event in mission()
+        msgspec.structs.replace(event, altitude_m=altitude_m) if isinstance(event, Ping | NavSample) else event
+        for event in mission()
     ]
     (notice,) = [event for event in run(events)[1] if isinstance(event, Notice) and event.code == code]
     assert "Check" in notice.text

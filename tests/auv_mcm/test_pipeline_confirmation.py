@@ -84,9 +84,13 @@ def test_without_a_close_look_contacts_carry_what_the_detector_found() -> None:
         assert contact.classification in ("clutter", "unknown")
 
 
-def test_without_a_bound_every_detection_is_looked_at_whatever_features_the_odds_know(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_bound_every_detection_is_looked_at_whatever_features_the_odds_know(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     of_other_features = Weights(offset=0.0, weights={"of_another_detector": 1.0})
-    odds = MineOdds(fitted_on="nothing", prior=-4.0, detector=of_other_features, contours=of_other_features, shape=of_other_features)
+    odds = MineOdds(
+        fitted_on="nothing", prior=-4.0, detector=of_other_features, contours=of_other_features, shape=of_other_features
+    )
     monkeypatch.setattr("auv_mcm.pipeline.shipped_odds", lambda detector: odds)
     seen: list[Detection] = []
 

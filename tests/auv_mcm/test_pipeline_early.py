@@ -22,8 +22,19 @@ RATE_HZ = 12.0
 LENGTH_M = 110.0
 PLACES_M = (30.0, 55.0)
 OBJECTS = (
-    SceneObject(kind="box", leg=0, along_m=PLACES_M[0], across_m=9.0, azimuth_deg=20.0, length_m=0.8, width_m=0.6, height_m=0.4),
-    SceneObject(kind="box", leg=0, along_m=PLACES_M[1], across_m=-12.0, azimuth_deg=70.0, length_m=1.2, width_m=0.5, height_m=0.5),
+    SceneObject(
+        kind="box", leg=0, along_m=PLACES_M[0], across_m=9.0, azimuth_deg=20.0, length_m=0.8, width_m=0.6, height_m=0.4
+    ),
+    SceneObject(
+        kind="box",
+        leg=0,
+        along_m=PLACES_M[1],
+        across_m=-12.0,
+        azimuth_deg=70.0,
+        length_m=1.2,
+        width_m=0.5,
+        height_m=0.5,
+    ),
 )
 SONAR = Sonar(
     range_m=22.0,
@@ -120,7 +131,11 @@ def test_each_target_is_announced_within_20_m_of_track_or_10_s_and_long_before_i
         def is_there(contact: Contact, abeam: float = abeam) -> bool:
             return contact.p_mine >= 0.2 and abs(contact.time_s - (ping_s[0] + abeam / RATE_HZ)) < 4.0
 
-        soon = min(n for n, event in out if isinstance(event, EarlyContact) and event.state == "found" and is_there(event.contact))
+        soon = min(
+            n
+            for n, event in out
+            if isinstance(event, EarlyContact) and event.state == "found" and is_there(event.contact)
+        )
         done = min(n for n, event in out if isinstance(event, Contact) and is_there(event))
         assert soon - abeam <= limit_pings
         assert done - abeam > limit_pings
@@ -155,7 +170,9 @@ def test_one_that_the_finished_tile_does_not_show_is_withdrawn() -> None:
     assert (reported.p_mine, reported.views, reported.latitude_deg) == (0.0, (), view.latitude_deg)
 
 
-def test_an_early_look_that_fails_is_reported_once_and_costs_the_mission_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_early_look_that_fails_is_reported_once_and_costs_the_mission_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def failing(*_: object) -> None:
         raise ZeroDivisionError("division by zero")
 

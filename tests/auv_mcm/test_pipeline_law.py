@@ -20,7 +20,8 @@ N_AMPLITUDE = 280
 
 @cache
 def events(n_amplitude: int = N_AMPLITUDE) -> tuple[SourceEvent, ...]:
-    """A leg of 120 m whose recorder stores amplitudes first, then averaged logarithms in 8 bits, as another one would."""
+    """A leg of 120 m whose recorder stores amplitudes first, then averaged logarithms in 8 bits, as another one
+    would."""
     recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
     sonar = Sonar(looks=3, n_samples=600, range_m=40.0, recorder=recorder)
     scene = Scene(seed=5, sonar=sonar, track=Track(plan=Lawnmower(n_legs=1, leg_m=120.0)))

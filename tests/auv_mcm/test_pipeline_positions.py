@@ -21,7 +21,8 @@ POINT_DB = -5.0  # target strength that stands out of sand at any range asked fo
 
 
 def distance_m(latitude_a: float, longitude_a: float, latitude_b: float, longitude_b: float) -> float:
-    """Short geodesic distance from the radii of curvature at the middle: independent of the code under test, 1e-6 m at 100 m."""
+    """Short geodesic distance from the radii of curvature at the middle: independent of the code under test, 1e-6 m at
+    100 m."""
     middle = math.radians(0.5 * (latitude_a + latitude_b))
     e2 = WGS84_F * (2.0 - WGS84_F)
     w = math.sqrt(1.0 - e2 * math.sin(middle) ** 2)
@@ -40,7 +41,9 @@ def closest_contact_m(scene: Scene) -> float:
     pipeline.finish()
     target = mission.truth()["objects"][0]
     strong = [contact for contact in pipeline.contacts if contact.views[0].score > 4.2]
-    return min((distance_m(c.latitude_deg, c.longitude_deg, target["lat"], target["lon"]) for c in strong), default=math.inf)
+    return min(
+        (distance_m(c.latitude_deg, c.longitude_deg, target["lat"], target["lon"]) for c in strong), default=math.inf
+    )
 
 
 @settings(max_examples=12, phases=(Phase.explicit, Phase.generate))  # a mission is too slow to shrink

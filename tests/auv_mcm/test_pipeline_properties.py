@@ -22,8 +22,12 @@ from tests.auv_mcm.short_missions import flown, one_leg
 
 LENGTH_M = 44.0
 OBJECTS = (
-    SceneObject(kind="box", leg=0, along_m=14.0, across_m=9.0, azimuth_deg=20.0, length_m=0.8, width_m=0.6, height_m=0.4),
-    SceneObject(kind="box", leg=0, along_m=24.0, across_m=-12.0, azimuth_deg=70.0, length_m=1.2, width_m=0.5, height_m=0.5),
+    SceneObject(
+        kind="box", leg=0, along_m=14.0, across_m=9.0, azimuth_deg=20.0, length_m=0.8, width_m=0.6, height_m=0.4
+    ),
+    SceneObject(
+        kind="box", leg=0, along_m=24.0, across_m=-12.0, azimuth_deg=70.0, length_m=1.2, width_m=0.5, height_m=0.5
+    ),
     SceneObject(kind="sphere", leg=0, along_m=33.0, across_m=15.0, width_m=0.6),
 )
 
@@ -39,7 +43,10 @@ SONAR = Sonar(
 
 
 def scene(latitude_deg: float = 50.0, longitude_deg: float = -4.0, heading_deg: float = 0.0) -> Scene:
-    turned = [msgspec.structs.replace(scene_object, azimuth_deg=scene_object.azimuth_deg + heading_deg) for scene_object in OBJECTS]
+    turned = [
+        msgspec.structs.replace(scene_object, azimuth_deg=scene_object.azimuth_deg + heading_deg)
+        for scene_object in OBJECTS
+    ]
     return one_leg(
         turned,
         SONAR,
@@ -56,7 +63,9 @@ def mission() -> tuple[SourceEvent, ...]:
     return flown(scene())
 
 
-def run(events: Sequence[SourceEvent], config: Config | None = None, threads: int = 1) -> tuple[Pipeline, list[PipelineEvent]]:
+def run(
+    events: Sequence[SourceEvent], config: Config | None = None, threads: int = 1
+) -> tuple[Pipeline, list[PipelineEvent]]:
     pipeline = Pipeline(config or Config(), threads=threads)
     out = [result for event in events for result in pipeline.feed(event)]
     return pipeline, out + pipeline.finish()
@@ -76,7 +85,9 @@ def with_samples(change: Callable[[np.ndarray], np.ndarray]) -> list[SourceEvent
         return None if trace is None else msgspec.structs.replace(trace, samples=change(trace.samples))
 
     return [
-        msgspec.structs.replace(event, port=changed(event.port), starboard=changed(event.starboard)) if isinstance(event, Ping) else event
+        msgspec.structs.replace(event, port=changed(event.port), starboard=changed(event.starboard))
+        if isinstance(event, Ping)
+        else event
         for event in mission()
     ]
 
@@ -86,7 +97,9 @@ def places(contacts: Sequence[Contact]) -> list[tuple[str, float, float, float]]
     return sorted((c.views[0].side, c.views[0].row, c.views[0].column, c.views[0].score) for c in contacts)
 
 
-def assert_same(found: Sequence[Contact], expected: Sequence[Contact], *, pixels: float = 1e-6, score: float = 1e-5) -> None:
+def assert_same(
+    found: Sequence[Contact], expected: Sequence[Contact], *, pixels: float = 1e-6, score: float = 1e-5
+) -> None:
     a, b = places(found), places(expected)
     assert [p[0] for p in a] == [p[0] for p in b]
     np.testing.assert_allclose([p[1:3] for p in a], [p[1:3] for p in b], rtol=0.0, atol=pixels)
@@ -140,7 +153,9 @@ def test_where_tiles_are_cut_changes_nothing(tile_rows: int) -> None:
         (71.0, 179.9999, 359.9),
     ],
 )
-def test_place_and_heading_on_earth_change_nothing_relative(latitude_deg: float, longitude_deg: float, heading_deg: float) -> None:
+def test_place_and_heading_on_earth_change_nothing_relative(
+    latitude_deg: float, longitude_deg: float, heading_deg: float
+) -> None:
     moved = run(flown(scene(latitude_deg, longitude_deg, heading_deg)))[0].contacts
 
     def along_across(contacts: Sequence[Contact], latitude: float, longitude: float, heading: float) -> np.ndarray:
@@ -183,7 +198,10 @@ def test_every_announced_contact_is_called_or_not_and_in_the_end_as_the_whole_mi
 
 
 def test_what_is_accepted_changes_calls_and_nothing_else() -> None:
-    few, many = (run(mission(), Config(contacts=ContactsConfig(false_alarms_per_km2=accepted)))[0].contacts for accepted in (1e-3, 1e6))
+    few, many = (
+        run(mission(), Config(contacts=ContactsConfig(false_alarms_per_km2=accepted)))[0].contacts
+        for accepted in (1e-3, 1e6)
+    )
     assert {contact.called for contact in few} == {False}
     assert {contact.called for contact in many} == {True}
     alike = [[msgspec.structs.replace(contact, called=None) for contact in some] for some in (few, many)]

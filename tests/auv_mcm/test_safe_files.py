@@ -36,7 +36,9 @@ def test_a_directory_is_an_error_of_the_system(tmp_path: Path) -> None:
         open_regular(tmp_path)
 
 
-def test_a_file_exchanged_for_a_pipe_while_it_is_opened_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_exchanged_for_a_pipe_while_it_is_opened_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "log").write_bytes(b"content")
     look = os.stat
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ON_THE_VEHICLE = sorted(path for package in ("auv_mcm", "drivers") for path in (ROOT / package).rglob("*.py") if "docs" not in path.parts)
+ON_THE_VEHICLE = sorted(
+    path for package in ("auv_mcm", "drivers") for path in (ROOT / package).rglob("*.py") if "docs" not in path.parts
+)
 
 
 @pytest.mark.parametrize(
@@ -23,14 +25,17 @@ ON_THE_VEHICLE = sorted(path for package in ("auv_mcm", "drivers") for path in (
     ],
 )
 def test_what_the_page_says_of_the_code_that_runs_on_the_vehicle(claim: str, against: str) -> None:
-    guilty = [path.relative_to(ROOT).as_posix() for path in ON_THE_VEHICLE if re.search(against, path.read_text("utf-8"))]
+    guilty = [
+        path.relative_to(ROOT).as_posix() for path in ON_THE_VEHICLE if re.search(against, path.read_text("utf-8"))
+    ]
     assert guilty == [], claim
 
 
 def test_only_one_module_opens_files_for_writing() -> None:
     writing = re.compile(r"write_text\(|write_bytes\(|open\([^)]*[\"'][wax]b?[\"']|O_CREAT")
     names = [path.relative_to(ROOT).as_posix() for path in ON_THE_VEHICLE if writing.search(path.read_text("utf-8"))]
-    # A file that a person names on the command line is made there, by `write_new`; the recorder appends to files of its own folder.
+    # A file that a person names on the command line is made there, by `write_new`; the recorder appends to files of its
+    # own folder.
     assert names == ["auv_mcm/commands/__init__.py", "auv_mcm/safe_files.py", "drivers/recording/session_writer.py"]
 
 

@@ -77,13 +77,31 @@ def test_without_any_skip_nothing_is_counted_as_left_out_and_what_was_called_sta
     called = [contact for contact in outcome(None, NO_SKIPS)[1] if contact.p_mine >= 0.2]
     assert called
     for contact in called:
-        near = [c for c in contacts if np.hypot(c.views[0].row - contact.views[0].row, c.views[0].column - contact.views[0].column) < 10]
+        near = [
+            c
+            for c in contacts
+            if np.hypot(c.views[0].row - contact.views[0].row, c.views[0].column - contact.views[0].column) < 10
+        ]
         assert max(c.p_mine for c in near) >= 0.2
 
 
 def test_replay_switches_skips_off_by_name_and_says_so(tmp_path: Path) -> None:
     log = written(tmp_path / "log.xtf", 150)
-    assert main(["replay", str(log), "--out", str(tmp_path / "a"), "--without-skip", "gate", "--without-skip", "contour-odds"]) == 0
+    assert (
+        main(
+            [
+                "replay",
+                str(log),
+                "--out",
+                str(tmp_path / "a"),
+                "--without-skip",
+                "gate",
+                "--without-skip",
+                "contour-odds",
+            ]
+        )
+        == 0
+    )
     summary = json.loads((tmp_path / "a" / "summary.json").read_bytes())
     assert (summary["without_skips"], summary["exhaustive"]) == (["contour-odds", "gate"], False)
     assert main(["replay", str(log), "--out", str(tmp_path / "b"), "--exhaustive"]) == 0

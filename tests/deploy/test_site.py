@@ -1,4 +1,5 @@
-"""The site's pages that are made from the code hold all that the code has; hand-written tables agree with what is written."""
+"""The site's pages that are made from the code hold all that the code has; hand-written tables agree with what is
+written."""
 
 from __future__ import annotations
 
@@ -14,7 +15,15 @@ import pytest
 from auv_mcm import __version__
 from auv_mcm.cli import main
 from auv_mcm.shell.registry import COMMANDS
-from deploy.site.pages import HISTORY, benchmarks_page, commands_page, configuration_page, counters_page, notices_page, project_pages
+from deploy.site.pages import (
+    HISTORY,
+    benchmarks_page,
+    commands_page,
+    configuration_page,
+    counters_page,
+    notices_page,
+    project_pages,
+)
 from deploy.site.raised import counted_names, notices_by_code, raised_notices
 from sim_replay.benches.run_time.results import read_results
 from sim_replay.commands.bench import BENCHES
@@ -93,7 +102,8 @@ def test_notices_and_counters_of_a_replay_are_on_their_pages(results: Path) -> N
 
 
 def table_keys(title: str, head: str = "| ") -> set[str]:
-    """Read the names in the first column of a table of the page of files: the first below a title whose head begins so."""
+    """Read the names in the first column of a table of the page of files: the first below a title whose head begins
+    so."""
     section = (DOCS / "reference" / "files.md").read_text("utf-8").partition(f"\n## {title}\n")[2].partition("\n## ")[0]
     rows = section.partition(f"\n{head}")[2].partition("|---|")[2].partition("\n\n")[0].splitlines()[1:]
     return {name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])}

@@ -57,16 +57,24 @@ def stamp(time_s: float) -> Stamp:
     return Stamp(round((MONO_S + time_s) * 1e9), round((UTC_S + time_s) * 1e9))
 
 
-def profile(number: int, channel: int, time_s: float, results: Any = (0, 21845, 43690, 65535), range_m: float = RANGE_M) -> bytes:
+def profile(
+    number: int, channel: int, time_s: float, results: Any = (0, 21845, 43690, 65535), range_m: float = RANGE_M
+) -> bytes:
     """Encode one side of one ping. results: (n,) uint16, 80 dB to full scale."""
     samples = np.asarray(results, dtype=np.uint16)
     millimetres = round(1e3 * range_m)
     clock_ms = round(1e3 * (POWER_UP_S + time_s)) % 2**32
     speed = round(10.0 * SOUND_SPEED_MPS)
-    return encode(OsMonoProfile(number, 0, millimetres, clock_ms, 450_000, 3, speed, channel, 1e-4, 12.5, 80.0, 0.0, 0.0, 0.0, samples))
+    return encode(
+        OsMonoProfile(
+            number, 0, millimetres, clock_ms, 450_000, 3, speed, channel, 1e-4, 12.5, 80.0, 0.0, 0.0, 0.0, samples
+        )
+    )
 
 
-def fix(time_s: float, latitude_deg: float, longitude_deg: float, heading_rad: float = 0.0, speed_mps: float = 2.0) -> bytes:
+def fix(
+    time_s: float, latitude_deg: float, longitude_deg: float, heading_rad: float = 0.0, speed_mps: float = 2.0
+) -> bytes:
     """Return the sentences of one fix."""
     clock_s = (UTC_S + time_s) % 86_400.0
     records = (Gga(clock_s, latitude_deg, longitude_deg, 1), Hdt(heading_rad), Vtg(heading_rad, speed_mps))

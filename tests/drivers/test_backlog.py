@@ -1,4 +1,5 @@
-"""However much a wire brings, a turn of the event loop decodes a bounded part of it, in order, and what finds no room is counted."""
+"""However much a wire brings, a turn of the event loop decodes a bounded part of it, in order, and what finds no room
+is counted."""
 
 from __future__ import annotations
 
@@ -96,7 +97,9 @@ def test_a_flood_leaves_every_turn_of_the_event_loop_to_others() -> None:
 
     asyncio.run(main())
     assert len(progress) >= 15
-    assert max(after - before for before, after in itertools.pairwise(progress)) <= 4 * len(JUNK), "a bounded part in each turn"
+    assert max(after - before for before, after in itertools.pairwise(progress)) <= 4 * len(JUNK), (
+        "a bounded part in each turn"
+    )
     assert b"".join(flood.recorded) == 40 * JUNK
     assert flood.source.counters()["port.auv.bytes_undecoded"] == 0
 

@@ -50,7 +50,8 @@ def messages(
     first_s: float = 12.0,
     start_ns: int = BOOT_NS,
 ) -> list[Message]:
-    """Messages of a device whose counter runs off by drift_ppm, each late by an exponential delay, never one before another."""
+    """Messages of a device whose counter runs off by drift_ppm, each late by an exponential delay, never one before
+    another."""
     rng = np.random.Generator(np.random.PCG64(seed))
     made, last_ns = [], 0
     for k in range(n):
@@ -66,7 +67,8 @@ def mapped(clock: DeviceClock, stream: list[Message]) -> list[HostTime]:
 
 
 def envelope_ns(stream: list[Message], k: int, window_s: float, drift_ppm: int) -> Fraction:
-    """Where message k was sent by the lower envelope: every message of the window bounds the offset, loosened by its age."""
+    """Where message k was sent by the lower envelope: every message of the window bounds the offset, loosened by its
+    age."""
     now_ns = stream[k].received_ns
     bounds = [
         message.received_ns - round(message.device_s * NS) + Fraction((now_ns - message.received_ns) * drift_ppm, 10**6)
@@ -83,10 +85,16 @@ def envelope_ns(stream: list[Message], k: int, window_s: float, drift_ppm: int) 
     period_s=st.sampled_from([0.05, 0.7]),
     window_s=st.sampled_from([2.0, 60.0]),
 )
-def test_times_follow_the_lower_envelope(seed: int, drift_ppm: float, delay_s: float, period_s: float, window_s: float) -> None:
+def test_times_follow_the_lower_envelope(
+    seed: int, drift_ppm: float, delay_s: float, period_s: float, window_s: float
+) -> None:
     stream = messages(seed, 60, drift_ppm=drift_ppm, delay_s=delay_s, period_s=period_s)
     # The window holds one message of any 10 ms: these are as far apart as that.
-    stream = [message for k, message in enumerate(stream) if k == 0 or message.received_ns - stream[k - 1].received_ns >= 10_000_000]
+    stream = [
+        message
+        for k, message in enumerate(stream)
+        if k == 0 or message.received_ns - stream[k - 1].received_ns >= 10_000_000
+    ]
     clock = DeviceClock("sonar", window_s=window_s)
     for k, time in enumerate(mapped(clock, stream)):
         assert abs(time.mono_ns - envelope_ns(stream, k, window_s, 100)) <= 2
@@ -95,10 +103,14 @@ def test_times_follow_the_lower_envelope(seed: int, drift_ppm: float, delay_s: f
 
 
 @given(seed=st.integers(0, 10_000), drift_ppm=st.floats(-99.0, 99.0), delay_s=st.sampled_from([0.001, 0.02, 0.1]))
-def test_a_time_is_never_before_the_truth_nor_after_the_arrival_nor_goes_back(seed: int, drift_ppm: float, delay_s: float) -> None:
+def test_a_time_is_never_before_the_truth_nor_after_the_arrival_nor_goes_back(
+    seed: int, drift_ppm: float, delay_s: float
+) -> None:
     stream = messages(seed, 200, drift_ppm=drift_ppm, delay_s=delay_s)
     times = mapped(DeviceClock("sonar"), stream)
-    assert all(message.true_ns - 2 <= time.mono_ns <= message.received_ns for message, time in zip(stream, times, strict=True))
+    assert all(
+        message.true_ns - 2 <= time.mono_ns <= message.received_ns for message, time in zip(stream, times, strict=True)
+    )
     assert all(after.mono_ns >= before.mono_ns for before, after in pairwise(times))
 
 
@@ -106,7 +118,10 @@ def test_a_time_is_never_before_the_truth_nor_after_the_arrival_nor_goes_back(se
 def test_a_minute_of_late_messages_is_resolved_to_ten_milliseconds(drift_ppm: float) -> None:
     stream = messages(3, 6000, drift_ppm=drift_ppm, delay_s=0.05)
     times = mapped(DeviceClock("sonar"), stream)
-    assert max(time.mono_ns - message.true_ns for message, time in zip(stream[600:], times[600:], strict=True)) < 10_000_000
+    assert (
+        max(time.mono_ns - message.true_ns for message, time in zip(stream[600:], times[600:], strict=True))
+        < 10_000_000
+    )
 
 
 def test_what_the_wire_and_the_echo_took_is_taken_off() -> None:
@@ -115,7 +130,10 @@ def test_what_the_wire_and_the_echo_took_is_taken_off() -> None:
     assert wire_delay_s(1152, 115_200.0) == 0.1
     assert wire_delay_s(1152, None) == 0.0
     for message in stream:
-        assert abs(clock.host_time(message.device_s, stamp(message.received_ns), delay_s=0.08).mono_ns - message.true_ns) < 100_000
+        assert (
+            abs(clock.host_time(message.device_s, stamp(message.received_ns), delay_s=0.08).mono_ns - message.true_ns)
+            < 100_000
+        )
 
 
 @given(seed=st.integers(0, 1000), n_before=st.integers(1, 60))
@@ -136,7 +154,9 @@ def test_a_counter_that_wraps_is_the_same_clock(seed: int, n_before: int) -> Non
     wraps=st.booleans(),
     n_before=st.integers(5, 60),
 )
-def test_a_device_that_starts_anew_is_anchored_anew_at_once(seed: int, first_s: float, outage_s: float, wraps: bool, n_before: int) -> None:
+def test_a_device_that_starts_anew_is_anchored_anew_at_once(
+    seed: int, first_s: float, outage_s: float, wraps: bool, n_before: int
+) -> None:
     before = messages(seed, n_before, first_s=first_s)
     after = messages(seed + 1, 60, first_s=0.2, start_ns=before[-1].received_ns + round(outage_s * NS))
     clock = DeviceClock("sonar", wrap_s=MILLISECOND_COUNTER_S if wraps else None)
@@ -145,7 +165,9 @@ def test_a_device_that_starts_anew_is_anchored_anew_at_once(seed: int, first_s: 
     assert {time.segment for time in times} == {1}
     assert [time.notice is not None for time in times] == [True] + [False] * 59
     assert times[0].settled_ns == 0 < times[1].settled_ns
-    assert all(message.true_ns - 2 <= time.mono_ns <= message.received_ns for message, time in zip(after, times, strict=True))
+    assert all(
+        message.true_ns - 2 <= time.mono_ns <= message.received_ns for message, time in zip(after, times, strict=True)
+    )
     assert clock.counters == {"clock.anchored_anew": 1}
 
 
@@ -171,17 +193,23 @@ def test_a_stalled_link_leaves_the_times_alone() -> None:
     stream = messages(1, 100, delay_s=0.0)
     stall_end_ns = stream[70].true_ns
     stalled = [
-        message._replace(received_ns=max(message.received_ns, stall_end_ns + k)) if k > 20 else message for k, message in enumerate(stream)
+        message._replace(received_ns=max(message.received_ns, stall_end_ns + k)) if k > 20 else message
+        for k, message in enumerate(stream)
     ]
     clock = DeviceClock("sonar")
     times = mapped(clock, stalled)
-    assert all(abs(time.mono_ns - message.true_ns) < 1_000_000 and time.segment == 0 for message, time in zip(stalled, times, strict=True))
+    assert all(
+        abs(time.mono_ns - message.true_ns) < 1_000_000 and time.segment == 0
+        for message, time in zip(stalled, times, strict=True)
+    )
     assert not clock.counters
 
 
 def test_a_device_time_that_leaps_ahead_costs_two_anchors_and_no_wrong_time() -> None:
     stream = messages(1, 60, delay_s=0.001)
-    damaged = [message._replace(device_s=message.device_s + 1e6) if k == 30 else message for k, message in enumerate(stream)]
+    damaged = [
+        message._replace(device_s=message.device_s + 1e6) if k == 30 else message for k, message in enumerate(stream)
+    ]
     times = mapped(DeviceClock("sonar"), damaged)
     assert [time.segment for time in times] == [0] * 30 + [1] + [2] * 29
     assert all(0 <= time.mono_ns - message.true_ns < 20_000_000 for message, time in zip(damaged, times, strict=True))
@@ -196,8 +224,13 @@ def test_without_a_device_time_the_arrival_stands(nonsense: float | None) -> Non
     assert clock.counters == {"clock.without_device_time": 1}
 
 
-@given(times=st.lists(st.tuples(st.floats(0.0, 5000.0), st.integers(0, 3 * NS), st.floats(0.0, 0.5)), max_size=60), wraps=st.booleans())
-def test_no_device_time_however_wild_makes_time_go_back_inside_a_segment(times: list[tuple[float, int, float]], wraps: bool) -> None:
+@given(
+    times=st.lists(st.tuples(st.floats(0.0, 5000.0), st.integers(0, 3 * NS), st.floats(0.0, 0.5)), max_size=60),
+    wraps=st.booleans(),
+)
+def test_no_device_time_however_wild_makes_time_go_back_inside_a_segment(
+    times: list[tuple[float, int, float]], wraps: bool
+) -> None:
     clock, anchor, now_ns = DeviceClock("sonar", wrap_s=600.0 if wraps else None), UtcAnchor("host"), BOOT_NS
     source, last = SourceClock(clock, anchor), {0: 0}
     for device_s, step_ns, delay_s in times:
@@ -213,11 +246,15 @@ def test_no_device_time_however_wild_makes_time_go_back_inside_a_segment(times: 
     seed=st.integers(0, 1000),
     # Five messages apart: a step is accepted once two messages in a row have seen it.
     steps=st.lists(
-        st.tuples(st.sampled_from(range(0, 100, 5)), st.sampled_from([-3600, 3600, 1, -1])), max_size=4, unique_by=lambda s: s[0]
+        st.tuples(st.sampled_from(range(0, 100, 5)), st.sampled_from([-3600, 3600, 1, -1])),
+        max_size=4,
+        unique_by=lambda s: s[0],
     ),
     jitter_ns=st.sampled_from([0, 50_000, 3_000_000]),
 )
-def test_steps_of_this_computers_clock_are_reported_and_followed(seed: int, steps: list[tuple[int, int]], jitter_ns: int) -> None:
+def test_steps_of_this_computers_clock_are_reported_and_followed(
+    seed: int, steps: list[tuple[int, int]], jitter_ns: int
+) -> None:
     rng = np.random.Generator(np.random.PCG64(seed))
     anchor = UtcAnchor("this computer")
     source = SourceClock(DeviceClock("sonar"), anchor)

@@ -79,7 +79,9 @@ def test_ports_are_printed_with_the_very_bytes_that_they_are_sent() -> None:
 
 
 def test_a_pulse_is_printed_with_its_bytes() -> None:
-    text = interface_text(config_of(PORTS.replace("nmea0183", "nmea0183, navigation: {gives_utc: true, pulse_link: 'pps:///dev/pps0'}")))
+    text = interface_text(
+        config_of(PORTS.replace("nmea0183", "nmea0183, navigation: {gives_utc: true, pulse_link: 'pps:///dev/pps0'}"))
+    )
     assert "port 'gnss.pulse': pps:///dev/pps0\n  in:  pulse, for UTC\n  out: nothing" in text
     assert "Each edge is 8 bytes, big-endian" in text
 
@@ -93,7 +95,11 @@ def test_the_example_is_a_configuration() -> None:
 def test_every_key_of_a_port_is_explained() -> None:
     text = example_text()
     vehicles = [(vehicle.settings, f"{name}.") for name, vehicle in VEHICLES.items()]
-    sections: list[tuple[type[msgspec.Struct], str]] = [(PortConfig, ""), (SonarPortConfig, "sonar."), (NavUnitSettings, "navigation.")]
+    sections: list[tuple[type[msgspec.Struct], str]] = [
+        (PortConfig, ""),
+        (SonarPortConfig, "sonar."),
+        (NavUnitSettings, "navigation."),
+    ]
     for section, path in (*sections, *vehicles):
         for key in set(section.__struct_fields__) - {"sonar", "navigation", *VEHICLE_NAMES}:
             assert re.search(rf"^#   {path}{key}: .+; (default .+|required)", text, re.MULTILINE), key
@@ -108,7 +114,9 @@ def test_the_command_prints_both(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out == interface_text(config_of())
 
 
-def test_ports_that_cannot_be_are_refused_by_every_command_that_reads_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ports_that_cannot_be_are_refused_by_every_command_that_reads_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "vehicle.yaml"
     path.write_text(PORTS.replace("baud=115200", "baud=115201"))
     assert main(["run", "--interface", "--config", str(path)]) == 2

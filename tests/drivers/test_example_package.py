@@ -25,7 +25,18 @@ from drivers.sonar.sonar_decoder import SonarFrame
 from drivers.sonar.sonars import sonar_named
 from sim_replay.fakes.port import FakePort
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, SampleRecorder, Scene, SceneObject, Seabed, Sonar, Track, World
+from sim_replay.simulator.scene import (
+    EXACT,
+    STEADY,
+    Lawnmower,
+    SampleRecorder,
+    Scene,
+    SceneObject,
+    Seabed,
+    Sonar,
+    Track,
+    World,
+)
 from tests.drivers.port_traffic import fix
 from tests.plugin_packages import importable, install_example
 
@@ -60,7 +71,9 @@ def flown() -> list[SourceEvent]:
         seed=3,
         world=World(depth_m=25.0, seabeds=(sand,), relief_rms_m=0.0),
         objects=(
-            SceneObject(kind="cylinder", leg=0, along_m=12.0, across_m=11.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),
+            SceneObject(
+                kind="cylinder", leg=0, along_m=12.0, across_m=11.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53
+            ),
             SceneObject(kind="sphere", leg=0, along_m=24.0, across_m=-12.0, width_m=0.8),
         ),
         sonar=Sonar(range_m=RANGE_M, n_samples=400, ping_rate_hz=12.0, recorder=recorder),
@@ -89,7 +102,13 @@ def write_log(events: list[SourceEvent], path: Path) -> Path:
     lines = ['{"format": "acme-log"}']
     for event in events:
         if isinstance(event, NavSample):
-            pose = [event.latitude_deg, event.longitude_deg, math.degrees(event.heading_rad), event.depth_m, event.altitude_m]
+            pose = [
+                event.latitude_deg,
+                event.longitude_deg,
+                math.degrees(event.heading_rad),
+                event.depth_m,
+                event.altitude_m,
+            ]
             lines.append(json.dumps({"fix": [event.time_s, *pose]}))
         elif isinstance(event, Ping):
             sides = {"port": amplitudes(event.port).tolist(), "starboard": amplitudes(event.starboard).tolist()}
@@ -102,7 +121,9 @@ def features(contacts: Path) -> list[dict[str, Any]]:
     return [feature["properties"] for feature in json.loads(contacts.read_bytes())["features"]]
 
 
-def test_a_log_of_its_format_is_replayed_to_contacts(flown: list[SourceEvent], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_of_its_format_is_replayed_to_contacts(
+    flown: list[SourceEvent], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = write_log(flown, tmp_path / "mission.txt")
     with log.open("a") as file:
         file.write('{"ping": "torn')
@@ -176,7 +197,9 @@ def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
             place = event.latitude_deg, event.longitude_deg, event.heading_rad
             messages.append((time_s, "ins", fix(time_s, *place, FASTER * event.speed_mps)))
             degrees = f"{event.latitude_deg} {event.longitude_deg} {math.degrees(event.heading_rad)}"
-            messages.append((time_s, "vehicle", f"STATE {degrees} {event.depth_m} {event.altitude_m} {event.speed_mps}\n".encode()))
+            messages.append(
+                (time_s, "vehicle", f"STATE {degrees} {event.depth_m} {event.altitude_m} {event.speed_mps}\n".encode())
+            )
         elif isinstance(event, Ping):
             time_s = (event.time_s - start_s) / FASTER
             messages.append((time_s + 2.0 * RANGE_M / 1500.0, "sonar", wire_of(event, time_s)))

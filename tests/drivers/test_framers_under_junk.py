@@ -70,7 +70,9 @@ class _EveryCandidate:
             order: Literal["little", "big"] = "little" if buffer[at] == 0x54 else "big"
             stop = at + 20 + int.from_bytes(buffer[at + 4 : at + 6], order)
             reported = int.from_bytes(buffer[stop : stop + 2], order)
-            assert isinstance(alone, tuple) == (reported == crc16_arc(buffer[at:stop])), "the checksum is that of the definition"
+            assert isinstance(alone, tuple) == (reported == crc16_arc(buffer[at:stop])), (
+                "the checksum is that of the definition"
+            )
         return alone
 
     def forget(self, n_bytes: int) -> None:
@@ -80,7 +82,14 @@ class _EveryCandidate:
 def _plausible_jsf(head: bytearray) -> bool:
     kind = int.from_bytes(head[4:6], "little")
     body_is_short = head[14] <= 3 and head[15] == 0
-    return head[:2] == b"\x01\x16" and head[2] <= 0x20 and 1 <= kind < 0x2710 and head[6] <= 3 and head[8] <= 15 and body_is_short
+    return (
+        head[:2] == b"\x01\x16"
+        and head[2] <= 0x20
+        and 1 <= kind < 0x2710
+        and head[6] <= 3
+        and head[8] <= 15
+        and body_is_short
+    )
 
 
 def feed(grammar: Any, chunks: list[bytes]) -> tuple[list[tuple[Any, int, int]], Counter[str]]:
@@ -91,7 +100,16 @@ def feed(grammar: Any, chunks: list[bytes]) -> tuple[list[tuple[Any, int, int]],
 
 def pieces_of(wire: str) -> list[bytes]:
     syncs = GRAMMARS[wire][1]
-    return [*WORST_BYTES[wire].values(), *syncs, *(sync[:1] for sync in syncs), b"\r\n", b"*", b"\0", b"\x0f", b"\x10\x00"]
+    return [
+        *WORST_BYTES[wire].values(),
+        *syncs,
+        *(sync[:1] for sync in syncs),
+        b"\r\n",
+        b"*",
+        b"\0",
+        b"\x0f",
+        b"\x10\x00",
+    ]
 
 
 @st.composite
@@ -117,7 +135,11 @@ def _intact() -> dict[str, list[bytes]]:
     from sim_replay.benches.framers import WIRES
 
     random = np.random.Generator(np.random.PCG64(5))
-    return {wire.name: [message for message in wire.messages(random, 8) if len(message) < 3000] for wire in WIRES if wire.name in GRAMMARS}
+    return {
+        wire.name: [message for message in wire.messages(random, 8) if len(message) < 3000]
+        for wire in WIRES
+        if wire.name in GRAMMARS
+    }
 
 
 INTACT: Final = _intact()

@@ -1,4 +1,5 @@
-"""Whatever a cable does to a stream, the next intact message is read; how the stream was cut into chunks makes no difference."""
+"""Whatever a cable does to a stream, the next intact message is read; how the stream was cut into chunks makes no
+difference."""
 
 from __future__ import annotations
 
@@ -25,7 +26,11 @@ Read = list[tuple[Hashable, int, int]]
 
 def _profile(number: int, n: int) -> bytes:
     results = (np.arange(n) * 7919 + number * 104729).astype(np.uint16)
-    return encode(OsMonoProfile(number, 0, 50_000, number * 67, 450_000, 3, 15_000, number & 1, 1e-4, 1.0, -10.0, -90.0, 0.0, 0.0, results))
+    return encode(
+        OsMonoProfile(
+            number, 0, 50_000, number * 67, 450_000, 3, 15_000, number & 1, 1e-4, 1.0, -10.0, -90.0, 0.0, 0.0, results
+        )
+    )
 
 
 def _side(number: int, n: int) -> bytes:
@@ -180,7 +185,9 @@ def test_ping_messages_are_those_that_trying_every_byte_finds(data: st.DataObjec
 
 @every_format
 @given(
-    stream=st.lists(st.one_of(st.binary(max_size=60), st.sampled_from([b"BR", b"\x01\x16", b"IGX", b"\xfc"])), max_size=40).map(b"".join)
+    stream=st.lists(
+        st.one_of(st.binary(max_size=60), st.sampled_from([b"BR", b"\x01\x16", b"IGX", b"\xfc"])), max_size=40
+    ).map(b"".join)
 )
 def test_no_bytes_raise_or_stay(name: str, stream: bytes) -> None:
     grammar, makers = FORMATS[name]

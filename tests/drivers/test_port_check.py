@@ -23,7 +23,14 @@ from sim_replay.fakes.port import FakePort
 
 LISTEN_S = 0.6
 SAMPLE = NavSample(
-    time_s=1.0, latitude_deg=43.0, longitude_deg=5.0, heading_rad=0.3, pitch_rad=0.0, roll_rad=0.0, depth_m=2.0, altitude_m=5.0
+    time_s=1.0,
+    latitude_deg=43.0,
+    longitude_deg=5.0,
+    heading_rad=0.3,
+    pitch_rad=0.0,
+    roll_rad=0.0,
+    depth_m=2.0,
+    altitude_m=5.0,
 )
 
 
@@ -63,7 +70,11 @@ def of_unit(name: str) -> Callable[[], list[bytes]]:
     def says() -> list[bytes]:
         nonlocal n_reported
         n_reported += 1
-        return [message for message in unit.measured(SAMPLE, 1_700_000_000.0 + 0.1 * n_reported) if isinstance(message, bytes)]
+        return [
+            message
+            for message in unit.measured(SAMPLE, 1_700_000_000.0 + 0.1 * n_reported)
+            if isinstance(message, bytes)
+        ]
 
     return says
 
@@ -110,7 +121,9 @@ def test_a_silent_unit_is_a_failure_and_a_sonar_that_waits_for_commands_a_warnin
     async def run() -> Finding:
         async with spoken(tmp_path / "tty", list) as port:
             port.on_bytes = heard.append
-            return (await asyncio.to_thread(findings, serial(tmp_path / "tty", "ping_protocol", ", sonar: {range_m: 30}")))[0]
+            return (
+                await asyncio.to_thread(findings, serial(tmp_path / "tty", "ping_protocol", ", sonar: {range_m: 30}"))
+            )[0]
 
     sonar = asyncio.run(run())
     assert (sonar.verdict, "may wait for the commands" in sonar.detail) == ("warning", True)
@@ -162,7 +175,8 @@ def test_a_tcp_device_that_refuses_and_a_can_interface_that_is_not_there_are_fai
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     refused, bus = findings(
-        f"{{name: one, link: 'tcp://127.0.0.1:{port}', device: nmea0183}}, {{name: two, link: 'socketcan://nocan0', device: nmea2000}}"
+        f"{{name: one, link: 'tcp://127.0.0.1:{port}', device: nmea0183}}, {{name: two, link: 'socketcan://nocan0', "
+        f"device: nmea2000}}"
     )
     assert (refused.verdict, bus.verdict) == ("FAILED", "FAILED")
     assert "refused" in refused.detail

@@ -27,7 +27,10 @@ from drivers.ports import PortSettings, read_ports
 from tests.drivers.port_traffic import PORTS, Collected, config_of, fix, profile, traffic
 
 GENEROUS_S = 10.0
-ASKED = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, ping_interval_s: 0.02}}]"
+ASKED = (
+    "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, "
+    "ping_interval_s: 0.02}}]"
+)
 
 
 class Wire:
@@ -133,9 +136,16 @@ def test_what_comes_live_is_what_its_recording_comes_to() -> None:
         for chunk in traffic(20):
             bench.wires[chunk.port].send(chunk.data)
 
-    bench.run(bench.state_is("sonar", "up"), bench.state_is("gnss", "up"), send, lambda: sum(c[1] == "in" for c in bench.recorded) >= 60)
+    bench.run(
+        bench.state_is("sonar", "up"),
+        bench.state_is("gnss", "up"),
+        send,
+        lambda: sum(c[1] == "in" for c in bench.recorded) >= 60,
+    )
     intake = PortIntake(bench.config)
-    replayed = [event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)]
+    replayed = [
+        event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)
+    ]
     reported = [event for event in bench.events if not isinstance(event, Notice)]
     assert [str(event) for event in reported] == [str(event) for event in replayed + intake.finish()]
     assert sum(isinstance(event, Ping) for event in reported) == 20
@@ -144,7 +154,11 @@ def test_what_comes_live_is_what_its_recording_comes_to() -> None:
 
 
 def test_utc_by_pulses_is_the_same_when_its_recording_is_replayed() -> None:
-    bench = Bench(PORTS.replace("device: nmea0183", "device: nmea0183, navigation: {gives_utc: true, pulse_link: 'pps:///dev/pps0'}"))
+    bench = Bench(
+        PORTS.replace(
+            "device: nmea0183", "device: nmea0183, navigation: {gives_utc: true, pulse_link: 'pps:///dev/pps0'}"
+        )
+    )
     zda = sentence(body_of(Zda(3600.0, 19_000.0)))
 
     calls = count()
@@ -167,7 +181,9 @@ def test_utc_by_pulses_is_the_same_when_its_recording_is_replayed() -> None:
 
     bench.run(*(bench.state_is(name, "up") for name in bench.wires), label, send, all_heard)
     intake = PortIntake(bench.config)
-    replayed = [event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)]
+    replayed = [
+        event for port, way, stamp, data in bench.recorded if way == "in" for event in intake.feed(port, data, stamp)
+    ]
     replayed += intake.finish()
     reported = [event for event in bench.events if not (isinstance(event, Notice) and event.code.startswith("port_"))]
     assert [str(event) for event in reported] == [str(event) for event in replayed]
@@ -184,9 +200,17 @@ def test_a_sonar_is_set_to_ping_at_the_start_and_when_it_comes_back() -> None:
     def plug(there: bool) -> Callable[[], None]:
         return lambda: setattr(wire, "plugged", there)
 
-    bench.run(bench.state_is("sonar", "up"), plug(False), bench.state_is("sonar", "down"), plug(True), bench.state_is("sonar", "up"))
+    bench.run(
+        bench.state_is("sonar", "up"),
+        plug(False),
+        bench.state_is("sonar", "down"),
+        plug(True),
+        bench.state_is("sonar", "up"),
+    )
     assert wire.written == commands * 2
-    assert [(port, data) for port, way, _, data in bench.recorded if way == "out"] == [("sonar", command) for command in commands * 2]
+    assert [(port, data) for port, way, _, data in bench.recorded if way == "out"] == [
+        ("sonar", command) for command in commands * 2
+    ]
     assert bench.wires["gnss"].written == []
     assert bench.source.counters()["port.sonar.commands_sent"] == 4
 
@@ -215,7 +239,9 @@ def test_states_are_reported_and_shown() -> None:
     )
     reported = [event for event in bench.events if isinstance(event, Notice) and event.place == "sonar"]
     assert [notice.code for notice in reported][:4] == ["port_up", "port_silent", "port_up", "port_down"]
-    assert [notice.for_the_record for notice in reported][:4] == [True, False, False, False], "a port that opens asks nothing of anybody"
+    assert [notice.for_the_record for notice in reported][:4] == [True, False, False, False], (
+        "a port that opens asks nothing of anybody"
+    )
     assert "the wire was pulled; plug it in again" in reported[3].text
 
 
@@ -226,7 +252,10 @@ def test_a_wire_that_comes_and_goes_is_reported_of_so_often_only(monkeypatch: py
     flaps = [
         step
         for there in (False, True) * 2
-        for step in (lambda there=there: setattr(wire, "plugged", there), bench.state_is("gnss", "up" if there else "down"))
+        for step in (
+            lambda there=there: setattr(wire, "plugged", there),
+            bench.state_is("gnss", "up" if there else "down"),
+        )
     ]
     bench.run(bench.state_is("gnss", "up"), *flaps)
     reported = [event.text for event in bench.events if isinstance(event, Notice) and event.place == "gnss"]
@@ -248,7 +277,9 @@ def test_a_link_that_fails_by_a_defect_is_reported_and_opened_anew(monkeypatch: 
 def test_units_that_fall_silent_are_missed_by_the_clock() -> None:
     bench = Bench(PORTS.replace("nmea0183", "nmea0183, navigation: {valid_s: 0.2}"))
     bench.run(
-        bench.state_is("gnss", "up"), lambda: bench.wires["gnss"].send(fix(0.0, 43.0, 5.0)), lambda: "nav_quantity_lost" in bench.codes()
+        bench.state_is("gnss", "up"),
+        lambda: bench.wires["gnss"].send(fix(0.0, 43.0, 5.0)),
+        lambda: "nav_quantity_lost" in bench.codes(),
     )
 
 

@@ -1,4 +1,5 @@
-"""Check the bytes of several ports as one stream of events: by their stamps alone, in time, and with failing decoders."""
+"""Check the bytes of several ports as one stream of events: by their stamps alone, in time, and with failing
+decoders."""
 
 from __future__ import annotations
 
@@ -30,7 +31,18 @@ from drivers.sonar.ping_protocol import PingDecoder
 from drivers.sonar.sonar_decoder import SonarSettings
 from drivers.sonar.sonars import SONARS
 from sim_replay.fakes.uart import misread
-from tests.drivers.port_traffic import INTERVAL_S, PORTS, Chunk, config_of, fix, is_close, profile, stamp, time_of, traffic
+from tests.drivers.port_traffic import (
+    INTERVAL_S,
+    PORTS,
+    Chunk,
+    config_of,
+    fix,
+    is_close,
+    profile,
+    stamp,
+    time_of,
+    traffic,
+)
 
 HEADS = """
 ports:
@@ -101,14 +113,19 @@ def reported_codes(events: list[SourceEvent], place: str) -> list[str]:
 def test_a_wrong_rate_is_reported_once_and_its_end_too() -> None:
     """The device sends at 38400 baud what is read at 115200, and is put right after five seconds."""
     chunks = [
-        chunk._replace(data=misread(chunk.data, 38_400, 115_200) if chunk.stamp.mono_ns < stamp(5.0).mono_ns else chunk.data)
+        chunk._replace(
+            data=misread(chunk.data, 38_400, 115_200) if chunk.stamp.mono_ns < stamp(5.0).mono_ns else chunk.data
+        )
         for chunk in traffic(100)
         if chunk.port == "gnss"
     ]
     events, intake = taken_in(PORTS, chunks)
     assert reported_codes(events, "gnss") == ["port_unreadable", "port_readable"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "port_unreadable"]
-    assert re.search(r"\d+ bytes in 2\.\d s made not one message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0", text)
+    assert re.search(
+        r"\d+ bytes in 2\.\d s made not one message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0",
+        text,
+    )
     assert intake.counters["port.gnss.nmea.messages"] == 150
 
 
@@ -116,22 +133,29 @@ def test_a_wrong_rate_is_reported_once_and_its_end_too() -> None:
 def test_noise_however_much_is_not_reported_while_a_message_comes_through_now_and_then(seed: int, n_apart: int) -> None:
     noise = np.random.Generator(np.random.PCG64(seed))
     chunks = [
-        Chunk("sonar", noise.bytes(5000) + (profile(k, 0, 0.1 * k) if k % n_apart % 18 == 0 else b""), stamp(0.1 * k)) for k in range(120)
+        Chunk("sonar", noise.bytes(5000) + (profile(k, 0, 0.1 * k) if k % n_apart % 18 == 0 else b""), stamp(0.1 * k))
+        for k in range(120)
     ]
     assert not reported_codes(taken_in(PORTS, chunks)[0], "sonar")
 
 
 def test_a_unit_that_says_little_or_seldom_is_readable() -> None:
-    seldom = [Chunk("gnss", fix(10.0 * k, 43.0, 5.0), stamp(10.0 * k + 0.01 * part)) for k in range(30) for part in range(3)]
+    seldom = [
+        Chunk("gnss", fix(10.0 * k, 43.0, 5.0), stamp(10.0 * k + 0.01 * part)) for k in range(30) for part in range(3)
+    ]
     whole = fix(0.0, 43.0, 5.0)
-    halves = [Chunk("gnss", part, stamp(9.0 * k + s)) for k in range(30) for s, part in ((0.0, whole[:90]), (8.0, whole[90:]))]
+    halves = [
+        Chunk("gnss", part, stamp(9.0 * k + s)) for k in range(30) for s, part in ((0.0, whole[:90]), (8.0, whole[90:]))
+    ]
     little = [Chunk("gnss", b"x", stamp(1.0 * k)) for k in range(200)]
     for chunks in (seldom, halves, little):
         assert not reported_codes(taken_in(PORTS, chunks)[0], "gnss")
 
 
 def test_a_port_that_comes_and_goes_is_reported_of_so_often_only() -> None:
-    chunks = [Chunk("gnss", fix(0.1 * k, 43.0, 5.0) if k // 40 % 2 else bytes(300), stamp(0.1 * k)) for k in range(4000)]
+    chunks = [
+        Chunk("gnss", fix(0.1 * k, 43.0, 5.0) if k // 40 % 2 else bytes(300), stamp(0.1 * k)) for k in range(4000)
+    ]
     assert len(reported_codes(taken_in(PORTS, chunks)[0], "gnss")) == 20
 
 
@@ -159,7 +183,8 @@ def test_a_set_clock_of_this_computer_is_reported_and_moves_pings_and_navigation
 
 
 @pytest.mark.parametrize(
-    ("sides", "n_port", "n_starboard"), [("as_told", 3, 2), ("swapped", 2, 3), ("port", 3, None), ("starboard", None, 3)]
+    ("sides", "n_port", "n_starboard"),
+    [("as_told", 3, 2), ("swapped", 2, 3), ("port", 3, None), ("starboard", None, 3)],
 )
 def test_sides_are_those_of_the_mounting(sides: str, n_port: int | None, n_starboard: int | None) -> None:
     text = f"ports: [{{name: sonar, link: 'tcp://10.0.0.2:1', device: ping_protocol, sonar: {{sides: {sides}}}}}]"
@@ -171,7 +196,9 @@ def test_sides_are_those_of_the_mounting(sides: str, n_port: int | None, n_starb
 
 def test_a_configured_sound_speed_rescales_the_ranges() -> None:
     chunks = list(traffic(3))
-    (reported, *_), (slower, *_) = (pings_of(taken_in(text, chunks)[0]) for text in (PORTS, PORTS + "sonar: {sound_speed_mps: 1425}\n"))
+    (reported, *_), (slower, *_) = (
+        pings_of(taken_in(text, chunks)[0]) for text in (PORTS, PORTS + "sonar: {sound_speed_mps: 1425}\n")
+    )
     assert reported.port is not None
     assert slower.port is not None
     assert slower.port.spacing_m == pytest.approx(0.95 * reported.port.spacing_m)
@@ -182,7 +209,9 @@ def test_two_heads_on_wires_of_their_own_are_one_sonar() -> None:
     chunks = []
     for number in range(20):
         chunks.append(Chunk("left", profile(number, 0, number * INTERVAL_S), stamp(number * INTERVAL_S + 0.05)))
-        chunks.append(Chunk("right", profile(number + 7, 0, number * INTERVAL_S + 3.0), stamp(number * INTERVAL_S + 0.055)))
+        chunks.append(
+            Chunk("right", profile(number + 7, 0, number * INTERVAL_S + 3.0), stamp(number * INTERVAL_S + 0.055))
+        )
     events, intake = taken_in(HEADS, chunks)
     assert [ping.number for ping in pings_of(events)] == list(range(20))
     assert all(ping.port is not None and ping.starboard is not None for ping in pings_of(events))
@@ -190,7 +219,9 @@ def test_two_heads_on_wires_of_their_own_are_one_sonar() -> None:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=40), st.floats(-0.015, 0.015))
-def test_whatever_heads_miss_every_side_comes_out_once_and_only_with_its_own(heard: list[tuple[bool, bool]], apart_s: float) -> None:
+def test_whatever_heads_miss_every_side_comes_out_once_and_only_with_its_own(
+    heard: list[tuple[bool, bool]], apart_s: float
+) -> None:
     trace = EchoTrace(samples=np.ones(100), first_range_m=0.0, spacing_m=0.3)
     pairer = HeadPairer()
     out: list[Ping] = []
@@ -198,7 +229,9 @@ def test_whatever_heads_miss_every_side_comes_out_once_and_only_with_its_own(hea
         if left:
             out += pairer.add(Ping(number=number, time_s=0.1 * number, port=trace, starboard=None, place=str(number)))
         if right:
-            out += pairer.add(Ping(number=number, time_s=0.1 * number + apart_s, port=None, starboard=trace, place=str(number)))
+            out += pairer.add(
+                Ping(number=number, time_s=0.1 * number + apart_s, port=None, starboard=trace, place=str(number))
+            )
     out += pairer.finish()
     assert sorted((ping.number, ping.port is not None, ping.starboard is not None) for ping in out) == [
         (number, left, right) for number, (left, right) in enumerate(heard) if left or right
@@ -228,12 +261,24 @@ def test_units_on_a_bus_share_the_settings_of_its_port() -> None:
 @pytest.mark.parametrize(
     ("port", "message"),
     [
-        ("link: 'tcp://10.0.0.2:1', device: nmea2000", "ports[0].link 'tcp://10.0.0.2:1': a device 'nmea2000' cannot be there"),
+        (
+            "link: 'tcp://10.0.0.2:1', device: nmea2000",
+            "ports[0].link 'tcp://10.0.0.2:1': a device 'nmea2000' cannot be there",
+        ),
         ("link: 'socketcan://can0', device: jsf", "ports[0].link 'socketcan://can0': a device 'jsf' cannot be there"),
-        ("link: 'serial:///dev/ttyS0?baud=9601', device: nmea0183", "ports[0].link 'serial:///dev/ttyS0?baud=9601': baud=9601"),
+        (
+            "link: 'serial:///dev/ttyS0?baud=9601', device: nmea0183",
+            "ports[0].link 'serial:///dev/ttyS0?baud=9601': baud=9601",
+        ),
         ("link: 'tcp://10.0.0.2:1', device: sportscan", "ports[0].sonar.range_m is empty"),
-        ("link: 'tcp://10.0.0.2:1', device: sportscan, sonar: {range_m: 31}", "ports[0].sonar: sportscan: a range of 31 m"),
-        ("link: 'tcp://10.0.0.2:1', device: ping_protocol, sonar: {range_m: 30, gain: 9}", "ports[0].sonar: ping_protocol: a gain of 9"),
+        (
+            "link: 'tcp://10.0.0.2:1', device: sportscan, sonar: {range_m: 31}",
+            "ports[0].sonar: sportscan: a range of 31 m",
+        ),
+        (
+            "link: 'tcp://10.0.0.2:1', device: ping_protocol, sonar: {range_m: 30, gain: 9}",
+            "ports[0].sonar: ping_protocol: a gain of 9",
+        ),
     ],
 )
 def test_ports_that_cannot_be_are_refused_with_the_key(port: str, message: str) -> None:
@@ -284,7 +329,10 @@ def test_the_wire_takes_time_on_serial_lines_only() -> None:
 
 
 def test_a_sonar_that_pings_when_asked_is_asked_at_its_interval() -> None:
-    text = "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, ping_interval_s: 0.25}}]"
+    text = (
+        "ports: [{name: s, link: 'serial:///dev/ttyS0?baud=115200', device: sportscan, sonar: {range_m: 30, "
+        "ping_interval_s: 0.25}}]"
+    )
     (port,) = read_ports(config_of(text))
     assert (port.commands, port.ask_every_s) == (sportscan_commands(SonarSettings(range_m=30)), 0.25)
 

@@ -33,7 +33,18 @@ from sim_replay.logs.open_log import session_config
 from sim_replay.logs.session_reader import Session
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import EXACT, STEADY, Lawnmower, SampleRecorder, Scene, SceneObject, Seabed, Sonar, Track, World
+from sim_replay.simulator.scene import (
+    EXACT,
+    STEADY,
+    Lawnmower,
+    SampleRecorder,
+    Scene,
+    SceneObject,
+    Seabed,
+    Sonar,
+    Track,
+    World,
+)
 from tests.drivers.port_traffic import fix, profile
 from tests.sim_replay.logs.sonar_logs import UTC_S, jsf_string, svlog_head
 
@@ -49,7 +60,10 @@ mission: over serial ports
 service: {{source: ports, output_directory: "{folder}/out", health_period_s: 0.5}}
 navigation: {{max_speed_mps: 30}}
 ports:
-  - {{name: sonar, link: "serial://{folder}/sonar?baud=4000000", device: {device}, sonar: {{range_m: 22, n_samples: 512}}}}
+  - name: sonar
+    link: "serial://{folder}/sonar?baud=4000000"
+    device: {device}
+    sonar: {{range_m: 22, n_samples: 512}}
   - {{name: ins, link: "serial://{folder}/ins?baud=115200", device: nmea0183}}
 """
 
@@ -58,13 +72,22 @@ def flown() -> list[SourceEvent]:
     """Past a cylinder and a sphere on bare sand."""
     scene = Scene(
         seed=3,
-        world=World(depth_m=25.0, seabeds=(Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0),), relief_rms_m=0.0),
+        world=World(
+            depth_m=25.0,
+            seabeds=(Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0),),
+            relief_rms_m=0.0,
+        ),
         objects=(
-            SceneObject(kind="cylinder", leg=0, along_m=14.0, across_m=12.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53),
+            SceneObject(
+                kind="cylinder", leg=0, along_m=14.0, across_m=12.0, azimuth_deg=20.0, length_m=2.0, width_m=0.53
+            ),
             SceneObject(kind="sphere", leg=0, along_m=30.0, across_m=-14.0, width_m=0.8),
         ),
         sonar=Sonar(
-            range_m=RANGE_M, n_samples=512, ping_rate_hz=12.0, recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=100.0)
+            range_m=RANGE_M,
+            n_samples=512,
+            ping_rate_hz=12.0,
+            recorder=SampleRecorder(samples="amplitude_float32", seabed_counts=100.0),
         ),
         track=Track(plan=Lawnmower(n_legs=1, leg_m=44.0), altitude_m=4.0, speed_mps=SPEED_MPS, motion=STEADY),
         navigation_error=EXACT,
@@ -92,7 +115,8 @@ def edgetech(config: Config) -> PingBytes:
 
 
 def messages_of(events: list[SourceEvent], ping_bytes: PingBytes) -> list[tuple[float, str, bytes]]:
-    """When each message is due, s since the beginning, at which port; sooner than at sea by FASTER, so that nobody waits."""
+    """When each message is due, s since the beginning, at which port; sooner than at sea by FASTER, so that nobody
+    waits."""
     messages = []
     start_s = next(event.time_s for event in events if isinstance(event, Ping))
     for event in events:
@@ -168,7 +192,9 @@ async def served(config: Config, devices: Devices) -> Path:
 def write_svlog(recording: Path, path: Path) -> Path:
     """Write the same bytes as SonarView would: the sonar's packets, and between them the unit's sentences."""
     received = [recorded for recorded in Session(recording) if recorded.direction == "in"]
-    first_s = 1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
+    first_s = (
+        1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
+    )
     parts, framer, said = [svlog_head(first_s)], Framer(PingGrammar()), b""
     for recorded in received:
         if recorded.port == "sonar":
@@ -181,9 +207,12 @@ def write_svlog(recording: Path, path: Path) -> Path:
 
 
 def write_topside_jsf(recording: Path, path: Path) -> Path:
-    """Write the same bytes as EdgeTech's topside would: the sonar's messages, with the unit's data by the sonar's clock."""
+    """Write the same bytes as EdgeTech's topside would: the sonar's messages, with the unit's data by the sonar's
+    clock."""
     received = [recorded for recorded in Session(recording) if recorded.direction == "in"]
-    first_s = 1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
+    first_s = (
+        1e-9 * next(recorded.stamp.utc_ns for recorded in received if recorded.port == "sonar") - 2.0 * RANGE_M / 1500.0
+    )
     parts, framer = [], Framer(JsfGrammar())
     for recorded in received:
         if recorded.port == "sonar":
@@ -197,7 +226,11 @@ def write_topside_jsf(recording: Path, path: Path) -> Path:
 
 def longest_interval_s(recording: Path) -> float:
     """Between pings as they came, which on a busy computer is longer than they were sent."""
-    came_ns = [recorded.stamp.mono_ns for recorded in Session(recording) if recorded.direction == "in" and recorded.port == "sonar"]
+    came_ns = [
+        recorded.stamp.mono_ns
+        for recorded in Session(recording)
+        if recorded.direction == "in" and recorded.port == "sonar"
+    ]
     return 1e-9 * float(np.diff(came_ns).max())
 
 
@@ -214,7 +247,9 @@ def mine_like(contacts: Path) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("device", ["ping_protocol", "jsf"])
-def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own_log_those_contacts(device: str, tmp_path: Path) -> None:
+def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own_log_those_contacts(
+    device: str, tmp_path: Path
+) -> None:
     config = parse_config(CONFIG.format(folder=tmp_path, device=device), "vehicle.yaml")
     devices = Devices(tmp_path, messages_of(flown(), profiles if device == "ping_protocol" else edgetech(config)))
     devices.start()

@@ -1,4 +1,5 @@
-"""Check a vehicle at a port: navigation, contact reports, commands while granted, and release. The wires are in memory."""
+"""Check a vehicle at a port: navigation, contact reports, commands while granted, and release. The wires are in
+memory."""
 
 from __future__ import annotations
 
@@ -127,7 +128,8 @@ class Bench:
         return Link(port.name, open_port, on_item, on_state, clock, 60.0)
 
     def run(self, *steps: Callable[[], bool | None], after_events: tuple[Callable[[], bool | None], ...] = ()) -> None:
-        """Serve while each step in turn is done or, if it says False, waited for; then some more after `events` have ended."""
+        """Serve while each step in turn is done or, if it says False, waited for; then some more after `events` have
+        ended."""
 
         async def main() -> None:
             serving = [asyncio.ensure_future(job) for job in (self.source.serve_vehicle(), self._tick())]
@@ -187,7 +189,9 @@ def contact(number: int, p_mine: float = 0.9) -> Contact:
 def plan() -> tuple[Waypoint, ...]:
     places = [("start", 43.0), ("leg_entry", 43.0005), ("leg_exit", 43.001)]
     return tuple(
-        Waypoint(leg=1, kind=kind, latitude_deg=latitude_deg, longitude_deg=5.0, heading_rad=0.0, contact_id="C00001", why="")
+        Waypoint(
+            leg=1, kind=kind, latitude_deg=latitude_deg, longitude_deg=5.0, heading_rad=0.0, contact_id="C00001", why=""
+        )
         for kind, latitude_deg in places
     )
 
@@ -197,7 +201,9 @@ def test_every_vehicle_that_a_configuration_may_name_has_its_dialect_and_a_secti
 
 
 @each_dialect
-def test_the_vehicle_is_heard_and_informed_and_every_word_is_recorded(text: str, make: Callable[[], FakeController[Any]]) -> None:
+def test_the_vehicle_is_heard_and_informed_and_every_word_is_recorded(
+    text: str, make: Callable[[], FakeController[Any]]
+) -> None:
     bench = Bench(text, make())
     assert isinstance(bench.source, LiveSource)
 
@@ -221,10 +227,16 @@ def test_the_vehicle_is_heard_and_informed_and_every_word_is_recorded(text: str,
 
 
 @each_dialect
-def test_where_the_vehicle_says_it_is_serves_as_navigation_if_that_is_wanted(text: str, make: Callable[[], FakeController[Any]]) -> None:
+def test_where_the_vehicle_says_it_is_serves_as_navigation_if_that_is_wanted(
+    text: str, make: Callable[[], FakeController[Any]]
+) -> None:
     bench = Bench(text.replace("}]", WITH_NAVIGATION), make())
-    bench.run(lambda: any(isinstance(event, NavSample) and event.latitude_deg == event.latitude_deg for event in bench.events))
-    sample = next(event for event in bench.events if isinstance(event, NavSample) and event.latitude_deg == event.latitude_deg)
+    bench.run(
+        lambda: any(isinstance(event, NavSample) and event.latitude_deg == event.latitude_deg for event in bench.events)
+    )
+    sample = next(
+        event for event in bench.events if isinstance(event, NavSample) and event.latitude_deg == event.latitude_deg
+    )
     assert abs(sample.latitude_deg - 43.0) < 1e-6
     assert abs(sample.longitude_deg - 5.0) < 1e-6
 
@@ -252,7 +264,11 @@ def test_a_plan_is_flown_when_it_is_granted_and_control_goes_back_even_after_the
 def test_a_vehicle_that_does_not_want_to_keeps_its_own_plan(text: str, make: Callable[[], FakeController[Any]]) -> None:
     bench = Bench(text, make())
     bench.controller.willing = False
-    bench.run(bench.is_heard, lambda: bench.vehicle.propose(plan()), lambda: bench.vehicle.authority in ("requested", "revoked"))
+    bench.run(
+        bench.is_heard,
+        lambda: bench.vehicle.propose(plan()),
+        lambda: bench.vehicle.authority in ("requested", "revoked"),
+    )
     assert bench.controller.command is None
 
 
@@ -276,7 +292,9 @@ def test_after_the_wire_was_pulled_what_was_not_acknowledged_is_reported_and_onc
     assert "port v is up" not in bench.source.faults()
 
 
-def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def failing(self: Pilot[Any], contact: Contact) -> None:
         raise ZeroDivisionError("a defect")
 
@@ -306,7 +324,10 @@ def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(
             CAN.replace("slcan:///dev/ttyUSB0?bitrate=250000", "udp://h:1"),
             "a device 'vehicle_can' cannot be there; give it a slcan:// or socketcan:// link",
         ),
-        (IMC.replace("imc: {acknowledges: true}", "bluefin: {}"), "a section 'bluefin' is for a device 'bluefin', and this one is a 'imc'"),
+        (
+            IMC.replace("imc: {acknowledges: true}", "bluefin: {}"),
+            "a section 'bluefin' is for a device 'bluefin', and this one is a 'imc'",
+        ),
         (IMC.replace("acknowledges: true", "source_id: 1"), ">= 24576 - at `ports[0].imc.source_id`"),
         (IMC.replace("imc: {acknowledges: true}", "sonar: {}"), "a device 'imc' is no sonar"),
         (

@@ -22,7 +22,10 @@ from tests.drivers.port_traffic import MONO_S, UTC_S, Chunk, config_of, fix, is_
 AHEAD_S = 3600.25  # of the unit's UTC before this computer's
 TAKES_S = 38 * 10 / 9600.0  # a ZDA on the line
 SONAR = "{name: sonar, link: 'tcp://10.0.0.2:1', device: ping_protocol, sonar: {range_m: 30}}"
-ZDA = f"ports: [{SONAR}, {{name: gnss, link: 'serial:///dev/ttyS0?baud=9600', device: nmea0183, navigation: {{gives_utc: true}}}}]"
+ZDA = (
+    f"ports: [{SONAR}, {{name: gnss, link: 'serial:///dev/ttyS0?baud=9600', device: nmea0183, navigation: "
+    f"{{gives_utc: true}}}}]"
+)
 PPS = ZDA.replace("gives_utc: true", "gives_utc: true, pulse_link: 'pps:///dev/pps0'")
 
 
@@ -40,7 +43,9 @@ def pulse_at(time_s: float) -> Chunk:
 
 
 def pings_at(times_s: list[float]) -> list[Chunk]:
-    return [Chunk("sonar", profile(k, channel, s), stamp(s + 0.04)) for k, s in enumerate(times_s) for channel in (0, 1)]
+    return [
+        Chunk("sonar", profile(k, channel, s), stamp(s + 0.04)) for k, s in enumerate(times_s) for channel in (0, 1)
+    ]
 
 
 def taken_in(text: str, *streams: list[Chunk]) -> tuple[list[SourceEvent], PortIntake]:
@@ -62,7 +67,11 @@ def ahead_of(events: list[SourceEvent], times_s: list[float]) -> list[float]:
 
 def host_steps(chunks: list[Chunk], at_s: float, by_s: float) -> list[Chunk]:
     from_ns, by_ns = stamp(at_s).mono_ns, round(by_s * 1e9)
-    return [chunk._replace(stamp=Stamp(t.mono_ns, t.utc_ns + by_ns * (t.mono_ns >= from_ns))) for chunk in chunks for t in (chunk.stamp,)]
+    return [
+        chunk._replace(stamp=Stamp(t.mono_ns, t.utc_ns + by_ns * (t.mono_ns >= from_ns)))
+        for chunk in chunks
+        for t in (chunk.stamp,)
+    ]
 
 
 TIMES_S = [0.1 * k for k in range(390)]
@@ -80,7 +89,9 @@ def test_pings_and_navigation_are_in_the_utc_of_zda_however_wrong_this_computers
     assert all(is_close(value, AHEAD_S, 0.01) for value in ahead_s[15:])
     samples = [event.time_s for event in events if isinstance(event, NavSample)]
     assert all(is_close((time_s - UTC_S - AHEAD_S) % 1.0, 0.6, 0.15) for time_s in samples[-20:])
-    assert (intake.counters["utc.readings"], intake.counters["utc.refused"]) == (38, 1), "one sentence alone may say anything"
+    assert (intake.counters["utc.readings"], intake.counters["utc.refused"]) == (38, 1), (
+        "one sentence alone may say anything"
+    )
 
 
 @pytest.mark.parametrize("silence", [b"", sentence("GPZDA,101530.00,,,,00,00"), fix(0.0, 43.0, 5.0)])
@@ -89,7 +100,9 @@ def test_without_zda_this_computers_utc_stands_and_a_person_is_informed(silence:
     events, _ = taken_in(ZDA, gnss, pings_at(TIMES_S))
     assert reported(events) == ["utc_lost"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "utc_lost"]
-    assert re.search(r"'gnss' gave no ZDA with its date for 10 s: UTC is this computer's own until it does. Check that", text)
+    assert re.search(
+        r"'gnss' gave no ZDA with its date for 10 s: UTC is this computer's own until it does. Check that", text
+    )
     assert all(is_close(value, 0.0, 0.02) for value in ahead_of(events, TIMES_S))
 
 
@@ -121,7 +134,8 @@ def test_a_unit_whose_utc_steps_for_good_is_followed_and_reported() -> None:
 
 
 def test_pulses_that_zda_names_give_utc_to_the_microsecond() -> None:
-    """The unit sends its ZDA any time from 100 to 300 ms after the pulse; its seconds begin a quarter before this computer's."""
+    """The unit sends its ZDA any time from 100 to 300 ms after the pulse; its seconds begin a quarter before this
+    computer's."""
     begins_s = [s + 0.75 for s in range(38)]
     gnss = [Chunk("gnss", zda(UTC_S + s + AHEAD_S), stamp(s + 0.1 + 0.05 * (k % 5))) for k, s in enumerate(begins_s)]
     depth = Chunk("gnss", sentence("SDDPT,7.5,0.0"), stamp(36.5))
@@ -156,7 +170,11 @@ def test_a_pulse_has_a_port_of_its_own() -> None:
         ("gives_utc: true, ", "", "add gives_utc: true"),
         ("pps:///dev/pps0", "serial:///dev/ttyS1?baud=9600", "ports[1].navigation.pulse_link .*not a source of pulses"),
         ("serial:///dev/ttyS0?baud=9600", "pps:///dev/pps0", "ports[1].link .*a device 'nmea0183' cannot be there"),
-        (SONAR, "{name: b, link: 'tcp://10.0.0.2:1', device: nmea0183, navigation: {gives_utc: true}}", "b and gnss both have"),
+        (
+            SONAR,
+            "{name: b, link: 'tcp://10.0.0.2:1', device: nmea0183, navigation: {gives_utc: true}}",
+            "b and gnss both have",
+        ),
     ],
 )
 def test_settings_that_cannot_be_are_refused(old: str, new: str, message: str) -> None:

@@ -65,7 +65,9 @@ def processes_with(text: str) -> list[int]:
     return found
 
 
-def test_failed_expectations_are_printed_and_set_the_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failed_expectations_are_printed_and_set_the_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SelfCheckError, match=r"short \(1 of 2; see .*short\)"):
         run(str(short(tmp_path)), "--out", str(tmp_path))
     rows = capsys.readouterr().out.splitlines()
@@ -85,7 +87,10 @@ def test_a_service_that_refuses_its_configuration_is_quoted(tmp_path: Path) -> N
 def test_nothing_outlives_a_run_that_is_ended(number: signal.Signals, tmp_path: Path) -> None:
     path = short(tmp_path, "run_s: 0.2", "run_s: 600")
     arguments = [sys.executable, "-c", COMMAND, str(path), "--out", str(tmp_path)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).resolve().parents[2], *filter(None, sys.path))))}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).resolve().parents[2], *filter(None, sys.path)))),
+    }
     with subprocess.Popen(arguments, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         log = tmp_path / "short" / "service.log"
         wait_for(lambda: log.exists() and "ready: " in log.read_text("utf-8"))
@@ -105,4 +110,13 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 def test_mission_time_stands_still_while_the_computer_is_too_slow() -> None:
     time_of = MissionTime(100.0, [(105.0, 2.0), (110.0, 1.0)])
-    assert [time_of.at(mono_s) for mono_s in (100.0, 103.0, 104.0, 105.0, 106.0, 109.5, 110.0, 112.0)] == [0, 3, 3, 3, 4, 7, 7, 9]
+    assert [time_of.at(mono_s) for mono_s in (100.0, 103.0, 104.0, 105.0, 106.0, 109.5, 110.0, 112.0)] == [
+        0,
+        3,
+        3,
+        3,
+        4,
+        7,
+        7,
+        9,
+    ]

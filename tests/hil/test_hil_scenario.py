@@ -16,7 +16,15 @@ from auv_mcm.settings.config import parse_config
 from drivers.ports import read_ports
 from sim_replay.commands import hil
 from sim_replay.hil.evidence import Report
-from sim_replay.hil.scenario import SCENARIOS, Read, parse_scenario, read_scenario, service_config, service_yaml, shipped
+from sim_replay.hil.scenario import (
+    SCENARIOS,
+    Read,
+    parse_scenario,
+    read_scenario,
+    service_config,
+    service_yaml,
+    shipped,
+)
 from sim_replay.hil.verdict import Evidence
 
 SOUND = """
@@ -104,7 +112,9 @@ def test_a_name_that_is_neither_shipped_nor_a_file_is_answered_with_those_that_a
         (SOUND.replace("{device: ping_protocol}", "{link: serial}"), "missing required field `device` - at `devices"),
     ],
 )
-def test_missing_keys_are_reported_with_the_file_the_key_and_what_to_write(tmp_path: Path, text: str, words: str) -> None:
+def test_missing_keys_are_reported_with_the_file_the_key_and_what_to_write(
+    tmp_path: Path, text: str, words: str
+) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text, "utf-8")
     with pytest.raises(UsageError) as refusal:
@@ -139,7 +149,12 @@ def test_shipped_scenarios_are_sound_short_and_state_their_expectations(name: st
     assert (read.folder / read.scenario.scene).is_file()
     ends = yaml.safe_load((SCENARIOS / f"{name}.yaml").read_text("utf-8"))["expectations"][0]["expected"]
     assert ends == ({"is": "exit_code"} if scenario.kill is None else {"is": "exit_code", "code": -9})
-    links = {"serial": "serial:///dev/p?baud=9600", "slcan": "slcan:///dev/p?bitrate=250000", "tcp": "tcp://a:1", "udp": "udp://a:1"}
+    links = {
+        "serial": "serial:///dev/p?baud=9600",
+        "slcan": "slcan:///dev/p?bitrate=250000",
+        "tcp": "tcp://a:1",
+        "udp": "udp://a:1",
+    }
     uris = {device: links[device_job.link] for device, device_job in scenario.devices.items()}
     assert len(read_ports(service_config(scenario, uris, name))) == len(scenario.devices)
 
@@ -211,7 +226,11 @@ def test_a_kill_that_waits_for_a_grant_needs_a_vehicle() -> None:
         ("is: exit_code", "is: exitcode", "(did you mean exit_code? valid: counter, summary, notice, "),
         ("at_least: 148", "atleast: 148", "(did you mean `at_least`?)"),
         ("link: serial,", "link: seriel,", "(did you mean serial? valid: serial, slcan, tcp, udp)"),
-        ("baud: 921600}", "baud: 921600, faults: [{do: unplgu, at_s: 3}]}", "(did you mean unplug? valid: unplug, power_off, "),
+        (
+            "baud: 921600}",
+            "baud: 921600, faults: [{do: unplgu, at_s: 3}]}",
+            "(did you mean unplug? valid: unplug, power_off, ",
+        ),
     ],
 )
 def test_a_mistake_in_a_scenario_is_refused_with_what_was_meant(right: str, wrong: str, hint: str) -> None:

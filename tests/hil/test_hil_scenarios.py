@@ -1,4 +1,5 @@
-"""Run the quick scenarios that ship: the real service between fake devices meets every expectation. All of them: auv-mcm hil --all."""
+"""Run the quick scenarios that ship: the real service between fake devices meets every expectation. All of them:
+auv-mcm hil --all."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ import pytest
 
 from sim_replay.hil.scenario import shipped
 
-# The longest first, for several at a time. One of each kind of fault, 20 s of processor time or less each; vehicles on other wires are in
+# The longest first, for several at a time. One of each kind of fault, 20 s of processor time or less each; vehicles on
+# other wires are in
 # `auv-mcm hil --all`, and their protocols in tests/drivers/vehicle.
 QUICK = (
     "vehicle_imc",
@@ -29,7 +31,9 @@ LIMIT_S = 600.0  # a hang; on a busy computer the mission of a vehicle waits
 @pytest.mark.parametrize("name", QUICK)
 def test_the_service_meets_every_expectation(name: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "auv_mcm", "hil", "--out", str(tmp_path), name]
-    run = subprocess.run(command, timeout=LIMIT_S, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    run = subprocess.run(
+        command, timeout=LIMIT_S, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
     assert (tmp_path / name / "verdict.json").exists(), run.stdout
     verdicts = json.loads((tmp_path / name / "verdict.json").read_bytes())
     assert [verdict for verdict in verdicts if not verdict["passed"]] == [], run.stdout

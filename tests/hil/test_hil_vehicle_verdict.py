@@ -9,7 +9,14 @@ import pytest
 
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, ReportedInTime, Silence
-from sim_replay.hil.vehicle_verdict import inside_fence, n_passed, n_sharper, own_plan_after, own_plan_at_end, reported_in_time
+from sim_replay.hil.vehicle_verdict import (
+    inside_fence,
+    n_passed,
+    n_sharper,
+    own_plan_after,
+    own_plan_at_end,
+    reported_in_time,
+)
 
 REPORTED_IN_TIME = ReportedInTime(device="vehicle", within_s=1.0, min_p_mine=0.2)
 PASSED = Passed(device="vehicle", ground_range_m=(8.0, 16.0), other_look_deg=45.0, at_least=1)

@@ -35,7 +35,11 @@ def placed(north_m: float, p_mine: float = 0.9, classification: str = "cylinder"
 def evidence(**changes: Any) -> Evidence:
     sound = Evidence(
         exit_code=0,
-        lines=[Line(1.0, "notice port_up: port 'sonar' is up"), Line(5.0, "notice port_down: gone"), Line(6.0, "notice port_up: back")],
+        lines=[
+            Line(1.0, "notice port_up: port 'sonar' is up"),
+            Line(5.0, "notice port_down: gone"),
+            Line(6.0, "notice port_up: back"),
+        ],
         reports={
             "sonar": [
                 Report(0.1, "settings", {"applied": "on, 30 m"}),
@@ -44,7 +48,11 @@ def evidence(**changes: Any) -> Evidence:
                 Report(9.0, "counters", {"device.skipped": 2}),
             ]
         },
-        summary={"pings": 148, "area": {"km2": 0.5}, "counters": {"port.a.refused.length": 2, "port.a.refused.checksum": 3, "ping.gap": 1}},
+        summary={
+            "pings": 148,
+            "area": {"km2": 0.5},
+            "counters": {"port.a.refused.length": 2, "port.a.refused.checksum": 3, "ping.gap": 1},
+        },
         contacts=[placed(0.0), placed(10.2, 0.6), placed(20.0, 0.01, "clutter")],
         targets=[placed(0.5), placed(10.0)],
         replayed=[placed(0.1), placed(10.0, 0.7)],
@@ -65,7 +73,9 @@ def passes(rule: Rule, **changes: Any) -> bool:
         (None, {10.4: "INFO auv_mcm.shell.service: stopping: 0 pings still queued"}, False),
     ],
 )
-def test_a_service_answers_when_it_announces_its_stop_soon(stopped_s: float | None, texts: dict[float, str], holds: bool) -> None:
+def test_a_service_answers_when_it_announces_its_stop_soon(
+    stopped_s: float | None, texts: dict[float, str], holds: bool
+) -> None:
     lines = [Line(at_s, text) for at_s, text in texts.items()]
     assert passes(AnswersStop(within_s=2.0), lines=lines, stopped_s=stopped_s) is holds
 
@@ -118,7 +128,9 @@ def test_what_devices_report_counts() -> None:
         ([("mended", {"do": "unplug"}), ("reopened", {"after_s": 0.0}), ("mended", {"do": "unplug"})], False),
     ],
 )
-def test_a_wire_has_to_be_opened_in_time_after_every_return(reports: list[tuple[str, dict[str, Any]]], passed: bool) -> None:
+def test_a_wire_has_to_be_opened_in_time_after_every_return(
+    reports: list[tuple[str, dict[str, Any]]], passed: bool
+) -> None:
     found = [Report(float(index), what, details) for index, (what, details) in enumerate(reports)]
     assert passes(Reopened(device="sonar", within_s=0.1), reports={"sonar": found}) == passed
 
@@ -128,7 +140,9 @@ def test_a_target_needs_a_likely_contact_of_its_own_nearby() -> None:
     assert passes(TargetsFound(within_m=1.0, min_p_mine=0.7, at_least=1, at_most=1))
     assert passes(TargetsFound(within_m=0.3, min_p_mine=0.5, at_least=1, at_most=1))
     both_at_one = [placed(0.0), placed(0.2)]
-    assert passes(TargetsFound(within_m=1.0, min_p_mine=0.5, at_least=1, at_most=1), targets=both_at_one, contacts=[placed(0.1)])
+    assert passes(
+        TargetsFound(within_m=1.0, min_p_mine=0.5, at_least=1, at_most=1), targets=both_at_one, contacts=[placed(0.1)]
+    )
     assert not passes(TargetsFound(within_m=1.0, min_p_mine=0.5, at_least=1), contacts=[])
 
 

@@ -27,7 +27,8 @@ CLEAR = {
     "left_20240429094643L_sample_1_tile_17": 0.55,
     "left_20240429102030L_sample_2_tile_5": 0.65,
 }
-"""Tiles of good contrast, and what the snake's overlap with the mask must reach: about a sixth less than it was found to be."""
+"""Tiles of good contrast, and what the snake's overlap with the mask must reach: about a sixth less than it was found
+to be."""
 QUIET = ("image_2_orig", "image_6_orig", "image_8_orig", "image_9_orig", "image_10_orig", "image_11_orig")
 
 
@@ -37,7 +38,10 @@ def pictures(shared_data: SharedData) -> dict[str, Picture]:
 
 
 def test_counts_are_amplitudes_of_speckle_once_inverted_tiles_are_turned_back(pictures: dict[str, Picture]) -> None:
-    assert {name[5:20] for name, picture in pictures.items() if picture.inverted} == {"20240429102455H", "20240429102644H"}
+    assert {name[5:20] for name, picture in pictures.items() if picture.inverted} == {
+        "20240429102455H",
+        "20240429102644H",
+    }
     # Logarithms would be skewed to the other side.
     skewed = [picture_speckle(picture.amplitude).skewness > 0.0 for picture in pictures.values()]
     assert skewed.count(True) >= 0.85 * len(skewed)
@@ -101,7 +105,9 @@ def test_quiet_sea_floor_holds_no_mine(name: str, shared_data: SharedData) -> No
 
 
 @pytest.mark.parametrize("kept", ["", "sdvd_20240429/images"])
-def test_a_folder_without_the_pictures_is_refused_in_words(kept: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_the_pictures_is_refused_in_words(
+    kept: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / kept).mkdir(parents=True, exist_ok=True)
     assert main(["bench", "images", "--data", str(tmp_path)]) == 3
     assert "--data" in capsys.readouterr().err

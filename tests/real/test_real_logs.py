@@ -28,8 +28,12 @@ def events_of(path: Path) -> tuple[list[SourceEvent], XtfLog]:
     return list(log), log
 
 
-@pytest.mark.parametrize(("name", "n_pings", "n_samples", "range_m"), [(SCOTSMAN, 461, 1024, 29.98), (COLORADO, 1800, 1400, 26.32)])
-def test_every_ping_arrives_whole(shared_data: Located, name: str, n_pings: int, n_samples: int, range_m: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "n_pings", "n_samples", "range_m"), [(SCOTSMAN, 461, 1024, 29.98), (COLORADO, 1800, 1400, 26.32)]
+)
+def test_every_ping_arrives_whole(
+    shared_data: Located, name: str, n_pings: int, n_samples: int, range_m: float
+) -> None:
     events, log = events_of(shared_data(name))
     pings = [event for event in events if isinstance(event, Ping)]
     assert len(pings) == n_pings
@@ -57,7 +61,9 @@ def test_port_is_found_to_be_stored_far_to_near(shared_data: Located, name: str)
 
 @pytest.mark.parametrize("with_starboard", [True, False])
 @pytest.mark.parametrize("name", [SCOTSMAN, COLORADO])
-def test_port_order_is_seen_wherever_the_recording_starts(shared_data: Located, name: str, with_starboard: bool) -> None:
+def test_port_order_is_seen_wherever_the_recording_starts(
+    shared_data: Located, name: str, with_starboard: bool
+) -> None:
     pings = [event for event in events_of(shared_data(name))[0] if isinstance(event, Ping)]
     port = np.stack([p.port.samples for p in pings if p.port is not None])
     starboard = np.stack([p.starboard.samples for p in pings if p.starboard is not None])

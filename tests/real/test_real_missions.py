@@ -41,7 +41,9 @@ def replayed(
     path: Path, threads: int = 1, chunk_bytes: int = 1 << 18, min_p_mine: float = 0.01
 ) -> tuple[tuple[Contact, ...], OperatingPoint, list[Notice]]:
     pipeline = Pipeline(Config(contacts=ContactsConfig(min_p_mine=min_p_mine)), threads=threads)
-    events = [result for event in XtfLog(path, Config().sonar, chunk_bytes=chunk_bytes) for result in pipeline.feed(event)]
+    events = [
+        result for event in XtfLog(path, Config().sonar, chunk_bytes=chunk_bytes) for result in pipeline.feed(event)
+    ]
     events += pipeline.finish()
     return pipeline.contacts, pipeline.operating_point, [event for event in events if isinstance(event, Notice)]
 
@@ -50,8 +52,11 @@ def mission(path: Path, threads: int = 1, chunk_bytes: int = 1 << 18, min_p_mine
     return replayed(path, threads, chunk_bytes, min_p_mine)[0]
 
 
-def marked_places_m(path: Path, marks: list[Mark]) -> tuple[NDArray[np.float64], Callable[[Contact], NDArray[np.float64]]]:
-    """East/north of each mark by plain trigonometry from the log's own position, heading, pitch and altitude, and of a contact.
+def marked_places_m(
+    path: Path, marks: list[Mark]
+) -> tuple[NDArray[np.float64], Callable[[Contact], NDArray[np.float64]]]:
+    """East/north of each mark by plain trigonometry from the log's own position, heading, pitch and altitude, and of a
+    contact.
 
     The recorded altitude is short of the first return by a sixth in this log (its README), hence the factor.
     """
@@ -101,7 +106,11 @@ def test_scotsman_objects_are_found_with_few_other_mine_like_contacts(shared_dat
     found = [mark.name for mark, row in zip(marks, distances, strict=True) if row.min() <= 2.0]
     assert len(found) >= 9, f"found {found}"
     near_a_mark = np.any(distances <= 2.0, axis=0)
-    others = [contact.id for contact, near in zip(contacts, near_a_mark.tolist(), strict=True) if contact.p_mine >= 0.5 and not near]
+    others = [
+        contact.id
+        for contact, near in zip(contacts, near_a_mark.tolist(), strict=True)
+        if contact.p_mine >= 0.5 and not near
+    ]
     assert len(others) <= MAX_OTHERS
 
 
@@ -119,7 +128,9 @@ def test_scotsman_objects_with_clear_shadows_are_among_the_most_mine_like_contac
 
 
 @pytest.mark.parametrize(("name", "height_m"), [("A", 0.45), ("F", 0.22), ("I", 0.28), ("K", 0.27)])
-def test_object_heights_from_shadows_agree_with_those_measured_by_eye(name: str, height_m: float, shared_data: SharedData) -> None:
+def test_object_heights_from_shadows_agree_with_those_measured_by_eye(
+    name: str, height_m: float, shared_data: SharedData
+) -> None:
     log = shared_data("sidescan/scotsman-iver2.xtf")
     marks = [mark for mark in objects_of(shared_data("sidescan/scotsman-iver2.objects.csv")) if mark.name == name]
     (place,), of = marked_places_m(log, marks)
@@ -134,7 +145,9 @@ def test_scotsman_wreck_is_a_contact_too_large_for_a_mine(shared_data: SharedDat
     assert channel == 1
     (place,), of = marked_places_m(log, [Mark("wreck", ping, (sample + 0.5) / 1024.0 * 29.98, 1)])
     wreck = [
-        contact for contact in mission(log, min_p_mine=0.0) if np.hypot(*(of(contact) - place)) <= 5.0 and "too_large" in contact.reasons
+        contact
+        for contact in mission(log, min_p_mine=0.0)
+        if np.hypot(*(of(contact) - place)) <= 5.0 and "too_large" in contact.reasons
     ]
     assert wreck
     assert max(contact.length_m for contact in wreck) > 5.0
@@ -161,7 +174,9 @@ def test_threads_and_chunks_give_the_same_bytes(threads: int, chunk_bytes: int, 
     assert contacts_geojson(mission(log, threads, chunk_bytes)) == contacts_geojson(mission(log))
 
 
-@pytest.mark.parametrize("log", ["sidescan/scotsman-iver2.xtf", "sidescan/colorado-river-455k.xtf", "floors/barbados-reef-450k-dev.xtf"])
+@pytest.mark.parametrize(
+    "log", ["sidescan/scotsman-iver2.xtf", "sidescan/colorado-river-455k.xtf", "floors/barbados-reef-450k-dev.xtf"]
+)
 def test_no_recorded_sea_floor_is_taken_for_unlike_all_that_was_learnt_and_few_contacts_are_called(
     log: str, shared_data: SharedData
 ) -> None:

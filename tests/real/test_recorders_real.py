@@ -81,9 +81,13 @@ def test_a_recorder_configured_rightly_is_never_doubted(shared_data: SharedData,
         assert not [notice.code for verdict in verdicts(sonar, pings[start:]) for notice in verdict.notices]
 
 
-@pytest.mark.parametrize(("name", "wrong"), [(REEF, "amplitude"), (REEF, "intensity"), (RIVER, "amplitude"), (WRECK, "log")])
+@pytest.mark.parametrize(
+    ("name", "wrong"), [(REEF, "amplitude"), (REEF, "intensity"), (RIVER, "amplitude"), (WRECK, "log")]
+)
 def test_a_recorder_configured_wrongly_is_doubted(shared_data: SharedData, name: str, wrong: TransferKind) -> None:
-    codes = [notice.code for v in verdicts(SonarConfig(transfer=wrong), pings_of(shared_data(name))) for notice in v.notices]
+    codes = [
+        notice.code for v in verdicts(SonarConfig(transfer=wrong), pings_of(shared_data(name))) for notice in v.notices
+    ]
     assert codes == ["transfer.disagrees"]
 
 
@@ -92,7 +96,9 @@ def test_the_bottom_of_the_reef_is_tracked_without_a_configured_law(shared_data:
     lost = []
     for sonar in (SonarConfig(), SonarConfig(transfer="log", db_per_count=REEF_DB_PER_COUNT)):
         pipeline = Pipeline(Config(sonar=sonar))
-        events = [event for given in XtfLog(shared_data(REEF), sonar) for event in pipeline.feed(given)] + pipeline.finish()
+        events = [
+            event for given in XtfLog(shared_data(REEF), sonar) for event in pipeline.feed(given)
+        ] + pipeline.finish()
         lost.append(pipeline.counters["bottom.not_seen"])
         assert not any(isinstance(event, Notice) and event.code == "transfer.disagrees" for event in events)
     assert lost[0] <= lost[1] + 15

@@ -1,4 +1,5 @@
-"""Made-up missions, contacts and tiles for the tests of the report, and a parser that sees its page as a browser does."""
+"""Made-up missions, contacts and tiles for the tests of the report, and a parser that sees its page as a browser
+does."""
 
 from __future__ import annotations
 
@@ -57,7 +58,14 @@ class Page(HTMLParser):
         self.text += data
 
 
-def tile(index: int, side: Side = "port", n_rows: int = 64, n_columns: int = 200, first_row: int | None = None, **changes: Any) -> Tile:
+def tile(
+    index: int,
+    side: Side = "port",
+    n_rows: int = 64,
+    n_columns: int = 200,
+    first_row: int | None = None,
+    **changes: Any,
+) -> Tile:
     first = index * n_rows if first_row is None else first_row
     time_s = START_S + (first + np.arange(n_rows, dtype=np.float64)) * (ROW_M / 2.0)
     nothing = np.zeros(n_rows)
@@ -154,7 +162,15 @@ def mission(**changes: Any) -> MissionRecord:
 
 def waypoints() -> list[Waypoint]:
     return [
-        Waypoint(leg=1, kind=kind, latitude_deg=55.0, longitude_deg=12.0 + step, heading_rad=0.0, contact_id="C0001", why="second look")
+        Waypoint(
+            leg=1,
+            kind=kind,
+            latitude_deg=55.0,
+            longitude_deg=12.0 + step,
+            heading_rad=0.0,
+            contact_id="C0001",
+            why="second look",
+        )
         for kind, step in (("start", 0.0), ("turn", 0.0003), ("leg_entry", 0.0006), ("leg_exit", 0.001))
     ]
 

@@ -44,7 +44,9 @@ def scene(start_s: float, north_m: float) -> Scene:
         track=Track(plan=Lawnmower(n_legs=1, leg_m=16.0, start_north_m=north_m), altitude_m=5.0, start_time_s=start_s),
         objects=(
             SceneObject(kind="sphere", leg=0, along_m=6.0, across_m=10.0),
-            SceneObject(kind="cylinder", leg=0, along_m=11.0, across_m=-12.0, azimuth_deg=10.0, length_m=1.8, width_m=0.5),
+            SceneObject(
+                kind="cylinder", leg=0, along_m=11.0, across_m=-12.0, azimuth_deg=10.0, length_m=1.8, width_m=0.5
+            ),
         ),
     )
 
@@ -97,12 +99,16 @@ def test_every_file_of_the_contract_is_written(results: Path, logs: tuple[Path, 
 
 
 @pytest.mark.parametrize("circumstances", [{}, {"chunk_bytes": 1}, {"chunk_bytes": 4099}, {"threads": 2}])
-def test_circumstances_do_not_change_a_byte(circumstances: dict[str, Any], logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
+def test_circumstances_do_not_change_a_byte(
+    circumstances: dict[str, Any], logs: tuple[Path, Path], results: Path, tmp_path: Path
+) -> None:
     replay(logs, tmp_path, Config(), **circumstances)
     assert content(tmp_path) == content(results)
 
 
-def test_the_order_in_which_logs_are_named_does_not_matter(logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
+def test_the_order_in_which_logs_are_named_does_not_matter(
+    logs: tuple[Path, Path], results: Path, tmp_path: Path
+) -> None:
     replay(logs[::-1], tmp_path, Config())
     assert content(tmp_path) == content(results)
 
@@ -117,19 +123,27 @@ def test_the_service_finds_what_the_replay_finds(logs: tuple[Path, Path], tmp_pa
 
 
 def test_the_process_that_serves_never_loads_what_perception_needs(logs: tuple[Path, Path], tmp_path: Path) -> None:
-    (tmp_path / "c.yaml").write_text(f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{tmp_path}'}}")
+    (tmp_path / "c.yaml").write_text(
+        f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{tmp_path}'}}"
+    )
     code = (
         "import sys; from auv_mcm.cli import main\n"
         f"code = main(['run', '--config', '{tmp_path / 'c.yaml'}'])\n"
         "print(code, sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.stdout.splitlines()[-1] == "0 []", done.stderr
     assert len(list((tmp_path / "latest" / "snippets").iterdir())) > 0
 
 
-def test_a_mission_that_is_served_leaves_the_contacts_and_calls_of_its_replay(logs: tuple[Path, Path], tmp_path: Path) -> None:
-    (tmp_path / "c.yaml").write_text(f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{tmp_path}'}}")
+def test_a_mission_that_is_served_leaves_the_contacts_and_calls_of_its_replay(
+    logs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    (tmp_path / "c.yaml").write_text(
+        f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{tmp_path}'}}"
+    )
     code = f"from auv_mcm.cli import main; raise SystemExit(main(['run', '--config', '{tmp_path / 'c.yaml'}']))"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, timeout=120, check=True)
     summary = replay([logs[0]], tmp_path / "replayed", Config())
@@ -138,12 +152,16 @@ def test_a_mission_that_is_served_leaves_the_contacts_and_calls_of_its_replay(lo
         assert (served / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes()
     assert json.loads((served / "summary.json").read_bytes())["operating_point"] == summary["operating_point"]
     lines = (served / "contacts.jsonl").read_text().splitlines()
-    announced = {feature["id"]: feature["called"] for line in lines for feature in [json.loads(line)["contact"]["properties"]]}
+    announced = {
+        feature["id"]: feature["called"] for line in lines for feature in [json.loads(line)["contact"]["properties"]]
+    }
     features = json.loads((served / "contacts.geojson").read_bytes())["features"]
     assert announced == {feature["properties"]["id"]: feature["properties"]["called"] for feature in features}
 
 
-def test_replaying_again_replaces_results_and_leaves_other_files_alone(logs: tuple[Path, Path], results: Path, tmp_path: Path) -> None:
+def test_replaying_again_replaces_results_and_leaves_other_files_alone(
+    logs: tuple[Path, Path], results: Path, tmp_path: Path
+) -> None:
     (tmp_path / "snippets").mkdir()
     (tmp_path / "snippets" / "C9999.png").write_bytes(b"stale")
     (tmp_path / "notes.txt").write_bytes(b"mine")
@@ -153,7 +171,9 @@ def test_replaying_again_replaces_results_and_leaves_other_files_alone(logs: tup
     assert (tmp_path / "notes.txt").read_bytes() == b"mine"
 
 
-def test_an_interrupted_replay_leaves_no_summary_that_would_vouch_for_the_files(logs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_an_interrupted_replay_leaves_no_summary_that_would_vouch_for_the_files(
+    logs: tuple[Path, Path], tmp_path: Path
+) -> None:
     def interrupt(fraction: float) -> None:
         raise KeyboardInterrupt
 
@@ -235,7 +255,9 @@ def test_a_speed_that_cannot_be_is_refused(text: str) -> None:
         parse_speed(text, "--speed")
 
 
-@pytest.mark.parametrize(("uri", "message"), [("replay:///a.xtf?pace=1", "unknown option 'pace'"), ("replay:?speed=1", "names no log")])
+@pytest.mark.parametrize(
+    ("uri", "message"), [("replay:///a.xtf?pace=1", "unknown option 'pace'"), ("replay:?speed=1", "names no log")]
+)
 def test_a_replay_source_that_cannot_be_is_refused(uri: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         open_source(parse_source_uri(uri), Config(), SystemClock())

@@ -45,7 +45,14 @@ def log_of(path: Path, events: Iterable[NavSample | Ping], sample_type: SampleTy
 
 def replayed(log: Path, folder: Path) -> dict[str, object]:
     assert main(["replay", str(log), "--out", str(folder)]) == 0
-    for name in ("contacts.geojson", "contacts.csv", "contacts.kml", "coverage.geojson", "waypoints.geojson", "report.html"):
+    for name in (
+        "contacts.geojson",
+        "contacts.csv",
+        "contacts.kml",
+        "coverage.geojson",
+        "waypoints.geojson",
+        "report.html",
+    ):
         assert (folder / name).stat().st_size > 0
     summary: dict[str, object] = json.loads((folder / "summary.json").read_bytes())
     return summary
@@ -58,19 +65,25 @@ def cut(samples: int) -> Callable[[EchoTrace | None], EchoTrace | None]:
 def one_ping_shorter(events: Events) -> Events:
     shorter = cut(300)
     return [
-        REPLACE(e, port=shorter(e.port), starboard=shorter(e.starboard)) if isinstance(e, Ping) and e.number == 50 else e for e in events
+        REPLACE(e, port=shorter(e.port), starboard=shorter(e.starboard))
+        if isinstance(e, Ping) and e.number == 50
+        else e
+        for e in events
     ]
 
 
 SPOILT: dict[str, tuple[Spoil, str]] = {
     "all-zero navigation": (
         lambda events: [
-            REPLACE(e, latitude_deg=0.0, longitude_deg=0.0, heading_rad=0.0) if isinstance(e, NavSample) else e for e in events
+            REPLACE(e, latitude_deg=0.0, longitude_deg=0.0, heading_rad=0.0) if isinstance(e, NavSample) else e
+            for e in events
         ],
         "navigation.ping_stale",
     ),
     "time going backwards": (
-        lambda events: [REPLACE(e, time_s=e.time_s - (600.0 if index > len(events) // 2 else 0.0)) for index, e in enumerate(events)],
+        lambda events: [
+            REPLACE(e, time_s=e.time_s - (600.0 if index > len(events) // 2 else 0.0)) for index, e in enumerate(events)
+        ],
         "ping.clock_stepped_back",
     ),
     "one channel only": (
@@ -147,15 +160,20 @@ def refused(path: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> str
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("empty.xtf", b""), ("noise.xtf", bytes(range(256)) * 20), ("half-a-header.xtf", b"\x7b" + bytes(500))]
+    ("name", "content"),
+    [("empty.xtf", b""), ("noise.xtf", bytes(range(256)) * 20), ("half-a-header.xtf", b"\x7b" + bytes(500))],
 )
-def test_what_is_no_log_is_refused(name: str, content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_log_is_refused(
+    name: str, content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     refused(path, tmp_path / "out", capsys)
 
 
-def test_a_hostile_file_name_reaches_neither_console_nor_page_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hostile_file_name_reaches_neither_console_nor_page_raw(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = tmp_path / "a\x1b[2J\nnotice: all is well<script>\u202e\udc80.xtf"
     # cut off, which a notice says with the name
     log.write_bytes(log_of(tmp_path / "plain.xtf", mission()).read_bytes()[:-100])
@@ -163,7 +181,9 @@ def test_a_hostile_file_name_reaches_neither_console_nor_page_raw(tmp_path: Path
     summary = replayed(log, folder)
     assert "cut off" in json.dumps(summary["notices"])
     printed = "".join(capsys.readouterr())
-    assert not [line for line in printed.splitlines() if not is_clean(line) or "all is well" in line.partition("a\\x1b[2J")[0]]
+    assert not [
+        line for line in printed.splitlines() if not is_clean(line) or "all is well" in line.partition("a\\x1b[2J")[0]
+    ]
     for name in ("report.html", "summary.json", "contacts.kml"):
         text = (folder / name).read_text("utf-8")
         assert [line for line in text.split("\n") if not is_clean(line)] == []
@@ -201,5 +221,7 @@ def test_a_log_without_pings_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     refused(log_of(tmp_path / "no-pings.xtf", []), tmp_path / "out", capsys)
 
 
-def test_a_log_without_side_scan_is_refused(shared_data: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_side_scan_is_refused(
+    shared_data: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert "side-scan" in refused(shared_data("sidescan/bathymetry-only.xtf"), tmp_path / "out", capsys)

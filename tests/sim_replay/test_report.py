@@ -25,8 +25,26 @@ from sim_replay.report import PictureCollector, render_report, write_report
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.page import MAX_CARDS, MAX_ROWS
 from sim_replay.report.pictures import MAX_JPEG_BYTES
-from sim_replay.report.report_words import area, degrees_minutes, distance, duration, explained_counters, is_loss, nice_step
-from tests.sim_replay.report_samples import ROW_M, START_S, Page, collected, contact, detection, mission, tile, waypoints
+from sim_replay.report.report_words import (
+    area,
+    degrees_minutes,
+    distance,
+    duration,
+    explained_counters,
+    is_loss,
+    nice_step,
+)
+from tests.sim_replay.report_samples import (
+    ROW_M,
+    START_S,
+    Page,
+    collected,
+    contact,
+    detection,
+    mission,
+    tile,
+    waypoints,
+)
 
 
 def full_page(**changes: Any) -> str:
@@ -74,7 +92,10 @@ def test_likely_contacts_come_first_and_clutter_is_folded_away() -> None:
 
 def test_a_page_of_thousands_of_contacts_stays_small_and_lists_the_likeliest() -> None:
     rng = np.random.default_rng(1)
-    contacts = [contact(f"C{number:05d}", float(p)) for number, p in enumerate(rng.uniform(0.01, 0.9, MAX_CARDS + MAX_ROWS + 900), 1)]
+    contacts = [
+        contact(f"C{number:05d}", float(p))
+        for number, p in enumerate(rng.uniform(0.01, 0.9, MAX_CARDS + MAX_ROWS + 900), 1)
+    ]
     text = full_page(contacts=contacts)
     page = Page(text)
     ranked = [each.id for each in sorted(contacts, key=lambda each: -each.p_mine)]
@@ -91,7 +112,12 @@ def test_only_what_asks_for_something_stands_under_please_note() -> None:
     assert "Please note" not in text
     assert text.index('id="how"') < text.index("the detector is a cascade")
     text = full_page(notices=[remark, Notice(code="port_down", text="check the cable")])
-    assert text.index("Please note") < text.index("check the cable") < text.index('id="how"') < text.index("the detector is a cascade")
+    assert (
+        text.index("Please note")
+        < text.index("check the cable")
+        < text.index('id="how"')
+        < text.index("the detector is a cascade")
+    )
 
 
 def test_what_a_person_reads_is_in_words_with_units() -> None:
@@ -119,7 +145,14 @@ def test_what_a_person_reads_is_in_words_with_units() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["<script>alert(1)</script>", "\"'><img src=x onerror=alert(1)>", "</title></style><b>", "{{ 7 * 7 }}", "\ud800 lone"]
+    "name",
+    [
+        "<script>alert(1)</script>",
+        "\"'><img src=x onerror=alert(1)>",
+        "</title></style><b>",
+        "{{ 7 * 7 }}",
+        "\ud800 lone",
+    ],
 )
 def test_hostile_names_stay_text(name: str, tmp_path: Path) -> None:
     hostile = contact(reasons=(name,), classification="unknown")
@@ -199,7 +232,10 @@ def test_boxes_lie_on_the_echo_they_frame() -> None:
     text = render_report(mission(), [seen], [], [], [], {}, collected(3))
     boxes = re.findall(r'class="box [^>]*style="left:([\d.]+)%;top:([\d.]+)%;width:([\d.]+)%;height:([\d.]+)%"', text)
     centres = {(float(left) + float(width) / 2.0, float(top) + float(tall) / 2.0) for left, top, width, tall in boxes}
-    expected = {(50.0 - 50.0 * 150 / 200, 100.0 - 100.0 * 100 / 192), (50.0 + 50.0 * 50 / 200, 100.0 - 100.0 * 20 / 192)}
+    expected = {
+        (50.0 - 50.0 * 150 / 200, 100.0 - 100.0 * 100 / 192),
+        (50.0 + 50.0 * 50 / 200, 100.0 - 100.0 * 20 / 192),
+    }
     assert sorted(centres) == [pytest.approx(centre, abs=0.01) for centre in sorted(expected)]
 
 
@@ -280,7 +316,13 @@ def test_tiles_without_rows_times_or_pings_have_no_time_and_leave_no_nan_on_the_
     lost = tile(0)
     pose = msgspec.structs.replace(lost.pose, time_s=np.full(64, NAN))
     pictures.add_tile(
-        tile(0, pose=pose, ping_number=np.full(64, -1), mask=np.zeros((64, 200), np.uint8), intensity=np.full((64, 200), NAN, np.float32))
+        tile(
+            0,
+            pose=pose,
+            ping_number=np.full(64, -1),
+            mask=np.zeros((64, 200), np.uint8),
+            intensity=np.full((64, 200), NAN, np.float32),
+        )
     )
     assert [values.size for values in pictures.times()] == [0, 0]
     assert "nan" not in Page(render_report(mission(), [], [], [], [], {}, pictures)).text
@@ -330,7 +372,9 @@ def test_the_map_is_true_to_scale_anywhere(latitude: float, longitude: float) ->
         covered_m2=1.0,
         lost_m2={},
     )
-    there = contact(latitude_deg=float(latitudes[1]), longitude_deg=float(longitudes[1]), covariance_m2=np.eye(2) * 100.0)
+    there = contact(
+        latitude_deg=float(latitudes[1]), longitude_deg=float(longitudes[1]), covariance_m2=np.eye(2) * 100.0
+    )
     chart = draw_chart(np.column_stack([latitudes, longitudes]), [there], [ring], [])
     assert chart is not None
     points = np.array([[float(number) for number in pair.split()] for pair in chart.track[1:].split("L")])
@@ -386,7 +430,11 @@ def test_numbers_read_as_people_write_them() -> None:
         "unknown",
     ]
     assert [distance(metres) for metres in (0.0, 999.4, 1234.0, NAN)] == ["0 m", "999 m", "1.23 km", "unknown"]
-    assert [area(square_metres) for square_metres in (2515.2, 310_000.0, NAN)] == ["2\u202f515 m²", "0.310 km²", "unknown"]
+    assert [area(square_metres) for square_metres in (2515.2, 310_000.0, NAN)] == [
+        "2\u202f515 m²",
+        "0.310 km²",
+        "unknown",
+    ]
     assert [nice_step(span, 5) for span in (10.0, 11.0, 26.0, 0.07)] == [2.0, 5.0, 10.0, pytest.approx(0.02)]
     assert math.isclose(nice_step(1e-3, 1), 1e-3)
 

@@ -30,7 +30,13 @@ from tests.sim_replay.report_samples import Page, contact, detection, mission
 NONE = np.empty((0, 2))
 BOX = np.array([(5.0, 8.0), (5.0, 12.0), (9.0, 12.0), (9.0, 8.0)])
 BEHIND = BOX + np.array([0.0, 4.0])
-LIKE_A_CYLINDER: dict[ContactClass, float] = {"cylinder": 10.0, "sphere": 60.0, "truncated_cone": 60.0, "wedge": 60.0, "clutter": 60.0}
+LIKE_A_CYLINDER: dict[ContactClass, float] = {
+    "cylinder": 10.0,
+    "sphere": 60.0,
+    "truncated_cone": 60.0,
+    "wedge": 60.0,
+    "clutter": 60.0,
+}
 
 
 def mass(nll: Mapping[ContactClass, float], quality: float = 0.9) -> NDArray[np.float64]:
@@ -65,7 +71,11 @@ def seen(side: Side = "port", **changes: Any) -> Detection:
 
 
 def confirmed(p_mine: float = 0.9, views: tuple[Detection, ...] | None = None, **changes: Any) -> Contact:
-    given: dict[str, Any] = {"classification": "cylinder", "views": (seen(),) if views is None else views, "reasons": ()}
+    given: dict[str, Any] = {
+        "classification": "cylinder",
+        "views": (seen(),) if views is None else views,
+        "reasons": (),
+    }
     return contact("C0001", p_mine, **(given | changes))
 
 
@@ -90,7 +100,12 @@ def test_a_mine_like_contact_has_three_panels_and_its_picture_once() -> None:
 
 
 def test_panels_of_parts_not_found_are_left_out() -> None:
-    nothing: dict[str, Any] = {"labels": np.zeros((0, 0), dtype=np.uint8), "highlight": NONE, "shadow": NONE, "model": None}
+    nothing: dict[str, Any] = {
+        "labels": np.zeros((0, 0), dtype=np.uint8),
+        "highlight": NONE,
+        "shadow": NONE,
+        "model": None,
+    }
     assert titles(page(confirmed(views=(seen(**nothing),)))) == ["As seen"]
     without_model = page(confirmed(views=(seen(model=None),)))
     assert titles(without_model) == ["As seen", "Pixels classified", "Contours"]
@@ -106,7 +121,9 @@ def test_other_contacts_have_one_picture_with_what_was_found() -> None:
 
 def stroke(text: str, style: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points (n, 2) right, down of a stroke, and width and height of its drawing."""
-    drawing = next(part for part in re.findall(r"<svg viewBox.*?</svg>", text, re.DOTALL) if f'class="{style}" d="M' in part)
+    drawing = next(
+        part for part in re.findall(r"<svg viewBox.*?</svg>", text, re.DOTALL) if f'class="{style}" d="M' in part
+    )
     size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', drawing)
     path = re.search(rf'class="{style}" d="M([^Z]*)Z', drawing)
     assert size is not None
@@ -139,7 +156,9 @@ def test_a_contour_on_the_page_lies_around_the_pixel_it_encloses(side: Side, row
 @given(arrays(np.uint8, (20, 60), elements=st.integers(0, 2)), st.sampled_from(["port", "starboard"]))
 def test_labelled_areas_cover_the_pixels_of_their_label_and_no_others(labels: NDArray[np.uint8], side: Side) -> None:
     view = msgspec.structs.replace(seen(side, labels=labels), row_spacing_m=0.01, column_spacing_m=0.01)
-    panel = next((panel for panel in view_picture(view, panels=True).panels if panel.title == "Pixels classified"), None)
+    panel = next(
+        (panel for panel in view_picture(view, panels=True).panels if panel.title == "Pixels classified"), None
+    )
     paths = {stroke.style: stroke.path for stroke in panel.strokes} if panel else {}
     as_drawn = labels[::-1, ::-1] if side == "port" else labels[::-1]
     for style, label in (("l-echo", HIGHLIGHT), ("l-shadow", SHADOW)):
@@ -168,7 +187,10 @@ def test_a_card_says_in_words_why_it_is_called_a_mine() -> None:
         "All 3 views together cylinder 50 %sphere 30 %wedge 5 %unknown 15 %",
         "1.95 ± 0.11 m × 0.50 m, height unknown",
         "Views: they contradict each other: what they disagree in counts as unknown (conflict 0.72).",
-        "Next view: along 050° or 230°: the nearest view so far was 40° off and it is open between cylinder and sphere.",
+        (
+            "Next view: along 050° or 230°: the nearest view so far was 40° off and it is open between cylinder and "
+            "sphere."
+        ),
         "Evidence: strongly for a mine (+8.4 nats)",
         "Evidence: undecided (\u22120.4 nats)",
         "Best model: cylinder, length 1.95 ± 0.11 m, radius 0.26 ± 0.03 m, turned \u221217° ± 3°",
@@ -181,34 +203,54 @@ def test_a_card_says_in_words_why_it_is_called_a_mine() -> None:
 
 def test_a_card_says_why_it_is_not_called_a_mine() -> None:
     view = msgspec.structs.replace(
-        seen(rejected=True, reasons=("shadow_goes_on", "weak_highlight"), log_ratio=-5.0), reasons=("highlight_and_shadow",)
+        seen(rejected=True, reasons=("shadow_goes_on", "weak_highlight"), log_ratio=-5.0),
+        reasons=("highlight_and_shadow",),
     )
     text = read(confirmed(0.1, views=(view,), classification="clutter", belief={"clutter": 1.0}))
     assert "Not mine-like: in the only view the contours cannot be those of a mine." in text
     assert "against: the dark goes on beside it" in text
     assert "for: a bright echo with a shadow" in text
-    assert text.index("for: a bright echo") < text.index("against: the dark") < text.index("too little echo before the shadow")
+    assert (
+        text.index("for: a bright echo")
+        < text.index("against: the dark")
+        < text.index("too little echo before the shadow")
+    )
     assert "a further view would hardly change the call" in text
 
 
 @pytest.mark.parametrize(
     ("p_mine", "views", "classification", "because"),
     [
-        (0.9, (detection(),), "unknown", "Mine-like: judged by the strength of echo and shadow alone; no view was confirmed."),
+        (
+            0.9,
+            (detection(),),
+            "unknown",
+            "Mine-like: judged by the strength of echo and shadow alone; no view was confirmed.",
+        ),
         (0.9, (seen(),), "unknown", "Mine-like: echo and shadow are those of an object, but its shape is open."),
         (0.9, (seen(), seen()), "cylinder", "Mine-like: all 2 views look most like a cylinder."),
         (0.9, (seen(model=None),), "sphere", "Mine-like: all taken together, the views speak most for a sphere."),
-        (0.1, (seen(),), "clutter", "Not mine-like: something other than a mine explains what was seen at least as well."),
+        (
+            0.1,
+            (seen(),),
+            "clutter",
+            "Not mine-like: something other than a mine explains what was seen at least as well.",
+        ),
         (0.1, (), "clutter", "Not mine-like: judged by the strength of echo and shadow alone; no view was confirmed."),
     ],
 )
-def test_the_verdict_gives_its_reason(p_mine: float, views: tuple[Detection, ...], classification: ContactClass, because: str) -> None:
+def test_the_verdict_gives_its_reason(
+    p_mine: float, views: tuple[Detection, ...], classification: ContactClass, because: str
+) -> None:
     assert because in read(confirmed(p_mine, views=views, classification=classification))
 
 
 def test_belief_bars_fill_their_width_with_the_unknown_last() -> None:
     text = page(
-        confirmed(views=(seen(), seen(mass=mass(LIKE_A_CYLINDER, 0.3)), seen(mass=vacuous())), belief={"unknown": 0.3, "wedge": 0.7})
+        confirmed(
+            views=(seen(), seen(mass=mass(LIKE_A_CYLINDER, 0.3)), seen(mass=vacuous())),
+            belief={"unknown": 0.3, "wedge": 0.7},
+        )
     )
     bars = re.findall(r'<div class="belief".*?</div>', text, re.DOTALL)
     assert len(bars) == 4
@@ -226,9 +268,17 @@ def test_of_one_view_the_belief_is_shown_once() -> None:
 
 
 def test_the_compass_shows_looks_as_arrows_towards_the_contact_and_the_next_as_a_line() -> None:
-    text = page(confirmed(views=(detection(aspect_deg=0.0), detection(aspect_deg=90.0)), aspects_deg=(0.0, 90.0), next_look_deg=(45.0,)))
+    text = page(
+        confirmed(
+            views=(detection(aspect_deg=0.0), detection(aspect_deg=90.0)),
+            aspects_deg=(0.0, 90.0),
+            next_look_deg=(45.0,),
+        )
+    )
     looks = [[float(n) for n in re.split("[ L]", path)] for path in re.findall(r'class="look" d="M([^M]*)M', text)]
-    assert looks == [pytest.approx([0.0, 44.0, 0.0, 9.0]), pytest.approx([-44.0, 0.0, -9.0, 0.0])], "from south, from west"
+    assert looks == [pytest.approx([0.0, 44.0, 0.0, 9.0]), pytest.approx([-44.0, 0.0, -9.0, 0.0])], (
+        "from south, from west"
+    )
     (line,) = re.findall(r'class="next" d="M([^"]*)"', text)
     assert [float(number) for number in re.split("[ L]", line)] == pytest.approx([-31.1, 31.1, 31.1, -31.1])
     assert "Look angles so far: 000° and 090°" in text
@@ -242,7 +292,9 @@ def test_numbers_not_known_never_show_as_nan() -> None:
 
 
 def test_very_many_views_are_listed_by_the_strongest_and_counted() -> None:
-    views = tuple(msgspec.structs.replace(detection(), score=float(number), time_s=float(number)) for number in range(30))
+    views = tuple(
+        msgspec.structs.replace(detection(), score=float(number), time_s=float(number)) for number in range(30)
+    )
     text = read(confirmed(views=views, aspects_deg=(0.0,) * 30))
     assert re.findall(r"View (\d+):", text) == [str(number) for number in range(23, 31)]
     assert "and 22 weaker views" in text

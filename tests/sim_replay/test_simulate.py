@@ -80,7 +80,11 @@ def test_simulate_replay_and_score_follow_one_another(tmp_path: Path, capsys: py
     ],
 )
 def test_mistakes_are_refused_with_a_reason(
-    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) in (2, 3)
@@ -88,7 +92,9 @@ def test_mistakes_are_refused_with_a_reason(
     assert not (tmp_path / "x").exists()
 
 
-def test_a_bad_scene_file_is_refused_before_anything_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bad_scene_file_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(TEXT.replace("altitude_m: 4", "altitude_m: 40"), "utf-8")
     assert main(["simulate", str(path), "--out", str(tmp_path / "x")]) == 2
@@ -96,7 +102,9 @@ def test_a_bad_scene_file_is_refused_before_anything_is_written(tmp_path: Path, 
     assert not (tmp_path / "x").exists()
 
 
-def test_a_mission_that_breaks_off_leaves_no_piece_of_a_log(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mission_that_breaks_off_leaves_no_piece_of_a_log(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def broken(*_: object) -> None:
         raise KeyboardInterrupt
 

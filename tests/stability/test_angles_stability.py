@@ -32,31 +32,50 @@ FIRST, SECOND = mass_of(0.0, 9.0, 6.0, 12.0, 8.0), mass_of(0.0, 3.0, 9.0, 12.0, 
 def fused(*aspects: float, symmetric: bool) -> Array:
     masses = (FIRST, SECOND, FIRST)
     return combine(
-        [ViewMass(mass=mass, aspect_rad=aspect, half_turn_symmetric=symmetric) for mass, aspect in zip(masses, aspects, strict=False)]
+        [
+            ViewMass(mass=mass, aspect_rad=aspect, half_turn_symmetric=symmetric)
+            for mass, aspect in zip(masses, aspects, strict=False)
+        ]
     ).mass
 
 
 @given(st.tuples(ANGLE, ANGLE, ANGLE), st.tuples(*[st.integers(-3, 3)] * 3), st.booleans())
-def test_whole_turns_of_any_aspect_change_no_belief(aspects: tuple[float, ...], turns: tuple[int, ...], symmetric: bool) -> None:
+def test_whole_turns_of_any_aspect_change_no_belief(
+    aspects: tuple[float, ...], turns: tuple[int, ...], symmetric: bool
+) -> None:
     turned = [aspect + n * TURN for aspect, n in zip(aspects, turns, strict=True)]
-    np.testing.assert_allclose(fused(*turned, symmetric=symmetric), fused(*aspects, symmetric=symmetric), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        fused(*turned, symmetric=symmetric), fused(*aspects, symmetric=symmetric), rtol=0, atol=1e-12
+    )
 
 
 @given(st.tuples(ANGLE, ANGLE, ANGLE), st.tuples(*[st.integers(-3, 3)] * 3))
-def test_half_turns_change_no_belief_in_a_shape_that_looks_the_same_from_behind(aspects: tuple[float, ...], turns: tuple[int, ...]) -> None:
+def test_half_turns_change_no_belief_in_a_shape_that_looks_the_same_from_behind(
+    aspects: tuple[float, ...], turns: tuple[int, ...]
+) -> None:
     turned = [aspect + 0.5 * n * TURN for aspect, n in zip(aspects, turns, strict=True)]
     np.testing.assert_allclose(fused(*turned, symmetric=True), fused(*aspects, symmetric=True), rtol=0, atol=1e-12)
 
 
 @given(st.tuples(ANGLE, ANGLE, ANGLE), ANGLE, st.booleans())
-def test_turning_the_compass_or_mirroring_it_changes_no_belief(aspects: tuple[float, ...], north: float, symmetric: bool) -> None:
+def test_turning_the_compass_or_mirroring_it_changes_no_belief(
+    aspects: tuple[float, ...], north: float, symmetric: bool
+) -> None:
     expected = fused(*aspects, symmetric=symmetric)
-    np.testing.assert_allclose(fused(*(aspect + north for aspect in aspects), symmetric=symmetric), expected, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(fused(*(-aspect for aspect in aspects), symmetric=symmetric), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        fused(*(aspect + north for aspect in aspects), symmetric=symmetric), expected, rtol=0, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        fused(*(-aspect for aspect in aspects), symmetric=symmetric), expected, rtol=0, atol=1e-12
+    )
 
 
-@pytest.mark.parametrize(("first_deg", "second_deg", "symmetric"), [(179.9, -179.9, False), (179.9, 0.1, True), (-0.1, 359.9, False)])
-def test_aspects_on_either_side_of_the_wrap_are_one_aspect(first_deg: float, second_deg: float, symmetric: bool) -> None:
+@pytest.mark.parametrize(
+    ("first_deg", "second_deg", "symmetric"), [(179.9, -179.9, False), (179.9, 0.1, True), (-0.1, 359.9, False)]
+)
+def test_aspects_on_either_side_of_the_wrap_are_one_aspect(
+    first_deg: float, second_deg: float, symmetric: bool
+) -> None:
     across = fused(math.radians(first_deg), math.radians(second_deg), symmetric=symmetric)
     beside = fused(0.3, 0.3 + math.radians(0.2), symmetric=symmetric)
     opposite = fused(0.3, 0.3 + 0.5 * math.pi, symmetric=symmetric)
@@ -74,7 +93,9 @@ def test_turned_solids_look_the_same_where_they_are(azimuth: float, n: int, kind
         return (Box if kind == "box" else Wedge)(length_m=1.1, width_m=0.7, height_m=0.4, azimuth_rad=angle)
 
     offset = np.linspace(-0.9, 0.9, 31)
-    for one, other in zip(view_shape(solid(azimuth), offset, 14.0, 5.0), view_shape(solid(azimuth + turn), offset, 14.0, 5.0), strict=True):
+    for one, other in zip(
+        view_shape(solid(azimuth), offset, 14.0, 5.0), view_shape(solid(azimuth + turn), offset, 14.0, 5.0), strict=True
+    ):
         both = np.isfinite(one) & np.isfinite(other)
         assert (np.isfinite(one) != np.isfinite(other)).sum() <= 2  # pings that meet nothing but an edge
         ends = np.flatnonzero(both)[[0, -1]]

@@ -78,9 +78,17 @@ def inverted(inversion: str, image: Plane, valid: Mask = ALL, altitude_m: float 
     """The scene found, every floating-point flag but underflow being an error."""
     n_pings = len(image)
     with np.errstate(all="raise", under="ignore"):
-        scene = INVERSIONS[inversion](image, valid, np.full(n_pings, altitude_m), ROW_M * np.arange(n_pings, dtype=np.float64), COLUMN_M)
+        scene = INVERSIONS[inversion](
+            image, valid, np.full(n_pings, altitude_m), ROW_M * np.arange(n_pings, dtype=np.float64), COLUMN_M
+        )
         rendered = render_image(scene)
-    for plane in (scene.elevation_m, scene.reflectivity, scene.beam.gain, scene.beam.depression_rad, rendered.intensity):
+    for plane in (
+        scene.elevation_m,
+        scene.reflectivity,
+        scene.beam.gain,
+        scene.beam.depression_rad,
+        rendered.intensity,
+    ):
         assert np.isfinite(plane).all()
     assert (scene.reflectivity >= 0.0).all()
     return scene
@@ -179,7 +187,9 @@ def test_heights_are_finite_and_in_proportion_to_slopes_on_any_grid(
     stiffness = Stiffness(0.1, screen_per_m2)
     for weights in (None, weight):
         with np.errstate(all="raise", under="ignore"):
-            heights, shallow = (integrate_slope(s, row_m, column_m, stiffness, weights) for s in (slope, slope * 2.0**-60))
+            heights, shallow = (
+                integrate_slope(s, row_m, column_m, stiffness, weights) for s in (slope, slope * 2.0**-60)
+            )
         assert np.isfinite(heights).all()
         assert float(np.abs(heights).max()) <= 1.5 * column_m * 11
         np.testing.assert_array_equal(shallow, heights * 2.0**-60)
@@ -220,7 +230,9 @@ def test_shadows_of_no_picture_raise_a_flag_or_leave_the_picture(noise: float | 
     level = None if noise is None else np.full(SHAPE[1], noise)
     for picture in PICTURES.values():
         with np.errstate(all="raise", under="ignore"):
-            runs = shadow_runs(np.minimum(picture, 1e100), None if level is None else np.minimum(level, 1e100), ROW_M, COLUMN_M)
+            runs = shadow_runs(
+                np.minimum(picture, 1e100), None if level is None else np.minimum(level, 1e100), ROW_M, COLUMN_M
+            )
         assert (runs.start < runs.stop).all()
         assert runs.mask(SHAPE).sum() == (runs.stop - runs.start).sum()
 
@@ -256,7 +268,9 @@ def line(width: float = 0.0, looks: int = 1) -> SampleScatter:
 
 def a_change() -> Change:
     kept = np.where((COLUMNS > 45) & (COLUMNS < 60), 0.0, 1.0)
-    return Change(np.where(COLUMNS == 60, 0.4, kept), np.where((COLUMNS > 40) & (COLUMNS <= 45) & (ROWS > 5), 30.0, 0.0))
+    return Change(
+        np.where(COLUMNS == 60, 0.4, kept), np.where((COLUMNS > 40) & (COLUMNS <= 45) & (ROWS > 5), 30.0, 0.0)
+    )
 
 
 @pytest.mark.parametrize(("width", "looks"), [(0.0, 1), (1.5, 1), (1.5, 3)])
@@ -274,7 +288,9 @@ def test_gain_of_a_power_of_four_changes_no_bit_of_the_mixture(power: int) -> No
     gain = 4.0**power
     change = a_change()
     one, _ = mixed(speckle(), change, line(1.5, 3), np.full(SHAPE[1], 1e-3), 1, 1)
-    other, _ = mixed(speckle() * gain, change._replace(added=change.added * gain), line(1.5, 3), np.full(SHAPE[1], 1e-3 * gain), 1, 1)
+    other, _ = mixed(
+        speckle() * gain, change._replace(added=change.added * gain), line(1.5, 3), np.full(SHAPE[1], 1e-3 * gain), 1, 1
+    )
     np.testing.assert_array_equal(other, one * gain)
 
 
@@ -288,7 +304,9 @@ def test_gain_of_a_power_of_four_changes_no_bit_of_the_mixture(power: int) -> No
     ],
 )
 @pytest.mark.parametrize("full_scale", [None, 200.0])
-def test_every_intensity_is_stored_within_what_the_recorder_holds(transfer: Transfer, dtype: str, full_scale: float | None) -> None:
+def test_every_intensity_is_stored_within_what_the_recorder_holds(
+    transfer: Transfer, dtype: str, full_scale: float | None
+) -> None:
     intensity = np.array([0.0, 5e-324, 1e-300, 1e-30, 1.0, 1e4, 1e38, 1e300, np.finfo(np.float64).max])
     with np.errstate(all="raise", under="ignore"):
         stored = to_samples(intensity, transfer, full_scale, np.dtype(dtype))
@@ -308,7 +326,8 @@ BOX = EmbeddedTarget(kind="box", ping=MIDDLE, side="starboard", ground_range_m=1
 
 
 class Recording(NamedTuple):
-    """What a recorder stored: samples (n_pings, n_samples) of both sides, its resolution, and where the vehicle went."""
+    """What a recorder stored: samples (n_pings, n_samples) of both sides, its resolution, and where the vehicle
+    went."""
 
     starboard: Samples
     port: Samples
@@ -336,9 +355,12 @@ FLOATS = amplitudes(echoes(), "float32")
 def mission(recording: Recording) -> Iterator[NavSample | Ping]:
     for number, samples in enumerate(zip(recording.port, recording.starboard, strict=True)):
         way_m, time_s = STEP_M * number, 1.7e9 + 0.1 * number
-        longitude_deg = recording.longitude_deg + way_m * math.sin(HEADING_RAD) / (111_320.0 * math.cos(math.radians(43.0)))
+        longitude_deg = recording.longitude_deg + way_m * math.sin(HEADING_RAD) / (
+            111_320.0 * math.cos(math.radians(43.0))
+        )
         port, starboard = (
-            EchoTrace(samples=one, first_range_m=0.5 * recording.spacing_m, spacing_m=recording.spacing_m) for one in samples
+            EchoTrace(samples=one, first_range_m=0.5 * recording.spacing_m, spacing_m=recording.spacing_m)
+            for one in samples
         )
         yield NavSample(
             time_s=time_s,
@@ -359,13 +381,17 @@ def surveyed(folder: Path, recording: Recording) -> tuple[Path, Survey, Config]:
     path, dtype = folder / "log.xtf", recording.starboard.dtype
     config = Config(sonar=SonarConfig(transfer="amplitude", port_order="near_to_far", beam_width_deg=0.3))
     if dtype == np.uint8:
-        config = Config(sonar=SonarConfig(transfer="log", db_per_count=0.4, port_order="near_to_far", beam_width_deg=0.3))
+        config = Config(
+            sonar=SonarConfig(transfer="log", db_per_count=0.4, port_order="near_to_far", beam_width_deg=0.3)
+        )
     sample_types: dict[str, SampleType] = {"uint8": "uint8", "uint16": "uint16", "float32": "float32"}
     write_xtf(path, mission(recording), sample_type=sample_types[dtype.name], port_far_to_near=False)
     return path, read_survey(path, config), config
 
 
-def with_target(folder: Path, recording: Recording, target: EmbeddedTarget = BOX) -> tuple[Embedded, dict[Side, Samples]]:
+def with_target(
+    folder: Path, recording: Recording, target: EmbeddedTarget = BOX
+) -> tuple[Embedded, dict[Side, Samples]]:
     """The target in the log, and the log's samples by side; every floating-point flag but underflow is an error."""
     with np.errstate(all="raise", under="ignore"):
         path, survey, config = surveyed(folder, recording)
@@ -389,10 +415,13 @@ LOGS: dict[str, Recording] = {
     "sparse": Recording(np.where(speckle(5, PLAIN.shape) > 4.0, PLAIN, 0).astype(np.uint16), PLAIN),
     "saturated far half": Recording(np.where(SAMPLE < 185, PLAIN, 32767).astype(np.uint16), PLAIN),
     "far half padded with zeros": Recording(np.where(SAMPLE < 185, FLOATS, 0.0).astype(np.float32), FLOATS),
-    "half the pings zero": Recording(np.where(generator(6).random((N_PINGS, 1)) < 0.5, 0, PLAIN).astype(np.uint16), PLAIN),
+    "half the pings zero": Recording(
+        np.where(generator(6).random((N_PINGS, 1)) < 0.5, 0, PLAIN).astype(np.uint16), PLAIN
+    ),
     "gain ramp of 40 dB": Recording(amplitudes(echoes() * 10.0 ** (4.0 * SAMPLE / N_SAMPLES - 3.0)), PLAIN),
     "logarithms at both ends": Recording(
-        np.where(speckle(7, PLAIN.shape) > 0.7, 255, 0).astype(np.uint8), np.clip(10.0 * np.log10(echoes()) / 0.4, 0, 255).astype(np.uint8)
+        np.where(speckle(7, PLAIN.shape) > 0.7, 255, 0).astype(np.uint8),
+        np.clip(10.0 * np.log10(echoes()) / 0.4, 0, 255).astype(np.uint8),
     ),
     "what no echo can be": Recording(
         np.where(
@@ -444,14 +473,18 @@ def test_gain_of_the_recorder_scales_what_is_embedded(tmp_path: Path, gain: floa
 def test_a_mirrored_log_gets_the_mirrored_target(tmp_path: Path) -> None:
     turned_deg: dict[Side, float] = {"starboard": 25.0, "port": -25.0}
     there, here = (
-        with_target(tmp_path, Recording(FLOATS, FLOATS), msgspec.structs.replace(BOX, side=side, azimuth_deg=30.0 + turned))[1][side]
+        with_target(
+            tmp_path, Recording(FLOATS, FLOATS), msgspec.structs.replace(BOX, side=side, azimuth_deg=30.0 + turned)
+        )[1][side]
         for side, turned in turned_deg.items()
     )
     np.testing.assert_allclose(here, there, rtol=1e-3)
 
 
 def test_the_date_line_changes_no_sample(tmp_path: Path) -> None:
-    here, beyond = (with_target(tmp_path, Recording(PLAIN, PLAIN, longitude_deg=longitude)) for longitude in (5.5, 179.99997))
+    here, beyond = (
+        with_target(tmp_path, Recording(PLAIN, PLAIN, longitude_deg=longitude)) for longitude in (5.5, 179.99997)
+    )
     np.testing.assert_array_equal(beyond[1]["starboard"], here[1]["starboard"])
     assert (beyond[0].longitude_deg - 179.99997) % 360.0 == pytest.approx(here[0].longitude_deg - 5.5, abs=1e-9)
 
@@ -460,10 +493,14 @@ def test_the_date_line_changes_no_sample(tmp_path: Path) -> None:
 def test_every_log_implies_a_law_of_noise_of_mean_one_below_its_floor(tmp_path: Path, name: str) -> None:
     _, survey, config = surveyed(tmp_path, LOGS[name])
     with np.errstate(all="raise", under="ignore"):
-        found = measure_line(survey.stretches[0], "starboard", survey.transfer, config.sonar.blank_m, survey.absorption_per_m)
+        found = measure_line(
+            survey.stretches[0], "starboard", survey.transfer, config.sonar.blank_m, survey.absorption_per_m
+        )
     assert (found.noise > 0.0).all()
     assert (found.noise < found.floor).all()
     assert (np.diff(found.noise_quantiles) >= 0.0).all()
-    assert float(np.trapezoid(found.noise_quantiles, np.linspace(0.0, 1.0, found.noise_quantiles.size))) == pytest.approx(1.0)
+    assert float(
+        np.trapezoid(found.noise_quantiles, np.linspace(0.0, 1.0, found.noise_quantiles.size))
+    ) == pytest.approx(1.0)
     assert np.isfinite(found.range_taps).all()
     assert np.isfinite(found.ping_taps).all()

@@ -96,7 +96,10 @@ def test_sixty_views_are_exact_against_rational_arithmetic(seed: int) -> None:
     unit = Fraction(total - joint[0], total)
     assert fused.log_agreement == pytest.approx(math.log(unit.numerator) - math.log(unit.denominator), rel=1e-12)
     np.testing.assert_allclose(
-        yager(floats(masses)), shares([0, *joint[1:EVERYTHING], joint[EVERYTHING] + joint[0]], total), rtol=1e-12, atol=0
+        yager(floats(masses)),
+        shares([0, *joint[1:EVERYTHING], joint[EVERYTHING] + joint[0]], total),
+        rtol=1e-12,
+        atol=0,
     )
 
 
@@ -148,7 +151,10 @@ def test_a_contradiction_in_one_stack_does_not_touch_the_others() -> None:
 
 @pytest.mark.parametrize("doubt", [0.0, 1e-300, 1e-16, 1e-13, 1e-9, 1e-3])
 def test_the_nearer_to_sure_contradictory_sources_are_the_less_is_made_of_what_they_share(doubt: float) -> None:
-    pair = [(1.0 - doubt) * SURE["cylinder"] + doubt * SURE["wedge"], (1.0 - doubt) * SURE["clutter"] + doubt * SURE["wedge"]]
+    pair = [
+        (1.0 - doubt) * SURE["cylinder"] + doubt * SURE["wedge"],
+        (1.0 - doubt) * SURE["clutter"] + doubt * SURE["wedge"],
+    ]
     fused = dempster(np.stack(pair))
     assert np.isfinite(fused.mass).all()
     if doubt**2 < 1e-12:
@@ -173,12 +179,20 @@ def test_sure_sources_that_agree_are_combined() -> None:
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-6, 1.0, 1e3, 1e6, 1e12, 1e300, math.inf])
 def test_likelihoods_of_any_size_give_masses(scale: float) -> None:
-    for signs in ((1, 1, 1, 1, 1), (0, 1, 1, 1, 1), (1, 0, 0, 1, 1), (1, 1, 1, 1, 0), (-1, 1, 0, 1, -1), (-1, -1, -1, -1, -1)):
+    for signs in (
+        (1, 1, 1, 1, 1),
+        (0, 1, 1, 1, 1),
+        (1, 0, 0, 1, 1),
+        (1, 1, 1, 1, 0),
+        (-1, 1, 0, 1, -1),
+        (-1, -1, -1, -1, -1),
+    ):
         if scale == math.inf and -1 in signs:
             continue
         for sure in (0.0, 1.0, 1e-310, 1.0 - 2.0**-53, math.nan):
             evidence: dict[ContactClass, ClassEvidence] = {
-                name: ClassEvidence(nll=sign * scale if sign else 0.0, plausibility=sure) for name, sign in zip(FRAME, signs, strict=True)
+                name: ClassEvidence(nll=sign * scale if sign else 0.0, plausibility=sure)
+                for name, sign in zip(FRAME, signs, strict=True)
             }
             for rule in (view_mass, appriou_mass):
                 mass = rule(evidence, 1.0)

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 from auv_mcm.detect.candidates import NO_FAINT_PLACES, STEP_M
-from auv_mcm.detect.cascade.bands import WINDOW, WINDOW_FAR_M, WINDOW_SHADOWS, FeatureBox, areas, band_edges, margins_px, pixel_boxes
+from auv_mcm.detect.cascade.bands import (
+    WINDOW,
+    WINDOW_FAR_M,
+    WINDOW_SHADOWS,
+    FeatureBox,
+    areas,
+    band_edges,
+    margins_px,
+    pixel_boxes,
+)
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
 from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane, tables_of
@@ -72,13 +81,17 @@ def drawn_model(seed: int, n_stumps: int = 12, largest: float = 3.0) -> CascadeM
     def box() -> FeatureBox:
         top, near = random.uniform(-1.0, 0.4, 2)
         length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
-        return FeatureBox(float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0)))
+        return FeatureBox(
+            float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0))
+        )
 
     stumps = []
     for k in range(n_stumps):
         threshold = float(largest ** random.uniform(-1.0, 1.0))
         leaf = int(random.integers(-900, 900))
-        stumps.append(ratio(box(), box(), threshold, leaf) if k % 2 else contrast(box(), box(), threshold - 1.0 / threshold, leaf))
+        stumps.append(
+            ratio(box(), box(), threshold, leaf) if k % 2 else contrast(box(), box(), threshold - 1.0 / threshold, leaf)
+        )
     return model_of(tuple(stumps), reject=ANY_SCORE)
 
 
@@ -87,7 +100,9 @@ def looked_at(tile: Tile, model: CascadeModel = MODEL) -> TileDetections:
     with np.errstate(all="raise", under="ignore"):
         result = detect_tile(tile, CONFIG, model)
     for d in result.detections:
-        assert np.isfinite([d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.length_m, d.width_m]).all()
+        assert np.isfinite(
+            [d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.length_m, d.width_m]
+        ).all()
         assert np.isfinite(d.covariance_m2).all()
     return result
 
@@ -100,7 +115,9 @@ def run(tile: Tile, model: CascadeModel = ALL_PASS) -> CascadeResult:
 def scores(result: CascadeResult, first_row: int = 0) -> dict[tuple[int, int], int]:
     return {
         (row + first_row, column): score
-        for row, column, score in zip(result.rows.tolist(), result.columns.tolist(), result.scores.tolist(), strict=True)
+        for row, column, score in zip(
+            result.rows.tolist(), result.columns.tolist(), result.scores.tolist(), strict=True
+        )
     }
 
 
@@ -137,7 +154,9 @@ def test_flags_on_half_the_picture_raise_none(bit: int) -> None:
 
 @pytest.mark.parametrize("first_return_m", [0.0, 1e-9, 0.3, 1.0, 30.0, 190.0, math.nan, math.inf])
 @pytest.mark.parametrize("spacing", [(0.02, 0.02), (0.12, 0.06), (2.0, 2.0), (0.05, 2.0), (2.0, 0.02)])
-def test_windows_are_accounted_for_at_every_altitude_on_every_grid(first_return_m: float, spacing: tuple[float, float]) -> None:
+def test_windows_are_accounted_for_at_every_altitude_on_every_grid(
+    first_return_m: float, spacing: tuple[float, float]
+) -> None:
     tile = tile_of(speckle(3, (40, 60)), row_m=spacing[0], column_m=spacing[1], first_return_m=first_return_m)
     result = run(tile, msgspec.structs.replace(ALL_PASS, reject=(0, 0, 0)))
     assert 0 <= result.n_windows <= 40 * 60
@@ -167,7 +186,9 @@ def test_the_largest_model_does_not_wrap() -> None:
     stumps = (contrast(BEFORE, SHADOW, 1e4, MAX_LEAF),) * MAX_STUMPS
     tile = tile_of(np.ones((12, 60)))
     for sign in (1, -1):
-        model = model_of(tuple(msgspec.structs.replace(stump, below=sign * MAX_LEAF) for stump in stumps), reject=ANY_SCORE)
+        model = model_of(
+            tuple(msgspec.structs.replace(stump, below=sign * MAX_LEAF) for stump in stumps), reject=ANY_SCORE
+        )
         result = run(tile, model)
         assert set(result.scores.tolist()) == {sign * MAX_STUMPS * MAX_LEAF}
         assert set(model.calibration.log_odds_of(result.scores).tolist()) == {sign * 6.0}
@@ -181,7 +202,10 @@ def test_c_and_numpy_agree_on_ties_and_on_the_darkest_and_brightest_codes(seed: 
     codes = random.choice(np.array([0, 0, 1, 1024, 16383, 16384], dtype=np.uint16), (12, 40))
     codes[:, 10:25] = random.choice([0, 1024, 16384])
     everywhere = np.ones(codes.shape, dtype=np.bool_)
-    plane, model = make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35), drawn_model(seed, largest=largest)
+    plane, model = (
+        make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35),
+        drawn_model(seed, largest=largest),
+    )
     tables = tables_of(model, 0.3, 0.35, plane.sums.shape[1])
     corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
     field = WindowField(plane.sums, plane.counts, corner, plane.usable, band_edges(plane.first_return_m, 40, 0.35))
@@ -207,7 +231,9 @@ def test_gain_of_a_power_of_two_changes_no_score(seed: int, power: int) -> None:
     everywhere, usable = np.ones(codes.shape, dtype=np.bool_), np.zeros(codes.shape, dtype=np.bool_)
     usable[5:-5, 4:70] = True  # away from the margins, which stay as they are
     loud, quiet = (
-        run_plane(make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35), drawn_model(seed), None)
+        run_plane(
+            make_plane(one.astype(np.uint16), everywhere, usable, np.full(16, 5.0), 0.3, 0.35), drawn_model(seed), None
+        )
         for one in (codes * 2.0**power, codes)
     )
     assert quiet.n_windows == usable.sum()
@@ -225,7 +251,9 @@ def test_reversing_the_track_reverses_the_windows(seed: int) -> None:
         return msgspec.structs.replace(stump, a=reversed_box(stump.a), b=reversed_box(stump.b), w=w)
 
     model, plane, mask = drawn_model(seed), speckle(seed, (24, 70)), holes(0.1)[:24, :70]
-    back = msgspec.structs.replace(model, groups=tuple(tuple(reversed_stump(stump) for stump in group) for group in model.groups))
+    back = msgspec.structs.replace(
+        model, groups=tuple(tuple(reversed_stump(stump) for stump in group) for group in model.groups)
+    )
     one, other = run(tile_of(plane, mask), model), run(tile_of(plane[::-1], mask[::-1]), back)
     assert {(23 - row, column): score for (row, column), score in scores(other).items()} == scores(one)
 
@@ -255,8 +283,14 @@ def test_every_window_of_a_strip_is_found_wherever_it_is_cut_into_tiles(origin: 
         core = slice(max(start, 0), min(start + length, len(strip)))
         if core.start >= core.stop:
             continue
-        tile = msgspec.structs.replace(tile_of(strip[first:last]), core_start=core.start - first, core_stop=core.stop - first)
-        found |= {place: score for place, score in scores(run(tile, model), first).items() if core.start <= place[0] < core.stop}
+        tile = msgspec.structs.replace(
+            tile_of(strip[first:last]), core_start=core.start - first, core_stop=core.stop - first
+        )
+        found |= {
+            place: score
+            for place, score in scores(run(tile, model), first).items()
+            if core.start <= place[0] < core.stop
+        }
     assert found == whole
 
 
@@ -287,7 +321,16 @@ def test_of_windows_that_are_all_alike_the_first_are_kept_however_often_asked() 
 
 def fields_of(result: TileDetections) -> list[object]:
     detections = [
-        (d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.covariance_m2.tolist(), d.snippet.tobytes())
+        (
+            d.row,
+            d.column,
+            d.score,
+            d.cascade_score,
+            d.p_mine,
+            d.latitude_deg,
+            d.covariance_m2.tolist(),
+            d.snippet.tobytes(),
+        )
         for d in result.detections
     ]
     faint = [values.tolist() for values in result.faint]
@@ -299,7 +342,11 @@ def test_the_same_tile_gives_the_same_bits_alone_and_among_threads(max_evaluatio
     tiles = [tile_of(with_object(speckle(k))) for k in range(2)]
     alone = [fields_of(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)) for tile in tiles]
     with ThreadPoolExecutor(2) as threads:
-        together = list(threads.map(lambda tile: fields_of(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)), tiles))
+        together = list(
+            threads.map(
+                lambda tile: fields_of(detect_tile(tile, CONFIG, MODEL, max_evaluations=max_evaluations)), tiles
+            )
+        )
     assert together == alone
 
 

@@ -1,4 +1,5 @@
-"""Hard numbers through the classification by models: no floating-point flag, no NaN where a number is promised, the same every time."""
+"""Hard numbers through the classification by models: no floating-point flag, no NaN where a number is promised, the
+same every time."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ def fit(region: Region) -> ShapeFits:
 
 
 def all_finite(fits: ShapeFits) -> bool:
-    values = [value for one in fits.fits for value in (one.best.cost, one.best.row, one.best.ground_range_m, one.plausibility)]
+    values = [
+        value for one in fits.fits for value in (one.best.cost, one.best.row, one.best.ground_range_m, one.plausibility)
+    ]
     values += [value for best in fits.fits[:1] for value in (*best.contrast, *best.sigma.values())]
     return all(map(math.isfinite, values))
 
@@ -84,13 +87,18 @@ def test_one_spike_does_not_outvote_a_region(spike: float) -> None:
 def test_a_million_pixels_do_not_underflow() -> None:
     region = speckled()
     tall = msgspec.structs.replace(
-        region, intensity=np.tile(region.intensity, (100, 1)), valid=np.tile(region.valid, (100, 1)), row=region.row + 50 * 61
+        region,
+        intensity=np.tile(region.intensity, (100, 1)),
+        valid=np.tile(region.valid, (100, 1)),
+        row=region.row + 50 * 61,
     )
     image = sums_of(tall)
     hypothesis = np.array([[50 * 61 * 0.12 + 3.66, 18.0, 1.0, 0.4, 0.0, 0.0, 0.0, 0.0]])
     for costs in (shape_costs("sphere", hypothesis, image, BEAM), shape_costs_numpy("sphere", hypothesis, image, BEAM)):
         assert np.isfinite(costs.mean).all()
-        assert costs.cost[0] == pytest.approx(shape_costs("sphere", hypothesis - [[366.0] + 7 * [0.0]], image, BEAM).cost[0], rel=1e-6)
+        assert costs.cost[0] == pytest.approx(
+            shape_costs("sphere", hypothesis - [[366.0] + 7 * [0.0]], image, BEAM).cost[0], rel=1e-6
+        )
 
 
 @pytest.mark.parametrize("level", [1.0, 1e-200, 1e200])
@@ -102,7 +110,9 @@ def test_a_constant_region_fits_nothing(level: float) -> None:
 def test_regions_of_a_pixel_a_row_or_a_column() -> None:
     region = speckled()
     for rows, columns in ((1, 1), (1, 80), (61, 1), (2, 3)):
-        small = msgspec.structs.replace(region, intensity=region.intensity[:rows, :columns], valid=region.valid[:rows, :columns])
+        small = msgspec.structs.replace(
+            region, intensity=region.intensity[:rows, :columns], valid=region.valid[:rows, :columns]
+        )
         assert all_finite(fit(small))
 
 
@@ -110,8 +120,16 @@ def test_slices_that_graze_a_solid() -> None:
     """Offsets of exactly the radius, tops at exactly the sonar's clearance, solids sunk to nothing."""
     image = sums_of(speckled())
     radius = 0.42  # three and a half rows: slices touch the rim
-    sphere = np.array([[3.66 + shift, 18.0, 1.0, radius, burial, 0.0, 0.0, 0.0] for shift in (0.0, 0.06) for burial in (0.0, radius, 0.84)])
-    cone = np.array([[3.66 + shift, 18.0, 1.0, radius, top, 0.5, 0.0, 0.0] for shift in (0.0, 0.06) for top in (0.0, radius)])
+    sphere = np.array(
+        [
+            [3.66 + shift, 18.0, 1.0, radius, burial, 0.0, 0.0, 0.0]
+            for shift in (0.0, 0.06)
+            for burial in (0.0, radius, 0.84)
+        ]
+    )
+    cone = np.array(
+        [[3.66 + shift, 18.0, 1.0, radius, top, 0.5, 0.0, 0.0] for shift in (0.0, 0.06) for top in (0.0, radius)]
+    )
     high = np.array([[3.66, 18.0, 1.0, 2.5 + shift, 0.0, 0.0, 0.0, 0.0] for shift in (-1e-12, 0.0, 1e-12)])
     solid: Solid
     for solid, hypotheses in (("sphere", sphere), ("truncated_cone", cone), ("sphere", high)):
@@ -124,11 +142,16 @@ def test_slices_that_graze_a_solid() -> None:
 def test_cylinders_across_the_track_have_no_gap_between_their_azimuths() -> None:
     region = closed_form_region(Cylinder(radius_m=0.265, length_m=1.6, azimuth_rad=0.5 * math.pi), 18.0)
     azimuth = np.radians(np.linspace(89.9, 90.1, 41))
-    azimuth = np.concatenate((azimuth, 0.5 * math.pi + np.array([-1e-15, -1e-12, -1e-9, 0.0, 1e-9, 1e-12, 1e-15]), -azimuth))
+    azimuth = np.concatenate(
+        (azimuth, 0.5 * math.pi + np.array([-1e-15, -1e-12, -1e-9, 0.0, 1e-9, 1e-12, 1e-15]), -azimuth)
+    )
     hypotheses = np.tile([3.66, 18.0, 1.0, 0.265, 1.6, 0.0, 0.0, 0.0], (azimuth.size, 1))
     hypotheses[:, 5] = azimuth
     image = sums_of(region)
-    for costs in (shape_costs("cylinder", hypotheses, image).cost, shape_costs_numpy("cylinder", hypotheses, image).cost):
+    for costs in (
+        shape_costs("cylinder", hypotheses, image).cost,
+        shape_costs_numpy("cylinder", hypotheses, image).cost,
+    ):
         assert (costs < FORBIDDEN).all()
         sweep = costs[:41]
         assert np.abs(np.diff(sweep)).max() < 2.0
@@ -152,7 +175,9 @@ def test_objects_at_the_track(first_m: float) -> None:
     region = msgspec.structs.replace(speckled(), first_ground_range_m=first_m, column=8.0)
     assert all_finite(fit(region))
     image = sums_of(region)
-    hypotheses = np.array([[3.66, y, 1.0, 0.4, 0.0, 0.0, 0.0, 0.0] for y in (-1.0, 0.0, 0.4, math.nextafter(0.4, 1.0), 0.5)])
+    hypotheses = np.array(
+        [[3.66, y, 1.0, 0.4, 0.0, 0.0, 0.0, 0.0] for y in (-1.0, 0.0, 0.4, math.nextafter(0.4, 1.0), 0.5)]
+    )
     for costs in (shape_costs("sphere", hypotheses, image), shape_costs_numpy("sphere", hypotheses, image)):
         assert (costs.cost[:3] == FORBIDDEN).all()
         assert not np.isnan(costs.cost).any()
@@ -203,6 +228,9 @@ def test_every_corner_of_the_search_has_a_cost() -> None:
         hypotheses = np.zeros((len(corners), 8))
         hypotheses[:, :3] = 3.66, 18.0, 1.0
         hypotheses[:, 3 : 3 + corners.shape[1]] = corners
-        fast, slow = shape_costs(solid, hypotheses, image, BEAM).cost, shape_costs_numpy(solid, hypotheses, image, BEAM).cost
+        fast, slow = (
+            shape_costs(solid, hypotheses, image, BEAM).cost,
+            shape_costs_numpy(solid, hypotheses, image, BEAM).cost,
+        )
         assert not np.isnan(fast).any()
         np.testing.assert_allclose(fast, slow, atol=1e-5, err_msg=solid)

@@ -19,7 +19,9 @@ def looked_at(tile: Tile) -> TileDetections:
     with np.errstate(all="raise", under="ignore"):
         result = detect_tile(tile, Config())
     for d in result.detections:
-        assert np.isfinite([d.row, d.column, d.score, d.p_mine, d.latitude_deg, d.longitude_deg, d.length_m, d.width_m]).all()
+        assert np.isfinite(
+            [d.row, d.column, d.score, d.p_mine, d.latitude_deg, d.longitude_deg, d.length_m, d.width_m]
+        ).all()
         assert np.isfinite(d.covariance_m2).all()
     return result
 
@@ -56,11 +58,14 @@ def test_no_shape_raises_a_flag(shape: tuple[int, int]) -> None:
 def same(a: TileDetections, b: TileDetections) -> bool:
     def fields_of(result: TileDetections) -> list[tuple[Any, ...]]:
         return [
-            (d.row, d.column, d.score, d.p_mine, d.latitude_deg, d.covariance_m2.tolist(), d.snippet.tobytes()) for d in result.detections
+            (d.row, d.column, d.score, d.p_mine, d.latitude_deg, d.covariance_m2.tolist(), d.snippet.tobytes())
+            for d in result.detections
         ]
 
     faint = all(map(np.array_equal, a.faint, b.faint))
-    return fields_of(a) == fields_of(b) and faint and a._replace(detections=(), faint=b.faint) == b._replace(detections=())
+    return (
+        fields_of(a) == fields_of(b) and faint and a._replace(detections=(), faint=b.faint) == b._replace(detections=())
+    )
 
 
 def test_the_same_tile_gives_the_same_bits_alone_and_among_threads() -> None:

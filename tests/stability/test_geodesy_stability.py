@@ -26,9 +26,18 @@ def test_a_dense_sweep_of_the_globe_round_trips() -> None:
 
 @pytest.mark.parametrize("latitude", [89.9999, -89.9999, 90.0, -90.0, 89.0])
 def test_a_survey_across_a_pole_keeps_its_shape(latitude: float) -> None:
-    """A 2 km square around the frame's origin, which encloses the pole: sides and diagonals survive latitude and longitude."""
+    """A 2 km square around the frame's origin, which encloses the pole: sides and diagonals survive latitude and
+    longitude."""
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=123.0)
-    square = np.array([[-1000.0, -1000.0, 0.0], [1000.0, -1000.0, 0.0], [1000.0, 1000.0, 0.0], [-1000.0, 1000.0, 0.0], [0.0, 0.0, 0.0]])
+    square = np.array(
+        [
+            [-1000.0, -1000.0, 0.0],
+            [1000.0, -1000.0, 0.0],
+            [1000.0, 1000.0, 0.0],
+            [-1000.0, 1000.0, 0.0],
+            [0.0, 0.0, 0.0],
+        ]
+    )
     with np.errstate(all="raise", under="ignore"):
         ecef = geodetic_to_ecef(*frame.to_geodetic(square))
     for i in range(5):
@@ -41,7 +50,9 @@ def test_rounding_of_a_survey_is_far_below_single_precision() -> None:
     """In single precision, steps of 1 mm at the far side of the Earth vanish; here they stay to the micrometre."""
     frame = LocalFrame(latitude_deg=-89.0, longitude_deg=-179.999, height_m=-4000.0)
     steps = np.stack((np.arange(1000) * 1e-3, np.arange(1000) * -1e-3, np.zeros(1000)), axis=-1)
-    np.testing.assert_allclose(np.diff(frame.to_enu(*frame.to_geodetic(steps)), axis=0), np.diff(steps, axis=0), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        np.diff(frame.to_enu(*frame.to_geodetic(steps)), axis=0), np.diff(steps, axis=0), rtol=0, atol=1e-8
+    )
 
 
 def test_nan_stays_nan_and_spoils_no_neighbour() -> None:

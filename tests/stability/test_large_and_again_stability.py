@@ -1,4 +1,5 @@
-"""Likelihoods of a million pixels, and the same answer to the last bit whenever and beside whatever else it is asked for."""
+"""Likelihoods of a million pixels, and the same answer to the last bit whenever and beside whatever else it is asked
+for."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ def tiled(n_rows: int, n_columns: int) -> Region:
     """The region again and again, side by side."""
     region = cone_region()
     return msgspec.structs.replace(
-        region, intensity=np.tile(region.intensity, (n_rows, n_columns)), valid=np.tile(region.valid, (n_rows, n_columns))
+        region,
+        intensity=np.tile(region.intensity, (n_rows, n_columns)),
+        valid=np.tile(region.valid, (n_rows, n_columns)),
     )
 
 
@@ -57,7 +60,10 @@ def test_contours_among_very_many_pixels_are_those_among_few() -> None:
 
 def test_what_labels_explain_of_very_many_pixels_adds_up() -> None:
     labels = labels_of(cone_region())
-    one, all_of_them = labels_cost(cone_region(), labels, 1.5), labels_cost(tiled(17, 17), np.tile(labels, (17, 17)), 1.5)
+    one, all_of_them = (
+        labels_cost(cone_region(), labels, 1.5),
+        labels_cost(tiled(17, 17), np.tile(labels, (17, 17)), 1.5),
+    )
     assert all_of_them == pytest.approx(17 * 17 * one, rel=1e-9)
 
 
@@ -73,5 +79,7 @@ def test_the_same_in_another_process_whatever_its_hashes_and_threads() -> None:
     here = repr([plain(through(door, cone_region(2))) for door in sorted(DOORS)])
     environment = {**os.environ, "PYTHONHASHSEED": "7", "OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
     environment["PYTHONPATH"] = str(Path(__file__).resolve().parents[2])
-    there = subprocess.run([sys.executable, "-c", ASK_AGAIN], env=environment, capture_output=True, text=True, check=True)
+    there = subprocess.run(
+        [sys.executable, "-c", ASK_AGAIN], env=environment, capture_output=True, text=True, check=True
+    )
     assert there.stdout == here

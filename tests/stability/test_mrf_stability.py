@@ -1,4 +1,5 @@
-"""Extreme regions through the segmentation: no floating-point flag, no NaN, the same result every time, whatever the gain."""
+"""Extreme regions through the segmentation: no floating-point flag, no NaN, the same result every time, whatever the
+gain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Closed forms where their square roots, arc sines, cosines and quotients end: rays that graze, axes across the track, low sonars."""
+"""Closed forms where their square roots, arc sines, cosines and quotients end: rays that graze, axes across the track,
+low sonars."""
 
 from __future__ import annotations
 
@@ -11,14 +12,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.solids.shapes import Box, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
+from auv_mcm.solids.shapes import (
+    Box,
+    Cylinder,
+    Shape,
+    SolidView,
+    Sphere,
+    TruncatedCone,
+    Wedge,
+    flat_ground_range_m,
+    view_shape,
+)
 
 Array = NDArray[np.float64]
 RIGHT = 0.5 * math.pi
 SOLIDS: dict[str, Callable[[float], Shape]] = {
     "sphere": lambda s: Sphere(radius_m=0.4 * s, burial_m=0.1 * s),
     "cylinder": lambda s: Cylinder(radius_m=0.25 * s, length_m=1.8 * s, azimuth_rad=0.6, burial_m=0.05 * s),
-    "truncated_cone": lambda s: TruncatedCone(base_radius_m=0.49 * s, top_radius_m=0.25 * s, height_m=0.47 * s, burial_m=0.1 * s),
+    "truncated_cone": lambda s: TruncatedCone(
+        base_radius_m=0.49 * s, top_radius_m=0.25 * s, height_m=0.47 * s, burial_m=0.1 * s
+    ),
     "box": lambda s: Box(length_m=1.0 * s, width_m=0.6 * s, height_m=0.4 * s, azimuth_rad=0.3, burial_m=0.1 * s),
     "wedge": lambda s: Wedge(length_m=1.02 * s, width_m=0.8 * s, height_m=0.385 * s, azimuth_rad=2.0, burial_m=0.1 * s),
 }
@@ -44,7 +57,9 @@ def whole(view: SolidView) -> bool:
 @EVERY_SOLID
 @settings(max_examples=40)
 @given(exponent=st.floats(-4.0, 4.0), distance=st.floats(1.5, 60.0), altitude=st.floats(1.2, 30.0))
-def test_everything_larger_by_one_factor_is_seen_larger_by_it(kind: str, exponent: float, distance: float, altitude: float) -> None:
+def test_everything_larger_by_one_factor_is_seen_larger_by_it(
+    kind: str, exponent: float, distance: float, altitude: float
+) -> None:
     scale = 10.0**exponent
     unit = view_shape(SOLIDS[kind](1.0), PINGS, distance, altitude)
     scaled = view_shape(SOLIDS[kind](scale), PINGS * scale, distance * scale, altitude * scale)
@@ -72,7 +87,10 @@ def test_the_shadow_grows_without_a_jump_to_infinity_as_the_sonar_sinks_to_the_t
     end = view_shape(solid, 0.0, 5.0, above).shadow_end_m
     assert (np.diff(end) > 0.0).all()
     assert end[:40].max() < math.inf
-    assert np.isinf(view_shape(solid, 0.0, 5.0, top * (1.0 - np.array([1e-6, 0.1, 0.5]))).shadow_end_m[:1]).all() or kind == "wedge"
+    assert (
+        np.isinf(view_shape(solid, 0.0, 5.0, top * (1.0 - np.array([1e-6, 0.1, 0.5]))).shadow_end_m[:1]).all()
+        or kind == "wedge"
+    )
 
 
 @EVERY_SOLID
@@ -117,7 +135,9 @@ def test_slices_that_graze_a_sphere_are_a_point_where_it_is(radius: float, power
     width = math.sqrt(max(0.0, (radius - abs(offset)) * (radius + abs(offset))))
     if abs(offset) < radius:
         assert view.front_slant_range_m[0] == pytest.approx(math.hypot(12.0, 4.0 - radius) - width, rel=1e-12)
-        assert view.tangent_slant_range_m[0] == pytest.approx(math.sqrt(12.0**2 + (4.0 - radius) ** 2 - width**2), rel=1e-12)
+        assert view.tangent_slant_range_m[0] == pytest.approx(
+            math.sqrt(12.0**2 + (4.0 - radius) ** 2 - width**2), rel=1e-12
+        )
     assert np.isnan([values[1] for values in view]).all()
 
 

@@ -1,4 +1,5 @@
-"""What may be done to a region without an answer changing: gain, masked borders, anything where nothing was measured, a mirror."""
+"""What may be done to a region without an answer changing: gain, masked borders, anything where nothing was measured, a
+mirror."""
 
 from __future__ import annotations
 
@@ -21,7 +22,17 @@ from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid, shape_costs
 from sim_replay.scoring.overlap import overlap
 from sim_replay.studies.paper_mrf import segment_as_paper
-from tests.stability.region_doors import DOORS, HYPOTHESIS, RANGE_M, SMALL, START, cone_region, labels_of, plain, through
+from tests.stability.region_doors import (
+    DOORS,
+    HYPOTHESIS,
+    RANGE_M,
+    SMALL,
+    START,
+    cone_region,
+    labels_of,
+    plain,
+    through,
+)
 
 Plane = NDArray[np.float64]
 EVERY_DOOR = pytest.mark.parametrize("door", DOORS)
@@ -63,7 +74,9 @@ def test_gain_changes_no_label_no_contour_and_no_solid(exponent: float) -> None:
 @pytest.mark.parametrize("power", [-20, 20])
 def test_gain_of_a_power_of_two_changes_no_bit_but_the_means(door: str, power: int) -> None:
     region = cone_region(2)
-    quiet, loud = (through(door, msgspec.structs.replace(region, intensity=region.intensity * gain)) for gain in (1.0, 2.0**power))
+    quiet, loud = (
+        through(door, msgspec.structs.replace(region, intensity=region.intensity * gain)) for gain in (1.0, 2.0**power)
+    )
     if isinstance(quiet, msgspec.Struct):
         names = [name for name in quiet.__struct_fields__ if name.endswith("_mean")]
         for name in names:
@@ -81,9 +94,15 @@ def test_what_stands_where_nothing_was_measured_changes_no_bit(door: str, share:
     masked = msgspec.structs.replace(region, valid=~hole)
     expected = plain(through(door, masked))
     nonsense = random.choice([math.nan, math.inf, -math.inf, -3.0, 0.0, 1e300], region.intensity.shape)
-    assert plain(through(door, msgspec.structs.replace(masked, intensity=np.where(hole, nonsense, region.intensity)))) == expected
+    assert (
+        plain(through(door, msgspec.structs.replace(masked, intensity=np.where(hole, nonsense, region.intensity))))
+        == expected
+    )
     for mark in (math.nan, math.inf, -1.0):  # the same said by the value alone
-        assert plain(through(door, msgspec.structs.replace(region, intensity=np.where(hole, mark, region.intensity)))) == expected
+        assert (
+            plain(through(door, msgspec.structs.replace(region, intensity=np.where(hole, mark, region.intensity))))
+            == expected
+        )
 
 
 @EVERY_DOOR
@@ -92,7 +111,8 @@ def test_a_ping_that_is_not_a_number_is_a_ping_that_was_lost(door: str) -> None:
     intensity, valid = region.intensity.copy(), region.valid.copy()
     intensity[21], valid[21] = math.nan, False
     by_value, by_mask = (
-        through(door, one) for one in (msgspec.structs.replace(region, intensity=intensity), msgspec.structs.replace(region, valid=valid))
+        through(door, one)
+        for one in (msgspec.structs.replace(region, intensity=intensity), msgspec.structs.replace(region, valid=valid))
     )
     assert plain(by_value) == plain(by_mask)
 
@@ -151,7 +171,9 @@ def test_a_mirror_along_the_track_mirrors_every_answer(seed: int) -> None:
     assert (segment_as_paper(turned).labels[::-1] != segment_as_paper(region).labels).mean() < 0.05
     start = Start(*(np.abs(nodes - (shape[0], 0.0)) for nodes in START))
     there, back = converge(region, START), converge(turned, start)
-    assert overlap(contour_mask(there.shadow, shape), contour_mask(back.shadow, shape)[::-1]) > 0.85  # nodes go in the other order
+    assert (
+        overlap(contour_mask(there.shadow, shape), contour_mask(back.shadow, shape)[::-1]) > 0.85
+    )  # nodes go in the other order
     assert there.rejected == back.rejected
     length_m = shape[0] * region.row_spacing_m
     opposite: dict[Solid, Plane] = {}
@@ -161,7 +183,9 @@ def test_a_mirror_along_the_track_mirrors_every_answer(seed: int) -> None:
     opposite["cylinder"][:, 5] = -HYPOTHESES["cylinder"][:, 5]
     opposite["wedge"][:, 6] = math.pi - HYPOTHESES["wedge"][:, 6]
     np.testing.assert_allclose(costs_of(turned, opposite), costs_of(region, HYPOTHESES), rtol=1e-9)
-    assert labels_cost(turned, labels_of(region)[::-1], 1.5) == pytest.approx(labels_cost(region, labels_of(region), 1.5), rel=1e-9)
+    assert labels_cost(turned, labels_of(region)[::-1], 1.5) == pytest.approx(
+        labels_cost(region, labels_of(region), 1.5), rel=1e-9
+    )
 
 
 @EVERY_DOOR

@@ -37,7 +37,9 @@ def scene(seed: int = 0) -> Region:
 def looked_at(region: Region, start: Start | None = None, correlation_px: float = 1.0) -> Contours:
     """Contours, with every floating-point flag but underflow an error."""
     with np.errstate(all="raise", under="ignore"):
-        contours = converge(region, start_from_detection(region) if start is None else start, correlation_px=correlation_px)
+        contours = converge(
+            region, start_from_detection(region) if start is None else start, correlation_px=correlation_px
+        )
     for nodes in (contours.highlight, contours.shadow):
         assert np.isfinite(nodes).all()
         assert len(nodes) == 0 or snake_twin.is_sound(nodes)
@@ -52,7 +54,9 @@ def same(one: Contours, other: Contours) -> bool:
 
 def plain(contours: Contours) -> dict[str, Any]:
     fields = msgspec.structs.asdict(contours)
-    return {name: repr(value.tolist()) if isinstance(value, np.ndarray) else repr(value) for name, value in fields.items()}
+    return {
+        name: repr(value.tolist()) if isinstance(value, np.ndarray) else repr(value) for name, value in fields.items()
+    }
 
 
 @pytest.mark.parametrize(
@@ -71,11 +75,29 @@ def plain(contours: Contours) -> dict[str, Any]:
         np.full((4, 2), 1e300),
         np.random.default_rng(0).uniform(0.0, 60.0, (200, 2)),
     ],
-    ids=["equal", "collinear", "crossing", "tiny", "two", "outside", "far outside", "around", "nan", "inf", "huge", "too many"],
+    ids=[
+        "equal",
+        "collinear",
+        "crossing",
+        "tiny",
+        "two",
+        "outside",
+        "far outside",
+        "around",
+        "nan",
+        "inf",
+        "huge",
+        "too many",
+    ],
 )
 def test_start_that_is_no_polygon_is_replaced_and_reported(nodes: NDArray[np.float64]) -> None:
     region = scene()
-    for start in (Start(nodes, box(25, 28, 38, 50)), Start(box(25, 18, 38, 27), nodes), Start(nodes, nodes), Start(NONE, nodes)):
+    for start in (
+        Start(nodes, box(25, 28, 38, 50)),
+        Start(box(25, 18, 38, 27), nodes),
+        Start(nodes, nodes),
+        Start(NONE, nodes),
+    ):
         contours = looked_at(region, start)
         assert "start_replaced" in contours.reasons
 
@@ -160,7 +182,9 @@ def test_mirror_along_track_gives_the_mirrored_object(n_runs: Callable[[int, int
         height = drawn.region.intensity.shape[0]
         start = random_start(drawn, seed)
         turned = Start(*[np.abs((height, 0.0) - nodes) for nodes in start])
-        mirrored = msgspec.structs.replace(drawn.region, intensity=drawn.region.intensity[::-1].copy(), row=height - drawn.region.row)
+        mirrored = msgspec.structs.replace(
+            drawn.region, intensity=drawn.region.intensity[::-1].copy(), row=height - drawn.region.row
+        )
         one, other = converge(drawn.region, start), converge(mirrored, turned)
         shape = drawn.region.intensity.shape
         # nodes go in the other order
@@ -171,9 +195,13 @@ def test_mirror_along_track_gives_the_mirrored_object(n_runs: Callable[[int, int
 def test_masked_border_changes_little() -> None:
     region = scene()
     wide = msgspec.structs.replace(
-        region, intensity=np.pad(region.intensity, 6), valid=np.pad(region.valid, 6), row=region.row + 6, column=region.column + 6,
+        region,
+        intensity=np.pad(region.intensity, 6),
+        valid=np.pad(region.valid, 6),
+        row=region.row + 6,
+        column=region.column + 6,
         first_ground_range_m=region.first_ground_range_m - 6 * region.column_spacing_m,
-    )  # fmt: skip
+    )
     one, other = looked_at(region), looked_at(wide)
     assert overlap(contour_mask(one.shadow, SHAPE), contour_mask(other.shadow - 6.0, SHAPE)) > 0.9
     assert one.rejected == other.rejected
@@ -198,7 +226,13 @@ def test_unknown_geometry_is_rejected(change: dict[str, float]) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"altitude_m": 0.3}, {"altitude_m": 500.0}, {"first_ground_range_m": 0.0}, {"row": -1e9, "column": 1e9}, {"row_spacing_m": 5.0}],
+    [
+        {"altitude_m": 0.3},
+        {"altitude_m": 500.0},
+        {"first_ground_range_m": 0.0},
+        {"row": -1e9, "column": 1e9},
+        {"row_spacing_m": 5.0},
+    ],
 )
 def test_odd_geometry_is_no_trouble(change: dict[str, float]) -> None:
     looked_at(msgspec.structs.replace(scene(), **change))
@@ -219,12 +253,19 @@ def test_threads_and_repetition_change_nothing(n_runs: Callable[[int, int], int]
 
 
 @settings(max_examples=25 if kernels.backend() == "c" else 8, deadline=None)
-@given(seed=st.integers(0, 10_000), level=st.floats(-300.0, 300.0), spikes=st.floats(0.0, 0.3), area=st.sampled_from([1.0, 4.0, 1e6]))
+@given(
+    seed=st.integers(0, 10_000),
+    level=st.floats(-300.0, 300.0),
+    spikes=st.floats(0.0, 0.3),
+    area=st.sampled_from([1.0, 4.0, 1e6]),
+)
 def test_any_region_gives_a_result(seed: int, level: float, spikes: float, area: float) -> None:
     random = np.random.default_rng(seed)
     shape = tuple(random.integers(8, 40, 2).tolist())
     image = random.exponential(1.0, shape) * np.where(random.random(shape) < spikes, 1e6, 1.0)
-    region = plain_region(image * 10.0 ** (level / 2.0), row=random.uniform(0.0, shape[0]), column=random.uniform(0.0, shape[1]))
+    region = plain_region(
+        image * 10.0 ** (level / 2.0), row=random.uniform(0.0, shape[0]), column=random.uniform(0.0, shape[1])
+    )
     region = msgspec.structs.replace(region, valid=random.random(shape) < 0.9)
     looked_at(region, Start(random.uniform(-5.0, 40.0, (4, 2)), random.uniform(-5.0, 40.0, (5, 2))), area)
 
@@ -246,7 +287,9 @@ def test_small_noisy_regions_never_raise(n_runs: Callable[[int, int], int]) -> N
     random = np.random.default_rng(0)
     for _ in range(n_runs(100, 10)):
         shape = tuple(random.integers(8, 40, 2).tolist())
-        region = plain_region(random.exponential(1.0, shape), row=random.uniform(0.0, shape[0]), column=random.uniform(0.0, shape[1]))
+        region = plain_region(
+            random.exponential(1.0, shape), row=random.uniform(0.0, shape[0]), column=random.uniform(0.0, shape[1])
+        )
         looked_at(region, Start(random.uniform(-5.0, 40.0, (4, 2)), random.uniform(-5.0, 40.0, (5, 2))))
 
 

@@ -70,7 +70,9 @@ def test_no_quotient_of_spike_and_floor_overflows(door: str, floor: float) -> No
 def test_echoes_over_the_whole_range_of_numbers_are_answered(door: str) -> None:
     region = cone_region()
     random = np.random.Generator(np.random.PCG64(5))
-    through(door, msgspec.structs.replace(region, intensity=np.exp(random.uniform(-740.0, 709.0, region.intensity.shape))))
+    through(
+        door, msgspec.structs.replace(region, intensity=np.exp(random.uniform(-740.0, 709.0, region.intensity.shape)))
+    )
 
 
 @pytest.mark.parametrize("looks", [1.0, 2.7, 50.0])

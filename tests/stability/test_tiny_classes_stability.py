@@ -1,4 +1,5 @@
-"""Classes of one pixel or none, samples that are all alike, equations that say the same: flagged or bounded, never NaN."""
+"""Classes of one pixel or none, samples that are all alike, equations that say the same: flagged or bounded, never
+NaN."""
 
 from __future__ import annotations
 
@@ -50,9 +51,9 @@ PICTURES: dict[str, Callable[[], Plane]] = {
     "one bright pixel in a constant": lambda: with_pixel(np.ones(SHAPE), 50.0),
     "one dark pixel in speckle": lambda: with_pixel(speckle() + 0.5, 0.0),
     "two levels by one bit": lambda: (speckle() > 0.7).astype(np.float64),
-    "every sample twice": lambda: np.repeat(np.repeat(speckle()[: -(-SHAPE[0] // 2), : -(-SHAPE[1] // 2)], 2, axis=0), 2, axis=1)[
-        : SHAPE[0], : SHAPE[1]
-    ],
+    "every sample twice": lambda: np.repeat(
+        np.repeat(speckle()[: -(-SHAPE[0] // 2), : -(-SHAPE[1] // 2)], 2, axis=0), 2, axis=1
+    )[: SHAPE[0], : SHAPE[1]],
     "every row alike": lambda: np.tile(speckle()[:1], (SHAPE[0], 1)),
     "every column alike": lambda: np.tile(speckle()[:, :1], (1, SHAPE[1])),
     "checkerboard": lambda: np.asarray(GRID.sum(axis=0) % 2, dtype=np.float64),
@@ -128,7 +129,9 @@ def test_a_field_of_one_label_leaves_the_smoothness_to_the_prior(estimate: bool)
 def test_uncertainty_of_what_the_cost_does_not_determine_is_wide_and_finite(rank: int, steepness: float) -> None:
     space = SearchBox(np.full(3, -1.0), np.full(3, 1.0), np.zeros(3, dtype=np.bool_), np.full(3, 0.1))
     ways = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8]])[:rank]
-    covariance = curvature_covariance(lambda points: steepness * np.square(points @ ways.T).sum(axis=1), space, np.zeros(3))
+    covariance = curvature_covariance(
+        lambda points: steepness * np.square(points @ ways.T).sum(axis=1), space, np.zeros(3)
+    )
     assert np.isfinite(covariance).all()
     np.testing.assert_allclose(covariance, covariance.T, rtol=0.0, atol=1e-9 * covariance.max())
     assert (np.linalg.eigvalsh(covariance) > 0.0).all()

@@ -16,10 +16,28 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.detect.cascade.codes import CodePlane, make_plane
-from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, check_model, encode_model, parse_model
+from auv_mcm.detect.cascade.model import (
+    MAX_LEAF,
+    MAX_STUMPS,
+    SCORE_UNIT,
+    Calibration,
+    CascadeModel,
+    check_model,
+    encode_model,
+    parse_model,
+)
 from auv_mcm.detect.cascade.run import trace_plane
 from auv_mcm.kernels.cascade import encode
-from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
+from sim_replay.fitting.cascade.boost import (
+    N_BINS,
+    Bins,
+    BoostedStump,
+    ada_split,
+    ada_stumps,
+    gentle_split,
+    gentle_stumps,
+    histograms,
+)
 from sim_replay.fitting.cascade.pool import Pool, bin_edges, feature_pool, model_stump, pool_box_means, quantise
 from sim_replay.fitting.cascade.soft import best_windows, reject_thresholds
 from sim_replay.fitting.cascade.stages import StageSamples, threshold, train_stage
@@ -41,7 +59,9 @@ def generator(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
-def plane_of(picture: NDArray[np.float64], first_return_m: float = 6.0, spacing: tuple[float, float] = (0.12, 0.06)) -> CodePlane:
+def plane_of(
+    picture: NDArray[np.float64], first_return_m: float = 6.0, spacing: tuple[float, float] = (0.12, 0.06)
+) -> CodePlane:
     codes, valid = encode(picture.astype(np.float32), np.ones(picture.shape, dtype=np.uint8))
     return make_plane(codes, valid, valid, np.full(len(picture), first_return_m), *spacing)
 
@@ -91,7 +111,9 @@ def test_what_is_learned_of_a_picture_is_what_the_model_says_of_it(name: str) ->
 
 @pytest.mark.parametrize("first_return_m", [0.0, 0.3, 1.0, 30.0, math.nan])
 @pytest.mark.parametrize("spacing", [(0.12, 0.06), (2.0, 2.0), (0.02, 0.02)])
-def test_box_means_stay_within_the_codes_at_every_altitude_on_every_grid(first_return_m: float, spacing: tuple[float, float]) -> None:
+def test_box_means_stay_within_the_codes_at_every_altitude_on_every_grid(
+    first_return_m: float, spacing: tuple[float, float]
+) -> None:
     plane = plane_of(np.where(generator(4).random(SHAPE) < 0.5, 16.0, 0.0), first_return_m, spacing)
     with np.errstate(all="raise"):
         means = pool_box_means(plane, SOME.boxes, *places(20))
@@ -108,7 +130,9 @@ def test_gain_of_a_power_of_two_changes_no_bin(power: int) -> None:
     inside = generator(6).integers(10, 30, 200), generator(7).integers(20, 40, 200)  # margins stay as they are
     quiet, loud = (
         pool_box_means(
-            make_plane((codes * gain).astype(np.uint16), everywhere, everywhere, np.full(SHAPE[0], 6.0), 0.12, 0.06), SOME.boxes, *inside
+            make_plane((codes * gain).astype(np.uint16), everywhere, everywhere, np.full(SHAPE[0], 6.0), 0.12, 0.06),
+            SOME.boxes,
+            *inside,
         )
         for gain in (1.0, 2.0**power)
     )
@@ -179,7 +203,8 @@ def test_weights_add_up_to_the_same_bits_in_any_order_and_split_alike(seed: int,
     features = np.arange(3)
     parts = [histograms(bins, features, np.flatnonzero(label), weight[label]) for label in (is_target, ~is_target)]
     mixed = [
-        histograms(bins[:, order], features, np.flatnonzero(label), weight[order][label]) for label in (is_target[order], ~is_target[order])
+        histograms(bins[:, order], features, np.flatnonzero(label), weight[order][label])
+        for label in (is_target[order], ~is_target[order])
     ]
     for one, other in zip(parts, mixed, strict=True):
         assert one.tobytes() == other.tobytes()
@@ -227,13 +252,19 @@ def test_a_stage_that_nothing_separates_lets_all_pass_and_says_so() -> None:
 def test_any_scores_are_calibrated_to_odds_that_can_be_written_and_read(spread: int, share: float) -> None:
     random = generator(13)
     score = random.integers(-spread, spread + 1, 20_000).astype(np.int32)
-    for labels in (random.random(score.size) < share, score >= np.quantile(score, 1.0 - share), score < np.quantile(score, share)):
+    for labels in (
+        random.random(score.size) < share,
+        score >= np.quantile(score, 1.0 - share),
+        score < np.quantile(score, share),
+    ):
         with np.errstate(all="raise"):
             found = calibrate(score, labels)
             odds = found.log_odds_of(np.array([-MOST, -spread, 0, spread, MOST]))
         assert (np.diff(odds) >= 0.0).all()
         assert np.abs(odds).max() <= 12.0
-        model = msgspec.structs.replace(model_of([BoostedStump(0, 0, 1, -1)], np.ones((1, 1), dtype=np.float32)), calibration=found)
+        model = msgspec.structs.replace(
+            model_of([BoostedStump(0, 0, 1, -1)], np.ones((1, 1), dtype=np.float32)), calibration=found
+        )
         assert parse_model(encode_model(model), "written here") == model
 
 

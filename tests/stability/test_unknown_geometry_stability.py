@@ -25,7 +25,9 @@ IMPOSSIBLE: dict[str, list[float]] = {
 REFUSING = [door for door in DOORS if door != "converge"]
 
 
-@pytest.mark.parametrize(("field", "value"), [(field, value) for field, values in IMPOSSIBLE.items() for value in values])
+@pytest.mark.parametrize(
+    ("field", "value"), [(field, value) for field, values in IMPOSSIBLE.items() for value in values]
+)
 def test_a_number_that_no_sonar_has_is_refused_by_its_name(field: str, value: float) -> None:
     region = msgspec.structs.replace(cone_region(), **{field: value})
     for door in REFUSING:
@@ -33,7 +35,9 @@ def test_a_number_that_no_sonar_has_is_refused_by_its_name(field: str, value: fl
             through(door, region)
 
 
-@pytest.mark.parametrize("field", ["row_spacing_m", "column_spacing_m", "altitude_m", "first_ground_range_m", "row", "column"])
+@pytest.mark.parametrize(
+    "field", ["row_spacing_m", "column_spacing_m", "altitude_m", "first_ground_range_m", "row", "column"]
+)
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_contours_of_a_region_without_geometry_are_rejected(field: str, value: float) -> None:
     contours = converge(msgspec.structs.replace(cone_region(), **{field: value}), START)
@@ -57,6 +61,8 @@ def test_any_altitude_and_range_are_answered(door: str, altitude_m: float, first
 
 
 @pytest.mark.parametrize("door", DOORS)
-@pytest.mark.parametrize("change", [{"row": -500.0}, {"column": 9e8}, {"squint_rad": 0.78}, {"squint_rad": -0.4}, {"beam_width_rad": 3.1}])
+@pytest.mark.parametrize(
+    "change", [{"row": -500.0}, {"column": 9e8}, {"squint_rad": 0.78}, {"squint_rad": -0.4}, {"beam_width_rad": 3.1}]
+)
 def test_odd_places_and_views_are_answered(door: str, change: dict[str, float]) -> None:
     through(door, msgspec.structs.replace(cone_region(), **change))

@@ -123,7 +123,11 @@ def test_samples_of_one_bit(levels: int) -> None:
     samples = np.digitize(amplitudes(), np.linspace(0.3, 0.6, levels - 1)).astype(np.uint8)
     assert_sound(tiles_of(samples)[0])
     with np.errstate(all="raise", under="ignore"):
-        weigh_laws(summarise([measure_regions([side[first : first + 16] for side in samples]) for first in range(0, N_PINGS, 16)]))
+        weigh_laws(
+            summarise(
+                [measure_regions([side[first : first + 16] for side in samples]) for first in range(0, N_PINGS, 16)]
+            )
+        )
 
 
 # Sums: cancellation and overflow.
@@ -158,7 +162,9 @@ def test_counts_over_twenty_thousand_pings_do_not_overflow() -> None:
     assert float(PaddedIntegral(strip, 20_000, 0).rows(-20_000, 0)[-1, -1]) == 255.0 * 19_999 * 450
     intensity, valid = to_intensity(np.full(1000, 65535, dtype=np.uint16), Transfer("amplitude"))
     np.testing.assert_allclose(intensity, 65535.0**2, rtol=1e-7)
-    traces = make_traces(np.tile(intensity, (3, 1)), np.tile(valid, (3, 1)), np.zeros((3, 1000), dtype=np.bool_), 0.05, 0.1)
+    traces = make_traces(
+        np.tile(intensity, (3, 1)), np.tile(valid, (3, 1)), np.zeros((3, 1000), dtype=np.bool_), 0.05, 0.1
+    )
     np.testing.assert_allclose(mean_between(traces, np.array([[0.0, 50.0, 99.9]])).intensity, 65535.0**2, rtol=1e-7)
 
 
@@ -196,15 +202,26 @@ def test_water_column_only_and_sea_floor_only() -> None:
 def test_rows_a_thousand_kilometres_into_a_mission_are_like_the_first(start_m: float) -> None:
     start_row = round(start_m / 0.125)
     along_m = start_m + 0.7 + 0.2 * np.arange(60, dtype=np.float64)
-    image = SideImage(np.random.default_rng(0).exponential(size=(60, 5)).astype(np.float32), np.full((60, 5), VALID, dtype=np.uint8))
+    image = SideImage(
+        np.random.default_rng(0).exponential(size=(60, 5)).astype(np.float32), np.full((60, 5), VALID, dtype=np.uint8)
+    )
     grid = AlongTrackGrid(0.125, 0.6)
-    swath = Swath(along_m, poses(60, depth_m=0.01 * np.arange(60)), np.full(60, 6.0), np.full(60, 0.1), np.arange(60), {"port": image})
+    swath = Swath(
+        along_m,
+        poses(60, depth_m=0.01 * np.arange(60)),
+        np.full(60, 6.0),
+        np.full(60, 0.1),
+        np.arange(60),
+        {"port": image},
+    )
     parts = [part for part in (grid.add(swath), grid.close()) if part is not None]
     here = AlongTrackGrid(0.125, 0.6)
     near = [part for part in (here.add(swath._replace(along_m=along_m - start_m)), here.close()) if part is not None]
     for (row, rows), (near_row, near_rows) in zip(parts, near, strict=True):
         assert row - start_row == near_row
-        np.testing.assert_allclose(rows.sides["port"].intensity, near_rows.sides["port"].intensity, rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(
+            rows.sides["port"].intensity, near_rows.sides["port"].intensity, rtol=1e-6, atol=1e-8
+        )
         np.testing.assert_allclose(rows.pose.depth_m, near_rows.pose.depth_m, atol=1e-9)
 
 
@@ -229,7 +246,9 @@ def test_samples_that_are_no_numbers_spoil_no_neighbour(bad: float) -> None:
 
 
 def test_poses_that_are_unknown_make_tiles_with_unknown_poses() -> None:
-    tiles, _ = tiles_of(amplitudes(), unknown_poses=("latitude_deg", "longitude_deg", "heading_rad", "speed_mps", "depth_m"))
+    tiles, _ = tiles_of(
+        amplitudes(), unknown_poses=("latitude_deg", "longitude_deg", "heading_rad", "speed_mps", "depth_m")
+    )
     assert_sound(tiles)
     reference, _ = tiles_of(amplitudes())
     for one, other in zip(tiles, reference, strict=True):
@@ -249,7 +268,9 @@ def test_a_clock_that_steps_or_stands_loses_at_most_the_pings_it_repeats(step_s:
     for number in range(400):
         time_s = 1.7e9 + 0.1 * number + (step_s - 0.1 if number >= 200 else 0.0)
         intake.add_navigation(
-            NavSample(time_s=time_s, latitude_deg=43.0 + 1e-6 * number, longitude_deg=5.0, heading_rad=0.1, speed_mps=1.5)
+            NavSample(
+                time_s=time_s, latitude_deg=43.0 + 1e-6 * number, longitude_deg=5.0, heading_rad=0.1, speed_mps=1.5
+            )
         )
         released += intake.add_ping(Ping(number=number, time_s=time_s, port=trace, starboard=None))
     released += intake.flush()

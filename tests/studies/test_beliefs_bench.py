@@ -95,7 +95,14 @@ def test_without_a_shadow_every_solid_is_out_by_its_distance() -> None:
 
 
 def test_rows_are_medians_per_class_and_shares_of_right_decisions() -> None:
-    masses = np.array([certain(0.2, "sphere"), certain(0.6, "sphere"), certain(0.9, "wedge"), certain(0.8, "sphere", "truncated_cone")])
+    masses = np.array(
+        [
+            certain(0.2, "sphere"),
+            certain(0.6, "sphere"),
+            certain(0.9, "wedge"),
+            certain(0.8, "sphere", "truncated_cone"),
+        ]
+    )
     sphere, cone = belief_rows(masses, ["sphere", "sphere", "sphere", "truncated_cone"])
     assert (sphere.name, cone.name) == ("sphere", "truncated_cone")
     np.testing.assert_allclose(sphere.beliefs, [0.0, 0.2, 0.0, 0.0, 0.0])
@@ -123,7 +130,9 @@ def test_promises_are_set_beside_outcomes_where_there_are_any() -> None:
 
 def test_a_rock_of_implausible_size_is_recognised_by_its_size_alone() -> None:
     def rock(plausible: float, contour: float) -> LikelihoodView:
-        evidence = {name: ClassEvidence(nll=-100.0 if name == "wedge" else 0.0, plausibility=plausible) for name in FRAME}
+        evidence = {
+            name: ClassEvidence(nll=-100.0 if name == "wedge" else 0.0, plausibility=plausible) for name in FRAME
+        }
         evidence["clutter"] = ClassEvidence(nll=contour)
         return LikelihoodView(evidence, False, np.zeros((1, 1), dtype=np.bool_))
 
@@ -136,7 +145,9 @@ def test_a_rock_of_implausible_size_is_recognised_by_its_size_alone() -> None:
 
 def test_two_views_that_agree_give_more_certainty_and_calibrations_report_both() -> None:
     seen = LikelihoodView(
-        {name: ClassEvidence(nll=0.0 if name == "wedge" else 20.0) for name in FRAME}, False, np.zeros((1, 1), dtype=np.bool_)
+        {name: ClassEvidence(nll=0.0 if name == "wedge" else 20.0) for name in FRAME},
+        False,
+        np.zeros((1, 1), dtype=np.bool_),
     )
     one, two = mass_of_one(seen), mass_of_two((seen, seen))
     assert one.shape == two.shape == (N_SUBSETS,)
@@ -157,6 +168,7 @@ def test_the_bench_prints_the_papers_rows_beside_ours(capsys: pytest.CaptureFixt
     assert main(["bench", "beliefs", "--objects", "1"]) == 0
     printed = capsys.readouterr().out
     assert all(
-        title in printed for title in ("printed in the source paper", "derived anew", "ours, one view", "ours, two views", "calibration")
+        title in printed
+        for title in ("printed in the source paper", "derived anew", "ours, one view", "ours, two views", "calibration")
     )
     assert "cylinder            0.710    0.000    0.000        -    0.200    0.910" in printed

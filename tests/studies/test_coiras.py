@@ -54,7 +54,9 @@ def test_misfit_of_the_true_relief_is_its_prior_alone() -> None:
 def test_ripples_come_back(looks: int, min_correlation: float) -> None:
     n_pings, n_columns = 64, 160
     along_m = ROW_M * np.arange(n_pings, dtype=np.float64)
-    elevation = 0.07 * np.sin(2.0 * math.pi * (0.5 * along_m[:, None] + 0.87 * ground_range_m(n_columns, COLUMN_M)) / 1.3)
+    elevation = 0.07 * np.sin(
+        2.0 * math.pi * (0.5 * along_m[:, None] + 0.87 * ground_range_m(n_columns, COLUMN_M)) / 1.3
+    )
     angles = np.radians(np.linspace(5.0, 85.0, 81))
     scene = SeafloorScene(
         elevation_m=elevation,
@@ -76,4 +78,6 @@ def test_ripples_come_back(looks: int, min_correlation: float) -> None:
 def test_small_pictures_are_inverted_too(shape: tuple[int, int]) -> None:
     image = np.random.Generator(np.random.PCG64(1)).gamma(1.0, 1.0, shape)
     valid, along_m = np.ones(shape, dtype=np.bool_), 0.2 * np.arange(shape[0], dtype=np.float64)
-    assert np.isfinite(render_image(invert_multiresolution(image, valid, np.full(shape[0], 5.0), along_m, 0.1)).intensity).all()
+    assert np.isfinite(
+        render_image(invert_multiresolution(image, valid, np.full(shape[0], 5.0), along_m, 0.1)).intensity
+    ).all()

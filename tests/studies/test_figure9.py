@@ -80,7 +80,10 @@ def test_an_object_is_sighted_once_at_its_best_with_its_shadow_and_the_floor_onc
 
 def test_echoes_at_the_slant_range_of_the_surface_are_separated() -> None:
     column = round(math.sqrt(18.0**2 - ALTITUDE_M**2) / 0.06)
-    assert [s.what for s in sighted(_tile(), [Place(20, column, 1.0), Place(20, column + 60, 0.0)], 18.0)] == ["surface", "floor"]
+    assert [s.what for s in sighted(_tile(), [Place(20, column, 1.0), Place(20, column + 60, 0.0)], 18.0)] == [
+        "surface",
+        "floor",
+    ]
 
 
 @pytest.mark.parametrize(("share", "odds"), [(0.25, 3.0), (0.5, 2.0), (0.9, -1.0), (1.0, -1.0)])
@@ -93,8 +96,18 @@ def test_objects_never_seen_have_no_threshold_that_finds_them() -> None:
 
 
 def test_the_table_counts_objects_and_false_alarms_of_all_images() -> None:
-    seen = (Sighting("wedge", 2.0), Sighting("cylinder", -0.5), Sighting("rock", 1.0), Sighting("floor", 0.1), Sighting("surface", -2.0))
-    image = Image({"central filters": seen, "all features": seen}, {"wedge": 1, "cylinder": 1, "rock": 1, "truncated_cone": 1}, 0.01)
+    seen = (
+        Sighting("wedge", 2.0),
+        Sighting("cylinder", -0.5),
+        Sighting("rock", 1.0),
+        Sighting("floor", 0.1),
+        Sighting("surface", -2.0),
+    )
+    image = Image(
+        {"central filters": seen, "all features": seen},
+        {"wedge": 1, "cylinder": 1, "rock": 1, "truncated_cone": 1},
+        0.01,
+    )
     even, _, _, every = [line.split() for line in table(EXPERIMENTS[0], [image, image]).splitlines()[2:6]]
     assert " ".join(even) == "central filters even odds 0 of 2 2 of 2 0 of 2 2 of 2 0 2 2.0 200"
     assert " ".join(every) == "central filters all learned 0 of 2 2 of 2 2 of 2 2 of 2 0 2 2.0 200"

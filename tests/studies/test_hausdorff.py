@@ -46,7 +46,10 @@ def patches(seed: int) -> tuple[Mask, Mask]:
 @settings(max_examples=30, deadline=None)
 def test_distances_are_those_of_all_pairs(seed: int) -> None:
     first, second = patches(seed)
-    gaps = [[min(math.dist(a, b) for b in contour(other)) for a in contour(one)] for one, other in ((first, second), (second, first))]
+    gaps = [
+        [min(math.dist(a, b) for b in contour(other)) for a in contour(one)]
+        for one, other in ((first, second), (second, first))
+    ]
     for quantile in (0.95, 1.0):
         distance_m = contour_distance_m(first, second, ROW_M, COLUMN_M, quantile=quantile)
         assert distance_m == pytest.approx(max(np.quantile(gap, quantile) for gap in gaps))
@@ -76,7 +79,10 @@ def test_the_shadow_of_the_true_solid_is_nearer_than_that_of_a_turned_one() -> N
     observed = region.intensity < 0.3
     hypotheses = np.tile([3.66, 20.0, 1.0, 0.265, 2.0, 0.4, 0.0, 0.0], (2, 1))
     hypotheses[1, 5] = -0.4
-    right, turned = (contour_distance_m(observed, shadow_mask("cylinder", one, image), 0.12, 0.06, quantile=0.95) for one in hypotheses)
+    right, turned = (
+        contour_distance_m(observed, shadow_mask("cylinder", one, image), 0.12, 0.06, quantile=0.95)
+        for one in hypotheses
+    )
     assert right <= 0.13
     assert turned > 3.0 * right
 

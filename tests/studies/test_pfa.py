@@ -20,7 +20,12 @@ def test_the_papers_pair_is_one_decision_in_a_square_of_16_cm() -> None:
 
 @pytest.mark.parametrize(
     ("along_m", "across_m", "per_km2", "probability"),
-    [(0.12, 0.058, 1.437e8, 6.96e-7), (0.24, 0.116, 3.592e7, 2.784e-6), (0.12, 0.06, 1.389e8, 7.2e-7), (1000.0, 1000.0, 1.0, 100.0)],
+    [
+        (0.12, 0.058, 1.437e8, 6.96e-7),
+        (0.24, 0.116, 3.592e7, 2.784e-6),
+        (0.12, 0.06, 1.389e8, 7.2e-7),
+        (1000.0, 1000.0, 1.0, 100.0),
+    ],
 )
 def test_hundred_false_alarms_per_km2_on_grids_worked_out_by_hand(
     along_m: float, across_m: float, per_km2: float, probability: float

@@ -62,7 +62,10 @@ def band_shadows_m() -> NDArray[np.float64]:
 
 
 def band_edges(
-    first_return_m: NDArray[np.float64], n_columns: int, column_spacing_m: float, reference_height_m: float = REFERENCE_HEIGHT_M
+    first_return_m: NDArray[np.float64],
+    n_columns: int,
+    column_spacing_m: float,
+    reference_height_m: float = REFERENCE_HEIGHT_M,
 ) -> NDArray[np.int32]:
     """Find the columns of each band in each row, (n_rows, N_BANDS + 1) int32.
 
@@ -128,7 +131,8 @@ def box_fault(box: FeatureBox) -> str | None:
         near_m, far_m = box.near_m + box.near_shadow * shadow_m, box.far_m + box.far_shadow * shadow_m
         if not -WINDOW_NEAR_M <= near_m < far_m <= WINDOW_FAR_M + WINDOW_SHADOWS * shadow_m:
             return (
-                f"with a shadow of {shadow_m} m it goes from {near_m:.3g} to {far_m:.3g} m across the track; it must not be empty and stay "
+                f"with a shadow of {shadow_m} m it goes from {near_m:.3g} to {far_m:.3g} m across the track; it must "
+                "not be empty and stay "
                 f"between {-WINDOW_NEAR_M} and {WINDOW_FAR_M} m + {WINDOW_SHADOWS} shadows"
             )
     return None

@@ -34,11 +34,15 @@ def fitting(model: CascadeModel | None, config: Config) -> tuple[CascadeModel | 
     """Return the model if it fits the pixels configured, else None, with a notice of which detector serves and why."""
     row_m, column_m = config.waterfall.row_spacing_m, config.waterfall.column_spacing_m
     if model is None:
-        return None, Notice(code="detect.contrast", text="detect.model is none: contrasts alone detect", for_the_record=True)
+        return None, Notice(
+            code="detect.contrast", text="detect.model is none: contrasts alone detect", for_the_record=True
+        )
     if not fits_sonar(model, row_m, column_m):
         text = (
-            f"pixels of {row_m:g} x {column_m:g} m are not among those that the model was trained for ({_span(model.row_spacing_m)} x "
-            f"{_span(model.column_spacing_m)} m): contrasts alone detect. Choose pixels within that range, or train a model for these"
+            f"pixels of {row_m:g} x {column_m:g} m are not among those that the model was trained for "
+            f"({_span(model.row_spacing_m)} x "
+            f"{_span(model.column_spacing_m)} m): contrasts alone detect. Choose pixels within that range, or train a "
+            "model for these"
         )
         return None, Notice(code="detect.model_does_not_fit", text=text, place=config.detect.model)
     text = f"the detector is a cascade trained on {model.trained_on}"

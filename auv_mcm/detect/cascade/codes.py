@@ -93,7 +93,9 @@ def plane_of_tile(tile: Tile, rows: slice) -> CodePlane:
     return make_plane(codes, valid, usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
 
 
-def box_sums(plane: CodePlane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]) -> NDArray[np.int32]:
+def box_sums(
+    plane: CodePlane, rows: NDArray[np.integer], columns: NDArray[np.integer], boxes_px: NDArray[np.int32]
+) -> NDArray[np.int32]:
     """Sum codes over boxes around pixels, int32.
 
     rows, columns: (...) int. boxes_px: (..., 4) of bands.pixel_boxes, broadcast against them; e.g. rows[:, None] and
@@ -115,4 +117,6 @@ def _box_sums(
     top, bottom, left, right = np.moveaxis(boxes_px, -1, 0)
     upper, lower = rows + top, rows + bottom
     before, behind = columns + left, columns + right
-    return np.asarray((integral[lower, behind] - integral[upper, behind]) - (integral[lower, before] - integral[upper, before]))
+    return np.asarray(
+        (integral[lower, behind] - integral[upper, behind]) - (integral[lower, before] - integral[upper, before])
+    )

@@ -123,7 +123,9 @@ def parse_model(data: bytes, place: str) -> CascadeModel:
     try:
         version = msgspec.json.decode(data, type=_Versioned).format_version
         if version != FORMAT_VERSION:
-            raise BadInputError(f"{place}: format_version {version}, but this program reads {FORMAT_VERSION}. {_REMEDY}")
+            raise BadInputError(
+                f"{place}: format_version {version}, but this program reads {FORMAT_VERSION}. {_REMEDY}"
+            )
         model = msgspec.json.decode(data, type=CascadeModel)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{place}: {error}. {_REMEDY}") from error
@@ -134,7 +136,9 @@ def parse_model(data: bytes, place: str) -> CascadeModel:
 def encode_model(model: CascadeModel) -> bytes:
     """Write the JSON that parse_model reads back as the same model, a line per field and per stump."""
     encode = msgspec.json.encode
-    groups = b",\n".join(b"  [\n   " + b",\n   ".join(encode(stump) for stump in group) + b"\n  ]" for group in model.groups)
+    groups = b",\n".join(
+        b"  [\n   " + b",\n   ".join(encode(stump) for stump in group) + b"\n  ]" for group in model.groups
+    )
     fields = {name: encode(getattr(model, name)) for name in model.__struct_fields__}
     fields["groups"] = b"[\n" + groups + b"\n ]"
     return b"{\n" + b",\n".join(b' "%s": %s' % (name.encode(), value) for name, value in fields.items()) + b"\n}\n"

@@ -56,7 +56,9 @@ def core_plane(tile: Tile) -> CodePlane:
     Windows are centred on pixels that are VALID and not LOW_RESOLUTION.
     """
     margin = round(MARGIN_M / tile.row_spacing_m) + 1
-    return plane_of_tile(tile, slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])))
+    return plane_of_tile(
+        tile, slice(max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0]))
+    )
 
 
 def run_plane(plane: CodePlane, model: CascadeModel, max_evaluations: int | None) -> CascadeResult:
@@ -83,7 +85,9 @@ def run_plane(plane: CodePlane, model: CascadeModel, max_evaluations: int | None
     )
 
 
-def trace_plane(plane: CodePlane, model: CascadeModel, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> NDArray[np.int32]:
+def trace_plane(
+    plane: CodePlane, model: CascadeModel, rows: NDArray[np.integer], columns: NDArray[np.integer]
+) -> NDArray[np.int32]:
     """Score the windows at rows, columns (n_windows,) after each group, none dropped: (n_windows, n_groups) int32."""
     stride = plane.sums.shape[1]
     tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
@@ -91,12 +95,16 @@ def trace_plane(plane: CodePlane, model: CascadeModel, rows: NDArray[np.integer]
     groups[:, 1] = np.iinfo(np.int32).min
     tables = tables._replace(groups=groups)
     edges = band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m)
-    place, which = np.unique(((rows + plane.margin_rows) * stride + columns + plane.margin_near).astype(np.int32), return_inverse=True)
+    place, which = np.unique(
+        ((rows + plane.margin_rows) * stride + columns + plane.margin_near).astype(np.int32), return_inverse=True
+    )
     at = np.empty((2, place.size), dtype=np.intp)
     at[:, which] = rows, columns
     bands = bands_at(edges, at[0], at[1])
     by_band = np.argsort(bands, kind="stable")
-    windows = Windows(place[by_band], np.zeros_like(place), np.cumsum(np.bincount(bands, minlength=N_BANDS)).astype(np.int64))
+    windows = Windows(
+        place[by_band], np.zeros_like(place), np.cumsum(np.bincount(bands, minlength=N_BANDS)).astype(np.int64)
+    )
     scores = np.empty((place.size, len(groups)), dtype=np.int32)
     for group in range(len(groups)):
         windows, _ = run_groups(plane.sums, tables, windows, group, group + 1)
@@ -122,7 +130,8 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
     n_px = areas(boxes_px)
     if n_px.max() > MAX_BOX_PX:
         raise UsageError(
-            f"pixels of {row_spacing_m} x {column_spacing_m} m: a box of the cascade has {n_px.max()}, but only sums over {MAX_BOX_PX} are "
+            f"pixels of {row_spacing_m} x {column_spacing_m} m: a box of the cascade has {n_px.max()}, but only sums "
+            f"over {MAX_BOX_PX} are "
             "exact; use coarser pixels"
         )
     shape = (len(boxes_px), len(stumps))
@@ -131,7 +140,9 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
     per_px = 1.0 / n_px[:, :-1].reshape(*shape, 3)
     table = np.zeros(shape, dtype=STUMP)
     table["offset"] = corners(boxes_px[:, :-1], stride).reshape(*shape, 3, 4)
-    factors = np.stack((np.ones_like(threshold), np.where(contrast, 1.0, threshold), np.where(contrast, threshold, 0.0)), axis=-1)
+    factors = np.stack(
+        (np.ones_like(threshold), np.where(contrast, 1.0, threshold), np.where(contrast, threshold, 0.0)), axis=-1
+    )
     table["weight"] = per_px * factors
     table["leaf"] = [(stump.above, stump.below) for stump in stumps]
     table["contrast"] = contrast
@@ -156,7 +167,9 @@ class _Run:
         self.n_alive = np.zeros(len(model.groups), dtype=np.int64)
         self._plane = plane
         self._tables = tables_of(model, plane.row_spacing_m, plane.column_spacing_m, stride)
-        self._edges = band_edges(plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m)
+        self._edges = band_edges(
+            plane.first_return_m, plane.n_columns, plane.column_spacing_m, model.reference_height_m
+        )
         self._sizes = np.array([len(group) for group in model.groups], dtype=np.int64)
         self._budget = max_evaluations
         # Without a budget to run out of there is no rank to find.
@@ -216,7 +229,9 @@ class _Run:
 
     def _opened(self, n_groups: int) -> tuple[int, Windows]:
         plane = self._plane
-        opened = open_windows(WindowField(plane.sums, plane.counts, self.corner, plane.usable, self._edges), self._tables, n_groups)
+        opened = open_windows(
+            WindowField(plane.sums, plane.counts, self.corner, plane.usable, self._edges), self._tables, n_groups
+        )
         self._account(opened.n_windows, 0, opened.n_alive)
         return opened.n_windows, opened.windows
 
@@ -235,7 +250,9 @@ class _Run:
 def _some(windows: Windows, chosen: NDArray[np.bool_]) -> Windows:
     """Select windows, (n,)."""
     indices = np.flatnonzero(chosen)
-    return Windows(windows.place[indices], windows.score[indices], np.searchsorted(indices, windows.band_stop).astype(np.int64))
+    return Windows(
+        windows.place[indices], windows.score[indices], np.searchsorted(indices, windows.band_stop).astype(np.int64)
+    )
 
 
 def _none(windows: Windows) -> Windows:

@@ -38,7 +38,9 @@ def measure_speed(model: CascadeModel, row_spacing_m: float, column_spacing_m: f
 
     def speed() -> float:
         began_s = time.thread_time()
-        plane = make_plane(codes_of(intensity, everywhere), everywhere, everywhere, first_return_m, row_spacing_m, column_spacing_m)
+        plane = make_plane(
+            codes_of(intensity, everywhere), everywhere, everywhere, first_return_m, row_spacing_m, column_spacing_m
+        )
         n_evaluations = run_plane(plane, endless, budget).n_evaluations
         return n_evaluations / (time.thread_time() - began_s)
 

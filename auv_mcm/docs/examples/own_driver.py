@@ -105,7 +105,9 @@ def wire_bytes(ping: Ping) -> bytes:
     """Encode a ping as the sonar sends it."""
     traces = [trace for trace in (ping.port, ping.starboard) if trace is not None]
     n_samples = len(traces[0].samples)
-    header = HEADER.pack(b"LS", ping.number, round(1e3 * ping.time_s) % 2**32, n_samples * traces[0].spacing_m, n_samples)
+    header = HEADER.pack(
+        b"LS", ping.number, round(1e3 * ping.time_s) % 2**32, n_samples * traces[0].spacing_m, n_samples
+    )
     message = header + b"".join(np.clip(trace.samples, 0, 65535).astype("<u2").tobytes() for trace in traces)
     return message + crc32(message).to_bytes(4, "little")
 
@@ -115,7 +117,9 @@ def main(log: Path) -> None:
     wire = bytearray(b"".join(wire_bytes(ping) for ping in pings))
     wire[1000::100_000] = bytes(len(wire[1000::100_000]))  # noise on the line
     decoder = SONAR.decoder(SonarConfig())
-    n_frames = sum(len(decoder.feed(bytes(wire[start : start + 512]), Stamp(0, 0))) for start in range(0, len(wire), 512))
+    n_frames = sum(
+        len(decoder.feed(bytes(wire[start : start + 512]), Stamp(0, 0))) for start in range(0, len(wire), 512)
+    )
     n_frames += len(decoder.finish())
     print(f"{n_frames} of {len(pings)} pings decoded; counters: {dict(decoder.counters)}")
 

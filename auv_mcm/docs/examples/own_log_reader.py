@@ -65,7 +65,9 @@ def events(path: Path, file: BinaryIO, config: Config, counters: Counter[str]) -
         )
         step_m = range_m / len(port)
         traces = [EchoTrace(samples=side, first_range_m=0.5 * step_m, spacing_m=step_m) for side in (port, starboard)]
-        yield Ping(number=number, time_s=time_s, port=traces[0], starboard=traces[1], place=f"{path.name}, ping {number}")
+        yield Ping(
+            number=number, time_s=time_s, port=traces[0], starboard=traces[1], place=f"{path.name}, ping {number}"
+        )
 
 
 READER = LogReader("laboratory archive", recognises, events)

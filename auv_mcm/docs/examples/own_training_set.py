@@ -49,7 +49,10 @@ def main(out: Path) -> None:
     train_model(out / "theatre.yaml", model, tiles=tiles, kind="soft", n_stumps=4, farm=Farm(workers=1), say=print)
 
     for shard in read_manifest(tiles).shards:
-        print(f"{shard.file}: {shard.n_tiles} tiles, {shard.n_targets} views of targets, {shard.n_others} of other objects")
+        print(
+            f"{shard.file}: {shard.n_tiles} tiles, {shard.n_targets} views of targets, {shard.n_others} of other "
+            "objects"
+        )
     trained = parse_model(model.read_bytes(), str(model))
     print(f"{model}: {trained.n_stumps} stumps; to use it: detect: {{model: {model}}} in the configuration")
 

@@ -26,7 +26,9 @@ def main(path: Path) -> None:
         n_bytes[chunk.port or "(clock)", chunk.direction] += len(chunk.data)
         times_s.append(1e-9 * chunk.stamp.utc_ns)
     if times_s:
-        first, last = (datetime.fromtimestamp(time_s, UTC).isoformat(" ", "seconds") for time_s in (times_s[0], times_s[-1]))
+        first, last = (
+            datetime.fromtimestamp(time_s, UTC).isoformat(" ", "seconds") for time_s in (times_s[0], times_s[-1])
+        )
         print(f"{path}: {first} to {last}, {len(times_s)} chunks")
     for (port, direction), count in sorted(n_bytes.items()):
         print(f"  {port} {direction}: {count} bytes")

@@ -28,7 +28,10 @@ def main(mission: Path, out: Path) -> None:
     # Rates never come without their intervals: few targets say little.
     at = score.at_threshold
     print(f"{score.n_targets} targets on {score.area_km2:.4f} km²")
-    print(f"{at.pd.count} of them are called (95 % interval of Pd: {at.pd.low:.2f} to {at.pd.high:.2f}) at p_mine {at.threshold:g}")
+    print(
+        f"{at.pd.count} of them are called (95 % interval of Pd: {at.pd.low:.2f} to {at.pd.high:.2f}) at p_mine "
+        f"{at.threshold:g}"
+    )
     for kind in score.kinds:
         print(f"  {kind.kind}: {kind.called.count} of {kind.called.of} called")
     print(table(score))  # all of it, as `auv-mcm score` prints it

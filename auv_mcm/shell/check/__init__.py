@@ -42,13 +42,25 @@ def run_checks(
         verdicts.append(finding.verdict)
     n_failed, n_warnings = verdicts.count("FAILED"), verdicts.count("warning")
     counted = f"{n_failed} failed" if n_failed else "nothing failed"
-    write(f"{counted}, {n_warnings} warning{'s' * (n_warnings > 1)}" if n_warnings else counted if n_failed else "all good")
+    write(
+        f"{counted}, {n_warnings} warning{'s' * (n_warnings > 1)}"
+        if n_warnings
+        else counted
+        if n_failed
+        else "all good"
+    )
     return SelfCheckError.exit_code if n_failed else 0
 
 
-def _findings(read_config: Callable[[], Config], check_logs: Callable[[Config], Iterable[Finding]]) -> Iterator[Finding]:
+def _findings(
+    read_config: Callable[[], Config], check_logs: Callable[[Config], Iterable[Finding]]
+) -> Iterator[Finding]:
     yield Finding("auv-mcm", "ok", f"{__version__} in {Path(__file__).parents[1]}")
-    yield Finding("python", "ok" if sys.version_info >= (3, 11) else "FAILED", f"{platform.python_version()} on {platform.machine()}")
+    yield Finding(
+        "python",
+        "ok" if sys.version_info >= (3, 11) else "FAILED",
+        f"{platform.python_version()} on {platform.machine()}",
+    )
     yield from package_findings()
     yield from _looked_at("C kernels", _kernels)
     if has_extra("bench"):
@@ -100,11 +112,16 @@ def _configuration(config: Config) -> Iterator[Finding]:
     if config.service.source:
         uri = parse_source_uri(config.service.source)
         if uri.scheme == "ports" and not config.ports:
-            text = "service.source is ports, but there are none: add a section 'ports'; 'auv-mcm run --example' prints one"
+            text = (
+                "service.source is ports, but there are none: add a section 'ports'; 'auv-mcm run --example' prints one"
+            )
             yield Finding("configuration", "FAILED", text)
             return
         if uri.scheme == "replay" and not Path(uri.path).exists():
-            text = f"service.source {config.service.source}: {uri.path} does not exist. Name a log, or the folder of a recorded session"
+            text = (
+                f"service.source {config.service.source}: {uri.path} does not exist. Name a log, or the folder of a "
+                "recorded session"
+            )
             yield Finding("configuration", "FAILED", text)
             return
     yield Finding("configuration", "ok", "valid")
@@ -137,9 +154,16 @@ def _kernels() -> Iterator[Finding]:
     random = np.random.default_rng(0)
     score = random.normal(size=(64, 257))
     score[random.random(score.shape) < 0.2] = -np.inf
-    (cost, back), (cost_numpy, back_numpy) = viterbi_forward(score[0], score, 5, 0.3), viterbi_forward_numpy(score[0], score, 5, 0.3)
+    (cost, back), (cost_numpy, back_numpy) = (
+        viterbi_forward(score[0], score, 5, 0.3),
+        viterbi_forward_numpy(score[0], score, 5, 0.3),
+    )
     same = np.array_equal(cost, cost_numpy) and np.array_equal(back, back_numpy)
-    yield Finding("C kernels", "ok" if same else "FAILED", f"{kernels.loaded().reason}, {'equal to' if same else 'NOT EQUAL to'} numpy")
+    yield Finding(
+        "C kernels",
+        "ok" if same else "FAILED",
+        f"{kernels.loaded().reason}, {'equal to' if same else 'NOT EQUAL to'} numpy",
+    )
 
 
 def _odds() -> Iterator[Finding]:

@@ -8,7 +8,8 @@ Verdict: TypeAlias = Literal["ok", "warning", "FAILED"]
 
 
 class Finding(NamedTuple):
-    """One line of the self-check. `warning`: it works, but less well, or could not be judged. detail: what, where and what to do."""
+    """One line of the self-check. `warning`: it works, but less well, or could not be judged. detail: what, where and
+    what to do."""
 
     name: str
     verdict: Verdict

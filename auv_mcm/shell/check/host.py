@@ -33,14 +33,21 @@ class Discipline(NamedTuple):
 def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, unit_gives_utc: bool) -> Finding:
     """Judge the system's clock.
 
-    utc_s: what it shows. discipline: what the kernel reports of it, None if that is not known. package: folder of files that cannot be from
-    the future. unit_gives_utc: a navigation unit gives UTC, so that times are not this computer's.
+    utc_s: what it shows. discipline: what the kernel reports of it, None if that is not known. package: folder of files
+    that cannot be from the future. unit_gives_utc: a navigation unit gives UTC, so that times are not this computer's.
     """
-    shown = datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC") if 0.0 <= utc_s < 2.5e11 else f"{utc_s:g} s"
+    shown = (
+        datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        if 0.0 <= utc_s < 2.5e11
+        else f"{utc_s:g} s"
+    )
     earliest_s = max([_FIRST_UTC_S, *(path.stat().st_mtime - _DAY_S for path in package.glob("*.py"))])
     if utc_s < earliest_s:
         since = datetime.fromtimestamp(earliest_s, UTC).date()
-        text = f"shows {shown}, which is before this installation was made ({since}). Set it, e.g. date --utc --set, or start chrony"
+        text = (
+            f"shows {shown}, which is before this installation was made ({since}). Set it, e.g. date --utc --set, or "
+            "start chrony"
+        )
         return Finding("clock", "FAILED", text)
     if discipline is None:
         return Finding("clock", "ok", f"{shown}; whether it is synchronised cannot be seen here")
@@ -48,20 +55,27 @@ def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, un
         return Finding("clock", "ok", f"{shown}, synchronised, maximum error {discipline.max_error_s:.3g} s")
     if unit_gives_utc:
         return Finding("clock", "ok", f"{shown}, not synchronised; a navigation unit gives UTC")
-    text = f"{shown}, not synchronised: times of contacts are as right as it was set. Start chrony or another time service, or set "
+    text = (
+        f"{shown}, not synchronised: times of contacts are as right as it was set. Start chrony or another time "
+        "service, or set "
+    )
     return Finding("clock", "warning", text + "navigation.gives_utc of a unit that sends ZDA")
 
 
 def clock_discipline() -> Discipline | None:
     """Query the kernel whether the clock is synchronised; None where it does not state it. Changes nothing."""
-    timex = (ctypes.c_long * 64)()  # struct timex: modes, offset, freq, maxerror (us), esterror, status, ...; modes 0 reads
+    timex = (
+        ctypes.c_long * 64
+    )()  # struct timex: modes, offset, freq, maxerror (us), esterror, status, ...; modes 0 reads
     try:
         state = ctypes.CDLL(None).adjtimex(ctypes.byref(timex))
     except (AttributeError, OSError):
         return None
     if state < 0:
         return None
-    status = ctypes.cast(ctypes.byref(timex, 5 * ctypes.sizeof(ctypes.c_long)), ctypes.POINTER(ctypes.c_int)).contents.value
+    status = ctypes.cast(
+        ctypes.byref(timex, 5 * ctypes.sizeof(ctypes.c_long)), ctypes.POINTER(ctypes.c_int)
+    ).contents.value
     return Discipline(state != _TIME_ERROR and not status & _UNSYNCHRONISED, timex[3] * 1e-6)
 
 
@@ -77,10 +91,18 @@ def output_finding(folder: Path) -> Finding:
             probe.flush()
         free_bytes = shutil.disk_usage(existing).free
     except OSError as error:
-        return Finding(name, "FAILED", f"{existing} cannot be written to: {error.strerror}. Change its owner, or name another one ({key})")
+        return Finding(
+            name,
+            "FAILED",
+            f"{existing} cannot be written to: {error.strerror}. Change its owner, or name another one ({key})",
+        )
     room = f"{folder.absolute()}, {free_bytes / 1e9:.2g} GB free"
     if free_bytes < _NEEDED_BYTES:
-        return Finding(name, "FAILED", f"{room}: too little for the results of a mission. Free space, or name another one ({key})")
+        return Finding(
+            name, "FAILED", f"{room}: too little for the results of a mission. Free space, or name another one ({key})"
+        )
     if free_bytes < _PLENTY_BYTES:
-        return Finding(name, "warning", f"{room}: recordings of a day may fill it. Free space, or name another one ({key})")
+        return Finding(
+            name, "warning", f"{room}: recordings of a day may fill it. Free space, or name another one ({key})"
+        )
     return Finding(name, "ok", room)

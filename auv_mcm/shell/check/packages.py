@@ -23,7 +23,9 @@ _IMPORTED_AS: Final = {
     "pyyaml": "yaml",
 }
 _WITHOUT: Final = {"bench": "replay, simulate, score, train, hil, bench and reports need it"}
-_REQUIREMENT: Final = re.compile(r"(?P<name>[A-Za-z0-9._-]+)\s*(?:\[[^\]]*\])?\s*\(?(?P<limits>[^;)]*)\)?\s*(?:;(?P<marker>.*))?")
+_REQUIREMENT: Final = re.compile(
+    r"(?P<name>[A-Za-z0-9._-]+)\s*(?:\[[^\]]*\])?\s*\(?(?P<limits>[^;)]*)\)?\s*(?:;(?P<marker>.*))?"
+)
 _LIMIT: Final = re.compile(r"\s*(>=|<=|==|!=|<|>)\s*([0-9][^,\s]*)\s*")
 _EXTRA: Final = re.compile(r"""extra\s*==\s*["']([^"']+)["']""")
 _COMPARE: Final[dict[str, Callable[[tuple[int, ...], tuple[int, ...]], bool]]] = {
@@ -65,7 +67,10 @@ def package_findings() -> Iterator[Finding]:
     try:
         by_extra = parse_requirements(metadata.requires(DISTRIBUTION) or [])
     except metadata.PackageNotFoundError:
-        text = f"{DISTRIBUTION} itself is not installed, so that what it needs is not known: python -m pip install {DISTRIBUTION}"
+        text = (
+            f"{DISTRIBUTION} itself is not installed, so that what it needs is not known: python -m pip install "
+            f"{DISTRIBUTION}"
+        )
         yield Finding("packages", "FAILED", text)
         return
     for requirement in by_extra.pop(_BASE, []):
@@ -76,7 +81,11 @@ def package_findings() -> Iterator[Finding]:
         install = f"python -m pip install '{DISTRIBUTION}[{extra}]'"
         if missing := [requirement.name for requirement in requirements if _version(requirement.name) is None]:
             needed_by = _WITHOUT.get(extra, "some commands need it")
-            yield Finding(f"extra {extra}", "warning", f"not installed (no {', '.join(missing)}): {needed_by}. On the bench: {install}")
+            yield Finding(
+                f"extra {extra}",
+                "warning",
+                f"not installed (no {', '.join(missing)}): {needed_by}. On the bench: {install}",
+            )
             continue
         for requirement in requirements:
             yield _finding(requirement, install)
@@ -103,7 +112,9 @@ def _finding(requirement: Requirement, install: str) -> Finding:
         importlib.import_module(module)
     except Exception as error:  # a broken package raises whatever it likes
         reason = str(error).splitlines()[0] if str(error) else ""
-        return Finding(name, "FAILED", f"version {version} cannot be imported ({type(error).__name__}: {reason}): {install}")
+        return Finding(
+            name, "FAILED", f"version {version} cannot be imported ({type(error).__name__}: {reason}): {install}"
+        )
     return Finding(name, "ok", version)
 
 

@@ -22,7 +22,14 @@ _TURN: Final = 2.0 * math.pi
 _S_PER_NS: Final = 1e-9
 
 _Quantity = Literal["heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"]
-_QUANTITIES: Final[tuple[_Quantity, ...]] = ("heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps")
+_QUANTITIES: Final[tuple[_Quantity, ...]] = (
+    "heading_rad",
+    "pitch_rad",
+    "roll_rad",
+    "depth_m",
+    "altitude_m",
+    "speed_mps",
+)
 
 
 class CanDecoder:
@@ -57,9 +64,16 @@ class CanDecoder:
         fixes: tuple[NavFix, ...] = ()
         if data.extended:
             fixes = tuple(self._bus.feed(data.can_id, data.data, stamp))
-            if self._units and number_and_address(data.can_id) is None and identifier_of(data.can_id).source in self._units:
+            if (
+                self._units
+                and number_and_address(data.can_id) is None
+                and identifier_of(data.can_id).source in self._units
+            ):
                 states = [state for fix in fixes for state in self._states(fix)]
-                return [VehicleMessage(None, stamp, None, fixes), *(VehicleMessage(None, stamp, state) for state in states)]
+                return [
+                    VehicleMessage(None, stamp, None, fixes),
+                    *(VehicleMessage(None, stamp, state) for state in states),
+                ]
         else:
             self._not_extended["n2k.not_extended"] += 1
         received = self._receiver.add(data, stamp.mono_ns * _S_PER_NS)
@@ -80,7 +94,9 @@ class CanDecoder:
                 self._last[name] = value, mono_ns
         if math.isnan(fix.latitude_deg):
             return []
-        fresh = {name: value for name, (value, at_ns) in self._last.items() if (mono_ns - at_ns) * _S_PER_NS <= _FIX_VALID_S}
+        fresh = {
+            name: value for name, (value, at_ns) in self._last.items() if (mono_ns - at_ns) * _S_PER_NS <= _FIX_VALID_S
+        }
         return [ReportedState(fix.received, fix.latitude_deg, fix.longitude_deg, **fresh)]
 
 

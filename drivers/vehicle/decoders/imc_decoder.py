@@ -72,12 +72,16 @@ class ImcDecoder:
         if not isinstance(message, imc.EstimatedState):
             return VehicleMessage(record, received)
         state = _state_of(message, received)
-        return VehicleMessage(record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle else ())
+        return VehicleMessage(
+            record, received, state, (fix_of(self._port, state),) if packet.source == self._vehicle else ()
+        )
 
 
 def is_vehicle(message: ImcMessage) -> bool:
     """Check whether only a vehicle sends this message."""
-    return isinstance(message, imc.EstimatedState) or (isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES)
+    return isinstance(message, imc.EstimatedState) or (
+        isinstance(message, imc.Announce) and message.sys_type in VEHICLE_TYPES
+    )
 
 
 def _state_of(message: imc.EstimatedState, received: Stamp) -> ReportedState:

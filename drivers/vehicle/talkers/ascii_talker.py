@@ -82,7 +82,9 @@ class AsciiTalker(ABC):
     def command(self, command: Command, now_s: float) -> None:
         if not (self._open and self._granted):
             self._own[f"{self._name}.command_without_grant"] += 1
-        elif not isinstance(command, Steer) or not math.isfinite(command.heading_rad + command.vertical.value_m + command.speed_mps):
+        elif not isinstance(command, Steer) or not math.isfinite(
+            command.heading_rad + command.vertical.value_m + command.speed_mps
+        ):
             self._own[f"{self._name}.command_unfit"] += 1
         else:
             self._steer(command, now_s)

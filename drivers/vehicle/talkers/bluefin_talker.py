@@ -48,8 +48,20 @@ ATTEMPTS: Final = 3
 _HEARTBEAT_S: Final = 1.0
 _COMMAND_VALID_S: Final = 2.0  # one that could not be sent by then is old
 _PENDING_FOR_S: Final = 60.0
-_TIME_STEP_S: Final = 0.01  # between the times of two sentences, so that an answer in hundredths still identifies its sentence
-_ASKED_FOR: Final = ("ACK", "NVG", "NVR", "CTL", "MIS", "MSC", "SHT", "MBS", "MBE")  # ACK first, for the others to be answered
+_TIME_STEP_S: Final = (
+    0.01  # between the times of two sentences, so that an answer in hundredths still identifies its sentence
+)
+_ASKED_FOR: Final = (
+    "ACK",
+    "NVG",
+    "NVR",
+    "CTL",
+    "MIS",
+    "MSC",
+    "SHT",
+    "MBS",
+    "MBE",
+)  # ACK first, for the others to be answered
 _WORDS_ON_CONTROL: Final = ("ACK", "CTL", "MIS")  # which may have been lost
 _INVALID, _, _DONE, _PENDING = "0123"
 _RUNNING: Final = "running"
@@ -179,7 +191,9 @@ class BluefinTalker(AsciiTalker):
     def _outgoing(self, now_s: float) -> list[bytes]:
         if now_s >= self._heartbeat_s:
             self._heartbeat_s = now_s + _HEARTBEAT_S
-            self._put(_Item("STS", BluefinStatus(NAN, "0" if self._health.state == "failure" else "1", self._health_text())))
+            self._put(
+                _Item("STS", BluefinStatus(NAN, "0" if self._health.state == "failure" else "1", self._health_text()))
+            )
         if now_s - self._heard_s >= self.silent_after_s:
             self._later += self._withhold(f"the vehicle is silent for {self.silent_after_s:.0f} s")
             end_of_control = self._waiting.get("RCE")
@@ -202,7 +216,10 @@ class BluefinTalker(AsciiTalker):
             return None
         for key in [key for key, item in self._waiting.items() if now_s >= item.expires_s]:
             del self._waiting[key]
-        return next((item for item in self._waiting.values() if self._clock is not None or isinstance(item.record, BluefinLog)), None)
+        return next(
+            (item for item in self._waiting.values() if self._clock is not None or isinstance(item.record, BluefinLog)),
+            None,
+        )
 
     def _send(self, item: _Item, now_s: float) -> bytes:
         if not isinstance(item.record, BluefinLog):
@@ -222,7 +239,9 @@ class BluefinTalker(AsciiTalker):
                 continue
             if now_s - item.sent_s < RESEND_S:
                 continue
-            again = self._waiting.pop("RMB", None) if item.key == "RMB" else item  # an old command is not sent again, a new one is
+            again = (
+                self._waiting.pop("RMB", None) if item.key == "RMB" else item
+            )  # an old command is not sent again, a new one is
             if again is None or now_s >= again.expires_s or item.n_sent >= ATTEMPTS:
                 self._give_up(item)
                 continue
@@ -243,7 +262,9 @@ class BluefinTalker(AsciiTalker):
             return
         name = self._table.body_of(item.record)[:5]
         self._own["bluefin.unanswered"] += 1
-        self._later += self._withhold(f"the vehicle did not answer {name}, sent {item.n_sent} times; if this lasts, connect anew")
+        self._later += self._withhold(
+            f"the vehicle did not answer {name}, sent {item.n_sent} times; if this lasts, connect anew"
+        )
         self._sent = [other for other in self._sent if other is not item]
         if not isinstance(item.record, BluefinLog):
             self._ask_for(*_ASKED_FOR)
@@ -253,13 +274,20 @@ class BluefinTalker(AsciiTalker):
             self._takes_contacts = False
             refused = [item, *(other for other in self._waiting.values() if other.ticket is not None)]
             self._waiting = {key: other for key, other in self._waiting.items() if other.ticket is None}
-            self._later += [Rejected(other.ticket, self._no_contacts()) for other in refused if other.ticket is not None]
+            self._later += [
+                Rejected(other.ticket, self._no_contacts()) for other in refused if other.ticket is not None
+            ]
 
     def _no_contacts(self) -> str:
-        return f"the vehicle never answered {self._settings.contact_sentence}, so contacts are not reported on this connection"
+        return (
+            f"the vehicle never answered {self._settings.contact_sentence}, so contacts are not reported on this "
+            "connection"
+        )
 
     def _answered(self, answer: BluefinAnswer, now_s: float) -> Iterable[VehicleEvent]:
-        item = next((item for item in self._sent if _is_for(answer, self._table.body_of(item.record)[:5], item.record)), None)
+        item = next(
+            (item for item in self._sent if _is_for(answer, self._table.body_of(item.record)[:5], item.record)), None
+        )
         if item is None:
             self._own["bluefin.unexpected_answer"] += 1
             return
@@ -278,7 +306,10 @@ class BluefinTalker(AsciiTalker):
             return
         name = self._table.body_of(item.record)[:5]
         self._own[f"bluefin.refused_{name}"] += 1
-        reason = f"the vehicle {'calls this invalid' if answer.status == _INVALID else 'failed to do this'}: {name} {answer.text}".rstrip()
+        reason = (
+            f"the vehicle {'calls this invalid' if answer.status == _INVALID else 'failed to do this'}: {name} "
+            f"{answer.text}"
+        ).rstrip()
         if item.key == "RMB":
             yield from self._withhold(reason)
         elif item.ticket is not None and answer.status == _INVALID:

@@ -103,7 +103,12 @@ class CanTalker:
     """
 
     capabilities: Final = (
-        Capability.NAVIGATION | Capability.WAYPOINT | Capability.STEERING | Capability.CONTACT | Capability.ACKNOWLEDGED | Capability.HEALTH
+        Capability.NAVIGATION
+        | Capability.WAYPOINT
+        | Capability.STEERING
+        | Capability.CONTACT
+        | Capability.ACKNOWLEDGED
+        | Capability.HEALTH
     )
     silent_after_s: Final = _SILENT_S
     command_period_s: Final = COMMAND_PERIOD_S

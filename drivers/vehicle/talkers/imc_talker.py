@@ -122,7 +122,9 @@ class ImcTalker:
         self._n_starts = 0
         self._start_due_s = 0.0
         self._succeeded = False  # the vehicle answered SUCCESS to the START
-        self._followed_s: float | None = None  # when the vehicle last reported that the manoeuvre runs for us; None: it does not
+        self._followed_s: float | None = (
+            None  # when the vehicle last reported that the manoeuvre runs for us; None: it does not
+        )
         self._granted_s = 0.0
         self._seen_plan = self._seen_maneuver = False  # since the grant
         self._stop_due_s = 0.0
@@ -197,7 +199,9 @@ class ImcTalker:
         self._reference = imc.Reference(
             flags=RefFlag.LOCATION | RefFlag.SPEED | RefFlag.Z,
             speed=imc.DesiredSpeed(command.speed_mps),
-            z=imc.DesiredZ(command.vertical.value_m, ZUnits.DEPTH if command.vertical.reference == "depth" else ZUnits.ALTITUDE),
+            z=imc.DesiredZ(
+                command.vertical.value_m, ZUnits.DEPTH if command.vertical.reference == "depth" else ZUnits.ALTITUDE
+            ),
             lat=math.radians(command.latitude_deg),
             lon=math.radians(command.longitude_deg),
         )
@@ -207,7 +211,9 @@ class ImcTalker:
         if not self._settings.acknowledges:
             return
         contact = imc_contact_of(report)
-        self._pending[contact.session, contact.number, contact.revision] = _Pending(ticket, contact, now_s, _REPORT_AGAIN_S)
+        self._pending[contact.session, contact.number, contact.revision] = _Pending(
+            ticket, contact, now_s, _REPORT_AGAIN_S
+        )
 
     def report_health(self, health: PayloadHealth, now_s: float) -> None:
         self._health, self._health_due_s = health, now_s
@@ -314,16 +320,23 @@ class ImcTalker:
         """Return why a packet that would let us command is rejected, "" if it is accepted."""
         if not self._vehicles_clock.hear(time_s, now_s):
             why = "is not that of the vehicle's other messages"
-        elif self._stage == "requested" and self._settings.own_plan and not self._vehicles_clock.is_after(time_s, self._requested_s):
+        elif (
+            self._stage == "requested"
+            and self._settings.own_plan
+            and not self._vehicles_clock.is_after(time_s, self._requested_s)
+        ):
             why = "is before that of the request"
         else:
             return ""
         return (
-            f"it would grant control, but its time ({time_s:.1f} s since 1970) {why}. Check that the vehicle's clock is set "
+            f"it would grant control, but its time ({time_s:.1f} s since 1970) {why}. Check that the vehicle's clock "
+            "is set "
             "and runs, and that nobody sends recorded messages."
         )
 
-    def _heard(self, message: ImcMessage, state: ReportedState | None, now_s: float, *, for_us: bool) -> list[VehicleEvent]:
+    def _heard(
+        self, message: ImcMessage, state: ReportedState | None, now_s: float, *, for_us: bool
+    ) -> list[VehicleEvent]:
         match message:
             case imc.EstimatedState():
                 assert state is not None  # the decoder makes one of each
@@ -346,7 +359,9 @@ class ImcTalker:
                 return []
 
     def _answered(self, message: imc.PlanControl) -> list[VehicleEvent]:
-        mine = message.op == PlanOp.START and message.request_id == self._request_id and message.plan_id in ("", PLAN_ID)
+        mine = (
+            message.op == PlanOp.START and message.request_id == self._request_id and message.plan_id in ("", PLAN_ID)
+        )
         if self._stage == "idle" or not self._settings.own_plan or not mine:
             return []
         if message.type == PlanType.FAILURE:
@@ -390,7 +405,10 @@ class ImcTalker:
             or not message.proximity & Proximity.XY_NEAR
         ):
             return []
-        offsets_rad = (reference.lat - math.radians(goal.latitude_deg), reference.lon - math.radians(goal.longitude_deg))
+        offsets_rad = (
+            reference.lat - math.radians(goal.latitude_deg),
+            reference.lon - math.radians(goal.longitude_deg),
+        )
         if not all(abs(offset) < _SAME_PLACE_RAD for offset in offsets_rad):
             return []  # of the place before
         distance_m = self._distance_m(goal)
@@ -404,7 +422,9 @@ class ImcTalker:
         """Return the distance on a sphere, for some tens of metres; NaN if the vehicle's position is not known."""
         latitude_deg, longitude_deg = self._position_deg
         north_rad = math.radians(goal.latitude_deg - latitude_deg)
-        east_rad = math.radians(math.remainder(goal.longitude_deg - longitude_deg, 360.0)) * math.cos(math.radians(latitude_deg))
+        east_rad = math.radians(math.remainder(goal.longitude_deg - longitude_deg, 360.0)) * math.cos(
+            math.radians(latitude_deg)
+        )
         return _EARTH_RADIUS_M * math.hypot(north_rad, east_rad)
 
     def _heard_plan(self, message: imc.PlanControlState, now_s: float) -> list[VehicleEvent]:
@@ -412,11 +432,15 @@ class ImcTalker:
         ours = running and (message.plan_id == PLAN_ID or not self._settings.own_plan)
         unwanted = self._open and self._stage == "idle" and self._settings.own_plan
         if ours and unwanted and now_s >= self._stop_due_s:
-            self._stop("the payload does not request control", now_s)  # left from a release that was lost, or from an earlier run
+            self._stop(
+                "the payload does not request control", now_s
+            )  # left from a release that was lost, or from an earlier run
         if ours:
             self._seen_plan = True
             return []
-        return self._contradicted(f"plan {message.plan_id} runs" if running else "the plan has ended", self._seen_plan, now_s)
+        return self._contradicted(
+            f"plan {message.plan_id} runs" if running else "the plan has ended", self._seen_plan, now_s
+        )
 
     def _heard_mode(self, message: imc.VehicleState, now_s: float) -> list[VehicleEvent]:
         mode = message.op_mode

@@ -88,7 +88,9 @@ class IverTalker(AsciiTalker):
             self._own["iver.command_without_floor"] += 1
             return
         settings = self._settings
-        self._order = IverSteer(steer.heading_rad, depth_m, settings.max_pitch_deg, steer.speed_mps, settings.command_timeout_s)
+        self._order = IverSteer(
+            steer.heading_rad, depth_m, settings.max_pitch_deg, steer.speed_mps, settings.command_timeout_s
+        )
 
     def _stop_commanding(self) -> None:
         self._order = None

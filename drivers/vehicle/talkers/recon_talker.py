@@ -50,7 +50,9 @@ class ReconTalker(AsciiTalker):
 
     def __init__(self, settings: ReconSettings) -> None:
         optional = Capability.CONTACT if settings.contact_type else Capability(0)
-        super().__init__("recon", table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | optional)
+        super().__init__(
+            "recon", table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | optional
+        )
         self._reports_wanted = bool(settings.contact_type)
         self._reports = PacedReports()
         self._floor = FloorBelow()
@@ -128,7 +130,10 @@ class ReconTalker(AsciiTalker):
         records, self._orders = self._orders, []
         if self._wanted and not self._granted and now_s >= self._engage_s:
             self._engage_s = now_s + _ENGAGE_EVERY_S
-            records += [ReconQuery("Depth"), ReconEngage("1")]  # a REMUS has been seen to heed nothing before it was asked something
+            records += [
+                ReconQuery("Depth"),
+                ReconEngage("1"),
+            ]  # a REMUS has been seen to heed nothing before it was asked something
         if now_s >= self._alive_s:
             self._alive_s = now_s + _KEEP_ALIVE_S
             records.append(ReconAlive(self._health_text()))

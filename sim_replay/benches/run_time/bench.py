@@ -1,4 +1,5 @@
-"""Measure run time against error of the whole chain, beside a plain script: operating points, targets, and what moved."""
+"""Measure run time against error of the whole chain, beside a plain script: operating points, targets, and what
+moved."""
 
 from __future__ import annotations
 
@@ -44,23 +45,52 @@ _FAILED: Final = 5  # exit code of a check that fails
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scenes", help=f"scenes by name, with commas between (default: {','.join(SCANNED)}; with --targets all ten)")
-    parser.add_argument("--seeds", type=count, default=1, help="missions per scene (default 1)")
-    parser.add_argument("--log", type=Path, action="append", default=[], metavar="FILE", help="a recorded line to augment, XTF; repeatable")
-    parser.add_argument("--log-seeds", type=count, default=2, help="draws of targets per recorded line (default 2)")
-    parser.add_argument("--repeat", type=count, default=3, help="repetitions of every run, all points in turn (default 3)")
-    parser.add_argument("--knobs", help="turn only these knobs, with commas between, beside the default and the references")
-    instead = parser.add_mutually_exclusive_group()
-    instead.add_argument("--targets", action="store_true", help="the default and the plain script alone, on all that the targets are about")
-    instead.add_argument(
-        "--skips", action="store_true", help="what each skip of the chain saves, and how far the answer differs without it"
+    parser.add_argument(
+        "--scenes", help=f"scenes by name, with commas between (default: {','.join(SCANNED)}; with --targets all ten)"
     )
-    instead.add_argument("--scaling", action="store_true", help="how cost grows with swath, ping rate, objects, length and threads")
-    instead.add_argument("--latency", action="store_true", help="how long after it was passed a target is announced, early and in the end")
-    instead.add_argument("--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged")
+    parser.add_argument("--seeds", type=count, default=1, help="missions per scene (default 1)")
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a recorded line to augment, XTF; repeatable",
+    )
+    parser.add_argument("--log-seeds", type=count, default=2, help="draws of targets per recorded line (default 2)")
+    parser.add_argument(
+        "--repeat", type=count, default=3, help="repetitions of every run, all points in turn (default 3)"
+    )
+    parser.add_argument(
+        "--knobs", help="turn only these knobs, with commas between, beside the default and the references"
+    )
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--targets",
+        action="store_true",
+        help="the default and the plain script alone, on all that the targets are about",
+    )
+    instead.add_argument(
+        "--skips",
+        action="store_true",
+        help="what each skip of the chain saves, and how far the answer differs without it",
+    )
+    instead.add_argument(
+        "--scaling", action="store_true", help="how cost grows with swath, ping rate, objects, length and threads"
+    )
+    instead.add_argument(
+        "--latency",
+        action="store_true",
+        help="how long after it was passed a target is announced, early and in the end",
+    )
+    instead.add_argument(
+        "--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plot and tables to FILE")
-    parser.add_argument("--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote")
+    parser.add_argument(
+        "--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote"
+    )
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
@@ -71,9 +101,12 @@ def run(arguments: argparse.Namespace) -> int:
     for option, path in (("--json", arguments.json), ("--page", arguments.page)):
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
-    if (arguments.skips or arguments.scaling or arguments.latency) and (arguments.page is not None or arguments.compare is not None):
+    if (arguments.skips or arguments.scaling or arguments.latency) and (
+        arguments.page is not None or arguments.compare is not None
+    ):
         raise UsageError(
-            "--page and --compare are for operating points and targets: leave them out beside --skips, --scaling and --latency"
+            "--page and --compare are for operating points and targets: leave them out beside --skips, --scaling and "
+            "--latency"
         )
     old = None if arguments.compare is None else read_results(arguments.compare)
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else SCENES if arguments.targets else SCANNED
@@ -122,7 +155,10 @@ def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
         effects = measure_skips(lines, arguments.repeat, Path(made), _progress)
     print(file=sys.stderr)
     print(laid_out(REGISTER_HEADER, register_rows()))
-    print(f"\nTime without a skip in units of the time with it, of whole processes; medians of {arguments.repeat} repeats in turn.")
+    print(
+        f"\nTime without a skip in units of the time with it, of whole processes; medians of {arguments.repeat} "
+        "repeats in turn."
+    )
     print(f"Called: p_mine of {CALLED_P:g} or more. Skips that left out nothing on a mission are not in its rows.\n")
     print(laid_out(SKIP_HEADER, skip_rows(effects)))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
@@ -134,7 +170,10 @@ def _scaling(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
         found = measure_series(arguments.repeat, Path(made), _progress)
     print(file=sys.stderr)
-    print("processor time of the chain alone, and elapsed time of whole processes, which says something on an idle computer only;")
+    print(
+        "processor time of the chain alone, and elapsed time of whole processes, which says something on an idle "
+        "computer only;"
+    )
     print(f"medians of {arguments.repeat} repeats; cost = constant * value ** exponent, with its standard error\n")
     print(laid_out(SERIES_HEADER, series_rows(found)))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(found), indent=1))
@@ -150,8 +189,14 @@ def _latency(arguments: argparse.Namespace, names: Sequence[str]) -> int:
             _progress(f"{line.name}: waits for announcements")
             waits.append(measure_latency(line))
     print(file=sys.stderr)
-    print(f"Track and mission time from the last ping that saw a target until it is announced; in time: within {WITHIN_M:g} m or")
-    print(f"{WITHIN_S:g} s, whichever is later. Processor time of early looks is that of the chain's other stages in the same run.\n")
+    print(
+        "Track and mission time from the last ping that saw a target until it is announced; in time: within "
+        f"{WITHIN_M:g} m or"
+    )
+    print(
+        f"{WITHIN_S:g} s, whichever is later. Processor time of early looks is that of the chain's other stages in the "
+        "same run.\n"
+    )
     print(laid_out(LATENCY_HEADER, latency_rows(waits)))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(waits), indent=1))
     return 0
@@ -162,7 +207,11 @@ def _quick() -> int:
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
         checks = quick_checks(Path(made), _progress)
     print(file=sys.stderr)
-    print(columns(("check", "", "found"), [[check.name, "ok" if check.holds else "FAILED", check.found] for check in checks]))
+    print(
+        columns(
+            ("check", "", "found"), [[check.name, "ok" if check.holds else "FAILED", check.found] for check in checks]
+        )
+    )
     return 0 if all(check.holds for check in checks) else _FAILED
 
 
@@ -204,7 +253,10 @@ def _print(results: RunTimeResults, laid_out: Callable[[Sequence[str], Sequence[
     machine = results.machine
     load = " to ".join(f"{value:.1f}" for value in machine.load)
     print(f"{len(results.missions)} missions, {results.sonar_s:.0f} s of sonar: {', '.join(results.missions)}")
-    print(f"processor time of whole processes, user and system, one core, kernels: {machine.kernels}; medians of {results.repeat} repeats,")
+    print(
+        f"processor time of whole processes, user and system, one core, kernels: {machine.kernels}; medians of "
+        f"{results.repeat} repeats,"
+    )
     print("all points in turn; ratios with the lowest and highest repeat")
     print(f"{machine.processor}, {machine.cores} cores, load {load}, {machine.date}\n")
     print(laid_out(POINT_HEADER, point_rows(results)))

@@ -1,7 +1,7 @@
 """Measure how long after the last ping that saw a target it is announced: early, and with its finished tile.
 
-The last ping that saw a target is the one after which half the beam's footprint and half the target are passed. A view counts where the
-finished mission has it in a contact on a target, with a p_mine of CALLED_P or more.
+The last ping that saw a target is the one after which half the beam's footprint and half the target are passed. A view
+counts where the finished mission has it in a contact on a target, with a p_mine of CALLED_P or more.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ class Wait(NamedTuple):
 class MissionLatency(NamedTuple):
     """Hold one mission: waits for the first word and for the finished tile, per view of a target.
 
-    n_early: views announced early. n_found, n_withdrawn: early contacts on anything. early_share: their processor time, of the rest.
+    n_early: views announced early. n_found, n_withdrawn: early contacts on anything. early_share: their processor time,
+    of the rest.
     """
 
     name: str
@@ -65,7 +66,9 @@ class _Track:
     def __init__(self, samples: Sequence[NavSample]) -> None:
         fixes = [s for s in samples if math.isfinite(s.latitude_deg) and math.isfinite(s.longitude_deg)]
         frame = LocalFrame(latitude_deg=fixes[0].latitude_deg, longitude_deg=fixes[0].longitude_deg)
-        places = frame.to_enu(np.array([s.latitude_deg for s in fixes]), np.array([s.longitude_deg for s in fixes]), 0.0)[..., :2]
+        places = frame.to_enu(
+            np.array([s.latitude_deg for s in fixes]), np.array([s.longitude_deg for s in fixes]), 0.0
+        )[..., :2]
         self._time_s = np.array([s.time_s for s in fixes])
         self._along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
 
@@ -104,7 +107,9 @@ def measure_latency(line: BenchMission) -> MissionLatency:
     n_early = 0
     for view, target in _target_views(pipeline.contacts, line.truth.objects):
         beam_m = view.slant_range_m * math.radians(line.config.sonar.beam_width_deg)
-        seen_to_m = float(track.along_m(np.array([view.time_s]))[0]) + 0.5 * (beam_m + max(target.length_m or 0.0, target.width_m or 0.0))
+        seen_to_m = float(track.along_m(np.array([view.time_s]))[0]) + 0.5 * (
+            beam_m + max(target.length_m or 0.0, target.width_m or 0.0)
+        )
         last = max(int(np.searchsorted(along_m, seen_to_m, side="right")) - 1, 0)
         at_end = len(times_s)
         done = finished.get((view.side, view.time_s), at_end)
@@ -133,7 +138,9 @@ def latency_rows(missions: Sequence[MissionLatency]) -> list[list[str]]:
         rows.append([one.name, "finished tile", str(len(one.finished)), *_figures(one.finished), "", ""])
     found, lost = sum(one.n_found for one in missions), sum(one.n_withdrawn for one in missions)
     together = [wait for one in missions for wait in one.first]
-    rows.append(["all", "first", str(sum(one.n_early for one in missions)), *_figures(together), f"{lost} of {found}", ""])
+    rows.append(
+        ["all", "first", str(sum(one.n_early for one in missions)), *_figures(together), f"{lost} of {found}", ""]
+    )
     together = [wait for one in missions for wait in one.finished]
     return [*rows, ["all", "finished tile", str(len(together)), *_figures(together), "", ""]]
 

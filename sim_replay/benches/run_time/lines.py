@@ -1,4 +1,5 @@
-"""Fly the missions that run time and error are measured on: named scenes with legs half as long, and recorded lines with targets put in."""
+"""Fly the missions that run time and error are measured on: named scenes with legs half as long, and recorded lines
+with targets put in."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ FIRST_SEED: Final = 9600  # on seeds from here on nothing was ever trained, fitt
 LEG_SHARE: Final = 0.5
 """Of a named scene's legs: two to three minutes of sonar, and some 1300 objects per km² on flat sand."""
 MissionKind: TypeAlias = Literal["scene", "empty", "recorded", "long"]
-"""scene: a named scene; empty: one without its objects; recorded: with targets put in; long: a recording repeated end to end."""
+"""scene: a named scene; empty: one without its objects; recorded: with targets put in; long: a recording repeated end
+to end."""
 _TARGETS_PER_LINE: Final = 8  # and as many rocks
 _APART_M: Final = 5.0
 
@@ -51,10 +53,14 @@ def with_short_legs(scene: Scene, seed: int, leg_share: float = LEG_SHARE) -> Sc
 def fly_scene(scene: Scene, name: str, group: str, folder: Path, kind: MissionKind = "scene") -> BenchMission:
     """Simulate a scene into a folder of its own."""
     done = simulate(scene, folder / name.replace(" ", "-"))
-    return BenchMission(name, group, kind, done.log, config_for(scene), parse_truth(json.loads(done.truth.read_bytes()), name))
+    return BenchMission(
+        name, group, kind, done.log, config_for(scene), parse_truth(json.loads(done.truth.read_bytes()), name)
+    )
 
 
-def fly_scenes(names: Sequence[str], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]) -> list[BenchMission]:
+def fly_scenes(
+    names: Sequence[str], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]
+) -> list[BenchMission]:
     """Fly named scenes with each of the seeds."""
     lines = []
     for name in names:
@@ -91,7 +97,9 @@ def crowded(scene: Scene, times: float) -> Scene:
     return msgspec.structs.replace(scene, scatter=scatter)
 
 
-def augment_logs(logs: Sequence[Path], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]) -> list[BenchMission]:
+def augment_logs(
+    logs: Sequence[Path], seeds: Sequence[int], folder: Path, progress: Callable[[str], None]
+) -> list[BenchMission]:
     """Put targets and rocks into recorded lines, drawn by each of the seeds."""
     lines = []
     for log in logs:
@@ -106,7 +114,10 @@ def augment_logs(logs: Sequence[Path], seeds: Sequence[int], folder: Path, progr
 def scattered(seed: int) -> TargetSpec:
     """Targets of all kinds and as many rocks, on the sea floor that the line shows."""
     targets = ScatteredTargets(
-        kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=True
+        kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"),
+        count=_TARGETS_PER_LINE,
+        apart_m=_APART_M,
+        is_target=True,
     )
     rocks = ScatteredTargets(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
     return TargetSpec(seed=seed, scatter=(targets, rocks))

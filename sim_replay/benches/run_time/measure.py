@@ -1,4 +1,5 @@
-"""Measure operating points on missions: each in a process of its own, all in turn, so that a busy computer slows all of them alike."""
+"""Measure operating points on missions: each in a process of its own, all in turn, so that a busy computer slows all of
+them alike."""
 
 from __future__ import annotations
 
@@ -46,10 +47,10 @@ _PLAIN_SCRIPT: Final = (
 class MissionCost(msgspec.Struct, frozen=True, kw_only=True):
     """One operating point on one mission.
 
-    process_s: user and system time of the whole process, one per repeat; elapsed_s: by the clock; chain_s: processor time of the chain
-    alone, from file to contacts. stages_s: medians of that per stage. counters: of work and of what was left out. called: places of
-    contacts with p_mine of CALLED_P or more, latitude and longitude to a centimetre. covered_km2, chain_s, stages_s and counters are of the
-    chain, empty for the plain script.
+    process_s: user and system time of the whole process, one per repeat; elapsed_s: by the clock; chain_s: processor
+    time of the chain alone, from file to contacts. stages_s: medians of that per stage. counters: of work and of what
+    was left out. called: places of contacts with p_mine of CALLED_P or more, latitude and longitude to a centimetre.
+    covered_km2, chain_s, stages_s and counters are of the chain, empty for the plain script.
     """
 
     process_s: tuple[float, ...]
@@ -108,7 +109,12 @@ def this_machine(load_before: float) -> BenchMachine:
         processor=_processor(),
         cores=os.cpu_count() or 1,
         kernels=kernels.backend(),
-        versions={"auv_mcm": __version__, "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__},
+        versions={
+            "auv_mcm": __version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "opencv": cv2.__version__,
+        },
         date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         load=(load_before, os.getloadavg()[0]),
     )
@@ -144,7 +150,8 @@ def measure_settings(
 
 
 def run_once(point: ChainSetting, line: BenchMission, folder: Path, threads: int = 1) -> dict[str, Any]:
-    """Run one point on one mission in a process of its own; its costs and counts, and process_s, its user and system time."""
+    """Run one point on one mission in a process of its own; its costs and counts, and process_s, its user and system
+    time."""
     contacts = contacts_path(point, line, folder)
     if point.is_plain_script:
         script = Path(__file__).with_name("plain_script.py")
@@ -161,7 +168,13 @@ def run_once(point: ChainSetting, line: BenchMission, folder: Path, threads: int
     elapsed_s = time.monotonic() - started_s
     done: dict[str, Any] = json.loads(output)
     data = contacts.read_bytes()
-    return {"sonar_s": 0.0, **done, "process_s": process_s, "elapsed_s": elapsed_s, "contacts_sha256": hashlib.sha256(data).hexdigest()}
+    return {
+        "sonar_s": 0.0,
+        **done,
+        "process_s": process_s,
+        "elapsed_s": elapsed_s,
+        "contacts_sha256": hashlib.sha256(data).hexdigest(),
+    }
 
 
 def contacts_path(point: ChainSetting, line: BenchMission, folder: Path) -> Path:
@@ -193,7 +206,9 @@ def _result(
     for line in lines:
         each = raw[point.name, line.name]
         if len({one["contacts_sha256"] for one in each}) > 1:
-            raise BadInputError(f"{point.name} on {line.name}: two runs gave different contacts, though nothing had changed")
+            raise BadInputError(
+                f"{point.name} on {line.name}: two runs gave different contacts, though nothing had changed"
+            )
         found = parse_contacts(json.loads(contacts_path(point, line, folder).read_bytes()), line.name)
         runs[line.name] = _run(each, found)
         if line.kind in ("scene", "recorded"):
@@ -205,7 +220,12 @@ def _result(
         score = score_missions(missions)
         pd = tuple(pd_at(score, limit) for limit in LIMITS_PER_KM2)
     return SettingResult(
-        name=point.name, knob=point.knob, value=point.value, runs=runs, pd=pd, contacts=density(n_contacts, area_km2 or None)
+        name=point.name,
+        knob=point.knob,
+        value=point.value,
+        runs=runs,
+        pd=pd,
+        contacts=density(n_contacts, area_km2 or None),
     )
 
 
@@ -226,7 +246,9 @@ def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> Mi
         counters=first.get("counters", {}),
         called=tuple(
             sorted(
-                (round(one.latitude_deg, _PLACE_DIGITS), round(one.longitude_deg, _PLACE_DIGITS)) for one in found if one.p_mine >= CALLED_P
+                (round(one.latitude_deg, _PLACE_DIGITS), round(one.longitude_deg, _PLACE_DIGITS))
+                for one in found
+                if one.p_mine >= CALLED_P
             )
         ),
         contacts_sha256=first["contacts_sha256"],

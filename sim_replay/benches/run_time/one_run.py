@@ -1,6 +1,7 @@
 """Run one log through the chain in this process, from file to contacts on one core, and print what it cost as JSON.
 
-The bench starts one such process per measurement: user and system time of the whole process, start-up among it, are the cost.
+The bench starts one such process per measurement: user and system time of the whole process, start-up among it, are the
+cost.
 """
 
 from __future__ import annotations
@@ -116,7 +117,12 @@ def main() -> int:
     print(
         json.dumps(
             run_chain(
-                arguments.log, config, arguments.thoroughness, frozenset(arguments.without_skip), arguments.threads, arguments.contacts
+                arguments.log,
+                config,
+                arguments.thoroughness,
+                frozenset(arguments.without_skip),
+                arguments.threads,
+                arguments.contacts,
             )
         )
     )

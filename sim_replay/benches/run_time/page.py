@@ -16,9 +16,21 @@ from sim_replay.benches.run_time.targets import TARGET_HEADER, target_rows
 _WIDTH, _HEIGHT = 900, 520
 _LEFT, _RIGHT, _TOP, _BOTTOM = 60, 20, 20, 50
 _PLOTTED: Final = 1  # index of the limit whose Pd is drawn
-_COLOURS: Final = ("#1b6ca8", "#c1440e", "#3c7a3c", "#7a3c7a", "#8a6d1b", "#00838f", "#ad1457", "#455a64", "#5d4037", "#283593")
+_COLOURS: Final = (
+    "#1b6ca8",
+    "#c1440e",
+    "#3c7a3c",
+    "#7a3c7a",
+    "#8a6d1b",
+    "#00838f",
+    "#ad1457",
+    "#455a64",
+    "#5d4037",
+    "#283593",
+)
 _STYLE: Final = (
-    "body{font:15px/1.4 system-ui,sans-serif;margin:2em auto;max-width:1100px;padding:0 1em}table{border-collapse:collapse;font-size:13px}"
+    "body{font:15px/1.4 system-ui,sans-serif;margin:2em auto;max-width:1100px;padding:0 "
+    "1em}table{border-collapse:collapse;font-size:13px}"
     "td,th{border-bottom:1px solid #ccc;padding:3px 8px;text-align:left}svg{width:100%;height:auto;background:#fff}"
     ".missed{color:#b00}.default{font-weight:bold}div{overflow-x:auto}"
 )
@@ -36,12 +48,18 @@ def run_time_page(results: RunTimeResults) -> str:
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Run time against error</title><style>{_STYLE}</style><h1>Run time against error</h1>"
         f"<p>{_text(machine.date)}; {_text(machine.processor)}, {machine.cores} cores, load {load}; "
-        f"kernels: {_text(machine.kernels)}; {_text(versions)}. Processor time of whole processes on one core, medians of {results.repeat} "
+        f"kernels: {_text(machine.kernels)}; {_text(versions)}. Processor time of whole processes on one core, medians "
+        f"of {results.repeat} "
         f"repeats, all points in turn. {len(results.missions)} missions, {results.sonar_s:.0f} s of sonar: "
-        f"{_text(', '.join(results.missions))}. Intervals of Pd and contacts are 95 %; those of ratios go from the lowest to the highest "
+        f"{_text(', '.join(results.missions))}. Intervals of Pd and contacts are 95 %; those of ratios go from the "
+        "lowest to the highest "
         f"repeat.</p>{pareto_plot(results)}<p><b>The default</b> (ringed): {_text(reason_words(results))}.</p>"
         f"<h2>Operating points</h2><div>{_table(POINT_HEADER, rows)}</div>"
-        + (f"<h2>Targets</h2><div>{_table(TARGET_HEADER, target_lines)}</div><ul>{profiles}</ul>" if results.targets else "")
+        + (
+            f"<h2>Targets</h2><div>{_table(TARGET_HEADER, target_lines)}</div><ul>{profiles}</ul>"
+            if results.targets
+            else ""
+        )
         + "</html>\n"
     )
 
@@ -68,12 +86,21 @@ def pareto_plot(results: RunTimeResults) -> str:
     parts.append(f'<polyline points="{path}" fill="none" stroke="#999" stroke-dasharray="5 4"/>')
     for point in shown:
         share, across, up = point.pd[_PLOTTED], x(costs[point.name]), y(_pd(point))
-        words = f"{point.name}: {costs[point.name]:.2f} s per minute, Pd {_pd(point):.2f} ({share.low:.2f}-{share.high:.2f})"
+        words = (
+            f"{point.name}: {costs[point.name]:.2f} s per minute, Pd {_pd(point):.2f} "
+            f"({share.low:.2f}-{share.high:.2f})"
+        )
         colour = colours[point.knob]
-        ring = f'<circle cx="{across:.1f}" cy="{up:.1f}" r="10" fill="none" stroke="#000"/>' if point.name == DEFAULT else ""
+        ring = (
+            f'<circle cx="{across:.1f}" cy="{up:.1f}" r="10" fill="none" stroke="#000"/>'
+            if point.name == DEFAULT
+            else ""
+        )
         parts.append(
-            f'<g><title>{_text(words)}</title><line x1="{across:.1f}" x2="{across:.1f}" y1="{y(share.low):.1f}" y2="{y(share.high):.1f}" '
-            f'stroke="{colour}" stroke-opacity="0.25"/>{ring}<circle cx="{across:.1f}" cy="{up:.1f}" r="4.5" fill="{colour}"/></g>'
+            f'<g><title>{_text(words)}</title><line x1="{across:.1f}" x2="{across:.1f}" y1="{y(share.low):.1f}" '
+            f'y2="{y(share.high):.1f}" '
+            f'stroke="{colour}" stroke-opacity="0.25"/>{ring}<circle cx="{across:.1f}" cy="{up:.1f}" r="4.5" '
+            f'fill="{colour}"/></g>'
         )
         if point.knob in (DEFAULT, "reference"):
             parts.append(f'<text x="{across + 12:.1f}" y="{up + 4:.1f}" font-size="12">{_text(point.name)}</text>')
@@ -83,7 +110,10 @@ def pareto_plot(results: RunTimeResults) -> str:
             f'<circle cx="{_WIDTH - 190}" cy="{place}" r="4.5" fill="{colour}"/>'
             f'<text x="{_WIDTH - 180}" y="{place + 4}" font-size="12">{_text(knob)}</text>'
         )
-    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="Pd against processor time">{"".join(parts)}</svg>'
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="Pd against processor '
+        f'time">{"".join(parts)}</svg>'
+    )
 
 
 def _axes(x: Callable[[float], float], y: Callable[[float], float], low: float, high: float) -> str:
@@ -94,9 +124,16 @@ def _axes(x: Callable[[float], float], y: Callable[[float], float], low: float, 
             f'<line x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{place:.1f}" y2="{place:.1f}" stroke="#eee"/>'
             f'<text x="{_LEFT - 8}" y="{place + 4:.1f}" font-size="12" text-anchor="end">{tenth / 10.0:.1f}</text>'
         )
-    ticks = [mantissa * 10.0**power for power in range(-4, 5) for mantissa in (1, 2, 5) if low <= mantissa * 10.0**power <= high]
+    ticks = [
+        mantissa * 10.0**power
+        for power in range(-4, 5)
+        for mantissa in (1, 2, 5)
+        if low <= mantissa * 10.0**power <= high
+    ]
     for tick in ticks:
-        parts.append(f'<text x="{x(tick):.1f}" y="{_HEIGHT - _BOTTOM + 18}" font-size="12" text-anchor="middle">{tick:g}</text>')
+        parts.append(
+            f'<text x="{x(tick):.1f}" y="{_HEIGHT - _BOTTOM + 18}" font-size="12" text-anchor="middle">{tick:g}</text>'
+        )
     limit = LIMITS_PER_KM2[_PLOTTED]
     parts.append(
         f'<text x="{(_LEFT + _WIDTH) / 2}" y="{_HEIGHT - 10}" font-size="13" text-anchor="middle">'
@@ -117,7 +154,9 @@ def _pd(point: SettingResult) -> float:
 
 def _table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
     head = "".join(f"<th>{_text(cell)}</th>" for cell in header)
-    body = "".join(f'<tr class="{kind}">' + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>" for kind, row in rows)
+    body = "".join(
+        f'<tr class="{kind}">' + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>" for kind, row in rows
+    )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 

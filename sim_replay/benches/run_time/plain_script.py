@@ -1,8 +1,8 @@
 """Find contacts in an XTF log with OpenCV alone: median per range, blur, threshold, connected components.
 
-The chain is measured against this in time and in error, so it shares no code with it and takes every short cut that a script of an
-afternoon takes: recorded numbers as they are, a flat floor at the altitude of the log, one pass over each side as a single picture.
-Usage: python plain_script.py LOG.xtf CONTACTS.geojson
+The chain is measured against this in time and in error, so it shares no code with it and takes every short cut that a
+script of an afternoon takes: recorded numbers as they are, a flat floor at the altitude of the log, one pass over each
+side as a single picture. Usage: python plain_script.py LOG.xtf CONTACTS.geojson
 """
 
 from __future__ import annotations
@@ -65,7 +65,11 @@ def contacts_of(samples: Any, poses: Any, spacing_m: float, side: int) -> list[d
         ping, sample = int(centres[label][1]), centres[label][0]
         latitude, longitude, heading, altitude = poses[ping]
         slant_m = sample * spacing_m
-        if not SMALLEST_PX <= area <= LARGEST_PX or slant_m < 1.1 * altitude or left + width + 2 * lag >= level.shape[1]:
+        if (
+            not SMALLEST_PX <= area <= LARGEST_PX
+            or slant_m < 1.1 * altitude
+            or left + width + 2 * lag >= level.shape[1]
+        ):
             continue
         own = labels[top : top + height, left : left + width] == label
         shadow = float(behind[top : top + height, left : left + width][own].min())
@@ -84,7 +88,9 @@ def main() -> None:
     """Read the log, write the contacts."""
     cv2.setNumThreads(1)
     poses, sides, range_m = read_xtf(sys.argv[1])
-    found = [one for side, samples in sides.items() for one in contacts_of(samples, poses, range_m / samples.shape[1], side)]
+    found = [
+        one for side, samples in sides.items() for one in contacts_of(samples, poses, range_m / samples.shape[1], side)
+    ]
     Path(sys.argv[2]).write_text(json.dumps({"type": "FeatureCollection", "features": found}))
 
 

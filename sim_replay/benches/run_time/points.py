@@ -1,4 +1,5 @@
-"""Name the operating points that are compared: the default, one knob turned at a time, and the references beside the chain."""
+"""Name the operating points that are compared: the default, one knob turned at a time, and the references beside the
+chain."""
 
 from __future__ import annotations
 
@@ -26,8 +27,9 @@ Configure = Callable[[Config, Path], Config]
 class ChainSetting(NamedTuple):
     """One way to run the chain.
 
-    knob: what is turned; value: to what. configure: makes its configuration from the mission's; what that names is written into the folder
-    given. thoroughness: of each look. without_skips: those that are switched off. is_plain_script: not the chain at all.
+    knob: what is turned; value: to what. configure: makes its configuration from the mission's; what that names is
+    written into the folder given. thoroughness: of each look. without_skips: those that are switched off.
+    is_plain_script: not the chain at all.
     """
 
     name: str
@@ -43,7 +45,9 @@ PLAIN: Final = "plain script"
 BUDGET: Final = "budget"
 DUTIES: Final = (0.002, 0.01, 0.015, 0.02, 0.03, 0.05, 0.1, 0.2)
 """From 1 % to all of what the dearest tiles of the named scenes and recorded lines need, a fifth of one core."""
-REASON: Final = "the cascade, the gate and the odds were fitted at this point, so that p_mine is calibrated here and nowhere else"
+REASON: Final = (
+    "the cascade, the gate and the odds were fitted at this point, so that p_mine is calibrated here and nowhere else"
+)
 """Why the default operating point is the default, beside what the measurement says."""
 
 

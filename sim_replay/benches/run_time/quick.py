@@ -1,4 +1,5 @@
-"""Check in a minute, on two small missions, that the chain errs no more and works no more than it should; no time is judged."""
+"""Check in a minute, on two small missions, that the chain errs no more and works no more than it should; no time is
+judged."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ def quick_checks(folder: Path, progress: Callable[[str], None]) -> list[WorkChec
     lines = [fly_scene(_small(read_scene(name)), name, name, folder) for name in ("flat", "boulders")]
     wanted = (DEFAULT, PLAIN, _BUDGETED)
     results = {
-        result.name: result for result in measure_settings([p for p in chain_settings() if p.name in wanted], lines, 1, folder, progress)
+        result.name: result
+        for result in measure_settings([p for p in chain_settings() if p.name in wanted], lines, 1, folder, progress)
     }
     again = measure_settings([chain_settings()[0]], lines[:1], 1, folder, progress)[0]
     return list(_checks(results[DEFAULT], results[PLAIN], results[_BUDGETED], again, lines))
@@ -50,17 +52,26 @@ def _small(scene: Scene) -> Scene:
 
 
 def _checks(
-    default: SettingResult, plain: SettingResult, budgeted: SettingResult, again: SettingResult, lines: Sequence[BenchMission]
+    default: SettingResult,
+    plain: SettingResult,
+    budgeted: SettingResult,
+    again: SettingResult,
+    lines: Sequence[BenchMission],
 ) -> Iterator[WorkCheck]:
     found, of_plain = default.pd[2], plain.pd[2]
     yield WorkCheck(
-        "Pd at 300 FA/km² is no less than the plain script's", found.count >= of_plain.count, f"{found.count} and {of_plain.count}"
+        "Pd at 300 FA/km² is no less than the plain script's",
+        found.count >= of_plain.count,
+        f"{found.count} and {of_plain.count}",
     )
     per_km2 = default.contacts.per_km2 or 0.0
     yield WorkCheck("at most 8000 contacts per km²", per_km2 <= 8000.0, f"{per_km2:.0f}")
     for line in lines:
         counters = default.runs[line.name].counters
-        n_windows, n_evaluations = _count(default.runs[line.name], "detect.windows"), _count(default.runs[line.name], "detect.evaluations")
+        n_windows, n_evaluations = (
+            _count(default.runs[line.name], "detect.windows"),
+            _count(default.runs[line.name], "detect.evaluations"),
+        )
         yield WorkCheck(
             f"{line.name}: at most {_EVALUATIONS_PER_WINDOW:g} comparisons per window",
             0 < n_evaluations <= _EVALUATIONS_PER_WINDOW * n_windows,
@@ -72,11 +83,20 @@ def _checks(
             n_measured <= _MEASURED_PER_KM2 * line.truth.area_km2,
             f"{n_measured} on {line.truth.area_km2:.4f} km²",
         )
-        yield WorkCheck(f"{line.name}: not all of them are looked at closely", 0 < n_looks < n_measured, f"{n_looks} of {n_measured}")
-        yield WorkCheck(f"{line.name}: no place is left out by a budget", not _count(default.runs[line.name], "detect.windows_cut"), "")
+        yield WorkCheck(
+            f"{line.name}: not all of them are looked at closely",
+            0 < n_looks < n_measured,
+            f"{n_looks} of {n_measured}",
+        )
+        yield WorkCheck(
+            f"{line.name}: no place is left out by a budget",
+            not _count(default.runs[line.name], "detect.windows_cut"),
+            "",
+        )
         less = budgeted.runs[line.name]
         yield WorkCheck(
-            f"{line.name}: a duty of {DUTIES[0]:g} leaves the cascade and close looks out, and covers less but not nothing",
+            f"{line.name}: a duty of {DUTIES[0]:g} leaves the cascade and close looks out, and covers less but not "
+            "nothing",
             _count(less, "detect.evaluations") < n_evaluations
             and not _count(less, "confirm.looked_at")
             and 0.0 < less.covered_km2 < default.runs[line.name].covered_km2,

@@ -84,16 +84,22 @@ def reason_words(results: RunTimeResults) -> str:
 
 def on_front(results: RunTimeResults) -> set[str]:
     """Names of the points that no other beats in time and in Pd at 100 false alarms per km² at once."""
-    values = [(statistics.median(point.process_s()), point.pd[1].count, point.name) for point in results.points if point.pd]
+    values = [
+        (statistics.median(point.process_s()), point.pd[1].count, point.name) for point in results.points if point.pd
+    ]
     return {
         name
         for cost_s, n_found, name in values
-        if not any((other_s <= cost_s and n_other >= n_found) and (other_s < cost_s or n_other > n_found) for other_s, n_other, _ in values)
+        if not any(
+            (other_s <= cost_s and n_other >= n_found) and (other_s < cost_s or n_other > n_found)
+            for other_s, n_other, _ in values
+        )
     }
 
 
 def read_results(path: Path) -> RunTimeResults:
-    """Read an older run. Raises UsageError for a file that cannot be read, BadInputError for one that is no such run."""
+    """Read an older run. Raises UsageError for a file that cannot be read, BadInputError for one that is no such
+    run."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -103,7 +109,9 @@ def read_results(path: Path) -> RunTimeResults:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}. Name a file that 'auv-mcm bench chain --json FILE' wrote") from error
     if found.format_version != FORMAT_VERSION:
-        raise BadInputError(f"{path}: format_version {found.format_version}, but this program reads {FORMAT_VERSION}. Measure anew")
+        raise BadInputError(
+            f"{path}: format_version {found.format_version}, but this program reads {FORMAT_VERSION}. Measure anew"
+        )
     return found
 
 
@@ -117,8 +125,9 @@ def require_same_missions(old: RunTimeResults, missions: Sequence[str]) -> None:
 def changes_since(old: RunTimeResults, new: RunTimeResults) -> list[str]:
     """Say what moved beyond noise, a line each.
 
-    Costs are compared in units of the plain script in the same run, since computers differ and are busy. A cost has moved where the ranges
-    over the repeats do not overlap; Pd and contacts where the new value lies outside the old one's 95 % interval.
+    Costs are compared in units of the plain script in the same run, since computers differ and are busy. A cost has
+    moved where the ranges over the repeats do not overlap; Pd and contacts where the new value lies outside the old
+    one's 95 % interval.
     """
     lines = []
     for point in new.points:

@@ -1,4 +1,5 @@
-"""Measure how the chain's cost grows with swath width, ping rate, objects, mission length and threads, with fitted exponents."""
+"""Measure how the chain's cost grows with swath width, ping rate, objects, mission length and threads, with fitted
+exponents."""
 
 from __future__ import annotations
 
@@ -16,7 +17,14 @@ from sim_replay.benches.run_time.points import default_point
 from sim_replay.simulator.scene import Lawnmower, Scatter, Scene
 from sim_replay.simulator.scene_file import read_scene
 
-SERIES_HEADER: Final = ("against", "values", "chain s", "exponent of processor time", "elapsed s", "exponent of elapsed time")
+SERIES_HEADER: Final = (
+    "against",
+    "values",
+    "chain s",
+    "exponent of processor time",
+    "elapsed s",
+    "exponent of elapsed time",
+)
 _SCENE: Final = "flat"
 _RANGE_M: Final = 50.0
 _SAMPLES_PER_M: Final = 20.0
@@ -71,9 +79,14 @@ def scene_of(variant: ScalingVariant) -> Scene:
         seed=FIRST_SEED,
         scatter=(Scatter(kind="rock", count=n_rocks, apart_m=2.0),),
         sonar=msgspec.structs.replace(
-            scene.sonar, range_m=variant.range_m, n_samples=round(variant.range_m * _SAMPLES_PER_M), ping_rate_hz=variant.ping_rate_hz
+            scene.sonar,
+            range_m=variant.range_m,
+            n_samples=round(variant.range_m * _SAMPLES_PER_M),
+            ping_rate_hz=variant.ping_rate_hz,
         ),
-        track=msgspec.structs.replace(scene.track, plan=msgspec.structs.replace(scene.track.plan, n_legs=1, leg_m=variant.leg_m)),
+        track=msgspec.structs.replace(
+            scene.track, plan=msgspec.structs.replace(scene.track.plan, n_legs=1, leg_m=variant.leg_m)
+        ),
     )
 
 
@@ -89,7 +102,9 @@ def measure_series(repeat: int, folder: Path, progress: Callable[[str], None]) -
                 flown[bare] = fly_scene(scene_of(bare), f"variant {len(flown)}", _SCENE, folder)
             if variant not in costs:
                 line = flown[bare]
-                costs[variant] = measure_settings([default_point()], [line], repeat, folder, progress, variant.threads)[0].runs[line.name]
+                costs[variant] = measure_settings([default_point()], [line], repeat, folder, progress, variant.threads)[
+                    0
+                ].runs[line.name]
     return [
         ScalingSeries(
             against=against,

@@ -42,7 +42,9 @@ class SkipEffect(msgspec.Struct, frozen=True, kw_only=True):
     without: SettingResult
 
 
-def measure_skips(lines: Sequence[BenchMission], repeat: int, folder: Path, progress: Callable[[str], None]) -> list[SkipEffect]:
+def measure_skips(
+    lines: Sequence[BenchMission], repeat: int, folder: Path, progress: Callable[[str], None]
+) -> list[SkipEffect]:
     """Run the default and the chain without each skip, and without any, in turn on every mission."""
     effects = []
     for line in lines:
@@ -59,7 +61,9 @@ def measure_skips(lines: Sequence[BenchMission], repeat: int, folder: Path, prog
 def _points() -> Iterator[ChainSetting]:
     yield default_point()
     for skip in SKIPS:
-        yield default_point()._replace(name=f"without {skip.name}", knob="skips", value=skip.name, without_skips=frozenset({skip.name}))
+        yield default_point()._replace(
+            name=f"without {skip.name}", knob="skips", value=skip.name, without_skips=frozenset({skip.name})
+        )
     yield default_point()._replace(name="without any skip", knob="skips", value=ALL, without_skips=ALL_SKIPS)
 
 
@@ -79,8 +83,14 @@ def skip_rows(effects: Sequence[SkipEffect]) -> list[list[str]]:
                 f"{median:.2f} ({low:.2f}-{high:.2f})",
                 f"{ours.contacts} -> {other.contacts}",
                 f"{len(ours.called)} -> {len(other.called)}",
-                f"{_without_counterpart(ours.called, other.called)} and {_without_counterpart(other.called, ours.called)}",
-                *(f"{a.count} -> {b.count} of {a.of}" for a, b in zip(effect.with_skip.pd[1:], effect.without.pd[1:], strict=True)),
+                (
+                    f"{_without_counterpart(ours.called, other.called)} and "
+                    f"{_without_counterpart(other.called, ours.called)}"
+                ),
+                *(
+                    f"{a.count} -> {b.count} of {a.of}"
+                    for a, b in zip(effect.with_skip.pd[1:], effect.without.pd[1:], strict=True)
+                ),
                 "yes" if ours.contacts_sha256 == other.contacts_sha256 else "no",
             ]
         )

@@ -20,10 +20,11 @@ _STAGES_SHOWN: Final = 6
 
 
 class CostTarget(msgspec.Struct, frozen=True, kw_only=True):
-    """A figure beside its target. before: on 2026-11-20; aim: what would be better still; at_most: the lower the better.
+    """A figure beside its target. before: on 2026-11-20; aim: what would be better still; at_most: the lower the
+    better.
 
-    measured: None where the missions for it were not flown. where: the mission that decided. profile: share of processor time per stage,
-    of what missed the target.
+    measured: None where the missions for it were not flown. where: the mission that decided. profile: share of
+    processor time per stage, of what missed the target.
     """
 
     name: str
@@ -43,8 +44,11 @@ class CostTarget(msgspec.Struct, frozen=True, kw_only=True):
         return self.measured <= self.target if self.at_most else self.measured >= self.target
 
 
-def cost_targets(chain: SettingResult, plain: SettingResult, lines: Sequence[BenchMission], long: MissionCost | None) -> list[CostTarget]:
-    """Compute every figure from the default operating point and the plain script over the same missions; long: of LONG_S, for memory."""
+def cost_targets(
+    chain: SettingResult, plain: SettingResult, lines: Sequence[BenchMission], long: MissionCost | None
+) -> list[CostTarget]:
+    """Compute every figure from the default operating point and the plain script over the same missions; long: of
+    LONG_S, for memory."""
     runs = chain.runs
 
     def named(kind: MissionKind, *groups: str) -> list[str]:
@@ -62,25 +66,47 @@ def cost_targets(chain: SettingResult, plain: SettingResult, lines: Sequence[Ben
     swept_km2 = sum(line.truth.area_km2 for line in lines if line.name in flat)
 
     def target(
-        name: str, values: tuple[float, float, float], at_most: bool, measured: float | None, of: Sequence[str | None], where: str = ""
+        name: str,
+        values: tuple[float, float, float],
+        at_most: bool,
+        measured: float | None,
+        of: Sequence[str | None],
+        where: str = "",
     ) -> CostTarget:
         profile = "" if measured is None else profile_words([runs[one] for one in of if one is not None])
         made = CostTarget(
-            name=name, before=values[0], target=values[1], aim=values[2], at_most=at_most, measured=measured, where=where, profile=profile
+            name=name,
+            before=values[0],
+            target=values[1],
+            aim=values[2],
+            at_most=at_most,
+            measured=measured,
+            where=where,
+            profile=profile,
         )
         return msgspec.structs.replace(made, profile="") if made.met else made
 
     script = _median_ratio(chain.process_s(flat), plain.process_s(flat)) if flat else None
     return [
         target("chain over plain script, flat, whole process", (10.5, 2.0, 1.0), True, script, flat),
-        target("times real time, flat", (26.0, 250.0, 500.0), False, statistics.median(map(speed, flat)) if flat else None, flat),
+        target(
+            "times real time, flat",
+            (26.0, 250.0, 500.0),
+            False,
+            statistics.median(map(speed, flat)) if flat else None,
+            flat,
+        ),
         target(
             *("times real time, worst named scene", (14.0, 60.0, 100.0), False),
             *(None if slowest is None else speed(slowest), [slowest], slowest or ""),
         ),
         target(
             *("times real time, recorded line", (18.0, 100.0, 200.0), False),
-            *(None if slowest_recorded is None else speed(slowest_recorded), [slowest_recorded], slowest_recorded or "no --log"),
+            *(
+                None if slowest_recorded is None else speed(slowest_recorded),
+                [slowest_recorded],
+                slowest_recorded or "no --log",
+            ),
         ),
         target(
             *("empty floor over busy floor: flat without objects over flat", (0.99, 0.25, 0.1), True),
@@ -94,7 +120,14 @@ def cost_targets(chain: SettingResult, plain: SettingResult, lines: Sequence[Ben
             *("contacts per km², flat", (65000.0, 8000.0, 3000.0), True),
             *(sum(runs[name].contacts for name in flat) / swept_km2 if flat else None, []),
         ),
-        target("peak memory of the chain, MB", (190.0, 200.0, 150.0), True, by_memory[heaviest].peak_memory_mb, [], heaviest),
+        target(
+            "peak memory of the chain, MB",
+            (190.0, 200.0, 150.0),
+            True,
+            by_memory[heaviest].peak_memory_mb,
+            [],
+            heaviest,
+        ),
     ]
 
 
@@ -107,7 +140,8 @@ def profile_words(runs: Sequence[MissionCost]) -> str:
         total["other"] += statistics.median(run.chain_s) - sum(run.stages_s.values())
     whole_s = sum(total.values())
     return ", ".join(
-        f"{stage} {cost_s / whole_s:.0%}" for stage, cost_s in sorted(total.items(), key=lambda item: -item[1])[:_STAGES_SHOWN]
+        f"{stage} {cost_s / whole_s:.0%}"
+        for stage, cost_s in sorted(total.items(), key=lambda item: -item[1])[:_STAGES_SHOWN]
     )
 
 

@@ -101,9 +101,14 @@ class FakeBluefin(TextController):
         now = clock(pose.time_s)
         bodies: list[str] = []
         if "NVG" in self._asked_for:
-            heading_deg, roll_deg, pitch_deg = (math.degrees(or_zero(angle)) for angle in (pose.heading_rad, pose.roll_rad, pose.pitch_rad))
-            place = degrees_and_minutes(pose.latitude_deg, 2, "NS") + "," + degrees_and_minutes(pose.longitude_deg, 3, "EW")
-            how = f"{or_zero(pose.altitude_m):.2f},{or_zero(pose.depth_m):.2f},{heading_deg % 360.0:.1f},{roll_deg:.1f},{pitch_deg:.1f}"
+            heading_deg, roll_deg, pitch_deg = (
+                math.degrees(or_zero(angle)) for angle in (pose.heading_rad, pose.roll_rad, pose.pitch_rad)
+            )
+            place = (
+                degrees_and_minutes(pose.latitude_deg, 2, "NS") + "," + degrees_and_minutes(pose.longitude_deg, 3, "EW")
+            )
+            vertical = f"{or_zero(pose.altitude_m):.2f},{or_zero(pose.depth_m):.2f}"
+            how = f"{vertical},{heading_deg % 360.0:.1f},{roll_deg:.1f},{pitch_deg:.1f}"
             bodies.append(f"BFNVG,{now},{place},1,{how},{now}")
         if "NVR" in self._asked_for:
             east_mps = or_zero(pose.speed_mps) * math.sin(or_zero(pose.heading_rad))

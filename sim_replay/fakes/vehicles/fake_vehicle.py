@@ -1,4 +1,5 @@
-"""Define what every fake vehicle controller does, in any protocol. No ports, no clocks: `now_s` is the monotonic clock."""
+"""Define what every fake vehicle controller does, in any protocol. No ports, no clocks: `now_s` is the monotonic
+clock."""
 
 from __future__ import annotations
 

@@ -94,7 +94,9 @@ class FakeImc:
         if reference is None or reference.speed is None or reference.z is None:
             return None
         vertical = Vertical("altitude" if reference.z.z_units == ZUnits.ALTITUDE else "depth", reference.z.value)
-        return GoTo(math.degrees(reference.lat), math.degrees(reference.lon), vertical, reference.speed.value, PLACE_RADIUS_M)
+        return GoTo(
+            math.degrees(reference.lat), math.degrees(reference.lon), vertical, reference.speed.value, PLACE_RADIUS_M
+        )
 
     def take_reports(self) -> list[ContactReport]:
         reports, self._reports = self._reports, []
@@ -253,18 +255,28 @@ class FakeImc:
 
     def _reply(self, message: imc.PlanControl, text: str, *, failed: bool = False) -> None:
         self._outbox.append(
-            imc.PlanControl(PlanType.FAILURE if failed else PlanType.SUCCESS, message.op, message.request_id, message.plan_id, info=text)
+            imc.PlanControl(
+                PlanType.FAILURE if failed else PlanType.SUCCESS,
+                message.op,
+                message.request_id,
+                message.plan_id,
+                info=text,
+            )
         )
 
     def _follow_state(self, proximity: Proximity) -> imc.FollowRefState:
         assert self._follow is not None, "reported only while the manoeuvre runs"
-        return imc.FollowRefState(self._follow.control_src, self._follow.control_ent, self._reference, self._following, proximity)
+        return imc.FollowRefState(
+            self._follow.control_src, self._follow.control_ent, self._reference, self._following, proximity
+        )
 
     def _plan_state(self) -> imc.PlanControlState:
         return imc.PlanControlState(PlanState.EXECUTING, self._plan_id, man_type=self._maneuver)
 
     def _vehicle_state(self, why: str = "") -> imc.VehicleState:
-        return imc.VehicleState(OpMode.BOOT if self._booting else OpMode.MANEUVER, maneuver_type=self._maneuver, last_error=why)
+        return imc.VehicleState(
+            OpMode.BOOT if self._booting else OpMode.MANEUVER, maneuver_type=self._maneuver, last_error=why
+        )
 
     @property
     def _maneuver(self) -> int:

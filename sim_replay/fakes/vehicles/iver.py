@@ -69,7 +69,9 @@ class FakeIver(TextController):
         depth_ft, altitude_ft = or_zero(pose.depth_m) / _FOOT_M, or_zero(pose.altitude_m) / _FOOT_M
         bodies: list[str] = []
         if "G" in what:
-            place = degrees_and_minutes(pose.latitude_deg, 2, "NS") + "," + degrees_and_minutes(pose.longitude_deg, 3, "EW")
+            place = (
+                degrees_and_minutes(pose.latitude_deg, 2, "NS") + "," + degrees_and_minutes(pose.longitude_deg, 3, "EW")
+            )
             bodies.append(f"GPRMC,{clock(pose.time_s)},A,{place},{speed_kn:.2f},{heading_deg:.1f},010120,,")
         if "C" in what:
             pitch_deg, roll_deg = math.degrees(or_zero(pose.pitch_rad)), math.degrees(or_zero(pose.roll_rad))

@@ -29,7 +29,9 @@ _LARGEST_LEAF: Final = 4.0
 _LARGEST_GROWTH: Final = 100.0  # of a weight since the first round: one mislabelled sample must not take over
 _TRIMMED_MASS: Final = 0.01
 _RIDGE: Final = 1e-3  # share of the total weight that pulls leaves to 0, so that a few samples do not give certainty
-_FEATURE_SHARE: Final = 0.25  # of the features, drawn anew every round: a quarter of the time, and stumps more unlike each other
+_FEATURE_SHARE: Final = (
+    0.25  # of the features, drawn anew every round: a quarter of the time, and stumps more unlike each other
+)
 _FEWEST_FEATURES: Final = 512
 
 
@@ -145,7 +147,11 @@ def _stumps(
 
 
 def _search(
-    bins: Bins, is_target: NDArray[np.bool_], weight: Weights, features: NDArray[np.intp], split: Callable[[Weights, Weights], Split | None]
+    bins: Bins,
+    is_target: NDArray[np.bool_],
+    weight: Weights,
+    features: NDArray[np.intp],
+    split: Callable[[Weights, Weights], Split | None],
 ) -> Split | None:
     heavy = _heavy(weight)
     parts = []

@@ -97,7 +97,12 @@ def glean(errand: Errand) -> Gleaned:
 def planes_of(folder: Path, shard: Shard) -> Iterator[tuple[LabelledTile, CodePlane]]:
     """Yield the tiles of a shard, each with its input to a cascade."""
     for tile in read_shard(folder, shard):
-        yield tile, make_plane(tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
+        yield (
+            tile,
+            make_plane(
+                tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m
+            ),
+        )
 
 
 def target_bags(tile: LabelledTile, plane: CodePlane) -> Bags:
@@ -141,7 +146,8 @@ def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64
 
 
 def well_apart(tile: LabelledTile, found: CascadeResult, n_max: int) -> NDArray[np.intp]:
-    """Return indices of up to `n_max` windows that passed a cascade, best first, none within a metre of a better one."""
+    """Return indices of up to `n_max` windows that passed a cascade, best first, none within a metre of a better
+    one."""
     half_rows, half_columns = _APART_M / tile.row_spacing_m, _APART_M / tile.column_spacing_m
     return spaced_apart(found.rows, found.columns, found.scores, half_rows, half_columns, n_max)
 
@@ -152,7 +158,9 @@ def _merit(plane: CodePlane, model: CascadeModel | None, bags: Bags) -> NDArray[
     return merit_of(model, trace_plane(plane, model, bags.rows, bags.columns))
 
 
-def _others(tile: LabelledTile, plane: CodePlane, errand: Errand, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _others(
+    tile: LabelledTile, plane: CodePlane, errand: Errand, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     clear = clear_of_targets(tile)
     if errand.model is None:
         rows, columns = np.nonzero(clear)

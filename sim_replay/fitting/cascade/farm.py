@@ -49,7 +49,10 @@ class Farm(NamedTuple):
 
 
 def run_tasks(
-    function: Callable[[Task], Result], tasks: Sequence[Task], farm: Farm, progress: Callable[[int], None] = lambda done: None
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    farm: Farm,
+    progress: Callable[[int], None] = lambda done: None,
 ) -> Generator[Result, None, None]:
     """Yield the result of `function`, of a module's top level, for each task, in the order of `tasks`.
 
@@ -77,7 +80,9 @@ def _counted(results: Generator[Result, None, None], progress: Callable[[int], N
             yield result
 
 
-def _in_processes(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Generator[Result, None, None]:
+def _in_processes(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int
+) -> Generator[Result, None, None]:
     waiting = iter(tasks)
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
@@ -87,12 +92,16 @@ def _in_processes(function: Callable[[Task], Result], tasks: Sequence[Task], wor
             ahead += [pool.submit(function, task) for task in islice(waiting, 1)]
             yield result
     except BrokenProcessPool as error:
-        raise HardwareError("a worker process died, perhaps for lack of memory. Run again with fewer workers") from error
+        raise HardwareError(
+            "a worker process died, perhaps for lack of memory. Run again with fewer workers"
+        ) from error
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _on_cluster(function: Callable[[Task], Result], tasks: Sequence[Task], scheduler: str) -> Generator[Result, None, None]:
+def _on_cluster(
+    function: Callable[[Task], Result], tasks: Sequence[Task], scheduler: str
+) -> Generator[Result, None, None]:
     killed_worker = _distributed(scheduler).KilledWorker
     run = uuid.uuid4().hex  # keeps tasks of different runs apart on the scheduler
     waiting = enumerate(tasks)
@@ -100,7 +109,10 @@ def _on_cluster(function: Callable[[Task], Result], tasks: Sequence[Task], sched
         workers = _same_code(client, scheduler)
 
         def begin(n_tasks: int) -> list[Any]:
-            return [client.submit(function, task, key=f"{function.__name__}-{run}-{k}", pure=False) for k, task in islice(waiting, n_tasks)]
+            return [
+                client.submit(function, task, key=f"{function.__name__}-{run}-{k}", pure=False)
+                for k, task in islice(waiting, n_tasks)
+            ]
 
         try:
             ahead = deque(begin(_AHEAD * workers))
@@ -110,12 +122,15 @@ def _on_cluster(function: Callable[[Task], Result], tasks: Sequence[Task], sched
                 yield result
         except killed_worker as error:
             raise HardwareError(
-                f"scheduler {scheduler}: workers died again and again of one task, perhaps for lack of memory. See their logs"
+                f"scheduler {scheduler}: workers died again and again of one task, perhaps for lack of memory. See "
+                "their logs"
             ) from error
         except (CancelledError, OSError) as error:
             if client.status == "running" and isinstance(error, OSError):
                 raise
-            raise HardwareError(f"scheduler {scheduler}: the connection was lost. See its log, then run again") from error
+            raise HardwareError(
+                f"scheduler {scheduler}: the connection was lost. See its log, then run again"
+            ) from error
 
 
 def _result(client: Any, future: Any, scheduler: str) -> Any:
@@ -128,7 +143,9 @@ def _result(client: Any, future: Any, scheduler: str) -> Any:
             if client.status != "running" or client.scheduler_info()["workers"]:
                 last_s = time.monotonic()
             elif time.monotonic() - last_s > _ALONE_S:
-                raise HardwareError(f"scheduler {scheduler}: no workers are left. Start some with: dask worker {scheduler}") from None
+                raise HardwareError(
+                    f"scheduler {scheduler}: no workers are left. Start some with: dask worker {scheduler}"
+                ) from None
         else:
             return future.result()
 
@@ -141,7 +158,8 @@ def _checked(scheduler: str) -> str:
         complete = False
     if not complete:
         raise UsageError(
-            f"scheduler '{scheduler}' is not an address. Give it as tcp://HOST:PORT, which `dask scheduler` prints when it starts"
+            f"scheduler '{scheduler}' is not an address. Give it as tcp://HOST:PORT, which `dask scheduler` prints "
+            "when it starts"
         )
     return scheduler
 
@@ -151,7 +169,9 @@ def _distributed(scheduler: str) -> Any:
     try:
         return import_module("distributed")
     except ImportError as error:
-        raise UsageError(f"scheduler {scheduler}: dask is not installed here. Install it with: pip install 'auv-mcm[bench]'") from error
+        raise UsageError(
+            f"scheduler {scheduler}: dask is not installed here. Install it with: pip install 'auv-mcm[bench]'"
+        ) from error
 
 
 @contextmanager
@@ -165,7 +185,8 @@ def _client(scheduler: str) -> Iterator[Any]:
             client = distributed.Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError, KeyError, TypeError) as error:
         raise HardwareError(
-            f"scheduler {scheduler} does not answer as a dask scheduler within {_CONNECT_S:g} s. Start one with `dask scheduler`, "
+            f"scheduler {scheduler} does not answer as a dask scheduler within {_CONNECT_S:g} s. Start one with `dask "
+            "scheduler`, "
             "and check host, port and firewall; without a scheduler tasks run on this computer"
         ) from error
     try:
@@ -190,7 +211,9 @@ def _same_code(client: Any, scheduler: str) -> int:
     deadline_s = time.monotonic() + _ALONE_S
     while not (threads := client.nthreads()):
         if time.monotonic() > deadline_s:
-            raise HardwareError(f"scheduler {scheduler} has no workers. Start some with: dask worker --nthreads 1 {scheduler}")
+            raise HardwareError(
+                f"scheduler {scheduler} has no workers. Start some with: dask worker --nthreads 1 {scheduler}"
+            )
         time.sleep(0.1)
     here = fingerprint()
     for worker, there in client.run(fingerprint, on_error="return").items():
@@ -198,7 +221,10 @@ def _same_code(client: Any, scheduler: str) -> int:
             raise UsageError(f"worker {worker} cannot run this package: {there}. Install it there as it is here")
         other = [f"{name} {there.get(name)} (here {value})" for name, value in here.items() if there.get(name) != value]
         if other:
-            raise UsageError(f"worker {worker} has {', '.join(other)}. Install there what is installed here and start the worker again")
+            raise UsageError(
+                f"worker {worker} has {', '.join(other)}. Install there what is installed here and start the worker "
+                "again"
+            )
     return sum(threads.values())
 
 

@@ -53,7 +53,8 @@ def opencv_cascade(model: CascadeModel, band: int, row_spacing_m: float, column_
     )
     features = "".join(_feature(stump, rectangles) for stump in stumps)
     xml = (
-        '<?xml version="1.0"?>\n<opencv_storage>\n<cascade type_id="opencv-cascade-classifier"><stageType>BOOST</stageType>'
+        '<?xml version="1.0"?>\n<opencv_storage>\n<cascade '
+        'type_id="opencv-cascade-classifier"><stageType>BOOST</stageType>'
         f"<featureType>HAAR</featureType><height>{bottom - top}</height><width>{right - left}</width>\n"
         f"<stageParams><boostType>GAB</boostType><maxDepth>1</maxDepth><maxWeakCount>{len(stumps)}</maxWeakCount></stageParams>\n"
         "<featureParams><maxCatCount>0</maxCatCount><featSize>1</featSize><mode>BASIC</mode></featureParams>\n"
@@ -68,7 +69,9 @@ def _boxes(stump: Stump) -> tuple[FeatureBox, ...]:
 
 
 def _weak(index: int, stump: Stump) -> str:
-    return f"<_><internalNodes>0 -1 {index} 0.</internalNodes><leafValues>{stump.below}. {stump.above}.</leafValues></_>"
+    return (
+        f"<_><internalNodes>0 -1 {index} 0.</internalNodes><leafValues>{stump.below}. {stump.above}.</leafValues></_>"
+    )
 
 
 def _feature(stump: Stump, rectangles: dict[FeatureBox, np.ndarray]) -> str:

@@ -61,16 +61,23 @@ def objects_in(tile: Tile, targets: Sequence[PlacedTarget], sonar: SonarConfig) 
     known = np.flatnonzero(np.isfinite(pose.latitude_deg) & np.isfinite(pose.longitude_deg))
     if not known.size or not targets:
         return ()
-    frame = LocalFrame(latitude_deg=float(pose.latitude_deg[known[0]]), longitude_deg=float(pose.longitude_deg[known[0]]))
+    frame = LocalFrame(
+        latitude_deg=float(pose.latitude_deg[known[0]]), longitude_deg=float(pose.longitude_deg[known[0]])
+    )
     beam = _Beam(tile, sonar, frame)
-    latitude, longitude = np.array([target.latitude_deg for target in targets]), np.array([target.longitude_deg for target in targets])
+    latitude, longitude = (
+        np.array([target.latitude_deg for target in targets]),
+        np.array([target.longitude_deg for target in targets]),
+    )
     places = frame.to_enu(latitude, longitude, np.zeros(len(targets)))[:, :2]
     swath_m = n_columns * tile.column_spacing_m
     found = []
     for target, place in zip(targets, places, strict=True):
         ahead_m, ground_m = beam.ahead_and_ground_m(place)
         step_m = ahead_m[:-1] - ahead_m[1:]
-        for row in np.flatnonzero((ahead_m[:-1] >= 0.0) & (ahead_m[1:] < 0.0) & (step_m < _ASTRIDE_M) & (ground_m[:-1] > 0.0)).tolist():
+        for row in np.flatnonzero(
+            (ahead_m[:-1] >= 0.0) & (ahead_m[1:] < 0.0) & (step_m < _ASTRIDE_M) & (ground_m[:-1] > 0.0)
+        ).tolist():
             position = row + float(ahead_m[row] / step_m[row])
             ground_range_m = _at(ground_m, position)
             if ground_range_m > swath_m + target.length_m:
@@ -131,7 +138,9 @@ class _Beam:
         return np.asarray(self._frame.to_enu(latitude, longitude, np.zeros(latitude.shape))[:, :2])
 
 
-def _column(tile: Tile, sonar: SonarConfig, target: PlacedTarget, position: float, ground_range_m: float, look_rad: float) -> float:
+def _column(
+    tile: Tile, sonar: SonarConfig, target: PlacedTarget, position: float, ground_range_m: float, look_rad: float
+) -> float:
     """Return the column of the highlight's middle; NaN if that is nearer than the first bottom return."""
     pitch_rad = _at(tile.pose.pitch_rad, position) + math.radians(sonar.pitch_offset_deg)
     first_return_m = _at(tile.first_return_m, position)
@@ -141,7 +150,9 @@ def _column(tile: Tile, sonar: SonarConfig, target: PlacedTarget, position: floa
     showing_m = max(target.height_m - target.burial_m, 0.0)
     if math.isfinite(showing_m) and target.kind not in _WIDESPREAD:
         down_m -= 0.5 * showing_m
-    square = (ground_range_m - (1.0 - _LIT) * near_side_m(target, look_rad)) ** 2 + (down_m - first_return_m) * (down_m + first_return_m)
+    square = (ground_range_m - (1.0 - _LIT) * near_side_m(target, look_rad)) ** 2 + (down_m - first_return_m) * (
+        down_m + first_return_m
+    )
     return math.sqrt(square) / tile.column_spacing_m if square >= 0.0 else math.nan
 
 
@@ -166,4 +177,6 @@ def _at(values: Floats, position: float) -> float:
 
 def cropped(objects: Sequence[TileObject], start: int, stop: int) -> tuple[TileObject, ...]:
     """Return the objects of rows [start, stop), counted from there."""
-    return tuple(msgspec.structs.replace(target, row=target.row - start) for target in objects if start <= target.row < stop)
+    return tuple(
+        msgspec.structs.replace(target, row=target.row - start) for target in objects if start <= target.row < stop
+    )

@@ -63,7 +63,9 @@ def feature_pool() -> Pool:
     return Pool(tuple(numbers), tuple(dict.fromkeys(features)))
 
 
-def pool_box_means(plane: CodePlane, boxes: Sequence[FeatureBox], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float32]:
+def pool_box_means(
+    plane: CodePlane, boxes: Sequence[FeatureBox], rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.float32]:
     """Return (n_boxes, n_windows) float32 mean code of every box around the given pixels of a plane; rows, columns:
     (n_windows,) intp.
     """
@@ -78,7 +80,9 @@ def pool_box_means(plane: CodePlane, boxes: Sequence[FeatureBox], rows: NDArray[
     return means
 
 
-def feature_values(pool: Pool, features: Sequence[int] | NDArray[np.intp], means: NDArray[np.float32]) -> NDArray[np.float32]:
+def feature_values(
+    pool: Pool, features: Sequence[int] | NDArray[np.intp], means: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Compute values of the chosen features for box means (n_boxes, n_windows): (n_chosen, n_windows) float32.
 
     Where the divisor is 0 the value is infinite or not a number: no comparison with a threshold holds for it.
@@ -103,7 +107,9 @@ def bin_edges(pool: Pool, means: NDArray[np.float32]) -> NDArray[np.float32]:
         raise ValueError("no windows to take quantiles of")
     edges = np.empty((len(pool.features), N_BINS - 1), dtype=np.float32)
     at = (np.arange(1, N_BINS) * n_windows) // N_BINS
-    min_value = np.where([feature.is_ratio for feature in pool.features], 1.0 / _LARGEST, -_LARGEST).astype(np.float32)[:, np.newaxis]
+    min_value = np.where([feature.is_ratio for feature in pool.features], 1.0 / _LARGEST, -_LARGEST).astype(np.float32)[
+        :, np.newaxis
+    ]
     for start in range(0, len(edges), _CHUNK):
         some = np.arange(start, min(start + _CHUNK, len(edges)))
         values = np.sort(np.clip(feature_values(pool, some, means), min_value[some], np.float32(_LARGEST)), axis=1)
@@ -113,7 +119,8 @@ def bin_edges(pool: Pool, means: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def quantise(pool: Pool, edges: NDArray[np.float32], means: NDArray[np.float32]) -> Bins:
-    """Quantise features to (n_features, n_windows) uint8: a value is below edge k if and only if its bin is k or less."""
+    """Quantise features to (n_features, n_windows) uint8: a value is below edge k if and only if its bin is k or
+    less."""
     bins = np.empty((len(pool.features), means.shape[1]), dtype=np.uint8)
     for start in range(0, means.shape[1], _CHUNK):
         windows = slice(start, start + _CHUNK)
@@ -145,7 +152,9 @@ def _families() -> dict[str, list[tuple[FeatureBox, FeatureBox]]]:
         "highlight and shadow": list(product(highlights, shadows)),
         "shadow and sea floor": list(product(shadows, floors)),
         "centre and surround": [(box, around) for box in highlights for around in (*_surrounds(), WINDOW)],
-        "parts of the shadow": [(a, b) for a, b in product(shadows, shadows) if (a.top_m, a.bottom_m) == (b.top_m, b.bottom_m)],
+        "parts of the shadow": [
+            (a, b) for a, b in product(shadows, shadows) if (a.top_m, a.bottom_m) == (b.top_m, b.bottom_m)
+        ],
         "sides": [(a, b) for group in sides for a, b in product(group, group)],
     }
 
@@ -153,7 +162,10 @@ def _families() -> dict[str, list[tuple[FeatureBox, FeatureBox]]]:
 def _highlights() -> list[FeatureBox]:
     sizes = product((0.12, 0.36, 0.6, 0.84, 1.2, 1.6), (0.12, 0.24, 0.36, 0.5))
     centred = [_box(0.0, along, at, across) for (along, across), at in product(sizes, (-0.06, 0.06, 0.18))]
-    beside = [_box(at, along, 0.06, across) for at, along, across in product((-0.6, -0.3, 0.3, 0.6), (0.24, 0.48), (0.24, 0.48))]
+    beside = [
+        _box(at, along, 0.06, across)
+        for at, along, across in product((-0.6, -0.3, 0.3, 0.6), (0.24, 0.48), (0.24, 0.48))
+    ]
     return [*centred, *beside]
 
 
@@ -163,7 +175,17 @@ def _shadows() -> list[FeatureBox]:
     From right behind the highlight to where only tall objects cast any.
     """
     boxes = []
-    for along, at in ((0.24, 0.0), (0.48, 0.0), (0.84, 0.0), (1.2, 0.0), (1.8, 0.0), (0.36, -0.3), (0.36, 0.3), (0.4, -0.6), (0.4, 0.6)):
+    for along, at in (
+        (0.24, 0.0),
+        (0.48, 0.0),
+        (0.84, 0.0),
+        (1.2, 0.0),
+        (1.8, 0.0),
+        (0.36, -0.3),
+        (0.36, 0.3),
+        (0.4, -0.6),
+        (0.4, 0.6),
+    ):
         for start_m in (0.1, 0.25, 0.4):
             for start, stop in ((0.0, 0.3), (0.0, 0.6), (0.0, 1.0), (0.2, 0.5), (0.3, 0.8), (0.5, 1.0), (0.8, 1.2)):
                 boxes.append(_shadow(at, along, start_m, start, start_m + 0.1, stop))
@@ -187,7 +209,10 @@ def _floors() -> list[FeatureBox]:
 
 
 def _surrounds() -> list[FeatureBox]:
-    return [_box(0.0, along, 0.06, across) for along, across in ((0.6, 0.6), (0.84, 1.0), (1.2, 1.2), (2.0, 1.0), (2.0, 1.8))]
+    return [
+        _box(0.0, along, 0.06, across)
+        for along, across in ((0.6, 0.6), (0.84, 1.0), (1.2, 1.2), (2.0, 1.0), (2.0, 1.8))
+    ]
 
 
 def _sides() -> list[list[FeatureBox]]:
@@ -204,7 +229,11 @@ def _box(at_row_m: float, along_m: float, at_column_m: float, across_m: float) -
     return _shadow(at_row_m, along_m, at_column_m - 0.5 * across_m, 0.0, at_column_m + 0.5 * across_m, 0.0)
 
 
-def _shadow(at_row_m: float, along_m: float, near_m: float, near_shadow: float, far_m: float, far_shadow: float) -> FeatureBox:
+def _shadow(
+    at_row_m: float, along_m: float, near_m: float, near_shadow: float, far_m: float, far_shadow: float
+) -> FeatureBox:
     metres = (at_row_m - 0.5 * along_m, at_row_m + 0.5 * along_m, near_m, near_shadow, far_m, far_shadow)
     top_m, bottom_m, near_m, near_shadow, far_m, far_shadow = (round(value, 3) for value in metres)
-    return FeatureBox(top_m=top_m, bottom_m=bottom_m, near_m=near_m, near_shadow=near_shadow, far_m=far_m, far_shadow=far_shadow)
+    return FeatureBox(
+        top_m=top_m, bottom_m=bottom_m, near_m=near_m, near_shadow=near_shadow, far_m=far_m, far_shadow=far_shadow
+    )

@@ -2,8 +2,8 @@
 
 What a target's best window would pass is settled first, rejection follows.
 
-Sources: C. Zhang, P. Viola, "Multiple-instance pruning for learning efficient cascade detectors", NIPS 2007; L. Bourdev, J. Brandt,
-"Robust object detection via soft cascade", CVPR 2005.
+Sources: C. Zhang, P. Viola, "Multiple-instance pruning for learning efficient cascade detectors", NIPS 2007; L.
+Bourdev, J. Brandt, "Robust object detection via soft cascade", CVPR 2005.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 def best_windows(merit: NDArray[Any], bag: NDArray[np.intp]) -> NDArray[np.intp]:
     """Find the window with the highest merit of each bag, (n_bags,), the first of equal ones, by ascending bag.
 
-    merit: (n_windows,) of numbers, e.g. the final score. bag: (n_windows,) intp, the target a window belongs to; every window of a target
-    centres on it, as near as its highlight is known.
+    merit: (n_windows,) of numbers, e.g. the final score. bag: (n_windows,) intp, the target a window belongs to; every
+    window of a target centres on it, as near as its highlight is known.
     """
     order = np.lexsort((np.arange(bag.size), -merit.astype(np.float64), bag))
     first = np.ones(order.size, dtype=np.bool_)
@@ -30,14 +30,17 @@ def best_windows(merit: NDArray[Any], bag: NDArray[np.intp]) -> NDArray[np.intp]
 def reject_thresholds(trace: NDArray[np.int32], bag: NDArray[np.intp], detection: float) -> tuple[int, ...]:
     """Score below which windows are dropped after each group, n_groups numbers.
 
-    trace: (n_windows, n_groups) int32, the score of each window of each target after every group. detection: share of the targets, 0..1
-    exclusive of 0, to keep. The last threshold is the lowest best score of the targets kept; the others are the lowest score after that
-    group of their best windows. So every target kept passes with its best window, and with no score changed.
+    trace: (n_windows, n_groups) int32, the score of each window of each target after every group. detection: share of
+    the targets, 0..1 exclusive of 0, to keep. The last threshold is the lowest best score of the targets kept; the
+    others are the lowest score after that group of their best windows. So every target kept passes with its best
+    window, and with no score changed.
 
     Raises ValueError if there is no window or `detection` is out of range.
     """
     if not len(trace) or not 0.0 < detection <= 1.0:
-        raise ValueError(f"{len(trace)} windows, detection {detection}: there must be windows, and a detection above 0 and up to 1")
+        raise ValueError(
+            f"{len(trace)} windows, detection {detection}: there must be windows, and a detection above 0 and up to 1"
+        )
     of_targets = trace[best_windows(trace[:, -1], bag)]
     n_kept = math.ceil(detection * len(of_targets) - 1e-9)
     final = np.sort(of_targets[:, -1])[len(of_targets) - n_kept]

@@ -82,7 +82,8 @@ class Targets(_Section, frozen=True, kw_only=True):
 
 
 class Rocks(_Section, frozen=True, kw_only=True):
-    """Rocks of about a mine's size, besides the stones that the sea floor itself has. Sizes left out are the scene's."""
+    """Rocks of about a mine's size, besides the stones that the sea floor itself has. Sizes left out are the
+    scene's."""
 
     per_mission: Annotated[int, Meta(ge=0, le=2000)] = 80
     length_m: SizeRange | None = None
@@ -105,7 +106,8 @@ class SonarVariant(_Section, frozen=True, kw_only=True):
 
 
 class AugmentedLog(_Section, frozen=True, kw_only=True):
-    """A folder that `auv-mcm augment` wrote, from the spec's own folder on, and which split its sea floor belongs to."""
+    """A folder that `auv-mcm augment` wrote, from the spec's own folder on, and which split its sea floor belongs
+    to."""
 
     folder: str
     split: Split
@@ -168,7 +170,8 @@ def parse_training_spec(text: str, place: str) -> Spec:
         spec = msgspec.convert(data, Spec)
     except msgspec.ValidationError as error:
         raise UsageError(
-            f"{place}: {explain_validation_error(error, Spec)}. See sim_replay/fitting/cascade/default.yaml for an example"
+            f"{place}: {explain_validation_error(error, Spec)}. See sim_replay/fitting/cascade/default.yaml for an "
+            "example"
         ) from error
     for reason in _contradictions(spec):
         raise UsageError(f"{place}: {reason}")
@@ -210,12 +213,16 @@ def training_scene(spec: Spec, scene: Scene, seed: int, sonar: SonarVariant) -> 
         if (share := seabed.share * spec.seabed_factors.get(seabed.type, 1.0)) > 0.0
     )
     if not seabeds:
-        raise UsageError(f"`seabed_factors` leave nothing of the sea floor of scene '{scene.name}'. Take the scene out of `scenes`")
+        raise UsageError(
+            f"`seabed_factors` leave nothing of the sea floor of scene '{scene.name}'. Take the scene out of `scenes`"
+        )
     flown = msgspec.structs.replace(
         scene,
         seed=seed,
         world=msgspec.structs.replace(scene.world, seabeds=seabeds),
-        sonar=msgspec.structs.replace(scene.sonar, **{name: value for name, value in given.items() if name in Sonar.__struct_fields__}),
+        sonar=msgspec.structs.replace(
+            scene.sonar, **{name: value for name, value in given.items() if name in Sonar.__struct_fields__}
+        ),
         track=msgspec.structs.replace(scene.track, altitude_m=scene.track.altitude_m * factor, pings_in_turns=False),
         navigation_error=EXACT,
         faults=(),
@@ -228,7 +235,9 @@ def _simulated(spec: Spec, label: str, scene: Scene, seed: int, number: int, spl
     flown = training_scene(spec, scene, seed, sonar)
     check_scene(flown, f"scene {label} as the spec changes it")
     config = config_for(flown)
-    grid = {name: value for name in ("row_spacing_m", "column_spacing_m") if (value := getattr(sonar, name)) is not None}
+    grid = {
+        name: value for name in ("row_spacing_m", "column_spacing_m") if (value := getattr(sonar, name)) is not None
+    }
     config = msgspec.structs.replace(config, waterfall=msgspec.structs.replace(config.waterfall, **grid))
     return SimulatedLine(flown, config, split, f"{label}/{seed}")
 
@@ -244,12 +253,20 @@ def _scatter(spec: Spec, scene: Scene) -> tuple[Scatter, ...]:
             continue
         like = Scatter(kind=kind, count=1)
         if some_target is not None:
-            like = msgspec.structs.replace(like, ground_range_m=some_target.ground_range_m, strength_db=some_target.strength_db)
-        sizes = {name: value for name in ("length_m", "width_m", "height_m", "burial_m") if (value := getattr(wanted, name)) is not None}
+            like = msgspec.structs.replace(
+                like, ground_range_m=some_target.ground_range_m, strength_db=some_target.strength_db
+            )
+        sizes = {
+            name: value
+            for name in ("length_m", "width_m", "height_m", "burial_m")
+            if (value := getattr(wanted, name)) is not None
+        }
         groups.append(msgspec.structs.replace(own.get(kind, like), count=count, apart_m=spec.targets.apart_m, **sizes))
     if spec.rocks.per_mission:
         usual = USUAL["rock"].strength_db
-        rocks = own.get("rock", Scatter(kind="rock", count=1, strength_db=(usual - 6.0, usual + 6.0), natural_sizes=True))
+        rocks = own.get(
+            "rock", Scatter(kind="rock", count=1, strength_db=(usual - 6.0, usual + 6.0), natural_sizes=True)
+        )
         sizes = {name: value for name in ("length_m", "height_m") if (value := getattr(spec.rocks, name)) is not None}
         groups.append(msgspec.structs.replace(rocks, count=spec.rocks.per_mission, **sizes))
     return tuple(groups)
@@ -301,7 +318,10 @@ def _contradictions(spec: Spec) -> Iterator[str]:
             )
         for other, others in ranges:
             if other > split and max(seeds.first, others.first) < min(seeds.seeds.stop, others.seeds.stop):
-                yield f"`seeds.{split}` and `seeds.{other}` share seeds: the same sea floor would be trained on and judged by"
+                yield (
+                    f"`seeds.{split}` and `seeds.{other}` share seeds: the same sea floor would be trained on and "
+                    "judged by"
+                )
     low, high = spec.altitude_factor
     if low > high:
         yield f"`altitude_factor` is [{low:g}, {high:g}]; the lowest comes first"

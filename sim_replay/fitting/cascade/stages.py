@@ -41,7 +41,10 @@ def train_stage(learned: StageSamples, judged: StageSamples, rng: np.random.Gene
     """
     n_targets = int(np.count_nonzero(judged.is_target))
     if not 0 < n_targets < judged.is_target.size:
-        raise ValueError(f"{n_targets} targets among {judged.is_target.size} samples to judge by: there must be some, and something else")
+        raise ValueError(
+            f"{n_targets} targets among {judged.is_target.size} samples to judge by: there must be some, and something "
+            "else"
+        )
     stumps: list[BoostedStump] = []
     score = np.zeros(judged.is_target.size, dtype=np.int32)
     reject, false_alarms = 0, 1.0

@@ -89,7 +89,9 @@ def pack(tiles: Iterable[LabelledTile], split: Split, background: str, origin: O
     n_others, usable_m2 = 0, 0.0
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for number, tile in enumerate(tiles):
-            inside = [tile_object for tile_object in tile.objects if tile.core_start <= tile_object.row < tile.core_stop]
+            inside = [
+                tile_object for tile_object in tile.objects if tile.core_start <= tile_object.row < tile.core_stop
+            ]
             by_seabed.update(tile_object.seabed for tile_object in inside if tile_object.is_target)
             n_others += sum(not tile_object.is_target for tile_object in inside)
             usable_m2 += int(np.count_nonzero(tile.usable)) * tile.row_spacing_m * tile.column_spacing_m
@@ -128,8 +130,13 @@ def write_set(folder: Path, packed: Iterable[Packed], made_from: dict[str, Any])
     for shard, data in packed:
         write_file(folder / shard.file, data)
         shards.append(shard)
-    manifest = Manifest(format_version=FORMAT_VERSION, made_from=made_from, shards=tuple(shards), sha256=_digest(shards))
-    write_file(folder / MANIFEST_NAME, msgspec.json.format(msgspec.json.encode(manifest, order="deterministic"), indent=1) + b"\n")
+    manifest = Manifest(
+        format_version=FORMAT_VERSION, made_from=made_from, shards=tuple(shards), sha256=_digest(shards)
+    )
+    write_file(
+        folder / MANIFEST_NAME,
+        msgspec.json.format(msgspec.json.encode(manifest, order="deterministic"), indent=1) + b"\n",
+    )
     return manifest
 
 
@@ -139,7 +146,9 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
     except OSError as error:
-        raise BadInputError(f"{path} cannot be read: {error.strerror}. Name the folder that a training set was rendered into") from error
+        raise BadInputError(
+            f"{path} cannot be read: {error.strerror}. Name the folder that a training set was rendered into"
+        ) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}. {_REMEDY}") from error
     if manifest.format_version != FORMAT_VERSION:
@@ -166,7 +175,9 @@ def read_shard(folder: Path, shard: Shard) -> Iterator[LabelledTile]:
         with path.open("rb") as file:
             n_bytes = path.stat().st_size
             if n_bytes != shard.n_bytes:
-                raise BadInputError(f"{path} has {n_bytes} bytes, not {shard.n_bytes}: it was cut off or replaced. {_REMEDY}")
+                raise BadInputError(
+                    f"{path} has {n_bytes} bytes, not {shard.n_bytes}: it was cut off or replaced. {_REMEDY}"
+                )
             if hashlib.file_digest(file, "sha256").hexdigest() != shard.sha256:
                 raise BadInputError(f"{path} was changed after it was written. {_REMEDY}")
             file.seek(0)
@@ -194,7 +205,9 @@ def _tile(archive: zipfile.ZipFile, number: int, header: _TileHeader) -> Labelle
 
 
 def _digest(shards: Sequence[Shard]) -> str:
-    return hashlib.sha256("".join(f"{shard.split} {shard.background} {shard.sha256}\n" for shard in shards).encode()).hexdigest()
+    return hashlib.sha256(
+        "".join(f"{shard.split} {shard.background} {shard.sha256}\n" for shard in shards).encode()
+    ).hexdigest()
 
 
 def _add(archive: zipfile.ZipFile, name: str, values: NDArray[Any]) -> None:

@@ -26,7 +26,14 @@ Kind: TypeAlias = Literal["soft", "stages", "classical"]
 
 
 def train_model(
-    spec: Path | None, out: Path, *, tiles: Path | None, kind: Kind, n_stumps: int, farm: Farm, say: Callable[[str], None]
+    spec: Path | None,
+    out: Path,
+    *,
+    tiles: Path | None,
+    kind: Kind,
+    n_stumps: int,
+    farm: Farm,
+    say: Callable[[str], None],
 ) -> None:
     """Train a cascade and write it to `out`, JSON.
 
@@ -54,5 +61,7 @@ def train_model(
 
 
 def _holds_tiles_of(folder: Path, spec: Path | None) -> bool:
-    wanted = msgspec.json.decode(msgspec.json.encode(read_training_spec(spec)[0]))  # as the manifest gives it back: lists, not tuples
+    wanted = msgspec.json.decode(
+        msgspec.json.encode(read_training_spec(spec)[0])
+    )  # as the manifest gives it back: lists, not tuples
     return (folder / MANIFEST_NAME).exists() and read_manifest(folder).made_from == wanted

@@ -46,7 +46,9 @@ N_STUMPS: Final = 320
 """Of a soft cascade, unless asked otherwise."""
 
 _SEED: Final = 7
-_DETECTION: Final = 0.95  # share of the validation targets that a soft cascade keeps: the last few are hidden in rocks, or hardly show
+_DETECTION: Final = (
+    0.95  # share of the validation targets that a soft cascade keeps: the last few are hidden in rocks, or hardly show
+)
 _PASSES: Final = 5  # over the tiles, each with so many more of a soft cascade's stumps
 _ASYMMETRY: Final = 4.0
 _MINING_DETECTION: Final = 0.99
@@ -97,7 +99,9 @@ def train(folder: Path, kind: Kind, farm: Farm, progress: Progress, n_stumps: in
     splits: tuple[Split, Split] = ("train", "validate")
     for split in splits:
         if not any(shard.n_targets for shard in tiles.shards(split)):
-            raise UsageError(f"{folder}: no targets among the '{split}' tiles. Render a set with seeds and targets for both splits")
+            raise UsageError(
+                f"{folder}: no targets among the '{split}' tiles. Render a set with seeds and targets for both splits"
+            )
     pool = feature_pool()
     progress(f"{len(pool.features)} features of {len(pool.boxes)} boxes")
     trained = _soft(tiles, pool, progress, n_stumps) if kind == "soft" else _stages(tiles, pool, progress)
@@ -118,19 +122,26 @@ def _soft(tiles: _Tiles, pool: Pool, progress: Progress, n_stumps: int) -> Casca
         known.update(places)
         others.append(lesson.others[:, is_new])
         every = np.concatenate(others, axis=1)
-        progress(f"pass {number + 1}: {lesson.targets.shape[1]} targets, {every.shape[1]} others, {is_new.sum()} of them new")
+        progress(
+            f"pass {number + 1}: {lesson.targets.shape[1]} targets, {every.shape[1]} others, {is_new.sum()} of them new"
+        )
         few = int(is_new.sum()) < _FEWEST * lesson.n_asked
         if few and n_rounds == n_stumps:
             break
-        # The first passes show what is easy: few stumps will do. The last one, and one that shows hardly anything new, gets all.
-        n_rounds = n_stumps if few or number == _PASSES - 1 else max(n_rounds, math.ceil((number + 1) * n_stumps / _PASSES))
+        # The first passes show what is easy: few stumps will do. The last one, and one that shows hardly anything new,
+        # gets all.
+        n_rounds = (
+            n_stumps if few or number == _PASSES - 1 else max(n_rounds, math.ceil((number + 1) * n_stumps / _PASSES))
+        )
         model = _boosted(tiles, pool, lesson, every, n_rounds, _rng(number))
         progress(f"pass {number + 1}: {model.n_stumps} stumps in {len(model.groups)} groups")
     assert model is not None
     return model
 
 
-def _boosted(tiles: _Tiles, pool: Pool, lesson: _Lesson, others: Floats, n_rounds: int, rng: np.random.Generator) -> CascadeModel:
+def _boosted(
+    tiles: _Tiles, pool: Pool, lesson: _Lesson, others: Floats, n_rounds: int, rng: np.random.Generator
+) -> CascadeModel:
     """A soft cascade with thresholds that nearly all targets pass that it learned from, and what is almost as good as
     those."""
     edges = _edges(pool, lesson.targets, others)
@@ -141,7 +152,9 @@ def _boosted(tiles: _Tiles, pool: Pool, lesson: _Lesson, others: Floats, n_round
         raise UsageError(f"{tiles.folder}: no feature separates targets from clutter. Render a set with more missions")
     sizes = group_sizes(len(stumps))
     stops = list(accumulate(sizes))
-    after = np.cumsum([stump.scores(bins[:, is_target]) for stump in stumps], axis=0, dtype=np.int32)[np.array(stops) - 1].T
+    after = np.cumsum([stump.scores(bins[:, is_target]) for stump in stumps], axis=0, dtype=np.int32)[
+        np.array(stops) - 1
+    ].T
     reject = [score - _MINING_MARGIN for score in reject_thresholds(after, np.arange(len(after)), _MINING_DETECTION)]
     groups = [_model_group(pool, edges, stumps[stop - size : stop]) for size, stop in zip(sizes, stops, strict=True)]
     return _model(tiles, "soft", groups, reject, lesson, others.shape[1])
@@ -160,25 +173,38 @@ def _stages(tiles: _Tiles, pool: Pool, progress: Progress) -> CascadeModel:
         is_target = np.arange(bins.shape[1]) < lesson.targets.shape[1]
         judges = _are_judges(tiles)[np.concatenate((lesson.target_shard, lesson.places[:, 0]))]
         learned, judged = (StageSamples(bins[:, some], is_target[some]) for some in (~judges, judges))
-        fewest = min(int(np.count_nonzero(samples.is_target == kind)) for samples in (learned, judged) for kind in (True, False))
+        fewest = min(
+            int(np.count_nonzero(samples.is_target == kind)) for samples in (learned, judged) for kind in (True, False)
+        )
         if lesson.others.shape[1] < _FEWEST * lesson.n_asked or not fewest:
-            progress(f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from")
+            progress(
+                f"stage {number + 1}: {lesson.others.shape[1]} others pass all stages before, too few to learn from"
+            )
             break
         stage = train_stage(learned, judged, _rng(number))
         if not stage.stumps:
-            raise UsageError(f"{tiles.folder}: no feature separates targets from clutter. Render a set with more missions")
+            raise UsageError(
+                f"{tiles.folder}: no feature separates targets from clutter. Render a set with more missions"
+            )
         progress(
-            f"stage {number + 1}: {len(stage.stumps)} stumps, {stage.detection:.4f} of the targets and {stage.false_alarms:.4f} of "
+            f"stage {number + 1}: {len(stage.stumps)} stumps, {stage.detection:.4f} of the targets and "
+            f"{stage.false_alarms:.4f} of "
             f"{lesson.others.shape[1]} others pass"
         )
         if model is not None and stage.false_alarms > FALSE_ALARMS:
-            progress(f"stage {number + 1} misses its goal and is left out: it would cost as many targets as one that meets it")
+            progress(
+                f"stage {number + 1} misses its goal and is left out: it would cost as many targets as one that meets "
+                "it"
+            )
             break
         groups.append(_model_group(pool, edges, stage.stumps))
         reject.append(stage.reject)
         model = _model(tiles, "stages", groups, reject, lesson, n_seen)
     if model is None:
-        raise UsageError(f"{tiles.folder}: too few tiles for a first stage. Render a set with at least {_JUDGES} missions to train on")
+        raise UsageError(
+            f"{tiles.folder}: too few tiles for a first stage. Render a set with at least {_JUDGES} missions to train "
+            "on"
+        )
     return model
 
 
@@ -213,7 +239,8 @@ def _rng(number: int) -> np.random.Generator:
 def _edges(pool: Pool, targets: Floats, others: Floats) -> Floats:
     """Return bins as fine for the few targets as for the many others."""
     samples = [
-        means[:, np.linspace(0, means.shape[1] - 1, min(means.shape[1], _EDGE_WINDOWS)).astype(np.intp)] for means in (targets, others)
+        means[:, np.linspace(0, means.shape[1] - 1, min(means.shape[1], _EDGE_WINDOWS)).astype(np.intp)]
+        for means in (targets, others)
     ]
     return bin_edges(pool, np.concatenate(samples, axis=1))
 
@@ -223,7 +250,12 @@ def _model_group(pool: Pool, edges: Floats, stumps: Sequence[BoostedStump]) -> t
 
 
 def _model(
-    tiles: _Tiles, kind: Kind, groups: Sequence[tuple[Stump, ...]], reject: Sequence[int], lesson: _Lesson, n_others: int
+    tiles: _Tiles,
+    kind: Kind,
+    groups: Sequence[tuple[Stump, ...]],
+    reject: Sequence[int],
+    lesson: _Lesson,
+    n_others: int,
 ) -> CascadeModel:
     backgrounds = sorted({shard.background.rsplit("/", 1)[0] for shard in tiles.shards("train")})
     min_m, max_m = lesson.spacings_m.min(axis=0), lesson.spacings_m.max(axis=0)
@@ -233,7 +265,9 @@ def _model(
     ]
     return CascadeModel(
         kind=kind,
-        trained_on=f"{lesson.targets.shape[1]} looks at targets and {n_others} other windows of {', '.join(backgrounds)}",
+        trained_on=(
+            f"{lesson.targets.shape[1]} looks at targets and {n_others} other windows of {', '.join(backgrounds)}"
+        ),
         training_sha256=tiles.manifest.sha256,
         row_spacing_m=spacings[0],
         column_spacing_m=spacings[1],
@@ -247,10 +281,15 @@ def _validated(tiles: _Tiles, model: CascadeModel, progress: Progress) -> Cascad
     """Return the model with thresholds (if soft), calibration and expected detection from the validation shards."""
     shards = tiles.shards("validate")
     seen = [
-        sighting for found in run_tasks(sightings, [Inspection(tiles.folder, s, model) for s in shards], tiles.farm) for sighting in found
+        sighting
+        for found in run_tasks(sightings, [Inspection(tiles.folder, s, model) for s in shards], tiles.farm)
+        for sighting in found
     ]
     if not seen:
-        raise UsageError(f"{tiles.folder}: no window of a validation target can be judged. Render a set with more validation missions")
+        raise UsageError(
+            f"{tiles.folder}: no window of a validation target can be judged. Render a set with more validation "
+            "missions"
+        )
     scores = np.stack([sighting.trace for sighting in seen])
     if model.kind == "soft":
         model = msgspec.structs.replace(model, reject=reject_thresholds(scores, np.arange(len(scores)), _DETECTION))
@@ -272,7 +311,9 @@ def _report(model: CascadeModel, seen: Sequence[ValidationSighting], parts: Sequ
     windows = np.concatenate([part.windows for part in parts])
     alarms = np.concatenate([part.detections[~part.is_target] for part in parts])
     n_windows, area_km2 = sum(part.n_windows for part in parts), sum(part.area_m2 for part in parts) / 1e6
-    lines = [f"{len(seen)} looks at validation targets, {len(final)} pass; {n_windows} other windows on {area_km2:.3f} km2"]
+    lines = [
+        f"{len(seen)} looks at validation targets, {len(final)} pass; {n_windows} other windows on {area_km2:.3f} km2"
+    ]
     lines.append(f"{'targets':>8} {'windows per million':>20} {'false alarms per km2':>21}")
     for share in (*_SHARES, len(final) / len(seen)):
         n_kept = math.ceil(share * len(seen) - 1e-9)

@@ -41,7 +41,8 @@ from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.objects import place_objects
 
 OVERLAP_M: Final = 2.0
-"""Rows kept beyond a tile's core: what windows of core pixels reach, and objects so near that they are in those windows."""
+"""Rows kept beyond a tile's core: what windows of core pixels reach, and objects so near that they are in those
+windows."""
 
 
 class _AugmentedObject(msgspec.Struct, frozen=True, kw_only=True):
@@ -99,7 +100,9 @@ def targets_of(mission: Mission) -> tuple[PlacedTarget, ...]:
     )
 
 
-def labelled(tile: Tile, targets: Sequence[PlacedTarget], config: Config, background: str, origin: Origin) -> LabelledTile:
+def labelled(
+    tile: Tile, targets: Sequence[PlacedTarget], config: Config, background: str, origin: Origin
+) -> LabelledTile:
     """Return the core of a tile with OVERLAP_M on both sides, and which of `targets` lie in it."""
     reach = math.ceil(OVERLAP_M / tile.row_spacing_m)
     start, stop = max(tile.core_start - reach, 0), min(tile.core_stop + reach, tile.mask.shape[0])
@@ -139,10 +142,17 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
     started_s = time.monotonic()
 
     def show_progress(done: int) -> None:
-        print(f"\r{done} of {len(lines)} missions rendered, {time.monotonic() - started_s:.0f} s", end="", file=sys.stderr, flush=True)
+        print(
+            f"\r{done} of {len(lines)} missions rendered, {time.monotonic() - started_s:.0f} s",
+            end="",
+            file=sys.stderr,
+            flush=True,
+        )
 
     try:
-        return write_set(folder, _each_once(run_tasks(render_line, lines, farm, show_progress)), msgspec.to_builtins(spec))
+        return write_set(
+            folder, _each_once(run_tasks(render_line, lines, farm, show_progress)), msgspec.to_builtins(spec)
+        )
     except OSError as error:
         raise UsageError(f"{folder}: {error.strerror}. Name another folder, or make room") from error
     finally:
@@ -151,10 +161,18 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
-    parser.add_argument("spec", nargs="?", type=Path, metavar="SPEC.yaml", help="what to render (default: the set that ships)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the shards and their manifest")
-    parser.add_argument("--workers", type=count, default=2, help="missions rendered at once on this computer (default 2)")
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="render on the cluster of this dask scheduler instead")
+    parser.add_argument(
+        "spec", nargs="?", type=Path, metavar="SPEC.yaml", help="what to render (default: the set that ships)"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the shards and their manifest"
+    )
+    parser.add_argument(
+        "--workers", type=count, default=2, help="missions rendered at once on this computer (default 2)"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT", help="render on the cluster of this dask scheduler instead"
+    )
     chosen = parser.parse_args(arguments)
     print(tile_set_words(render_set(chosen.spec, chosen.out, Farm(chosen.workers, chosen.scheduler))))
     return 0
@@ -210,7 +228,9 @@ def _augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
     try:
         truth = msgspec.json.decode(path.read_bytes(), type=_AugmentedTruth)
     except OSError as error:
-        raise BadInputError(f"{path} cannot be read: {error.strerror}. Name a folder that `auv-mcm augment` wrote") from error
+        raise BadInputError(
+            f"{path} cannot be read: {error.strerror}. Name a folder that `auv-mcm augment` wrote"
+        ) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: {error}. Name a folder that `auv-mcm augment` wrote") from error
     return truth.background, tuple(
@@ -238,7 +258,8 @@ def _each_once(packed: Iterable[Packed]) -> Iterator[Packed]:
         background, split = item.shard.background, item.shard.split
         if background in splits:
             raise UsageError(
-                f"sea floor '{background}' is in the set twice, for {splits[background]} and for {split}. Give each recorded line once"
+                f"sea floor '{background}' is in the set twice, for {splits[background]} and for {split}. Give each "
+                "recorded line once"
             )
         splits[background] = split
         yield item

@@ -51,7 +51,9 @@ def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Arr
     """
     random = np.random.Generator(np.random.PCG64(_SEED))
     edges = [_edges(column) for column in values.T]
-    bins = np.column_stack([np.searchsorted(edge, column, side="left") for edge, column in zip(edges, values.T, strict=True)])
+    bins = np.column_stack(
+        [np.searchsorted(edge, column, side="left") for edge, column in zip(edges, values.T, strict=True)]
+    )
     odds = start.astype(np.float64).copy()
     n_examples, n_features = values.shape
     some = min(n_features, max(_FEWEST_FEATURES, round(_FEATURES * n_features)))
@@ -83,7 +85,9 @@ def _edges(column: Array) -> Array:
     return np.asarray(middle[middle < column.max()])
 
 
-def _grow(bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[Array], chosen: NDArray[np.int64]) -> GrownTree:
+def _grow(
+    bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[Array], chosen: NDArray[np.int64]
+) -> GrownTree:
     feature = np.zeros(N_QUESTIONS, dtype=np.int64)
     threshold = np.full(N_QUESTIONS, _NEVER)
     place = np.zeros(len(bins), dtype=np.int64)

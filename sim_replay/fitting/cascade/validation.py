@@ -70,7 +70,11 @@ def sightings(inspection: Inspection) -> list[ValidationSighting]:
 def passed(inspection: Inspection) -> PassRates:
     """Return the windows of a shard that pass the model."""
     n_windows, area_m2 = 0, 0.0
-    windows, detections, is_target = [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.int32)], [np.empty(0, dtype=np.bool_)]
+    windows, detections, is_target = (
+        [np.empty(0, dtype=np.int32)],
+        [np.empty(0, dtype=np.int32)],
+        [np.empty(0, dtype=np.bool_)],
+    )
     for tile, plane in planes_of(inspection.folder, inspection.shard):
         found = run_plane(plane, inspection.model, None)
         clear = clear_of_targets(tile)

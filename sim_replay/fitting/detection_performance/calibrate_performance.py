@@ -33,7 +33,9 @@ def fly_scene(flight: Flight) -> list[CellPass]:
     return looks_of(target_scene(flight.seed, flight.number))
 
 
-def fly_all(seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]) -> list[list[CellPass]]:
+def fly_all(
+    seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]
+) -> list[list[CellPass]]:
     """Return looks by mission, `flights` of each seed, in that order. progress: called with missions done and all there
     are.
     """
@@ -44,14 +46,19 @@ def fly_all(seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[
 def performance_fit_words(seeds: range, flights: int, looks: Sequence[CellPass]) -> str:
     """Describe the missions that tables were fitted on."""
     n_missions, n_targets = len({look.mission for look in looks}), len({(look.mission, look.target) for look in looks})
-    return f"{len(looks)} looks at {n_targets} targets in {n_missions} simulated missions: seeds {seeds[0]} to {seeds[-1]}, {flights} each"
+    return (
+        f"{len(looks)} looks at {n_targets} targets in {n_missions} simulated missions: seeds {seeds[0]} to "
+        f"{seeds[-1]}, {flights} each"
+    )
 
 
 def performance_json(performance: Performance) -> bytes:
     return msgspec.json.format(msgspec.json.encode(performance, order="deterministic"), indent=1) + b"\n"
 
 
-def tables(performance: Performance, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str] = columns) -> str:
+def tables(
+    performance: Performance, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str] = columns
+) -> str:
     """Format probability, interval and looks per floor and band, and the sweep width of one side."""
     edges = performance.edges_m
     header = ["floor", *(f"{near:g}-{far:g} m" for near, far in pairwise(edges)), "sweep width"]

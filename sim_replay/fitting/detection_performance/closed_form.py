@@ -49,7 +49,9 @@ def p_found(ground_range_m: ArrayLike, altitude_m: float, texture: float) -> NDA
     in_shadow = fdtr(dark, around, fdtri(dark, around, _BY_CHANCE) / dimmed)
     min_ratio = fdtri(bright, around, 1.0 - _BY_CHANCE)
     floor_db = _FLOOR_DB + 10.0 * np.log10(altitude_m / slant / math.sin(math.radians(10.0)))
-    lit = [fdtrc(bright, around, min_ratio / (1.0 + 10.0 ** (0.1 * (strength - floor_db)))) for strength in _STRENGTHS_DB]
+    lit = [
+        fdtrc(bright, around, min_ratio / (1.0 + 10.0 ** (0.1 * (strength - floor_db)))) for strength in _STRENGTHS_DB
+    ]
     return np.asarray(np.clip(in_shadow * np.mean(lit, axis=0), 0.0, 1.0))
 
 

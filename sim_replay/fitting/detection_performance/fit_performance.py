@@ -111,7 +111,11 @@ def fitted_tables(seen: Outcomes, exponent: float, fitted_on: str) -> Performanc
         smooth = smooth_bands(n_found[index], n_looks[index], prior, effect)
         floors[name] = tuple(
             Band(
-                n_looks=int(n), n_found=int(k), p=round(float(p), _DIGITS), low=round(float(low), _DIGITS), high=round(float(high), _DIGITS)
+                n_looks=int(n),
+                n_found=int(k),
+                p=round(float(p), _DIGITS),
+                low=round(float(low), _DIGITS),
+                high=round(float(high), _DIGITS),
             )
             for n, k, p, low, high in zip(n_looks[index], n_found[index], *smooth, strict=True)
         )
@@ -245,7 +249,10 @@ def with_correlations(performance: Performance, seen: Outcomes) -> Performance:
     A look in the same direction is taken to add no more than one in another, whatever few pairs suggest.
     """
     p = np.minimum(predicted(performance, seen), HIGHEST_P)
-    same, other = (round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3) for first, second in pairs(seen))
+    same, other = (
+        round(correlation(p[first], p[second], ~seen.found[first] & ~seen.found[second]), 3)
+        for first, second in pairs(seen)
+    )
     return msgspec.structs.replace(performance, same_look_correlation=max(same, other), other_look_correlation=other)
 
 
@@ -257,7 +264,8 @@ def pairs(seen: Outcomes) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
     for index in np.argsort(seen.time_s, kind="stable").tolist():
         of_target[int(seen.mission[index]), int(seen.target[index])].append(index)
     both = np.array(
-        [(first, second) for looks in of_target.values() for k, second in enumerate(looks) for first in looks[:k]], dtype=np.int64
+        [(first, second) for looks in of_target.values() for k, second in enumerate(looks) for first in looks[:k]],
+        dtype=np.int64,
     ).reshape(-1, 2)
     apart = np.abs(np.mod(seen.look_rad[both[:, 0]] - seen.look_rad[both[:, 1]] + math.pi, 2.0 * math.pi) - math.pi)
     same = apart <= _SAME_LOOK_RAD

@@ -83,7 +83,9 @@ def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredict
         brier=float(((p - seen.found) ** 2).mean()),
         brier_constant=base * (1.0 - base),
         places=tuple(_places(performance, seen, p)),
-        bins=tuple(share(p[part], seen.found[part], seen.mission[part]) for part in np.array_split(order, _N_BINS) if len(part)),
+        bins=tuple(
+            share(p[part], seen.found[part], seen.mission[part]) for part in np.array_split(order, _N_BINS) if len(part)
+        ),
         same=_either(seen, p, *pairs(seen)[0], performance.same_look_correlation),
         other=_either(seen, p, *pairs(seen)[1], performance.other_look_correlation),
     )
@@ -98,8 +100,12 @@ def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> Per
     _, cluster = np.unique(mission, return_inverse=True)
     surplus = np.bincount(cluster, found - p) - np.bincount(cluster) * (realised - float(p.mean()))
     n_missions = len(surplus)
-    by_mission = math.sqrt(float((surplus**2).sum()) * n_missions / (n_missions - 1)) / n if n_missions > 1 else by_chance
-    return PerformanceShare(n, float(p.mean()), realised, _MEAN_DEVIATION * by_chance, _MEAN_DEVIATION * max(by_mission, by_chance))
+    by_mission = (
+        math.sqrt(float((surplus**2).sum()) * n_missions / (n_missions - 1)) / n if n_missions > 1 else by_chance
+    )
+    return PerformanceShare(
+        n, float(p.mean()), realised, _MEAN_DEVIATION * by_chance, _MEAN_DEVIATION * max(by_mission, by_chance)
+    )
 
 
 def mean_error(places: tuple[PerformancePlace, ...]) -> tuple[float, float, float]:
@@ -120,11 +126,15 @@ def _places(performance: Performance, seen: Outcomes, p: Array) -> list[Performa
         for number, (near_m, far_m) in enumerate(pairwise(edges)):
             here = (seen.seabed == index) & (band == number)
             if here.any():
-                found.append(PerformancePlace(name, near_m, far_m, share(p[here], seen.found[here], seen.mission[here])))
+                found.append(
+                    PerformancePlace(name, near_m, far_m, share(p[here], seen.found[here], seen.mission[here]))
+                )
     return found
 
 
-def _either(seen: Outcomes, p: Array, first: NDArray[np.int64], second: NDArray[np.int64], correlation: float) -> PerformanceShare | None:
+def _either(
+    seen: Outcomes, p: Array, first: NDArray[np.int64], second: NDArray[np.int64], correlation: float
+) -> PerformanceShare | None:
     if not len(first):
         return None
     bounded = np.minimum(p, HIGHEST_P)

@@ -103,7 +103,8 @@ def looks_of(scene: Scene) -> list[CellPass]:
 
 
 def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], frame: LocalFrame) -> list[list[Part]]:
-    """Return, per place (n, 2) east and north in `frame`, each patch's view of the cell it lies in, in order of time."""
+    """Return, per place (n, 2) east and north in `frame`, each patch's view of the cell it lies in, in order of
+    time."""
     found: list[list[Part]] = [[] for _ in at_m]
     latitude, longitude, height = frame.to_geodetic(np.column_stack([at_m, np.zeros(len(at_m))]))
     for patch in sorted(patches, key=lambda patch: patch.start_s):
@@ -112,14 +113,18 @@ def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], fram
             continue
         plane = LocalFrame(latitude_deg=cells.origin_latitude_deg, longitude_deg=cells.origin_longitude_deg)
         index = np.floor(plane.to_enu(latitude, longitude, height)[:, :2] / cells.cell_m).astype(np.int64)
-        where = {place: k for k, place in enumerate(zip(cells.east_index.tolist(), cells.north_index.tolist(), strict=True))}
+        where = {
+            place: k for k, place in enumerate(zip(cells.east_index.tolist(), cells.north_index.tolist(), strict=True))
+        }
         for target, place in enumerate(map(tuple, index.tolist())):
             k = where.get(place)
             if k is not None:
                 fraction, ground_m, altitude_m, look_rad = (
                     float(part[k]) for part in (cells.fraction, cells.ground_range_m, cells.altitude_m, cells.look_rad)
                 )
-                found[target].append(Part(patch.side, patch.start_s, patch.stop_s, fraction, ground_m, altitude_m, look_rad))
+                found[target].append(
+                    Part(patch.side, patch.start_s, patch.stop_s, fraction, ground_m, altitude_m, look_rad)
+                )
     return found
 
 

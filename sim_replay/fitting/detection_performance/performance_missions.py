@@ -49,14 +49,21 @@ _SPHERE_M: Final = (0.6, 1.0)
 
 
 def target_scene(seed: int, flight: int = 0) -> Scene:
-    """Build a scene with all kinds of sea floor in patches and targets everywhere. flight: each has a world of its own."""
+    """Build a scene with all kinds of sea floor in patches and targets everywhere. flight: each has a world of its
+    own."""
     sequence = np.random.SeedSequence([seed, flight, _STREAM])
     rng = np.random.Generator(np.random.PCG64(sequence))
     range_m = float(rng.choice([40.0, 50.0, 60.0, 75.0]))
     altitude_m = float(rng.uniform(4.0, 9.0))
     apart_m = 0.8 * range_m
     heading = float(rng.uniform(0.0, 2.0 * math.pi))
-    corners = [(0.0, 0.0), (_LEG_M, 0.0), (_LEG_M, apart_m), (0.0, apart_m), (0.0, -0.5 * apart_m)]  # along and across the first leg
+    corners = [
+        (0.0, 0.0),
+        (_LEG_M, 0.0),
+        (_LEG_M, apart_m),
+        (0.0, apart_m),
+        (0.0, -0.5 * apart_m),
+    ]  # along and across the first leg
     sine, cosine = math.sin(heading), math.cos(heading)
     points = tuple((along * sine + across * cosine, along * cosine - across * sine) for along, across in corners)
     return Scene(
@@ -110,7 +117,8 @@ def _ripples(rng: np.random.Generator) -> Ripples:
     wavelength_m = float(rng.uniform(0.6, 1.8))
     return Ripples(
         wavelength_m=wavelength_m,
-        # Height over wavelength; ripples that waves make are near 0.17 (P. L. Wiberg and C. K. Harris, J. Geophysical Research 99, 1994).
+        # Height over wavelength; ripples that waves make are near 0.17 (P. L. Wiberg and C. K. Harris, J. Geophysical
+        # Research 99, 1994).
         height_m=float(rng.uniform(0.09, 0.16)) * wavelength_m,
         direction_deg=float(rng.uniform(0.0, 180.0)),
         defects=float(rng.uniform(0.1, 0.6)),
@@ -118,7 +126,9 @@ def _ripples(rng: np.random.Generator) -> Ripples:
     )
 
 
-def _targets(rng: np.random.Generator, points: tuple[tuple[float, float], ...], reach_m: float) -> tuple[SceneObject, ...]:
+def _targets(
+    rng: np.random.Generator, points: tuple[tuple[float, float], ...], reach_m: float
+) -> tuple[SceneObject, ...]:
     """Place targets on a hexagonal lattice of any direction, a little displaced, within reach_m of the track."""
     places = np.array(points)
     middle = places.mean(axis=0)

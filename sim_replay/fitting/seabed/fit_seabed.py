@@ -22,7 +22,9 @@ _WEIGHT_DECAY: Final = 0.3
 _SEED: Final = 1
 _SHRINKAGE: Final = 0.05
 _RIDGE: Final = 1e-3
-_KEPT: Final = 0.99  # of the textures learnt are not novel; recorded floors, which lie farther out, are so in 10 to 15 % of cells
+_KEPT: Final = (
+    0.99  # of the textures learnt are not novel; recorded floors, which lie farther out, are so in 10 to 15 % of cells
+)
 _MIN_SHARE: Final = 0.01  # of all cells that each kind must be
 
 
@@ -69,5 +71,7 @@ def _stored(units: NetworkLayer) -> Layer:
 
 def seabed_fit_words(seeds: Sequence[int], samples: SeabedSamples) -> str:
     """Describe the missions that a model was fitted on."""
-    counts = ", ".join(f"{share:.0%} {kind}" for kind, share in zip(KINDS, samples.shares.mean(axis=0).tolist(), strict=True))
+    counts = ", ".join(
+        f"{share:.0%} {kind}" for kind, share in zip(KINDS, samples.shares.mean(axis=0).tolist(), strict=True)
+    )
     return f"{len(seeds)} simulated missions of seeds {seeds[0]} to {seeds[-1]}, {len(samples.shares)} cells: {counts}"

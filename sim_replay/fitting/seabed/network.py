@@ -43,7 +43,10 @@ def fitted_network(
     rng = np.random.Generator(np.random.PCG64(seed))
     sizes = [x.shape[1], *n_hidden, shares.shape[1]]
     network = [
-        NetworkLayer(rng.normal(0.0, 1.0 / math.sqrt(before), (before, after)).astype(np.float32), np.zeros(after, dtype=np.float32))
+        NetworkLayer(
+            rng.normal(0.0, 1.0 / math.sqrt(before), (before, after)).astype(np.float32),
+            np.zeros(after, dtype=np.float32),
+        )
         for before, after in pairwise(sizes)
     ]
     parts = [part for units in network for part in units]  # changed in place below

@@ -72,9 +72,14 @@ def true_shares(tile: Tile, texture: Texture, mission: Mission, sonar: SonarConf
     """
     n_along, n_across = texture.features.shape[:2]
     inside = (np.arange(_PER_CELL) + 0.5) / _PER_CELL
-    row = tile.core_start + ((np.arange(n_along)[:, np.newaxis] + inside) * texture.cell_m[0] / tile.row_spacing_m).ravel()
+    row = (
+        tile.core_start
+        + ((np.arange(n_along)[:, np.newaxis] + inside) * texture.cell_m[0] / tile.row_spacing_m).ravel()
+    )
     ground_m = ((np.arange(n_across)[:, np.newaxis] + inside) * texture.cell_m[1]).ravel()
-    position, ground = (part.ravel() for part in np.meshgrid(np.clip(row, 0.0, len(tile.pose) - 1.0), ground_m, indexing="ij"))
+    position, ground = (
+        part.ravel() for part in np.meshgrid(np.clip(row, 0.0, len(tile.pose) - 1.0), ground_m, indexing="ij")
+    )
     first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
     echoes = EchoGeometry(
         side=tile.side,

@@ -81,7 +81,9 @@ def _like_scene(seed: int) -> Scene:
     like = read_scene(LIKE[seed % len(LIKE)])
     world, sonar, track = like.world, like.sonar, like.track
     seabeds = tuple(
-        msgspec.structs.replace(seabed, share=seabed.share * _log_uniform(rng, 0.5, 2.0), ripples=_turned(rng, seabed.ripples))
+        msgspec.structs.replace(
+            seabed, share=seabed.share * _log_uniform(rng, 0.5, 2.0), ripples=_turned(rng, seabed.ripples)
+        )
         for seabed in world.seabeds
     )
     return msgspec.structs.replace(
@@ -98,12 +100,16 @@ def _like_scene(seed: int) -> Scene:
         sonar=msgspec.structs.replace(sonar, noise_db=sonar.noise_db + float(rng.uniform(-2.0, 2.0))),
         track=msgspec.structs.replace(
             track,
-            plan=Lawnmower(heading_deg=float(rng.uniform(0.0, 360.0)), n_legs=2, leg_m=_LEG_M, spacing_m=1.4 * sonar.range_m),
+            plan=Lawnmower(
+                heading_deg=float(rng.uniform(0.0, 360.0)), n_legs=2, leg_m=_LEG_M, spacing_m=1.4 * sonar.range_m
+            ),
             altitude_m=track.altitude_m * _log_uniform(rng, 0.88, 1.14),
             speed_mps=track.speed_mps * float(rng.uniform(0.9, 1.1)),
             pings_in_turns=False,
         ),
-        scatter=tuple(msgspec.structs.replace(some, count=math.ceil(some.count / 4), ground_range_m=None) for some in like.scatter),
+        scatter=tuple(
+            msgspec.structs.replace(some, count=math.ceil(some.count / 4), ground_range_m=None) for some in like.scatter
+        ),
     )
 
 
@@ -130,12 +136,16 @@ def _free_scene(seed: int) -> Scene:
     range_m = float(rng.uniform(*((65.0, 110.0), (35.0, 75.0), (20.0, 35.0))[band]))
     altitude_m = range_m * float(rng.uniform(0.08, 0.16))
     resolution_m = float(rng.uniform(*((0.08, 0.13), (0.04, 0.1), (0.03, 0.06))[band]))
-    depth_m = altitude_m + (float(rng.uniform(2.0, 5.0)) if rng.uniform() < _P_SHALLOW else float(rng.uniform(8.0, 60.0)))
+    depth_m = altitude_m + (
+        float(rng.uniform(2.0, 5.0)) if rng.uniform() < _P_SHALLOW else float(rng.uniform(8.0, 60.0))
+    )
     shallow = depth_m < altitude_m + 6.0
     aperture = None
     if rng.uniform() < _P_APERTURE:
         cell_m = float(rng.uniform(0.04, 0.08))
-        aperture = SyntheticAperture(along_track_resolution_m=cell_m, range_resolution_m=cell_m, pixels_per_resolution=1.25)
+        aperture = SyntheticAperture(
+            along_track_resolution_m=cell_m, range_resolution_m=cell_m, pixels_per_resolution=1.25
+        )
     spacing_m = 1.2 * range_m
     return Scene(
         name=f"seabed {seed}",
@@ -183,7 +193,13 @@ def _free_scene(seed: int) -> Scene:
         navigation_error=NavigationError(altitude_bias_percent=float(rng.uniform(1.0, 4.0))),
         scatter=(
             Scatter(kind="cylinder", count=4, strength_db=(-24.0, -8.0)),
-            Scatter(kind="rock", count=int(rng.integers(5, 30)), natural_sizes=True, length_m=(0.4, 2.2), height_m=(0.2, 0.6)),
+            Scatter(
+                kind="rock",
+                count=int(rng.integers(5, 30)),
+                natural_sizes=True,
+                length_m=(0.4, 2.2),
+                height_m=(0.2, 0.6),
+            ),
         ),
     )
 
@@ -243,7 +259,8 @@ def _seabed(rng: Rng, cover: scene.SeabedType, share: float, unusual: float) -> 
     ripples = None
     if cover == "rippled_sand":
         wavelength_m = _log_uniform(rng, 0.35, 1.9)
-        # Height over wavelength; ripples that waves make are near 0.17 (P. L. Wiberg and C. K. Harris, J. Geophysical Research 99, 1994).
+        # Height over wavelength; ripples that waves make are near 0.17 (P. L. Wiberg and C. K. Harris, J. Geophysical
+        # Research 99, 1994).
         ripples = Ripples(
             wavelength_m=wavelength_m,
             height_m=float(rng.uniform(0.08, 0.16)) * wavelength_m,
@@ -276,9 +293,12 @@ def _gain(rng: Rng, frequency_khz: float) -> TimeVariedGain:
     """Draw a gain that fits the water, or one that an operator left unchanged."""
     if rng.uniform() < 0.4:
         return TimeVariedGain()
-    # Absorption of sea water is near 0.23 dB per km and kHz at these frequencies (R. E. Francois and G. R. Garrison, JASA 72, 1982).
+    # Absorption of sea water is near 0.23 dB per km and kHz at these frequencies (R. E. Francois and G. R. Garrison,
+    # JASA 72, 1982).
     usual_db_per_km = 0.23 * frequency_khz
-    return TimeVariedGain(spreading_db=float(rng.uniform(20.0, 45.0)), absorption_db_per_km=usual_db_per_km * float(rng.uniform(0.3, 1.4)))
+    return TimeVariedGain(
+        spreading_db=float(rng.uniform(20.0, 45.0)), absorption_db_per_km=usual_db_per_km * float(rng.uniform(0.3, 1.4))
+    )
 
 
 def _recorder(rng: Rng) -> SampleRecorder:
@@ -294,7 +314,9 @@ def _recorder(rng: Rng) -> SampleRecorder:
     if samples == 3:
         db_per_count = float(rng.uniform(0.22, 0.5))
         return SampleRecorder(
-            samples="log_uint8", db_per_count=db_per_count, seabed_counts=255.0 - float(rng.uniform(20.0, 40.0)) / db_per_count
+            samples="log_uint8",
+            db_per_count=db_per_count,
+            seabed_counts=255.0 - float(rng.uniform(20.0, 40.0)) / db_per_count,
         )
     return SampleRecorder(samples="log_uint16")
 

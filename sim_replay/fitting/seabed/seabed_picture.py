@@ -48,7 +48,11 @@ def seabed_picture(logs: Sequence[Path], n_tiles: int, model: SeabedModel) -> Ca
             panels += [shown, _tinted(shown, tile, seabed_cells(tile, model))]
     height = max(len(panel) for panel in panels)
     padded = [
-        np.pad(panel, ((0, height - len(panel)), (0, _GAP_PX if number % 2 == 0 else 3 * _GAP_PX), (0, 0)), constant_values=_WHITE)
+        np.pad(
+            panel,
+            ((0, height - len(panel)), (0, _GAP_PX if number % 2 == 0 else 3 * _GAP_PX), (0, 0)),
+            constant_values=_WHITE,
+        )
         for number, panel in enumerate(panels)
     ]
     return np.concatenate([np.concatenate(padded, axis=1), _legend(sum(part.shape[1] for part in padded))])
@@ -70,8 +74,12 @@ def _shown(tile: Tile) -> Canvas:
 
 
 def _tinted(shown: Canvas, tile: Tile, cells: SeabedCells) -> Canvas:
-    row = np.minimum(((np.arange(len(shown)) + 0.5) * _PIXEL_M / cells.cell_m[0]).astype(int), cells.kind.shape[0] - 1)[::-1]
-    column = np.minimum(((np.arange(shown.shape[1]) + 0.5) * _PIXEL_M / cells.cell_m[1]).astype(int), cells.kind.shape[1] - 1)
+    row = np.minimum(((np.arange(len(shown)) + 0.5) * _PIXEL_M / cells.cell_m[0]).astype(int), cells.kind.shape[0] - 1)[
+        ::-1
+    ]
+    column = np.minimum(
+        ((np.arange(shown.shape[1]) + 0.5) * _PIXEL_M / cells.cell_m[1]).astype(int), cells.kind.shape[1] - 1
+    )
     colours = np.array([KIND_COLOURS[kind] for kind in SEABED_TYPES], dtype=np.float64)[cells.kind[np.ix_(row, column)]]
     return np.rint((1.0 - _TINT) * shown + _TINT * colours * (0.4 + 0.6 * shown / _WHITE)).astype(np.uint8)
 

@@ -28,10 +28,12 @@ def closed_form_region(
     along_track_m: float = 3.66,
     levels: tuple[float, float, float] = (8.0, 0.1, 1.0),
 ) -> Region:
-    """The picture that the closed forms make of an object: every pixel the mean of the levels of highlight, shadow and floor over the
-    pixel's width and a fine fan of slices across the beam, times exponential speckle if there are random numbers for it.
+    """The picture that the closed forms make of an object: every pixel the mean of the levels of highlight, shadow and
+    floor over the pixel's width and a fine fan of slices across the beam, times exponential speckle if there are random
+    numbers for it.
 
-    along_track_m: of the object's place from the near edge of row 0. A squinted picture is drawn as a sub-aperture's, in sheared slices.
+    along_track_m: of the object's place from the near edge of row 0. A squinted picture is drawn as a sub-aperture's,
+    in sheared slices.
     """
     n_columns = round((_BEFORE_M + 4.0 + 0.13 * ground_range_m) / _COLUMN_M)
     first_m = ground_range_m - _BEFORE_M
@@ -41,12 +43,17 @@ def closed_form_region(
     bearing = off * beam_width_rad * math.hypot(ground_range_m, altitude_m)
     seen_from_m = (np.arange(_N_ROWS) + 0.5) * row_spacing_m
     edges = first_m + _COLUMN_M * np.arange(n_columns + 1)
-    ahead_m = 0.5 * (edges[1:] + edges[:-1]) * math.tan(squint_rad)  # of where the slice that a column shows left the track
+    ahead_m = (
+        0.5 * (edges[1:] + edges[:-1]) * math.tan(squint_rad)
+    )  # of where the slice that a column shows left the track
     offset = (seen_from_m[:, np.newaxis] - ahead_m - along_track_m)[:, :, np.newaxis] + bearing
     view = view_shape(shape, offset, ground_range_m, altitude_m, squint_rad=squint_rad)
-    front, tangent = (flat_ground_range_m(r, altitude_m) for r in (view.front_slant_range_m, view.tangent_slant_range_m))
+    front, tangent = (
+        flat_ground_range_m(r, altitude_m) for r in (view.front_slant_range_m, view.tangent_slant_range_m)
+    )
     begun = [
-        np.clip((edges[1:, np.newaxis] - end * math.cos(squint_rad)) / _COLUMN_M, 0.0, 1.0) for end in (front, tangent, view.shadow_end_m)
+        np.clip((edges[1:, np.newaxis] - end * math.cos(squint_rad)) / _COLUMN_M, 0.0, 1.0)
+        for end in (front, tangent, view.shadow_end_m)
     ]
     highlight, shadow = np.nan_to_num(begun[0] - begun[1]), np.nan_to_num(begun[1] - begun[2])
     level = levels[0] * highlight + levels[1] * shadow + levels[2] * (1.0 - highlight - shadow)

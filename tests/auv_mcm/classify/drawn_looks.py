@@ -1,4 +1,5 @@
-"""Contacts, detections, confirmations and what their steps measured, made up: only what a test names is particular about them."""
+"""Contacts, detections, confirmations and what their steps measured, made up: only what a test names is particular
+about them."""
 
 from __future__ import annotations
 
@@ -75,7 +76,9 @@ def contact(**values: Any) -> Contact:
 def like(*names: ContactClass, quality: float = 0.95) -> NDArray[np.float64]:
     """(32,) mass of a view that shows these solids equally well and no other."""
     solids: tuple[ContactClass, ...] = ("cylinder", "sphere", "truncated_cone", "wedge")
-    evidence: Mapping[ContactClass, ClassEvidence] = {name: ClassEvidence(nll=0.0 if name in names else 400.0) for name in solids}
+    evidence: Mapping[ContactClass, ClassEvidence] = {
+        name: ClassEvidence(nll=0.0 if name in names else 400.0) for name in solids
+    }
     return view_mass(evidence, quality)
 
 

@@ -42,7 +42,8 @@ def height_m(shape: Shape) -> float:
 
 
 def extent_m(shape: Shape, along: Array, across: Array) -> tuple[Array, Array]:
-    """Lowest and highest points of the solid over places of the floor, what is below the floor left out; inf and -inf beside it."""
+    """Lowest and highest points of the solid over places of the floor, what is below the floor left out; inf and -inf
+    beside it."""
     with np.errstate(invalid="ignore", divide="ignore"):
         bottom, top = _whole_extent(shape, along, across)
         bottom, top = bottom - float(shape.burial_m), top - float(shape.burial_m)
@@ -85,16 +86,24 @@ def _whole_extent(shape: Shape, along: Array, across: Array) -> tuple[Array, Arr
 
 
 def sampled_view(
-    shape: Shape, offset: Array, ground_range: float, altitude: float, *, slope_rad: float = 0.0, squint_rad: float = 0.0
+    shape: Shape,
+    offset: Array,
+    ground_range: float,
+    altitude: float,
+    *,
+    slope_rad: float = 0.0,
+    squint_rad: float = 0.0,
 ) -> SolidView:
-    """View from the points of each slice with the greatest elevation and the least distance, sampled ever more densely around them.
+    """View from the points of each slice with the greatest elevation and the least distance, sampled ever more densely
+    around them.
 
     offset: (n_pings,). A slope and a squint are not meant to be given together. NaN where no sample meets the solid.
     """
     centre = (ground_range * np.cos(squint_rad) - offset * np.sin(squint_rad)) / np.cos(slope_rad)
 
     def points(along_slice: Array) -> tuple[Array, Array, Array]:
-        """Ground range, and heights of the solid's lowest and highest points, at distances along the floor in the slice."""
+        """Ground range, and heights of the solid's lowest and highest points, at distances along the floor in the
+        slice."""
         along = offset[:, np.newaxis] + along_slice * np.sin(squint_rad)
         across = along_slice * np.cos(squint_rad) - ground_range / np.cos(slope_rad)
         return (along_slice, *extent_m(shape, along, across))
@@ -126,7 +135,11 @@ def sampled_view(
     fall = altitude - z + y * np.tan(slope_rad)
     shadow_end = np.where(fall > 0.0, altitude * y / np.where(fall > 0.0, fall, 1.0), np.inf)
     front = -nearness(_zoom(nearness, centre, reach_m(shape) / np.cos(slope_rad))[:, np.newaxis])[:, 0]
-    return SolidView(np.where(hit, front, np.nan), np.where(hit, np.hypot(y, z - altitude), np.nan), np.where(hit, shadow_end, np.nan))
+    return SolidView(
+        np.where(hit, front, np.nan),
+        np.where(hit, np.hypot(y, z - altitude), np.nan),
+        np.where(hit, shadow_end, np.nan),
+    )
 
 
 def sampled_parallel_end_m(shape: Shape, offset: Array, cotangent: float) -> Array:
@@ -140,7 +153,8 @@ def sampled_parallel_end_m(shape: Shape, offset: Array, cotangent: float) -> Arr
 
 
 def _zoom(objective: Callable[[Array], Array], centre: Array, half_width: float) -> Array:
-    """Where the objective, with one maximum, is greatest: samples at 1/2000 of the half width, then four times 1/100 of that."""
+    """Where the objective, with one maximum, is greatest: samples at 1/2000 of the half width, then four times 1/100 of
+    that."""
     best, width = centre, half_width
     for n_samples in (4001, 201, 201, 201, 201, 201):
         places = best[:, np.newaxis] + width * np.linspace(-1.0, 1.0, n_samples)

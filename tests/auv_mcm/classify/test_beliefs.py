@@ -149,7 +149,8 @@ def seen(mass: Array, aspect_deg: float, *, symmetric: bool = True) -> ViewMass:
 
 
 def plausibility(mass: Array) -> Array:
-    """(32,) mass of all sets that meet each set: what is not believed of its complement, whose index is 31 less its own."""
+    """(32,) mass of all sets that meet each set: what is not believed of its complement, whose index is 31 less its
+    own."""
     return np.asarray(1.0 - belief(mass)[..., ::-1])
 
 
@@ -174,7 +175,9 @@ def test_belief_and_pignistic_are_their_definitions() -> None:
         expected = [float(sum(value for classes, value in some.items() if classes <= other)) for other in SETS]
         np.testing.assert_allclose(belief(masses)[k], expected, rtol=0, atol=NEAR)
         total = sum(some.values())
-        betting = [float(sum((v / len(c) for c, v in some.items() if i in c), Fraction(0)) / total) for i in range(N_CLASSES)]
+        betting = [
+            float(sum((v / len(c) for c, v in some.items() if i in c), Fraction(0)) / total) for i in range(N_CLASSES)
+        ]
         np.testing.assert_allclose(pignistic(masses)[k], betting, rtol=0, atol=NEAR)
         bits = sum(float(v) * math.log2(len(c)) for c, v in some.items())
         assert nonspecificity(masses)[k] == pytest.approx(bits, abs=NEAR)
@@ -308,7 +311,9 @@ def test_views_from_square_aspects_count_in_full() -> None:
 @given(separable(), st.integers(2, 5))
 def test_the_same_seen_again_counts_once(mass: Array, n: int) -> None:
     for turn_deg in (0, 180):
-        np.testing.assert_allclose(combine([seen(mass, 70 + turn_deg * i) for i in range(n)]).mass, mass, rtol=0, atol=NEAR)
+        np.testing.assert_allclose(
+            combine([seen(mass, 70 + turn_deg * i) for i in range(n)]).mass, mass, rtol=0, atol=NEAR
+        )
 
 
 def gain_bits(*views: ViewMass) -> float:
@@ -322,7 +327,9 @@ def test_a_view_adds_the_more_the_farther_its_aspect_is_from_those_viewed() -> N
     assert all(less < more for less, more in itertools.pairwise(gains))
     rho = math.exp(-(20.0**2) / (2.0 * 15.0**2))
     again = dempster(np.stack((LIKELY_SPHERE, discount(LIKELY_SPHERE, 1.0 - rho)))).mass
-    np.testing.assert_allclose(combine([seen(LIKELY_SPHERE, 350), seen(LIKELY_SPHERE, 10)]).mass, again, rtol=0, atol=NEAR)
+    np.testing.assert_allclose(
+        combine([seen(LIKELY_SPHERE, 350), seen(LIKELY_SPHERE, 10)]).mass, again, rtol=0, atol=NEAR
+    )
 
 
 def test_the_opposite_side_is_news_only_of_a_shape_that_differs_there() -> None:
@@ -346,7 +353,12 @@ def test_conflict_chooses_the_rule() -> None:
         assert fusion.conflict == pytest.approx(share)
         return fusion.mass, pair
 
-    for share, rule in ((0.59, lambda pair: dempster(pair).mass), (0.61, yager), (0.89, yager), (0.91, lambda _: vacuous())):
+    for share, rule in (
+        (0.59, lambda pair: dempster(pair).mass),
+        (0.61, yager),
+        (0.89, yager),
+        (0.91, lambda _: vacuous()),
+    ):
         mass, pair = fused(share)
         np.testing.assert_allclose(mass, rule(pair), rtol=0, atol=1e-7)
     assert fused(0.59)[0][EVERYTHING] < 0.15

@@ -39,12 +39,18 @@ def fit_of(solid: Solid, cost: float, second_cost: float | None = None) -> Shape
     )
 
 
-@given(st.fixed_dictionaries(dict.fromkeys(("ground_range_m", "altitude_m", "length_m", "height_m", "shadow_length_m"), anything)))
+@given(
+    st.fixed_dictionaries(
+        dict.fromkeys(("ground_range_m", "altitude_m", "length_m", "height_m", "shadow_length_m"), anything)
+    )
+)
 def test_any_detection_is_described_by_finite_numbers(measured: dict[str, float]) -> None:
     assert all(map(math.isfinite, detection_details(detection(**measured)).values()))
 
 
-@given(st.fixed_dictionaries(dict.fromkeys(("gain", "highlight_mean", "shadow_mean", "length_m", "repetition"), anything)))
+@given(
+    st.fixed_dictionaries(dict.fromkeys(("gain", "highlight_mean", "shadow_mean", "length_m", "repetition"), anything))
+)
 def test_any_contours_are_described_by_finite_numbers(measured: dict[str, float]) -> None:
     assert all(map(math.isfinite, contour_details(no_contours(**measured), bare_floor()).values()))
 
@@ -58,13 +64,19 @@ def test_any_solids_are_described_by_finite_numbers_of_the_same_names(costs: lis
 
 
 def test_a_beam_is_as_wide_as_its_angle_makes_it_at_the_slant_range() -> None:
-    region = msgspec.structs.replace(bare_floor(), first_ground_range_m=28.0, column=20.0, column_spacing_m=0.1, altitude_m=40.0)
+    region = msgspec.structs.replace(
+        bare_floor(), first_ground_range_m=28.0, column=20.0, column_spacing_m=0.1, altitude_m=40.0
+    )
     assert contour_details(no_contours(), region)["beam_footprint_m"] == pytest.approx(region.beam_width_rad * 50.0)
 
 
 def test_solids_are_described_by_what_each_costs_and_how_the_best_lies() -> None:
-    region = msgspec.structs.replace(bare_floor(), row=3.0, row_spacing_m=0.5, column=10.0, column_spacing_m=0.1, first_ground_range_m=10.0)
-    fits = ShapeFits(fits=(fit_of("cylinder", -20.0, -15.0), fit_of("sphere", -12.0)), contour_cost=-5.0, n_hypotheses=9, flags=())
+    region = msgspec.structs.replace(
+        bare_floor(), row=3.0, row_spacing_m=0.5, column=10.0, column_spacing_m=0.1, first_ground_range_m=10.0
+    )
+    fits = ShapeFits(
+        fits=(fit_of("cylinder", -20.0, -15.0), fit_of("sphere", -12.0)), contour_cost=-5.0, n_hypotheses=9, flags=()
+    )
     reported = solid_details(fits, LABELS, region)
     assert (reported["cylinder_nats"], reported["sphere_nats"], reported["solid_nats"], reported["contour_nats"]) == (
         -20.0,

@@ -33,7 +33,9 @@ def test_a_sphere_is_as_long_and_wide_and_high_as_its_diameter() -> None:
 
 def test_a_cylinder_lies() -> None:
     sizes = {"radius_m": 0.25, "length_m": 2.0, "azimuth_rad": 0.7, "burial_m": 0.2}
-    reported = dimensions(model("cylinder", sizes, {"radius_m": 0.02, "length_m": 0.1, "azimuth_rad": 0.05, "burial_m": 0.03}))
+    reported = dimensions(
+        model("cylinder", sizes, {"radius_m": 0.02, "length_m": 0.1, "azimuth_rad": 0.05, "burial_m": 0.03})
+    )
     assert_sizes(reported, (2.0, 0.5, 0.3, 0.1, 0.04, 0.05))
 
 
@@ -66,7 +68,8 @@ SOLIDS: dict[ContactClass, Shape] = {
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_length_and_height_are_those_that_the_solid_shows_to_the_sonar(name: ContactClass) -> None:
-    """Unburied, its extent along the track by the pings that see it; buried, the height that its shadow implies from very far away."""
+    """Unburied, its extent along the track by the pings that see it; buried, the height that its shadow implies from
+    very far away."""
     shape = SOLIDS[name]
     sizes = {field: float(getattr(shape, field)) for field in shape.__struct_fields__}
     reported = dimensions(model(name, sizes))

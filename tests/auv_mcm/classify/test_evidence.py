@@ -63,7 +63,8 @@ TABLE_1 = {
 
 
 def test_the_source_papers_table_comes_out_of_the_comparison_rule() -> None:
-    """Bel(cyl), Bel(sph), Bel(con), Bel(clut) of its four examples are 0.71 0 0 0.2, 0 0.833 0 0.083, 0 0.303 0.45 0.045, 0.42 0 0 0.46."""
+    """Bel(cyl), Bel(sph), Bel(con), Bel(clut) of its four examples are 0.71 0 0 0.2, 0 0.833 0 0.083, 0 0.303 0.45
+    0.045, 0.42 0 0 0.46."""
     published = {
         "cylinder": (0.71, 0.0, 0.0, 0.2),
         "sphere": (0.0, 0.833, 0.0, 0.083),
@@ -112,7 +113,9 @@ def test_classes_that_match_alike_share_one_mass() -> None:
 
 
 @given(EVIDENCE, st.floats(0.0, 1.0), st.floats(0.1, 100.0))
-def test_masses_are_masses_and_no_view_is_sure(evidence: dict[ContactClass, ClassEvidence], quality: float, temperature: float) -> None:
+def test_masses_are_masses_and_no_view_is_sure(
+    evidence: dict[ContactClass, ClassEvidence], quality: float, temperature: float
+) -> None:
     for rule in (view_mass, appriou_mass):
         mass = rule(evidence, quality, temperature)
         assert mass.shape == (N_SUBSETS,)
@@ -140,7 +143,9 @@ def test_masses_are_the_products_of_what_is_stated_of_each_class() -> None:
     quality = 0.75
     mass = view_mass(TABLE_1["cone"], quality)
     lowest = min(item.nll for item in TABLE_1["cone"].values())
-    excluded = [Fraction(quality * (1.0 - math.exp((lowest - TABLE_1["cone"][name].nll) / TEMPERATURE))) for name in FRAME]
+    excluded = [
+        Fraction(quality * (1.0 - math.exp((lowest - TABLE_1["cone"][name].nll) / TEMPERATURE))) for name in FRAME
+    ]
     for index in range(N_SUBSETS):
         expected = math.prod(1 - x if index >> i & 1 else x for i, x in enumerate(excluded))
         assert mass[index] == pytest.approx(float(expected), abs=NEAR)
@@ -176,14 +181,31 @@ def test_what_looks_like_a_mine_of_impossible_size_is_clutter() -> None:
 
 
 def test_the_less_plausible_a_size_the_less_a_mine_is_believed() -> None:
-    doubts = [pignistic(view_mass(sized(share), quality=0.9))[FRAME.index("clutter")] for share in (1.0, 0.8, 0.6, 0.5, 0.4, 0.2, 0.0)]
+    doubts = [
+        pignistic(view_mass(sized(share), quality=0.9))[FRAME.index("clutter")]
+        for share in (1.0, 0.8, 0.6, 0.5, 0.4, 0.2, 0.0)
+    ]
     assert all(less < more for less, more in itertools.pairwise(doubts))
-    assert pl(view_mass(sized(0.5), quality=0.9), "sphere") == pl(view_mass(sized(0.5), quality=0.9), "clutter") == pytest.approx(1.0)
+    assert (
+        pl(view_mass(sized(0.5), quality=0.9), "sphere")
+        == pl(view_mass(sized(0.5), quality=0.9), "clutter")
+        == pytest.approx(1.0)
+    )
     np.testing.assert_array_equal(view_mass(sized(NAN), 0.9), view_mass(sized(1.0), 0.9))
 
 
 def test_sizes_are_plausible_inside_their_range_and_fade_over_three_tenths_of_it() -> None:
-    for size, expected in ((0.69, 0.0), (0.7, 0.0), (0.85, 0.5), (1.0, 1.0), (1.5, 1.0), (2.0, 1.0), (2.3, 0.5), (2.6, 0.0), (9.0, 0.0)):
+    for size, expected in (
+        (0.69, 0.0),
+        (0.7, 0.0),
+        (0.85, 0.5),
+        (1.0, 1.0),
+        (1.5, 1.0),
+        (2.0, 1.0),
+        (2.3, 0.5),
+        (2.6, 0.0),
+        (9.0, 0.0),
+    ):
         assert size_plausibility([size], [1.0], [2.0]) == pytest.approx(expected, abs=NEAR)
     assert size_plausibility([0.85, 2.3, 1.1], [1.0] * 3, [2.0] * 3) == pytest.approx(0.25)
     assert size_plausibility([NAN, 2.3], [1.0] * 2, [2.0] * 2) == pytest.approx(0.5)

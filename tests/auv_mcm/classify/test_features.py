@@ -33,10 +33,14 @@ NO_LABELS = np.empty((0, 0), dtype=np.uint8)
 anything = st.floats() | st.sampled_from([0.0, -0.0, 1e-320, 1e300, -1e300])
 
 
-def fit_of(cost: float, plausibility: float = 1.0, altitude_ratio: float = 1.0, flags: tuple[str, ...] = ()) -> ShapeFit:
+def fit_of(
+    cost: float, plausibility: float = 1.0, altitude_ratio: float = 1.0, flags: tuple[str, ...] = ()
+) -> ShapeFit:
     return ShapeFit(
         solid="sphere",
-        best=Optimum(shape=Sphere(radius_m=0.4), row=5.0, ground_range_m=12.0, altitude_ratio=altitude_ratio, cost=cost),
+        best=Optimum(
+            shape=Sphere(radius_m=0.4), row=5.0, ground_range_m=12.0, altitude_ratio=altitude_ratio, cost=cost
+        ),
         second=None,
         sigma={},
         ends=((0.0, 0.0, 0.0),),
@@ -61,7 +65,9 @@ def assert_moderate(features: Features) -> None:
 @given(st.floats(-1e300, 1e300))
 def test_compressed_is_odd(nats: float) -> None:
     assert compressed(-nats) == -compressed(nats)
-    assert compressed(nats) == pytest.approx(math.copysign(1.0, nats) * math.log(1.0 + abs(nats) / 5.0), abs=1e-15, rel=1e-12)
+    assert compressed(nats) == pytest.approx(
+        math.copysign(1.0, nats) * math.log(1.0 + abs(nats) / 5.0), abs=1e-15, rel=1e-12
+    )
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
@@ -76,14 +82,18 @@ def test_compressed_keeps_the_order(first: float, second: float) -> None:
 
 
 @given(anything, anything, st.floats(0.0, 1.0))
-def test_any_levels_of_a_detection_are_described_by_finite_numbers(highlight_db: float, shadow_db: float, p_mine: float) -> None:
+def test_any_levels_of_a_detection_are_described_by_finite_numbers(
+    highlight_db: float, shadow_db: float, p_mine: float
+) -> None:
     features = detector_features(detection(highlight_db=highlight_db, shadow_db=shadow_db, p_mine=p_mine))
     assert all(map(math.isfinite, features.values()))
     assert abs(features["detector_odds"]) <= 6.0
 
 
 def test_a_detection_is_described_by_its_odds_its_levels_and_what_was_missing() -> None:
-    reported = detector_features(detection(p_mine=0.8, highlight_db=9.0, shadow_db=NAN, reasons=("no_shadow", "in_turn")))
+    reported = detector_features(
+        detection(p_mine=0.8, highlight_db=9.0, shadow_db=NAN, reasons=("no_shadow", "in_turn"))
+    )
     assert reported == {
         "detector_odds": pytest.approx(math.log(4.0)),
         "highlight_db": 9.0,
@@ -123,7 +133,9 @@ def test_any_contours_are_described_by_finite_numbers(measured: dict[str, float]
 
 @given(anything)
 def test_heights_that_are_no_number_count_as_none(height_m: float) -> None:
-    assert contour_features(no_contours(height_m=height_m))["contour_height_m"] == (height_m if math.isfinite(height_m) else 0.0)
+    assert contour_features(no_contours(height_m=height_m))["contour_height_m"] == (
+        height_m if math.isfinite(height_m) else 0.0
+    )
 
 
 def test_contours_are_described_by_gain_repetition_darkness_and_rules() -> None:
@@ -184,7 +196,9 @@ def test_outlines_are_described_by_extents_level_and_area() -> None:
 @given(st.integers(4, 20), st.integers(-2, 2))
 def test_straight_edges_neither_bend_nor_jump_however_they_slant(n_rows: int, slant: int) -> None:
     near = [(45 if slant < 0 else 5) + slant * row for row in range(n_rows)]
-    contours = no_contours(shadow=outline(near, [column + 8 for column in near]), highlight=outline(near, [60] * n_rows))
+    contours = no_contours(
+        shadow=outline(near, [column + 8 for column in near]), highlight=outline(near, [60] * n_rows)
+    )
     reported = outline_features(contours, bare_floor())
     for name in ("highlight_front_bend_m", "shadow_end_bend_m", "shadow_front_roughness_m"):
         assert reported[name] == pytest.approx(0.0, abs=1e-9), name
@@ -198,7 +212,9 @@ def test_bends_and_jumps_are_those_of_a_polynomial_fit() -> None:
     near_m, far_m = 0.05 * np.array(near), 0.05 * np.array(far)
     assert reported["highlight_front_bend_m"] == pytest.approx(abs(np.polyfit(rows, near_m, 2)[0]) * 100.0)
     assert reported["shadow_end_bend_m"] == pytest.approx(abs(np.polyfit(rows, far_m, 2)[0]) * 100.0)
-    assert reported["shadow_front_roughness_m"] == pytest.approx((near_m - np.polyval(np.polyfit(rows, near_m, 1), rows)).std())
+    assert reported["shadow_front_roughness_m"] == pytest.approx(
+        (near_m - np.polyval(np.polyfit(rows, near_m, 1), rows)).std()
+    )
 
 
 def test_two_or_three_rows_cannot_bend() -> None:

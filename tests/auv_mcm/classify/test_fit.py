@@ -37,7 +37,9 @@ def of(fits: ShapeFits, solid: Solid) -> ShapeFit:
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_a_picture_without_speckle_gives_class_place_and_size_back(solid: Solid) -> None:
     truth = SHAPES[solid]
-    fits = fit_shapes(closed_form_region(truth, 22.0, row_spacing_m=0.06, along_track_m=1.83, levels=(2.5, 0.1, 1.0)), None, 1.0)
+    fits = fit_shapes(
+        closed_form_region(truth, 22.0, row_spacing_m=0.06, along_track_m=1.83, levels=(2.5, 0.1, 1.0)), None, 1.0
+    )
     best = fits.fits[0]
     assert best.solid == solid
     assert best.refined
@@ -46,7 +48,9 @@ def test_a_picture_without_speckle_gives_class_place_and_size_back(solid: Solid)
     assert best.contrast[1] == pytest.approx(0.1, abs=0.05)
     for field in ("radius_m", "length_m", "base_radius_m", "top_radius_m", "height_m", "azimuth_rad"):
         if hasattr(truth, field):
-            assert getattr(best.best.shape, field) == pytest.approx(getattr(truth, field), abs=0.09 if field == "length_m" else 0.06)
+            assert getattr(best.best.shape, field) == pytest.approx(
+                getattr(truth, field), abs=0.09 if field == "length_m" else 0.06
+            )
 
 
 def test_classes_of_speckled_pictures_of_the_closed_forms(n_runs: Callable[[int, int], int]) -> None:
@@ -60,7 +64,8 @@ def test_classes_of_speckled_pictures_of_the_closed_forms(n_runs: Callable[[int,
 
 
 def test_classes_of_simulated_regions_alone_and_in_pairs(n_runs: Callable[[int, int], int]) -> None:
-    """Real beam lines and point-spread function, mixed ranges, altitudes up to 10 % wrong. The bench has the rates: 0.96 and 0.99."""
+    """Real beam lines and point-spread function, mixed ranges, altitudes up to 10 % wrong. The bench has the rates:
+    0.96 and 0.99."""
     n, right, right_of_two = n_runs(12, 4), 0, 0
     for seed in range(n):
         drawn = draw_object(SOLIDS[seed % 4], 300 + seed)
@@ -75,7 +80,9 @@ def test_uncertainty_says_how_far_off_sizes_are(n_runs: Callable[[int, int], int
     pulls = []
     for seed in range(n_runs(8, 3)):
         random = random_numbers(40 + seed)
-        fit = of(fit_shapes(closed_form_region(SHAPES["truncated_cone"], 20.0, random=random), None, 1.0), "truncated_cone")
+        fit = of(
+            fit_shapes(closed_form_region(SHAPES["truncated_cone"], 20.0, random=random), None, 1.0), "truncated_cone"
+        )
         for field in ("base_radius_m", "top_radius_m", "height_m"):
             pulls.append((getattr(fit.best.shape, field) - getattr(SHAPES["truncated_cone"], field)) / fit.sigma[field])
         assert "burial_m" not in fit.sigma
@@ -121,7 +128,9 @@ def test_a_far_better_contour_makes_it_clutter_without_refinement() -> None:
 
 
 def test_a_cylinder_seen_end_on_keeps_a_second_optimum() -> None:
-    region = closed_form_region(Cylinder(radius_m=0.265, length_m=1.6, azimuth_rad=0.5 * math.pi), 15.0, random=random_numbers(2))
+    region = closed_form_region(
+        Cylinder(radius_m=0.265, length_m=1.6, azimuth_rad=0.5 * math.pi), 15.0, random=random_numbers(2)
+    )
     fit = of(fit_shapes(region, None, 1.0), "cylinder")
     assert fit.second is not None
     assert fit.second.cost >= fit.best.cost
@@ -137,7 +146,9 @@ def test_highlight_is_measured_apart_from_the_solid() -> None:
 
 @pytest.mark.parametrize("squint", [-0.1, 0.1])
 def test_squinted_views_give_azimuth_and_place_of_the_object(squint: float) -> None:
-    region = closed_form_region(SHAPES["cylinder"], 20.0, squint_rad=squint, row_spacing_m=0.06, along_track_m=1.83, levels=(2.5, 0.1, 1.0))
+    region = closed_form_region(
+        SHAPES["cylinder"], 20.0, squint_rad=squint, row_spacing_m=0.06, along_track_m=1.83, levels=(2.5, 0.1, 1.0)
+    )
     fit = of(fit_shapes(region, None, 1.0), "cylinder")
     assert isinstance(fit.best.shape, Cylinder)
     assert fit.best.shape.azimuth_rad == pytest.approx(0.5, abs=0.06)

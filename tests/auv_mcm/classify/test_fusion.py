@@ -30,7 +30,9 @@ def looked_at(
 ) -> Detection:
     """A view with evidence in nats, and which solids its shadow may be of."""
     found = confirmation(log_ratio, shape, **values)
-    return detection(p_mine=1.0 / (1.0 + math.exp(-(log_ratio + prior))), aspect_deg=aspect_deg, time_s=time_s, confirmation=found)
+    return detection(
+        p_mine=1.0 / (1.0 + math.exp(-(log_ratio + prior))), aspect_deg=aspect_deg, time_s=time_s, confirmation=found
+    )
 
 
 def odds(verdict: FusedViews) -> float:
@@ -44,7 +46,9 @@ def reported(verdict: FusedViews) -> tuple[Any, ...]:
 
 aspects = st.floats(0.0, 359.0)
 shapes = st.sampled_from([None, like("cylinder"), like("sphere", "truncated_cone"), like("wedge", quality=0.6)])
-views = st.lists(st.tuples(st.floats(-8.0, 8.0), aspects, shapes, st.booleans(), st.booleans()), min_size=1, max_size=6).map(
+views = st.lists(
+    st.tuples(st.floats(-8.0, 8.0), aspects, shapes, st.booleans(), st.booleans()), min_size=1, max_size=6
+).map(
     lambda rows: [
         looked_at(log_ratio, aspect, float(number), shape=shape, half_turn_symmetric=symmetric)
         if close
@@ -89,8 +93,13 @@ def test_the_order_of_views_changes_not_a_bit(seen: list[Detection], seed: int) 
 
 
 def test_more_than_ten_views_in_any_order_are_the_same_too() -> None:
-    seen = [looked_at(0.3 * number - 1.0, 31.0 * number, float(number), shape=like("cylinder", quality=0.5)) for number in range(12)]
-    assert reported(fuse(seen, PRIOR)) == reported(fuse(seen[::-1], PRIOR)) == reported(fuse(seen[5:] + seen[:5], PRIOR))
+    seen = [
+        looked_at(0.3 * number - 1.0, 31.0 * number, float(number), shape=like("cylinder", quality=0.5))
+        for number in range(12)
+    ]
+    assert (
+        reported(fuse(seen, PRIOR)) == reported(fuse(seen[::-1], PRIOR)) == reported(fuse(seen[5:] + seen[:5], PRIOR))
+    )
 
 
 @settings(max_examples=50)
@@ -109,7 +118,8 @@ def test_belief_sums_to_one_and_everything_is_a_number_in_its_range(seen: list[D
 @settings(max_examples=50)
 @given(views, st.floats(-6.0, 2.0))
 def test_class_belief_and_p_mine_agree(seen: list[Detection], prior: float) -> None:
-    """Bel(mine) <= p_mine <= Pl(mine); a contact called a mine has a kind of mine, or none where no view has evidence of kinds."""
+    """Bel(mine) <= p_mine <= Pl(mine); a contact called a mine has a kind of mine, or none where no view has evidence
+    of kinds."""
     verdict = fuse(seen, prior)
     of_mines = sum(verdict.belief[name] for name in FRAME if name != "clutter")
     assert of_mines <= verdict.p_mine + 1e-12
@@ -121,7 +131,9 @@ def test_class_belief_and_p_mine_agree(seen: list[Detection], prior: float) -> N
 
 
 @given(st.floats(-1.0, 8.0), st.sampled_from(["cylinder", "sphere", "truncated_cone", "wedge"]), st.floats(0.05, 1.0))
-def test_a_contact_called_a_mine_is_of_the_kind_that_its_shadow_is_most_like(log_ratio: float, kind: ContactClass, quality: float) -> None:
+def test_a_contact_called_a_mine_is_of_the_kind_that_its_shadow_is_most_like(
+    log_ratio: float, kind: ContactClass, quality: float
+) -> None:
     verdict = fuse([looked_at(log_ratio, 20.0, prior=0.0, shape=like(kind, quality=quality))], 0.0)
     assert verdict.p_mine >= MINE_LIKE_P
     assert verdict.classification == kind
@@ -132,7 +144,8 @@ def test_without_anything_said_of_kinds_the_kind_is_unknown() -> None:
     assert fuse([looked_at(6.0, 20.0, prior=0.0, shape=vacuous())], 0.0).classification == "unknown"
 
 
-# ---------------------------------------------------------------- the most mine-like view speaks, the others add a little
+# ---------------------------------------------------------------- the most mine-like view speaks, the others add a
+# little
 
 
 def test_the_most_mine_like_view_counts_in_full_and_a_share_of_the_others_from_other_directions() -> None:
@@ -151,7 +164,9 @@ def test_views_without_evidence_stay_at_the_prior_however_many(directions: list[
 
 @settings(max_examples=30)
 @given(st.floats(0.5, 5.0), st.floats(40.0, 140.0))
-def test_an_agreeing_view_from_another_side_sharpens_and_the_same_again_hardly(log_ratio: float, apart_deg: float) -> None:
+def test_an_agreeing_view_from_another_side_sharpens_and_the_same_again_hardly(
+    log_ratio: float, apart_deg: float
+) -> None:
     for sign in (1.0, -1.0):
         one = looked_at(sign * log_ratio, 0.0)
         alone = odds(fuse([one], PRIOR))
@@ -162,7 +177,10 @@ def test_an_agreeing_view_from_another_side_sharpens_and_the_same_again_hardly(l
 
 
 def test_turning_on_from_the_first_view_the_second_counts_for_ever_more() -> None:
-    turned = [odds(fuse([looked_at(2.0, 350.0), looked_at(2.0, 350.0 + apart, 1.0)], PRIOR)) for apart in (0.0, 2.0, 5.0, 10.0, 20.0, 90.0)]
+    turned = [
+        odds(fuse([looked_at(2.0, 350.0), looked_at(2.0, 350.0 + apart, 1.0)], PRIOR))
+        for apart in (0.0, 2.0, 5.0, 10.0, 20.0, 90.0)
+    ]
     assert turned == sorted(turned)
     assert turned[0] == pytest.approx(PRIOR + 2.0, abs=0.05)
     assert turned[-1] == pytest.approx(PRIOR + 2.0 + 2.0 * NEWS, abs=0.05)
@@ -201,13 +219,21 @@ def test_the_opposite_side_is_new_evidence_of_the_kind_only_if_the_solid_looks_d
     verdict = fuse(seen, likely)
     # Beside one view with as much evidence of a mine, whose shadow leaves 0.7 for each of the three.
     alone = fuse([looked_at(odds(verdict) - likely, 10.0, 0.0, likely, shape)], likely)
-    assert verdict.belief["wedge"] / alone.belief["wedge"] == pytest.approx(((1.0 - 0.3**n_counted) / 0.7) ** 3, abs=1e-3)
+    assert verdict.belief["wedge"] / alone.belief["wedge"] == pytest.approx(
+        ((1.0 - 0.3**n_counted) / 0.7) ** 3, abs=1e-3
+    )
     # Of a mine only the view from square to the first adds evidence.
     assert odds(verdict) == pytest.approx(likely + log_ratio * (1.0 + NEWS * (apart_deg == 90.0)), abs=1e-6)
 
 
 def test_views_that_each_leave_two_kinds_together_leave_one() -> None:
-    both = fuse([looked_at(4.0, 0.0, shape=like("cylinder", "sphere")), looked_at(4.0, 90.0, 1.0, shape=like("cylinder", "wedge"))], PRIOR)
+    both = fuse(
+        [
+            looked_at(4.0, 0.0, shape=like("cylinder", "sphere")),
+            looked_at(4.0, 90.0, 1.0, shape=like("cylinder", "wedge")),
+        ],
+        PRIOR,
+    )
     assert both.classification == "cylinder"
     assert both.belief["cylinder"] > 0.7
     assert both.conflict < 0.3
@@ -359,7 +385,8 @@ def test_the_class_reported_follows_shape_once_it_is_a_mine() -> None:
 
 
 def test_the_prior_is_in_the_belief_once() -> None:
-    """A view whose evidence just makes up for how rare mines are leaves mine and clutter even, be it one view or two."""
+    """A view whose evidence just makes up for how rare mines are leaves mine and clutter even, be it one view or
+    two."""
     half = -PRIOR / (1.0 + NEWS)
     for seen in ([looked_at(-PRIOR, 0.0)], [looked_at(half, 0.0), looked_at(half, 90.0, 1.0)]):
         verdict = fuse(seen, PRIOR)

@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.likelihood import beam_of, image_row_sums, labels_cost, parameter_cost
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
-from auv_mcm.kernels.shape import FIELDS, FORBIDDEN, MIN_MEAN, PENCIL, Beam, ImageRowSums, Solid, shape_costs, shape_costs_numpy, solid_of
+from auv_mcm.kernels.shape import (
+    FIELDS,
+    FORBIDDEN,
+    MIN_MEAN,
+    PENCIL,
+    Beam,
+    ImageRowSums,
+    Solid,
+    shape_costs,
+    shape_costs_numpy,
+    solid_of,
+)
 from auv_mcm.solids.shapes import Cylinder, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
@@ -77,20 +88,30 @@ def foot_of_wedge(hypothesis: Array, offset_m: float) -> float:
     """Least ground range of a wedge's footprint in a slice, from its place, by walking along the slice."""
     length, _, height, azimuth, burial = hypothesis[3:8].tolist()
     y = np.linspace(-1.5, 1.5, 300_001)
-    along, across = offset_m * math.cos(azimuth) + y * math.sin(azimuth), y * math.cos(azimuth) - offset_m * math.sin(azimuth)
-    inside = (np.abs(across) <= 0.5 * hypothesis[4]) & (along <= 0.5 * length) & (along >= (burial / height - 0.5) * length)
+    along, across = (
+        offset_m * math.cos(azimuth) + y * math.sin(azimuth),
+        y * math.cos(azimuth) - offset_m * math.sin(azimuth),
+    )
+    inside = (
+        (np.abs(across) <= 0.5 * hypothesis[4]) & (along <= 0.5 * length) & (along >= (burial / height - 0.5) * length)
+    )
     return float(y[inside].min()) if inside.any() else math.nan
 
 
 def labelled(solid: Solid, hypothesis: Array, image: ImageRowSums, bearing_rad: float) -> Array:
-    """Share of each pixel in highlight and in shadow, (n_rows, n_columns, 2), worked out pixel by pixel for one slice of the beam."""
+    """Share of each pixel in highlight and in shadow, (n_rows, n_columns, 2), worked out pixel by pixel for one slice
+    of the beam."""
     share = np.zeros((N_ROWS, N_COLUMNS, 2))
     along, across, altitude = float(hypothesis[0]), float(hypothesis[1]), float(hypothesis[2]) * ALTITUDE_M
     shape = solid_of(solid, hypothesis[np.newaxis, 3:])
     for row in range(N_ROWS):
         offset = (row + 0.5) * ROW_M - along + bearing_rad * math.hypot(across, altitude)
         view = view_shape(shape, [[offset]], across, altitude)
-        slant = [view.front_slant_range_m.item(), view.tangent_slant_range_m.item(), math.hypot(view.shadow_end_m.item(), altitude)]
+        slant = [
+            view.front_slant_range_m.item(),
+            view.tangent_slant_range_m.item(),
+            math.hypot(view.shadow_end_m.item(), altitude),
+        ]
         if math.isnan(slant[0]):
             continue
         if solid == "wedge":
@@ -105,7 +126,8 @@ def labelled(solid: Solid, hypothesis: Array, image: ImageRowSums, bearing_rad: 
 
 
 def cost_by_pixels(solid: Solid, hypothesis: Array, image: ImageRowSums) -> float:
-    """The definition: every pixel's share of its echo belongs to highlight, shadow or floor, each with the mean it has."""
+    """The definition: every pixel's share of its echo belongs to highlight, shadow or floor, each with the mean it
+    has."""
     echoes, counts = np.diff(image.echoes, axis=1), np.diff(image.counts, axis=1)
     share = labelled(solid, hypothesis, image, 0.0)
     share = np.dstack((share, 1.0 - share.sum(axis=2)))
@@ -128,16 +150,22 @@ def test_cost_is_that_of_counting_pixels_one_by_one(solid: Solid) -> None:
     allowed = np.flatnonzero(costs < FORBIDDEN)
     assert allowed.size >= 4
     for k in allowed[:4]:
-        assert costs[k] == pytest.approx(cost_by_pixels(solid, hypotheses[k], image), abs=1e-2 if solid == "wedge" else 1e-7)
+        assert costs[k] == pytest.approx(
+            cost_by_pixels(solid, hypotheses[k], image), abs=1e-2 if solid == "wedge" else 1e-7
+        )
 
 
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_a_beam_mixes_the_means_of_its_slices(solid: Solid) -> None:
-    """By pixels: w_k mu_k add up in every pixel. Within a pixel the kernel cuts where a stretch ends, so noise-free pixels only."""
+    """By pixels: w_k mu_k add up in every pixel. Within a pixel the kernel cuts where a stretch ends, so noise-free
+    pixels only."""
     hypothesis = some(solid, 1, 2, buried=False)
     hypothesis[0, :2] = 2.43, 15.5
     region = picture(0)
-    share = sum(w * labelled(solid, hypothesis[0], sums_of(region), b) for b, w in zip(BEAM.bearing_rad, BEAM.share, strict=True))
+    share = sum(
+        w * labelled(solid, hypothesis[0], sums_of(region), b)
+        for b, w in zip(BEAM.bearing_rad, BEAM.share, strict=True)
+    )
     level = 1.0 + share[..., 0] * 1.9 - share[..., 1] * 0.9
     image = sums_of(msgspec.structs.replace(region, intensity=level))
     blurred, sharp = (shape_costs(solid, hypothesis, image, beam) for beam in (BEAM, PENCIL))
@@ -193,7 +221,11 @@ def test_a_picture_reversed_along_the_track_costs_as_much_with_azimuths_reversed
 @settings(max_examples=20, deadline=None)
 def test_what_masked_pixels_hold_has_no_part(solid: Solid, seed: int) -> None:
     region = picture(seed, masked=0.2)
-    nonsense = np.where(region.valid, region.intensity, random_numbers(seed + 1).choice([np.nan, np.inf, -3.0, 1e30], region.valid.shape))
+    nonsense = np.where(
+        region.valid,
+        region.intensity,
+        random_numbers(seed + 1).choice([np.nan, np.inf, -3.0, 1e30], region.valid.shape),
+    )
     hypotheses = some(solid, 5, seed)
     expected = shape_costs(solid, hypotheses, sums_of(region)).cost
     got = shape_costs(solid, hypotheses, sums_of(msgspec.structs.replace(region, intensity=nonsense))).cost
@@ -213,7 +245,11 @@ def test_the_object_that_made_a_picture_costs_less_than_its_neighbours() -> None
     for solid, shape, fields in (
         ("sphere", Sphere(radius_m=0.4), (0.4, 0.0)),
         ("cylinder", Cylinder(radius_m=0.27, length_m=2.0, azimuth_rad=0.5), (0.27, 2.0, 0.5, 0.0)),
-        ("truncated_cone", TruncatedCone(base_radius_m=0.49, top_radius_m=0.25, height_m=0.47), (0.49, 0.25, 0.47, 0.0)),
+        (
+            "truncated_cone",
+            TruncatedCone(base_radius_m=0.49, top_radius_m=0.25, height_m=0.47),
+            (0.49, 0.25, 0.47, 0.0),
+        ),
         ("wedge", Wedge(length_m=1.02, width_m=0.8, height_m=0.385, azimuth_rad=1.2), (1.02, 0.8, 0.385, 1.2, 0.0)),
     ):
         image = sums_of(closed_form_region(shape, 20.0, levels=(2.9, 0.1, 1.0)))
@@ -258,7 +294,9 @@ def test_squinted_rows_are_slices_again() -> None:
     hypotheses[:, 5] = 0.3 + squint, 0.3
     right, as_if_broadside = shape_costs("cylinder", hypotheses, image).cost
     assert right < as_if_broadside
-    assert right < shape_costs("cylinder", hypotheses, sums_of(msgspec.structs.replace(region, squint_rad=0.0))).cost.min()
+    assert (
+        right < shape_costs("cylinder", hypotheses, sums_of(msgspec.structs.replace(region, squint_rad=0.0))).cost.min()
+    )
 
 
 def test_c_and_numpy_agree_on_squinted_rows() -> None:
@@ -276,7 +314,9 @@ def test_labels_cost_what_their_pixels_explain() -> None:
     labels[15:26, 12:30], labels[15:26, 30:60] = HIGHLIGHT, SHADOW
     echoes = np.diff(sums_of(region).echoes, axis=1)
     parts = [echoes[labels == label] for label in (BACKGROUND, SHADOW, HIGHLIGHT)]
-    assert labels_cost(region, labels, 2.0) == pytest.approx(0.5 * sum(part.size * math.log(part.mean()) for part in parts), rel=1e-9)
+    assert labels_cost(region, labels, 2.0) == pytest.approx(
+        0.5 * sum(part.size * math.log(part.mean()) for part in parts), rel=1e-9
+    )
     with pytest.raises(ValueError, match="labels must have the region's shape"):
         labels_cost(region, labels[1:], 1.0)
 
@@ -317,7 +357,8 @@ def test_regions_that_cannot_be_are_refused(change: dict[str, object], area: flo
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "message"), [(3, 0.0, "radius_m of a Sphere must be positive"), (4, -0.1, "burial_m"), (1, math.nan, "finite")]
+    ("column", "value", "message"),
+    [(3, 0.0, "radius_m of a Sphere must be positive"), (4, -0.1, "burial_m"), (1, math.nan, "finite")],
 )
 def test_hypotheses_that_cannot_be_are_refused(column: int, value: float, message: str) -> None:
     hypotheses = some("sphere", 2, 0)

@@ -1,4 +1,5 @@
-"""Evidence in nats, its odds and its masses: against sums and Dempster's rule written out, and files that are no weights."""
+"""Evidence in nats, its odds and its masses: against sums and Dempster's rule written out, and files that are no
+weights."""
 
 from __future__ import annotations
 
@@ -18,7 +19,16 @@ from auv_mcm.classify import odds as odds_module
 from auv_mcm.classify.beliefs import EVERYTHING, MINES, conjunctive, subset, vacuous
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.features import contour_features, detector_features, outline_features, shape_features, with_shape
-from auv_mcm.classify.odds import MineOdds, Tree, Weights, mass_of_ratio, parse_odds, share_of_ratio, shipped_odds, with_ratio
+from auv_mcm.classify.odds import (
+    MineOdds,
+    Tree,
+    Weights,
+    mass_of_ratio,
+    parse_odds,
+    share_of_ratio,
+    shipped_odds,
+    with_ratio,
+)
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NAN, Detector
 from tests.auv_mcm.classify.drawn_looks import bare_floor, detection, no_contours, no_fits
@@ -33,7 +43,13 @@ numbers = st.floats(-50.0, 50.0)
 
 
 def weighing(weights: dict[str, float], offset: float = 0.0, prior: float = 0.0) -> MineOdds:
-    return MineOdds(fitted_on="nothing", prior=prior, detector=Weights(offset=offset, weights=weights), contours=NOTHING, shape=NOTHING)
+    return MineOdds(
+        fitted_on="nothing",
+        prior=prior,
+        detector=Weights(offset=offset, weights=weights),
+        contours=NOTHING,
+        shape=NOTHING,
+    )
 
 
 # ---------------------------------------------------------------- features to nats
@@ -67,7 +83,8 @@ def test_every_step_has_weights_of_its_own() -> None:
 @pytest.mark.parametrize("features", [{}, {"a": 1.0}, {"a": 1.0, "B": 1.0}])
 def test_features_that_are_missing_are_reported(features: dict[str, float]) -> None:
     with pytest.raises(
-        ValueError, match=re.escape(f"detector: fitted with {'b' if features else 'a'!r}, called with {sorted(features)} alone")
+        ValueError,
+        match=re.escape(f"detector: fitted with {'b' if features else 'a'!r}, called with {sorted(features)} alone"),
     ):
         weighing({"a": 1.0, "b": 1.0}).log_ratio("detector", features)
 
@@ -101,13 +118,19 @@ def leaf(tree: Tree, features: dict[str, float]) -> float:
     return tree.nats[1] if is_above(3) else tree.nats[0]
 
 
-@given(st.lists(drawn_trees, max_size=4), st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))))
+@given(
+    st.lists(drawn_trees, max_size=4),
+    st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))),
+)
 def test_trees_add_what_their_leaves_say(trees: list[Tree], features: dict[str, float]) -> None:
     weighed = Weights(offset=0.25, weights={}, trees=tuple(trees))
     assert weighed.log_odds(features) == pytest.approx(0.25 + sum(leaf(tree, features) for tree in trees), abs=1e-12)
 
 
-@given(st.lists(drawn_trees, max_size=9), st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))))
+@given(
+    st.lists(drawn_trees, max_size=9),
+    st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))),
+)
 def test_trees_are_added_one_after_the_other_to_the_last_bit(trees: list[Tree], features: dict[str, float]) -> None:
     expected = 0.1
     for tree in trees:
@@ -261,7 +284,11 @@ def test_the_shipped_weights_are_for_the_features_there_are(detector: Detector) 
     before = detection_details(seen)
     after = before | contour_details(no_contours(), region) | solid_details(no_fits(), labels, region)
     assert len(last | after) == len(last) + len(after), "names are unique"
-    for step, features, details in ((odds.detector, first, before), (odds.contours, second, before), (odds.shape, last, after)):
+    for step, features, details in (
+        (odds.detector, first, before),
+        (odds.contours, second, before),
+        (odds.shape, last, after),
+    ):
         assert step.weights.keys() == features.keys()
         assert {name for tree in step.trees for name, _ in tree.ask} <= (features | details).keys()
     assert odds.prior < math.log(0.5), "most detections are no mines"

@@ -1,4 +1,5 @@
-"""Walks over the parameters of solids: points and the hypotheses they stand for, and C against the walk over any cost."""
+"""Walks over the parameters of solids: points and the hypotheses they stand for, and C against the walk over any
+cost."""
 
 from __future__ import annotations
 
@@ -41,7 +42,12 @@ SHAPES: dict[Solid, Shape] = {
 PLACE = ((1.0, 1, ONE), (1.0, 2, ONE))
 SPHERE = WalkSpace(
     "sphere",
-    SearchBox(np.array([2.6, 19.5, 0.2, -0.3]), np.array([4.8, 20.8, 0.7, 0.6]), np.array([True, False, False, False]), np.full(4, 0.05)),
+    SearchBox(
+        np.array([2.6, 19.5, 0.2, -0.3]),
+        np.array([4.8, 20.8, 0.7, 0.6]),
+        np.array([True, False, False, False]),
+        np.full(4, 0.05),
+    ),
     np.array([*PLACE, (1.0, RATIO, ONE), (1.0, 3, ONE), (1.0, SUNK, 3), *[(0.0, ONE, ONE)] * 3]),
     (0.06, 0.15),
     7.0,
@@ -61,7 +67,8 @@ CYLINDER = WalkSpace(
 
 
 def hypothesis_by_hand(solid: Solid, point: list[float]) -> list[float]:
-    """Burial as a share of radius or height; below 0 it is the altitude's; a cone has none, its height is a share of its base's width."""
+    """Burial as a share of radius or height; below 0 it is the altitude's; a cone has none, its height is a share of
+    its base's width."""
     along, across, size, *more = point
     share = 0.0 if solid == "truncated_cone" else more[-1]
     before, sunk = [along, across, 1.0 + min(share, 0.0)], max(share, 0.0)
@@ -146,7 +153,9 @@ def test_intervals_of_c_and_numpy_are_the_same_columns(solid: Solid, squint: flo
     }
     hypotheses = np.zeros((20, 8))
     hypotheses[:, :3] = random.uniform([3.4, 19.5, 0.95], [3.9, 20.5, 1.05], (20, 3))
-    hypotheses[:, 3 : 3 + len(sizes[solid])] = np.array(sizes[solid]) * random.uniform(0.9, 1.1, (20, len(sizes[solid])))
+    hypotheses[:, 3 : 3 + len(sizes[solid])] = np.array(sizes[solid]) * random.uniform(
+        0.9, 1.1, (20, len(sizes[solid]))
+    )
     fast, slow = intervals(solid, hypotheses, image), intervals_numpy(solid, hypotheses, image)
     assert fast.any()
     np.testing.assert_allclose(fast, slow, atol=1e-8)

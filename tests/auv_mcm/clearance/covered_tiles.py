@@ -15,8 +15,11 @@ ROW_M, COLUMN_M = 0.12, 0.25
 FIRST_RETURN_M = 5.0
 
 
-def track(n_rows: int, *, heading_deg: float = 0.0, latitude_deg: float = 43.7, longitude_deg: float = 10.3) -> PoseTrack:
-    """Straight, one pose at each row's centre; the upper edge of row 0 at the given place. Standing still during each ping."""
+def track(
+    n_rows: int, *, heading_deg: float = 0.0, latitude_deg: float = 43.7, longitude_deg: float = 10.3
+) -> PoseTrack:
+    """Straight, one pose at each row's centre; the upper edge of row 0 at the given place. Standing still during each
+    ping."""
     frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
     heading = math.radians(heading_deg)
     along_m = (np.arange(n_rows) + 0.5) * ROW_M
@@ -35,7 +38,12 @@ def track(n_rows: int, *, heading_deg: float = 0.0, latitude_deg: float = 43.7, 
     )
 
 
-def tile_of(mask: NDArray[np.uint8], pose: PoseTrack | None = None, side: Side = "starboard", core: tuple[int, int] | None = None) -> Tile:
+def tile_of(
+    mask: NDArray[np.uint8],
+    pose: PoseTrack | None = None,
+    side: Side = "starboard",
+    core: tuple[int, int] | None = None,
+) -> Tile:
     n_rows = mask.shape[0]
     return Tile(
         side=side,

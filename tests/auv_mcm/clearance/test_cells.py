@@ -63,7 +63,12 @@ def seabed_of(tile: Tile, kind: NDArray[np.uint8], ripple_rad: float = math.nan)
 
 
 @settings(max_examples=15, deadline=None)
-@given(heading_deg=st.floats(0.0, 360.0), seed=st.integers(0, 1000), side=st.sampled_from(["port", "starboard"]), core=st.booleans())
+@given(
+    heading_deg=st.floats(0.0, 360.0),
+    seed=st.integers(0, 1000),
+    side=st.sampled_from(["port", "starboard"]),
+    core=st.booleans(),
+)
 def test_cells_hold_what_pixels_hold(heading_deg: float, seed: int, side: Side, core: bool) -> None:
     rng = np.random.Generator(np.random.PCG64(seed))
     mask = plain()
@@ -73,20 +78,25 @@ def test_cells_hold_what_pixels_hold(heading_deg: float, seed: int, side: Side, 
     cells, expected = cells_of(tile), by_pixels(tile)
     reported = {
         (int(east), int(north)): (float(fraction) * CELL_M**2, float(ground))
-        for east, north, fraction, ground in zip(cells.east_index, cells.north_index, cells.fraction, cells.ground_range_m, strict=True)
+        for east, north, fraction, ground in zip(
+            cells.east_index, cells.north_index, cells.fraction, cells.ground_range_m, strict=True
+        )
     }
     seen_m2 = sum(area for area, _ in expected.values())
     # Whole blocks in a cell that does not hold a whole number of them make it fuller than full, which is cut off.
     assert 0.94 * seen_m2 <= sum(area for area, _ in reported.values()) <= 1.001 * seen_m2
     for cell, (area, ground) in expected.items():
         area_reported, ground_reported = reported.get(cell, (0.0, ground))
-        # A block of half a metre lies in one cell as a whole: at most a strip of half a block along the cell's edges is misplaced.
+        # A block of half a metre lies in one cell as a whole: at most a strip of half a block along the cell's edges is
+        # misplaced.
         assert area_reported == pytest.approx(area, abs=2.5)
         if area > 0.5 * CELL_M**2:
             assert ground_reported == pytest.approx(ground, abs=0.5)
 
 
-@pytest.mark.parametrize(("side", "heading_deg", "look_deg"), [("starboard", 0.0, 90.0), ("port", 0.0, 270.0), ("starboard", 300.0, 30.0)])
+@pytest.mark.parametrize(
+    ("side", "heading_deg", "look_deg"), [("starboard", 0.0, 90.0), ("port", 0.0, 270.0), ("starboard", 300.0, 30.0)]
+)
 def test_cells_show_the_direction_looked_in(side: Side, heading_deg: float, look_deg: float) -> None:
     cells = cells_of(tile_of(plain(), track(200, heading_deg=heading_deg), side))
     assert np.rad2deg(cells.look_rad) == pytest.approx(look_deg, abs=0.01)
@@ -153,4 +163,6 @@ def test_a_tile_with_a_position_far_off_costs_no_memory_for_what_lies_between(de
         tracemalloc.stop()
     assert peak_bytes < 20e6
     # A few blocks lie between the two places: they straddle the step. Nothing is lost or counted twice.
-    assert cells.fraction.sum() * CELL_M**2 == pytest.approx(cells_of(tile_of(plain())).fraction.sum() * CELL_M**2, rel=0.05)
+    assert cells.fraction.sum() * CELL_M**2 == pytest.approx(
+        cells_of(tile_of(plain())).fraction.sum() * CELL_M**2, rel=0.05
+    )

@@ -43,7 +43,9 @@ class Reported(NamedTuple):
     places: list[tuple[int, int, float, float]]  # east, north, fraction, ground range
 
 
-def patch(reported: Reported, *, seabed: SeabedType = "flat", confidence: float = 0.9, origin_deg: float = 43.0) -> CoveragePatch:
+def patch(
+    reported: Reported, *, seabed: SeabedType = "flat", confidence: float = 0.9, origin_deg: float = 43.0
+) -> CoveragePatch:
     n = len(reported.places)
     east, north, fraction, ground = (np.array([place[i] for place in reported.places]) for i in range(4))
     cells = SurveyedCells(
@@ -87,13 +89,18 @@ def p_at(reported: Clearance, east: int, north: int) -> float:
 
 
 def one_by_one(patches: list[Reported], model: Model) -> dict[tuple[int, int], float]:
-    """Exponent per cell: passes in order, a look per pass and cell, each reduced by what earlier ones have in common with it."""
+    """Exponent per cell: passes in order, a look per pass and cell, each reduced by what earlier ones have in common
+    with it."""
     looks: dict[tuple[int, int], dict[int, list[tuple[float, float, float]]]] = defaultdict(lambda: defaultdict(list))
     last: dict[Side, tuple[int, float, float]] = {}
     n_passes = 0
     for reported in patches:
         known = last.get(reported.side)
-        if known is None or abs(reported.start_s - known[2]) > 60.0 or abs((reported.look_deg - known[1] + 180.0) % 360.0 - 180.0) > 15.0:
+        if (
+            known is None
+            or abs(reported.start_s - known[2]) > 60.0
+            or abs((reported.look_deg - known[1] + 180.0) % 360.0 - 180.0) > 15.0
+        ):
             known = (n_passes, reported.look_deg, 0.0)
             n_passes += 1
         last[reported.side] = (known[0], known[1], reported.start_s + 30.0)
@@ -104,7 +111,10 @@ def one_by_one(patches: list[Reported], model: Model) -> dict[tuple[int, int], f
         before: list[float] = []
         total = 0.0
         for parts in by_pass.values():  # in the order in which they saw it first
-            p = min(sum(fraction * min(p, HIGHEST_P) for fraction, p, _ in parts), max(min(p, HIGHEST_P) for _, p, _ in parts))
+            p = min(
+                sum(fraction * min(p, HIGHEST_P) for fraction, p, _ in parts),
+                max(min(p, HIGHEST_P) for _, p, _ in parts),
+            )
             look = parts[0][2]
             share = 1.0
             if any(abs((look - other + 180.0) % 360.0 - 180.0) <= 15.0 for other in before):
@@ -124,9 +134,17 @@ def drawn(seed: int) -> list[Reported]:
     for _ in range(int(rng.integers(1, 9))):
         start_s += float(rng.choice([30.0, 200.0]))
         chosen = rng.choice(25, int(rng.integers(1, 20)), replace=False)
-        places = [(int(c) % 5 - 2, int(c) // 5 - 3, float(rng.uniform(0.05, 1.0)), float(rng.uniform(0.0, 49.0))) for c in chosen]
+        places = [
+            (int(c) % 5 - 2, int(c) // 5 - 3, float(rng.uniform(0.05, 1.0)), float(rng.uniform(0.0, 49.0)))
+            for c in chosen
+        ]
         reported.append(
-            Reported(start_s, "port" if rng.uniform() < 0.5 else "starboard", float(rng.choice([0.0, 8.0, 90.0, 181.0, 355.0])), places)
+            Reported(
+                start_s,
+                "port" if rng.uniform() < 0.5 else "starboard",
+                float(rng.choice([0.0, 8.0, 90.0, 181.0, 355.0])),
+                places,
+            )
         )
     return reported
 
@@ -139,7 +157,9 @@ def test_looks_add_up_as_one_by_one(seed: int, same: float, other: float) -> Non
     expected = one_by_one(reported, model)
     assert int(clearance.seen.sum()) == len(expected)
     for (east, north), exponent in expected.items():
-        assert clearance.exponent[north - clearance.first_north, east - clearance.first_east] == pytest.approx(exponent, rel=1e-5, abs=1e-6)
+        assert clearance.exponent[north - clearance.first_north, east - clearance.first_east] == pytest.approx(
+            exponent, rel=1e-5, abs=1e-6
+        )
 
 
 @settings(max_examples=30, deadline=None)
@@ -156,7 +176,8 @@ def test_more_looks_never_lower_clearance(seed: int) -> None:
             assert p_at(now, east, north) >= p - 1e-9
         rows, columns = np.nonzero(now.seen)
         before = {
-            (int(c) + now.first_east, int(r) + now.first_north): float(now.p_detected[r, c]) for r, c in zip(rows, columns, strict=True)
+            (int(c) + now.first_east, int(r) + now.first_north): float(now.p_detected[r, c])
+            for r, c in zip(rows, columns, strict=True)
         }
 
 
@@ -167,7 +188,9 @@ def test_one_sure_look_clears_no_further_than_looks_can() -> None:
 def test_a_look_from_the_other_side_counts_more_than_the_same_again() -> None:
     first = Reported(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)])
     again, opposite = (Reported(500.0, "port", look, [(0, 0, 1.0, 25.0)]) for look in (12.0, 190.0))
-    once, twice, both = (p_at(snapshot(*map(patch, reported)), 0, 0) for reported in ([first], [first, again], [first, opposite]))
+    once, twice, both = (
+        p_at(snapshot(*map(patch, reported)), 0, 0) for reported in ([first], [first, again], [first, opposite])
+    )
     assert once < twice < both
     assert once == pytest.approx(0.5)
 
@@ -191,7 +214,9 @@ def test_the_surest_look_shows_the_sea_floor() -> None:
 
 def test_nothing_seen_is_no_map_and_empty_patches_add_nothing() -> None:
     searched = ClearanceMap(Model())
-    searched.add(CoveragePatch(side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(), covered_m2=0.0, lost_m2={}))
+    searched.add(
+        CoveragePatch(side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(), covered_m2=0.0, lost_m2={})
+    )
     assert searched.snapshot() is None
 
 
@@ -212,7 +237,10 @@ def test_directions_a_hair_apart_share_a_bit_and_opposite_ones_never_do() -> Non
 
 
 def test_the_map_holds_the_directions_that_each_cell_was_looked_at_in() -> None:
-    reported = [Reported(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)]), Reported(500.0, "port", 100.0, [(0, 0, 1.0, 25.0), (1, 0, 1.0, 25.0)])]
+    reported = [
+        Reported(0.0, "port", 10.0, [(0, 0, 1.0, 25.0)]),
+        Reported(500.0, "port", 100.0, [(0, 0, 1.0, 25.0), (1, 0, 1.0, 25.0)]),
+    ]
     towards = snapshot(*map(patch, reported)).towards
     north, east = look_bit(np.radians([10.0, 100.0]))
     assert towards.tolist() == [[north | east, east]]
@@ -238,7 +266,8 @@ def test_cells_seen_far_from_the_others_are_not_laid_out_but_counted() -> None:
 
 def test_two_sites_that_fit_into_one_map_are_both_laid_out() -> None:
     reported = snapshot(
-        patch(Reported(0.0, "port", 0.0, [(0, 0, 1.0, 10.0)])), patch(Reported(1000.0, "port", 0.0, [(900, 700, 1.0, 10.0)]))
+        patch(Reported(0.0, "port", 0.0, [(0, 0, 1.0, 10.0)])),
+        patch(Reported(1000.0, "port", 0.0, [(900, 700, 1.0, 10.0)])),
     )
     assert reported.looks.shape == (701, 901)
     assert reported.n_elsewhere == 0

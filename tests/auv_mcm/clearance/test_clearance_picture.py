@@ -14,7 +14,11 @@ def test_north_is_up_and_every_band_has_its_colour() -> None:
     p = np.array([[0.1, 0.6], [0.95, 0.8]])
     drawn = clearance_picture(clearance(p))
     cell = 24
-    centres = {(row, column): tuple(drawn[12 + (1 - row) * cell + 12, 12 + column * cell + 12]) for row in range(2) for column in range(2)}
+    centres = {
+        (row, column): tuple(drawn[12 + (1 - row) * cell + 12, 12 + column * cell + 12])
+        for row in range(2)
+        for column in range(2)
+    }
     assert len(set(centres.values())) == 4
     for colour in centres.values():
         # The key names it as well.

@@ -35,7 +35,9 @@ def outline_m2(patch: CoveragePatch, frame: LocalFrame) -> float:
 
 def frame_of(tile: Tile) -> LocalFrame:
     known = np.flatnonzero(np.isfinite(tile.pose.latitude_deg))
-    return LocalFrame(latitude_deg=float(tile.pose.latitude_deg[known[0]]), longitude_deg=float(tile.pose.longitude_deg[known[0]]))
+    return LocalFrame(
+        latitude_deg=float(tile.pose.latitude_deg[known[0]]), longitude_deg=float(tile.pose.longitude_deg[known[0]])
+    )
 
 
 def claimed(tile: Tile, patch: CoveragePatch) -> NDArray[np.bool_]:
@@ -45,7 +47,9 @@ def claimed(tile: Tile, patch: CoveragePatch) -> NDArray[np.bool_]:
     for row in range(tile.core_start, tile.core_stop):
         n = tile.mask.shape[1]
         ground_m = (np.arange(n) + 0.5) * COLUMN_M
-        pose = PoseTrack(**{name: np.repeat(getattr(tile.pose, name)[row : row + 1], n) for name in PoseTrack.__struct_fields__})
+        pose = PoseTrack(
+            **{name: np.repeat(getattr(tile.pose, name)[row : row + 1], n) for name in PoseTrack.__struct_fields__}
+        )
         first_return_m = np.full(n, FIRST_RETURN_M)
         echoes = EchoGeometry(
             side=tile.side,
@@ -78,7 +82,9 @@ def test_every_pixel_of_the_core_is_counted_once_as_covered_or_by_why_not(seed: 
     shape = (int(random.integers(1, 40)), int(random.integers(1, 30)))
     start = int(random.integers(0, shape[0]))
     core = (start, int(random.integers(start + 1, shape[0] + 1)))
-    mask = random.choice([0, VALID, VALID | SATURATED, VALID | LOW_RESOLUTION, VALID | TURN, VALID | TURN | LOW_RESOLUTION, TURN], shape)
+    mask = random.choice(
+        [0, VALID, VALID | SATURATED, VALID | LOW_RESOLUTION, VALID | TURN, VALID | TURN | LOW_RESOLUTION, TURN], shape
+    )
     pose = track(shape[0])
     latitude, heading = pose.latitude_deg.copy(), pose.heading_rad.copy()
     latitude[random.random(shape[0]) < 0.1] = NAN
@@ -129,7 +135,9 @@ def nowhere(n_rows: int) -> PoseTrack:
     ],
     ids=["turn", "low resolution", "invalid", "saturated", "stale", "nowhere"],
 )
-def test_rows_that_earn_nothing_give_no_area_and_no_outline(mask: NDArray[np.uint8], pose: PoseTrack | None, reason: str) -> None:
+def test_rows_that_earn_nothing_give_no_area_and_no_outline(
+    mask: NDArray[np.uint8], pose: PoseTrack | None, reason: str
+) -> None:
     patch = cover_tile(tile_of(mask, pose), SonarConfig())
     assert patch.covered_m2 == 0.0
     assert patch.rings_deg == ()
@@ -141,7 +149,9 @@ def test_rows_that_earn_nothing_give_no_area_and_no_outline(mask: NDArray[np.uin
 
 @pytest.mark.parametrize("side", ["port", "starboard"])
 @pytest.mark.parametrize("heading_deg", [0.0, 75.0, 200.0, -400.0])
-@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(43.7, 10.3), (-17.0, 180.0), (60.0, 179.9999), (5.0, -179.9999), (89.0, 0.0)])
+@pytest.mark.parametrize(
+    ("latitude_deg", "longitude_deg"), [(43.7, 10.3), (-17.0, 180.0), (60.0, 179.9999), (5.0, -179.9999), (89.0, 0.0)]
+)
 def test_on_a_straight_leg_the_outline_encloses_what_is_covered_counter_clockwise(
     side: Side, heading_deg: float, latitude_deg: float, longitude_deg: float
 ) -> None:

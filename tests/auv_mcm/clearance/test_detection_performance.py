@@ -13,7 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.clearance.clearance_map import LookModel
-from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance, aspect_rad, parse_performance, shipped_performance
+from auv_mcm.clearance.detection_performance import (
+    FLOORS,
+    Band,
+    Performance,
+    aspect_rad,
+    parse_performance,
+    shipped_performance,
+)
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
 
@@ -33,7 +40,9 @@ def tables(exponent: float = 1.0) -> Performance:
         "vegetation": (0.3, 0.1, 0.2),
     }
     floors = {
-        name: tuple(Band(n_looks=100, n_found=int(100 * p), p=p, low=0.9 * p, high=min(1.1 * p, 1.0)) for p in by_floor[name])
+        name: tuple(
+            Band(n_looks=100, n_found=int(100 * p), p=p, low=0.9 * p, high=min(1.1 * p, 1.0)) for p in by_floor[name]
+        )
         for name in FLOORS
     }
     return Performance(
@@ -47,7 +56,9 @@ def tables(exponent: float = 1.0) -> Performance:
     )
 
 
-def one_by_one(reported: Performance, kind: str, ground_m: float, altitude_m: float, look_rad: float, ripple_rad: float) -> float:
+def one_by_one(
+    reported: Performance, kind: str, ground_m: float, altitude_m: float, look_rad: float, ripple_rad: float
+) -> float:
     """Read by hand, without arrays."""
     if not (altitude_m > 0.0 and math.isfinite(ground_m)) or math.degrees(math.atan2(altitude_m, ground_m)) > 70.0:
         return 0.0
@@ -94,7 +105,9 @@ PLACES = st.tuples(
 
 @settings(max_examples=40)
 @given(st.lists(PLACES, min_size=1, max_size=20), st.sampled_from([0.0, 0.5, 1.0]))
-def test_arrays_of_places_read_as_each_alone(places: list[tuple[str, float, float, float, float]], exponent: float) -> None:
+def test_arrays_of_places_read_as_each_alone(
+    places: list[tuple[str, float, float, float, float]], exponent: float
+) -> None:
     reported = tables(exponent)
     kind = np.array([SEABED_TYPES.index(place[0]) for place in places], dtype=np.uint8)
     columns = [np.array([place[i] for place in places]) for i in range(1, 5)]
@@ -111,7 +124,9 @@ def test_arrays_of_places_read_as_each_alone(places: list[tuple[str, float, floa
 
 @settings(max_examples=40)
 @given(PLACES)
-def test_p_is_a_probability_inside_its_interval_and_unknown_is_the_most_cautious(place: tuple[str, float, float, float, float]) -> None:
+def test_p_is_a_probability_inside_its_interval_and_unknown_is_the_most_cautious(
+    place: tuple[str, float, float, float, float],
+) -> None:
     reported = tables()
     _, *where = place
     p = {name: float(reported.p_look(index, *where)) for index, name in enumerate(SEABED_TYPES)}
@@ -125,9 +140,21 @@ def test_p_is_a_probability_inside_its_interval_and_unknown_is_the_most_cautious
 
 @pytest.mark.parametrize(
     ("ground_m", "altitude_m"),
-    [(1.0, 6.0), (0.0, 6.0), (41.0, 6.0), (1e9, 6.0), (math.nan, 6.0), (math.inf, 6.0), (15.0, math.nan), (15.0, 0.0), (15.0, -3.0)],
+    [
+        (1.0, 6.0),
+        (0.0, 6.0),
+        (41.0, 6.0),
+        (1e9, 6.0),
+        (math.nan, 6.0),
+        (math.inf, 6.0),
+        (15.0, math.nan),
+        (15.0, 0.0),
+        (15.0, -3.0),
+    ],
 )
-def test_nothing_is_found_below_beyond_and_where_range_or_altitude_is_not_known(ground_m: float, altitude_m: float) -> None:
+def test_nothing_is_found_below_beyond_and_where_range_or_altitude_is_not_known(
+    ground_m: float, altitude_m: float
+) -> None:
     for kind in range(len(SEABED_TYPES)):
         assert tables().p_look(kind, ground_m, altitude_m, 0.0, 0.0) == 0.0
         assert max(tables().interval(kind, ground_m, altitude_m, 0.0, 0.0)) == 0.0
@@ -135,7 +162,11 @@ def test_nothing_is_found_below_beyond_and_where_range_or_altitude_is_not_known(
 
 def test_a_lower_flight_reads_the_table_farther_out() -> None:
     reported = tables()
-    assert reported.p_look(0, 15.0, 3.0, 0.0, math.nan) == reported.p_look(0, 30.0, 6.0, 0.0, math.nan) == pytest.approx(0.7)
+    assert (
+        reported.p_look(0, 15.0, 3.0, 0.0, math.nan)
+        == reported.p_look(0, 30.0, 6.0, 0.0, math.nan)
+        == pytest.approx(0.7)
+    )
     assert tables(exponent=0.0).p_look(0, 15.0, 3.0, 0.0, math.nan) == pytest.approx(0.9)
 
 
@@ -169,7 +200,9 @@ def test_the_shipped_tables_know_every_floor_and_are_no_better_than_sure() -> No
     reported = shipped_performance()
     for name in FLOORS:
         assert all(0.0 < band.p < 1.0 for band in reported.floors[name])
-    flat, rough = (reported.p_look(SEABED_TYPES.index(name), 25.0, reported.altitude_m, 0.0, np.nan) for name in ("flat", "rough"))
+    flat, rough = (
+        reported.p_look(SEABED_TYPES.index(name), 25.0, reported.altitude_m, 0.0, np.nan) for name in ("flat", "rough")
+    )
     assert 0.0 < rough < flat < 1.0
 
 

@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.clearance.residual import DOUBTFUL_SHARE, SHAPE, remaining_about, remaining_mines, sweep_width_m, without_contact
+from auv_mcm.clearance.residual import (
+    DOUBTFUL_SHARE,
+    SHAPE,
+    remaining_about,
+    remaining_mines,
+    sweep_width_m,
+    without_contact,
+)
 
 
 @pytest.mark.parametrize("expected", [0.3, 4.0, 40.0])
@@ -36,7 +43,8 @@ def test_a_better_search_and_fewer_doubts_leave_no_more(p: float, more: float, d
 
 
 def test_contacts_that_are_not_called_stand_for_mines() -> None:
-    """The estimate was the same for a floor that showed nine mines of ten and one that hid three of four: 14 left where 1 was."""
+    """The estimate was the same for a floor that showed nine mines of ten and one that hid three of four: 14 left where
+    1 was."""
     p = np.full(500, 0.6)
     clear, cluttered = (remaining_mines(np.full(n, 0.1), p) for n in (20, 200))
     assert clear.expected == pytest.approx(DOUBTFUL_SHARE * 2.0 + without_contact(0.6))

@@ -23,8 +23,12 @@ ROW_M, COLUMN_M = covered_tiles.ROW_M, 0.06
 SHAPE = (256, 400)
 
 
-def tile_of(intensity: NDArray[np.float32], mask: NDArray[np.uint8], row_m: float = ROW_M, column_m: float = COLUMN_M) -> Tile:
-    return msgspec.structs.replace(covered_tiles.tile_of(mask), intensity=intensity, row_spacing_m=row_m, column_spacing_m=column_m)
+def tile_of(
+    intensity: NDArray[np.float32], mask: NDArray[np.uint8], row_m: float = ROW_M, column_m: float = COLUMN_M
+) -> Tile:
+    return msgspec.structs.replace(
+        covered_tiles.tile_of(mask), intensity=intensity, row_spacing_m=row_m, column_spacing_m=column_m
+    )
 
 
 def by_boxes(tile: Tile) -> Mask:
@@ -35,7 +39,10 @@ def by_boxes(tile: Tile) -> Mask:
     found = np.zeros(tile.mask.shape, dtype=np.bool_)
     valid = (tile.mask & VALID) > 0
     for size_m in LARGE_M:
-        size = [2 * max(round((extent / of_block - 1.0) / 2.0), 0) + 1 for extent, of_block in zip(size_m, spacing, strict=True)]
+        size = [
+            2 * max(round((extent / of_block - 1.0) / 2.0), 0) + 1
+            for extent, of_block in zip(size_m, spacing, strict=True)
+        ]
         for i in range(n[0] - size[0] + 1):
             for j in range(n[1] - size[1] + 1):
                 box = slice(i * block[0], (i + size[0]) * block[0]), slice(j * block[1], (j + size[1]) * block[1])

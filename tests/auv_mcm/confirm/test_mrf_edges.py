@@ -77,11 +77,18 @@ def test_c_and_numpy_agree_to_the_bit(seed: int, shape: tuple[int, int], sigmas:
     intensity, usable, start = noisy(seed, *shape)
     results = [
         function(
-            intensity, usable, start, level=LEVEL, spread_rows=point_spread(sigmas[0]), spread_columns=point_spread(sigmas[1]),
-            weight=WEIGHT, information=INFORMATION, n_sweeps=3,
+            intensity,
+            usable,
+            start,
+            level=LEVEL,
+            spread_rows=point_spread(sigmas[0]),
+            spread_columns=point_spread(sigmas[1]),
+            weight=WEIGHT,
+            information=INFORMATION,
+            n_sweeps=3,
         )
         for function in (soft_edges, soft_edges_numpy)
-    ]  # fmt: skip
+    ]
     np.testing.assert_array_equal(results[0], results[1], strict=True)
 
 

@@ -38,7 +38,9 @@ def energy_by_definition(labels: NDArray[np.uint8], unary: NDArray[np.float64], 
 
 def minimum_energy(unary: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
     n_rows, n_columns, _ = unary.shape
-    every = np.array(list(itertools.product(range(3), repeat=n_rows * n_columns)), dtype=np.uint8).reshape(-1, n_rows, n_columns)
+    every = np.array(list(itertools.product(range(3), repeat=n_rows * n_columns)), dtype=np.uint8).reshape(
+        -1, n_rows, n_columns
+    )
     energy = np.zeros(len(every))
     for row, column in itertools.product(range(n_rows), range(n_columns)):
         energy += unary[row, column][every[:, row, column]]
@@ -54,14 +56,18 @@ def minimum_energy(unary: NDArray[np.float64], weight: NDArray[np.float64]) -> f
 
 @given(unary=grids(6, 6), weight=weights, data=st.data())
 @settings(deadline=None, max_examples=50)
-def test_energy_is_the_sum_over_cells_and_edges(unary: NDArray[np.float64], weight: NDArray[np.float64], data: st.DataObject) -> None:
+def test_energy_is_the_sum_over_cells_and_edges(
+    unary: NDArray[np.float64], weight: NDArray[np.float64], data: st.DataObject
+) -> None:
     labels = data.draw(hnp.arrays(np.uint8, unary.shape[:2], elements=st.integers(0, 2)))
     assert energy_of(labels, unary, weight) == pytest.approx(energy_by_definition(labels, unary, weight), abs=1e-9)
 
 
 @given(unary=grids(3, 3), weight=weights)
 @settings(deadline=None, max_examples=60)
-def test_bound_never_exceeds_the_least_energy_of_all_labellings(unary: NDArray[np.float64], weight: NDArray[np.float64]) -> None:
+def test_bound_never_exceeds_the_least_energy_of_all_labellings(
+    unary: NDArray[np.float64], weight: NDArray[np.float64]
+) -> None:
     lowest = minimum_energy(unary, weight)
     minimum = trws(unary, weight, 30)
     assert (minimum.trace[:, 0] <= lowest + 1e-9).all()
@@ -129,7 +135,13 @@ def test_icm_never_raises_the_energy_and_ends_where_no_single_change_helps(
 
 
 @needs_c
-@given(unary=grids(9, 10), weight=weights, n_sweeps=st.integers(1, 4), tolerance=st.sampled_from([0.0, 0.1]), warm=st.booleans())
+@given(
+    unary=grids(9, 10),
+    weight=weights,
+    n_sweeps=st.integers(1, 4),
+    tolerance=st.sampled_from([0.0, 0.1]),
+    warm=st.booleans(),
+)
 @settings(deadline=None, max_examples=60)
 def test_c_and_numpy_agree_to_the_bit(
     unary: NDArray[np.float64], weight: NDArray[np.float64], n_sweeps: int, tolerance: float, warm: bool

@@ -33,7 +33,9 @@ def shared(value: NDArray[np.float64], looks: float) -> NDArray[np.float64]:
 @pytest.mark.parametrize("looks", [1.0, 1.9, 4.0])
 def test_gamma_cost_is_minus_the_log_density(looks: float) -> None:
     value = np.array([1e-3, 0.1, 1.0, 7.0])
-    np.testing.assert_allclose(gamma_cost(value, 0.3, looks) + shared(value, looks), -np.log(gamma_density(value, 0.3, looks)))
+    np.testing.assert_allclose(
+        gamma_cost(value, 0.3, looks) + shared(value, looks), -np.log(gamma_density(value, 0.3, looks))
+    )
 
 
 @pytest.mark.parametrize(("looks", "nu"), [(1.0, 0.7), (1.0, 4.0), (2.3, 1.5), (3.0, 12.0)])
@@ -50,7 +52,9 @@ def test_k_cost_is_that_of_speckle_mixed_over_texture(looks: float, nu: float) -
 
 def test_k_law_with_hardly_any_texture_is_gamma() -> None:
     value = np.array([0.01, 0.3, 1.0, 2.5])
-    np.testing.assert_allclose(background_cost(value, 1.0, BackgroundLaw(2.0, 40.0)), gamma_cost(value, 1.0, 2.0), atol=0.1)
+    np.testing.assert_allclose(
+        background_cost(value, 1.0, BackgroundLaw(2.0, 40.0)), gamma_cost(value, 1.0, 2.0), atol=0.1
+    )
 
 
 @pytest.mark.parametrize("looks", [1.0, 6.0, 16.0])

@@ -29,7 +29,9 @@ def region_of(shape: tuple[int, int], spacing_m: float, squint_rad: float = 0.0,
     )
 
 
-def costs_by_loops(labels: NDArray[np.uint8], spacing_m: float, squint_rad: float, altitude_m: float) -> NDArray[np.float64]:
+def costs_by_loops(
+    labels: NDArray[np.uint8], spacing_m: float, squint_rad: float, altitude_m: float
+) -> NDArray[np.float64]:
     """A highlight costs 2 nats less what 0.3 x 0.3 m of shadow within 1.5 m behind takes off; a shadow 0.5 less what
     0.02 m2 of highlight before it, no further than a 1.2 m object's shadow and a metre reach, take off; one row to
     either side of the line.
@@ -41,7 +43,10 @@ def costs_by_loops(labels: NDArray[np.uint8], spacing_m: float, squint_rad: floa
         if not 0 <= column + away < n_columns:
             return 0
         moved = round(math.tan(squint_rad) * (column + away)) - round(math.tan(squint_rad) * column)
-        return sum(0 <= row + moved + side < n_rows and labels[row + moved + side, column + away] == label for side in (-1, 0, 1))
+        return sum(
+            0 <= row + moved + side < n_rows and labels[row + moved + side, column + away] == label
+            for side in (-1, 0, 1)
+        )
 
     for row, column in np.ndindex(n_rows, n_columns):
         range_m = 8.0 + (column + 0.5) * spacing_m
@@ -71,7 +76,9 @@ def test_only_clusters_of_a_mines_size_stay_highlight() -> None:
     labels[30:55, 30:55] = HIGHLIGHT  # 6 m2
     labels[40:50, 5:25] = SHADOW
     kept = without_odd_clusters(labels, 0.1, 0.1)
-    assert set(zip(*np.nonzero(kept == HIGHLIGHT), strict=True)) == {(r, c) for r in range(10, 14) for c in range(10, 14)}
+    assert set(zip(*np.nonzero(kept == HIGHLIGHT), strict=True)) == {
+        (r, c) for r in range(10, 14) for c in range(10, 14)
+    }
     assert ((kept == SHADOW) == (labels == SHADOW)).all()
 
 
@@ -99,7 +106,9 @@ def test_smoothness_of_a_field_is_found(smoothness: float) -> None:
     assert estimate.smoothness == pytest.approx(smoothness, rel=0.15)
 
 
-@pytest.mark.parametrize("labels", [np.zeros((40, 40)), np.zeros((2, 40)), np.ones((1, 1)), np.kron(np.eye(2), np.ones((20, 20)))])
+@pytest.mark.parametrize(
+    "labels", [np.zeros((40, 40)), np.zeros((2, 40)), np.ones((1, 1)), np.kron(np.eye(2), np.ones((20, 20)))]
+)
 def test_a_field_without_information_leaves_the_prior(labels: NDArray[np.float64]) -> None:
     estimate = estimate_smoothness(labels.astype(np.uint8), 0.7)
     assert (estimate.smoothness, estimate.verdict) == (0.7, "prior")

@@ -10,20 +10,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.confirm.speckle import Correlation, block_means, grain_area, looks_of_blocks, measure_correlation, nyquist_factors
+from auv_mcm.confirm.speckle import (
+    Correlation,
+    block_means,
+    grain_area,
+    looks_of_blocks,
+    measure_correlation,
+    nyquist_factors,
+)
 from auv_mcm.kernels.speckle import half_differences, half_differences_in, half_differences_numpy
 from sim_replay.studies.drawn_regions import Drawing, draw_region
 
 
 def sea_floor(seed: int, spread_rows: float, spread_columns: float) -> NDArray[np.float64]:
-    drawing = Drawing(object_rows=0, spread_rows=spread_rows, spread_columns=spread_columns, seed=seed, n_rows=160, n_columns=200)
+    drawing = Drawing(
+        object_rows=0, spread_rows=spread_rows, spread_columns=spread_columns, seed=seed, n_rows=160, n_columns=200
+    )
     return draw_region(drawing)[0].intensity
 
 
 @pytest.mark.parametrize(("spread_rows", "spread_columns"), [(0.0, 0.0), (0.8, 0.8), (1.4, 1.1), (0.0, 1.2)])
 def test_grain_is_that_of_the_point_spread(spread_rows: float, spread_columns: float) -> None:
     measured = np.mean(
-        [measure_correlation(plane := sea_floor(seed, spread_rows, spread_columns), plane >= 0) for seed in range(4)], axis=0
+        [measure_correlation(plane := sea_floor(seed, spread_rows, spread_columns), plane >= 0) for seed in range(4)],
+        axis=0,
     )
     expected = [max(1.0, math.sqrt(2.0 * math.pi) * spread) for spread in (spread_rows, spread_columns)]
     np.testing.assert_allclose(measured, expected, rtol=0.1)
@@ -59,15 +69,26 @@ def test_the_area_of_a_grain_is_that_of_the_point_spread(spread_rows: float, spr
 
 @GRAINS
 @pytest.mark.parametrize("object_rows", [10, 60])
-def test_an_object_with_its_shadow_hardly_changes_the_area_of_a_grain(spread_rows: float, spread_columns: float, object_rows: int) -> None:
-    drawing = Drawing(object_rows=object_rows, spread_rows=spread_rows, spread_columns=spread_columns, seed=5, n_rows=160, n_columns=200)
+def test_an_object_with_its_shadow_hardly_changes_the_area_of_a_grain(
+    spread_rows: float, spread_columns: float, object_rows: int
+) -> None:
+    drawing = Drawing(
+        object_rows=object_rows,
+        spread_rows=spread_rows,
+        spread_columns=spread_columns,
+        seed=5,
+        n_rows=160,
+        n_columns=200,
+    )
     with_object = draw_region(drawing)[0].intensity
     assert area_in(with_object) == pytest.approx(area_in(sea_floor(5, spread_rows, spread_columns)), rel=0.15)
 
 
 @GRAINS
 @pytest.mark.parametrize("along_rows", [True, False])
-def test_a_ripple_crest_hardly_changes_the_area_of_a_grain(spread_rows: float, spread_columns: float, along_rows: bool) -> None:
+def test_a_ripple_crest_hardly_changes_the_area_of_a_grain(
+    spread_rows: float, spread_columns: float, along_rows: bool
+) -> None:
     """Bright and dark stripes over two fifths of the region, which by themselves are correlated over several pixels."""
     plain = sea_floor(6, spread_rows, spread_columns)
     plane = plain.copy()
@@ -121,9 +142,16 @@ def test_blocks_hold_one_grain_but_stay_small_against_a_mine() -> None:
     assert nyquist_factors(Correlation(9.0, 9.0), 0.5, 0.5) == (1, 1)
 
 
-@given(seed=st.integers(0, 10**6), n_rows=st.integers(1, 9), n_columns=st.integers(1, 14), share=st.sampled_from([0.0, 0.5, 1.0]))
+@given(
+    seed=st.integers(0, 10**6),
+    n_rows=st.integers(1, 9),
+    n_columns=st.integers(1, 14),
+    share=st.sampled_from([0.0, 0.5, 1.0]),
+)
 @settings(max_examples=60, deadline=None)
-def test_half_differences_are_those_of_pairs_taken_one_by_one(seed: int, n_rows: int, n_columns: int, share: float) -> None:
+def test_half_differences_are_those_of_pairs_taken_one_by_one(
+    seed: int, n_rows: int, n_columns: int, share: float
+) -> None:
     random = np.random.default_rng(seed)
     usable = random.uniform(size=(n_rows, n_columns)) < share
     plane = np.where(usable, random.exponential(1.0, (n_rows, n_columns)), np.nan)
@@ -132,7 +160,11 @@ def test_half_differences_are_those_of_pairs_taken_one_by_one(seed: int, n_rows:
     for axis, (down, right) in enumerate(((1, 0), (0, 1))):
         for k, lag in enumerate(lags):
             ends = [(r, c, r + lag * down, c + lag * right) for r in range(n_rows) for c in range(n_columns)]
-            pairs = [(plane[r, c], plane[s, d]) for r, c, s, d in ends if s < n_rows and d < n_columns and usable[r, c] and usable[s, d]]
+            pairs = [
+                (plane[r, c], plane[s, d])
+                for r, c, s, d in ends
+                if s < n_rows and d < n_columns and usable[r, c] and usable[s, d]
+            ]
             if len(pairs) >= 3:
                 wanted[axis, k] = 0.5 * sum((a - b) ** 2 for a, b in pairs) / len(pairs)
     for function in (half_differences, half_differences_numpy):

@@ -297,7 +297,13 @@ def test_floor_measured_in_one_row_only_holds_no_object() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"row": math.nan}, {"column": math.nan}, {"altitude_m": math.nan}, {"row_spacing_m": 0.0}, {"first_ground_range_m": math.inf}],
+    [
+        {"row": math.nan},
+        {"column": math.nan},
+        {"altitude_m": math.nan},
+        {"row_spacing_m": 0.0},
+        {"first_ground_range_m": math.inf},
+    ],
 )
 def test_start_needs_known_geometry(change: dict[str, float]) -> None:
     region = msgspec.structs.replace(drawn_pair(0).region, **change)

@@ -64,7 +64,9 @@ def criterion_by_pixels(table: Floats, known: Settings, highlight: Floats, shado
     """J from the definition: masks, means and rows, nothing cumulative."""
     shape = table.shape[0], table.shape[1] - 1
     image, count = np.diff(table, axis=1)[..., 0], np.diff(table, axis=1)[..., 1]
-    masks = [inside_by_ray(nodes, shape) if len(nodes) else np.zeros(shape, dtype=np.bool_) for nodes in (highlight, shadow)]
+    masks = [
+        inside_by_ray(nodes, shape) if len(nodes) else np.zeros(shape, dtype=np.bool_) for nodes in (highlight, shadow)
+    ]
     total = 0.0
     for side, mask in enumerate([*masks, ~(masks[0] | masks[1])]):
         n = float(count[mask].sum())
@@ -94,7 +96,11 @@ def criterion_by_pixels(table: Floats, known: Settings, highlight: Floats, shado
         for end in (np.min, np.max):
             apart_m = abs(end(highlight[:, 0]) - end(shadow[:, 0])) * known.row_spacing_m
             total += 0.5 * (max(0.0, apart_m - known.extent_tolerance_m) / known.extent_sigma_m) ** 2
-        gaps = [int(np.flatnonzero(s)[0]) - int(np.flatnonzero(h)[-1]) - 1 for h, s in zip(*masks, strict=True) if h.any() and s.any()]
+        gaps = [
+            int(np.flatnonzero(s)[0]) - int(np.flatnonzero(h)[-1]) - 1
+            for h, s in zip(*masks, strict=True)
+            if h.any() and s.any()
+        ]
         gap_m = float(np.mean(np.maximum(gaps, 0))) * known.column_spacing_m
         total += 0.5 * (max(0.0, gap_m - known.gap_tolerance_m) / known.gap_sigma_m) ** 2
         total += known.forbidden * float(np.maximum(-np.array(gaps), 0).sum())
@@ -120,7 +126,10 @@ def test_c_and_twin_take_the_same_moves_to_the_last_bit(seed: int, corners: tupl
     table, known = window(seed)
     highlight = box(9 + corners[0], 4 + corners[1], 15 + corners[2], 9 + corners[1])
     shadow = box(9 + corners[3], 11 + corners[4], 15 + corners[5], 20 + corners[6])
-    fast, slow = snake.move_pair(table, known, SHORT, highlight, shadow), snake_twin.move_pair(table, known, SHORT, highlight, shadow)
+    fast, slow = (
+        snake.move_pair(table, known, SHORT, highlight, shadow),
+        snake_twin.move_pair(table, known, SHORT, highlight, shadow),
+    )
     assert_same(fast, slow)
 
 
@@ -229,12 +238,16 @@ def test_no_rectangle_pair_of_a_tiny_image_is_better_than_the_best_start_finds()
         known = snake_settings(region, table, 1.0)._replace(min_area_px=4.0)
         schedule = np.array([(4, 2.0, 20), (4, 1.0, 20)])
         found = min(
-            snake.move_pair(table, known, schedule, box(top, 1, top + 5, foot), box(top, foot, top + 5, foot + length)).criterion
+            snake.move_pair(
+                table, known, schedule, box(top, 1, top + 5, foot), box(top, foot, top + 5, foot + length)
+            ).criterion
             for top, foot, length in itertools.product((2, 3, 4), (5, 6, 7), (4, 7))
         )
         rows = [(top, bottom) for top in range(2, 6) for bottom in range(top + 2, 11)]
         best = min(
-            snake.move_pair(table, known, np.empty((0, 3)), box(top, near, bottom, foot), box(top, foot, bottom, far)).criterion
+            snake.move_pair(
+                table, known, np.empty((0, 3)), box(top, near, bottom, foot), box(top, foot, bottom, far)
+            ).criterion
             for top, bottom in rows
             for near, foot, far in itertools.product(range(1, 4), range(5, 8), range(10, 17))
         )
@@ -245,7 +258,9 @@ def test_highlight_stays_before_the_shadow_and_beside_it() -> None:
     drawn = drawn_pair(1)
     table = snake.window_row_sums(drawn.region.intensity, drawn.region.valid).table
     known = snake_settings(drawn.region, table, 1.0)
-    moved = snake.move_pair(table, known, np.array(COARSE + FINE), box(56, 30, 70, 50), box(56, 40, 70, 60))  # overlapping at first
+    moved = snake.move_pair(
+        table, known, np.array(COARSE + FINE), box(56, 30, 70, 50), box(56, 40, 70, 60)
+    )  # overlapping at first
     assert moved.shadow_sums.overlap == 0.0
     assert moved.criterion < 0.0
     gap_m = moved.shadow_sums.gap / moved.shadow_sums.shared * known.column_spacing_m
@@ -324,7 +339,10 @@ def test_c_finds_the_fault_that_the_twin_finds(nodes: Floats, clockwise: bool) -
 def test_c_finds_elsewhere_what_the_twin_finds(highlight: Floats, shadow: Floats, given_parts: str) -> None:
     table, _ = window(3)
     none = np.empty((0, 2))
-    pair = (HIGHLIGHT, none if given_parts == "shadow" else highlight), (SHADOW, none if given_parts == "highlight" else shadow)
+    pair = (
+        (HIGHLIGHT, none if given_parts == "shadow" else highlight),
+        (SHADOW, none if given_parts == "highlight" else shadow),
+    )
     np.testing.assert_allclose(elsewhere(table, pair), elsewhere_numpy(table, pair), rtol=1e-12)
 
 

@@ -52,7 +52,9 @@ def slow_background(
     random = np.random.Generator(np.random.PCG64(1))
     values = random.multivariate_normal(prior.mean, np.array(prior.covariance), n_draws)
     mines = np.exp(math.log(MINES_PER_KM2) + MINES_SPREAD * random.standard_normal(n_draws))
-    share = np.array([math.erfc((level - prior.mine_mean_nats) / prior.mine_sd_nats / math.sqrt(2.0)) / 2.0 for level in LEVELS_NATS])
+    share = np.array(
+        [math.erfc((level - prior.mine_mean_nats) / prior.mine_sd_nats / math.sqrt(2.0)) / 2.0 for level in LEVELS_NATS]
+    )
     share -= np.append(share[1:], 0.0)
     density = BIN_NATS * np.exp(values @ interpolation(LEVELS_NATS + 0.5 * BIN_NATS).T)
     expected = area_km2 * (density + mines[:, np.newaxis] * share)
@@ -84,7 +86,9 @@ COUNTS = drawn.arrays(np.float64, N_BINS, elements=st.integers(0, 300).map(float
 
 
 @given(COUNTS, st.sampled_from([0.0, 0.001, 0.1, 20.0]))
-def test_the_more_mine_like_a_contact_the_fewer_false_alarms_whatever_was_seen(counts: NDArray[np.float64], area_km2: float) -> None:
+def test_the_more_mine_like_a_contact_the_fewer_false_alarms_whatever_was_seen(
+    counts: NDArray[np.float64], area_km2: float
+) -> None:
     found = estimate_background(counts, area_km2, PRIOR)
     for part in found[:3]:
         assert np.isfinite(part).all()

@@ -1,4 +1,5 @@
-"""Where places of a snippet lie in its picture: exactly on what is drawn there, on both sides and for pixels of any shape."""
+"""Where places of a snippet lie in its picture: exactly on what is drawn there, on both sides and for pixels of any
+shape."""
 
 from __future__ import annotations
 
@@ -32,7 +33,9 @@ def detection(side: Side, shape: tuple[int, int], bright: tuple[int, int], row_m
 @pytest.mark.parametrize("side", ["port", "starboard"])
 @pytest.mark.parametrize(("row_m", "column_m"), [(0.06, 0.06), (0.12, 0.04), (0.03, 0.09), (0.11, 0.05)])
 @pytest.mark.parametrize("bright", [(2, 3), (6, 3), (3, 15), (7, 16)])
-def test_a_contour_around_a_bright_pixel_is_drawn_around_it(side: Side, row_m: float, column_m: float, bright: tuple[int, int]) -> None:
+def test_a_contour_around_a_bright_pixel_is_drawn_around_it(
+    side: Side, row_m: float, column_m: float, bright: tuple[int, int]
+) -> None:
     view = detection(side, (10, 20), bright, row_m, column_m)
     picture = snippet_picture(view).astype(np.int64).sum(axis=2)
     row, column = bright
@@ -63,5 +66,7 @@ def test_with_square_pixels_the_middle_of_a_pixel_lies_in_the_pixel_drawn_for_it
 
 def test_a_snippet_without_pixels_has_a_place_for_everything() -> None:
     view = detection("port", (4, 4), (1, 1), 0.1, 0.1)
-    empty = Detection(**{name: getattr(view, name) for name in view.__struct_fields__} | {"snippet": np.empty((0, 0), dtype=np.uint8)})
+    empty = Detection(
+        **{name: getattr(view, name) for name in view.__struct_fields__} | {"snippet": np.empty((0, 0), dtype=np.uint8)}
+    )
     assert np.isfinite(in_picture(empty, np.array([[0.0, 0.0]]))).all()

@@ -1,4 +1,5 @@
-"""Contacts come back as they last were, each view is stored once, and a disk that fails loses nothing that it did not take."""
+"""Contacts come back as they last were, each view is stored once, and a disk that fails loses nothing that it did not
+take."""
 
 from __future__ import annotations
 
@@ -68,7 +69,10 @@ def test_contacts_are_what_they_were_when_they_last_changed_whatever_the_disk_ta
         room[0] -= 1
         return write(descriptor, data, start)
 
-    with closing(temporary_record_file(tmp_path_factory.getbasetemp())) as records, pytest.MonkeyPatch.context() as patch:
+    with (
+        closing(temporary_record_file(tmp_path_factory.getbasetemp())) as records,
+        pytest.MonkeyPatch.context() as patch,
+    ):
         patch.setattr(PWRITE, limited)
         store, reader, known, in_memory = ContactStore(records), ContactStore(records), dict[int, Contact](), set[int]()
         for number, n_taken, time_s in steps:
@@ -106,13 +110,17 @@ def test_a_view_is_written_once_and_a_change_costs_its_head_alone(records: Recor
     assert len(known.views) == 20
 
 
-def test_versions_that_a_nearly_full_disk_does_not_take_use_none_of_its_space(records: RecordFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_versions_that_a_nearly_full_disk_does_not_take_use_none_of_its_space(
+    records: RecordFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Else a contact that is tried again and again would take what is left from the journal."""
     store, write = ContactStore(records), os.pwrite
     store.add(contact(1, 1.0))
     before = records.end
     with monkeypatch.context() as disk:
-        disk.setattr(PWRITE, lambda file, data, start: write(file, data, start) if len(data) > PICTURE.nbytes else full())
+        disk.setattr(
+            PWRITE, lambda file, data, start: write(file, data, start) if len(data) > PICTURE.nbytes else full()
+        )
         for n_views in range(2, 6):
             store.add(contact(1, *map(float, range(n_views))))
             assert records.end == before
@@ -121,7 +129,9 @@ def test_versions_that_a_nearly_full_disk_does_not_take_use_none_of_its_space(re
 
 @settings(max_examples=30, deadline=None)
 @given(numbers=st.lists(st.integers(1, 12) | st.integers(99_990, 100_020), max_size=25))
-def test_files_are_those_of_all_contacts_held_at_once(tmp_path_factory: pytest.TempPathFactory, numbers: list[int]) -> None:
+def test_files_are_those_of_all_contacts_held_at_once(
+    tmp_path_factory: pytest.TempPathFactory, numbers: list[int]
+) -> None:
     folder = tmp_path_factory.mktemp("results")
     known: dict[str, Contact] = {}
     with closing(temporary_record_file(folder)) as records:
@@ -144,7 +154,10 @@ def test_a_contact_of_which_a_view_cannot_be_read_is_left_out_and_counted_once(
         store.add(contact(number, 1.0, 2.0))
     with monkeypatch.context() as disk:
         # The first record in the file is the first view of the first contact.
-        disk.setattr("auv_mcm.contacts.record_file.os.pread", lambda file, size, start: read(file, size, start) if start else bytes(size))
+        disk.setattr(
+            "auv_mcm.contacts.record_file.os.pread",
+            lambda file, size, start: read(file, size, start) if start else bytes(size),
+        )
         assert [contact_number(contact.id) for contact in store.in_order()] == [2, 3]
     assert records.n_unreadable == 1
     assert [contact_number(contact.id) for contact in store.in_order()] == [1, 2, 3]

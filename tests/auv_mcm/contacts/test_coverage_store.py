@@ -20,7 +20,13 @@ from tests.auv_mcm.contacts.whole_exports import coverage_geojson
 def patch(tile_index: int, side: Side) -> CoveragePatch:
     ring = np.array([[179.9, 43.0], [-179.9, 43.0], [-179.9, 43.1], [179.9, 43.0]])
     return CoveragePatch(
-        side=side, tile_index=tile_index, start_s=0.0, stop_s=1.0, rings_deg=(ring,), covered_m2=float(tile_index), lost_m2={"turn": 1.0}
+        side=side,
+        tile_index=tile_index,
+        start_s=0.0,
+        stop_s=1.0,
+        rings_deg=(ring,),
+        covered_m2=float(tile_index),
+        lost_m2={"turn": 1.0},
     )
 
 

@@ -131,7 +131,10 @@ def test_contact_properties_are_those_of_the_contract() -> None:
                 "belief": None,
                 "reasons": ["bright"],
             }
-            for time, side, ground_range_m in (("2023-11-14T22:13:20.000Z", "port", 18.6), ("2023-11-14T22:15:00.000Z", "starboard", 30.0))
+            for time, side, ground_range_m in (
+                ("2023-11-14T22:13:20.000Z", "port", 18.6),
+                ("2023-11-14T22:15:00.000Z", "starboard", 30.0),
+            )
         ],
     }
 
@@ -195,13 +198,16 @@ def test_unknown_numbers_become_null_and_never_nan() -> None:
     (feature,) = strict(contacts_geojson([blank]))["features"]
     assert feature["geometry"] is None
     properties = feature["properties"]
-    assert [properties[key] for key in ("time", "p_mine", "sigma_m", "side", "ground_range_m", "aspects_deg")] == [None] * 5 + [[None]]
+    assert [properties[key] for key in ("time", "p_mine", "sigma_m", "side", "ground_range_m", "aspects_deg")] == [
+        None
+    ] * 5 + [[None]]
     assert "position not known" in contacts_kml([blank])
     assert next(csv.DictReader(io.StringIO(contacts_csv([blank]))))["p_mine"] == ""
 
 
 @pytest.mark.parametrize(
-    ("given_deg", "written"), [(180.0, -180.0), (179.99999999996, -180.0), (-180.0, -180.0), (190.25, -169.75), (-1e-12, 0.0)]
+    ("given_deg", "written"),
+    [(180.0, -180.0), (179.99999999996, -180.0), (-180.0, -180.0), (190.25, -169.75), (-1e-12, 0.0)],
 )
 def test_longitudes_are_written_within_half_open_range(given_deg: float, written: float) -> None:
     (feature,) = strict(contacts_geojson([contact(longitude_deg=given_deg)]))["features"]
@@ -240,12 +246,16 @@ def test_csv_reads_back_and_disarms_formulas() -> None:
     assert rows[0]["reasons"] == 'a "quoted", comma; line\nbreak'
     assert rows[0]["height_m"] == ""
     for start in "=+-@\t\r":
-        assert next(csv.DictReader(io.StringIO(contacts_csv([contact(id=start + "x")]), newline="")))["id"] == "'" + start + "x"
+        assert (
+            next(csv.DictReader(io.StringIO(contacts_csv([contact(id=start + "x")]), newline="")))["id"]
+            == "'" + start + "x"
+        )
 
 
 def test_kml_is_xml_with_two_folders_whatever_the_names() -> None:
     text = contacts_kml(
-        [contact(reasons=("<b>&]]>\x00",)), contact(id="C<2>", p_mine=0.1, classification="clutter")], 'Lines "A" & <B>\x07'
+        [contact(reasons=("<b>&]]>\x00",)), contact(id="C<2>", p_mine=0.1, classification="clutter")],
+        'Lines "A" & <B>\x07',
     )
     document = ElementTree.fromstring(text)[0]
     assert document.findtext(f"{KML}name") == 'Lines "A" & <B>\\x07'
@@ -308,7 +318,9 @@ def test_a_patch_without_a_known_outline_keeps_its_numbers() -> None:
     st.booleans(),
     st.booleans(),
 )
-def test_split_rings_cover_what_the_ring_covered(spikes: list[tuple[float, float]], centre: float, backwards: bool, wrapped: bool) -> None:
+def test_split_rings_cover_what_the_ring_covered(
+    spikes: list[tuple[float, float]], centre: float, backwards: bool, wrapped: bool
+) -> None:
     """Star-shaped rings, so that the meridian may cut them several times; inside is tested point by point."""
     angles = np.linspace(0.0, 2.0 * np.pi, len(spikes), endpoint=False)
     radius = np.array([first * second for first, second in spikes])
@@ -324,7 +336,9 @@ def test_split_rings_cover_what_the_ring_covered(spikes: list[tuple[float, float
         assert (np.abs(piece[:, 0]) <= 180.0).all()
         assert (np.abs(np.diff(piece[:, 0])) < 10.0).all()
     generator = np.random.default_rng(1)
-    for east, north in np.column_stack([180.0 + centre + generator.uniform(-1, 1, 40), 20.0 + generator.uniform(-1, 1, 40)]):
+    for east, north in np.column_stack(
+        [180.0 + centre + generator.uniform(-1, 1, 40), 20.0 + generator.uniform(-1, 1, 40)]
+    ):
         wrapped_east = east - 360.0 if east >= 180.0 else east
         assert inside(continuous, east, north) == (sum(inside(piece, wrapped_east, north) for piece in pieces) == 1)
 
@@ -333,14 +347,26 @@ def inside(ring: NDArray[np.float64], east: float, north: float) -> bool:
     """Even-odd rule."""
     odd = False
     for (east1, north1), (east2, north2) in pairwise(ring.tolist()):
-        if (north1 > north) != (north2 > north) and east < east1 + (north - north1) / (north2 - north1) * (east2 - east1):
+        if (north1 > north) != (north2 > north) and east < east1 + (north - north1) / (north2 - north1) * (
+            east2 - east1
+        ):
             odd = not odd
     return odd
 
 
 def test_a_comb_across_the_antimeridian_falls_into_its_teeth() -> None:
     comb = np.array(
-        [(179.0, 0.0), (181.0, 0.0), (181.0, 1.0), (179.5, 1.0), (179.5, 2.0), (181.0, 2.0), (181.0, 3.0), (179.0, 3.0), (179.0, 0.0)],
+        [
+            (179.0, 0.0),
+            (181.0, 0.0),
+            (181.0, 1.0),
+            (179.5, 1.0),
+            (179.5, 2.0),
+            (181.0, 2.0),
+            (181.0, 3.0),
+            (179.0, 3.0),
+            (179.0, 0.0),
+        ],
         dtype=float,
     )
     pieces = split_ring(comb)
@@ -362,23 +388,41 @@ def test_a_ring_around_the_pole_is_closed_over_the_pole() -> None:
 
 def test_lines_are_cut_at_the_antimeridian_and_join_there() -> None:
     pieces = split_line(np.array([(179.0, 0.0), (-179.0, 2.0), (-178.0, 2.0), (179.0, 5.0)]))
-    assert [piece[:, 0].tolist() for piece in pieces] == [[179.0, 180.0], [-180.0, -179.0, -178.0, -180.0], [180.0, 179.0]]
+    assert [piece[:, 0].tolist() for piece in pieces] == [
+        [179.0, 180.0],
+        [-180.0, -179.0, -178.0, -180.0],
+        [180.0, 179.0],
+    ]
     assert pieces[0][-1, 1] == pieces[1][0, 1] == 1.0
 
 
 def waypoint(leg: int, kind: str, longitude: float) -> Waypoint:
     return Waypoint(
-        leg=leg, kind=kind, latitude_deg=0.5, longitude_deg=longitude, heading_rad=-0.1, contact_id="C0001", why="a <second> look"
+        leg=leg,
+        kind=kind,
+        latitude_deg=0.5,
+        longitude_deg=longitude,
+        heading_rad=-0.1,
+        contact_id="C0001",
+        why="a <second> look",
     )
 
 
 def test_waypoints_come_in_order_with_one_line_per_leg_from_where_the_last_ended() -> None:
-    way = [waypoint(1, "start", 179.8), waypoint(1, "leg_entry", 179.9), waypoint(1, "leg_exit", -179.9), waypoint(2, "leg_entry", -179.8)]
+    way = [
+        waypoint(1, "start", 179.8),
+        waypoint(1, "leg_entry", 179.9),
+        waypoint(1, "leg_exit", -179.9),
+        waypoint(2, "leg_entry", -179.8),
+    ]
     features = strict(waypoints_geojson(way))["features"]
     assert [feature["geometry"]["type"] for feature in features] == ["Point"] * 4 + ["MultiLineString", "LineString"]
     assert [feature["properties"]["order"] for feature in features[:4]] == [0, 1, 2, 3]
     assert features[0]["properties"]["heading_deg"] == pytest.approx(354.2704)
-    assert features[4]["geometry"]["coordinates"] == [[[179.8, 0.5], [179.9, 0.5], [180.0, 0.5]], [[-180.0, 0.5], [-179.9, 0.5]]]
+    assert features[4]["geometry"]["coordinates"] == [
+        [[179.8, 0.5], [179.9, 0.5], [180.0, 0.5]],
+        [[-180.0, 0.5], [-179.9, 0.5]],
+    ]
     assert features[5]["geometry"]["coordinates"] == [[-179.9, 0.5], [-179.8, 0.5]]
 
 

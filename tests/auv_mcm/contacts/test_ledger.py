@@ -25,7 +25,9 @@ FIRST_LEG: dict[str, Any] = {"heading_rad": 0.0, "side": "starboard", "aspect_de
 SECOND_LEG: dict[str, Any] = {"heading_rad": math.pi, "side": "port", "aspect_deg": 90.0}
 
 
-def view(east_m: float, north_m: float, time_s: float, *, frame: LocalFrame = HOME, sigma_m: float = 1.0, **values: Any) -> Detection:
+def view(
+    east_m: float, north_m: float, time_s: float, *, frame: LocalFrame = HOME, sigma_m: float = 1.0, **values: Any
+) -> Detection:
     """A detection at a place in a local frame."""
     latitude, longitude, _ = frame.to_geodetic(np.array([east_m, north_m, 0.0]))
     known: dict[str, Any] = {
@@ -64,13 +66,20 @@ def objects_in(contacts: tuple[Contact, ...]) -> list[set[float]]:
 
 @pytest.mark.parametrize("offset_m", [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (-0.9, 0.9), (0.0, -1.4)])
 @pytest.mark.parametrize("spacing_m", [1.5, 3.0])
-def test_two_passes_over_a_row_of_objects_join_one_to_one_though_navigation_is_off(offset_m: tuple[float, float], spacing_m: float) -> None:
+def test_two_passes_over_a_row_of_objects_join_one_to_one_though_navigation_is_off(
+    offset_m: tuple[float, float], spacing_m: float
+) -> None:
     """The navigation offset is common to all objects of a pass and may be nearly the distance between them."""
     objects = [(10.0, spacing_m * k) for k in range(8)]
     book = ledger()
     book.add([view(e, n, 100.0 + n, score=float(k)) for k, (e, n) in enumerate(objects)])
     assert len(book.contacts) == 8
-    book.add([view(e + offset_m[0], n + offset_m[1], 900.0 - n, score=float(k), **SECOND_LEG) for k, (e, n) in enumerate(objects)])
+    book.add(
+        [
+            view(e + offset_m[0], n + offset_m[1], 900.0 - n, score=float(k), **SECOND_LEG)
+            for k, (e, n) in enumerate(objects)
+        ]
+    )
     assert len(book.contacts) == 8
     assert objects_in(book.contacts) == [{float(k)} for k in range(8)]
 
@@ -113,8 +122,12 @@ def test_the_same_leg_again_is_another_look() -> None:
     assert [len(c.views) for c in book.contacts] == [2]
 
 
-@pytest.mark.parametrize(("nearer_p", "farther_p", "joined"), [(0.0002, 0.6, "farther"), (0.6, 0.0002, "nearer"), (0.5, 0.5, "nearer")])
-def test_of_two_contacts_in_reach_a_likely_mine_is_a_view_of_the_likelier(nearer_p: float, farther_p: float, joined: str) -> None:
+@pytest.mark.parametrize(
+    ("nearer_p", "farther_p", "joined"), [(0.0002, 0.6, "farther"), (0.6, 0.0002, "nearer"), (0.5, 0.5, "nearer")]
+)
+def test_of_two_contacts_in_reach_a_likely_mine_is_a_view_of_the_likelier(
+    nearer_p: float, farther_p: float, joined: str
+) -> None:
     """The ends of a cylinder, seen as two objects on one passage; from the other side it is one."""
     book = ledger()
     book.add([view(0.0, 0.0, 100.0, p_mine=nearer_p, score=1.0), view(1.7, 0.0, 100.2, p_mine=farther_p, score=2.0)])
@@ -157,13 +170,28 @@ def test_a_perfect_match_is_not_given_up_for_two_bad_ones() -> None:
     """One object is seen again where it was; another turns up beyond it, within the gate of the first alone."""
     book = ledger()
     book.add([view(0.0, 0.0, 100.0, score=1.0, sigma_m=0.6), view(0.0, -2.5, 101.0, score=9.0, sigma_m=0.6)])
-    book.add([view(0.0, 0.0, 900.0, score=1.0, sigma_m=0.6, **SECOND_LEG), view(0.0, 2.3, 902.0, score=3.0, sigma_m=0.6, **SECOND_LEG)])
+    book.add(
+        [
+            view(0.0, 0.0, 900.0, score=1.0, sigma_m=0.6, **SECOND_LEG),
+            view(0.0, 2.3, 902.0, score=3.0, sigma_m=0.6, **SECOND_LEG),
+        ]
+    )
     assert objects_in(book.contacts) == [{1.0}, {9.0}, {3.0}]
 
 
 def everything_said(contacts: tuple[Contact, ...]) -> list[tuple[Any, ...]]:
     return [
-        (c.id, c.time_s, c.latitude_deg, c.longitude_deg, c.covariance_m2.tolist(), c.p_mine, c.length_m, c.height_m, c.aspects_deg)
+        (
+            c.id,
+            c.time_s,
+            c.latitude_deg,
+            c.longitude_deg,
+            c.covariance_m2.tolist(),
+            c.p_mine,
+            c.length_m,
+            c.height_m,
+            c.aspects_deg,
+        )
         for c in contacts
     ]
 
@@ -271,7 +299,9 @@ def test_sixty_views_stay_numerically_fine() -> None:
     for k in range(60):
         e, n = random.normal(0.0, 0.5, 2)
         aspect = float(k * 6.0)
-        book.add([view(float(e), float(n), 1000.0 * k, heading_rad=math.radians(aspect), aspect_deg=aspect, p_mine=0.99)])
+        book.add(
+            [view(float(e), float(n), 1000.0 * k, heading_rad=math.radians(aspect), aspect_deg=aspect, p_mine=0.99)]
+        )
     (contact,) = book.contacts
     assert len(contact.views) == 60
     np.testing.assert_allclose(contact.covariance_m2, np.eye(2) / 60.0, rtol=1e-3, atol=1e-9)
@@ -324,7 +354,9 @@ def test_one_view_is_reported_as_it_is() -> None:
 def test_sizes_reasons_and_class_come_from_all_views() -> None:
     book = ledger()
     book.add([view(0.0, 0.0, 100.0, length_m=0.5, width_m=0.2, height_m=NAN, p_mine=0.05, reasons=("no_shadow",))])
-    (contact,) = book.add([view(0.0, 0.0, 900.0, length_m=1.5, width_m=0.4, height_m=0.4, score=7.0, p_mine=0.1, **SECOND_LEG)])
+    (contact,) = book.add(
+        [view(0.0, 0.0, 900.0, length_m=1.5, width_m=0.4, height_m=0.4, score=7.0, p_mine=0.1, **SECOND_LEG)]
+    )
     assert contact.length_m == 1.5
     assert contact.width_m == 0.4
     assert contact.height_m == 0.4
@@ -333,7 +365,11 @@ def test_sizes_reasons_and_class_come_from_all_views() -> None:
 
 
 def confirmed(
-    log_ratio: float, classification: ContactClass, sizes: dict[str, float], sigma: dict[str, float], certainty: float = 0.9
+    log_ratio: float,
+    classification: ContactClass,
+    sizes: dict[str, float],
+    sigma: dict[str, float],
+    certainty: float = 0.9,
 ) -> Confirmation:
     """Make a confirmation that shows one solid, as certain as requested."""
     nowhere = drawn_looks.NOWHERE

@@ -52,7 +52,9 @@ class Everything:
         changed: set[int] = set()
         passage: list[Detection] = []
         for detection in sorted(detections, key=lambda d: (d.time_s, d.side, d.column)):
-            if passage and not (detection.time_s - passage[-1].time_s < 30.0 and turned(detection, passage[0]) < math.pi / 4):
+            if passage and not (
+                detection.time_s - passage[-1].time_s < 30.0 and turned(detection, passage[0]) < math.pi / 4
+            ):
                 changed |= self.join(passage)
                 passage = []
             passage.append(detection)
@@ -62,7 +64,10 @@ class Everything:
     def join(self, passage: list[Detection]) -> set[int]:
         known = list(self.contacts)
         pairs = {
-            (d, c): cost for d in range(len(passage)) for c in range(len(known)) if (cost := self.cost(passage[d], known[c])) is not None
+            (d, c): cost
+            for d in range(len(passage))
+            for c in range(len(known))
+            if (cost := self.cost(passage[d], known[c])) is not None
         }
         costs = np.full((len(passage), len(known) + len(passage)), FORBIDDEN)
         costs[:, len(known) :] = CONFIG.gate_chi2
@@ -87,15 +92,24 @@ class Everything:
     def cost(self, detection: Detection, contact: Contact) -> tuple[float, float] | None:
         """Squared distance, and what being unlike costs; None where they cannot be one."""
         assert self.frame is not None
-        here, there = (self.frame.to_enu([item.latitude_deg], [item.longitude_deg], 0.0)[0, :2] for item in (detection, contact))
+        here, there = (
+            self.frame.to_enu([item.latitude_deg], [item.longitude_deg], 0.0)[0, :2] for item in (detection, contact)
+        )
         if math.hypot(*(there - here)) > CONFIG.max_gate_m:
             return None
-        if any(abs(view.time_s - detection.time_s) < 30.0 and turned(view, detection) < math.pi / 4 for view in contact.views):
+        if any(
+            abs(view.time_s - detection.time_s) < 30.0 and turned(view, detection) < math.pi / 4
+            for view in contact.views
+        ):
             return None
         spread = detection.covariance_m2 + contact.covariance_m2 + 1e-4 * np.eye(2)
         distance2 = float((there - here) @ np.linalg.solve(spread, there - here))
         p, q = detection.p_mine, contact.p_mine
-        return None if distance2 > CONFIG.gate_chi2 else (distance2, -2.0 * math.log(max(p * q + (1.0 - p) * (1.0 - q), 1e-3)))
+        return (
+            None
+            if distance2 > CONFIG.gate_chi2
+            else (distance2, -2.0 * math.log(max(p * q + (1.0 - p) * (1.0 - q), 1e-3)))
+        )
 
 
 def turned(a: Detection, b: Detection) -> float:
@@ -106,7 +120,10 @@ def contents(record: Any) -> Any:
     """Everything in a record, to the bit and with the kinds of its arrays; NaN is NaN."""
     match record:
         case msgspec.Struct():
-            return [type(record).__name__, *((name, contents(getattr(record, name))) for name in record.__struct_fields__)]
+            return [
+                type(record).__name__,
+                *((name, contents(getattr(record, name))) for name in record.__struct_fields__),
+            ]
         case np.ndarray():
             return record.dtype.str, record.shape, record.tobytes()
         case dict():
@@ -119,7 +136,9 @@ def contents(record: Any) -> Any:
 
 def looked_at(log_ratio: float) -> Confirmation:
     outline = np.array([[0.5, 1.0], [2.5, 3.0]])
-    solid = ShapeModel(classification="cylinder", sizes=SIZES, sigma=dict.fromkeys(SIZES, math.nan), highlight=outline, shadow=outline)
+    solid = ShapeModel(
+        classification="cylinder", sizes=SIZES, sigma=dict.fromkeys(SIZES, math.nan), highlight=outline, shadow=outline
+    )
     labels = np.arange(6, dtype=np.uint8).reshape(2, 3)
     values: dict[str, Any] = {"labels": labels, "highlight": outline, "model": solid, "reasons": ("bend",)}
     return drawn_looks.confirmation(log_ratio, drawn_looks.like("cylinder"), **values)
@@ -136,7 +155,9 @@ def missions(draw: st.DrawFn) -> list[list[Detection]]:
         time_s += float(random.choice([1.0, 40.0, 5000.0]))
         heading = float(random.choice([0.0, math.pi, 1.2]))
         batch = []
-        for east_m, north_m in random.permutation(sites)[: int(random.integers(0, 7))] + random.normal(0.0, 0.8, (1, 2)):
+        for east_m, north_m in random.permutation(sites)[: int(random.integers(0, 7))] + random.normal(
+            0.0, 0.8, (1, 2)
+        ):
             time_s += float(random.choice([0.1, 0.1, 35.0]))
             heading += float(random.choice([0.0, 0.0, 0.0, math.pi]))
             latitude, longitude, _ = frame.to_geodetic([east_m, north_m, 0.0])
@@ -184,7 +205,9 @@ def disk(takes: Iterator[bool]) -> Iterator[None]:
 def test_a_ledger_joins_what_comparing_everything_with_everything_joins(batches: list[list[Detection]]) -> None:
     ledger, oracle = Ledger(CONFIG, PRIOR), Everything()
     for batch in batches:
-        assert [contents(contact) for contact in ledger.add(batch)] == [contents(contact) for contact in oracle.add(batch)]
+        assert [contents(contact) for contact in ledger.add(batch)] == [
+            contents(contact) for contact in oracle.add(batch)
+        ]
     assert [contents(contact) for contact in ledger.contacts] == [contents(contact) for contact in oracle.contacts]
 
 
@@ -197,14 +220,20 @@ def test_contacts_on_a_disk_that_fills_and_empties_are_those_in_memory(
         store = ContactStore(records)
         on_disk, in_memory = Ledger(CONFIG, PRIOR, store), Ledger(CONFIG, PRIOR)
         for batch in batches:
-            assert [contents(contact) for contact in on_disk.add(batch)] == [contents(contact) for contact in in_memory.add(batch)]
-        assert [contents(contact) for contact in on_disk.contacts] == [contents(contact) for contact in in_memory.contacts]
+            assert [contents(contact) for contact in on_disk.add(batch)] == [
+                contents(contact) for contact in in_memory.add(batch)
+            ]
+        assert [contents(contact) for contact in on_disk.contacts] == [
+            contents(contact) for contact in in_memory.contacts
+        ]
         assert (store.n_in_memory > 0) <= (False in takes)
 
 
 @settings(max_examples=30, deadline=None)
 @given(batches=missions(), min_p_mine=st.floats(0.0, 1.0))
-def test_contacts_that_ask_for_another_look_are_those_that_say_from_where(batches: list[list[Detection]], min_p_mine: float) -> None:
+def test_contacts_that_ask_for_another_look_are_those_that_say_from_where(
+    batches: list[list[Detection]], min_p_mine: float
+) -> None:
     ledger = Ledger(CONFIG, PRIOR)
     for batch in batches:
         ledger.add(batch)
@@ -218,7 +247,9 @@ def records(tmp_path: Path) -> Iterator[RecordFile]:
         yield records
 
 
-def test_what_the_disk_does_not_give_back_is_a_contact_of_its_own(records: RecordFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_disk_does_not_give_back_is_a_contact_of_its_own(
+    records: RecordFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ledger = Ledger(CONFIG, PRIOR, ContactStore(records))
     view = drawn_looks.detection(time_s=0.0)
     ledger.add([view])
@@ -240,7 +271,11 @@ def test_contacts_on_disk_cost_the_memory_of_their_places(records: RecordFile) -
     latitude, longitude, _ = frame.to_geodetic(np.column_stack([np.arange(500.0) * 10.0, np.zeros(500), np.zeros(500)]))
     snippet = np.zeros((60, 80), dtype=np.uint8)
     batches = [
-        [drawn_looks.detection(time_s=100.0 * k, latitude_deg=lat, longitude_deg=lon, snippet=snippet.copy(), p_mine=0.01)]
+        [
+            drawn_looks.detection(
+                time_s=100.0 * k, latitude_deg=lat, longitude_deg=lon, snippet=snippet.copy(), p_mine=0.01
+            )
+        ]
         for k, (lat, lon) in enumerate(zip(latitude.tolist(), longitude.tolist(), strict=True))
     ]
     store, reader = ContactStore(records), ContactStore(records)

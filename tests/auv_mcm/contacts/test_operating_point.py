@@ -72,7 +72,11 @@ def test_a_contact_is_called_where_no_more_false_alarms_than_asked_are_expected(
     assert {contact.called for contact in announced} == {True, False}
     densities = [contact.false_alarms_per_km2 for contact in announced]
     assert densities == sorted(densities, reverse=True)
-    assert all(low <= contact.false_alarms_per_km2 <= high for contact in announced for low, high in [contact.false_alarms_95_per_km2])
+    assert all(
+        low <= contact.false_alarms_per_km2 <= high
+        for contact in announced
+        for low, high in [contact.false_alarms_95_per_km2]
+    )
 
 
 def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
@@ -144,7 +148,12 @@ def test_more_that_is_accepted_calls_more() -> None:
 def test_what_is_too_unlikely_to_be_counted_is_never_called() -> None:
     mission = Mission(ContactsConfig(false_alarms_per_km2=1e6, min_p_mine=0.0))
     mission.search(0.05)
-    assert [contact.called for contact in mission.see(-9.0, odds_of(0.01) - 0.01, odds_of(0.01), 1.0)] == [False, False, True, True]
+    assert [contact.called for contact in mission.see(-9.0, odds_of(0.01) - 0.01, odds_of(0.01), 1.0)] == [
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
 def test_without_a_prior_the_usual_p_mine_calls_and_no_density_is_claimed() -> None:

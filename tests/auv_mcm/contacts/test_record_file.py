@@ -39,8 +39,12 @@ def taken(place: RecordPlace | None) -> RecordPlace:
 
 
 @settings(max_examples=30, deadline=None)
-@given(steps=st.lists(st.tuples(st.sampled_from(["takes", "takes half", "is full"]), st.text(max_size=40)), max_size=30))
-def test_what_a_disk_took_is_what_comes_back(tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[str, str]]) -> None:
+@given(
+    steps=st.lists(st.tuples(st.sampled_from(["takes", "takes half", "is full"]), st.text(max_size=40)), max_size=30)
+)
+def test_what_a_disk_took_is_what_comes_back(
+    tmp_path_factory: pytest.TempPathFactory, steps: list[tuple[str, str]]
+) -> None:
     write, how = os.pwrite, ""
 
     def written(descriptor: int, data: bytes, start: int) -> int:
@@ -51,7 +55,10 @@ def test_what_a_disk_took_is_what_comes_back(tmp_path_factory: pytest.TempPathFa
         return write(descriptor, data[:100], start)  # as much as a disk takes at once
 
     expected: list[tuple[RecordPlace, str]] = []
-    with closing(temporary_record_file(tmp_path_factory.getbasetemp())) as records, pytest.MonkeyPatch.context() as patch:
+    with (
+        closing(temporary_record_file(tmp_path_factory.getbasetemp())) as records,
+        pytest.MonkeyPatch.context() as patch,
+    ):
         patch.setattr(PWRITE, written)
         for how, text in steps:
             place = records.append(contact(1, text))
@@ -79,7 +86,9 @@ def test_numbers_and_arrays_come_back_to_the_bit_and_with_their_kind(records: Re
 
 def test_a_patch_keeps_its_rings(records: RecordFile) -> None:
     ring = np.array([[5.0, 43.0], [5.1, 43.0], [5.0, 43.1], [5.0, 43.0]])
-    patch = CoveragePatch(side="port", tile_index=3, start_s=1.0, stop_s=2.0, rings_deg=(ring,), covered_m2=9.5, lost_m2={"turn": 0.5})
+    patch = CoveragePatch(
+        side="port", tile_index=3, start_s=1.0, stop_s=2.0, rings_deg=(ring,), covered_m2=9.5, lost_m2={"turn": 0.5}
+    )
     back = records.read(taken(records.append(patch)), record_decoder(CoveragePatch))
     assert [ring.tolist() for ring in back.rings_deg] == [ring.tolist()]
     assert (back.side, back.lost_m2) == ("port", {"turn": 0.5})
@@ -99,7 +108,9 @@ def test_where_no_file_can_be_opened_nothing_is_taken(tmp_path: Path) -> None:
             records.read(RecordPlace(0, 10), CONTACT)
 
 
-def test_what_the_disk_does_not_give_back_is_an_error_and_counted(records: RecordFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_disk_does_not_give_back_is_an_error_and_counted(
+    records: RecordFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
     places = [taken(records.append(contact(number))) for number in range(2)]
     with monkeypatch.context() as patch:
         patch.setattr("auv_mcm.contacts.record_file.os.pread", lambda file, size, start: bytes(size))

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.records import CoveragePatch, SurveyedCells
 
-CELLS = st.dictionaries(st.tuples(st.integers(-70, 70), st.integers(-70, 70)), st.sampled_from([0.25, 0.5, 1.0]), max_size=20)
+CELLS = st.dictionaries(
+    st.tuples(st.integers(-70, 70), st.integers(-70, 70)), st.sampled_from([0.25, 0.5, 1.0]), max_size=20
+)
 
 
 def patch(cells: dict[tuple[int, int], float] | None, covered_m2: float = 0.0, cell_m: float = 4.0) -> CoveragePatch:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from auv_mcm.contacts.export import contact_order, contacts_csv_parts, contacts_kml_parts, coverage_geojson_parts, coverage_order
+from auv_mcm.contacts.export import (
+    contact_order,
+    contacts_csv_parts,
+    contacts_kml_parts,
+    coverage_geojson_parts,
+    coverage_order,
+)
 from auv_mcm.records import Contact, CoveragePatch
 
 

@@ -1,4 +1,5 @@
-"""Random cascades and grounds for them, and what a cascade makes of them by definition: one window, one stump, one box at a time."""
+"""Random cascades and grounds for them, and what a cascade makes of them by definition: one window, one stump, one box
+at a time."""
 
 from __future__ import annotations
 
@@ -47,7 +48,9 @@ def draw_stump(random: np.random.Generator) -> Stump:
     return Stump(kind="contrast", a=a, b=b, w=w, threshold=float(random.normal(0.0, 0.3)), below=below, above=above)
 
 
-def draw_model(seed: int, *, kind: str = "soft", sizes: tuple[int, ...] = (2, 3, 9, 7, 12), reject: int | None = None) -> CascadeModel:
+def draw_model(
+    seed: int, *, kind: str = "soft", sizes: tuple[int, ...] = (2, 3, 9, 7, 12), reject: int | None = None
+) -> CascadeModel:
     """A model whose thresholds drop about half of the windows each time; with `reject` as all thresholds."""
     random = np.random.Generator(np.random.PCG64(seed))
     groups = tuple(tuple(draw_stump(random) for _ in range(size)) for size in sizes)
@@ -71,7 +74,8 @@ def draw_model(seed: int, *, kind: str = "soft", sizes: tuple[int, ...] = (2, 3,
 
 
 def draw_ground(seed: int, n_rows: int = 14, n_columns: int = 40) -> Ground:
-    """Speckle with a bright and a dark patch, some of it not valid, some of it not usable, under an altitude that changes."""
+    """Speckle with a bright and a dark patch, some of it not valid, some of it not usable, under an altitude that
+    changes."""
     random = np.random.Generator(np.random.PCG64(seed))
     codes = np.minimum(np.rint(1024 * random.exponential(size=(n_rows, n_columns))), 16384)
     row, column = random.integers(n_rows), random.integers(n_columns)
@@ -89,7 +93,9 @@ def brute_force(ground: Ground, model: CascadeModel) -> dict[tuple[int, int], in
     found = {}
     for row, column in zip(*(indices.tolist() for indices in np.nonzero(ground.usable)), strict=True):
         shadow_m = _band_shadow_m(ground, row, column, model.reference_height_m)
-        if 5 * _sum(ground.valid, _pixels(WINDOW, ground, shadow_m), row, column, 0) < 3 * _area(_pixels(WINDOW, ground, shadow_m)):
+        if 5 * _sum(ground.valid, _pixels(WINDOW, ground, shadow_m), row, column, 0) < 3 * _area(
+            _pixels(WINDOW, ground, shadow_m)
+        ):
             continue
         score = 0
         for group, reject in zip(model.groups, model.reject, strict=True):
@@ -136,7 +142,9 @@ def _area(pixels: tuple[int, int, int, int]) -> int:
     return (bottom - top) * (right - left)
 
 
-def _sum(plane: NDArray[np.uint16] | NDArray[np.bool_], pixels: tuple[int, int, int, int], row: int, column: int, beyond: int) -> int:
+def _sum(
+    plane: NDArray[np.uint16] | NDArray[np.bool_], pixels: tuple[int, int, int, int], row: int, column: int, beyond: int
+) -> int:
     top, bottom, left, right = pixels
     n_rows, n_columns = plane.shape
     rows = slice(max(row + top, 0), max(min(row + bottom, n_rows), 0))

@@ -71,7 +71,9 @@ def make_tile(
     )
 
 
-def speckle(seed: int, shape: tuple[int, int], *, spread_pixels: float = 0.0, texture_nu: float = 0.0, texture_pixels: int = 8) -> Plane:
+def speckle(
+    seed: int, shape: tuple[int, int], *, spread_pixels: float = 0.0, texture_nu: float = 0.0, texture_pixels: int = 8
+) -> Plane:
     """Single-look intensity of mean 1: |complex Gaussian field|^2.
 
     spread_pixels: 1-sigma along columns of the Gaussian point-spread function the field is smeared by. texture_nu:
@@ -86,6 +88,8 @@ def speckle(seed: int, shape: tuple[int, int], *, spread_pixels: float = 0.0, te
         field = sum(weight * field[:, :, k : k + shape[1]] for k, weight in enumerate(kernel))
     intensity = 0.5 * (field**2).sum(axis=0)
     if texture_nu:
-        cells = random.gamma(texture_nu, 1.0 / texture_nu, (-(-shape[0] // texture_pixels), -(-shape[1] // texture_pixels)))
+        cells = random.gamma(
+            texture_nu, 1.0 / texture_nu, (-(-shape[0] // texture_pixels), -(-shape[1] // texture_pixels))
+        )
         intensity *= np.kron(cells, np.ones((texture_pixels, texture_pixels)))[: shape[0], : shape[1]]
     return np.asarray(intensity, dtype=np.float32)

@@ -10,7 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.detect.belief import HEIGHT_RANGE_M, MIN_OBJECT_M, REASONS, contrast_odds, crowding, odds_of, probability, with_measurement
+from auv_mcm.detect.belief import (
+    HEIGHT_RANGE_M,
+    MIN_OBJECT_M,
+    REASONS,
+    contrast_odds,
+    crowding,
+    odds_of,
+    probability,
+    with_measurement,
+)
 from auv_mcm.detect.measure import Measurement
 from auv_mcm.records import NAN
 from auv_mcm.settings.config import DetectConfig

@@ -1,4 +1,5 @@
-"""Candidates of the trained cascade: what they carry, the budget, the gate, and that contrasts are measured as in the whole tile."""
+"""Candidates of the trained cascade: what they carry, the budget, the gate, and that contrasts are measured as in the
+whole tile."""
 
 from __future__ import annotations
 
@@ -48,7 +49,9 @@ def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_t
     maps = score_tile(tile)
     best = found(tile).candidates
     for row, column in PLACES:
-        candidate = next(c for c in best if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5)
+        candidate = next(
+            c for c in best if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5
+        )
         assert candidate.cascade_score == 3.0
         assert candidate.odds == 6.0
         assert candidate.peak.score > 5.0
@@ -57,7 +60,11 @@ def test_objects_are_found_where_they_are_with_score_odds_and_the_floor_around_t
 
 def test_no_two_candidates_are_of_one_object() -> None:
     places = [(c.peak.row, c.peak.column) for c in found(scene()).candidates]
-    assert all(abs(a[0] - b[0]) * ROW_M > STEP_M or abs(a[1] - b[1]) * COLUMN_M > STEP_M for i, a in enumerate(places) for b in places[:i])
+    assert all(
+        abs(a[0] - b[0]) * ROW_M > STEP_M or abs(a[1] - b[1]) * COLUMN_M > STEP_M
+        for i, a in enumerate(places)
+        for b in places[:i]
+    )
 
 
 def test_beyond_the_number_of_candidates_the_best_stay_and_the_rest_is_counted() -> None:
@@ -81,7 +88,9 @@ def test_without_any_budget_clear_peaks_of_contrast_keep_the_cascades_score() ->
     whole, none = found(scene()).candidates, found(scene(), 0).candidates
     for row, column in PLACES:
         here, before = (
-            next(c for c in some if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5)
+            next(
+                c for c in some if abs(c.peak.row - row) * ROW_M < 0.5 and abs(c.peak.column - column) * COLUMN_M < 0.5
+            )
             for some in (none, whole)
         )
         assert here.cascade_score == before.cascade_score == 3.0
@@ -90,22 +99,34 @@ def test_without_any_budget_clear_peaks_of_contrast_keep_the_cascades_score() ->
 def test_detections_carry_the_cascades_score_and_rank_by_it() -> None:
     result = detect_tile(scene(), CONFIG, MODEL)
     assert len(result.detections) >= len(PLACES)
-    assert all(detection.strength == detection.cascade_score + CONTRAST_SHARE * detection.score for detection in result.detections)
+    assert all(
+        detection.strength == detection.cascade_score + CONTRAST_SHARE * detection.score
+        for detection in result.detections
+    )
     assert [d.strength for d in result.detections] == sorted((d.strength for d in result.detections), reverse=True)
     alone = detect_tile(scene(), CONFIG)
-    assert all(math.isnan(detection.cascade_score) and detection.strength == detection.score for detection in alone.detections)
+    assert all(
+        math.isnan(detection.cascade_score) and detection.strength == detection.score for detection in alone.detections
+    )
 
 
 @settings(max_examples=60)
 @given(
-    seed=st.integers(0, 2**32 - 1), n=st.integers(0, 300), most=st.integers(1, 50), half=st.tuples(st.floats(0.0, 9.0), st.floats(0.0, 9.0))
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(0, 300),
+    most=st.integers(1, 50),
+    half=st.tuples(st.floats(0.0, 9.0), st.floats(0.0, 9.0)),
 )
-def test_windows_apart_are_those_of_one_comparison_after_the_other(seed: int, n: int, most: int, half: tuple[float, float]) -> None:
+def test_windows_apart_are_those_of_one_comparison_after_the_other(
+    seed: int, n: int, most: int, half: tuple[float, float]
+) -> None:
     rng = np.random.Generator(np.random.PCG64(seed))
     rows, columns, scores = (rng.integers(0, k, n).astype(np.int32) for k in (40, 60, 9))
     slow: list[int] = []
     for k in sorted(range(n), key=lambda k: (-scores[k], k)):
-        if len(slow) < most and all(abs(rows[k] - rows[o]) > half[0] or abs(columns[k] - columns[o]) > half[1] for o in slow):
+        if len(slow) < most and all(
+            abs(rows[k] - rows[o]) > half[0] or abs(columns[k] - columns[o]) > half[1] for o in slow
+        ):
             slow.append(k)
     assert spaced_apart(rows, columns, scores, *half, most).tolist() == slow
 
@@ -113,11 +134,16 @@ def test_windows_apart_are_those_of_one_comparison_after_the_other(seed: int, n:
 @settings(max_examples=60)
 @given(
     places=st.lists(
-        st.tuples(st.integers(0, 40), st.integers(0, 40), st.integers(-5, 5)), min_size=1, max_size=60, unique_by=lambda p: p[:2]
+        st.tuples(st.integers(0, 40), st.integers(0, 40), st.integers(-5, 5)),
+        min_size=1,
+        max_size=60,
+        unique_by=lambda p: p[:2],
     ),
     cut=st.integers(0, 60),
 )
-def test_more_windows_never_lose_a_candidate_without_a_better_one_in_reach(places: list[tuple[int, int, int]], cut: int) -> None:
+def test_more_windows_never_lose_a_candidate_without_a_better_one_in_reach(
+    places: list[tuple[int, int, int]], cut: int
+) -> None:
     places.sort(key=lambda place: -place[2])
     rows, columns, scores = np.array(places).T
     kept = spaced_apart(rows, columns, scores, 3.0, 5.0, len(places))
@@ -128,14 +154,18 @@ def test_more_windows_never_lose_a_candidate_without_a_better_one_in_reach(place
     assert (np.diff(scores[kept]) <= 0).all()
 
 
-def test_windows_are_traced_to_the_same_scores_in_any_order_and_however_often(n_runs: Callable[[int, int], int]) -> None:
+def test_windows_are_traced_to_the_same_scores_in_any_order_and_however_often(
+    n_runs: Callable[[int, int], int],
+) -> None:
     plane = core_plane(scene())
     rng = np.random.Generator(np.random.PCG64(5))
     rows, columns = rng.integers(20, 160, 400), rng.integers(0, 320, 400)
     rows[200:], columns[200:] = rows[:200], columns[:200]
     found = trace_plane(plane, MODEL, rows, columns)
     for one in range(0, 400, 400 // n_runs(100, 20)):
-        assert np.array_equal(found[one : one + 1], trace_plane(plane, MODEL, rows[one : one + 1], columns[one : one + 1]))
+        assert np.array_equal(
+            found[one : one + 1], trace_plane(plane, MODEL, rows[one : one + 1], columns[one : one + 1])
+        )
 
 
 def test_the_gate_leaves_candidates_as_they_are_and_counts_the_others() -> None:
@@ -145,7 +175,11 @@ def test_the_gate_leaves_candidates_as_they_are_and_counts_the_others() -> None:
     gated = found(scene(), gate=gate_at(between))
     assert gated.candidates == [c for c in everything.candidates if c.peak.score > between]
     assert len(gated.faint.rows) > 0
-    strength = {round(c.cascade_score + CONTRAST_SHARE * c.peak.score, 6) for c in everything.candidates if c.peak.score < between}
+    strength = {
+        round(c.cascade_score + CONTRAST_SHARE * c.peak.score, 6)
+        for c in everything.candidates
+        if c.peak.score < between
+    }
     assert {round(float(value), 6) for value in gated.faint.strength} <= strength
 
 
@@ -156,7 +190,11 @@ def test_what_stands_out_but_is_nothing_the_cascade_knows_is_a_candidate_with_it
     tile = make_tile(plane)
     (known,) = (c for c in found(tile).candidates if abs(c.peak.row - 91) < 5 and abs(c.peak.column - 201) < 8)
     assert known.peak.score > 5.3
-    (clear,) = (c for c in found(tile, gate=gate_at(5.3)).candidates if abs(c.peak.row - 91) < 5 and abs(c.peak.column - 201) < 8)
+    (clear,) = (
+        c
+        for c in found(tile, gate=gate_at(5.3)).candidates
+        if abs(c.peak.row - 91) < 5 and abs(c.peak.column - 201) < 8
+    )
     assert clear == known
 
 

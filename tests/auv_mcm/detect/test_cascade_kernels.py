@@ -48,7 +48,9 @@ def draw_field(seed: int, shape: tuple[int, int] = (14, 40), kind: str = "soft")
     return WindowField(plane.sums, plane.counts, corner, plane.usable, edges), tables
 
 
-def opened_both_ways(seed: int, n_groups: int, shape: tuple[int, int] = (14, 40), kind: str = "soft") -> tuple[Opened, Opened]:
+def opened_both_ways(
+    seed: int, n_groups: int, shape: tuple[int, int] = (14, 40), kind: str = "soft"
+) -> tuple[Opened, Opened]:
     field, tables = draw_field(seed, shape, kind)
     one, other = open_windows(field, tables, n_groups), open_windows_numpy(field, tables, n_groups)
     for first in range(n_groups, 5):
@@ -79,7 +81,9 @@ def test_c_and_numpy_agree_on_tiles_of_many_blocks(shape: tuple[int, int]) -> No
 
 def test_windows_out_of_order_are_refused_before_the_kernel_sees_them() -> None:
     field, tables = draw_field(2, (20, 60))
-    tables = tables._replace(groups=np.stack((tables.groups[:, 0], np.full_like(tables.groups[:, 1], -(2**31))), axis=1))
+    tables = tables._replace(
+        groups=np.stack((tables.groups[:, 0], np.full_like(tables.groups[:, 1], -(2**31))), axis=1)
+    )
     windows = open_windows(field, tables, 1).windows
     first, second = windows.band_stop[windows.band_stop > 0][:2]
     assert 1 < first < second
@@ -106,7 +110,9 @@ def test_codes_of_c_and_numpy_agree(intensity: NDArray[np.float32], seed: int) -
 
 
 def test_codes_round_to_the_nearest_halves_to_even_between_nothing_and_sixteen_times_the_mean() -> None:
-    intensity = np.array([0.0, 0.5, 1.5 / 1024, 2.5 / 1024, 1.0, 15.9999, 16.0, 99.0, np.inf, -1.0, np.nan, 3.0], dtype=np.float32)
+    intensity = np.array(
+        [0.0, 0.5, 1.5 / 1024, 2.5 / 1024, 1.0, 15.9999, 16.0, 99.0, np.inf, -1.0, np.nan, 3.0], dtype=np.float32
+    )
     mask = np.array([1] * 11 + [2], dtype=np.uint8)
     codes, valid = encode(intensity, mask)
     assert codes.tolist() == [0, 512, 2, 2, 1024, 16384, 16384, 16384, 16384, 0, 1024, 1024]
@@ -127,10 +133,14 @@ def test_integral_images_hold_plain_sums(
     random = np.random.Generator(np.random.PCG64(seed))
     values = random.random(shape) < 0.5 if flags else random.integers(0, 2**16, shape, dtype=np.uint16)
     padded = np.pad(values.astype(np.int64), ((margins[0],) * 2, margins[1:]), constant_values=beyond)
-    expected = [[int(padded[:i, :j].sum()) % 2**32 for j in range(padded.shape[1] + 1)] for i in range(padded.shape[0] + 1)]
+    expected = [
+        [int(padded[:i, :j].sum()) % 2**32 for j in range(padded.shape[1] + 1)] for i in range(padded.shape[0] + 1)
+    ]
     np.testing.assert_array_equal(integral(values, margins, beyond), np.array(expected, dtype=np.uint32), strict=True)
     out = np.empty(integral_shape(values, margins), dtype=np.uint32)
-    np.testing.assert_array_equal(integral_numpy(values, margins, beyond, out), np.array(expected, dtype=np.uint32), strict=True)
+    np.testing.assert_array_equal(
+        integral_numpy(values, margins, beyond, out), np.array(expected, dtype=np.uint32), strict=True
+    )
 
 
 def test_integral_images_go_where_requested_or_nowhere() -> None:

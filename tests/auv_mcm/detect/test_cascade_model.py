@@ -50,17 +50,32 @@ def test_models_are_read_back_as_written(seed: int, kind: str) -> None:
         (lambda m: m["calibration"].update(score=[1]), "calibration has 1 scores and 2 log_odds"),
         (lambda m: m["calibration"].update(score=[5, 5]), "calibration.score must rise"),
         (lambda m: m["calibration"].update(log_odds=[1.0, 0.5]), "calibration.log_odds must not fall"),
-        (lambda m: m["groups"][2][0].update(a=[0.5, 0.5, 0, 0, 0.5, 0]), r"groups[2][0]: box a: top_m must be less than bottom_m"),
-        (lambda m: m["groups"][2][0].update(b=[-0.5, 0.5, 0, 0, 0.5, 1.3]), "box b: with a shadow of 6.0 m it goes from 0 to 8.3 m"),
+        (
+            lambda m: m["groups"][2][0].update(a=[0.5, 0.5, 0, 0, 0.5, 0]),
+            r"groups[2][0]: box a: top_m must be less than bottom_m",
+        ),
+        (
+            lambda m: m["groups"][2][0].update(b=[-0.5, 0.5, 0, 0, 0.5, 1.3]),
+            "box b: with a shadow of 6.0 m it goes from 0 to 8.3 m",
+        ),
         (lambda m: m["groups"][2][0].update(b=[-0.5, 0.5, 0.9, 0, 0.5, 0.1]), "box b: with a shadow of 0.4 m"),
         (lambda m: m["groups"][2][0].update(b=[-0.5, 0.5, 0.9]), "array"),
         (lambda m: m["groups"][0][0].update(kind="ratio", w=None, threshold=0.0), "at least 0.0001"),
         (lambda m: m["groups"][0][0].update(kind="contrast", w=None), "a contrast needs a third box w"),
-        (lambda m: m["groups"][0][0].update(kind="ratio", w=[-1, 1, -1, 0, 1, 1]), "a ratio must not have a third box w"),
+        (
+            lambda m: m["groups"][0][0].update(kind="ratio", w=[-1, 1, -1, 0, 1, 1]),
+            "a ratio must not have a third box w",
+        ),
         (lambda m: m["groups"][0][0].update(below=10**6), "<= 65536"),
         (lambda m: m["groups"][0].extend(m["groups"][0][:1] * MAX_STUMPS), f"maximum of {MAX_STUMPS}"),
-        (lambda m: m.update(expected_pd=[{"seabed": "sand", "near_m": 5, "far_m": 5, "n_targets": 1, "pd": 1}]), "expected_pd[0]"),
-        (lambda m: m.update(expected_pd=[{"seabed": "sand", "near_m": 5, "far_m": 9, "n_targets": 1, "pd": 1.1}]), "<= 1.0"),
+        (
+            lambda m: m.update(expected_pd=[{"seabed": "sand", "near_m": 5, "far_m": 5, "n_targets": 1, "pd": 1}]),
+            "expected_pd[0]",
+        ),
+        (
+            lambda m: m.update(expected_pd=[{"seabed": "sand", "near_m": 5, "far_m": 9, "n_targets": 1, "pd": 1.1}]),
+            "<= 1.0",
+        ),
     ],
 )
 def test_what_cannot_be_run_is_refused_naming_the_file_and_what_to_do(change: Change, words: str) -> None:

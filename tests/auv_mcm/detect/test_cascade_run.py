@@ -34,7 +34,9 @@ def same(one: CascadeResult, other: CascadeResult) -> bool:
 def make_tile(intensity: np.ndarray, mask: np.ndarray, first_return_m: np.ndarray, core: slice | None = None) -> Tile:
     n_rows = intensity.shape[0]
     core = core or slice(0, n_rows)
-    pose = PoseTrack(**{name: np.zeros(n_rows, dtype=bool if name == "stale" else float) for name in PoseTrack.__struct_fields__})
+    pose = PoseTrack(
+        **{name: np.zeros(n_rows, dtype=bool if name == "stale" else float) for name in PoseTrack.__struct_fields__}
+    )
     return Tile(
         side="starboard",
         index=0,
@@ -71,7 +73,9 @@ def test_finds_what_one_window_after_the_other_finds(seed: int, kind: str) -> No
 def test_a_larger_budget_loses_no_window(seed: int, share: float) -> None:
     plane, model = draw_ground(seed).plane(), draw_model(seed)
     whole = run_plane(plane, model, None)
-    budgets = sorted({math.floor(share * whole.n_evaluations), *(math.floor(k * whole.n_evaluations / 4) for k in range(6))})
+    budgets = sorted(
+        {math.floor(share * whole.n_evaluations), *(math.floor(k * whole.n_evaluations / 4) for k in range(6))}
+    )
     results = [run_plane(plane, model, budget) for budget in budgets]
     for budget, result in zip(budgets, results, strict=True):
         assert result.n_evaluations <= budget
@@ -108,9 +112,16 @@ def test_no_budget_finds_nothing_and_says_so(seed: int) -> None:
     assert result.evaluated_fraction == (0.0 if result.n_windows else 1.0)
 
 
-@given(seed=seeds, budget=st.none() | st.integers(0, 20_000), offset=st.integers(0, 2**32 - 1), n_offset=st.integers(0, 2**32 - 1))
+@given(
+    seed=seeds,
+    budget=st.none() | st.integers(0, 20_000),
+    offset=st.integers(0, 2**32 - 1),
+    n_offset=st.integers(0, 2**32 - 1),
+)
 @settings(deadline=None, max_examples=30)
-def test_a_constant_added_to_the_integral_images_changes_nothing(seed: int, budget: int | None, offset: int, n_offset: int) -> None:
+def test_a_constant_added_to_the_integral_images_changes_nothing(
+    seed: int, budget: int | None, offset: int, n_offset: int
+) -> None:
     plane, model = draw_ground(seed).plane(), draw_model(seed)
     moved = plane._replace(sums=plane.sums + np.uint32(offset), counts=plane.counts + np.uint32(n_offset))
     assert same(run_plane(moved, model, budget), run_plane(plane, model, budget))
@@ -124,8 +135,12 @@ def test_where_a_tile_is_cut_along_the_track_changes_no_window_well_inside(seed:
     cut = Ground(whole.codes[part], whole.valid[part], whole.usable[part], whole.first_return_m[part])
     reach = math.ceil(1.0 / ROW_M) + 1
     inside = range(part.start + reach, part.stop - reach)
-    expected = {place: score for place, score in found(run_plane(whole.plane(), model, None)).items() if place[0] in inside}
-    shifted = {(row + before, column): score for (row, column), score in found(run_plane(cut.plane(), model, None)).items()}
+    expected = {
+        place: score for place, score in found(run_plane(whole.plane(), model, None)).items() if place[0] in inside
+    }
+    shifted = {
+        (row + before, column): score for (row, column), score in found(run_plane(cut.plane(), model, None)).items()
+    }
     assert {place: score for place, score in shifted.items() if place[0] in inside} == expected
 
 
@@ -168,7 +183,9 @@ def test_strange_intensities_neither_warn_nor_stay() -> None:
     mask = np.full(intensity.shape, VALID)
     model = draw_model(4)
     result = run_plane(core_plane(make_tile(intensity, mask, np.full(30, 5.0))), model, None)
-    known = run_plane(core_plane(make_tile(meant, np.where(np.isnan(intensity), 0, mask), np.full(30, 5.0))), model, None)
+    known = run_plane(
+        core_plane(make_tile(meant, np.where(np.isnan(intensity), 0, mask), np.full(30, 5.0))), model, None
+    )
     assert same(result, known)
     assert not np.isnan(intensity[result.rows, result.columns]).any()
 

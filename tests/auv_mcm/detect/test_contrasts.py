@@ -1,4 +1,5 @@
-"""Scores where they matter against the scores of all pixels: the same bits, whatever the tile, the threshold and where it was cut."""
+"""Scores where they matter against the scores of all pixels: the same bits, whatever the tile, the threshold and where
+it was cut."""
 
 from __future__ import annotations
 
@@ -17,7 +18,17 @@ from auv_mcm.kernels import contrast as kernel
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 from tests.auv_mcm.detect.scene_tiles import make_tile, speckle
 
-FACES = ("image_sums", "background", "ratios", "local_variances", "extremes", "bright_places", "dark_places", "box_means", "peaks")
+FACES = (
+    "image_sums",
+    "background",
+    "ratios",
+    "local_variances",
+    "extremes",
+    "bright_places",
+    "dark_places",
+    "box_means",
+    "peaks",
+)
 
 
 def threshold_of(p_false_alarm: float) -> np.float32:
@@ -52,7 +63,9 @@ def assert_same(tile: Tile, p_false_alarm: float) -> None:
     np.testing.assert_array_equal(found.background, maps.background, strict=True)
     scored = slice(*found.rows)
     np.testing.assert_array_equal(found.small[scored], maps.small_box_variance[scored], strict=True)
-    np.testing.assert_array_equal(found.score, np.where(maps.score >= threshold, maps.score, np.float32(-np.inf)), strict=True)
+    np.testing.assert_array_equal(
+        found.score, np.where(maps.score >= threshold, maps.score, np.float32(-np.inf)), strict=True
+    )
     for radius_m in (0.1, 0.4):
         assert found.peaks(radius_m) == find_peaks(tile, maps, p_false_alarm, radius_m)
     random = np.random.default_rng(tile.mask.size)

@@ -13,7 +13,16 @@ from auv_mcm.detect.detect_tile import OVERLAP_M, detect_tile, worth_looking
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, Detection, PoseTrack, Side, Tile
 from auv_mcm.settings.config import Config, DetectConfig
-from tests.auv_mcm.detect.scene_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, SPEED_MPS, Plane, make_tile, speckle, straight_track
+from tests.auv_mcm.detect.scene_tiles import (
+    COLUMN_M,
+    FIRST_RETURN_M,
+    ROW_M,
+    SPEED_MPS,
+    Plane,
+    make_tile,
+    speckle,
+    straight_track,
+)
 
 CONFIG = Config()
 HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
@@ -65,7 +74,17 @@ def test_detections_come_best_first_with_sound_numbers() -> None:
     assert scores == sorted(scores, reverse=True)
     assert (result.n_over_budget, result.n_without_position) == (0, 0)
     for d in result.detections:
-        numbers = (d.row, d.column, d.time_s, d.latitude_deg, d.longitude_deg, d.heading_rad, d.aspect_deg, d.score, d.p_mine)
+        numbers = (
+            d.row,
+            d.column,
+            d.time_s,
+            d.latitude_deg,
+            d.longitude_deg,
+            d.heading_rad,
+            d.aspect_deg,
+            d.score,
+            d.p_mine,
+        )
         assert np.isfinite(numbers).all()
         np.testing.assert_array_equal(d.covariance_m2, d.covariance_m2.T)
         assert np.linalg.eigvalsh(d.covariance_m2).min() > 0.0
@@ -87,7 +106,10 @@ def test_beyond_the_budget_the_best_are_measured_and_the_rest_is_counted(budget:
 def test_a_higher_permitted_false_alarm_rate_only_adds_detections() -> None:
     tile = make_tile(with_object(2, 60, 150))
     few, many = (
-        {fields_of(d) for d in detect_tile(tile, msgspec.structs.replace(CONFIG, detect=DetectConfig(p_false_alarm=p))).detections}
+        {
+            fields_of(d)
+            for d in detect_tile(tile, msgspec.structs.replace(CONFIG, detect=DetectConfig(p_false_alarm=p))).detections
+        }
         for p in (1e-5, 1e-2)
     )
     assert few < many
@@ -114,7 +136,8 @@ EVERYTHING = tuple(name for name in PoseTrack.__struct_fields__ if name != "stal
 
 
 @pytest.mark.parametrize(
-    "names", [EVERYTHING, ("latitude_deg", "longitude_deg"), ("heading_rad",), ("pitch_rad",), ("time_s", "heading_rad")]
+    "names",
+    [EVERYTHING, ("latitude_deg", "longitude_deg"), ("heading_rad",), ("pitch_rad",), ("time_s", "heading_rad")],
 )
 def test_detections_that_cannot_be_placed_are_counted_instead(names: tuple[str, ...]) -> None:
     plane = with_object(1, 60, 150)
@@ -127,8 +150,12 @@ def test_detections_that_cannot_be_placed_are_counted_instead(names: tuple[str, 
 def test_a_hole_in_navigation_costs_only_the_detections_in_it() -> None:
     plane = with_object(1, 60, 150)
     everything = detect_tile(make_tile(plane), CONFIG).detections
-    result = detect_tile(make_tile(plane, pose=unknown(120, "latitude_deg", "longitude_deg", rows=slice(20, 40))), CONFIG)
-    assert {fields_of(d)[:2] for d in everything if not 19.0 < d.row < 42.0} <= {fields_of(d)[:2] for d in result.detections}
+    result = detect_tile(
+        make_tile(plane, pose=unknown(120, "latitude_deg", "longitude_deg", rows=slice(20, 40))), CONFIG
+    )
+    assert {fields_of(d)[:2] for d in everything if not 19.0 < d.row < 42.0} <= {
+        fields_of(d)[:2] for d in result.detections
+    }
     assert result.n_without_position == len(everything) - len(result.detections) > 0
 
 
@@ -168,7 +195,11 @@ def test_tiles_share_a_strip_among_their_cores_without_loss_or_double() -> None:
     parts = detect_tile(first, CONFIG).detections + detect_tile(second, CONFIG).detections
 
     def table(detections: tuple[Detection, ...]) -> np.ndarray:
-        return np.array(sorted((d.row, d.column, d.score, d.p_mine, d.length_m, d.latitude_deg, d.longitude_deg) for d in detections))
+        return np.array(
+            sorted(
+                (d.row, d.column, d.score, d.p_mine, d.length_m, d.latitude_deg, d.longitude_deg) for d in detections
+            )
+        )
 
     np.testing.assert_allclose(table(parts), table(whole), rtol=0, atol=1e-4)
 

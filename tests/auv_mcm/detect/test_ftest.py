@@ -77,7 +77,9 @@ def test_the_deviate_rises_with_the_ratio_down_to_zero_and_up_to_any_brightness(
     for looks in LOOKS:
         for background_looks in (1.0, *BACKGROUND_LOOKS):
             with np.errstate(all="raise", under="ignore"):
-                found = f_deviate(ratio, np.full(ratio.shape, looks, np.float32), np.full(ratio.shape, background_looks, np.float32))
+                found = f_deviate(
+                    ratio, np.full(ratio.shape, looks, np.float32), np.full(ratio.shape, background_looks, np.float32)
+                )
             assert np.isfinite(found).all()
             assert found.dtype == np.float32
             assert np.diff(found).min() > -1e-4 * np.abs(found).max()  # float32 rounding, nothing more

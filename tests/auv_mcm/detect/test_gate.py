@@ -1,4 +1,5 @@
-"""The gate before measuring: what it lets through, that it is monotonous, and that the one that ships keeps what would be reported."""
+"""The gate before measuring: what it lets through, that it is monotonous, and that the one that ships keeps what would
+be reported."""
 
 from __future__ import annotations
 
@@ -13,7 +14,9 @@ from auv_mcm.detect.gate import Feature, Forecast, Values, may_reach, parse_gate
 from auv_mcm.errors import BadInputError
 
 Place = tuple[float, float, float, float]
-PLACES = st.lists(st.tuples(st.floats(-10.0, 10.0), st.floats(-5.0, 30.0), st.floats(0.1, 200.0), st.floats(0.1, 50.0)), min_size=1)
+PLACES = st.lists(
+    st.tuples(st.floats(-10.0, 10.0), st.floats(-5.0, 30.0), st.floats(0.1, 200.0), st.floats(0.1, 50.0)), min_size=1
+)
 
 
 def features_of(places: list[Place]) -> dict[Feature, Values]:

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from auv_mcm.detect.integral import PaddedIntegral
 
 
-def brute_force(plane: NDArray[Any], rows: tuple[int, int], columns: tuple[NDArray[np.intp], NDArray[np.intp]]) -> NDArray[np.float64]:
+def brute_force(
+    plane: NDArray[Any], rows: tuple[int, int], columns: tuple[NDArray[np.intp], NDArray[np.intp]]
+) -> NDArray[np.float64]:
     """Sum over the part of each pixel's box that lies in the plane; columns: start and stop offset per pixel."""
     n_rows, n_columns = plane.shape
     total = np.zeros(plane.shape)
@@ -27,17 +29,21 @@ def brute_force(plane: NDArray[Any], rows: tuple[int, int], columns: tuple[NDArr
 
 
 PAD_ROWS, PAD_COLUMNS = 3, 9
-planes = hnp.arrays(np.float32, st.tuples(st.integers(1, 5), st.integers(1, 7)), elements=st.integers(0, 1000).map(float)) | hnp.arrays(
-    np.uint8, st.tuples(st.integers(1, 5), st.integers(1, 7))
+planes = hnp.arrays(
+    np.float32, st.tuples(st.integers(1, 5), st.integers(1, 7)), elements=st.integers(0, 1000).map(float)
+) | hnp.arrays(np.uint8, st.tuples(st.integers(1, 5), st.integers(1, 7)))
+row_ends = st.tuples(st.integers(-PAD_ROWS, PAD_ROWS), st.integers(-PAD_ROWS, PAD_ROWS)).map(
+    lambda ends: (min(ends), max(ends))
 )
-row_ends = st.tuples(st.integers(-PAD_ROWS, PAD_ROWS), st.integers(-PAD_ROWS, PAD_ROWS)).map(lambda ends: (min(ends), max(ends)))
 column_ends = st.tuples(st.integers(-PAD_COLUMNS, PAD_COLUMNS), st.integers(-PAD_COLUMNS, PAD_COLUMNS)).map(
     lambda ends: (min(ends), max(ends))
 )
 
 
 @given(plane=planes, rows=row_ends, columns=column_ends)
-def test_box_sums_are_clipped_at_the_edges(plane: NDArray[Any], rows: tuple[int, int], columns: tuple[int, int]) -> None:
+def test_box_sums_are_clipped_at_the_edges(
+    plane: NDArray[Any], rows: tuple[int, int], columns: tuple[int, int]
+) -> None:
     """Whole numbers, so that the order of summation does not matter."""
     integral = PaddedIntegral(plane, PAD_ROWS, PAD_COLUMNS)
     every = np.ones(plane.shape, dtype=np.intp)

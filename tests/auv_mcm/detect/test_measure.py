@@ -102,7 +102,9 @@ OBJECTS = st.builds(
 @settings(max_examples=30)
 @given(drawn_object=OBJECTS, bright=st.floats(4.5, 60.0), dark=st.floats(0.0, 0.04))
 @example(drawn_object=Drawn(40, 80, 3, 4, 46), bright=5.0, dark=0.0)
-def test_on_an_even_floor_place_size_and_height_are_right_to_the_pixel(drawn_object: Drawn, bright: float, dark: float) -> None:
+def test_on_an_even_floor_place_size_and_height_are_right_to_the_pixel(
+    drawn_object: Drawn, bright: float, dark: float
+) -> None:
     found = measured(make_tile(draw(even(), drawn_object, bright, dark)), drawn_object)
     assert found.has_highlight
     assert found.has_shadow
@@ -118,12 +120,20 @@ def test_on_an_even_floor_place_size_and_height_are_right_to_the_pixel(drawn_obj
 
 
 @pytest.mark.parametrize(
-    "drawn_object", [Drawn(58, 147, 5, 7, 20), Drawn(56, 198, 9, 5, 40), Drawn(50, 240, 16, 6, 50), Drawn(57, 160, 6, 8, 25, ellipse=True)]
+    "drawn_object",
+    [
+        Drawn(58, 147, 5, 7, 20),
+        Drawn(56, 198, 9, 5, 40),
+        Drawn(50, 240, 16, 6, 50),
+        Drawn(57, 160, 6, 8, 25, ellipse=True),
+    ],
 )
 def test_in_speckle_place_size_and_height_are_right_within_two_pixels(drawn_object: Drawn) -> None:
-    """Highlight 10 dB above, shadow 13 dB below a floor of correlated single-look speckle; median over twelve floors."""
+    """Highlight 10 dB above, shadow 13 dB below a floor of correlated single-look speckle; median over twelve
+    floors."""
     found = [
-        measured(make_tile(draw(speckle(seed, SHAPE, spread_pixels=1.0), drawn_object, 10.0, 0.05)), drawn_object) for seed in range(12)
+        measured(make_tile(draw(speckle(seed, SHAPE, spread_pixels=1.0), drawn_object, 10.0, 0.05)), drawn_object)
+        for seed in range(12)
     ]
     row_error = np.array([m.row for m in found]) - drawn_object.centre[0]
     column_error = np.array([m.column for m in found]) - drawn_object.centre[1]
@@ -131,8 +141,12 @@ def test_in_speckle_place_size_and_height_are_right_within_two_pixels(drawn_obje
     assert np.sqrt(np.mean(column_error**2)) < 0.7
     assert np.median([m.along_m for m in found]) / ROW_M == pytest.approx(drawn_object.rows, abs=1.5)
     assert np.median([m.across_m for m in found]) / COLUMN_M == pytest.approx(drawn_object.columns, abs=1.5)
-    assert np.nanmedian([m.shadow_length_m for m in found]) / COLUMN_M == pytest.approx(drawn_object.shadow_columns, abs=2.0)
-    assert np.nanmedian([m.height_m for m in found]) == pytest.approx(drawn_object.height_m, rel=drawn_object.height_error)
+    assert np.nanmedian([m.shadow_length_m for m in found]) / COLUMN_M == pytest.approx(
+        drawn_object.shadow_columns, abs=2.0
+    )
+    assert np.nanmedian([m.height_m for m in found]) == pytest.approx(
+        drawn_object.height_m, rel=drawn_object.height_error
+    )
 
 
 def test_decibels_are_those_of_the_drawing() -> None:
@@ -218,7 +232,9 @@ def beam(footprint_m: float, step_m: float) -> NDArray[np.float64]:
 
 @settings(max_examples=40)
 @given(length_m=st.floats(0.05, 6.0), footprint_m=st.floats(0.05, 1.5), level=st.floats(0.01, 0.5))
-def test_an_even_object_of_any_contrast_keeps_its_length_and_a_point_is_short(length_m: float, footprint_m: float, level: float) -> None:
+def test_an_even_object_of_any_contrast_keeps_its_length_and_a_point_is_short(
+    length_m: float, footprint_m: float, level: float
+) -> None:
     """Against the image drawn step by step and measured with a ruler."""
     step_m = 0.004
     n_steps = round(length_m / step_m)
@@ -305,7 +321,8 @@ def test_an_object_that_leaves_the_region_is_said_to_but_one_cut_off_by_the_end_
 
 
 @pytest.mark.parametrize(
-    "drawn_object", [Drawn(0, 150, 5, 6, 20), Drawn(115, 150, 5, 6, 20), Drawn(70, 285, 6, 6, 29), Drawn(70, 20, 6, 6, 10)]
+    "drawn_object",
+    [Drawn(0, 150, 5, 6, 20), Drawn(115, 150, 5, 6, 20), Drawn(70, 285, 6, 6, 29), Drawn(70, 20, 6, 6, 10)],
 )
 def test_objects_at_the_edge_of_the_picture_are_measured(drawn_object: Drawn) -> None:
     found = measured(make_tile(draw(even(), drawn_object)), drawn_object)
@@ -368,11 +385,16 @@ def test_any_pixel_of_any_tile_can_be_measured(seed: int) -> None:
             found = measured_at(tile, maps, peak, float(random.choice([0.0, 0.01, 0.3])))
             assert 0.0 <= found.row <= n_rows
             assert 0.0 <= found.column <= n_columns
-            assert abs(found.row - 0.5 - peak.row) * tile.row_spacing_m <= max(ROWS_M, tile.row_spacing_m) + tile.row_spacing_m
+            assert (
+                abs(found.row - 0.5 - peak.row) * tile.row_spacing_m
+                <= max(ROWS_M, tile.row_spacing_m) + tile.row_spacing_m
+            )
             assert found.along_m > 0.0
             assert found.across_m > 0.0
             assert math.isnan(found.highlight_db) is not found.has_highlight
-            assert all(math.isnan(v) is not found.has_shadow for v in (found.shadow_db, found.shadow_length_m, found.height_m))
+            assert all(
+                math.isnan(v) is not found.has_shadow for v in (found.shadow_db, found.shadow_length_m, found.height_m)
+            )
             assert not found.height_m < 0.0
             assert not found.shadow_length_m <= 0.0
             again = measured_at(tile, maps, peak, 0.0)._replace(snippet=found.snippet)

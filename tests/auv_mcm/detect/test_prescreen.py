@@ -1,4 +1,5 @@
-"""Scores against a slow oracle that walks over pixels and adds up boxes one by one; false alarms in speckle; invariances."""
+"""Scores against a slow oracle that walks over pixels and adds up boxes one by one; false alarms in speckle;
+invariances."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ def bent(value: float, knee: float) -> float:
 
 
 def slow_scores(tile: Tile) -> Slow:
-    """The definition, pixel by pixel: every box is cut out, clipped at the tile's edge and summed over its valid pixels."""
+    """The definition, pixel by pixel: every box is cut out, clipped at the tile's edge and summed over its valid
+    pixels."""
     n_rows, n_columns = tile.mask.shape
     valid = (tile.mask & VALID) != 0
     seabed = valid & ((tile.mask & SATURATED) == 0)
@@ -78,7 +80,9 @@ def slow_scores(tile: Tile) -> Slow:
     frame_far, hollow_far = columns(prescreen._FRAME_FAR_M) - 1, columns(prescreen._HOLLOW_FAR_M) - 1
     frame_rows = max(frame_rows, hollow_rows + 1)
     frame_near, frame_far = max(frame_near, hollow_near + 1), max(frame_far, hollow_far + 1)
-    frame_area = (2 * frame_rows + 1) * (frame_near + frame_far + 1) - (2 * hollow_rows + 1) * (hollow_near + hollow_far + 1)
+    frame_area = (2 * frame_rows + 1) * (frame_near + frame_far + 1) - (2 * hollow_rows + 1) * (
+        hollow_near + hollow_far + 1
+    )
     background = np.empty((n_rows, n_columns))
     known = np.zeros((n_rows, n_columns), dtype=np.bool_)
     for i, j in np.ndindex(n_rows, n_columns):
@@ -127,7 +131,8 @@ def slow_scores(tile: Tile) -> Slow:
 
         background_looks = looks(2, frame_area)
         highlight[i, j] = max(
-            deviate(ratio(i, j, size), looks(2 * halves(size)[0] + 1, area(size)), background_looks) for size in prescreen.HIGHLIGHTS_M
+            deviate(ratio(i, j, size), looks(2 * halves(size)[0] + 1, area(size)), background_looks)
+            for size in prescreen.HIGHLIGHTS_M
         )
         found = []
         for along_m, height_m in prescreen.SHADOWS_M:
@@ -140,7 +145,11 @@ def slow_scores(tile: Tile) -> Slow:
             box_area = (2 * half_rows + 1) * n
             enough = count > prescreen.MIN_SHADOW * box_area
             found.append(
-                deviate(value / max(count, 1) / float(background[i, j]), looks(2 * half_rows + 1, box_area), background_looks)
+                deviate(
+                    value / max(count, 1) / float(background[i, j]),
+                    looks(2 * half_rows + 1, box_area),
+                    background_looks,
+                )
                 if enough
                 else 0.0
             )
@@ -205,7 +214,9 @@ def test_every_pixel_scores_as_by_boxes_added_up_one_by_one(seed: int) -> None:
     row_m=st.sampled_from((0.06, 0.12, 0.3, 2.0)),
     column_m=st.sampled_from((0.03, 0.06, 0.25, 2.0)),
 )
-def test_tiles_of_any_size_and_spacing_score_as_by_boxes_added_up(seed: int, shape: tuple[int, int], row_m: float, column_m: float) -> None:
+def test_tiles_of_any_size_and_spacing_score_as_by_boxes_added_up(
+    seed: int, shape: tuple[int, int], row_m: float, column_m: float
+) -> None:
     tile = make_tile(speckle(seed, shape), patchy_mask(seed, shape), row_m=row_m, column_m=column_m)
     assert_like(tile, slow_scores(tile))
 
@@ -220,7 +231,9 @@ def threshold_of(p_false_alarm: float) -> float:
 
 
 def empty_floor(n_tiles: int, *, spread_pixels: float = 0.0, texture_nu: float = 0.0) -> list[Tile]:
-    return [make_tile(speckle(k, (200, 400), spread_pixels=spread_pixels, texture_nu=texture_nu)) for k in range(n_tiles)]
+    return [
+        make_tile(speckle(k, (200, 400), spread_pixels=spread_pixels, texture_nu=texture_nu)) for k in range(n_tiles)
+    ]
 
 
 def inner_scores(tiles: list[Tile]) -> Plane:
@@ -242,9 +255,13 @@ def alarm_share(scores: Plane, p_false_alarm: float) -> float:
 )
 @pytest.mark.parametrize("spread_pixels", [0.0, 1.4])
 def test_one_highlight_and_shadow_test_keeps_its_false_alarm_rate_in_speckle(
-    monkeypatch: pytest.MonkeyPatch, highlight_m: tuple[float, float], shadow_m: tuple[float, float], spread_pixels: float
+    monkeypatch: pytest.MonkeyPatch,
+    highlight_m: tuple[float, float],
+    shadow_m: tuple[float, float],
+    spread_pixels: float,
 ) -> None:
-    """One box each at one fixed distance, in white and in correlated speckle: never more alarms than 1.5 times the nominal rate."""
+    """One box each at one fixed distance, in white and in correlated speckle: never more alarms than 1.5 times the
+    nominal rate."""
     monkeypatch.setattr(prescreen, "HIGHLIGHTS_M", (highlight_m,))
     monkeypatch.setattr(prescreen, "SHADOWS_M", (shadow_m,))
     monkeypatch.setattr(prescreen, "darkest_behind", lambda deviate, lag_columns: np.roll(deviate, -8, axis=1))
@@ -255,8 +272,8 @@ def test_one_highlight_and_shadow_test_keeps_its_false_alarm_rate_in_speckle(
 
 
 def test_trying_every_size_and_distance_multiplies_the_rate_at_one_place_by_a_known_factor() -> None:
-    """The best of 35 pairs of boxes and 30 places of the shadow is compared with the threshold of one. Measured: 54 times the nominal
-    rate at 1e-2 and 196 times at 1e-4 in white speckle; 41 and 73 times in correlated speckle."""
+    """The best of 35 pairs of boxes and 30 places of the shadow is compared with the threshold of one. Measured: 54
+    times the nominal rate at 1e-2 and 196 times at 1e-4 in white speckle; 41 and 73 times in correlated speckle."""
     white, correlated = empty_floor_scores(), empty_floor_scores(spread_pixels=1.4)
     assert 10.0 < alarm_share(white, 1e-2) / 1e-2 < 65.0
     assert alarm_share(white, 1e-4) / 1e-4 < 250.0
@@ -296,13 +313,18 @@ def test_borders_of_masked_areas_and_of_the_tile_at_most_double_the_alarms() -> 
 def test_gain_changes_no_score(exponent: float, seed: int) -> None:
     """Below the bounds put on bright pixels, which are set for tiles of mean one."""
     intensity = np.minimum(speckle(seed, (60, 90)), np.float32(5.0))
-    plain, louder = score_tile(make_tile(intensity)), score_tile(make_tile((intensity * 10.0**exponent).astype(np.float32)))
+    plain, louder = (
+        score_tile(make_tile(intensity)),
+        score_tile(make_tile((intensity * 10.0**exponent).astype(np.float32))),
+    )
     np.testing.assert_allclose(louder.score, plain.score, rtol=0, atol=1e-5)
 
 
 def test_port_and_starboard_score_alike() -> None:
     intensity = speckle(1, (60, 90))
-    for port, starboard in zip(score_tile(make_tile(intensity, side="port")), score_tile(make_tile(intensity)), strict=True):
+    for port, starboard in zip(
+        score_tile(make_tile(intensity, side="port")), score_tile(make_tile(intensity)), strict=True
+    ):
         np.testing.assert_array_equal(port, starboard)
 
 
@@ -329,7 +351,8 @@ def test_context_is_all_a_score_depends_on_along_track(row_m: float) -> None:
 
 
 def test_a_masked_border_is_like_a_tile_that_ends_there() -> None:
-    """Rows before the tile's first and columns beyond its last that hold nothing change nothing, apart from the least shadow."""
+    """Rows before the tile's first and columns beyond its last that hold nothing change nothing, apart from the least
+    shadow."""
     intensity = speckle(4, (50, 80))
     mask = np.zeros((70, 110), dtype=np.uint8)
     mask[10:60, :80] = VALID
@@ -452,7 +475,11 @@ def test_a_saturated_object_is_still_a_highlight() -> None:
 
 
 @settings(max_examples=25)
-@given(seed=st.integers(0, 10_000), p_false_alarm=st.sampled_from((0.3, 1e-2, 5e-4)), radius_m=st.sampled_from((0.1, 0.4, 1.0)))
+@given(
+    seed=st.integers(0, 10_000),
+    p_false_alarm=st.sampled_from((0.3, 1e-2, 5e-4)),
+    radius_m=st.sampled_from((0.1, 0.4, 1.0)),
+)
 def test_peaks_are_the_highest_scores_around_in_the_core(seed: int, p_false_alarm: float, radius_m: float) -> None:
     random = np.random.default_rng(seed)
     shape = (int(random.integers(1, 30)), int(random.integers(1, 40)))

@@ -69,7 +69,11 @@ def slow_pass(detections: list[Detection], config: DetectConfig) -> list[Detecti
         chain = [loose.pop()]
         grown = True
         while grown:
-            near = [d for d in loose if any(apart_m(d, member) <= link_m and stretch(d) == stretch(member) for member in chain)]
+            near = [
+                d
+                for d in loose
+                if any(apart_m(d, member) <= link_m and stretch(d) == stretch(member) for member in chain)
+            ]
             loose = [d for d in loose if not any(d is other for other in near)]
             chain += near
             grown = bool(near)
@@ -77,7 +81,9 @@ def slow_pass(detections: list[Detection], config: DetectConfig) -> list[Detecti
         for d in sorted(chain, key=lambda d: (-d.score, d.row, d.column)):
             if not any(hides(better, d, config.suppression_m) for better in kept):
                 kept.append(d)
-        kept = [d for d in kept if not any(across_border(e, d) and hides(e, d, config.suppression_m) for e in detections)]
+        kept = [
+            d for d in kept if not any(across_border(e, d) and hides(e, d, config.suppression_m) for e in detections)
+        ]
         rows, columns = [d.row * ROW_M for d in chain], [d.column * COLUMN_M for d in chain]
         extents = (max(rows) - min(rows), max(columns) - min(columns))
         n_large = sum("too_large" in d.reasons for d in chain)
@@ -110,13 +116,18 @@ def outline(kept: list[Detection], extents: tuple[float, float]) -> list[Detecti
             reasons = [*d.reasons, *(code for code in ("too_large", "extended") if code not in d.reasons)]
             length_m, width_m = max(*extents, d.length_m), max(min(extents), d.width_m)
             markers.append(
-                msgspec.structs.replace(d, p_mine=suppress._STRUCTURE_P, reasons=tuple(reasons), length_m=length_m, width_m=width_m)
+                msgspec.structs.replace(
+                    d, p_mine=suppress._STRUCTURE_P, reasons=tuple(reasons), length_m=length_m, width_m=width_m
+                )
             )
     return alone + markers
 
 
 def surrounded(d: Detection, everything: list[Detection], config: DetectConfig) -> Detection:
-    n = sum(config.suppression_m < apart_m(d, e) < suppress._SURROUNDINGS_M and e.score >= d.score - suppress._ALIKE for e in everything)
+    n = sum(
+        config.suppression_m < apart_m(d, e) < suppress._SURROUNDINGS_M and e.score >= d.score - suppress._ALIKE
+        for e in everything
+    )
     reasons = (*d.reasons, "crowded") if n >= suppress._CROWDED else d.reasons
     return msgspec.structs.replace(d, p_mine=probability(odds_of(d.p_mine) - crowding(n)), reasons=reasons)
 
@@ -126,7 +137,9 @@ def fields_of(detections: list[Detection]) -> list[tuple[Any, ...]]:
     return sorted((d.row, d.column, d.score, d.p_mine, d.reasons, d.length_m, d.width_m) for d in detections)
 
 
-def in_tiles(detections: list[Detection], peak_rows: list[float], boundaries: list[float], config: DetectConfig) -> list[Detection]:
+def in_tiles(
+    detections: list[Detection], peak_rows: list[float], boundaries: list[float], config: DetectConfig
+) -> list[Detection]:
     """What comes out when each detection arrives with the tile whose core its peak lies in."""
     suppressor = Suppressor(config, ROW_M, Counter())
     out: list[Detection] = []
@@ -246,7 +259,14 @@ def test_equals_nearby_lower_the_probability_and_are_said() -> None:
 
 def wreck() -> list[Detection]:
     return [
-        seen(40.0 + 1.5 * k, 10.0 + 0.1 * k, length_m=4.5, reasons=("highlight_and_shadow", "too_large"), score=4.0 + 0.1 * k, p_mine=0.05)
+        seen(
+            40.0 + 1.5 * k,
+            10.0 + 0.1 * k,
+            length_m=4.5,
+            reasons=("highlight_and_shadow", "too_large"),
+            score=4.0 + 0.1 * k,
+            p_mine=0.05,
+        )
         for k in range(10)
     ]
 

@@ -59,7 +59,9 @@ def test_a_run_is_inside_if_all_of_its_points_are(
 
 
 @given(st.lists(st.builds(PlanePose, PLACE, PLACE, st.floats(-7.0, 7.0)), min_size=2, max_size=2), st.floats(1.0, 30.0))
-def test_between_poses_with_room_for_a_circle_a_way_stays_inside_a_convex_fence(poses: list[PlanePose], radius: float) -> None:
+def test_between_poses_with_room_for_a_circle_a_way_stays_inside_a_convex_fence(
+    poses: list[PlanePose], radius: float
+) -> None:
     fence = np.array([[-110.0, -110.0], [-120.0, 100.0], [90.0, 130.0], [120.0, -100.0]])
     leave, arrive = turns_inside(np.array(poses), radius, LIMITS._replace(fence=fence))
     length = float(dubins_lengths(poses[0], poses[1], radius, leave, arrive))

@@ -20,7 +20,9 @@ class Fix(NamedTuple):
 
 
 def agreement(span_s: float = SPAN_S) -> FixAgreement[Fix]:
-    return FixAgreement(lambda a, b: abs(b.place_m - a.place_m), lambda a, b: 1.0 + 10.0 * abs(b.time_s - a.time_s), span_s)
+    return FixAgreement(
+        lambda a, b: abs(b.place_m - a.place_m), lambda a, b: 1.0 + 10.0 * abs(b.time_s - a.time_s), span_s
+    )
 
 
 def decided(places_m: list[float], span_s: float = SPAN_S) -> list[FixDecision[Fix]]:
@@ -70,7 +72,14 @@ def test_a_step_is_followed_from_its_first_fix_on() -> None:
 
 
 def test_without_a_span_three_fixes_that_agree_are_enough() -> None:
-    assert accepted(decided([0.0, 0.0, 700.0, 700.0, 700.0, 700.0], span_s=0.0)) == [0.0, 0.0, 700.0, 700.0, 700.0, 700.0]
+    assert accepted(decided([0.0, 0.0, 700.0, 700.0, 700.0, 700.0], span_s=0.0)) == [
+        0.0,
+        0.0,
+        700.0,
+        700.0,
+        700.0,
+        700.0,
+    ]
 
 
 def test_a_place_that_could_be_reached_in_time_still_belongs_to_its_own_track() -> None:

@@ -21,12 +21,23 @@ HOME = {"latitude_deg": 43.7, "longitude_deg": 10.3, "depth_m": 20.0}
 
 
 def a_pose(n: int, /, **values: float) -> PoseTrack:
-    columns = {"time_s": 0.0, "heading_rad": 0.0, "pitch_rad": 0.0, "roll_rad": 0.0, "speed_mps": 0.0, "altitude_m": NAN, **HOME, **values}
+    columns = {
+        "time_s": 0.0,
+        "heading_rad": 0.0,
+        "pitch_rad": 0.0,
+        "roll_rad": 0.0,
+        "speed_mps": 0.0,
+        "altitude_m": NAN,
+        **HOME,
+        **values,
+    }
     arrays: dict[str, Any] = {name: np.full(n, value) for name, value in columns.items()}
     return PoseTrack(stale=np.zeros(n, dtype=np.bool_), **arrays)
 
 
-def one_echo(side: Side, slant_range_m: float, first_return_m: float, sound_speed_mps: float = 1500.0, **pose: float) -> EchoGeometry:
+def one_echo(
+    side: Side, slant_range_m: float, first_return_m: float, sound_speed_mps: float = 1500.0, **pose: float
+) -> EchoGeometry:
     return EchoGeometry(
         side=side,
         pose=a_pose(1, **pose),
@@ -49,10 +60,17 @@ def enu_from_vehicle(echoes: EchoGeometry, sonar: SonarConfig) -> NDArray[np.flo
 
 
 def oracle_enu(
-    side: Side, heading: float, pitch: float, roll: float, slant_range: float, altitude: float, sonar: SonarConfig, advance: float
+    side: Side,
+    heading: float,
+    pitch: float,
+    roll: float,
+    slant_range: float,
+    altitude: float,
+    sonar: SonarConfig,
+    advance: float,
 ) -> tuple[NDArray[np.float64], float]:
-    """Echo from vehicle, found by walking round the circle where the sphere of radius r cuts the bottom until the array's
-    axis is square to the echo; and the first bottom return.
+    """Echo from vehicle, found by walking round the circle where the sphere of radius r cuts the bottom until the
+    array's axis is square to the echo; and the first bottom return.
     """
     body = Rotation.from_euler("ZYX", [heading, pitch, roll])  # to north, east, down
     mount = Rotation.from_euler("ZYX", [sonar.heading_offset_deg, sonar.pitch_offset_deg, 0.0], degrees=True)
@@ -96,19 +114,30 @@ def test_an_echo_lies_where_beam_plane_sphere_and_bottom_meet(
     altitude = 2.0 + fraction * (min(20.0, 0.9 * slant_range) - 2.0)
     sonar = SonarConfig(lever_arm_m=lever, heading_offset_deg=offsets[0], pitch_offset_deg=offsets[1])
     pitch, roll = math.radians(pitch), math.radians(roll)
-    expected, first_return = oracle_enu(side, heading, pitch, roll, slant_range, altitude, sonar, speed * slant_range / 1480.0)
-    echoes = one_echo(side, slant_range, first_return, 1480.0, heading_rad=heading, pitch_rad=pitch, roll_rad=roll, speed_mps=speed)
+    expected, first_return = oracle_enu(
+        side, heading, pitch, roll, slant_range, altitude, sonar, speed * slant_range / 1480.0
+    )
+    echoes = one_echo(
+        side, slant_range, first_return, 1480.0, heading_rad=heading, pitch_rad=pitch, roll_rad=roll, speed_mps=speed
+    )
     np.testing.assert_allclose(enu_from_vehicle(echoes, sonar)[0], expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("side", "heading_deg", "east", "north"),
-    [("starboard", 0.0, 12.0, 0.0), ("port", 0.0, -12.0, 0.0), ("starboard", 90.0, 0.0, -12.0), ("port", 180.0, 12.0, 0.0)],
+    [
+        ("starboard", 0.0, 12.0, 0.0),
+        ("port", 0.0, -12.0, 0.0),
+        ("starboard", 90.0, 0.0, -12.0),
+        ("port", 180.0, 12.0, 0.0),
+    ],
 )
 def test_starboard_is_to_the_right_of_the_heading(side: Side, heading_deg: float, east: float, north: float) -> None:
     echoes = one_echo(side, 13.0, 5.0, heading_rad=math.radians(heading_deg))
     np.testing.assert_allclose(enu_from_vehicle(echoes, SonarConfig())[0], [east, north, -5.0], rtol=0, atol=1e-6)
-    assert aspect_deg(echoes, SonarConfig())[0] == pytest.approx(math.degrees(math.atan2(east, north)) % 360.0, abs=1e-9)
+    assert aspect_deg(echoes, SonarConfig())[0] == pytest.approx(
+        math.degrees(math.atan2(east, north)) % 360.0, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("roll_deg", [-20.0, -3.0, 10.0, 20.0])
@@ -116,7 +145,9 @@ def test_roll_moves_an_echo_only_through_the_lever_arm(roll_deg: float) -> None:
     level = one_echo("port", 30.0, 6.0, heading_rad=1.0, pitch_rad=0.1)
     rolled = one_echo("port", 30.0, 6.0, heading_rad=1.0, pitch_rad=0.1, roll_rad=math.radians(roll_deg))
     at_reference, below = SonarConfig(), SonarConfig(lever_arm_m=(0.0, 0.0, 1.0))
-    np.testing.assert_allclose(enu_from_vehicle(rolled, at_reference), enu_from_vehicle(level, at_reference), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        enu_from_vehicle(rolled, at_reference), enu_from_vehicle(level, at_reference), rtol=0, atol=1e-8
+    )
     # Starboard down swings what hangs below the reference to port.
     moved = enu_from_vehicle(rolled, below)[0] - enu_from_vehicle(level, below)[0]
     to_port = np.array([-math.cos(1.0), math.sin(1.0)])
@@ -142,14 +173,18 @@ def test_the_vehicle_travels_while_the_sound_does() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    place=st.sampled_from([(89.0, 12.0), (-89.0, 100.0), (12.0, 179.99999), (-33.0, -179.99999), (90.0, 0.0), (60.0, -5.0)]),
+    place=st.sampled_from(
+        [(89.0, 12.0), (-89.0, 100.0), (12.0, 179.99999), (-33.0, -179.99999), (90.0, 0.0), (60.0, -5.0)]
+    ),
     turn=st.floats(0.0, 6.3),
 )
 def test_the_geometry_is_the_same_anywhere_and_turned_any_way(place: tuple[float, float], turn: float) -> None:
     sonar = SonarConfig(lever_arm_m=(1.0, 0.2, 0.3))
     shape = {"pitch_rad": 0.05, "roll_rad": -0.1, "speed_mps": 1.5}
     here = enu_from_vehicle(one_echo("starboard", 60.0, 7.0, heading_rad=0.3, **shape), sonar)[0]
-    there = one_echo("starboard", 60.0, 7.0, heading_rad=0.3 + turn, latitude_deg=place[0], longitude_deg=place[1], **shape)
+    there = one_echo(
+        "starboard", 60.0, 7.0, heading_rad=0.3 + turn, latitude_deg=place[0], longitude_deg=place[1], **shape
+    )
     cosine, sine = math.cos(turn), math.sin(turn)
     turned = [cosine * here[0] + sine * here[1], cosine * here[1] - sine * here[0], here[2]]
     np.testing.assert_allclose(enu_from_vehicle(there, sonar)[0], turned, rtol=0, atol=1e-6)
@@ -160,7 +195,12 @@ def test_many_echoes_at_once_equal_one_by_one() -> None:
     rng = np.random.default_rng(4)
     n = 50
     pose = a_pose(n)
-    for name, low, high in (("heading_rad", -9.0, 9.0), ("pitch_rad", -0.2, 0.2), ("roll_rad", -0.3, 0.3), ("latitude_deg", -90.0, 90.0)):
+    for name, low, high in (
+        ("heading_rad", -9.0, 9.0),
+        ("pitch_rad", -0.2, 0.2),
+        ("roll_rad", -0.3, 0.3),
+        ("latitude_deg", -90.0, 90.0),
+    ):
         getattr(pose, name)[:] = rng.uniform(low, high, n)
     many = EchoGeometry(
         side="port",
@@ -187,11 +227,15 @@ def test_without_depth_the_vehicle_is_at_the_surface_and_without_speed_it_stands
     known = one_echo("port", 20.0, 5.0, depth_m=0.0, speed_mps=0.0)
     unknown = one_echo("port", 20.0, 5.0, depth_m=NAN, speed_mps=NAN)
     np.testing.assert_array_equal(locate(unknown, SonarConfig()), locate(known, SonarConfig()))
-    assert locate(known, SonarConfig())[2][0] == pytest.approx(-5.0, abs=1e-4)  # the Earth curves away by 30 micrometres in 20 m
+    assert locate(known, SonarConfig())[2][0] == pytest.approx(
+        -5.0, abs=1e-4
+    )  # the Earth curves away by 30 micrometres in 20 m
 
 
 def test_a_range_inside_the_water_column_is_the_point_below() -> None:
-    np.testing.assert_allclose(enu_from_vehicle(one_echo("port", 4.0, 5.0), SonarConfig())[0], [0.0, 0.0, -5.0], atol=1e-6)
+    np.testing.assert_allclose(
+        enu_from_vehicle(one_echo("port", 4.0, 5.0), SonarConfig())[0], [0.0, 0.0, -5.0], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("missing", ["latitude_deg", "heading_rad"])
@@ -225,10 +269,15 @@ LEVEL_Y = math.sqrt(LEVEL_R**2 - LEVEL_H**2)
     ],
     ids=["heading", "pitch", "altitude", "sound speed"],
 )
-def test_each_error_moves_the_echo_its_own_way(error: dict[str, float], altitude_sigma_m: float, east_m: float, north_m: float) -> None:
-    """Heading north, level: heading and pitch errors act along track, altitude and range errors across (dy = -h/y dh, r/y dr)."""
+def test_each_error_moves_the_echo_its_own_way(
+    error: dict[str, float], altitude_sigma_m: float, east_m: float, north_m: float
+) -> None:
+    """Heading north, level: heading and pitch errors act along track, altitude and range errors across (dy = -h/y dh,
+    r/y dr)."""
     config = msgspec.structs.replace(NO_ERROR, **error)
-    covariance = position_covariance(one_echo("starboard", LEVEL_R, LEVEL_H), SonarConfig(), config, np.array([altitude_sigma_m]))[0]
+    covariance = position_covariance(
+        one_echo("starboard", LEVEL_R, LEVEL_H), SonarConfig(), config, np.array([altitude_sigma_m])
+    )[0]
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [east_m, north_m], rtol=1e-3, atol=1e-9)
 
 
@@ -237,7 +286,9 @@ def test_covariance_equals_that_of_scattered_measurements() -> None:
     n = 40_000
     rng = np.random.default_rng(11)
     sonar = SonarConfig(lever_arm_m=(1.5, 0.3, 0.5), heading_offset_deg=1.0, pitch_offset_deg=-1.0)
-    config = NavigationConfig(position_sigma_m=0.4, heading_sigma_deg=1.2, pitch_sigma_deg=0.8, sound_speed_sigma_mps=6.0)
+    config = NavigationConfig(
+        position_sigma_m=0.4, heading_sigma_deg=1.2, pitch_sigma_deg=0.8, sound_speed_sigma_mps=6.0
+    )
     truth = {"heading_rad": 2.2, "pitch_rad": 0.08, "roll_rad": 0.1, "speed_mps": 1.5}
     echo = one_echo("port", 45.0, 9.0, **truth)
     predicted = position_covariance(echo, sonar, config, np.array([0.3]))[0]
@@ -252,7 +303,9 @@ def test_covariance_equals_that_of_scattered_measurements() -> None:
         first_return_m=9.0 + rng.normal(0.0, 0.3, n),
         sound_speed_mps=np.full(n, 1500.0),
     )
-    frame = LocalFrame(latitude_deg=HOME["latitude_deg"], longitude_deg=HOME["longitude_deg"], height_m=-HOME["depth_m"])
+    frame = LocalFrame(
+        latitude_deg=HOME["latitude_deg"], longitude_deg=HOME["longitude_deg"], height_m=-HOME["depth_m"]
+    )
     east_north = frame.to_enu(*locate(scattered, sonar))[:, :2] + rng.normal(0.0, 0.4, (n, 2))
     np.testing.assert_allclose(predicted, np.cov(east_north.T), rtol=0.03, atol=0.01)
 
@@ -260,7 +313,9 @@ def test_covariance_equals_that_of_scattered_measurements() -> None:
 def test_covariance_turns_with_the_heading_and_mirrors_with_the_side() -> None:
     config = NavigationConfig()
     north = position_covariance(one_echo("starboard", 50.0, 6.0), SonarConfig(), config, np.array([0.2]))[0]
-    turned = position_covariance(one_echo("starboard", 50.0, 6.0, heading_rad=0.7), SonarConfig(), config, np.array([0.2]))[0]
+    turned = position_covariance(
+        one_echo("starboard", 50.0, 6.0, heading_rad=0.7), SonarConfig(), config, np.array([0.2])
+    )[0]
     mirrored = position_covariance(one_echo("port", 50.0, 6.0), SonarConfig(), config, np.array([0.2]))[0]
     turn = np.array([[math.cos(0.7), math.sin(0.7)], [-math.sin(0.7), math.cos(0.7)]])
     np.testing.assert_allclose(turned, turn @ north @ turn.T, atol=1e-9)
@@ -270,7 +325,9 @@ def test_covariance_turns_with_the_heading_and_mirrors_with_the_side() -> None:
 @pytest.mark.parametrize("slant_range", [5.0, 5.0 + 1e-9, 5.01, 5.5])
 def test_covariance_stays_finite_and_positive_towards_nadir(slant_range: float) -> None:
     with np.errstate(all="raise", under="ignore"):
-        covariance = position_covariance(one_echo("port", slant_range, 5.0), SonarConfig(), NavigationConfig(), np.array([0.1]))[0]
+        covariance = position_covariance(
+            one_echo("port", slant_range, 5.0), SonarConfig(), NavigationConfig(), np.array([0.1])
+        )[0]
     assert np.isfinite(covariance).all()
     assert np.linalg.eigvalsh(covariance).min() >= 1.0 - 1e-12
     assert np.linalg.eigvalsh(covariance).max() < 5.0

@@ -32,10 +32,20 @@ def at(buffer: NavBuffer, *seconds: float) -> PoseTrack:
     return buffer.interpolate(START_S + np.array(seconds))
 
 
-def here(seconds: float, east: float = 0.0, north: float = 0.0, frame: LocalFrame = FRAME, **values: float) -> NavSample:
+def here(
+    seconds: float, east: float = 0.0, north: float = 0.0, frame: LocalFrame = FRAME, **values: float
+) -> NavSample:
     """A full sample `seconds` after the start at a local position."""
     latitude, longitude, _ = frame.to_geodetic(np.array([east, north, 0.0]))
-    known = {"heading_rad": 0.0, "pitch_rad": 0.0, "roll_rad": 0.0, "depth_m": 5.0, "altitude_m": 6.0, "speed_mps": 1.0, **values}
+    known = {
+        "heading_rad": 0.0,
+        "pitch_rad": 0.0,
+        "roll_rad": 0.0,
+        "depth_m": 5.0,
+        "altitude_m": 6.0,
+        "speed_mps": 1.0,
+        **values,
+    }
     return NavSample(time_s=START_S + seconds, latitude_deg=float(latitude), longitude_deg=float(longitude), **known)
 
 
@@ -73,17 +83,23 @@ def slow_value(times: list[float], values: list[float], t: float, config: Naviga
 
 @settings(max_examples=150, deadline=None)
 @given(
-    steps=st.lists(st.tuples(st.integers(1, 60), st.booleans(), st.booleans(), st.floats(-0.4, 0.4)), min_size=1, max_size=25),
+    steps=st.lists(
+        st.tuples(st.integers(1, 60), st.booleans(), st.booleans(), st.floats(-0.4, 0.4)), min_size=1, max_size=25
+    ),
     queries=st.lists(st.integers(-100, 800), min_size=1, max_size=20),
     config=st.sampled_from([NavigationConfig(), NavigationConfig(max_extrapolation_s=1.5, max_gap_s=0.25)]),
 )
-def test_interpolation_equals_a_slow_one(steps: list[tuple[int, bool, bool, float]], queries: list[int], config: NavigationConfig) -> None:
+def test_interpolation_equals_a_slow_one(
+    steps: list[tuple[int, bool, bool, float]], queries: list[int], config: NavigationConfig
+) -> None:
     """Times in sixteenths of a second, exact in binary, so that limits are met exactly too."""
     samples, fixes, headings, second, heading = [], [], [], 0.0, 3.0
     for step, has_fix, has_heading, turn in steps:
         second += step / 16
         heading += turn
-        sample = here(second, east=2.0 * second, north=math.sin(second), heading_rad=math.remainder(heading, 2 * math.pi))
+        sample = here(
+            second, east=2.0 * second, north=math.sin(second), heading_rad=math.remainder(heading, 2 * math.pi)
+        )
         missing = (() if has_fix else ("latitude_deg", "longitude_deg")) + (() if has_heading else ("heading_rad",))
         samples.append(without(sample, *missing))
         if has_fix:
@@ -105,7 +121,9 @@ def test_interpolation_equals_a_slow_one(steps: list[tuple[int, bool, bool, floa
 
 
 def test_every_quantity_is_linear_between_samples() -> None:
-    second = here(1.0, east=4.0, pitch_rad=0.1, roll_rad=-0.2, depth_m=20.0, altitude_m=4.0, speed_mps=2.0, heading_rad=0.5)
+    second = here(
+        1.0, east=4.0, pitch_rad=0.1, roll_rad=-0.2, depth_m=20.0, altitude_m=4.0, speed_mps=2.0, heading_rad=0.5
+    )
     track = at(filled([here(0.0), second]), 0.0, 0.25, 1.0)
     np.testing.assert_allclose(track.pitch_rad, [0.0, 0.025, 0.1])
     np.testing.assert_allclose(track.roll_rad, [0.0, -0.05, -0.2])
@@ -125,11 +143,14 @@ def test_heading_goes_through_north_without_a_jump(turn_deg: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "frame", [FRAME, LocalFrame(latitude_deg=-17.0, longitude_deg=179.9999), LocalFrame(latitude_deg=90.0, longitude_deg=0.0)]
+    "frame",
+    [FRAME, LocalFrame(latitude_deg=-17.0, longitude_deg=179.9999), LocalFrame(latitude_deg=90.0, longitude_deg=0.0)],
 )
 def test_a_straight_run_stays_straight_anywhere(frame: LocalFrame) -> None:
     """Over the antimeridian and over the pole itself, fixes a second apart."""
-    track = filled([here(i, east=2.0 * i - 40.0, north=1.0, frame=frame) for i in range(41)]).interpolate(START_S + np.linspace(0, 40, 401))
+    track = filled([here(i, east=2.0 * i - 40.0, north=1.0, frame=frame) for i in range(41)]).interpolate(
+        START_S + np.linspace(0, 40, 401)
+    )
     expected = np.stack((2.0 * np.linspace(0, 40, 401) - 40.0, np.ones(401)), axis=-1)
     np.testing.assert_allclose(east_north(track, frame), expected, rtol=0, atol=1e-6)
     assert track.longitude_deg.min() >= -180.0
@@ -212,7 +233,9 @@ def test_missing_heading_and_speed_come_from_the_fixes(heading_deg: float, frame
     sine, cosine = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
     samples = []
     for i in range(300):
-        fix = without(here(0.1 * i, east=0.15 * i * sine, north=0.15 * i * cosine, frame=frame), "heading_rad", "speed_mps")
+        fix = without(
+            here(0.1 * i, east=0.15 * i * sine, north=0.15 * i * cosine, frame=frame), "heading_rad", "speed_mps"
+        )
         rounded = {name: round(getattr(fix, name), 6) for name in ("latitude_deg", "longitude_deg")}
         samples.append(msgspec.structs.replace(fix, **rounded))
     buffer = filled(samples)
@@ -231,7 +254,10 @@ def test_missing_heading_and_speed_come_from_the_fixes(heading_deg: float, frame
 def test_course_follows_a_circle_without_lag_and_without_jumps() -> None:
     radius, speed = 20.0, 1.5
     angle = speed / radius * 0.2 * np.arange(700)  # more than one turn
-    samples = [without(here(0.2 * i, east=radius * math.sin(a), north=radius * math.cos(a)), "heading_rad") for i, a in enumerate(angle)]
+    samples = [
+        without(here(0.2 * i, east=radius * math.sin(a), north=radius * math.cos(a)), "heading_rad")
+        for i, a in enumerate(angle)
+    ]
     track = filled(samples).interpolate(START_S + np.linspace(5.0, 130.0, 500))
     expected = math.pi / 2 + speed / radius * np.linspace(5.0, 130.0, 500)
     np.testing.assert_allclose(track.heading_rad - track.heading_rad[0], expected - expected[0], atol=math.radians(1.0))
@@ -251,7 +277,9 @@ def test_a_compass_that_fails_is_replaced_by_the_course_and_counted() -> None:
     samples += [without(here(20.0 + 0.2 * i, east=30.0 + 0.3 * i), "heading_rad") for i in range(100)]
     buffer = filled(samples)
     track = at(buffer, 10.0, 19.9, 30.0)
-    np.testing.assert_allclose(np.rad2deg(track.heading_rad), [95.0, 95.0, 90.0], atol=1e-3)  # meridians converge a little
+    np.testing.assert_allclose(
+        np.rad2deg(track.heading_rad), [95.0, 95.0, 90.0], atol=1e-3
+    )  # meridians converge a little
     assert not track.stale.any()
     assert buffer.counters["navigation.heading_from_course"] == 1
 
@@ -262,7 +290,10 @@ def test_heading_stays_continuous_when_the_compass_fails_for_some_turns_and_come
     for i in range(2000):
         angle = speed / radius * 0.2 * i
         sample = here(
-            0.2 * i, east=radius * math.sin(angle), north=radius * math.cos(angle), heading_rad=(angle + math.pi / 2) % (2 * math.pi)
+            0.2 * i,
+            east=radius * math.sin(angle),
+            north=radius * math.cos(angle),
+            heading_rad=(angle + math.pi / 2) % (2 * math.pi),
         )
         samples.append(without(sample, "heading_rad") if 1000 <= i < 1700 else sample)
     track = filled(samples).interpolate(START_S + np.linspace(0.0, 390.0, 2000))
@@ -405,7 +436,9 @@ def test_a_jump_is_refused_until_fixes_agree_long_enough() -> None:
     assert not track.stale.any()
     assert buffer.n_steps_before(track.time_s).tolist() == [0, 0, 1, 1, 1]
     assert track.position_sigma_m[0] == 0.0
-    assert track.position_sigma_m[-1] == pytest.approx(1000.0, abs=10.0), "which of the two places is right is not known yet"
+    assert track.position_sigma_m[-1] == pytest.approx(1000.0, abs=10.0), (
+        "which of the two places is right is not known yet"
+    )
     for sample in steady(40, first=30, east=1000.0):
         buffer.add(sample)
     assert at(buffer, 34.0).position_sigma_m[0] == 0.0
@@ -447,7 +480,10 @@ def test_after_a_wrong_first_fix_and_two_places_in_turn_the_position_is_disputed
     assert len(set(np.round(east_north(track)[:, 1]).tolist()) & {0.0, 1100.0}) == 1, "at one of the places throughout"
     assert track.stale.all()
     assert (track.position_sigma_m > 1000.0).all()
-    assert [notice.code for notice in buffer.take_notices()] == ["navigation.position_disputed", "navigation.positions_rejected"]
+    assert [notice.code for notice in buffer.take_notices()] == [
+        "navigation.position_disputed",
+        "navigation.positions_rejected",
+    ]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -486,7 +522,9 @@ def test_sparse_fixes_are_followed_to_another_place_too() -> None:
 
 def test_a_jump_within_the_bridging_time_is_never_interpolated() -> None:
     samples = steady(20, period_s=0.3) + steady(20, first=20, period_s=0.3, east=500.0)
-    east = east_north(filled(samples).interpolate(START_S + np.linspace(0.0, 11.0, 300)))[:, 0] - np.linspace(0.0, 11.0, 300)
+    east = east_north(filled(samples).interpolate(START_S + np.linspace(0.0, 11.0, 300)))[:, 0] - np.linspace(
+        0.0, 11.0, 300
+    )
     assert ((np.abs(east) < 0.3) | (np.abs(east - 500.0) < 0.3)).all()
 
 
@@ -526,14 +564,18 @@ def a_stream(steps: list[tuple[int, set[str], float, float]], always_missing: se
         second += step / 16
         east += step / 16 * 1.2 + displacement
         gone = missing | always_missing
-        names = [name for name in gone if name != "position"] + (["latitude_deg", "longitude_deg"] if "position" in gone else [])
+        names = [name for name in gone if name != "position"] + (
+            ["latitude_deg", "longitude_deg"] if "position" in gone else []
+        )
         samples.append(without(here(second, east=east, heading_rad=heading, depth_m=5.0 + heading), *names))
     return samples
 
 
 @settings(max_examples=200, deadline=None)
 @given(
-    streams, st.sets(quantity, max_size=2), st.sampled_from([NavigationConfig(), NavigationConfig(max_extrapolation_s=3.0, max_gap_s=0.5)])
+    streams,
+    st.sets(quantity, max_size=2),
+    st.sampled_from([NavigationConfig(), NavigationConfig(max_extrapolation_s=3.0, max_gap_s=0.5)]),
 )
 def test_what_is_ready_never_changes(
     steps: list[tuple[int, set[str], float, float]], always_missing: set[str], config: NavigationConfig
@@ -590,7 +632,9 @@ def test_poses_do_not_depend_on_the_size_of_the_pieces(
     (one, one_buffer), (other, other_buffer) = run(piece), run(other_piece)
     for name in POSE_FIELDS:
         np.testing.assert_array_equal(
-            np.concatenate([getattr(track, name) for track in one]), np.concatenate([getattr(track, name) for track in other]), err_msg=name
+            np.concatenate([getattr(track, name) for track in one]),
+            np.concatenate([getattr(track, name) for track in other]),
+            err_msg=name,
         )
     assert one_buffer.counters == other_buffer.counters
 
@@ -619,7 +663,9 @@ def test_memory_does_not_grow_with_the_mission() -> None:
         for lap in range(4):
             for i in range(2000):
                 second = 200.0 * lap + 0.1 * i
-                buffer.add(only(second, latitude_deg=10.0 + 1e-6 * second, longitude_deg=5.0, heading_rad=0.1, depth_m=3.0))
+                buffer.add(
+                    only(second, latitude_deg=10.0 + 1e-6 * second, longitude_deg=5.0, heading_rad=0.1, depth_m=3.0)
+                )
                 buffer.forget_before(START_S + second - 3.0)
             peaks.append(tracemalloc.get_traced_memory()[0])
     finally:
@@ -650,8 +696,12 @@ def test_positions_between_rows_lie_on_the_line_anywhere(latitude: float, longit
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     enu = np.array([[-3.0, 1.0, 0.0], [3.0, 1.0, 0.0], [5.0, 7.0, 0.0]])
     lat, lon, _ = frame.to_geodetic(enu)
-    blended = interpolate_track(a_track(latitude_deg=list(lat), longitude_deg=list(lon)), np.array([0.0, 0.5, 0.75, 1.5]))
-    np.testing.assert_allclose(east_north(blended, frame), np.array([[-3.0, 1.0], [0.0, 1.0], [1.5, 1.0], [4.0, 4.0]]), rtol=0, atol=1e-6)
+    blended = interpolate_track(
+        a_track(latitude_deg=list(lat), longitude_deg=list(lon)), np.array([0.0, 0.5, 0.75, 1.5])
+    )
+    np.testing.assert_allclose(
+        east_north(blended, frame), np.array([[-3.0, 1.0], [0.0, 1.0], [1.5, 1.0], [4.0, 4.0]]), rtol=0, atol=1e-6
+    )
     assert (blended.longitude_deg < 180.0).all()
 
 
@@ -666,7 +716,13 @@ def test_an_unknown_row_does_not_spoil_its_neighbour() -> None:
 def test_a_blend_with_a_stale_row_is_stale() -> None:
     track = a_track(time_s=[0.0, 1.0, 2.0])
     track.stale[1] = True
-    assert interpolate_track(track, np.array([0.0, 0.1, 1.0, 1.9, 2.0])).stale.tolist() == [False, True, True, True, False]
+    assert interpolate_track(track, np.array([0.0, 0.1, 1.0, 1.9, 2.0])).stale.tolist() == [
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
 
 
 @pytest.mark.parametrize("rows", [[NAN], [math.inf]])
@@ -682,9 +738,12 @@ def test_bad_numbers_raise_no_floating_point_flag() -> None:
     buffer = NavBuffer(NavigationConfig())
     with np.errstate(all="raise", under="ignore"):
         for i in range(300):
-            values = dict.fromkeys(("latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "depth_m", "speed_mps"), 0.5)
+            values = dict.fromkeys(
+                ("latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "depth_m", "speed_mps"), 0.5
+            )
             values = {
-                name: value if rng.random() > 0.2 else float(rng.choice([NAN, math.inf, 0.0, 1e308])) for name, value in values.items()
+                name: value if rng.random() > 0.2 else float(rng.choice([NAN, math.inf, 0.0, 1e308]))
+                for name, value in values.items()
             }
             buffer.add(only(0.1 * i, **values))
         track = buffer.interpolate(START_S + np.array([-math.inf, -5.0, 0.0, 3.0, 29.0, 99.0, math.inf, NAN]))

@@ -17,7 +17,15 @@ from tests.auv_mcm.classify import drawn_looks
 
 CELL_M = 4.0
 ORIGIN = (43.0, 5.0)
-LIMITS = Limits(turn_radius_m=10.0, budget_m=8000.0, fence=None, altitude_m=5.0, min_altitude_m=2.0, swath=(6.0, 50.0), settling_m=10.0)
+LIMITS = Limits(
+    turn_radius_m=10.0,
+    budget_m=8000.0,
+    fence=None,
+    altitude_m=5.0,
+    min_altitude_m=2.0,
+    swath=(6.0, 50.0),
+    settling_m=10.0,
+)
 
 
 class Sonar(NamedTuple):
@@ -61,7 +69,12 @@ def world(
 
 
 def contact(
-    number: int, east_m: float, north_m: float, look_deg: float = 90.0, p_mine: float = 0.5, origin_deg: tuple[float, float] = ORIGIN
+    number: int,
+    east_m: float,
+    north_m: float,
+    look_deg: float = 90.0,
+    p_mine: float = 0.5,
+    origin_deg: tuple[float, float] = ORIGIN,
 ) -> Contact:
     frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
     latitude, longitude, _ = frame.to_geodetic([east_m, north_m, 0.0])

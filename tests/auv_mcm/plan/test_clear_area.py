@@ -1,4 +1,5 @@
-"""Clearing an area: legs until the required clearance is reached, or reported not reachable; never outside fence and budget."""
+"""Clearing an area: legs until the required clearance is reached, or reported not reachable; never outside fence and
+budget."""
 
 from __future__ import annotations
 
@@ -98,7 +99,9 @@ class Mission:
         return [notice.code for notice in self.look_again.take_notices()]
 
     def ping(self) -> None:
-        trace = EchoTrace(samples=np.zeros(100, dtype=np.uint8), first_range_m=0.0, spacing_m=math.hypot(SIGHT_M, 5.0) / 100.0)
+        trace = EchoTrace(
+            samples=np.zeros(100, dtype=np.uint8), first_range_m=0.0, spacing_m=math.hypot(SIGHT_M, 5.0) / 100.0
+        )
         self.planner.see(Ping(number=1, time_s=self.now_s, port=trace, starboard=trace))
 
     def plan(self) -> bool:
@@ -115,7 +118,9 @@ class Mission:
 
     def propose(self, request: PlanRequest) -> Proposal:
         left = iter(range(STEPS))
-        return self.planner.propose(self.searched.snapshot(), self.contacts, request, lambda: next(left, None) is not None)
+        return self.planner.propose(
+            self.searched.snapshot(), self.contacts, request, lambda: next(left, None) is not None
+        )
 
     def run(self, max_s: float = 20_000.0) -> str:
         """Until there is a verdict and nothing more to fly. Returns it."""
@@ -159,7 +164,9 @@ class Mission:
             patch = drawn_patch(side, began_s, self.now_s + 10.0, cells)  # type: ignore[arg-type]  # a side by its name
             self.coming.append((self.now_s + self.shown_after_s, patch))
 
-    def _cells(self, entry: NDArray[np.float64], leave: NDArray[np.float64], course: float, sense: float) -> SurveyedCells | None:
+    def _cells(
+        self, entry: NDArray[np.float64], leave: NDArray[np.float64], course: float, sense: float
+    ) -> SurveyedCells | None:
         """Cell by cell, those that lie abeam."""
         seen = []
         for east in range(-40, 60):
@@ -196,7 +203,9 @@ class Mission:
 
 
 def drawn_patch(side: Side, start_s: float, stop_s: float, cells: SurveyedCells | None) -> CoveragePatch:
-    return CoveragePatch(side=side, tile_index=0, start_s=start_s, stop_s=stop_s, rings_deg=(), covered_m2=0.0, lost_m2={}, cells=cells)
+    return CoveragePatch(
+        side=side, tile_index=0, start_s=start_s, stop_s=stop_s, rings_deg=(), covered_m2=0.0, lost_m2={}, cells=cells
+    )
 
 
 def assert_inside(mission: Mission, proposal: Proposal) -> None:
@@ -256,7 +265,14 @@ def test_across_the_antimeridian_it_is_the_same_survey() -> None:
 
 def test_an_area_that_no_leg_inside_the_fence_sees_cannot_be_cleared() -> None:
     far = tuple((east + 120.0, north + 160.0) for east, north in AREA)
-    corner = ((-70.0, -70.0), (-70.0, 260.0), (-40.0, 260.0), (-40.0, -40.0), (260.0, -40.0), (260.0, -70.0))  # an L around it
+    corner = (
+        (-70.0, -70.0),
+        (-70.0, 260.0),
+        (-40.0, 260.0),
+        (-40.0, -40.0),
+        (260.0, -40.0),
+        (260.0, -70.0),
+    )  # an L around it
     mission = Mission(area=far, fence=corner)
     mission.place_m = (-55.0, 0.0)
     assert "inside the fence" in mission.run() or "fits into the fence" in mission.look_again.area.verdict  # type: ignore[union-attr]  # there is an area

@@ -14,7 +14,9 @@ from auv_mcm.plan.dubins import Array, DubinsPath, PlanePose, Turn, dubins_lengt
 SIGN = {"left": -1.0, "straight": 0.0, "right": 1.0}
 ANGLE = st.floats(-10.0, 10.0)
 PLACE = st.floats(-500.0, 500.0)
-NEAR = st.integers(-4000, 4000).map(lambda thousandth: thousandth / 1000.0)  # the search is no judge of displacements near rounding
+NEAR = st.integers(-4000, 4000).map(
+    lambda thousandth: thousandth / 1000.0
+)  # the search is no judge of displacements near rounding
 COARSE_ANGLE = st.integers(-3142, 3142).map(lambda thousandth: thousandth / 1000.0)
 RIGHT_ANGLES = st.integers(-4, 4).map(lambda quarter: quarter * math.pi / 2.0)
 
@@ -27,7 +29,9 @@ def drive(pose: PlanePose, turn: Turn, length_m: float, radius_m: float) -> Plan
         return PlanePose(east + length_m * math.sin(heading), north + length_m * math.cos(heading), heading)
     centre = (east + sign * radius_m * math.cos(heading), north - sign * radius_m * math.sin(heading))
     turned = heading + sign * length_m / radius_m
-    return PlanePose(centre[0] - sign * radius_m * math.cos(turned), centre[1] + sign * radius_m * math.sin(turned), turned)
+    return PlanePose(
+        centre[0] - sign * radius_m * math.cos(turned), centre[1] + sign * radius_m * math.sin(turned), turned
+    )
 
 
 def arrive(path: DubinsPath) -> PlanePose:
@@ -58,7 +62,9 @@ def test_the_end_pose_is_met(
 
 
 @given(st.integers(-6, 6), st.integers(-6, 6), RIGHT_ANGLES, RIGHT_ANGLES)
-def test_touching_circles_and_tangent_straights_are_met_too(east: int, north: int, heading0: float, heading1: float) -> None:
+def test_touching_circles_and_tangent_straights_are_met_too(
+    east: int, north: int, heading0: float, heading1: float
+) -> None:
     """Whole multiples of the radius and right angles are where circles touch and angles are a hair from zero."""
     start, end = PlanePose(0.0, 0.0, heading0), PlanePose(10.0 * east, 10.0 * north, heading1)
     path = dubins_path(start, end, 10.0)
@@ -78,19 +84,31 @@ def test_nothing_found_by_search_is_shorter(east: float, north: float, heading0:
 def brute_force(start: PlanePose, end: PlanePose, radius: float) -> float:
     """Shortest of all two-arc-and-straight and three-arc paths by scanning the first arc and finding sign changes.
 
-    For each first arc of either turn the second and third part are over-determined by one equation, whose roots along the first arc are
-    bracketed on a grid and refined by bisection. No tangent formula is used here, nor which arcs are long.
+    For each first arc of either turn the second and third part are over-determined by one equation, whose roots along
+    the first arc are bracketed on a grid and refined by bisection. No tangent formula is used here, nor which arcs are
+    long.
     """
     best = math.inf
     for first in (-1.0, 1.0):
         for last in (-1.0, 1.0):
-            centre = (end.east_m + last * radius * math.cos(end.heading_rad), end.north_m - last * radius * math.sin(end.heading_rad))
+            centre = (
+                end.east_m + last * radius * math.cos(end.heading_rad),
+                end.north_m - last * radius * math.sin(end.heading_rad),
+            )
             for middle in {0.0, -first} if first == last else {0.0}:
                 best = min(best, scan(start, end, radius, first, middle, last, centre))
     return best
 
 
-def scan(start: PlanePose, end: PlanePose, radius: float, first: float, middle: float, last: float, centre: tuple[float, float]) -> float:
+def scan(
+    start: PlanePose,
+    end: PlanePose,
+    radius: float,
+    first: float,
+    middle: float,
+    last: float,
+    centre: tuple[float, float],
+) -> float:
     def leave(angle: Array) -> tuple[Array, Array, Array]:
         heading = start.heading_rad + first * angle
         east = start.east_m + first * radius * (math.cos(start.heading_rad) - np.cos(heading))
@@ -100,10 +118,18 @@ def scan(start: PlanePose, end: PlanePose, radius: float, first: float, middle: 
     def mismatch(angle: Array) -> Array:
         east, north, heading = leave(angle)
         if middle:  # the middle circle must touch the last one from outside
-            middle_east, middle_north = east + middle * radius * np.cos(heading), north - middle * radius * np.sin(heading)
-            return np.asarray(np.hypot(middle_east - centre[0], middle_north - centre[1]) - 2.0 * radius, dtype=np.float64)
+            middle_east, middle_north = (
+                east + middle * radius * np.cos(heading),
+                north - middle * radius * np.sin(heading),
+            )
+            return np.asarray(
+                np.hypot(middle_east - centre[0], middle_north - centre[1]) - 2.0 * radius, dtype=np.float64
+            )
         # the straight must pass the last centre at one radius, on the turn's side
-        return np.asarray((centre[0] - east) * np.cos(heading) - (centre[1] - north) * np.sin(heading) - last * radius, dtype=np.float64)
+        return np.asarray(
+            (centre[0] - east) * np.cos(heading) - (centre[1] - north) * np.sin(heading) - last * radius,
+            dtype=np.float64,
+        )
 
     grid = np.linspace(0.0, 2.0 * np.pi, 2881)
     value = mismatch(grid)
@@ -120,7 +146,10 @@ def scan(start: PlanePose, end: PlanePose, radius: float, first: float, middle: 
     for angle in [*low.tolist(), *touching.tolist()]:
         east, north, heading = (float(part) for part in leave(np.array(angle)))
         if middle:
-            middle_east, middle_north = east + middle * radius * math.cos(heading), north - middle * radius * math.sin(heading)
+            middle_east, middle_north = (
+                east + middle * radius * math.cos(heading),
+                north - middle * radius * math.sin(heading),
+            )
             contact = (middle_east + centre[0]) / 2.0, (middle_north + centre[1]) / 2.0
             # at the touching point the heading is square to the line from the middle centre
             outward = math.atan2(contact[0] - middle_east, contact[1] - middle_north)
@@ -141,7 +170,10 @@ def smallest_turn(angle: float) -> float:
     return 0.0 if turned > 2.0 * math.pi - 1e-7 else turned
 
 
-@given(st.lists(st.tuples(st.sampled_from(["left", "straight", "right"]), st.floats(0.0, 5.0)), min_size=1, max_size=5), ANGLE)
+@given(
+    st.lists(st.tuples(st.sampled_from(["left", "straight", "right"]), st.floats(0.0, 5.0)), min_size=1, max_size=5),
+    ANGLE,
+)
 def test_no_drivable_path_is_shorter(moves: list[tuple[Turn, float]], heading: float) -> None:
     start = pose = PlanePose(3.0, -2.0, heading)
     for turn, length in moves:
@@ -152,7 +184,9 @@ def test_no_drivable_path_is_shorter(moves: list[tuple[Turn, float]], heading: f
 
 
 @given(PLACE, PLACE, ANGLE, st.floats(0.0, 300.0), st.sampled_from(["left", "straight", "right"]))
-def test_a_path_of_one_part_gets_no_extra_circle(east: float, north: float, heading: float, length: float, turn: Turn) -> None:
+def test_a_path_of_one_part_gets_no_extra_circle(
+    east: float, north: float, heading: float, length: float, turn: Turn
+) -> None:
     radius = 50.0
     length = min(length, 3.0 * radius)  # beyond, the other way round is shorter
     start = PlanePose(east, north, heading)
@@ -161,7 +195,9 @@ def test_a_path_of_one_part_gets_no_extra_circle(east: float, north: float, head
 
 @given(PLACE, PLACE, ANGLE)
 def test_staying_costs_nothing(east: float, north: float, heading: float) -> None:
-    assert dubins_path(PlanePose(east, north, heading), PlanePose(east, north, heading), 10.0).length_m == pytest.approx(0.0, abs=1e-9)
+    assert dubins_path(
+        PlanePose(east, north, heading), PlanePose(east, north, heading), 10.0
+    ).length_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_known_lengths() -> None:
@@ -175,7 +211,9 @@ def test_known_lengths() -> None:
 
 
 @given(PLACE, PLACE, ANGLE, PLACE, PLACE, ANGLE)
-def test_the_way_back_is_as_long(east0: float, north0: float, heading0: float, east1: float, north1: float, heading1: float) -> None:
+def test_the_way_back_is_as_long(
+    east0: float, north0: float, heading0: float, east1: float, north1: float, heading1: float
+) -> None:
     there = dubins_path(PlanePose(east0, north0, heading0), PlanePose(east1, north1, heading1), 20.0)
     back = dubins_path(PlanePose(east1, north1, heading1 + math.pi), PlanePose(east0, north0, heading0 + math.pi), 20.0)
     assert there.length_m == pytest.approx(back.length_m, abs=1e-6)
@@ -197,7 +235,8 @@ def test_samples_stay_on_the_path() -> None:
 
 
 @pytest.mark.parametrize(
-    ("end", "radius"), [(PlanePose(math.nan, 0.0, 0.0), 1.0), (PlanePose(1.0, 0.0, math.inf), 1.0), (PlanePose(1.0, 0.0, 0.0), 0.0)]
+    ("end", "radius"),
+    [(PlanePose(math.nan, 0.0, 0.0), 1.0), (PlanePose(1.0, 0.0, math.inf), 1.0), (PlanePose(1.0, 0.0, 0.0), 0.0)],
 )
 def test_poses_that_are_no_poses_are_refused(end: PlanePose, radius: float) -> None:
     with pytest.raises(ValueError, match="no path from"):

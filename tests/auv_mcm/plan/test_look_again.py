@@ -119,7 +119,8 @@ def test_the_same_contacts_are_no_reason_to_change_a_plan_under_way() -> None:
     assert mission.ask(10.0) is not None
     assert (
         mission.look_again.take(
-            propose(mission.contacts.values(), PlanRequest(*HERE, frozenset()), CONFIG.plan, CONFIG.vehicle), mission.now_s
+            propose(mission.contacts.values(), PlanRequest(*HERE, frozenset()), CONFIG.plan, CONFIG.vehicle),
+            mission.now_s,
         )
         is None
     )
@@ -183,7 +184,9 @@ def test_crossing_a_leg_is_not_flying_it() -> None:
     mission = Mission([contact(1, 40.0, 40.0)])
     mission.be_at(0.0, 0.0)
     ((entry, leaving),) = legs(mission.plan())
-    (east, north), (east_end, north_end) = (FRAME.to_enu(p.latitude_deg, p.longitude_deg, 0.0)[:2].tolist() for p in (entry, leaving))
+    (east, north), (east_end, north_end) = (
+        FRAME.to_enu(p.latitude_deg, p.longitude_deg, 0.0)[:2].tolist() for p in (entry, leaving)
+    )
     for share in np.linspace(-1.0, 1.0, 41):
         mission.be_at(
             0.8 * east + 0.2 * east_end - 30.0 * share * (north_end - north) / 50.0,

@@ -14,7 +14,16 @@ from hypothesis import strategies as st
 from auv_mcm.plan.contact_legs import contact_legs, information_nats
 from auv_mcm.plan.dubins import PlanePose, dubins_lengths
 from auv_mcm.plan.limits import Limits
-from auv_mcm.plan.orienteering import Array, Problem, Turns, ends_of, gain_bound_m2, gains_m2, greedy_legs, route_length_m
+from auv_mcm.plan.orienteering import (
+    Array,
+    Problem,
+    Turns,
+    ends_of,
+    gain_bound_m2,
+    gains_m2,
+    greedy_legs,
+    route_length_m,
+)
 from auv_mcm.plan.search import improved
 from auv_mcm.plan.survey import SurveyState, replan
 from auv_mcm.plan.tour import WAYS, richest_tour, tour_length
@@ -48,7 +57,11 @@ def problem_of(state: SurveyState, limits: Limits, kept: list[int] | None = None
     tracks = survey_tracks(cells, state.performance, limits, [], always)
     at = np.arange(tracks.n_legs) if kept is None else np.array(kept) % tracks.n_legs
     tracks = tracks._replace(
-        run=tracks.run[at], first=tracks.first[at], last=tracks.last[at], line=tracks.line[at], heading=tracks.heading[at]
+        run=tracks.run[at],
+        first=tracks.first[at],
+        last=tracks.last[at],
+        line=tracks.line[at],
+        heading=tracks.heading[at],
     )
     return Problem(tracks, np.zeros(len(at)), np.arange(len(at)), cells, Sonar(), POSE, limits, Turns(POSE, limits))
 
@@ -62,7 +75,9 @@ def best_of_all(problem: Problem) -> Best:
     """Every subset of the legs, in every order, each sailed either way."""
     ways = [ends_of(problem.tracks, way) for way in range(2 * problem.tracks.n_legs)]
     exits = np.array([POSE, *(leave for _, leave in ways)])
-    between = dubins_lengths(exits[:, np.newaxis], np.array([entry for entry, _ in ways])[np.newaxis], problem.turns.radius_m)
+    between = dubins_lengths(
+        exits[:, np.newaxis], np.array([entry for entry, _ in ways])[np.newaxis], problem.turns.radius_m
+    )
     best = Best(0.0, ())
     for n in range(1, problem.tracks.n_legs + 1):
         for order in permutations(range(problem.tracks.n_legs), n):
@@ -70,7 +85,9 @@ def best_of_all(problem: Problem) -> Best:
             legs_m = float(problem.tracks.length_m[list(order)].sum())
             for turned in product((0, 1), repeat=n):
                 route = [2 * leg + way for leg, way in zip(order, turned, strict=True)]
-                turns_m = sum(between[before, after - 1] for before, after in pairwise([0, *(way + 1 for way in route)]))
+                turns_m = sum(
+                    between[before, after - 1] for before, after in pairwise([0, *(way + 1 for way in route)])
+                )
                 if gain > best.gain_m2 and legs_m + turns_m <= problem.limits.budget_m:
                     best = Best(gain, order)
     return best
@@ -78,7 +95,9 @@ def best_of_all(problem: Problem) -> Best:
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(0, 10_000), min_size=1, max_size=4, unique=True), st.floats(100.0, 1500.0))
-def test_no_choice_of_few_legs_gains_more_than_the_bound_or_much_more_than_the_route(numbers: list[int], budget_m: float) -> None:
+def test_no_choice_of_few_legs_gains_more_than_the_bound_or_much_more_than_the_route(
+    numbers: list[int], budget_m: float
+) -> None:
     limits = LIMITS._replace(budget_m=budget_m)
     problem = drawn = problem_of(world(10, 10), limits, numbers)
     n = problem.tracks.n_legs
@@ -116,7 +135,9 @@ def test_the_richest_tour_is_the_best_of_all_subsets_orders_and_ways(n: int, see
         for order in permutations(range(n), size):
             value = float(worth[list(order)].sum())
             if value > best:
-                tours = ([4 * k + way for k, way in zip(order, ways, strict=True)] for ways in product(range(4), repeat=size))
+                tours = (
+                    [4 * k + way for k, way in zip(order, ways, strict=True)] for ways in product(range(4), repeat=size)
+                )
                 best = value if any(tour_length(tour, cost) + runs[tour].sum() <= budget for tour in tours) else best
     tour = richest_tour(cost, runs, worth, budget) if n else []
     assert sum(worth[way // 4] for way in tour) == pytest.approx(best)
@@ -143,7 +164,8 @@ def test_plans_for_nine_contacts_are_within_a_twentieth_of_the_optimum(seed: int
     generator = np.random.default_rng(seed)
     places = generator.uniform(0.0, 300.0, (9, 2)).tolist()
     asking = tuple(
-        contact(k, east, north, generator.uniform(0.0, 360.0), generator.uniform(0.1, 0.9)) for k, (east, north) in enumerate(places)
+        contact(k, east, north, generator.uniform(0.0, 360.0), generator.uniform(0.1, 0.9))
+        for k, (east, north) in enumerate(places)
     )
     state = world(contacts=asking)
     state.clearance.exponent[:] = 3.0

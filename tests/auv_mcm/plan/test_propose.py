@@ -1,4 +1,5 @@
-"""Plans proposed to a vehicle: no way leads out of the fence, whatever the contacts, and what is left out is reported with its reason."""
+"""Plans proposed to a vehicle: no way leads out of the fence, whatever the contacts, and what is left out is reported
+with its reason."""
 
 from __future__ import annotations
 
@@ -33,7 +34,9 @@ def geodetic(east_m: float, north_m: float) -> tuple[float, float]:
 
 
 def fenced(corners_m: tuple[tuple[float, float], ...], margin_m: float = 5.0) -> VehicleConfig:
-    return VehicleConfig(command=True, fence_deg=tuple(geodetic(*corner) for corner in corners_m), fence_margin_m=margin_m)
+    return VehicleConfig(
+        command=True, fence_deg=tuple(geodetic(*corner) for corner in corners_m), fence_margin_m=margin_m
+    )
 
 
 def contact(number: int, east_m: float, north_m: float, look_deg: float = 90.0) -> Contact:
@@ -49,7 +52,9 @@ def contact(number: int, east_m: float, north_m: float, look_deg: float = 90.0) 
 
 
 def places_m(proposal: Proposal) -> NDArray[np.float64]:
-    return np.array([FRAME.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2] for point in proposal.waypoints]).reshape(-1, 2)
+    return np.array(
+        [FRAME.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2] for point in proposal.waypoints]
+    ).reshape(-1, 2)
 
 
 def test_without_a_fence_in_the_way_it_is_the_plan_of_the_mission() -> None:

@@ -1,4 +1,5 @@
-"""Re-inspection plans: legs that view each contact from the direction it requests, sailable turns, short tours, anywhere on the globe."""
+"""Re-inspection plans: legs that view each contact from the direction it requests, sailable turns, short tours,
+anywhere on the globe."""
 
 from __future__ import annotations
 
@@ -34,18 +35,31 @@ def contact(
     aspects: tuple[float, ...] = (0.0,),
 ) -> Contact:
     return drawn_looks.contact(
-        id=name, latitude_deg=latitude, longitude_deg=longitude, p_mine=p_mine, aspects_deg=aspects, next_look_deg=next_look
+        id=name,
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        p_mine=p_mine,
+        aspects_deg=aspects,
+        next_look_deg=next_look,
     )
 
 
-def field(n: int, latitude: float = 55.0, longitude: float = 12.0, seed: int = 1, half_m: float = 300.0) -> list[Contact]:
+def field(
+    n: int, latitude: float = 55.0, longitude: float = 12.0, seed: int = 1, half_m: float = 300.0
+) -> list[Contact]:
     """Contacts strewn over a square around a place, with random directions to look from and p_mine above the limit."""
     generator = np.random.default_rng(seed)
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     enu = np.column_stack([generator.uniform(-half_m, half_m, (n, 2)), np.zeros(n)])
     latitudes, longitudes, _ = frame.to_geodetic(enu)
     return [
-        contact(f"C{i:04d}", float(latitudes[i]), float(longitudes[i]), generator.uniform(0.5, 1.0), (generator.uniform(0.0, 180.0),))
+        contact(
+            f"C{i:04d}",
+            float(latitudes[i]),
+            float(longitudes[i]),
+            generator.uniform(0.5, 1.0),
+            (generator.uniform(0.0, 180.0),),
+        )
         for i in range(n)
     ]
 
@@ -61,7 +75,9 @@ def local(frame: LocalFrame, point: Waypoint) -> NDArray[np.float64]:
     return np.asarray(frame.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2], dtype=np.float64)
 
 
-PLACES = pytest.mark.parametrize(("latitude", "longitude"), [(0.0, 0.0), (55.0, 12.0), (-33.0, 180.0), (-70.0, -179.9999), (89.0, 40.0)])
+PLACES = pytest.mark.parametrize(
+    ("latitude", "longitude"), [(0.0, 0.0), (55.0, 12.0), (-33.0, 180.0), (-70.0, -179.9999), (89.0, 40.0)]
+)
 
 
 @PLACES
@@ -112,7 +128,9 @@ def test_headings_are_true_courses_along_the_path(latitude: float, longitude: fl
             math.radians((here.latitude_deg + there.latitude_deg) / 2.0)
         )
         turned = math.remainder(there.heading_rad - convergence - here.heading_rad, 2.0 * math.pi)
-        assert math.remainder(math.atan2(east, north) - here.heading_rad - turned / 2.0, math.pi) == pytest.approx(0.0, abs=2e-5)
+        assert math.remainder(math.atan2(east, north) - here.heading_rad - turned / 2.0, math.pi) == pytest.approx(
+            0.0, abs=2e-5
+        )
 
 
 def test_turn_points_are_dense_enough_to_follow() -> None:
@@ -150,7 +168,11 @@ def test_only_likely_mines_that_another_look_may_decide_are_visited_the_most_und
 
 
 def test_below_the_even_odds_the_nearest_to_them_come_first_too() -> None:
-    contacts = [contact("likely", 55.0, 12.0, 0.75), contact("unlikely", 55.001, 12.0, 0.375), contact("hardly", 55.002, 12.0, 0.1)]
+    contacts = [
+        contact("likely", 55.0, 12.0, 0.75),
+        contact("unlikely", 55.001, 12.0, 0.375),
+        contact("hardly", 55.002, 12.0, 0.1),
+    ]
     plan = plan_reinspection(contacts, 55.0, 12.0, 0.0, PlanConfig(max_contacts=1, min_p_mine=0.1))
     assert {point.contact_id for point in plan} == {"unlikely"}
 
@@ -193,7 +215,11 @@ def costs(n_contacts: int, seed: int, half: float = 150.0) -> NDArray[np.float64
     entries: list[tuple[float, ...]] = []
     exits: list[tuple[float, ...]] = [(0.0, 0.0, 0.3)]
     for _ in range(n_contacts):
-        east, north, course = generator.uniform(-half, half), generator.uniform(-half, half), generator.uniform(0.0, 2.0 * math.pi)
+        east, north, course = (
+            generator.uniform(-half, half),
+            generator.uniform(-half, half),
+            generator.uniform(0.0, 2.0 * math.pi),
+        )
         along, right = np.array([math.sin(course), math.cos(course)]), np.array([math.cos(course), -math.sin(course)])
         for side in (12.0, -12.0):
             for way in (25.0, -25.0):
@@ -271,7 +297,9 @@ def test_the_planned_tour_is_shorter_than_visiting_by_rank() -> None:
     for plan in single:
         ((entry, leave),) = legs_of(plan)
         start, stop = local(frame, entry), local(frame, leave)
-        naive += dubins_path(pose, PlanePose(start[0], start[1], entry.heading_rad), CONFIG.turn_radius_m).length_m + math.dist(start, stop)
+        naive += dubins_path(
+            pose, PlanePose(start[0], start[1], entry.heading_rad), CONFIG.turn_radius_m
+        ).length_m + math.dist(start, stop)
         pose = PlanePose(stop[0], stop[1], leave.heading_rad)
     assert path_m(together) < 0.7 * naive
 

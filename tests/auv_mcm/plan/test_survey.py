@@ -1,4 +1,5 @@
-"""Missions planned anew: no plan breaks a limit, whatever is requested; a request is met where it can be, else the reason is given."""
+"""Missions planned anew: no plan breaks a limit, whatever is requested; a request is met where it can be, else the
+reason is given."""
 
 from __future__ import annotations
 
@@ -33,7 +34,9 @@ def steps(n: int) -> Callable[[], bool]:
 
 def plane(plan: Plan, origin_deg: tuple[float, float] = ORIGIN) -> NDArray[np.float64]:
     frame = LocalFrame(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
-    return np.array([frame.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2] for point in plan.waypoints]).reshape(-1, 2)
+    return np.array(
+        [frame.to_enu(point.latitude_deg, point.longitude_deg, 0.0)[:2] for point in plan.waypoints]
+    ).reshape(-1, 2)
 
 
 def even_odd(points: NDArray[np.float64], fence: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -62,24 +65,30 @@ def assert_within_limits(plan: Plan, limits: Limits, pose: PlanePose) -> None:
     assert np.hypot(*(places[0] - pose[:2])) < 1e-3
     pieces = np.hypot(*np.diff(places, axis=0).T)
     assert pieces.sum() <= plan.length_m + 1e-3 <= limits.budget_m + 2e-3
-    # A circle that touches two pieces from inside where they meet, as far out as the shorter one allows, is no tighter than the vehicle's.
+    # A circle that touches two pieces from inside where they meet, as far out as the shorter one allows, is no tighter
+    # than the vehicle's.
     course = np.unwrap(np.arctan2(*np.diff(places, axis=0).T))
     for (before_m, after_m), turned in zip(pairwise(pieces), np.abs(np.diff(course)), strict=True):
         if turned > 1e-6:
             assert (
-                turned <= math.radians(15.0) + 1e-6 or 0.5 * min(before_m, after_m) / math.tan(turned / 2.0) >= limits.turn_radius_m - 0.01
+                turned <= math.radians(15.0) + 1e-6
+                or 0.5 * min(before_m, after_m) / math.tan(turned / 2.0) >= limits.turn_radius_m - 0.01
             )
     kinds = [point.kind for point in plan.waypoints]
     entries = [at for at, kind in enumerate(kinds) if kind == "leg_entry"]
     assert [kinds[at + 1] for at in entries] == ["leg_exit"] * len(plan.legs)
     assert all(point.why for point in plan.waypoints)
     if limits.fence is not None:
-        on_the_way = np.concatenate([a + np.linspace(0.0, 1.0, 40)[:, np.newaxis] * (b - a) for a, b in pairwise(places)])
+        on_the_way = np.concatenate(
+            [a + np.linspace(0.0, 1.0, 40)[:, np.newaxis] * (b - a) for a, b in pairwise(places)]
+        )
         assert even_odd(on_the_way, limits.fence).all()
         assert edge_distance(on_the_way, limits.fence).min() >= limits.fence_margin_m - 1e-3
 
 
-def legs_alone_raise(clearance: Clearance, legs: tuple[PlannedLeg, ...], sonar: Sonar, settling_m: float) -> NDArray[np.float64]:
+def legs_alone_raise(
+    clearance: Clearance, legs: tuple[PlannedLeg, ...], sonar: Sonar, settling_m: float
+) -> NDArray[np.float64]:
     """Miss exponents after the legs, one cell and one leg at a time."""
     exponent = clearance.exponent.copy()
     for row in range(exponent.shape[0]):
@@ -88,7 +97,10 @@ def legs_alone_raise(clearance: Clearance, legs: tuple[PlannedLeg, ...], sonar: 
             taken: list[float] = []
             for leg in legs:
                 heading = leg.entry.heading_rad
-                ahead, right = np.array([math.sin(heading), math.cos(heading)]), np.array([math.cos(heading), -math.sin(heading)])
+                ahead, right = (
+                    np.array([math.sin(heading), math.cos(heading)]),
+                    np.array([math.cos(heading), -math.sin(heading)]),
+                )
                 along, beside = float((centre - leg.entry[:2]) @ ahead), float((centre - leg.entry[:2]) @ right)
                 length = math.hypot(leg.exit.east_m - leg.entry.east_m, leg.exit.north_m - leg.entry.north_m)
                 half = CELL_M / 2.0 * (abs(ahead[0]) + abs(ahead[1])) - 1e-3
@@ -99,9 +111,17 @@ def legs_alone_raise(clearance: Clearance, legs: tuple[PlannedLeg, ...], sonar: 
                 look = heading + math.copysign(math.pi / 2.0, beside)
                 one = [
                     np.array([value])
-                    for value in (clearance.seabed[row, column], abs(beside), 5.0, look, clearance.ripple_rad[row, column])
+                    for value in (
+                        clearance.seabed[row, column],
+                        abs(beside),
+                        5.0,
+                        look,
+                        clearance.ripple_rad[row, column],
+                    )
                 ]
-                p = part * min(float(sonar.p_look(one[0], *(value.astype(np.float32) for value in one[1:]))[0]), HIGHEST_P)
+                p = part * min(
+                    float(sonar.p_look(one[0], *(value.astype(np.float32) for value in one[1:]))[0]), HIGHEST_P
+                )
                 if p <= 0.0:
                     continue
                 alike = any(abs(math.remainder(look - other, 2.0 * math.pi)) <= math.radians(15.0) for other in taken)
@@ -147,9 +167,14 @@ def star(radii: list[float], turned: float) -> NDArray[np.float64]:
 
 
 FENCES = st.one_of(
-    st.none(), st.just(SQUARE), st.just(BAY), st.builds(star, st.lists(st.floats(20.0, 250.0), min_size=3, max_size=9), st.floats(0.0, 6.0))
+    st.none(),
+    st.just(SQUARE),
+    st.just(BAY),
+    st.builds(star, st.lists(st.floats(20.0, 250.0), min_size=3, max_size=9), st.floats(0.0, 6.0)),
 )
-CONTACTS = st.lists(st.tuples(st.floats(-30.0, 110.0), st.floats(-30.0, 110.0), st.floats(0.0, 360.0), st.floats(0.0, 1.0)), max_size=6)
+CONTACTS = st.lists(
+    st.tuples(st.floats(-30.0, 110.0), st.floats(-30.0, 110.0), st.floats(0.0, 360.0), st.floats(0.0, 1.0)), max_size=6
+)
 
 
 @settings(max_examples=30, deadline=None)
@@ -177,7 +202,9 @@ def test_no_leg_and_no_turn_ever_breaks_a_limit(
 ) -> None:
     state = world(14, 14, contacts=tuple(contact(number, *reported) for number, reported in enumerate(asking)))
     state.clearance.exponent[np.random.default_rng(7).random((14, 14)) < searched] = 3.0
-    limits = LIMITS._replace(turn_radius_m=radius_m, budget_m=budget_m, fence=fence, fence_margin_m=margin_m, settling_m=settling_m)
+    limits = LIMITS._replace(
+        turn_radius_m=radius_m, budget_m=budget_m, fence=fence, fence_margin_m=margin_m, settling_m=settling_m
+    )
     plan = replan(state, pose, limits, None, steps(patience))
     assert_within_limits(plan, limits, pose)
     assert bool(plan.legs) or plan.verdict.startswith(("cannot, because ", "done: "))
@@ -214,7 +241,9 @@ def test_where_nothing_can_be_planned_it_gives_the_reason(changes: dict[str, Any
         assert reason in plan.verdict
 
 
-@pytest.mark.parametrize("pose", [PlanePose(math.nan, 0.0, 0.0), PlanePose(0.0, math.inf, 0.0), PlanePose(0.0, 0.0, math.nan)])
+@pytest.mark.parametrize(
+    "pose", [PlanePose(math.nan, 0.0, 0.0), PlanePose(0.0, math.inf, 0.0), PlanePose(0.0, 0.0, math.nan)]
+)
 def test_without_a_pose_there_is_no_plan(pose: PlanePose) -> None:
     assert "pose is not known" in replan(world(), pose, LIMITS, None, steps(50)).verdict
 
@@ -249,7 +278,9 @@ def test_a_budget_for_a_part_is_spent_on_it_and_the_share_is_stated() -> None:
 def test_a_cleared_area_is_done_and_an_empty_one_too() -> None:
     state = world()
     state.clearance.exponent[:] = 2.4
-    assert replan(state, POSE, LIMITS, None, steps(5)) == Plan(verdict="done: required clearance of 0.90 reached in all of 6\u2009400 m²")
+    assert replan(state, POSE, LIMITS, None, steps(5)) == Plan(
+        verdict="done: required clearance of 0.90 reached in all of 6\u2009400 m²"
+    )
     nothing = state._replace(area=np.zeros((20, 20), dtype=np.bool_))
     assert "no area to clear" in replan(nothing, POSE, LIMITS, None, steps(5)).verdict
     empty = SurveyState(unsearched(*ORIGIN, CELL_M), np.zeros((0, 0), dtype=np.bool_), 0.9, Sonar(), ())
@@ -267,7 +298,9 @@ def test_an_area_laid_out_otherwise_and_a_certainty_are_refused() -> None:
 
 
 def test_contacts_are_looked_at_towards_where_they_ask_from_the_range_that_is_best() -> None:
-    asking = tuple(contact(number, 20.0 * number, 60.0 - 15.0 * number, look_deg=37.0 * number) for number in range(1, 5))
+    asking = tuple(
+        contact(number, 20.0 * number, 60.0 - 15.0 * number, look_deg=37.0 * number) for number in range(1, 5)
+    )
     state = world(contacts=asking)
     state.clearance.exponent[:] = 3.0
     plan = replan(state, POSE, LIMITS, None, steps(50))

@@ -19,7 +19,9 @@ def speckled(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     return rng.exponential(1.0, shape)
 
 
-def rippled(rng: np.random.Generator, shape: tuple[int, int], wavelength_m: float, direction_rad: float, depth: float = 0.7) -> Array:
+def rippled(
+    rng: np.random.Generator, shape: tuple[int, int], wavelength_m: float, direction_rad: float, depth: float = 0.7
+) -> Array:
     """Speckle on waves that follow one another in a direction: 0 along the track, pi / 2 towards far range."""
     along, across = np.meshgrid(np.arange(shape[0]) * ROW_M, np.arange(shape[1]) * COLUMN_M, indexing="ij")
     phase = 2.0 * np.pi * (along * math.cos(direction_rad) + across * math.sin(direction_rad)) / wavelength_m
@@ -35,7 +37,9 @@ def tile_of(
     heading_deg: float = 0.0,
 ) -> Tile:
     n_rows = intensity.shape[0]
-    nothing: dict[str, Any] = dict.fromkeys(("depth_m", "pitch_rad", "roll_rad", "speed_mps", "longitude_deg"), np.zeros(n_rows))
+    nothing: dict[str, Any] = dict.fromkeys(
+        ("depth_m", "pitch_rad", "roll_rad", "speed_mps", "longitude_deg"), np.zeros(n_rows)
+    )
     pose = PoseTrack(
         time_s=np.arange(n_rows, dtype=np.float64) * 0.07,
         latitude_deg=43.0 + np.arange(n_rows, dtype=np.float64) * ROW_M / 111e3,

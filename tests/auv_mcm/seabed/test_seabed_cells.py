@@ -86,11 +86,18 @@ def test_floors_are_distinguished(model: SeabedModel, name: SeabedType) -> None:
 
 
 @pytest.mark.parametrize(
-    ("side", "heading_deg", "expected_deg"), [("starboard", 0.0, 30.0), ("port", 0.0, 150.0), ("starboard", 100.0, 130.0)]
+    ("side", "heading_deg", "expected_deg"),
+    [("starboard", 0.0, 30.0), ("port", 0.0, 150.0), ("starboard", 100.0, 130.0)],
 )
-def test_ripples_are_described_by_the_compass(model: SeabedModel, side: str, heading_deg: float, expected_deg: float) -> None:
+def test_ripples_are_described_by_the_compass(
+    model: SeabedModel, side: str, heading_deg: float, expected_deg: float
+) -> None:
     rng = np.random.Generator(np.random.PCG64(5))
-    tile = tile_of(rippled(rng, SHAPE, 0.9, math.radians(30.0)), side="port" if side == "port" else "starboard", heading_deg=heading_deg)
+    tile = tile_of(
+        rippled(rng, SHAPE, 0.9, math.radians(30.0)),
+        side="port" if side == "port" else "starboard",
+        heading_deg=heading_deg,
+    )
     cells = seabed_cells(tile, model)
     off = np.angle(np.exp(2j * (cells.ripple_rad[1:-2, 1:-1] - math.radians(expected_deg)))) / 2.0
     assert np.rad2deg(np.abs(off)).max() < 9.0
@@ -99,7 +106,9 @@ def test_ripples_are_described_by_the_compass(model: SeabedModel, side: str, hea
 
 def test_what_is_like_nothing_known_is_unknown(model: SeabedModel) -> None:
     rng = np.random.Generator(np.random.PCG64(6))
-    checkered = np.kron(np.indices((50, 50)).sum(axis=0) % 2 * 1.9 + 0.05, np.ones((8, 10))) * (0.9 + 0.2 * rng.uniform(size=SHAPE))
+    checkered = np.kron(np.indices((50, 50)).sum(axis=0) % 2 * 1.9 + 0.05, np.ones((8, 10))) * (
+        0.9 + 0.2 * rng.uniform(size=SHAPE)
+    )
     cells = seabed_cells(tile_of(checkered), model)
     assert set(cells.kind[1:-2, 1:-1].ravel().tolist()) == {SEABED_TYPES.index("unknown")}
     assert np.isnan(cells.ripple_rad).all()
@@ -168,7 +177,13 @@ def test_layers_are_weighed_one_after_the_other() -> None:
 def test_a_file_that_is_no_model_is_refused_by_what_is_wrong(model: SeabedModel) -> None:
     assert parse_seabed_model(msgspec.json.encode(model), "m.json") == model
     good = msgspec.to_builtins(model)
-    changes: tuple[dict[str, object], ...] = ({"inputs": ["x"]}, {"kinds": []}, {"layers": []}, {"centre": []}, {"more": 1})
+    changes: tuple[dict[str, object], ...] = (
+        {"inputs": ["x"]},
+        {"kinds": []},
+        {"layers": []},
+        {"centre": []},
+        {"more": 1},
+    )
     for change in changes:
         with pytest.raises(BadInputError, match=r"m\.json.*calibrate seabed"):
             parse_seabed_model(msgspec.json.encode({**good, **change}), "m.json")

@@ -25,8 +25,11 @@ N = CELL_BLOCKS * WINDOWS["small"]
 ROWS, COLUMNS = round(BLOCK_M / ROW_M), round(BLOCK_M / COLUMN_M)
 
 
-def window_of(intensity: Array, mask: NDArray[np.uint8], cell: tuple[int, int], core_start: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Mean echoes of the blocks of the small window around a cell, with a margin of four blocks, and which of them are valid."""
+def window_of(
+    intensity: Array, mask: NDArray[np.uint8], cell: tuple[int, int], core_start: int
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Mean echoes of the blocks of the small window around a cell, with a margin of four blocks, and which of them are
+    valid."""
     echo, valid = np.zeros((N + 8, N + 8)), np.zeros((N + 8, N + 8), dtype=np.bool_)
     margin = (N - CELL_BLOCKS) // 2 + 4
     for i in range(N + 8):
@@ -96,13 +99,17 @@ def test_speckle_alone_has_the_spread_of_its_number_of_looks() -> None:
     rng = np.random.Generator(np.random.PCG64(1))
     texture = measure_texture(tile_of(speckled(rng, (400, 500))))
     inner = texture.features[2:-2, 2:-2]
-    # The logarithm of a mean of n single looks has the variance trigamma(n): of 2 x 4 pixels a block, and four blocks together.
+    # The logarithm of a mean of n single looks has the variance trigamma(n): of 2 x 4 pixels a block, and four blocks
+    # together.
     assert np.exp(np.median(inner[..., AT["spread_large"]])) == pytest.approx(0.1331, rel=0.05)
     assert np.exp(np.median(inner[..., AT["spread_medium_large"]])) == pytest.approx(0.0317 + 0.003, rel=0.07)
-    # Pixels by themselves: the contrast in a block of eight is 1 less what its mean takes of it, and neighbours are not alike.
+    # Pixels by themselves: the contrast in a block of eight is 1 less what its mean takes of it, and neighbours are not
+    # alike.
     assert np.median(inner[..., AT["contrast_fine_large"]]) == pytest.approx(7.0 / 9.0, abs=0.05)
     alone = np.median(inner[..., AT["likeness_fine_large"]])
-    smeared = measure_texture(tile_of(speckled(rng, (400, 125)).repeat(4, axis=1))).features[2:-2, 2:-2, AT["likeness_fine_large"]]
+    smeared = measure_texture(tile_of(speckled(rng, (400, 125)).repeat(4, axis=1))).features[
+        2:-2, 2:-2, AT["likeness_fine_large"]
+    ]
     assert alone < 0.2 < 0.4 < np.median(smeared)
 
 
@@ -113,7 +120,10 @@ def test_what_stands_up_is_bright_before_it_is_dark() -> None:
     for row, column in rng.integers(0, (390, 470), (400, 2)):
         intensity[row : row + 4, column : column + 8] *= 6.0
         intensity[row : row + 4, column + 8 : column + 24] *= 0.02
-    seen, mirrored = (measure_texture(tile_of(part)).features[2:-3, 3:-3, AT["rise_far_large"]] for part in (intensity, intensity[:, ::-1]))
+    seen, mirrored = (
+        measure_texture(tile_of(part)).features[2:-3, 3:-3, AT["rise_far_large"]]
+        for part in (intensity, intensity[:, ::-1])
+    )
     assert np.median(seen) < -0.2
     assert np.median(mirrored) > 0.2
 

@@ -85,14 +85,26 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
         ("waterfall: {min_grazing_deg: 50, max_grazing_deg: 20}", "must be below"),
         (
             "vehicle: {command: true}",
-            "command is true without a fence: give fence_deg at least three corners [latitude, longitude] - at `vehicle`",
+            (
+                "command is true without a fence: give fence_deg at least three corners [latitude, longitude] - at "
+                "`vehicle`"
+            ),
         ),
         ("vehicle: {fence_deg: [[43, 5], [43, 6]]}", "at least three corners"),
         ("vehicle: {fence_deg: [[43, 5], [43, 6], [99, 5]]}", "<= 90.0 - at `vehicle.fence_deg[2][0]`"),
         ("vehicle: {altitude_m: 1.0}", "must not be below min_altitude_m"),
-        (f"vehicle: {{command: true, {FENCE}}}\nports: [{GNSS}]", "command is true, but no port has a vehicle's device (imc, bluefin, "),
-        ("plan: {area_deg: [[43, 5], [43, 6]]}", "plan: area_deg needs at least three corners [latitude, longitude] - at `plan`"),
-        ("plan: {area_deg: [[43, 5], [43, 5.001], [43, 5.002]]}", "area_deg encloses no area: give its corners in order"),
+        (
+            f"vehicle: {{command: true, {FENCE}}}\nports: [{GNSS}]",
+            "command is true, but no port has a vehicle's device (imc, bluefin, ",
+        ),
+        (
+            "plan: {area_deg: [[43, 5], [43, 6]]}",
+            "plan: area_deg needs at least three corners [latitude, longitude] - at `plan`",
+        ),
+        (
+            "plan: {area_deg: [[43, 5], [43, 5.001], [43, 5.002]]}",
+            "area_deg encloses no area: give its corners in order",
+        ),
         ("plan: {area_deg: [[43, 5], [44, 5], [44, 6]]}", "corners more than 50 km apart"),
         ("plan: {area_deg: [[43, 5], [43.1, 5], [43.1, 5.1]]}", "more than 1000000: give a larger cell_m"),
         ("plan: {area_deg: [[43, 5], [43.001, 5], [99, 5.001]]}", "<= 90.0 - at `plan.area_deg[2][0]`"),
@@ -102,7 +114,10 @@ GNSS = "{name: gnss, link: 'udp://h:1', device: nmea0183}"
             f"plan: {{area_deg: [[44, 5], [44.001, 5], [44.001, 5.001]]}}\nvehicle: {{command: true, {FENCE}}}",
             "area_deg lies outside vehicle.fence_deg, where no leg can be sailed",
         ),
-        ("ports: [{name: v, link: 'udp://h:1', device: submarine}]", "port 'v': device 'submarine' is unknown (valid: ping_protocol, "),
+        (
+            "ports: [{name: v, link: 'udp://h:1', device: submarine}]",
+            "port 'v': device 'submarine' is unknown (valid: ping_protocol, ",
+        ),
         (
             "ports: [{name: v, link: 'udp://h:1', device: imc}, {name: w, link: 'udp://h:2', device: iver}]",
             "the ports v and w are both a vehicle's",
@@ -166,7 +181,10 @@ def test_any_text_is_a_configuration_or_refused_with_its_place(text: str) -> Non
         ("sonar: {max_rangem: 3}", "at `sonar` (did you mean `max_range_m`?)"),
         ("detect: {max_range_m: 3}", "at `detect` (did you mean `sonar.max_range_m`?)"),
         ("plann: {cell_m: 3}", "(did you mean `plan`?)"),
-        ("ports: [{name: a, link: x, device: imc, imc: {own_plam: true}}]", "at `ports[0].imc` (did you mean `own_plan`?)"),
+        (
+            "ports: [{name: a, link: x, device: imc, imc: {own_plam: true}}]",
+            "at `ports[0].imc` (did you mean `own_plan`?)",
+        ),
         ("service: {zzz: 1}", "(known there: queue_pings, health_period_s, source, record, output_directory)"),
     ],
 )

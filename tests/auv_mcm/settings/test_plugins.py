@@ -39,7 +39,9 @@ def intake_of(device: str, more: str = "") -> PortIntake:
     return PortIntake(config)
 
 
-def test_built_in_devices_and_logs_cost_no_look_at_installed_packages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_built_in_devices_and_logs_cost_no_look_at_installed_packages(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def fail(**_: object) -> None:
         raise AssertionError("the list of packages was read")
 
@@ -57,7 +59,8 @@ def test_a_plug_in_is_imported_only_when_it_is_named(site: Path) -> None:
     config = parse_config(PORT.format(device="noisy", more=""), "f.yaml")
     assert config.ports[0].device == "noisy"
     with pytest.raises(
-        UsageError, match=r"noisy \(auv_mcm.sonar\) of noisy 1.2: noisy:SONAR cannot be imported \(RuntimeError: imported\)"
+        UsageError,
+        match=r"noisy \(auv_mcm.sonar\) of noisy 1.2: noisy:SONAR cannot be imported \(RuntimeError: imported\)",
     ):
         PortIntake(config)
 
@@ -65,7 +68,12 @@ def test_a_plug_in_is_imported_only_when_it_is_named(site: Path) -> None:
 @pytest.mark.parametrize(
     ("group", "source", "more", "message"),
     [
-        (SONAR, "", "", "AttributeError: module 'mine' has no attribute 'IT'). Update or uninstall mine 1.2, or report it"),
+        (
+            SONAR,
+            "",
+            "",
+            "AttributeError: module 'mine' has no attribute 'IT'). Update or uninstall mine 1.2, or report it",
+        ),
         (SONAR, "import nowhere_to_be_found", "", "ModuleNotFoundError: No module named 'nowhere_to_be_found'"),
         (SONAR, "IT = 3", "", "mine:IT is of type int, not drivers.sonar.sonars.SonarDevice"),
         (
@@ -76,13 +84,24 @@ def test_a_plug_in_is_imported_only_when_it_is_named(site: Path) -> None:
         ),
         (
             SONAR,
-            "from drivers.sonar.sonars import SonarDevice\nIT = SonarDevice(lambda sonar: None, lambda settings: ['PING'])",
+            (
+                "from drivers.sonar.sonars import SonarDevice\nIT = SonarDevice(lambda sonar: "
+                "None, lambda settings: ['PING'])"
+            ),
             ", sonar: {range_m: 30}",
-            'ports[0].sonar: mine (auv_mcm.sonar) of mine 1.2: failed with TypeError("memoryview: a bytes-like object is',
+            (
+                'ports[0].sonar: mine (auv_mcm.sonar) of mine 1.2: failed with TypeError("memoryview: a bytes-like '
+                "object is"
+            ),
         ),
         (NAVIGATION, "IT = 3", "", "mine:IT is of type int, and does not make decoders"),
         (NAVIGATION, "def IT(source): raise KeyError(source)", "", "failed with KeyError('one')"),
-        (NAVIGATION, "IT = str", "", "returned a str, which lacks counters, feed, finish, not a drivers.navigation.nav_decoder.NavDecoder"),
+        (
+            NAVIGATION,
+            "IT = str",
+            "",
+            "returned a str, which lacks counters, feed, finish, not a drivers.navigation.nav_decoder.NavDecoder",
+        ),
         (VEHICLE, "IT = {}", "", "mine:IT is of type dict, not drivers.vehicle.vehicles.VehicleKind"),
         (
             VEHICLE,
@@ -92,13 +111,18 @@ def test_a_plug_in_is_imported_only_when_it_is_named(site: Path) -> None:
         ),
         (
             VEHICLE,
-            "import msgspec as m\nfrom drivers.vehicle.vehicles import VehicleKind\nIT = VehicleKind(str, str, m.defstruct('S', []))",
+            (
+                "import msgspec as m\nfrom drivers.vehicle.vehicles import VehicleKind\nIT = VehicleKind(str, str, "
+                "m.defstruct('S', []))"
+            ),
             "",
             "its settings lack forbid_unknown_fields=True",
         ),
     ],
 )
-def test_a_plug_in_that_does_not_work_is_a_configuration_error(site: Path, group: str, source: str, more: str, message: str) -> None:
+def test_a_plug_in_that_does_not_work_is_a_configuration_error(
+    site: Path, group: str, source: str, more: str, message: str
+) -> None:
     write_package(site, "mine", {group: {"mine": "mine:IT"}}, {"mine": source})
     with pytest.raises(UsageError, match=re.escape(message)):
         intake_of("mine", more)
@@ -109,7 +133,10 @@ def test_an_unknown_device_is_refused_with_those_of_other_packages(site: Path) -
     expected = "port 'one': device 'acme_sonra' is unknown (did you mean acme_sonar? valid: ping_protocol, "
     with pytest.raises(UsageError, match=re.escape(expected)) as caught:
         parse_config(PORT.format(device="acme_sonra", more=""), "f.yaml")
-    assert "vehicle_can, acme_sonar, acme_vehicle). Correct it, or install the package that adds it - at `ports[0]`" in str(caught.value)
+    assert (
+        "vehicle_can, acme_sonar, acme_vehicle). Correct it, or install the package that adds it - at `ports[0]`"
+        in str(caught.value)
+    )
     assert "acme_log" not in str(caught.value)
 
 
@@ -117,7 +144,9 @@ def test_an_unknown_device_is_refused_with_those_of_other_packages(site: Path) -
 def test_a_device_that_two_packages_add_is_refused(site: Path, other: str) -> None:
     write_package(site, "mine", {SONAR: {"mine": "mine:IT"}})
     write_package(site, "theirs", {other: {"mine": "theirs:IT"}})
-    with pytest.raises(UsageError, match=r"device 'mine' is added more than once: .*\. Uninstall all but one of these packages") as caught:
+    with pytest.raises(
+        UsageError, match=r"device 'mine' is added more than once: .*\. Uninstall all but one of these packages"
+    ) as caught:
         parse_config(PORT.format(device="mine", more=""), "f.yaml")
     assert "mine (auv_mcm.sonar) of mine 1.2" in str(caught.value)
     assert f"mine ({other}) of theirs 1.2" in str(caught.value)
@@ -142,19 +171,33 @@ def test_a_built_in_name_stays_built_in(site: Path) -> None:
 @pytest.mark.parametrize(
     ("device", "more", "message"),
     [
-        ("acme_vehicle", ", options: {statoin: 2}", "ports[0].options: Object contains unknown field `statoin` (did you mean `station`?)"),
+        (
+            "acme_vehicle",
+            ", options: {statoin: 2}",
+            "ports[0].options: Object contains unknown field `statoin` (did you mean `station`?)",
+        ),
         ("acme_vehicle", ", options: {station: 100}", "ports[0].options: Expected `int` <= 99 - at `station`"),
-        ("acme_sonar", ", options: {station: 1}", "a section 'options' is for a vehicle's dialect that another package adds"),
+        (
+            "acme_sonar",
+            ", options: {station: 1}",
+            "a section 'options' is for a vehicle's dialect that another package adds",
+        ),
         (
             "imc",
             ", options: {own_plan: true}",
             "a section 'options' is for a vehicle's dialect that another package adds, and 'imc' is not",
         ),
         ("acme_vehicle", ", sonar: {range_m: 3}", "a device 'acme_vehicle' is no sonar"),
-        ("acme_sonar", ", sonar: {range_m: 201}", "ports[0].sonar: acme_sonar: a range of 201 m cannot be set. Give 1 to 200 m."),
+        (
+            "acme_sonar",
+            ", sonar: {range_m: 201}",
+            "ports[0].sonar: acme_sonar: a range of 201 m cannot be set. Give 1 to 200 m.",
+        ),
     ],
 )
-def test_settings_that_a_plug_in_does_not_have_are_refused_by_key(site: Path, device: str, more: str, message: str) -> None:
+def test_settings_that_a_plug_in_does_not_have_are_refused_by_key(
+    site: Path, device: str, more: str, message: str
+) -> None:
     install_example(site)
     with pytest.raises(UsageError, match=re.escape(message)):
         read_ports(parse_config(PORT.format(device=device, more=more), "f.yaml"))
@@ -187,7 +230,10 @@ def test_a_reader_that_does_not_work_is_named_where_no_format_is_recognised(site
     write_package(site, "mine", {LOGS: {"mine": "mine:IT"}}, {"mine": "IT = 3"})
     message = unreadable(site)
     assert "is not a readable log: it begins with 0x6e6f206c" in message
-    assert "A plug-in that may know it does not work: mine (auv_mcm.logs) of mine 1.2: mine:IT is of type int, not sim_replay" in message
+    assert (
+        "A plug-in that may know it does not work: mine (auv_mcm.logs) of mine 1.2: mine:IT is of type int, not "
+        "sim_replay" in message
+    )
     assert "Update or uninstall mine 1.2" in message
 
 
@@ -211,11 +257,15 @@ def test_a_log_that_two_packages_read_is_refused(site: Path) -> None:
     for name in ("mine", "theirs"):
         write_package(site, name, {LOGS: {name: f"{name}:IT"}}, {name: READER.format(recognises="True", then="")})
     (site / "file").write_bytes(b"no log at all")
-    with pytest.raises(UsageError, match=r"several packages read this format: mine .* and theirs .*\. Uninstall all but one"):
+    with pytest.raises(
+        UsageError, match=r"several packages read this format: mine .* and theirs .*\. Uninstall all but one"
+    ):
         log_format(site / "file")
 
 
-@pytest.mark.parametrize(("then", "why"), [("raise KeyError(3)", r"KeyError\(3\)"), ("yield 3", "TypeError.*an event is a int")])
+@pytest.mark.parametrize(
+    ("then", "why"), [("raise KeyError(3)", r"KeyError\(3\)"), ("yield 3", "TypeError.*an event is a int")]
+)
 def test_a_reader_that_fails_within_a_log_ends_it_with_a_notice(site: Path, then: str, why: str) -> None:
     write_package(site, "mine", {LOGS: {"mine": "mine:IT"}}, {"mine": READER.format(recognises="True", then=then)})
     (site / "file").write_bytes(b"no log at all")

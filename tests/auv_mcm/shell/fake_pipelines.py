@@ -130,7 +130,9 @@ class Seeing(Base):
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         outline = np.zeros((3, 2))
-        solid = ShapeModel(classification="sphere", sizes={"radius_m": 0.4}, sigma={}, highlight=outline, shadow=outline)
+        solid = ShapeModel(
+            classification="sphere", sizes={"radius_m": 0.4}, sigma={}, highlight=outline, shadow=outline
+        )
         labels = np.zeros((4, 6), np.uint8)
         close = drawn_looks.confirmation(2.0, labels=labels, highlight=outline, shadow=outline, model=solid)
         view = drawn_looks.detection(snippet=np.full((4, 6), 100, np.uint8), score=7.5, confirmation=close)
@@ -146,7 +148,9 @@ class Undecided(Base):
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         events = super().feed(event)
         if isinstance(event, Ping) and event.number == 0:
-            self.undecided = (self.find(msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,))),)
+            self.undecided = (
+                self.find(msgspec.structs.replace(contact(0), p_mine=0.6, aspects_deg=(0.0,), next_look_deg=(90.0,))),
+            )
             return [*self.undecided]
         return events
 
@@ -242,13 +246,29 @@ class Stuck(Base):
 def patch(number: int) -> CoveragePatch:
     ring = np.array([[5.0, 43.0], [5.001, 43.0], [5.001, 43.001], [5.0, 43.0]])
     return CoveragePatch(
-        side="port", tile_index=number, start_s=START_S, stop_s=START_S + 1, rings_deg=(ring,), covered_m2=100.0, lost_m2={"turn": 1.0}
+        side="port",
+        tile_index=number,
+        start_s=START_S,
+        stop_s=START_S + 1,
+        rings_deg=(ring,),
+        covered_m2=100.0,
+        lost_m2={"turn": 1.0},
     )
 
 
 def empty_tile() -> Tile:
     none = np.empty(0)
-    names = ("time_s", "latitude_deg", "longitude_deg", "depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps", "altitude_m")
+    names = (
+        "time_s",
+        "latitude_deg",
+        "longitude_deg",
+        "depth_m",
+        "heading_rad",
+        "pitch_rad",
+        "roll_rad",
+        "speed_mps",
+        "altitude_m",
+    )
     return Tile(
         side="port",
         index=0,
@@ -276,7 +296,9 @@ def digest(event: SourceEvent) -> str:
             parts.append("none")
         else:
             content = hashlib.sha256(np.ascontiguousarray(side.samples).tobytes()).hexdigest()
-            parts.append(repr((side.samples.dtype.str, side.samples.shape, content, side.first_range_m, side.spacing_m)))
+            parts.append(
+                repr((side.samples.dtype.str, side.samples.shape, content, side.first_range_m, side.spacing_m))
+            )
     return " ".join(parts)
 
 
@@ -287,7 +309,10 @@ class Early(Base):
         events = super().feed(event)
         if not isinstance(event, Ping) or event.number not in (0, 3):
             return events
-        first, second = (msgspec.structs.replace(contact(0), id=name, p_mine=0.6, next_look_deg=(90.0,)) for name in ("E00001", "E00002"))
+        first, second = (
+            msgspec.structs.replace(contact(0), id=name, p_mine=0.6, next_look_deg=(90.0,))
+            for name in ("E00001", "E00002")
+        )
         if event.number == 0:
             return [*events, *(EarlyContact(contact=each, state="found") for each in (first, second))]
         became = EarlyContact(contact=first, state="became", became="C0003")

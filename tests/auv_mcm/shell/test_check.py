@@ -69,15 +69,23 @@ def test_every_declared_base_package_is_looked_at() -> None:
 def test_a_base_package_that_is_missing_or_of_a_wrong_version_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metadata, "version", installed({"numpy": "1.26.4"}))
     numpy, mcap, bench = package_findings()
-    assert (numpy.verdict, numpy.detail) == ("FAILED", "version 1.26.4 is not one of <3,>=2.0: python -m pip install auv-mcm")
-    assert (mcap.verdict, mcap.detail) == ("FAILED", "not installed, but needed (<2,>=1.5): python -m pip install auv-mcm")
+    assert (numpy.verdict, numpy.detail) == (
+        "FAILED",
+        "version 1.26.4 is not one of <3,>=2.0: python -m pip install auv-mcm",
+    )
+    assert (mcap.verdict, mcap.detail) == (
+        "FAILED",
+        "not installed, but needed (<2,>=1.5): python -m pip install auv-mcm",
+    )
     assert bench.verdict == "warning"
     assert "no pyxtf, rich" in bench.detail
 
 
 @pytest.mark.usefixtures("declared")
 def test_an_installed_extra_of_a_wrong_version_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metadata, "version", installed({"numpy": "2.1", "mcap": "1.5", "pyxtf": "1.4.2", "rich": "12.0"}))
+    monkeypatch.setattr(
+        metadata, "version", installed({"numpy": "2.1", "mcap": "1.5", "pyxtf": "1.4.2", "rich": "12.0"})
+    )
     verdicts = {finding.name: finding.verdict for finding in package_findings()}
     assert verdicts == {"numpy": "ok", "mcap": "ok", "pyxtf": "ok", "rich": "FAILED"}
 
@@ -88,7 +96,10 @@ def test_a_clock_from_before_the_installation_fails_and_says_how_to_set_it() -> 
     assert "1970-01-02" in found.detail
     assert "date --utc --set" in found.detail
     year_s = 365 * 86_400.0
-    assert clock_finding(max(path.stat().st_mtime for path in PACKAGE.glob("*.py")) - year_s, None, PACKAGE, False).verdict == "FAILED"
+    assert (
+        clock_finding(max(path.stat().st_mtime for path in PACKAGE.glob("*.py")) - year_s, None, PACKAGE, False).verdict
+        == "FAILED"
+    )
 
 
 @pytest.mark.parametrize(
@@ -129,7 +140,9 @@ def test_an_output_directory_below_a_file_or_behind_a_dead_link_fails(tmp_path: 
 
 
 @pytest.mark.parametrize(("free_bytes", "verdict"), [(10 << 20, "FAILED"), (500 << 20, "warning"), (5 << 30, "ok")])
-def test_room_on_the_disk_is_judged(free_bytes: int, verdict: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_room_on_the_disk_is_judged(
+    free_bytes: int, verdict: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: _Usage(free_bytes))
     assert output_finding(tmp_path).verdict == verdict
 

@@ -1,4 +1,5 @@
-"""The queue is bounded: a source that can wait is held back, and of one that cannot the oldest event of a kind is dropped."""
+"""The queue is bounded: a source that can wait is held back, and of one that cannot the oldest event of a kind is
+dropped."""
 
 from __future__ import annotations
 

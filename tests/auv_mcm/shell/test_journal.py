@@ -26,7 +26,9 @@ def lines_of(path: Path) -> list[Any]:
 
 
 @pytest.mark.parametrize("n_records", [1, 400])
-def test_a_full_disk_tears_no_journal_line_and_loses_none(n_records: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_tears_no_journal_line_and_loses_none(
+    n_records: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "j.jsonl"
     journal = Journal(path)
     journal.append([{"number": 0}])

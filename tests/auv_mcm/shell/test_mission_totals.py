@@ -38,7 +38,9 @@ def test_what_was_searched_too_far_off_for_the_map_is_summed_up_and_reported() -
 def test_an_area_to_clear_is_summed_up_and_what_of_it_was_not_seen_counts_as_not_found() -> None:
     assert area_totals(searched_half(), PlanConfig()) == {}
     frame = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
-    latitude_deg, longitude_deg, _ = frame.to_geodetic([[0.0, 0.0, 0.0], [0.0, 16.0, 0.0], [8.0, 16.0, 0.0], [8.0, 0.0, 0.0]])
+    latitude_deg, longitude_deg, _ = frame.to_geodetic(
+        [[0.0, 0.0, 0.0], [0.0, 16.0, 0.0], [8.0, 16.0, 0.0], [8.0, 0.0, 0.0]]
+    )
     plan = PlanConfig(area_deg=tuple(zip(latitude_deg.tolist(), longitude_deg.tolist(), strict=True)))
     area = area_totals(searched_half(), plan, "cannot, because")["area"]
     assert area["km2"] == pytest.approx(8 * 16e-6, abs=1e-6)

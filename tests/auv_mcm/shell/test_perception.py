@@ -43,7 +43,9 @@ def test_ring_never_hands_out_the_same_byte_twice(steps: list[int | None]) -> No
             continue
         piece = range(offset, offset + step)
         assert piece.stop <= 1024
-        assert all(piece.stop <= other.start or other.stop <= piece.start for other in held if len(other) and len(piece))
+        assert all(
+            piece.stop <= other.start or other.stop <= piece.start for other in held if len(other) and len(piece)
+        )
         held.append(piece)
     while held:
         ring.give_back()
@@ -148,7 +150,13 @@ def test_a_disk_that_takes_no_more_contacts_is_reported_once_and_counted_and_all
     with closing(temporary_record_file(tmp_path)) as records:
         answered = asyncio.run(answers([fake.ping(number) for number in range(12)], fake.FullDisk, records=records))
     assert [event.code for event in answered.events if isinstance(event, Notice)] == ["perception.disk_full"]
-    assert [event.id for event in answered.events if isinstance(event, Contact)] == ["C0000", "C0003", "C0006", "C0009", "C9999"]
+    assert [event.id for event in answered.events if isinstance(event, Contact)] == [
+        "C0000",
+        "C0003",
+        "C0006",
+        "C0009",
+        "C9999",
+    ]
     assert answered.finished.counters == {"ping.received": 12, "perception.kept_in_memory": 4}
     assert list(answered.places) == [0]
     assert [isinstance(patch.patch, CoveragePatch) for patch in answered.patches] == [False, True, True, True]

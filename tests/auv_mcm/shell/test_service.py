@@ -1,4 +1,5 @@
-"""The service around a pipeline: nothing lost on the way, nothing announced before it is on disk, and no end that hangs."""
+"""The service around a pipeline: nothing lost on the way, nothing announced before it is on disk, and no end that
+hangs."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ ROOT = Path(__file__).resolve().parents[3]
 class Events:
     """A source of given events; an exception among them is raised in its turn."""
 
-    def __init__(self, events: Sequence[SourceEvent | Exception], *, lossless: bool = True, endless: bool = False) -> None:
+    def __init__(
+        self, events: Sequence[SourceEvent | Exception], *, lossless: bool = True, endless: bool = False
+    ) -> None:
         self.lossless = lossless
         self._events = events
         self._endless = endless
@@ -104,13 +107,19 @@ def mission(n_pings: int) -> list[SourceEvent | Exception]:
 
 
 def serve(
-    folder: Path, source: Events, make: MakePipeline = fake.Base, console: Callable[[str], None] = lambda line: None, queue_pings: int = 512
+    folder: Path,
+    source: Events,
+    make: MakePipeline = fake.Base,
+    console: Callable[[str], None] = lambda line: None,
+    queue_pings: int = 512,
 ) -> Path:
     config = Config(service=ServiceConfig(output_directory=str(folder), queue_pings=queue_pings, health_period_s=0.05))
     return asyncio.run(Service(config, source, console=console, make_pipeline=make).run())
 
 
-def serve_ports(folder: Path, source: Ports, *, record: bool = True, console: Callable[[str], None] = lambda line: None) -> Path:
+def serve_ports(
+    folder: Path, source: Ports, *, record: bool = True, console: Callable[[str], None] = lambda line: None
+) -> Path:
     """Stops once the ninth ping's contact was announced."""
 
     async def run() -> Path:
@@ -127,7 +136,9 @@ def serve_ports(folder: Path, source: Ports, *, record: bool = True, console: Ca
 
 
 def ids(results: Path) -> list[str]:
-    return [feature["properties"]["id"] for feature in json.loads((results / "contacts.geojson").read_bytes())["features"]]
+    return [
+        feature["properties"]["id"] for feature in json.loads((results / "contacts.geojson").read_bytes())["features"]
+    ]
 
 
 def summary(results: Path) -> dict[str, Any]:
@@ -136,7 +147,10 @@ def summary(results: Path) -> dict[str, Any]:
 
 
 def journal(results: Path) -> list[str]:
-    return [json.loads(line)["contact"]["properties"]["id"] for line in (results / "contacts.jsonl").read_text().splitlines()]
+    return [
+        json.loads(line)["contact"]["properties"]["id"]
+        for line in (results / "contacts.jsonl").read_text().splitlines()
+    ]
 
 
 def test_a_mission_leaves_every_result(tmp_path: Path) -> None:
@@ -165,7 +179,9 @@ def test_the_results_are_called_by_the_operating_point_of_the_whole_mission(tmp_
         "contacts_counted": 11,
         "searched_km2": 0.5,
     }
-    announced = [json.loads(line)["contact"]["properties"] for line in (results / "contacts.jsonl").read_text().splitlines()]
+    announced = [
+        json.loads(line)["contact"]["properties"] for line in (results / "contacts.jsonl").read_text().splitlines()
+    ]
     assert {properties["called"] for properties in announced} == {None}, "what was known then"
 
 
@@ -243,7 +259,9 @@ def test_a_disk_that_gives_nothing_back_is_counted_and_every_contact_is_announce
 
 
 @pytest.mark.parametrize("make", [fake.Base, fake.Dying])
-def test_the_session_holds_what_was_found_and_no_other_file(tmp_path: Path, make: MakePipeline, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_session_holds_what_was_found_and_no_other_file(
+    tmp_path: Path, make: MakePipeline, capfd: pytest.CaptureFixture[str]
+) -> None:
     with contextlib.suppress(PerceptionError):
         serve(tmp_path, Events(mission(30)), make)
     files = {path.name for path in (tmp_path / "latest").iterdir()}
@@ -253,7 +271,9 @@ def test_the_session_holds_what_was_found_and_no_other_file(tmp_path: Path, make
     }
 
 
-def test_pictures_are_there_when_a_contact_is_announced_and_outlive_perception(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_pictures_are_there_when_a_contact_is_announced_and_outlive_perception(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     def console(line: str) -> None:
         if line.startswith("contact"):
             seen.append((tmp_path / "latest" / "snippets" / f"{line.split()[1]}.png").read_bytes()[:4])
@@ -297,7 +317,9 @@ def test_a_live_source_that_does_not_let_go_is_left(tmp_path: Path, monkeypatch:
 
 
 def test_what_became_of_the_recording_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.recording.start_recording.SessionRecorder", partial(SessionRecorder, free_bytes=lambda folder: 0))
+    monkeypatch.setattr(
+        "drivers.recording.start_recording.SessionRecorder", partial(SessionRecorder, free_bytes=lambda folder: 0)
+    )
     lines: list[str] = []
     results = serve_ports(tmp_path, Ports(mission(10)), console=lines.append)
     assert any(line.startswith("notice session_stopped") for line in lines)
@@ -336,7 +358,9 @@ def test_perception_at_work_is_a_warning_only_where_pings_may_be_lost(
     lossless: bool, warns: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     serve(tmp_path, Events(mission(100), lossless=lossless), fake.Pondering, queue_pings=128)
-    warned = [record for record in caplog.records if record.levelname == "WARNING" and "although pings wait" in record.message]
+    warned = [
+        record for record in caplog.records if record.levelname == "WARNING" and "although pings wait" in record.message
+    ]
     assert bool(warned) == warns
 
 
@@ -346,7 +370,9 @@ def test_what_needs_no_action_is_a_remark_and_not_a_notice(tmp_path: Path) -> No
     lines: list[str] = []
     results = serve(tmp_path, Events([requested, for_the_record, *mission(3)]), console=lines.append)
     reported = summary(results)
-    assert [line for line in lines if line.startswith("notice")] == ["notice port_down: port 'nav' is down. Check its cable. (nav)"]
+    assert [line for line in lines if line.startswith("notice")] == [
+        "notice port_down: port 'nav' is down. Check its cable. (nav)"
+    ]
     assert [notice["code"] for notice in reported["notices"]] == ["port_down"]
     assert reported["remarks"] == [{"code": "utc_taken", "text": "UTC is that of 'nav'", "place": "nav"}]
 
@@ -368,8 +394,12 @@ def test_stop_works_off_what_is_queued_and_loses_no_contact(tmp_path: Path) -> N
     assert pings >= 10
 
 
-@pytest.mark.parametrize(("error", "raised"), [(BadInputError("bad log"), BadInputError), (ValueError("defect"), HardwareError)])
-def test_what_came_before_a_source_failed_is_worked_off(tmp_path: Path, error: Exception, raised: type[AuvMcmError]) -> None:
+@pytest.mark.parametrize(
+    ("error", "raised"), [(BadInputError("bad log"), BadInputError), (ValueError("defect"), HardwareError)]
+)
+def test_what_came_before_a_source_failed_is_worked_off(
+    tmp_path: Path, error: Exception, raised: type[AuvMcmError]
+) -> None:
     with pytest.raises(raised, match=str(error)):
         serve(tmp_path, Events([*mission(10), error]))
     assert len(ids(tmp_path / "latest")) == 5
@@ -387,7 +417,9 @@ def test_contacts_announced_before_perception_failed_are_kept(
     assert announced == ids(tmp_path / "latest") == journal(tmp_path / "latest") == ["C0000", "C0003"]
 
 
-def test_contacts_lost_with_perception_are_reported_to_be_in_the_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_contacts_lost_with_perception_are_reported_to_be_in_the_recording(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     lines: list[str] = []
     config = Config(service=ServiceConfig(output_directory=str(tmp_path)))
     with pytest.raises(PerceptionError):
@@ -427,7 +459,9 @@ def test_a_disk_too_full_for_one_result_takes_the_others_and_the_error_names_wha
         replace(new, old, **folders)
 
     monkeypatch.setattr("auv_mcm.safe_files.os.replace", full_for_the_largest)
-    with pytest.raises(HardwareError, match=r"contacts\.geojson, coverage\.geojson cannot be written.*No space.*contacts\.jsonl"):
+    with pytest.raises(
+        HardwareError, match=r"contacts\.geojson, coverage\.geojson cannot be written.*No space.*contacts\.jsonl"
+    ):
         serve(tmp_path, Events(mission(30)))
     results = tmp_path / "latest"
     assert len((results / "contacts.csv").read_text().splitlines()) == 12
@@ -435,7 +469,9 @@ def test_a_disk_too_full_for_one_result_takes_the_others_and_the_error_names_wha
     assert not [path for path in results.iterdir() if path.suffix == ".new"]
 
 
-def test_space_is_held_for_the_results_and_pictures_come_after_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_space_is_held_for_the_results_and_pictures_come_after_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     done: list[str] = []
 
     class Watched(Ballast):
@@ -473,7 +509,9 @@ def test_every_run_has_its_own_folder_and_latest_points_to_the_last(tmp_path: Pa
     assert (tmp_path / "latest").resolve() == results[-1].resolve()
 
 
-def test_what_lies_where_the_link_to_the_last_session_belongs_is_left_alone(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_lies_where_the_link_to_the_last_session_belongs_is_left_alone(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (tmp_path / "latest").write_bytes(b"mine")
     results = serve(tmp_path, Events(mission(1)))
     assert (tmp_path / "latest").read_bytes() == b"mine"
@@ -530,7 +568,9 @@ except KeyboardInterrupt:
 def program(folder: Path, pipeline: str) -> subprocess.Popen[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-u", "-c", PROGRAM, str(folder), pipeline]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
 
 
 def read_until(process: subprocess.Popen[str], word: str) -> None:
@@ -559,7 +599,9 @@ def test_killing_all_processes_at_once_leaves_no_shared_memory_and_no_other_file
         read_until(process, "C0027")
         assert len(group(process.pid)) >= 2, "perception is a process of its own"
         shared = shared_memory(process.pid)
-        os.killpg(process.pid, signal.SIGKILL)  # as a supervisor that kills a control group does, and a shortage of memory
+        os.killpg(
+            process.pid, signal.SIGKILL
+        )  # as a supervisor that kills a control group does, and a shortage of memory
         output, _ = process.communicate(timeout=60)
     assert [path for path in shared if path.exists()] == []
     assert {path.name for path in (tmp_path / "latest").iterdir()} <= {"contacts.jsonl", "snippets"}
@@ -580,7 +622,12 @@ def test_killing_the_service_alone_ends_perception_and_is_no_news_of_leaks(tmp_p
 
 def shared_memory(leader: int) -> set[Path]:
     """Where the shared memory of a process group lies, or lay."""
-    lines = [line for pid in group(leader) for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/dev/shm/" in line]
+    lines = [
+        line
+        for pid in group(leader)
+        for line in Path(f"/proc/{pid}/maps").read_text().splitlines()
+        if "/dev/shm/" in line
+    ]
     return {Path(line[line.index("/dev/shm/") :].removesuffix(" (deleted)")) for line in lines}
 
 

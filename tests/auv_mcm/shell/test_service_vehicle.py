@@ -166,9 +166,12 @@ def test_what_is_wrong_is_reported_and_that_it_is_well_again(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("make", "reason"), [(fake.Failing, "perception failed"), (fake.Dying, "was killed by SIGKILL"), (fake.Unstartable, "no model file")]
+    ("make", "reason"),
+    [(fake.Failing, "perception failed"), (fake.Dying, "was killed by SIGKILL"), (fake.Unstartable, "no model file")],
 )
-def test_a_perception_that_fails_is_reported_and_control_goes_back(tmp_path: Path, make: MakePipeline, reason: str) -> None:
+def test_a_perception_that_fails_is_reported_and_control_goes_back(
+    tmp_path: Path, make: MakePipeline, reason: str
+) -> None:
     ports = Ports()
     with pytest.raises(AuvMcmError, match=reason):
         serve(tmp_path, ports, lambda: False, make)
@@ -199,13 +202,19 @@ def test_legs_are_requested_and_the_last_request_is_among_the_results(tmp_path: 
 def test_nothing_is_requested_unless_it_is_wanted(tmp_path: Path, vehicle: VehicleConfig) -> None:
     ports = Ports()
     serve(
-        tmp_path, ports, lambda: ports.vehicle.words().count("contact") > 2 and "normal" in ports.vehicle.words(), fake.Undecided, vehicle
+        tmp_path,
+        ports,
+        lambda: ports.vehicle.words().count("contact") > 2 and "normal" in ports.vehicle.words(),
+        fake.Undecided,
+        vehicle,
     )
     assert "plan" not in ports.vehicle.words()
 
 
 @pytest.mark.parametrize("vehicle", [VehicleConfig(), FENCED])
-def test_how_far_an_area_is_cleared_is_reported_to_the_vehicle_and_left_in_the_results(tmp_path: Path, vehicle: VehicleConfig) -> None:
+def test_how_far_an_area_is_cleared_is_reported_to_the_vehicle_and_left_in_the_results(
+    tmp_path: Path, vehicle: VehicleConfig
+) -> None:
     ports = Ports()
     plan = PlanConfig(area_deg=((43.0, 5.0), (43.0, 5.001), (43.001, 5.001)))
     reported = ("normal", "clearance 0.00 of 0.90")
@@ -226,7 +235,9 @@ def test_no_request_goes_to_a_vehicle_that_is_out_of_reach(tmp_path: Path) -> No
     assert "plan" not in ports.vehicle.words()
 
 
-def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_their_contact_and_request_no_leg(tmp_path: Path) -> None:
+def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_their_contact_and_request_no_leg(
+    tmp_path: Path,
+) -> None:
     def take(contact: Contact) -> None:
         if contact.id.startswith("E"):
             assert contact.id in (tmp_path / "latest" / "early.jsonl").read_text()
@@ -238,6 +249,11 @@ def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_thei
     ports = Ports()
     ports.vehicle.on_contact = take
     serve(tmp_path, ports, lambda: len(reported) >= 8, fake.Early)
-    assert [each for each in reported if each[0].startswith("E")] == [("E00001", 0.6), ("E00002", 0.6), ("E00001", 0.0), ("E00002", 0.0)]
+    assert [each for each in reported if each[0].startswith("E")] == [
+        ("E00001", 0.6),
+        ("E00002", 0.6),
+        ("E00001", 0.0),
+        ("E00002", 0.0),
+    ]
     assert reported.index(("C0003", 0.25)) < reported.index(("E00001", 0.0))
     assert "plan" not in ports.vehicle.words()

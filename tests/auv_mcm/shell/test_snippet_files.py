@@ -14,7 +14,10 @@ def test_snippets_of_an_earlier_replay_go_and_other_files_stay(tmp_path: Path) -
     write_snippets(tmp_path, {"C1": b"1", "C2": b"2"})
     (tmp_path / "snippets" / "notes.txt").write_bytes(b"mine")
     write_snippets(tmp_path, {"C2": b"3"})
-    assert {path.name: path.read_bytes() for path in (tmp_path / "snippets").iterdir()} == {"C2.png": b"3", "notes.txt": b"mine"}
+    assert {path.name: path.read_bytes() for path in (tmp_path / "snippets").iterdir()} == {
+        "C2.png": b"3",
+        "notes.txt": b"mine",
+    }
 
 
 def test_files_that_are_no_pictures_of_contacts_stay_among_the_snippets(tmp_path: Path) -> None:

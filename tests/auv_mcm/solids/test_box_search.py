@@ -23,7 +23,10 @@ def test_starts_fill_the_cube_more_evenly_than_chance_would(n_dimensions: int) -
     assert points.min() >= 0.0
     assert points.max() < 1.0
     random = np.random.Generator(np.random.PCG64(1)).uniform(size=points.shape)
-    worst = [np.abs(np.sort(values, axis=0) - (np.arange(512)[:, np.newaxis] + 0.5) / 512).max() for values in (points, random)]
+    worst = [
+        np.abs(np.sort(values, axis=0) - (np.arange(512)[:, np.newaxis] + 0.5) / 512).max()
+        for values in (points, random)
+    ]
     assert worst[0] < 0.5 * worst[1]
     np.testing.assert_array_equal(points[100:], spread(412, n_dimensions, first=100))
 

@@ -25,7 +25,14 @@ from auv_mcm.solids.shapes import (
     flat_ground_range_m,
     view_shape,
 )
-from tests.auv_mcm.classify.sampled_views import Array, extent_m, height_m, reach_m, sampled_parallel_end_m, sampled_view
+from tests.auv_mcm.classify.sampled_views import (
+    Array,
+    extent_m,
+    height_m,
+    reach_m,
+    sampled_parallel_end_m,
+    sampled_view,
+)
 
 RIGHT = 0.5 * math.pi
 SIZE = st.floats(0.1, 3.0)
@@ -52,7 +59,10 @@ def random_polyhedron(seed: int, azimuth_rad: float, buried: float) -> ConvexPol
     index = {int(vertex): position for position, vertex in enumerate(hull.vertices)}
     faces = tuple(tuple(index[int(vertex)] for vertex in face) for face in hull.simplices)
     return ConvexPolyhedron(
-        vertices_m=points[hull.vertices], faces=faces, azimuth_rad=azimuth_rad, burial_m=buried * float(points[:, 2].max())
+        vertices_m=points[hull.vertices],
+        faces=faces,
+        azimuth_rad=azimuth_rad,
+        burial_m=buried * float(points[:, 2].max()),
     )
 
 
@@ -66,7 +76,9 @@ SOLIDS: dict[str, st.SearchStrategy[Shape]] = {
         SHARE,
     ),
     "truncated_cone": st.builds(
-        lambda base, taper, height, b: TruncatedCone(base_radius_m=base, top_radius_m=base * taper, height_m=height, burial_m=height * b),
+        lambda base, taper, height, b: TruncatedCone(
+            base_radius_m=base, top_radius_m=base * taper, height_m=height, burial_m=height * b
+        ),
         RADIUS,
         st.one_of(st.floats(0.0, 0.99), st.floats(2.0, 8.0).map(lambda power: 1.0 - 10.0**-power)),
         SIZE,
@@ -95,7 +107,8 @@ ANY_SOLID = st.one_of(*SOLIDS.values())
 
 
 def clear_of_edges(see: Callable[[Array], SolidView], offset: Array, reach: float) -> Array:
-    """Pings whose neighbours at 1/500 of the reach hit or miss as they do; samples may slip through slices narrower than that."""
+    """Pings whose neighbours at 1/500 of the reach hit or miss as they do; samples may slip through slices narrower
+    than that."""
     hits = [np.isfinite(see(offset + step * reach).tangent_slant_range_m) for step in (-0.002, 0.0, 0.002)]
     return np.asarray(offset[(hits[0] == hits[1]) & (hits[1] == hits[2])])
 
@@ -113,7 +126,9 @@ def test_shadow_ends_and_highlight_begins_where_samples_say(kind: str) -> None:
         reach, altitude = reach_m(shape), pose[0] * height_m(shape)
         ground_range = reach + pose[1] * altitude
         offset = clear_of_edges(lambda offset: view_shape(shape, offset, ground_range, altitude), pings * reach, reach)
-        assert_same(view_shape(shape, offset, ground_range, altitude), sampled_view(shape, offset, ground_range, altitude))
+        assert_same(
+            view_shape(shape, offset, ground_range, altitude), sampled_view(shape, offset, ground_range, altitude)
+        )
 
     check()
 
@@ -132,7 +147,9 @@ def test_the_ray_along_the_shadows_end_touches_the_solid_at_the_tangent_range(ki
         offset, end, tangent = offset[hit], view.shadow_end_m[hit], view.tangent_slant_range_m[hit]
         part = tangent / np.hypot(end, altitude)
         hair = (-1e-9, 0.0, 1e-9)  # rounding may put the point just beside a vertical face
-        highest = np.max([extent_m(shape, offset + x, part * end - ground_range + y)[1] for x in hair for y in hair], axis=0)
+        highest = np.max(
+            [extent_m(shape, offset + x, part * end - ground_range + y)[1] for x in hair for y in hair], axis=0
+        )
         assert np.all(altitude * (1.0 - part) <= highest + 1e-7)
         assert np.all(view.front_slant_range_m[hit] <= tangent + 1e-9)
 
@@ -140,9 +157,11 @@ def test_the_ray_along_the_shadows_end_touches_the_solid_at_the_tangent_range(ki
 
 
 def away_from_grazing(shape: Shape, offset: Array, ground_range: float, altitude: float) -> NDArray[np.bool_]:
-    """Pings whose ray touches a point, not an edge or face along it: a millionth of the altitude does not move the point far."""
+    """Pings whose ray touches a point, not an edge or face along it: a millionth of the altitude does not move the
+    point far."""
     higher, lower = (
-        view_shape(shape, offset, ground_range, altitude * factor).tangent_slant_range_m for factor in (1.0 + 1e-6, 1.0 - 1e-6)
+        view_shape(shape, offset, ground_range, altitude * factor).tangent_slant_range_m
+        for factor in (1.0 + 1e-6, 1.0 - 1e-6)
     )
     return np.asarray(~(np.abs(higher - lower) > 3e-5 * (1.0 + altitude)))
 
@@ -190,10 +209,15 @@ def test_a_sonar_no_higher_than_the_object_sees_an_endless_shadow(kind: str) -> 
         reach, altitude = reach_m(shape), share * height_m(shape)
         ground_range = reach + distance
         offset = clear_of_edges(lambda offset: view_shape(shape, offset, ground_range, altitude), pings * reach, reach)
-        view, sampled = view_shape(shape, offset, ground_range, altitude), sampled_view(shape, offset, ground_range, altitude)
+        view, sampled = (
+            view_shape(shape, offset, ground_range, altitude),
+            sampled_view(shape, offset, ground_range, altitude),
+        )
         np.testing.assert_allclose(view.front_slant_range_m, sampled.front_slant_range_m, rtol=0.0, atol=1e-7)
         steady = away_from_grazing(shape, offset, ground_range, altitude)
-        np.testing.assert_allclose(view.tangent_slant_range_m[steady], sampled.tangent_slant_range_m[steady], rtol=0.0, atol=1e-5)
+        np.testing.assert_allclose(
+            view.tangent_slant_range_m[steady], sampled.tangent_slant_range_m[steady], rtol=0.0, atol=1e-5
+        )
         # Where the ray is all but level the end is anywhere far away: compare its slope instead.
         np.testing.assert_allclose(altitude / view.shadow_end_m, altitude / sampled.shadow_end_m, rtol=0.0, atol=1e-8)
 
@@ -206,7 +230,8 @@ def test_a_sonar_no_higher_than_the_object_sees_an_endless_shadow(kind: str) -> 
 def test_a_ray_caster_over_a_height_field_finds_the_same_shadow(kind: str) -> None:
     """|error| <= 4 cells at every cell size: first order, as the running maximum of elevations over cells must be.
 
-    Where a slope ends in a sharp edge, the last cell is lower than the edge by up to its own rise, which the bound has to add.
+    Where a slope ends in a sharp edge, the last cell is lower than the edge by up to its own rise, which the bound has
+    to add.
     """
 
     @settings(max_examples=10)
@@ -231,8 +256,11 @@ def test_a_ray_caster_over_a_height_field_finds_the_shadow_of_a_truncated_cone_w
         assert np.all(error <= 4.0 * cell)
 
 
-def height_field_error(shape: Shape, offset: Array, ground_range: float, altitude: float, cell: float) -> tuple[Array, Array]:
-    """How far the shadow's end is from a height field's, and how far the rise towards the highest elevation moves it within a cell.
+def height_field_error(
+    shape: Shape, offset: Array, ground_range: float, altitude: float, cell: float
+) -> tuple[Array, Array]:
+    """How far the shadow's end is from a height field's, and how far the rise towards the highest elevation moves it
+    within a cell.
 
     Only slices at least three cells wide count.
     """
@@ -259,7 +287,13 @@ GROWTH = st.floats(1.0, 1.5)
 
 
 @settings(max_examples=200)
-@given(ANY_SOLID, PINGS, POSE, GROWTH, st.sampled_from(["radius", "height", "length", "width", "burial", "range", "altitude"]))
+@given(
+    ANY_SOLID,
+    PINGS,
+    POSE,
+    GROWTH,
+    st.sampled_from(["radius", "height", "length", "width", "burial", "range", "altitude"]),
+)
 def test_shadow_ends_no_nearer_for_larger_and_farther_and_less_buried_objects_and_lower_sonars(
     shape: Shape, pings: Array, pose: tuple[float, float], growth: float, what: str
 ) -> None:
@@ -277,7 +311,8 @@ def test_shadow_ends_no_nearer_for_larger_and_farther_and_less_buried_objects_an
 
 
 def grown(shape: Shape, what: str, growth: float) -> Shape:
-    """The solid with one size greater, or itself if it has no such size, as deep in the floor as before; or less deep."""
+    """The solid with one size greater, or itself if it has no such size, as deep in the floor as before; or less
+    deep."""
     b = shape.burial_m
     match shape, what:
         case _, "burial":
@@ -287,9 +322,13 @@ def grown(shape: Shape, what: str, growth: float) -> Shape:
         case Sphere(), "radius":
             return Sphere(radius_m=shape.radius_m * growth, burial_m=b)
         case Cylinder(), "radius":
-            return Cylinder(radius_m=shape.radius_m * growth, length_m=shape.length_m, azimuth_rad=shape.azimuth_rad, burial_m=b)
+            return Cylinder(
+                radius_m=shape.radius_m * growth, length_m=shape.length_m, azimuth_rad=shape.azimuth_rad, burial_m=b
+            )
         case Cylinder(), "length":
-            return Cylinder(radius_m=shape.radius_m, length_m=shape.length_m * growth, azimuth_rad=shape.azimuth_rad, burial_m=b)
+            return Cylinder(
+                radius_m=shape.radius_m, length_m=shape.length_m * growth, azimuth_rad=shape.azimuth_rad, burial_m=b
+            )
         case TruncatedCone(), "radius":
             base, top = shape.base_radius_m * growth, shape.top_radius_m * growth
             return TruncatedCone(base_radius_m=base, top_radius_m=top, height_m=shape.height_m, burial_m=b)
@@ -298,11 +337,19 @@ def grown(shape: Shape, what: str, growth: float) -> Shape:
             return TruncatedCone(base_radius_m=base, top_radius_m=top, height_m=shape.height_m * growth, burial_m=b)
         case Box(), "length":
             return Box(
-                length_m=shape.length_m * growth, width_m=shape.width_m, height_m=shape.height_m, azimuth_rad=shape.azimuth_rad, burial_m=b
+                length_m=shape.length_m * growth,
+                width_m=shape.width_m,
+                height_m=shape.height_m,
+                azimuth_rad=shape.azimuth_rad,
+                burial_m=b,
             )
         case Box() | Wedge(), "height":
             return type(shape)(
-                length_m=shape.length_m, width_m=shape.width_m, height_m=shape.height_m * growth, azimuth_rad=shape.azimuth_rad, burial_m=b
+                length_m=shape.length_m,
+                width_m=shape.width_m,
+                height_m=shape.height_m * growth,
+                azimuth_rad=shape.azimuth_rad,
+                burial_m=b,
             )
         case _:
             return shape
@@ -329,7 +376,9 @@ def test_mirroring_along_the_track_mirrors_the_view(shape: Shape, pings: Array, 
             mirrored = remade(shape, vertices_m=shape.vertices_m * [-1.0, 1.0, 1.0], azimuth_rad=-shape.azimuth_rad)
     offset = clear_of_edges(lambda offset: view_shape(shape, offset, ground_range, altitude), offset, 1e-6)
     for one, other in zip(
-        view_shape(shape, offset, ground_range, altitude), view_shape(mirrored, -offset, ground_range, altitude), strict=True
+        view_shape(shape, offset, ground_range, altitude),
+        view_shape(mirrored, -offset, ground_range, altitude),
+        strict=True,
     ):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6)
 
@@ -343,7 +392,9 @@ def test_far_away_the_shadow_is_the_parallel_projection(kind: str) -> None:
     def check(shape: Shape, cotangent: float) -> None:
         reach = reach_m(shape)
         offset = np.linspace(-0.8, 0.8, 5) * reach
-        offset = clear_of_edges(lambda offset: view_shape(shape, offset, 1000.0 * cotangent, 1000.0), offset, 10.0 * reach)
+        offset = clear_of_edges(
+            lambda offset: view_shape(shape, offset, 1000.0 * cotangent, 1000.0), offset, 10.0 * reach
+        )
         parallel = sampled_parallel_end_m(shape, offset, cotangent)
         # H y / (H - z) - (y' + z cot) = z (y' + z cot) / (H - z)
         bound = height_m(shape) * (reach + height_m(shape) * cotangent)
@@ -355,13 +406,17 @@ def test_far_away_the_shadow_is_the_parallel_projection(kind: str) -> None:
 
 
 @given(RADIUS, st.floats(0.05, math.pi - 0.05), st.floats(-0.95, 0.95), POSE)
-def test_a_cylinder_without_length_is_a_disc(radius: float, azimuth: float, share: float, pose: tuple[float, float]) -> None:
+def test_a_cylinder_without_length_is_a_disc(
+    radius: float, azimuth: float, share: float, pose: tuple[float, float]
+) -> None:
     altitude = 2.0 * radius * pose[0]
     ground_range = 1.1 * radius + altitude * pose[1]
     offset = share * radius * math.sin(azimuth)
     across, top = -offset / math.tan(azimuth), radius + radius * math.sqrt(1.0 - share**2)
     for length in (0.0, 1e-12):
-        view = view_shape(Cylinder(radius_m=radius, length_m=length, azimuth_rad=azimuth), offset, ground_range, altitude)
+        view = view_shape(
+            Cylinder(radius_m=radius, length_m=length, azimuth_rad=azimuth), offset, ground_range, altitude
+        )
         assert view.shadow_end_m == pytest.approx(altitude * (ground_range + across) / (altitude - top), abs=1e-6)
         assert view.tangent_slant_range_m == pytest.approx(math.hypot(ground_range + across, altitude - top), abs=1e-6)
         assert view.front_slant_range_m == pytest.approx(math.hypot(ground_range + across, altitude - top), abs=1e-6)
@@ -376,7 +431,9 @@ def test_a_cone_with_equal_radii_is_an_upright_cylinder(
     ground_range = 1.1 * radius + altitude * pose[1]
     half = radius * math.sqrt(1.0 - share**2)
     for taper in (0.0, 1e-12, 1e-10):
-        cone = TruncatedCone(base_radius_m=radius, top_radius_m=radius * (1.0 - taper), height_m=height, burial_m=buried * height)
+        cone = TruncatedCone(
+            base_radius_m=radius, top_radius_m=radius * (1.0 - taper), height_m=height, burial_m=buried * height
+        )
         view = view_shape(cone, share * radius, ground_range, altitude)
         assert view.shadow_end_m == pytest.approx(altitude * (ground_range + half) / (altitude - top), abs=1e-6)
         assert view.tangent_slant_range_m == pytest.approx(math.hypot(ground_range + half, altitude - top), abs=1e-6)
@@ -410,14 +467,18 @@ def test_burial_cuts_what_is_below_the_floor(
     ground_range, offset = reach + altitude * pose[1], pings * 0.5 * reach
     deep = Box(length_m=length, width_m=width, height_m=height, azimuth_rad=azimuth, burial_m=height * buried)
     low = Box(length_m=length, width_m=width, height_m=height * left, azimuth_rad=azimuth)
-    for one, other in zip(view_shape(deep, offset, ground_range, altitude), view_shape(low, offset, ground_range, altitude), strict=True):
+    for one, other in zip(
+        view_shape(deep, offset, ground_range, altitude), view_shape(low, offset, ground_range, altitude), strict=True
+    ):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6)
     deep_wedge = Wedge(length_m=length, width_m=width, height_m=height, azimuth_rad=azimuth, burial_m=height * buried)
     small = Wedge(length_m=length * left, width_m=width, height_m=height * left, azimuth_rad=azimuth)
     shift = 0.5 * length * buried
     offset = clear_of_edges(lambda offset: view_shape(deep_wedge, offset, ground_range, altitude), offset, 1e-6)
     seen = view_shape(small, offset - shift * math.cos(azimuth), ground_range + shift * math.sin(azimuth), altitude)
-    np.testing.assert_allclose(view_shape(deep_wedge, offset, ground_range, altitude).shadow_end_m, seen.shadow_end_m, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        view_shape(deep_wedge, offset, ground_range, altitude).shadow_end_m, seen.shadow_end_m, rtol=0.0, atol=1e-6
+    )
 
 
 def test_what_lies_wholly_below_the_floor_is_not_seen() -> None:
@@ -449,7 +510,9 @@ def test_hypotheses_broadcast_against_pings(kind: str) -> None:
             case _:
                 corners = np.array([[0.5, 0.0, 0.0], [-0.4, 0.5, 0.0], [-0.4, -0.5, 0.0], [0.0, 0.0, 1.0]])
                 vertices = corners * np.asarray(size)[..., np.newaxis, np.newaxis]
-                return ConvexPolyhedron(vertices_m=vertices, faces=((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3)), burial_m=0.1)
+                return ConvexPolyhedron(
+                    vertices_m=vertices, faces=((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3)), burial_m=0.1
+                )
 
     sizes = np.array([0.4, 0.5, 0.9])
     for together, *apart in zip(
@@ -562,7 +625,9 @@ def test_polyhedra_that_are_not_convex_and_closed_are_refused() -> None:
     with pytest.raises(ValueError, match="three or more indices below 4"):
         ConvexPolyhedron(vertices_m=corners, faces=((0, 1, 4), *faces[1:]))
     with pytest.raises(ValueError, match="all vertices on one side"):
-        ConvexPolyhedron(vertices_m=np.vstack((corners, [[0.1, 0.1, 0.1]])), faces=((0, 1, 4), (1, 2, 4), (2, 0, 4), *faces[1:]))
+        ConvexPolyhedron(
+            vertices_m=np.vstack((corners, [[0.1, 0.1, 0.1]])), faces=((0, 1, 4), (1, 2, 4), (2, 0, 4), *faces[1:])
+        )
     with pytest.raises(ValueError, match="all vertices on one side"):
         ConvexPolyhedron(vertices_m=corners * [1.0, 1.0, 0.0], faces=faces)
     with pytest.raises(ValueError, match=r"shape \(\.\.\., n_vertices, 3\), got shape \(4, 2\)"):

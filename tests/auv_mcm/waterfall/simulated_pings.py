@@ -23,15 +23,19 @@ CONFIG = Config(waterfall=WaterfallConfig(row_spacing_m=STEP_M, column_spacing_m
 
 
 def mean_intensity() -> NDArray[np.float64]:
-    """(n_samples,): Lambert's sea floor spreading with the cube of range over 1 m of ring-down and a dark water column."""
+    """(n_samples,): Lambert's sea floor spreading with the cube of range over 1 m of ring-down and a dark water
+    column."""
     sine = ALTITUDE_M / SLANT_M
     footprint = 1.0 / np.maximum(np.sqrt(np.maximum(1.0 - sine**2, 0.0)), 0.05)
     floor = np.where(sine < 1.0, sine**2 * footprint * (ALTITUDE_M / SLANT_M) ** 3, 0.0)
     return np.where(SLANT_M < 0.8, 100.0, floor + 1e-5)
 
 
-def amplitudes(n_pings: int, *, looks: int = 1, seed: int = 0, factor: NDArray[np.float64] | float = 1.0) -> NDArray[np.float64]:
-    """Amplitude (2, n_pings, n_samples) of both sides; `factor` multiplies the mean intensity and broadcasts to that shape."""
+def amplitudes(
+    n_pings: int, *, looks: int = 1, seed: int = 0, factor: NDArray[np.float64] | float = 1.0
+) -> NDArray[np.float64]:
+    """Amplitude (2, n_pings, n_samples) of both sides; `factor` multiplies the mean intensity and broadcasts to that
+    shape."""
     random = np.random.default_rng(seed)
     shape = (2, n_pings, N_SAMPLES)
     return np.sqrt(mean_intensity() * factor * random.gamma(looks, 1.0 / looks, shape))
@@ -55,17 +59,25 @@ def straight_poses(n_pings: int, first: int = 0) -> PoseTrack:
 
 
 def block_of(
-    port: NDArray[Any] | None, starboard: NDArray[Any] | None, first: int = 0, along_m: NDArray[np.float64] | None = None
+    port: NDArray[Any] | None,
+    starboard: NDArray[Any] | None,
+    first: int = 0,
+    along_m: NDArray[np.float64] | None = None,
 ) -> PingBlock:
     """Pings first, first + 1, ... of the given samples (n_pings, n_samples) per side."""
 
     def trace(samples: NDArray[Any] | None, ping: int) -> EchoTrace | None:
-        return None if samples is None else EchoTrace(samples=samples[ping], first_range_m=0.5 * SPACING_M, spacing_m=SPACING_M)
+        return (
+            None
+            if samples is None
+            else EchoTrace(samples=samples[ping], first_range_m=0.5 * SPACING_M, spacing_m=SPACING_M)
+        )
 
     n_pings = next(samples.shape[0] for samples in (port, starboard) if samples is not None)
     poses = straight_poses(n_pings, first)
     pings = [
-        Ping(number=first + i, time_s=float(poses.time_s[i]), port=trace(port, i), starboard=trace(starboard, i)) for i in range(n_pings)
+        Ping(number=first + i, time_s=float(poses.time_s[i]), port=trace(port, i), starboard=trace(starboard, i))
+        for i in range(n_pings)
     ]
     distance = FIRST_PING_M + STEP_M * (first + np.arange(n_pings)) if along_m is None else along_m
     return PingBlock(pings, poses, distance, np.zeros(n_pings), np.zeros(n_pings))
@@ -78,7 +90,9 @@ class Run(NamedTuple):
     def image(self, side: Side = "port") -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """All core rows of one side: intensity and where it is valid."""
         tiles = [tile for tile in self.tiles if tile.side == side]
-        intensity = np.concatenate([tile.intensity[tile.core_start : tile.core_stop] for tile in tiles]).astype(np.float64)
+        intensity = np.concatenate([tile.intensity[tile.core_start : tile.core_stop] for tile in tiles]).astype(
+            np.float64
+        )
         return intensity, (np.concatenate([tile.mask[tile.core_start : tile.core_stop] for tile in tiles]) & VALID) != 0
 
     @property

@@ -27,7 +27,8 @@ def two_sides(
     spacing_m: float = SPACING_M,
     first_return_m: NDArray[np.float64] = FIRST_RETURN_M,
 ) -> list[NDArray[np.float32]]:
-    """Single-look speckle: ring-down, dark water with fish, and a sea floor that fades with range. One array per side."""
+    """Single-look speckle: ring-down, dark water with fish, and a sea floor that fades with range. One array per
+    side."""
     random = np.random.default_rng(seed)
     slant_m = (np.arange(round(RANGE_M / spacing_m)) + 0.5) * spacing_m
     n_pings = first_return_m.shape[0]
@@ -43,21 +44,35 @@ def two_sides(
     return sides
 
 
-def traces(intensity: NDArray[np.float32], spacing_m: float = SPACING_M, valid: NDArray[np.bool_] | None = None) -> Traces:
+def traces(
+    intensity: NDArray[np.float32], spacing_m: float = SPACING_M, valid: NDArray[np.bool_] | None = None
+) -> Traces:
     good = np.ones(intensity.shape, dtype=np.bool_) if valid is None else valid
-    return make_traces(np.where(good, intensity, np.float32(0.0)), good, np.zeros_like(good), 0.5 * spacing_m, spacing_m)
+    return make_traces(
+        np.where(good, intensity, np.float32(0.0)), good, np.zeros_like(good), 0.5 * spacing_m, spacing_m
+    )
 
 
 def track(
-    sides: list[NDArray[np.float32] | None], altitude_m: NDArray[np.float64] = UNKNOWN, *, block: int = 32, spacing_m: float = SPACING_M
+    sides: list[NDArray[np.float32] | None],
+    altitude_m: NDArray[np.float64] = UNKNOWN,
+    *,
+    block: int = 32,
+    spacing_m: float = SPACING_M,
 ) -> BottomTrack:
     tracker = BottomTracker(BLANK_M)
     done = []
     for start in range(0, altitude_m.shape[0], block):
         pings = slice(start, start + block)
-        done.append(tracker.add([None if side is None else traces(side[pings], spacing_m) for side in sides], altitude_m[pings], RANGE_M))
+        done.append(
+            tracker.add(
+                [None if side is None else traces(side[pings], spacing_m) for side in sides], altitude_m[pings], RANGE_M
+            )
+        )
     assert done[0] is None
-    return BottomTrack(*(np.concatenate(parts) for parts in zip(*[t for t in [*done, tracker.flush()] if t is not None], strict=True)))
+    return BottomTrack(
+        *(np.concatenate(parts) for parts in zip(*[t for t in [*done, tracker.flush()] if t is not None], strict=True))
+    )
 
 
 def rms_bins(found: BottomTrack, truth_m: NDArray[np.float64] = FIRST_RETURN_M) -> float:
@@ -124,7 +139,9 @@ def test_a_right_altitude_field_decides_where_the_samples_cannot() -> None:
 
 def test_where_no_step_shows_the_altitude_field_stands_in_and_the_doubt_is_reported() -> None:
     random = np.random.default_rng(8)
-    level: list[NDArray[np.float32] | None] = [random.exponential(size=(N_PINGS, 600)).astype(np.float32) for _ in range(2)]
+    level: list[NDArray[np.float32] | None] = [
+        random.exponential(size=(N_PINGS, 600)).astype(np.float32) for _ in range(2)
+    ]
     found = track(level, np.full(N_PINGS, 8.0))
     assert not found.seen.any()
     np.testing.assert_allclose(found.first_return_m, 8.0, rtol=0.25)
@@ -148,7 +165,8 @@ def test_the_path_does_not_depend_on_gain(gain: float) -> None:
 
 @pytest.mark.parametrize("block", [32, 40, 17])
 def test_streaming_in_blocks_finds_what_one_long_block_finds(block: int) -> None:
-    """Paths merge within the lag of one block; only what is smoothed beyond the lag may differ at the last ping of a block."""
+    """Paths merge within the lag of one block; only what is smoothed beyond the lag may differ at the last ping of a
+    block."""
     sides: list[NDArray[np.float32] | None] = [*two_sides(10.0, n_fish=2, seed=4)]
     tracker = BottomTracker(BLANK_M)
     assert tracker.add([None if side is None else traces(side) for side in sides], UNKNOWN, RANGE_M) is None
@@ -216,7 +234,9 @@ def test_the_range_setting_may_change_on_the_way() -> None:
     done = []
     for start, range_m in ((0, 40.0), (32, 15.0), (64, 40.0)):
         n_samples = round(range_m / SPACING_M)
-        done.append(tracker.add([traces(side[start : start + 32, :n_samples]) for side in sides], UNKNOWN[:32], range_m))
+        done.append(
+            tracker.add([traces(side[start : start + 32, :n_samples]) for side in sides], UNKNOWN[:32], range_m)
+        )
     found = [track.first_return_m for track in [*done, tracker.flush()] if track is not None]
     assert np.abs(np.concatenate(found) - FIRST_RETURN_M).max() <= 3 * BIN_M
 

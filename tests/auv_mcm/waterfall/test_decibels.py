@@ -150,7 +150,9 @@ def test_speckle_of_even_regions_is_that_of_its_looks(looks: int) -> None:
     assert shape.skewness == pytest.approx(skewness[at], rel=0.06)
 
 
-@pytest.mark.parametrize(("texture", "lasting"), [((0.03, 0.10, 0.27), 0.0), ((0.13, 0.33, 0.69), 0.0), ((0.0, 0.0, 0.0), 0.5)])
+@pytest.mark.parametrize(
+    ("texture", "lasting"), [((0.03, 0.10, 0.27), 0.0), ((0.13, 0.33, 0.69), 0.0), ((0.0, 0.0, 0.0), 0.5)]
+)
 def test_speckle_is_separated_from_texture_of_any_growth(texture: tuple[float, ...], lasting: float) -> None:
     """Texture in even places need not grow in proportion from the first stride to the second."""
     left = np.array([1.0 - lasting * share for share in (0.51, 0.055, 0.0)])

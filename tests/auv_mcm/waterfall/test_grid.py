@@ -38,11 +38,22 @@ def swath(along_m: NDArray[Any], seed: int = 0, *, sides: tuple[Side, ...] = ("p
     images: dict[Side, SideImage] = {}
     for side in sides:
         mask = random.choice(
-            np.array([0, VALID, VALID, VALID, VALID | SATURATED, VALID | TURN, VALID | LOW_RESOLUTION, TURN], dtype=np.uint8),
+            np.array(
+                [0, VALID, VALID, VALID, VALID | SATURATED, VALID | TURN, VALID | LOW_RESOLUTION, TURN], dtype=np.uint8
+            ),
             (along_m.size, N_COLUMNS),
         )
-        images[side] = SideImage(np.where(mask & VALID, random.exponential(size=mask.shape), 0.0).astype(np.float32), mask)
-    return Swath(along_m, poses(along_m), 8.0 + 0.1 * along_m, 0.1 + 0.001 * along_m, first_number + np.arange(along_m.size), images)
+        images[side] = SideImage(
+            np.where(mask & VALID, random.exponential(size=mask.shape), 0.0).astype(np.float32), mask
+        )
+    return Swath(
+        along_m,
+        poses(along_m),
+        8.0 + 0.1 * along_m,
+        0.1 + 0.001 * along_m,
+        first_number + np.arange(along_m.size),
+        images,
+    )
 
 
 def rows_of(pings: Swath, spacing_m: float, max_gap_m: float, cuts: list[int] | None = None) -> tuple[int, Swath]:
@@ -92,14 +103,18 @@ def slow_row(pings: Swath, row: int, spacing_m: float, max_gap_m: float) -> tupl
     return [t / n if n > 0.0 else 0.0 for t, n in zip(total, length, strict=True)], length, flags
 
 
-tracks = st.lists(st.floats(0.01, 0.5) | st.floats(0.5, 3.0), min_size=0, max_size=30).map(lambda steps: 0.7 + np.cumsum([0.0, *steps]))
+tracks = st.lists(st.floats(0.01, 0.5) | st.floats(0.5, 3.0), min_size=0, max_size=30).map(
+    lambda steps: 0.7 + np.cumsum([0.0, *steps])
+)
 spacings = st.floats(0.05, 0.8)
 gaps = st.floats(0.1, 1.5)
 
 
 @given(along_m=tracks, seed=st.integers(0, 99), spacing_m=spacings, max_gap_m=gaps)
 @settings(max_examples=40)
-def test_rows_are_overlap_weighted_averages(along_m: NDArray[np.float64], seed: int, spacing_m: float, max_gap_m: float) -> None:
+def test_rows_are_overlap_weighted_averages(
+    along_m: NDArray[np.float64], seed: int, spacing_m: float, max_gap_m: float
+) -> None:
     pings = swath(along_m, seed)
     first_row, rows = rows_of(pings, spacing_m, max_gap_m)
     track = along_m.tolist()
@@ -121,7 +136,13 @@ def test_rows_are_overlap_weighted_averages(along_m: NDArray[np.float64], seed: 
             assert mask == (flags[column] | VALID if mask & VALID else flags[column] & (LOW_RESOLUTION | TURN))
 
 
-@given(along_m=tracks, seed=st.integers(0, 99), spacing_m=spacings, max_gap_m=gaps, cuts=st.lists(st.integers(0, 30), max_size=6))
+@given(
+    along_m=tracks,
+    seed=st.integers(0, 99),
+    spacing_m=spacings,
+    max_gap_m=gaps,
+    cuts=st.lists(st.integers(0, 30), max_size=6),
+)
 @settings(max_examples=60)
 def test_rows_do_not_depend_on_how_the_pings_were_cut(
     along_m: NDArray[np.float64], seed: int, spacing_m: float, max_gap_m: float, cuts: list[int]
@@ -146,26 +167,33 @@ def assert_same(one: Swath, other: Swath) -> None:
 
 
 @given(along_m=tracks, spacing_m=spacings, max_gap_m=gaps)
-def test_poses_are_interpolated_to_row_centres(along_m: NDArray[np.float64], spacing_m: float, max_gap_m: float) -> None:
+def test_poses_are_interpolated_to_row_centres(
+    along_m: NDArray[np.float64], spacing_m: float, max_gap_m: float
+) -> None:
     first_row, rows = rows_of(swath(along_m), spacing_m, max_gap_m)
     centre = (first_row + np.arange(rows.n_rows) + 0.5) * spacing_m
     np.testing.assert_allclose(rows.along_m, centre, rtol=1e-12)
     within = np.clip(centre, along_m[0], along_m[-1])  # no extrapolation
     expected = poses(within)
     for name in PoseTrack.__struct_fields__:
-        np.testing.assert_allclose(getattr(rows.pose, name), getattr(expected, name), rtol=1e-9, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(rows.pose, name), getattr(expected, name), rtol=1e-9, atol=1e-9, err_msg=name
+        )
     np.testing.assert_allclose(rows.first_return_m, 8.0 + 0.1 * within, rtol=1e-9)
     np.testing.assert_allclose(rows.first_return_sigma_m, 0.1 + 0.001 * within, rtol=1e-9)
 
 
 @given(along_m=tracks, spacing_m=spacings, max_gap_m=gaps)
-def test_ping_numbers_are_those_of_the_nearest_ping_or_none(along_m: NDArray[np.float64], spacing_m: float, max_gap_m: float) -> None:
+def test_ping_numbers_are_those_of_the_nearest_ping_or_none(
+    along_m: NDArray[np.float64], spacing_m: float, max_gap_m: float
+) -> None:
     first_row, rows = rows_of(swath(along_m, first_number=100), spacing_m, max_gap_m)
     for index, number in enumerate(rows.ping_number.tolist()):
         edges = (first_row + index) * spacing_m, (first_row + index + 1) * spacing_m
         track = along_m.tolist()
         overlap = max(
-            min(stop, edges[1]) - max(start, edges[0]) for start, stop in (stretch(track, p, max_gap_m) for p in range(len(track)))
+            min(stop, edges[1]) - max(start, edges[0])
+            for start, stop in (stretch(track, p, max_gap_m) for p in range(len(track)))
         )
         if abs(overlap) < 1e-9:
             continue
@@ -180,7 +208,9 @@ def test_a_constant_image_stays_constant() -> None:
     random = np.random.default_rng(0)
     along_m = np.cumsum(random.uniform(0.01, 0.4, 300))
     plain = swath(along_m)
-    image = SideImage(np.full((300, N_COLUMNS), 0.1, dtype=np.float32), np.full((300, N_COLUMNS), VALID, dtype=np.uint8))
+    image = SideImage(
+        np.full((300, N_COLUMNS), 0.1, dtype=np.float32), np.full((300, N_COLUMNS), VALID, dtype=np.uint8)
+    )
     for spacing_m in (0.05, 0.12, 0.5):
         _, rows = rows_of(plain._replace(sides={"port": image}), spacing_m, 0.6, [40, 80])
         inner = rows.sides["port"].intensity[10:-10]
@@ -204,7 +234,8 @@ def test_sides_and_widths_that_come_later_are_filled_with_nothing() -> None:
     second = swath(along_m[10:20], sides=("port", "starboard"), first_number=10)
     wide: dict[Side, SideImage] = {
         side: SideImage(
-            np.pad(image.intensity, ((0, 0), (0, 2)), constant_values=1.0), np.pad(image.mask, ((0, 0), (0, 2)), constant_values=VALID)
+            np.pad(image.intensity, ((0, 0), (0, 2)), constant_values=1.0),
+            np.pad(image.mask, ((0, 0), (0, 2)), constant_values=VALID),
         )
         for side, image in second.sides.items()
     }

@@ -37,7 +37,8 @@ class Case:
         return make_traces(self.intensity, self.valid, self.saturated, self.first_range_m, self.spacing_m)
 
     def integrals(self, ping: int, start_m: float, stop_m: float) -> tuple[float, float, float]:
-        """Length of valid samples within the interval, integral of intensity over it, length of saturated samples; metres."""
+        """Length of valid samples within the interval, integral of intensity over it, length of saturated samples;
+        metres."""
         length = energy = clipped = 0.0
         for sample in range(self.intensity.shape[1]):
             near = self.first_range_m + (sample - 0.5) * self.spacing_m
@@ -54,7 +55,11 @@ def cases(draw: st.DrawFn) -> Case:
     shape = (N_PINGS, draw(st.integers(1, 12)))
     masks = hnp.arrays(np.bool_, shape)
     all_valid = draw(st.booleans())
-    steps = draw(hnp.arrays(np.float64, (draw(st.sampled_from([1, N_PINGS])), draw(st.integers(1, 8))), elements=st.floats(0.001, 3.0)))
+    steps = draw(
+        hnp.arrays(
+            np.float64, (draw(st.sampled_from([1, N_PINGS])), draw(st.integers(1, 8))), elements=st.floats(0.001, 3.0)
+        )
+    )
     start = draw(st.floats(-2.0, 4.0))
     return Case(
         draw(hnp.arrays(np.float32, shape, elements=st.floats(0.0, 1e6, width=32))),
@@ -98,7 +103,14 @@ def test_one_row_of_edges_serves_all_pings(case: Case) -> None:
 
 
 def test_edges_are_not_changed() -> None:
-    case = Case(np.ones((2, 5), np.float32), np.ones((2, 5), bool), np.zeros((2, 5), bool), 0.5, 1.0, np.array([[0.0, 1.0], [1.5, 9.0]]))
+    case = Case(
+        np.ones((2, 5), np.float32),
+        np.ones((2, 5), bool),
+        np.zeros((2, 5), bool),
+        0.5,
+        1.0,
+        np.array([[0.0, 1.0], [1.5, 9.0]]),
+    )
     before = case.edges_m.copy()
     mean_between(case.traces, case.edges_m)
     np.testing.assert_array_equal(case.edges_m, before)
@@ -107,7 +119,9 @@ def test_edges_are_not_changed() -> None:
 def test_energy_is_conserved_over_any_partition() -> None:
     random = np.random.default_rng(0)
     intensity = random.exponential(size=(4, 2000)).astype(np.float32)
-    traces = make_traces(intensity, np.ones_like(intensity, dtype=bool), np.zeros_like(intensity, dtype=bool), 0.0125, 0.025)
+    traces = make_traces(
+        intensity, np.ones_like(intensity, dtype=bool), np.zeros_like(intensity, dtype=bool), 0.0125, 0.025
+    )
     cuts = np.sort(random.uniform(0.0, 50.0, (4, 300)), axis=1)
     edges = np.concatenate([np.zeros((4, 1)), cuts, np.full((4, 1), 50.0)], axis=1)
     means = mean_between(traces, edges)
@@ -121,7 +135,9 @@ def test_a_constant_trace_stays_constant_to_the_finest_pixel_below_the_keel() ->
     """Near nadir a pixel is a hundredth of a sample wide or less."""
     intensity = np.full((2, 4000), 7.25, dtype=np.float32)
     intensity[:, :60] = 1e9  # ring-down
-    traces = make_traces(intensity, np.ones_like(intensity, dtype=bool), np.zeros_like(intensity, dtype=bool), 0.0125, 0.025)
+    traces = make_traces(
+        intensity, np.ones_like(intensity, dtype=bool), np.zeros_like(intensity, dtype=bool), 0.0125, 0.025
+    )
     means = mean_between(traces, ground_edges_m(np.array([2.0, 30.0]), 1500, 0.06))
     inside = np.hypot(1500 * 0.06, [2.0, 30.0]) < 100.0
     assert inside.tolist() == [True, True]
@@ -145,7 +161,9 @@ def test_ring_down_takes_no_digits_from_the_sea_floor() -> None:
     ringing[:, :10] = 1e12
     every, nothing = np.ones(floor.shape, dtype=bool), np.zeros(floor.shape, dtype=bool)
     edges = np.arange(5.0, 40.0, 0.13)[None, :]
-    quiet, loud = (mean_between(make_traces(values, every, nothing, 0.05, 0.1), edges).intensity for values in (floor, ringing))
+    quiet, loud = (
+        mean_between(make_traces(values, every, nothing, 0.05, 0.1), edges).intensity for values in (floor, ringing)
+    )
     np.testing.assert_array_equal(loud, quiet)
 
 
@@ -158,7 +176,9 @@ def test_ground_edges_invert_the_factored_geometry(first_return_m: float, n_colu
     for column, r in enumerate(edges[0].tolist()):
         y = math.sqrt(max((r - first_return_m) * (r + first_return_m), 0.0))
         # r itself is rounded to eps * r, which moves y by eps * r * r / y.
-        assert y == pytest.approx(column * spacing_m, abs=1e-12 + 4e-16 * r * r / max(column * spacing_m, 1e-300) if column else 1e-12)
+        assert y == pytest.approx(
+            column * spacing_m, abs=1e-12 + 4e-16 * r * r / max(column * spacing_m, 1e-300) if column else 1e-12
+        )
 
 
 def test_pixels_shrink_towards_nadir_as_the_stretch_factor_says() -> None:

@@ -43,8 +43,11 @@ def test_averaged_looks_leave_all_three_laws_apart(looks: int, profile: str) -> 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize("seed", range(2))
-def test_plants_and_stones_over_most_of_the_floor_do_not_make_amplitude_look_like_intensity(share: float, seed: int) -> None:
-    """Patches with echoes up to 13 dB above and below, changing within half a metre: they spread samples more than speckle does."""
+def test_plants_and_stones_over_most_of_the_floor_do_not_make_amplitude_look_like_intensity(
+    share: float, seed: int
+) -> None:
+    """Patches with echoes up to 13 dB above and below, changing within half a metre: they spread samples more than
+    speckle does."""
     random = np.random.default_rng(seed)
     single = intensity_pings(1, "level", seed)
     n_patches = single.shape[0] // 8  # of 8 pings by 20 samples
@@ -76,7 +79,9 @@ def test_decibels_around_zero_are_still_a_logarithm() -> None:
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("looks", [1, 2, 4, 8])
 @pytest.mark.parametrize("db_per_count", [0.25, 0.314, 0.45])
-def test_decibels_per_count_do_not_take_averaged_looks_for_single_ones(profile: str, looks: int, db_per_count: float) -> None:
+def test_decibels_per_count_do_not_take_averaged_looks_for_single_ones(
+    profile: str, looks: int, db_per_count: float
+) -> None:
     """Single-look speckle would make them too many by half for 2 looks, by a factor of 3.5 for 8."""
     odds = odds_of(log_counts(intensity_pings(looks, profile, seed=3, n_pings=256), db_per_count))
     assert odds.db_per_count == pytest.approx(db_per_count, rel=0.2)

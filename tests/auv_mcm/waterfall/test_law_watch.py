@@ -74,14 +74,18 @@ def test_without_speckle_the_commonest_is_used_and_the_notice_states_it() -> Non
         ((_, verdict),) = verdicts_of(LawWatch(sonar), pings(np.full((40, 100), 7, dtype=np.uint8)))
         assert verdict.transfer is not None
         assert verdict.transfer.kind == kind
-    assert [notice.code for notice in notices_of(SonarConfig(), pings(np.full((40, 100), 7, dtype=np.uint8)))] == ["transfer.unchecked"]
+    assert [notice.code for notice in notices_of(SonarConfig(), pings(np.full((40, 100), 7, dtype=np.uint8)))] == [
+        "transfer.unchecked"
+    ]
 
 
 @pytest.mark.parametrize("gap_s", [0.0, 60.0])
 def test_the_law_turns_when_another_recorder_speaks(gap_s: float) -> None:
     """As where logs of two recorders are replayed as one mission, with a hole in time or without."""
     later = pings(LOGARITHM, first=512 + round(10.0 * gap_s))
-    (_, first), (number, turned), *more = verdicts_of(LawWatch(SonarConfig()), pings(AMPLITUDE.astype(np.uint8)) + later)
+    (_, first), (number, turned), *more = verdicts_of(
+        LawWatch(SonarConfig()), pings(AMPLITUDE.astype(np.uint8)) + later
+    )
     assert first.transfer == Transfer("amplitude")
     assert turned.transfer is not None
     assert turned.transfer.kind == "log"

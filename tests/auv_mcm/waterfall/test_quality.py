@@ -28,7 +28,9 @@ def check_all(
 ) -> tuple[list[CheckedTrace], Counter[str]]:
     counters: Counter[str] = Counter()
     checker = TraceChecker("port", transfer, full_scale, counters)
-    return [checker.check(EchoTrace(samples=s, first_range_m=SPACING_M / 2, spacing_m=SPACING_M)) for s in pings], counters
+    return [
+        checker.check(EchoTrace(samples=s, first_range_m=SPACING_M / 2, spacing_m=SPACING_M)) for s in pings
+    ], counters
 
 
 def test_a_good_trace_passes_untouched_and_uncounted() -> None:
@@ -185,7 +187,9 @@ def test_one_corrupt_sample_does_not_raise_the_ceiling() -> None:
 def test_traces_together_are_checked_as_one_by_one(dtype: type) -> None:
     """Good ones, some that repeat the one before, are silent, constant, clipped, broken, or have an absurd sample."""
     random = np.random.Generator(np.random.PCG64(5))
-    pings: list[NDArray[Any]] = [np.minimum(rayleigh(seed, 60.0 * (1 + seed % 7)), 255.0).astype(dtype) for seed in range(40)]
+    pings: list[NDArray[Any]] = [
+        np.minimum(rayleigh(seed, 60.0 * (1 + seed % 7)), 255.0).astype(dtype) for seed in range(40)
+    ]
     for ping in random.integers(1, 40, 8).tolist():
         pings[ping] = pings[ping - 1].copy()
     pings[3], pings[11] = np.zeros_like(pings[3]), np.full_like(pings[3], 7)
@@ -198,7 +202,9 @@ def test_traces_together_are_checked_as_one_by_one(dtype: type) -> None:
     traces = [EchoTrace(samples=s, first_range_m=SPACING_M / 2, spacing_m=SPACING_M) for s in pings]
     blocks = [checker.check_all(traces[start:stop]) for start, stop in ((0, 7), (7, 8), (8, 40))]
     for k, parts in enumerate(zip(*blocks, strict=True)):
-        np.testing.assert_array_equal(np.concatenate(parts), np.stack([checked[k] for checked in one_by_one]), strict=True)
+        np.testing.assert_array_equal(
+            np.concatenate(parts), np.stack([checked[k] for checked in one_by_one]), strict=True
+        )
     assert together == counters
     assert counters["quality.port_stuck"] >= 4
 
@@ -219,7 +225,9 @@ def test_traces_add_up_to_what_each_of_them_holds(
     counters: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
     whole, single = (TraceChecker("port", transfer, full_scale, counted) for counted in counters)
     for _ in range(3):
-        pings = [rayleigh(int(random.integers(99)), 60.0, n_samples).clip(0, 127) for _ in range(int(random.integers(1, 6)))]
+        pings = [
+            rayleigh(int(random.integers(99)), 60.0, n_samples).clip(0, 127) for _ in range(int(random.integers(1, 6)))
+        ]
         for ping in pings:
             match random.integers(8):
                 case 0:

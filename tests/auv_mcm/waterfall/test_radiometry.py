@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from auv_mcm.settings.config import WaterfallConfig
 from auv_mcm.waterfall.radiometry import AngleCurve, GainStepFilter, local_mean, ping_levels
-from tests.auv_mcm.waterfall.simulated_pings import ALTITUDE_M, CONFIG, GROUND_M, SLANT_M, Run, amplitudes, decibels, row_of_ping, run
+from tests.auv_mcm.waterfall.simulated_pings import (
+    ALTITUDE_M,
+    CONFIG,
+    GROUND_M,
+    SLANT_M,
+    Run,
+    amplitudes,
+    decibels,
+    row_of_ping,
+    run,
+)
 
 N_PINGS = 320
 COLUMN_M = (np.arange(751) + 0.5) * CONFIG.waterfall.column_spacing_m
@@ -88,11 +98,16 @@ def test_a_third_of_the_samples_missing_changes_no_estimate(plain_samples: NDArr
     both = gappy.image()[1] & plain.image()[1]
     assert both[:, 40:740].mean() > 0.6
     for columns in (slice(60, 240), slice(240, 480), slice(480, 740)):
-        ratio = decibels(gappy.image()[0][:, columns][both[:, columns]].mean() / plain.image()[0][:, columns][both[:, columns]].mean())
+        ratio = decibels(
+            gappy.image()[0][:, columns][both[:, columns]].mean()
+            / plain.image()[0][:, columns][both[:, columns]].mean()
+        )
         assert abs(ratio) < 0.05
 
 
-@pytest.mark.parametrize(("step_db", "ping"), [(30.0, 40), (-30.0, 200), (6.0, 100), (-6.0, 223), (30.0, 255), (6.0, 3)])
+@pytest.mark.parametrize(
+    ("step_db", "ping"), [(30.0, 40), (-30.0, 200), (6.0, 100), (-6.0, 223), (30.0, 255), (6.0, 3)]
+)
 def test_a_gain_step_leaves_no_trace(plain_samples: NDArray[np.float64], plain: Run, step_db: float, ping: int) -> None:
     stepped = plain_samples.copy()
     stepped[:, ping:] *= 10.0 ** (step_db / 20.0)
@@ -134,7 +149,8 @@ def test_nothing_depends_on_absolute_gain(plain_samples: NDArray[np.float64], pl
 
 
 def test_the_curve_is_not_dragged_by_targets_or_shadows() -> None:
-    """A tenth of the pixels 30 dB off, in either direction, moves the mean of the logarithm by 0.3 nats and not by 0.7."""
+    """A tenth of the pixels 30 dB off, in either direction, moves the mean of the logarithm by 0.3 nats and not by
+    0.7."""
     tangent = np.full((32, 100), 0.5)
     speckle = np.log(np.random.default_rng(0).exponential(size=(40, 32, 100)))
     for offset in (6.9, -6.9):
@@ -190,7 +206,8 @@ def test_gain_steps_are_found_wherever_the_blocks_are_cut(step: float, ping: int
 
 @given(seed=st.integers(0, 2**32 - 1), step=st.floats(-8.0, 8.0), ping=st.integers(1, 49), cut=st.integers(0, 49))
 def test_a_steady_block_is_remembered_like_its_pings(seed: int, step: float, ping: int, cut: int) -> None:
-    """The pings before a step, some of them without a level, by themselves or together with it: the same correction to the bit."""
+    """The pings before a step, some of them without a level, by themselves or together with it: the same correction to
+    the bit."""
     cut = min(cut, ping)
     seabed, water = levels(np.where(np.arange(50) < ping, 0.0, step), seed)
     for level in (seabed, water):
@@ -211,7 +228,11 @@ def test_small_steps_are_left_to_the_local_mean(step: float) -> None:
 
 def test_steps_of_sea_floor_or_water_alone_are_no_gain() -> None:
     gain, none = np.where(np.arange(50) < 25, 0.0, 3.0), np.zeros(50)
-    for seabed, water in ((levels(gain)[0], levels(none)[1]), (levels(none)[0], levels(gain)[1]), (levels(gain)[0], levels(-gain)[1])):
+    for seabed, water in (
+        (levels(gain)[0], levels(none)[1]),
+        (levels(none)[0], levels(gain)[1]),
+        (levels(gain)[0], levels(-gain)[1]),
+    ):
         assert GainStepFilter().corrections(seabed, water)[1] == 0
 
 
@@ -242,7 +263,9 @@ def slow_local_mean(
     limited = intensity.astype(np.float64)
     for i, j in zip(*np.nonzero(usable), strict=True):
         box = around(i, j)
-        geometric = np.exp(np.mean(np.log(np.clip(intensity[box][usable[box]].astype(np.float64), math.exp(-3.0), math.exp(3.0)))))
+        geometric = np.exp(
+            np.mean(np.log(np.clip(intensity[box][usable[box]].astype(np.float64), math.exp(-3.0), math.exp(3.0))))
+        )
         limited[i, j] = min(limited[i, j], 6.0 * math.exp(np.euler_gamma) * geometric)
     mean, known = np.zeros(intensity.shape), np.zeros(intensity.shape, dtype=np.bool_)
     for i, j in np.ndindex(*intensity.shape):
@@ -255,7 +278,9 @@ def slow_local_mean(
 
 
 @given(seed=st.integers(0, 1000), shape=st.tuples(st.integers(1, 9), st.integers(1, 12)), share=st.floats(0.0, 1.0))
-def test_local_means_are_masked_means_of_what_lies_in_the_image(seed: int, shape: tuple[int, int], share: float) -> None:
+def test_local_means_are_masked_means_of_what_lies_in_the_image(
+    seed: int, shape: tuple[int, int], share: float
+) -> None:
     random = np.random.default_rng(seed)
     usable = random.random(shape) < share
     glints = random.choice([1.0, 50.0], p=[0.9, 0.1], size=shape)
@@ -271,7 +296,8 @@ def test_the_stage_counts_no_gain_step_on_plain_ground(plain: Run) -> None:
 
 
 def test_a_bright_patch_is_no_reference_for_itself() -> None:
-    """The local mean and the angle curve forget within twenty metres what was darker before; levels are those of the mission."""
+    """The local mean and the angle curve forget within twenty metres what was darker before; levels are those of the
+    mission."""
     factor = np.ones((1, 900, 1))
     factor[0, 500:] = 4.0  # only the sea floor gets brighter; the water column stays
     samples = amplitudes(900, factor=np.where(SLANT_M > ALTITUDE_M, factor, 1.0))
@@ -280,19 +306,27 @@ def test_a_bright_patch_is_no_reference_for_itself() -> None:
     level = np.concatenate([tile.level[tile.core_start : tile.core_stop] for tile in tiles if tile.level is not None])
     intensity, valid = seen.image()
     dark, bright = (
-        slice(row_of_ping(first, seen.first_row), row_of_ping(last, seen.first_row)) for first, last in ((300, 450), (800, 880))
+        slice(row_of_ping(first, seen.first_row), row_of_ping(last, seen.first_row))
+        for first, last in ((300, 450), (800, 880))
     )
     rise = float(np.nanmedian(level[bright]) - np.nanmedian(level[dark]))
-    assert 0.5 * math.log(4.0) < rise < math.log(4.0)  # less what the patch, two fifths of the mission, has added to its mean
+    assert (
+        0.5 * math.log(4.0) < rise < math.log(4.0)
+    )  # less what the patch, two fifths of the mission, has added to its mean
     assert intensity[bright][valid[bright]].mean() == pytest.approx(intensity[dark][valid[dark]].mean(), rel=0.1)
 
 
 def test_levels_do_not_depend_on_the_blocks_that_tiles_are_cut_from() -> None:
     samples = amplitudes(600, seed=3)
     grid = WaterfallConfig(row_spacing_m=CONFIG.waterfall.row_spacing_m, column_spacing_m=0.06, tile_rows=128)
-    one, other = (run(samples, config=config, overlap_m=16.0) for config in (CONFIG, msgspec.structs.replace(CONFIG, waterfall=grid)))
+    one, other = (
+        run(samples, config=config, overlap_m=16.0)
+        for config in (CONFIG, msgspec.structs.replace(CONFIG, waterfall=grid))
+    )
     levels = [
-        np.concatenate([t.level[t.core_start : t.core_stop] for t in each.tiles if t.side == "port" and t.level is not None])
+        np.concatenate(
+            [t.level[t.core_start : t.core_stop] for t in each.tiles if t.side == "port" and t.level is not None]
+        )
         for each in (one, other)
     ]
     inner = slice(0, min(map(len, levels)))

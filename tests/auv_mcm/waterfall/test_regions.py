@@ -70,7 +70,9 @@ def test_c_and_numpy_agree_to_the_bit(n_part: int) -> None:
     samples = np.round(random.gamma(1.0, 40.0, (16, 9 * n_part)))
     samples[5, 2 * n_part + 1] = np.nan
     samples[:, 4 * n_part : 5 * n_part] = 0.0
-    by_c, by_numpy = (measure(samples.copy(), n_part, N_CELLS, (6, 8), 1e19) for measure in (ping_windows, ping_windows_numpy))
+    by_c, by_numpy = (
+        measure(samples.copy(), n_part, N_CELLS, (6, 8), 1e19) for measure in (ping_windows, ping_windows_numpy)
+    )
     for name, found, expected in zip(by_c._fields, by_c, by_numpy, strict=True):
         assert np.array_equal(found, expected, equal_nan=True), name
 

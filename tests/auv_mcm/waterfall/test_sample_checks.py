@@ -51,13 +51,17 @@ def test_nothing_and_nonsense_do_not_change_the_scale() -> None:
 
 def test_negative_samples_are_reported_once_they_go_on() -> None:
     side = check()
-    notices = [notice for n in range(60) for notice in side.check(trace(-1.0 - SAMPLES if n != 10 else SAMPLES), f"ping {n}")]
+    notices = [
+        notice for n in range(60) for notice in side.check(trace(-1.0 - SAMPLES if n != 10 else SAMPLES), f"ping {n}")
+    ]
     (notice,) = notices
     assert notice.code == "quality.samples_negative"
     assert notice.place == "ping 30"
 
 
-@pytest.mark.parametrize("samples", [np.zeros(9), np.full(9, np.nan), np.array([-3, 1], dtype=np.int16), np.array([], dtype=np.float32)])
+@pytest.mark.parametrize(
+    "samples", [np.zeros(9), np.full(9, np.nan), np.array([-3, 1], dtype=np.int16), np.array([], dtype=np.float32)]
+)
 def test_samples_of_which_some_are_positive_or_none_known_raise_nothing(samples: NDArray[np.generic]) -> None:
     side = check()
     assert [notice for _ in range(60) for notice in side.check(trace(samples), "")] == []

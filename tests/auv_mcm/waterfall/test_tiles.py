@@ -31,11 +31,15 @@ def swath(n_rows: int, first_row: int, *, sides: tuple[Side, ...] = SIDES, n_col
         mask = np.where(random.random((n_rows, n_columns)) < 0.9, VALID, 0).astype(np.uint8)
         mask |= np.where((random.random(mask.shape) < 0.02) & (mask != 0), np.uint8(SATURATED), np.uint8(0))
         mask |= np.where(random.random(mask.shape) < 0.02, np.uint8(TURN), np.uint8(0))
-        images[side] = SideImage(np.where(mask & VALID, random.exponential(size=mask.shape), 0.0).astype(np.float32), mask)
+        images[side] = SideImage(
+            np.where(mask & VALID, random.exponential(size=mask.shape), 0.0).astype(np.float32), mask
+        )
     rows = np.arange(first_row, first_row + n_rows)
     distance = rows.astype(np.float64)
     along_m = (distance + 0.5) * SPACING_M
-    return Swath(along_m, straight_poses(n_rows, first_row), 6.0 + 0.001 * distance, np.full(n_rows, 0.1), rows + 1000, images)
+    return Swath(
+        along_m, straight_poses(n_rows, first_row), 6.0 + 0.001 * distance, np.full(n_rows, 0.1), rows + 1000, images
+    )
 
 
 def cut(
@@ -68,7 +72,9 @@ def stitched(tiles: list[Tile], side: Side) -> tuple[NDArray[np.float32], NDArra
     piece=st.integers(1, 200),
 )
 @settings(max_examples=25)
-def test_cores_hold_every_row_exactly_once_in_order(n_rows: int, first_row: int, tile_rows: int, origin_row: int, piece: int) -> None:
+def test_cores_hold_every_row_exactly_once_in_order(
+    n_rows: int, first_row: int, tile_rows: int, origin_row: int, piece: int
+) -> None:
     rows = swath(n_rows, first_row, n_columns=4)
     tiles, _ = cut(rows, first_row, tile_rows, origin_row=origin_row % tile_rows, piece=piece)
     for side in SIDES:
@@ -116,7 +122,9 @@ def test_a_tile_comes_as_soon_as_its_overlap_is_there() -> None:
     cutter = TileCutter(config(128), OVERLAP_M)
     for row in range(400):
         tiles = cutter.add(row, slice_swath(rows, slice(row, row + 1)))
-        assert [tile.index for tile in tiles] == ([row // 128 - 1] * 2 if row >= 128 and row % 128 == OVERLAP_ROWS - 1 else [])
+        assert [tile.index for tile in tiles] == (
+            [row // 128 - 1] * 2 if row >= 128 and row % 128 == OVERLAP_ROWS - 1 else []
+        )
 
 
 def test_the_local_mean_of_the_sea_floor_is_one_and_saturated_pixels_have_no_say() -> None:
@@ -124,7 +132,9 @@ def test_the_local_mean_of_the_sea_floor_is_one_and_saturated_pixels_have_no_say
     image = plain.sides["port"]
     clipped = (image.mask & SATURATED) != 0
     usable = (image.mask & (VALID | SATURATED)) == VALID
-    quiet = SideImage(np.where(usable, image.intensity, 0.0).astype(np.float32), np.where(usable, image.mask, 0).astype(np.uint8))
+    quiet = SideImage(
+        np.where(usable, image.intensity, 0.0).astype(np.float32), np.where(usable, image.mask, 0).astype(np.uint8)
+    )
     tiles, _ = cut(plain._replace(sides={"port": quiet}), 0, 4096)
     assert tiles[0].intensity[usable].mean() == pytest.approx(1.0, abs=0.03)
     loud = SideImage(np.where(clipped, np.float32(1e6), image.intensity), image.mask)
@@ -138,7 +148,11 @@ def test_where_too_little_is_known_nothing_is_valid() -> None:
     image = plain.sides["port"]
     sparse = np.where(np.arange(200)[None, :] < 100, image.mask, np.uint8(0))
     sparse[::20, 150] = VALID
-    tiles, _ = cut(plain._replace(sides={"port": SideImage(np.where(sparse, image.intensity, 0.0).astype(np.float32), sparse)}), 0, 4096)
+    tiles, _ = cut(
+        plain._replace(sides={"port": SideImage(np.where(sparse, image.intensity, 0.0).astype(np.float32), sparse)}),
+        0,
+        4096,
+    )
     assert not (tiles[0].mask[:, 130:] & VALID).any()
     assert not tiles[0].intensity[:, 130:].any()
     np.testing.assert_array_equal(tiles[0].mask[:, :80], image.mask[:, :80])
@@ -149,13 +163,20 @@ def test_a_side_without_rows_makes_no_tiles_until_it_appears() -> None:
     tiles = cutter.add(0, swath(150, 0, sides=("port",)))
     tiles += cutter.add(150, swath(150, 150))
     tiles += cutter.close()
-    assert [(tile.index, tile.side) for tile in tiles] == [(0, "port"), *((index, side) for index in range(1, 5) for side in SIDES)]
+    assert [(tile.index, tile.side) for tile in tiles] == [
+        (0, "port"),
+        *((index, side) for index in range(1, 5) for side in SIDES),
+    ]
     starboard = stitched(tiles, "starboard")[1]
     assert not starboard[: 150 - 64].any()
     assert starboard[150 - 64 :].any()
 
 
-@given(lengths=st.lists(st.integers(1, 200), min_size=1, max_size=5), tile_rows=st.integers(64, 100), origin_row=st.integers(0, 63))
+@given(
+    lengths=st.lists(st.integers(1, 200), min_size=1, max_size=5),
+    tile_rows=st.integers(64, 100),
+    origin_row=st.integers(0, 63),
+)
 @settings(max_examples=25)
 def test_segments_never_share_a_tile_index(lengths: list[int], tile_rows: int, origin_row: int) -> None:
     cutter = TileCutter(config(tile_rows), OVERLAP_M, origin_row)

@@ -18,7 +18,9 @@ from auv_mcm.waterfall.transfer import to_intensity
 
 @given(
     samples=hnp.arrays(
-        np.float64, st.integers(0, 20), elements=st.floats(-1e3, 1e9) | st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -0.0])
+        np.float64,
+        st.integers(0, 20),
+        elements=st.floats(-1e3, 1e9) | st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -0.0]),
     ),
     kind=st.sampled_from(["amplitude", "intensity"]),
 )
@@ -34,7 +36,9 @@ def test_linear_samples_follow_the_definition(samples: NDArray[np.float64], kind
 
 @given(
     samples=hnp.arrays(
-        np.float32, st.integers(0, 20), elements=st.floats(-1000, 1000, width=32) | st.sampled_from([math.nan, math.inf, -math.inf])
+        np.float32,
+        st.integers(0, 20),
+        elements=st.floats(-1000, 1000, width=32) | st.sampled_from([math.nan, math.inf, -math.inf]),
     ),
     db_per_count=st.floats(0.01, 0.5),
 )
@@ -49,7 +53,9 @@ def test_differences_of_logarithmic_samples_are_ratios(samples: NDArray[np.float
     np.testing.assert_allclose(decibels - decibels[:1], expected - expected[:1], atol=2e-3)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.uint32, np.int32, np.float16, np.float32, np.float64])
+@pytest.mark.parametrize(
+    "dtype", [np.uint8, np.int8, np.uint16, np.int16, np.uint32, np.int32, np.float16, np.float32, np.float64]
+)
 @pytest.mark.parametrize("kind", ["amplitude", "intensity", "log"])
 def test_every_stored_type_is_read(dtype: type, kind: Any) -> None:
     samples: NDArray[Any] = np.array([0, 1, 100], dtype=dtype)

@@ -73,12 +73,16 @@ def test_the_same_pings_give_the_same_bytes(samples: NDArray[np.float64], plain:
 def test_mirrored_sides_give_mirrored_tiles(samples: NDArray[np.float64], plain: Run) -> None:
     mirrored = run(samples[::-1])
     for side, other in (SIDES, SIDES[::-1]):
-        assert_same_tiles([tile for tile in mirrored.tiles if tile.side == side], [tile for tile in plain.tiles if tile.side == other])
+        assert_same_tiles(
+            [tile for tile in mirrored.tiles if tile.side == side], [tile for tile in plain.tiles if tile.side == other]
+        )
 
 
 @pytest.mark.parametrize(("ping", "ground_m"), [(40, 4.5), (77, 15.02), (110, 38.5)])
 @pytest.mark.parametrize("side", SIDES)
-def test_an_echo_lands_on_its_ping_and_ground_range(samples: NDArray[np.float64], ping: int, ground_m: float, side: Side) -> None:
+def test_an_echo_lands_on_its_ping_and_ground_range(
+    samples: NDArray[np.float64], ping: int, ground_m: float, side: Side
+) -> None:
     marked = samples.copy()
     sample = int(np.abs(GROUND_M - ground_m).argmin())
     marked[SIDES.index(side), ping, sample] = 1e3
@@ -86,7 +90,8 @@ def test_an_echo_lands_on_its_ping_and_ground_range(samples: NDArray[np.float64]
     intensity, _ = found.image(side)
     row, column = np.unravel_index(intensity.argmax(), intensity.shape)
     assert abs((found.first_row + row + 0.5) * STEP_M - (FIRST_PING_M + STEP_M * ping)) <= STEP_M
-    # The tracked first return is good to a bin and a half of 5 cm, which moves a pixel by altitude over ground range of that.
+    # The tracked first return is good to a bin and a half of 5 cm, which moves a pixel by altitude over ground range of
+    # that.
     assert abs((column + 0.5) * COLUMN_SPACING_M - ground_m) <= COLUMN_SPACING_M + 0.075 * ALTITUDE_M / ground_m
     tile = next(tile for tile in found.tiles if tile.side == side and tile.index == found.tiles[0].index)
     assert ping in tile.ping_number[tile.core_start :]
@@ -124,7 +129,10 @@ def test_clipped_echoes_are_saturated_and_valid(samples: NDArray[np.float64]) ->
     counts[0, 80, (GROUND_M > 20.0) & (GROUND_M < 20.4)] = 32767
     found = run(counts)
     mask = masks(found)
-    row, columns = row_of_ping(80, found.first_row), slice(round(20.1 / COLUMN_SPACING_M), round(20.3 / COLUMN_SPACING_M))
+    row, columns = (
+        row_of_ping(80, found.first_row),
+        slice(round(20.1 / COLUMN_SPACING_M), round(20.3 / COLUMN_SPACING_M)),
+    )
     assert (mask[row, columns] & (VALID | SATURATED) == VALID | SATURATED).all()
     mask[row - 2 : row + 3] = 0
     assert not (mask & SATURATED).any()

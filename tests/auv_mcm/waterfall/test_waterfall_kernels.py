@@ -28,7 +28,9 @@ def drawn(seed: int, shape: tuple[int, int]) -> tuple[NDArray[np.float32], NDArr
     intensity[random.random(shape) < 0.05] *= np.float32(100.0)
     intensity[random.random(shape) < 0.05] = 0.0
     usable = random.random(shape) < random.choice([0.3, 0.9, 1.0])
-    mask = (random.integers(0, 16, shape).astype(np.uint8) & ~np.uint8(VALID)) | np.where(usable, np.uint8(VALID), np.uint8(0))
+    mask = (random.integers(0, 16, shape).astype(np.uint8) & ~np.uint8(VALID)) | np.where(
+        usable, np.uint8(VALID), np.uint8(0)
+    )
     return np.where(usable, intensity, np.float32(0.0)), usable, mask
 
 
@@ -51,7 +53,9 @@ def traces(seed: int, shape: tuple[int, int]) -> Sampled:
 @needs_c
 @given(seed=seeds, shape=trace_shapes, n_edges=st.integers(2, 30), n_edge_rows=st.integers(1, 4))
 @settings(deadline=None)
-def test_c_sums_and_averages_along_range_as_numpy_does(seed: int, shape: tuple[int, int], n_edges: int, n_edge_rows: int) -> None:
+def test_c_sums_and_averages_along_range_as_numpy_does(
+    seed: int, shape: tuple[int, int], n_edges: int, n_edge_rows: int
+) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
     intensity, _, _ = drawn(seed, shape)
     same(kernel.sums_to_the_end(intensity), kernel.sums_to_the_end_numpy(intensity))
@@ -71,13 +75,17 @@ def test_counts_add_up_as_the_intensities_they_stand_for(seed: int, shape: tuple
 
 
 @needs_c
-@given(seed=seeds, shape=st.tuples(st.integers(1, 5), st.integers(0, 300)), n_values=st.sampled_from([1, 2, 3, 40, 10**6]))
+@given(
+    seed=seeds, shape=st.tuples(st.integers(1, 5), st.integers(0, 300)), n_values=st.sampled_from([1, 2, 3, 40, 10**6])
+)
 @settings(deadline=None)
 def test_c_finds_the_medians_that_numpy_finds(seed: int, shape: tuple[int, int], n_values: int) -> None:
     """Of values that repeat, as those of coarse samples do, and of values over many decades."""
     random = np.random.Generator(np.random.PCG64(seed))
     values = (random.integers(0, n_values, shape) - n_values // 2) * random.choice([1.0, 1e-3])
-    values = np.where(random.random(shape) < random.choice([0.0, 0.3]), np.exp(random.normal(scale=9.0, size=shape)), values)
+    values = np.where(
+        random.random(shape) < random.choice([0.0, 0.3]), np.exp(random.normal(scale=9.0, size=shape)), values
+    )
     usable = random.random(shape) < random.choice([0.1, 0.7, 1.0])
     for chosen in (usable, None):
         for minimum in (1, 24):
@@ -95,13 +103,21 @@ def test_c_scales_rows_as_numpy_does(seed: int, shape: tuple[int, int], n_factor
 
 
 @needs_c
-@given(seed=seeds, shape=st.tuples(st.integers(1, 5), st.integers(1, 60)), blank=st.integers(1, 20), window=st.integers(2, 12))
+@given(
+    seed=seeds,
+    shape=st.tuples(st.integers(1, 5), st.integers(1, 60)),
+    blank=st.integers(1, 20),
+    window=st.integers(2, 12),
+)
 @settings(deadline=None)
 def test_c_finds_the_steps_that_numpy_finds(seed: int, shape: tuple[int, int], blank: int, window: int) -> None:
     random = np.random.Generator(np.random.PCG64(seed))
     values = random.normal(size=shape) + 3.0 * (np.arange(shape[1]) > random.integers(0, shape[1]))
     valid = random.random(shape) < 0.9
-    same(kernel.step_ratios(values, valid, blank, window, 0.7, 3.3), kernel.step_ratios_numpy(values, valid, blank, window, 0.7, 3.3))
+    same(
+        kernel.step_ratios(values, valid, blank, window, 0.7, 3.3),
+        kernel.step_ratios_numpy(values, valid, blank, window, 0.7, 3.3),
+    )
 
 
 @needs_c
@@ -124,7 +140,12 @@ def test_c_averages_pings_to_rows_as_numpy_does(seed: int, shape: tuple[int, int
     intensity, _, mask = drawn(seed, shape)
     source = random.integers(0, shape[0], (n_rows, n_steps))
     overlap = np.maximum(random.normal(0.02, 0.05, (n_rows, n_steps)), 0.0)
-    same(*(average(intensity, mask, source, overlap, 0.06) for average in (kernel.average_rows, kernel.average_rows_numpy)))
+    same(
+        *(
+            average(intensity, mask, source, overlap, 0.06)
+            for average in (kernel.average_rows, kernel.average_rows_numpy)
+        )
+    )
 
 
 @needs_c
@@ -133,7 +154,9 @@ def test_c_averages_pings_to_rows_as_numpy_does(seed: int, shape: tuple[int, int
 def test_c_levels_as_numpy_does(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
     intensity, usable, mask = drawn(seed, shape)
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
-    same(*(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (kernel.bright_spots, kernel.bright_spots_numpy)))
+    same(
+        *(spots(logarithms, usable, half, 2.4, 3.0, 1e-3) for spots in (kernel.bright_spots, kernel.bright_spots_numpy))
+    )
     same(*(level(intensity, usable, half, 0.25) for level in (kernel.box_level, kernel.box_level_numpy)))
     columns = np.arange(0, shape[1], 3)
     both = kernel.divide_by_level, kernel.divide_by_level_numpy
@@ -169,15 +192,26 @@ def test_c_follows_the_angle_curve_that_numpy_follows(seed: int, shape: tuple[in
     angle_row = random.integers(0, 3, shape[0])
     values, usable, centre = random.normal(size=shape), random.random(shape) < 0.8, random.normal(size=30)
     for about in (None, centre):
-        same(*(sums(angle, angle_row, values, usable, 30, about, 1.0) for sums in (kernel.angle_sums, kernel.angle_sums_numpy)))
+        same(
+            *(
+                sums(angle, angle_row, values, usable, 30, about, 1.0)
+                for sums in (kernel.angle_sums, kernel.angle_sums_numpy)
+            )
+        )
     bins = np.array(sorted(known), dtype=np.intp)
     same(*(curve(angle, bins, centre[bins]) for curve in (kernel.along_curve, kernel.along_curve_numpy)))
 
 
 @needs_c
-@given(seed=seeds, shape=st.tuples(st.integers(1, 30), st.integers(1, 12)), half=st.tuples(st.integers(1, 6), st.integers(1, 12)))
+@given(
+    seed=seeds,
+    shape=st.tuples(st.integers(1, 30), st.integers(1, 12)),
+    half=st.tuples(st.integers(1, 6), st.integers(1, 12)),
+)
 @settings(deadline=None)
-def test_rows_that_share_their_usable_pixels_are_counted_right(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
+def test_rows_that_share_their_usable_pixels_are_counted_right(
+    seed: int, shape: tuple[int, int], half: tuple[int, int]
+) -> None:
     """Counts are kept where the row that enters a box has the usable pixels of the one that leaves it."""
     random = np.random.Generator(np.random.PCG64(seed))
     intensity, usable, mask = drawn(seed, shape)
@@ -188,9 +222,15 @@ def test_rows_that_share_their_usable_pixels_are_counted_right(seed: int, shape:
     same(*(divide(intensity, mask, level, usable, half, 0.25, columns) for divide in both))
 
 
-@given(seed=seeds, shape=st.tuples(st.integers(1, 6), st.integers(1, 8)), half=st.tuples(st.integers(1, 3), st.integers(1, 4)))
+@given(
+    seed=seeds,
+    shape=st.tuples(st.integers(1, 6), st.integers(1, 8)),
+    half=st.tuples(st.integers(1, 3), st.integers(1, 4)),
+)
 @settings(deadline=None)
-def test_a_level_is_the_mean_of_the_usable_pixels_around(seed: int, shape: tuple[int, int], half: tuple[int, int]) -> None:
+def test_a_level_is_the_mean_of_the_usable_pixels_around(
+    seed: int, shape: tuple[int, int], half: tuple[int, int]
+) -> None:
     intensity, usable, _ = drawn(seed, shape)
     mean, known = kernel.box_level(intensity, usable, half, 0.25)
     logarithms = np.log(np.clip(intensity, np.float32(0.05), np.float32(20.0))) * usable
@@ -220,4 +260,6 @@ def test_a_row_takes_what_its_pings_say() -> None:
     source, overlap = np.array([[0, 1], [1, 0]]), np.array([[0.09, 0.03], [0.12, 0.0]])
     rows, flags = kernel.average_rows(intensity * ((mask & VALID) != 0), mask, source, overlap, 0.06)
     np.testing.assert_allclose(rows, [[1.5, 2.0, 0.0], [3.0, 0.0, 0.0]], rtol=1e-6)
-    np.testing.assert_array_equal(flags, [[VALID | SATURATED, VALID | TURN, LOW_RESOLUTION], [VALID | SATURATED, 0, LOW_RESOLUTION]])
+    np.testing.assert_array_equal(
+        flags, [[VALID | SATURATED, VALID | TURN, LOW_RESOLUTION], [VALID | SATURATED, 0, LOW_RESOLUTION]]
+    )

@@ -1,4 +1,5 @@
-"""Provide an event loop whose time passes only when there is nothing to do, and then at once as far as its next timer."""
+"""Provide an event loop whose time passes only when there is nothing to do, and then at once as far as its next
+timer."""
 
 from __future__ import annotations
 

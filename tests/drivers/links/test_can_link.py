@@ -160,7 +160,8 @@ def test_frames_pass_both_ways_on_a_virtual_bus() -> None:
 
 
 class DyingBus:
-    """Fake a bus on a descriptor; every byte written to `far` makes it give the next planned item, an error or a message."""
+    """Fake a bus on a descriptor; every byte written to `far` makes it give the next planned item, an error or a
+    message."""
 
     def __init__(self, plan: list[can.Message | Exception]) -> None:
         self.near, self.far = socket.socketpair()
@@ -193,7 +194,10 @@ class DyingBus:
 @pytest.mark.parametrize(
     ("end", "words"),
     [
-        (can.CanOperationError("Error receiving", errno.ENETDOWN), "the interface is down. Bring it up, e.g. ip link set can9 up"),
+        (
+            can.CanOperationError("Error receiving", errno.ENETDOWN),
+            "the interface is down. Bring it up, e.g. ip link set can9 up",
+        ),
         (can.CanOperationError("Error receiving", errno.ENODEV), "no such CAN interface"),
         (ValueError("something else altogether"), "the CAN bus failed (something else altogether)"),
         (can.Message(is_error_frame=True, arbitration_id=0x40), "switched itself off after too many errors"),

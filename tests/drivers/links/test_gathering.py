@@ -1,4 +1,5 @@
-"""Bytes gather a little before they are read: fewer wake-ups, none of them late, lost or out of order. All times are those of the loop."""
+"""Bytes gather a little before they are read: fewer wake-ups, none of them late, lost or out of order. All times are
+those of the loop."""
 
 from __future__ import annotations
 
@@ -200,10 +201,15 @@ def test_frames_of_an_adapter_gather_as_well() -> None:
 
 @settings(max_examples=60)
 @given(
-    st.lists(st.tuples(st.binary(min_size=1, max_size=3000), st.sampled_from([0.0, 1e-5, 3e-4, 1e-3, 2e-3, 5e-3, 0.3])), max_size=30),
+    st.lists(
+        st.tuples(st.binary(min_size=1, max_size=3000), st.sampled_from([0.0, 1e-5, 3e-4, 1e-3, 2e-3, 5e-3, 0.3])),
+        max_size=30,
+    ),
     st.sampled_from(BAUD_RATES),
 )
-def test_whatever_comes_however_cut_up_arrives_whole_in_order_and_in_time(pieces: list[tuple[bytes, float]], baud: int) -> None:
+def test_whatever_comes_however_cut_up_arrives_whole_in_order_and_in_time(
+    pieces: list[tuple[bytes, float]], baud: int
+) -> None:
     async def scenario(loop: LoopTime) -> None:
         async with wired(baud) as far:
             for piece, apart_s in pieces:

@@ -26,7 +26,10 @@ from drivers.links.uri import (
     ("uri", "address"),
     [
         ("serial:///dev/ttyUSB0?baud=921600", SerialAddress("/dev/ttyUSB0", 921600)),
-        ("serial:///dev/serial/by-id/usb-a%20b?baud=4800&silent_s=2.5", SerialAddress("/dev/serial/by-id/usb-a b", 4800, 2.5)),
+        (
+            "serial:///dev/serial/by-id/usb-a%20b?baud=4800&silent_s=2.5",
+            SerialAddress("/dev/serial/by-id/usb-a b", 4800, 2.5),
+        ),
         ("slcan:///dev/ttyACM0?bitrate=250000", SlcanAddress("/dev/ttyACM0", 250000)),
         ("slcan:///dev/ttyS1?bitrate=1000000&baud=57600", SlcanAddress("/dev/ttyS1", 1000000, 57600)),
         ("socketcan://can0", CanAddress("socketcan", "can0")),
@@ -60,7 +63,10 @@ def test_the_examples_in_messages_are_right(uri: str) -> None:
         ("serial:///dev/ttyUSB0?baud=٩٦٠٠", "not a whole number"),
         ("serial:///dev/ttyUSB0?baud=96000", "baud=96000 is not a standard rate; near it are 38400, 57600, 115200"),
         ("serial:///dev/ttyUSB0?baud=9600&baud=4800", "given twice"),
-        ("serial:///dev/ttyUSB0?baud=9600&parity=even", "'parity' is not an option of serial; known options: baud, silent_s"),
+        (
+            "serial:///dev/ttyUSB0?baud=9600&parity=even",
+            "'parity' is not an option of serial; known options: baud, silent_s",
+        ),
         ("serial:///dev/ttyUSB0?921600", "not a URI"),
         ("serial://dev/ttyUSB0?baud=9600", "'dev' is read as a host; a path has three slashes"),
         ("serial:///?baud=9600", "device is missing"),

@@ -96,7 +96,9 @@ def test_an_unplugged_device_is_reported_at_once_and_served_again_when_it_is_bac
     asyncio.run(scenario())
 
 
-def test_an_unplugged_device_is_reported_once_and_again_only_if_what_comes_back_cannot_be_opened(tmp_path: Path) -> None:
+def test_an_unplugged_device_is_reported_once_and_again_only_if_what_comes_back_cannot_be_opened(
+    tmp_path: Path,
+) -> None:
     async def scenario() -> None:
         async with plugged(tmp_path) as (port, link, watch):
             port.unplug()
@@ -295,7 +297,10 @@ def test_a_port_in_use_is_reported_with_a_way_to_find_who_uses_it(tmp_path: Path
         async with running(link):
             await until(lambda: watch.reports)
             assert watch.states == ["down"]
-            assert watch.reason == f"{port.path}: in use by another program. Stop that one: fuser -v {port.path} shows which it is."
+            assert (
+                watch.reason
+                == f"{port.path}: in use by another program. Stop that one: fuser -v {port.path} shows which it is."
+            )
             os.close(other)
             await until(lambda: link.state == "up")
             second, second_watch = link_at(port.path)
@@ -329,13 +334,18 @@ def test_a_path_that_is_not_a_serial_port_is_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (serial.SerialException(errno.EACCES, "could not open"), "permission denied. Add the user of this service to the group"),
+        (
+            serial.SerialException(errno.EACCES, "could not open"),
+            "permission denied. Add the user of this service to the group",
+        ),
         (serial.SerialException(errno.ENODEV, "could not open"), "does not answer"),
         (termios.error(errno.EIO, "Input/output error"), "does not answer"),
         (ValueError("Failed to set custom baud rate"), "cannot be used"),
     ],
 )
-def test_whatever_opening_a_port_raises_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception, words: str) -> None:
+def test_whatever_opening_a_port_raises_is_reported(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception, words: str
+) -> None:
     def fail(self: serial.Serial) -> None:
         raise error
 
@@ -345,7 +355,9 @@ def test_whatever_opening_a_port_raises_is_reported(monkeypatch: pytest.MonkeyPa
 
 def test_a_rate_that_the_port_silently_does_not_take_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     master, slave = os.openpty()
-    monkeypatch.setattr(serial.Serial, "_reconfigure_port", lambda self, force_update=False: None)  # leaves the rate as it is
+    monkeypatch.setattr(
+        serial.Serial, "_reconfigure_port", lambda self, force_update=False: None
+    )  # leaves the rate as it is
     assert f"does not take {BAUD} baud" in reason_for(Path(os.ttyname(slave)))
     os.close(master)
     os.close(slave)

@@ -36,7 +36,9 @@ def parsed(*chunks: bytes) -> tuple[list[CanFrame], Counter[str]]:
 @pytest.mark.parametrize("text", GOLDEN)
 def test_golden_frames_are_read_and_written(text: bytes) -> None:
     assert parsed(text)[0] == [GOLDEN[text]]
-    assert parsed(text.replace(b"t", b"#").replace(b"T", b"!").lower().replace(b"#", b"t").replace(b"!", b"T"))[0] == [GOLDEN[text]]
+    assert parsed(text.replace(b"t", b"#").replace(b"T", b"!").lower().replace(b"#", b"t").replace(b"!", b"T"))[0] == [
+        GOLDEN[text]
+    ]
     assert encode(GOLDEN[text]) == text
 
 

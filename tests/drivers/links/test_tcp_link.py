@@ -109,7 +109,8 @@ def test_who_is_not_there_is_reported() -> None:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
         assert first_reason(f"tcp://127.0.0.1:{port}") == (
-            f"tcp://127.0.0.1:{port}: refused. The host is there, but nothing listens on this port: check it, and start the device."
+            f"tcp://127.0.0.1:{port}: refused. The host is there, but nothing listens on this port: check it, and "
+            "start the device."
         )
     assert "cannot be reached" in first_reason("tcp://255.255.255.255:5000")
 
@@ -125,7 +126,9 @@ def test_a_host_that_nobody_knows_is_reported(monkeypatch: pytest.MonkeyPatch) -
         return known(host, *others, **named)
 
     monkeypatch.setattr(socket, "getaddrinfo", lookup)
-    assert first_reason("tcp://sonar:5000").startswith("tcp://sonar:5000: host 'sonar' is unknown ([Errno -2] Name or service not known).")
+    assert first_reason("tcp://sonar:5000").startswith(
+        "tcp://sonar:5000: host 'sonar' is unknown ([Errno -2] Name or service not known)."
+    )
     assert "host 'sonar' is unknown" in first_reason("udp://0.0.0.0:0?peer=sonar:5000")
 
 

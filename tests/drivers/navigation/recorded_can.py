@@ -1,4 +1,5 @@
-"""Recorded NMEA 2000 traffic: candump logs, canboat's analyser input and PCAN-View traces, as frames or whole messages."""
+"""Recorded NMEA 2000 traffic: candump logs, canboat's analyser input and PCAN-View traces, as frames or whole
+messages."""
 
 from __future__ import annotations
 
@@ -43,8 +44,8 @@ class RecordedMessage(NamedTuple):
 def read_can_log(path: Path, counters: Counter[str]) -> Iterator[RecordedMessage]:
     """What a log recorded, in its order, whichever of the formats it has.
 
-    Counts can_log.lines_skipped: lines of none of them that are no comments either. Raises BadInputError if the file cannot be read, or if
-    nothing in it is in one of the formats.
+    Counts can_log.lines_skipped: lines of none of them that are no comments either. Raises BadInputError if the file
+    cannot be read, or if nothing in it is in one of the formats.
     """
     start_s = 0.0
     n_read = 0
@@ -65,7 +66,9 @@ def read_can_log(path: Path, counters: Counter[str]) -> Iterator[RecordedMessage
     except OSError as error:
         raise BadInputError(f"{path} cannot be read: {error.strerror}. Check the path.") from error
     if n_read == 0:
-        raise BadInputError(f"{path} holds no CAN traffic that is known here: candump (-l or screen), canboat or PCAN-View 1.1.")
+        raise BadInputError(
+            f"{path} holds no CAN traffic that is known here: candump (-l or screen), canboat or PCAN-View 1.1."
+        )
 
 
 def _parse(text: str, start_s: float) -> RecordedMessage | None:

@@ -1,4 +1,5 @@
-"""DVL text, PD6 and Water Linked: what is written is read back, no damage hides an intact line, and no bottom means no velocity."""
+"""DVL text, PD6 and Water Linked: what is written is read back, no damage hides an intact line, and no bottom means no
+velocity."""
 
 from __future__ import annotations
 
@@ -19,7 +20,15 @@ VELOCITY = st.floats(-19.9, 19.9)
 ANGLE = st.floats(0.0, 6.28)
 LINES: st.SearchStrategy[pd6.Line] = st.one_of(
     st.builds(pd6.Pd6Attitude, st.floats(-1.5, 1.5), st.floats(-3.1, 3.1), ANGLE),
-    st.builds(pd6.Water, st.floats(1e9, 4e9), st.floats(0, 40), st.floats(-2, 40), st.floats(0, 6000), st.floats(1400, 1600), st.just(0.0)),
+    st.builds(
+        pd6.Water,
+        st.floats(1e9, 4e9),
+        st.floats(0, 40),
+        st.floats(-2, 40),
+        st.floats(0, 6000),
+        st.floats(1400, 1600),
+        st.just(0.0),
+    ),
     st.builds(pd6.InstrumentVelocity, VELOCITY, VELOCITY, VELOCITY, VELOCITY, st.just(True)),
     st.builds(pd6.ShipVelocity, VELOCITY, VELOCITY, VELOCITY, st.just(True)),
     st.builds(pd6.EarthVelocity, VELOCITY, VELOCITY, VELOCITY, st.just(True)),
@@ -39,12 +48,18 @@ RECORDS: st.SearchStrategy[wl.Record] = st.one_of(
         st.integers(0, 1),
     ),
     st.builds(
-        wl.WaterLinkedAttitude, st.floats(0, 2e9), *(st.floats(-1e4, 1e4),) * 3, st.floats(0, 99), *(st.floats(-3.1, 3.1),) * 3, st.just(0)
+        wl.WaterLinkedAttitude,
+        st.floats(0, 2e9),
+        *(st.floats(-1e4, 1e4),) * 3,
+        st.floats(0, 99),
+        *(st.floats(-3.1, 3.1),) * 3,
+        st.just(0),
     ),
 )
 GROUP = (
     b":SA, -2.31, +4.92, 12.34\r\n:TS,23111422132050,35.0,+14.0, 12.5,1500.0,  0\r\n:BI,   +24,   -7,  +12,   +3,A\r\n"
-    b":BS,  -100,+1500,   +5,A\r\n:BE, +1000,-1000,   +5,A\r\n:BD,+00000012.34,+00000001.20,-00000000.50, 17.25,  0.00\r\n"
+    b":BS,  -100,+1500,   +5,A\r\n:BE, +1000,-1000,   +5,A\r\n:BD,+00000012.34,+00000001.20,-00000000.50, 17.25,  "
+    b"0.00\r\n"
 )
 NO_LOCK = GROUP.replace(b",A\r", b",V\r")
 WRZ = b"wrz,0.120,-0.400,2.000,y,1.30,1.855,1e-07;0;1.4;0;1.2;0;0.2;0;1e+09,7,14,123.00,1*50\r\n"
@@ -54,7 +69,9 @@ WL_LINES = [WRZ, WRU, wl.message_of(wl.WaterLinkedAttitude(1.7e9, 1.0, 2.0, 3.0,
 
 
 def close(one: Any, other: Any, within: float) -> bool:
-    return all(a == b or abs(a - b) <= within or (math.isnan(a) and math.isnan(b)) for a, b in zip(one, other, strict=True))
+    return all(
+        a == b or abs(a - b) <= within or (math.isnan(a) and math.isnan(b)) for a, b in zip(one, other, strict=True)
+    )
 
 
 @given(LINES)
@@ -95,7 +112,9 @@ def test_a_pd6_group_is_one_fix() -> None:
     assert fix.received == T0, "of its first line"
     assert fix.n_bytes == len(PD6_LINES[0])
     assert fix.time_utc_s == 1_700_000_000.5
-    assert [math.degrees(angle) for angle in (fix.pitch_rad, fix.roll_rad, fix.heading_rad)] == pytest.approx([-2.31, 4.92, 12.34])
+    assert [math.degrees(angle) for angle in (fix.pitch_rad, fix.roll_rad, fix.heading_rad)] == pytest.approx(
+        [-2.31, 4.92, 12.34]
+    )
     assert (fix.depth_m, fix.altitude_m) == (12.5, 17.25)
     assert math.degrees(fix.course_rad) == pytest.approx(135.0)
     assert fix.drift_rad == pytest.approx(math.atan2(-0.1, 1.5))
@@ -152,7 +171,9 @@ def test_a_wrz_gives_velocity_altitude_and_how_old_it_is() -> None:
 
 def test_a_wrz_without_lock_gives_nothing() -> None:
     unit = wl.WaterLinkedUnit("dvl")
-    lost = wl.Velocity(0.0, 0.0, 0.0, False, -1.0, 0.0, (0.0,) * 9, 1_700_000_000_000_000, 1_700_000_000_150_000, 100.0, 0)
+    lost = wl.Velocity(
+        0.0, 0.0, 0.0, False, -1.0, 0.0, (0.0,) * 9, 1_700_000_000_000_000, 1_700_000_000_150_000, 100.0, 0
+    )
     [fix] = fed(unit, [wl.message_of(lost)])
     assert (fix.valid, fix.time_utc_s) == (False, 1_700_000_000.0)
     assert fix.age_s == pytest.approx(0.15)
@@ -198,7 +219,10 @@ def test_every_intact_line_is_read_whatever_is_around_it_and_chunks_make_no_diff
 
 @pytest.mark.parametrize("unit_type", [pd6.Pd6Unit, wl.WaterLinkedUnit])
 @given(
-    chunks=st.lists(st.one_of(st.binary(max_size=60), st.sampled_from([*PD6_LINES, *WL_LINES, b":", b"w", b"wrz,", b":BI,"])), max_size=30)
+    chunks=st.lists(
+        st.one_of(st.binary(max_size=60), st.sampled_from([*PD6_LINES, *WL_LINES, b":", b"w", b"wrz,", b":BI,"])),
+        max_size=30,
+    )
 )
 def test_no_bytes_raise(unit_type: type[Any], chunks: list[bytes]) -> None:
     unit = unit_type("dvl")

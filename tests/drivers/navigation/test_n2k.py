@@ -1,4 +1,5 @@
-"""NMEA 2000: what is written is read back, other decoders agree, and lost or foreign frames cost no more than their own message."""
+"""NMEA 2000: what is written is read back, other decoders agree, and lost or foreign frames cost no more than their own
+message."""
 
 from __future__ import annotations
 
@@ -42,7 +43,12 @@ def sent(bus: N2kBus, record: n2k.Record, source: int = 35, stamp: Stamp = T0) -
 
 
 def claim(bus: N2kBus, name: int, address: int) -> None:
-    assert bus.feed(n2k.can_id_of(n2k.Identifier(6, n2k.ADDRESS_CLAIM, n2k.GLOBAL, address)), name.to_bytes(8, "little"), T0) == []
+    assert (
+        bus.feed(
+            n2k.can_id_of(n2k.Identifier(6, n2k.ADDRESS_CLAIM, n2k.GLOBAL, address)), name.to_bytes(8, "little"), T0
+        )
+        == []
+    )
 
 
 @given(record())
@@ -53,7 +59,11 @@ def test_what_is_written_is_read_back(made: n2k.Record) -> None:
     assert type(again) is type(made)
     assert n2k.encode(again) == (pgn, data)
     for value, expected in zip(again, made, strict=True):
-        assert value == expected or (math.isnan(value) and math.isnan(expected)) or abs(value - expected) <= 1e-15 * abs(expected)
+        assert (
+            value == expected
+            or (math.isnan(value) and math.isnan(expected))
+            or abs(value - expected) <= 1e-15 * abs(expected)
+        )
 
 
 @given(record())
@@ -65,12 +75,16 @@ def test_another_decoder_sees_the_same_numbers(made: n2k.Record) -> None:
         return  # a time beyond midnight, which that decoder refuses
     message = nmea2000.NMEA2000Decoder().decode(text)
     theirs = [field.raw_value for field in message.fields if not field.id.startswith("reserved")]
-    for value, their_value, (_, n_bits, signed, resolution) in zip(made, theirs[: len(made)], n2k.MESSAGES[pgn].fields, strict=True):
+    for value, their_value, (_, n_bits, signed, resolution) in zip(
+        made, theirs[: len(made)], n2k.MESSAGES[pgn].fields, strict=True
+    ):
         if math.isnan(value):
             assert their_value in (None, (1 << n_bits) - 1), "a list of names may have one for 'not available'"
         elif their_value is None:
             largest = (1 << n_bits - signed) * resolution
-            assert abs(value) > 0.95 * largest or pgn in (129025, 129029), "it refuses angles of more than a turn, places beyond a pole"
+            assert abs(value) > 0.95 * largest or pgn in (129025, 129029), (
+                "it refuses angles of more than a turn, places beyond a pole"
+            )
         else:
             assert their_value == pytest.approx(value, rel=1e-6, abs=1e-7)
 
@@ -132,7 +146,11 @@ def test_too_short_messages_are_refused(made: n2k.Record) -> None:
 def test_messages_give_fields(made: n2k.Record, reported: dict[str, float]) -> None:
     [fix] = sent(N2kBus("can"), made)
     names = ("time_utc_s", *NavFix.__struct_fields__[7:])
-    found = {name: getattr(fix, name) for name in names if isinstance(getattr(fix, name), float) and not math.isnan(getattr(fix, name))}
+    found = {
+        name: getattr(fix, name)
+        for name in names
+        if isinstance(getattr(fix, name), float) and not math.isnan(getattr(fix, name))
+    }
     assert found == pytest.approx(reported, rel=1e-9)
     assert fix.valid == bool(reported)
 
@@ -171,7 +189,11 @@ def test_a_receiver_without_a_fix_gives_no_place_in_its_other_messages_either(me
 
 def test_messages_of_one_sid_carry_the_stamp_of_the_first() -> None:
     bus = N2kBus("can")
-    heading, attitude, depth = n2k.Heading(7.0, 1.0, NAN, NAN, 0.0), n2k.Attitude(7.0, NAN, 0.1, 0.2), n2k.WaterDepth(7.0, 5.0, 0.0, NAN)
+    heading, attitude, depth = (
+        n2k.Heading(7.0, 1.0, NAN, NAN, 0.0),
+        n2k.Attitude(7.0, NAN, 0.1, 0.2),
+        n2k.WaterDepth(7.0, 5.0, 0.0, NAN),
+    )
     group: tuple[n2k.Record, ...] = heading, attitude, depth
     stamps = [sent(bus, made, stamp=at(place * 0.004))[0].received for place, made in enumerate(group)]
     assert stamps == [at(0.0)] * 3

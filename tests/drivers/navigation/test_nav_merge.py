@@ -1,4 +1,5 @@
-"""Check the merging of several units: the best healthy one serves, nothing is repeated, implausible units are rejected."""
+"""Check the merging of several units: the best healthy one serves, nothing is repeated, implausible units are
+rejected."""
 
 from __future__ import annotations
 
@@ -50,7 +51,9 @@ def run(merged: NavMerge, fixes: Iterable[NavFix]) -> tuple[list[NavSample], lis
     for one in sorted(fixes, key=lambda one: one.received.mono_ns):
         events += merged.feed(one)
     events += merged.finish()
-    return [event for event in events if isinstance(event, NavSample)], [event for event in events if isinstance(event, Notice)]
+    return [event for event in events if isinstance(event, NavSample)], [
+        event for event in events if isinstance(event, Notice)
+    ]
 
 
 def values(samples: Sequence[NavSample], field: str) -> list[float]:
@@ -76,13 +79,17 @@ def survey(n_s: int, circle: bool = True) -> list[tuple[float, float, float, flo
     for step in range(n_s * 10):
         t = step * 0.1
         heading = (1.5 / 40.0 * t) % (2 * math.pi) if circle else 0.0
-        east, north = (40.0 * (1 - math.cos(1.5 / 40.0 * t)), 40.0 * math.sin(1.5 / 40.0 * t)) if circle else (0.0, 1.5 * t)
+        east, north = (
+            (40.0 * (1 - math.cos(1.5 / 40.0 * t)), 40.0 * math.sin(1.5 / 40.0 * t)) if circle else (0.0, 1.5 * t)
+        )
         poses.append((t, east, north, heading))
     return poses
 
 
 def dvl_and_compass(n_s: int, circle: bool = True) -> list[NavFix]:
-    return [fix("dvl", t, heading_rad=heading, speed_mps=1.5, drift_rad=0.0) for t, _, _, heading in survey(n_s, circle)]
+    return [
+        fix("dvl", t, heading_rad=heading, speed_mps=1.5, drift_rad=0.0) for t, _, _, heading in survey(n_s, circle)
+    ]
 
 
 GPS = NavUnitSettings(delivers=("position",), surface_only=True)
@@ -95,7 +102,17 @@ def test_readings_are_in_the_order_of_the_quantities() -> None:
 
 def test_one_unit_goes_through_as_it_is() -> None:
     fixes = [
-        fix("ins", t, **place(east, north), heading_rad=heading, pitch_rad=0.1, roll_rad=-0.1, depth_m=5.0, altitude_m=8.0, speed_mps=1.5)
+        fix(
+            "ins",
+            t,
+            **place(east, north),
+            heading_rad=heading,
+            pitch_rad=0.1,
+            roll_rad=-0.1,
+            depth_m=5.0,
+            altitude_m=8.0,
+            speed_mps=1.5,
+        )
         for t, east, north, heading in survey(20)
     ]
     merged = merge(ins=NavUnitSettings())
@@ -126,12 +143,21 @@ def test_signs_come_before_offsets(field: str, sign: int, offset_deg: float) -> 
 
 def test_a_lever_arm_is_taken_off_with_heading_and_attitude() -> None:
     heading, pitch, roll, arm = math.radians(120.0), math.radians(20.0), math.radians(-15.0), (2.0, -0.5, -1.0)
-    yaw_matrix = np.array([[math.cos(heading), -math.sin(heading), 0], [math.sin(heading), math.cos(heading), 0], [0, 0, 1]])
+    yaw_matrix = np.array(
+        [[math.cos(heading), -math.sin(heading), 0], [math.sin(heading), math.cos(heading), 0], [0, 0, 1]]
+    )
     pitch_matrix = np.array([[math.cos(pitch), 0, math.sin(pitch)], [0, 1, 0], [-math.sin(pitch), 0, math.cos(pitch)]])
     roll_matrix = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
     north, east, down = yaw_matrix @ pitch_matrix @ roll_matrix @ np.array(arm)
     assert arm_north_east_down(arm, heading, pitch, roll) == pytest.approx((north, east, down))
-    reported = {"heading_rad": heading, "pitch_rad": pitch, "roll_rad": roll, "depth_m": 10.0, "altitude_m": 5.0, **place(0.0, 0.0)}
+    reported = {
+        "heading_rad": heading,
+        "pitch_rad": pitch,
+        "roll_rad": roll,
+        "depth_m": 10.0,
+        "altitude_m": 5.0,
+        **place(0.0, 0.0),
+    }
     samples, _ = run(merge(u=NavUnitSettings(lever_arm_m=arm)), [fix("u", 0.0, **reported)])
     assert track(samples)[0][1:] == pytest.approx((-east, -north), abs=1e-6)
     assert samples[0].depth_m == pytest.approx(10.0 - down)
@@ -144,13 +170,22 @@ def test_steps_on_the_ellipsoid_are_those_of_the_local_frame(
 ) -> None:
     there = moved(latitude_deg, longitude_deg, east_m, north_m)
     east, north, _ = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg).to_enu(*there, 0.0)
-    assert (float(east), float(north)) == pytest.approx((east_m, north_m), abs=0.5)  # meridians converge towards the poles
+    assert (float(east), float(north)) == pytest.approx(
+        (east_m, north_m), abs=0.5
+    )  # meridians converge towards the poles
     assert offset_m((latitude_deg, longitude_deg), there) == pytest.approx((east_m, north_m), abs=1e-6)
 
 
 def test_impossible_values_are_refused_and_counted() -> None:
     merged = merge(u=NavUnitSettings())
-    reported = {"heading_rad": 9.0, "pitch_rad": 2.0, "roll_rad": 0.0, "depth_m": 1e6, "altitude_m": -1.0, "speed_mps": 99.0}
+    reported = {
+        "heading_rad": 9.0,
+        "pitch_rad": 2.0,
+        "roll_rad": 0.0,
+        "depth_m": 1e6,
+        "altitude_m": -1.0,
+        "speed_mps": 99.0,
+    }
     samples, _ = run(merged, [fix("u", 0.0, latitude_deg=0.0, longitude_deg=0.0, **reported)])
     assert samples == []
     assert merged.counters == {f"nav.impossible.{quantity}.u": 1 for quantity in QUANTITIES}
@@ -168,9 +203,13 @@ def test_the_better_unit_serves_and_the_other_takes_over_when_it_is_silent() -> 
     samples, notices = run(merge(good=NavUnitSettings(priority=1), poor=NavUnitSettings(priority=2)), good + poor)
     served = [(seconds(sample), sample.heading_rad) for sample in samples]
     assert all(value == 1.0 for t, value in served if t < 9.95 or t > 20.0)
-    assert all(value == 1.02 for t, value in served if 11.45 < t < 19.9), "a good unit that is back has to stay for 5 s first"
+    assert all(value == 1.02 for t, value in served if 11.45 < t < 19.9), (
+        "a good unit that is back has to stay for 5 s first"
+    )
     assert [notice.code for notice in notices] == ["nav_source_changed"] * 2
-    assert [notice.for_the_record for notice in notices] == [False, True], "that the better unit is back asks nothing of anybody"
+    assert [notice.for_the_record for notice in notices] == [False, True], (
+        "that the better unit is back asks nothing of anybody"
+    )
     assert "Check its cable" in notices[0].text
 
 
@@ -183,7 +222,11 @@ def test_a_better_unit_that_starts_soon_after_another_serves_at_once(first_s: fl
     assert changed_s == pytest.approx(taken_s, abs=0.11)
     reported = [notice for notice in notices if notice.text.startswith("heading is taken from 'good'")]
     assert len(reported) == (taken_s > first_s), "that units start one after the other is no news"
-    assert {sample.heading_rad for sample in samples if seconds(sample) > changed_s + 0.01 and seconds(sample) < first_s + 9.0} == {1.0}
+    assert {
+        sample.heading_rad
+        for sample in samples
+        if seconds(sample) > changed_s + 0.01 and seconds(sample) < first_s + 9.0
+    } == {1.0}
 
 
 def test_a_unit_that_fails_at_the_start_has_to_stay_healthy_before_it_serves_again() -> None:
@@ -238,7 +281,10 @@ def test_two_sentences_of_one_epoch_are_one_position_and_no_frozen_one() -> None
 @pytest.mark.parametrize("circle", [False, True])
 def test_a_receiver_that_freezes_under_water_is_found_out_and_the_way_is_reckoned(circle: bool) -> None:
     poses = survey(120, circle)
-    gps = [fix("gps", t + 0.05, **place(*((east, north) if t < 30.0 else poses[300][1:3]))) for t, east, north, _ in poses[::10]]
+    gps = [
+        fix("gps", t + 0.05, **place(*((east, north) if t < 30.0 else poses[300][1:3])))
+        for t, east, north, _ in poses[::10]
+    ]
     merged = merge(gps=GPS, dvl=DVL)
     samples, notices = run(merged, gps + dvl_and_compass(120, circle))
     assert merged.counters["nav.gnss_frozen.gps"] > 60
@@ -258,7 +304,9 @@ def test_a_diving_receiver_is_refused_at_once_by_depth_and_needs_three_good_fixe
     gps = [fix("gps", t + 0.05, **place(east, north)) for t, east, north, _ in poses[::10]]
     depth = [fix("dvl", t, depth_m=3.0 if 30.0 <= t < 60.0 else 0.2) for t, *_ in poses]
     merged = merge(gps=GPS, dvl=DVL)
-    samples, notices = run(merged, gps + depth + [structs.replace(one, source="dvl") for one in dvl_and_compass(90, circle=False)])
+    samples, notices = run(
+        merged, gps + depth + [structs.replace(one, source="dvl") for one in dvl_and_compass(90, circle=False)]
+    )
     assert merged.counters["nav.gnss_submerged.gps"] == 30
     assert merged.counters["nav.gnss_recovering.gps"] == 2
     assert [notice.code for notice in notices] == ["nav_dead_reckoning", "nav_position_back"]
@@ -272,7 +320,9 @@ def test_a_receiver_that_runs_straight_on_while_the_vehicle_turns_is_found_out()
         fix(
             "gps",
             t + 0.05,
-            **place(*((east, north) if t < 30.0 else (poses[300][1] + 1.35 * (t - 30.0), poses[300][2] + 0.65 * (t - 30.0)))),
+            **place(
+                *((east, north) if t < 30.0 else (poses[300][1] + 1.35 * (t - 30.0), poses[300][2] + 0.65 * (t - 30.0)))
+            ),
         )
         for t, east, north, _ in poses[::10]
     ]
@@ -373,7 +423,9 @@ def test_silence_of_everything_is_reported_by_time_alone() -> None:
         ("position", place(0.0, 0.0), place(60.0, 0.0)),
     ],
 )
-def test_units_that_disagree_are_reported_once(quantity: Quantity, one: dict[str, float], other: dict[str, float]) -> None:
+def test_units_that_disagree_are_reported_once(
+    quantity: Quantity, one: dict[str, float], other: dict[str, float]
+) -> None:
     merged = merge(a=NavUnitSettings(priority=1), b=NavUnitSettings(priority=2))
     fixes = [fix("a", t * 0.1, **one) for t in range(50)] + [fix("b", t * 0.1 + 0.01, **other) for t in range(50)]
     _, notices = run(merged, fixes)
@@ -393,7 +445,9 @@ def test_units_that_agree_within_their_errors_are_not_reported() -> None:
 
 
 def test_slow_units_are_stamped_when_they_measured_and_come_in_the_order_of_time() -> None:
-    fixes = [fix("fast", t * 0.1, heading_rad=1.0) for t in range(100)] + [fix("slow", t * 0.2 + 0.31, depth_m=5.0) for t in range(50)]
+    fixes = [fix("fast", t * 0.1, heading_rad=1.0) for t in range(100)] + [
+        fix("slow", t * 0.2 + 0.31, depth_m=5.0) for t in range(50)
+    ]
     samples, _ = run(merge(fast=NavUnitSettings(), slow=NavUnitSettings(latency_s=0.3)), fixes)
     times = [seconds(sample) for sample in samples]
     assert times == sorted(times)
@@ -414,7 +468,8 @@ def test_the_units_clock_takes_the_links_delays_off() -> None:
     sent_s = np.arange(400) * 0.1
     arrived_s = np.maximum.accumulate(sent_s + random.exponential(0.03, 400))  # a link keeps the order
     fixes = [
-        fix("ins", float(arrived), time_utc_s=5e8 + float(sent), heading_rad=1.0) for sent, arrived in zip(sent_s, arrived_s, strict=True)
+        fix("ins", float(arrived), time_utc_s=5e8 + float(sent), heading_rad=1.0)
+        for sent, arrived in zip(sent_s, arrived_s, strict=True)
     ]
     samples, _ = run(merge(ins=NavUnitSettings(use_unit_time=True)), fixes)
     errors = [seconds(sample) - t * 0.1 for t, sample in enumerate(samples)]
@@ -423,7 +478,10 @@ def test_the_units_clock_takes_the_links_delays_off() -> None:
 
 
 def test_a_units_clock_that_is_set_is_reported_and_moves_no_sample() -> None:
-    fixes = [fix("ins", t * 0.1, time_utc_s=5e8 + t * 0.1 + (3600.0 if t >= 100 else 0.0), heading_rad=1.0) for t in range(200)]
+    fixes = [
+        fix("ins", t * 0.1, time_utc_s=5e8 + t * 0.1 + (3600.0 if t >= 100 else 0.0), heading_rad=1.0)
+        for t in range(200)
+    ]
     merged = merge(ins=NavUnitSettings(use_unit_time=True))
     samples, notices = run(merged, fixes)
     assert [seconds(sample) for sample in samples] == pytest.approx([t * 0.1 for t in range(200)], abs=0.01)
@@ -511,7 +569,8 @@ def test_an_altitude_of_zero_that_goes_on_is_reported_and_a_short_one_is_not() -
 
 
 def test_a_receiver_a_degree_off_for_four_seconds_moves_no_ping() -> None:
-    """Live this killed perception: the merge follows after three positions, perception waits until they agree for longer."""
+    """Live this killed perception: the merge follows after three positions, perception waits until they agree for
+    longer."""
     positions = [place(0.0, 0.15 * t) for t in range(300)]
     for t in range(100, 140):
         positions[t] = {name: value + 1.0 for name, value in positions[t].items()}

@@ -1,4 +1,5 @@
-"""NMEA 0183: what is written is read back, other readers agree, and no damage hides an intact sentence or gets into a fix."""
+"""NMEA 0183: what is written is read back, other readers agree, and no damage hides an intact sentence or gets into a
+fix."""
 
 from __future__ import annotations
 
@@ -90,7 +91,15 @@ PHINS = (
     "PIXSE,TIME__,003356.016693",
 )
 STREAM = [
-    sentence(body) for body in ("GPHDT,10.0,T", "GPHDT,20.0,T", "SDDPT,12.5,0.5", "PRDID,1.0,2.0,30.0", "GPGLL,,,,,V,N", "GPXTE,A,A,,R,N,D")
+    sentence(body)
+    for body in (
+        "GPHDT,10.0,T",
+        "GPHDT,20.0,T",
+        "SDDPT,12.5,0.5",
+        "PRDID,1.0,2.0,30.0",
+        "GPGLL,,,,,V,N",
+        "GPXTE,A,A,,R,N,D",
+    )
 ]
 
 
@@ -107,7 +116,9 @@ def fields_of(fix: NavFix) -> dict[str, Any]:
     """Return the fields that a fix reports of the vehicle."""
     fields = {name: getattr(fix, name) for name in fix.__struct_fields__[3:]}
     return {
-        name: value for name, value in fields.items() if value not in (None, False) and value == value and name not in ("valid", "age_s")
+        name: value
+        for name, value in fields.items()
+        if value not in (None, False) and value == value and name not in ("valid", "age_s")
     }
 
 
@@ -141,7 +152,11 @@ def test_positions_are_written_to_millimetres(latitude_deg: float, longitude_deg
     assert record.longitude_deg == pytest.approx(longitude_deg, abs=1e-8)
 
 
-@given(RECORDS.filter(lambda record: not isinstance(record, (PixseAttitude, PixsePosition, PixseSpeed, PixseHeave, PixseTime, Prdid))))
+@given(
+    RECORDS.filter(
+        lambda record: not isinstance(record, (PixseAttitude, PixsePosition, PixseSpeed, PixseHeave, PixseTime, Prdid))
+    )
+)
 def test_another_reader_sees_the_same_numbers(record: Record) -> None:
     pynmeagps = pytest.importorskip("pynmeagps", reason="pynmeagps, another NMEA reader, is not installed")
     if isinstance(record, PixseAttitudeSigma | PixsePositionSigma | PixseSpeedSigma):
@@ -195,7 +210,12 @@ def test_recorded_phins_sentences_are_written_as_they_were(line: bytes) -> None:
 def test_a_gga_gives_place_and_time() -> None:
     [fix] = read(closed(GGA), Stamp(0, 1_699_964_000_000_000_000))  # 12:13:20 on 2023-11-14
     assert fields_of(fix) == pytest.approx(
-        {"time_utc_s": 1_699_920_000 + 12 * 3600 + 35 * 60 + 19.25, "latitude_deg": 48.1173, "longitude_deg": -11 - 31 / 60}, rel=1e-11
+        {
+            "time_utc_s": 1_699_920_000 + 12 * 3600 + 35 * 60 + 19.25,
+            "latitude_deg": 48.1173,
+            "longitude_deg": -11 - 31 / 60,
+        },
+        rel=1e-11,
     )
     assert fix.valid
     assert fix.n_bytes == len(closed(GGA))
@@ -215,7 +235,8 @@ def test_estimated_places_say_so() -> None:
 
 def test_an_rmc_gives_speed_course_and_the_date_that_other_sentences_lack() -> None:
     rmc, gga = read(
-        sentence("GPRMC,235958,A,3751.65,S,14507.36,E,2.0,180.0,130998,011.3,E") + sentence("GPGGA,000001,3751.65,S,14507.36,E,1,,,,M,,M,,")
+        sentence("GPRMC,235958,A,3751.65,S,14507.36,E,2.0,180.0,130998,011.3,E")
+        + sentence("GPGGA,000001,3751.65,S,14507.36,E,1,,,,M,,M,,")
     )
     assert rmc.time_utc_s == 905_731_198.0  # 1998-09-13 23:59:58
     assert gga.time_utc_s == 905_731_201.0, "three seconds later is on the next day"
@@ -242,7 +263,10 @@ def test_a_time_of_day_is_put_on_the_day_nearest_to_this_computers_clock(host_s:
         ("SDDPT,12.5,-0.3", {"altitude_m": 12.5}),
         ("SDDBT,41.01,f,,M,,F", {"altitude_m": 12.499848}),
         ("SDDPT,0.0,0.0,", {}),
-        ("PRDID,-1.5,2.5,90.0", {"pitch_rad": math.radians(-1.5), "roll_rad": math.radians(2.5), "heading_rad": math.pi / 2}),
+        (
+            "PRDID,-1.5,2.5,90.0",
+            {"pitch_rad": math.radians(-1.5), "roll_rad": math.radians(2.5), "heading_rad": math.pi / 2},
+        ),
         ("GPZDA,000010.5,15,11,2023,00,00", {"time_utc_s": 1_700_006_410.5, "is_time_message": True}),
         ("GPZDA,000010.5,,,,00,", {"time_utc_s": 1_700_006_410.5}),
         ("GPGLL,6005.071,N,02332.346,E,,A,D", {"latitude_deg": 60 + 5.071 / 60, "longitude_deg": 23 + 32.346 / 60}),
@@ -354,7 +378,8 @@ def test_every_intact_sentence_is_read_whatever_is_around_it(data: st.DataObject
     framer = Framer(NmeaGrammar())
     found = [framed for chunk in data.draw(chunks_of(stream)) for framed in framer.feed(chunk)] + framer.finish()
     assert is_subsequence(
-        [body for body, _ in (message for message in wanted if isinstance(message, tuple))], [body for body, _, _ in found]
+        [body for body, _ in (message for message in wanted if isinstance(message, tuple))],
+        [body for body, _, _ in found],
     )
 
 
@@ -368,7 +393,10 @@ def test_chunks_make_no_difference(data: st.DataObject) -> None:
 
 @given(
     st.lists(
-        st.one_of(st.binary(max_size=60), st.sampled_from([b"$", b"!", b"$GPGGA,", b"*", b"*4"]), st.sampled_from(STREAM)), max_size=40
+        st.one_of(
+            st.binary(max_size=60), st.sampled_from([b"$", b"!", b"$GPGGA,", b"*", b"*4"]), st.sampled_from(STREAM)
+        ),
+        max_size=40,
     )
 )
 def test_no_bytes_raise_or_stay(chunks: list[bytes]) -> None:
@@ -398,7 +426,11 @@ def test_a_recorded_log_is_read_whole(shared_data: Callable[[str], Path]) -> Non
     assert not [name for name in counters if "refused" in name]
     track = [(fix.latitude_deg, fix.longitude_deg) for fix in fixes if fix.latitude_deg == fix.latitude_deg]
     assert len(track) == 3545
-    steps_m = [111_195.0 * math.hypot(b[0] - a[0], (b[1] - a[1]) * math.cos(math.radians(60.1))) for a, b in pairwise(track)]
+    steps_m = [
+        111_195.0 * math.hypot(b[0] - a[0], (b[1] - a[1]) * math.cos(math.radians(60.1))) for a, b in pairwise(track)
+    ]
     assert max(steps_m) < 25.0, "a sailing boat's track has no jumps"
     speeds = [fix.speed_mps for fix in fixes if fix.speed_mps == fix.speed_mps]
-    assert sum(steps_m) == pytest.approx(sum(speeds) / len(speeds) * 3545 * 2.0, rel=0.05), "way made is speed times the 2 s between fixes"
+    assert sum(steps_m) == pytest.approx(sum(speeds) / len(speeds) * 3545 * 2.0, rel=0.05), (
+        "way made is speed times the 2 s between fixes"
+    )

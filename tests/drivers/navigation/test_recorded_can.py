@@ -1,4 +1,5 @@
-"""Recorded NMEA 2000 traffic of four loggers is read whole, other decoders agree on it, and its tracks are those that were sailed."""
+"""Recorded NMEA 2000 traffic of four loggers is read whole, other decoders agree on it, and its tracks are those that
+were sailed."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ from drivers.navigation.nav_settings import NavMergeSettings
 from tests.drivers.navigation.recorded_can import RecordedMessage, read_can_log
 
 Shared = Callable[[str], Path]
-# Messages and skipped lines of each log: a heading without a comment sign, and groups beyond 18 bits that a gateway made up.
+# Messages and skipped lines of each log: a heading without a comment sign, and groups beyond 18 bits that a gateway
+# made up.
 LOGS = {
     "aava-n2k.data": (20_995, 600),
     "candumpSample1.txt": (6_026, 1),
@@ -73,7 +75,9 @@ def test_another_decoder_reads_the_same_numbers(name: str, shared_data: Shared) 
         seen[pgn] += 1
         mine = decode(pgn, message.data)
         assert mine is not None
-        text = f"2023-11-14T22:13:20.000Z,3,{pgn},{source},255,{len(message.data)}," + ",".join(f"{byte:02x}" for byte in message.data)
+        text = f"2023-11-14T22:13:20.000Z,3,{pgn},{source},255,{len(message.data)}," + ",".join(
+            f"{byte:02x}" for byte in message.data
+        )
         fields = nmea2000.NMEA2000Decoder().decode(text).fields
         theirs = [field.raw_value for field in fields if not field.id.startswith("reserved")]
         for value, their_value, field in zip(mine, theirs[: len(mine)], layout.fields, strict=True):

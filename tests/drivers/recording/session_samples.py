@@ -40,7 +40,9 @@ def traffic(seed: int, n_chunks: int, max_bytes: int = 60) -> list[Recorded]:
     return made
 
 
-def write_session(folder: Path, chunks: list[Recorded], per_flush: int, *, file_bytes: int = 1 << 30, close: bool = True) -> SessionWriter:
+def write_session(
+    folder: Path, chunks: list[Recorded], per_flush: int, *, file_bytes: int = 1 << 30, close: bool = True
+) -> SessionWriter:
     """Write a session as the recorder does, made durable after every per_flush chunks."""
     writer = SessionWriter(folder, description(), file_bytes=file_bytes)
     for k, chunk in enumerate(chunks, 1):

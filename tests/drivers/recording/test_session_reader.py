@@ -46,7 +46,9 @@ def test_other_tools_read_a_session(tmp_path: Path) -> None:
     with (tmp_path / file_name(0)).open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         found = [
-            (channel.metadata["port"], message.data) for _, channel, message in reader.iter_messages() if channel.topic != "session/head"
+            (channel.metadata["port"], message.data)
+            for _, channel, message in reader.iter_messages()
+            if channel.topic != "session/head"
         ]
         summary = reader.get_summary()
     assert sorted(found) == sorted((chunk.port, chunk.data) for chunk in chunks)
@@ -93,7 +95,10 @@ def test_a_file_cut_off_at_any_byte_gives_all_that_was_made_durable(
         assert [notice.code for notice in session.notices] == ["session_cut_off"]
 
 
-@given(damage=st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=5), zeros=st.booleans())
+@given(
+    damage=st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=5),
+    zeros=st.booleans(),
+)
 def test_no_damage_makes_up_data_or_a_traceback(
     tmp_path_factory: pytest.TempPathFactory,
     long_file: tuple[bytes, list[Recorded], list[tuple[int, int]]],

@@ -171,7 +171,9 @@ def test_a_folder_that_cannot_serve_is_refused_in_words(tmp_path: Path) -> None:
 @pytest.mark.parametrize("n_seen", [3, 700])
 def test_a_killed_process_leaves_all_that_it_called_recorded(tmp_path: Path, n_seen: int) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-c", RECORD_FOR_EVER, str(tmp_path), str(Path(__file__).resolve().parents[3])], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", RECORD_FOR_EVER, str(tmp_path), str(Path(__file__).resolve().parents[3])],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     assert process.stdout is not None
     n_reported = 0

@@ -33,7 +33,12 @@ class WholeStory:
 
 def live(chunks: list[Recorded]) -> tuple[list[SourceEvent], Counter[str]]:
     intake = WholeStory()
-    events = [event for chunk in chunks if chunk.direction == "in" for event in intake.feed(chunk.port, chunk.data, chunk.stamp)]
+    events = [
+        event
+        for chunk in chunks
+        if chunk.direction == "in"
+        for event in intake.feed(chunk.port, chunk.data, chunk.stamp)
+    ]
     return events + intake.finish(), intake.counters
 
 

@@ -135,7 +135,9 @@ def test_every_field_stands_where_the_description_has_it() -> None:
 
 
 def test_the_message_header_stands_where_the_description_has_it() -> None:
-    wire = to_wire(JsfMessage(2002, b"$ab", command=2, subsystem=101, channel=3, sequence=4, session=5, version=6, reserved=0x0708))
+    wire = to_wire(
+        JsfMessage(2002, b"$ab", command=2, subsystem=101, channel=3, sequence=4, session=5, version=6, reserved=0x0708)
+    )
     assert wire.hex(" ") == "01 16 06 05 d2 07 02 65 03 04 08 07 03 00 00 00 24 61 62"
     assert read(wire) == JsfMessage(2002, b"$ab", 2, 101, 3, 4, 5, 6, 0x0708)
 
@@ -151,7 +153,9 @@ def test_high_bits_are_joined_to_the_low_ones() -> None:
 
 
 def test_both_sides_are_one_frame_in_metres_and_seconds() -> None:
-    (frame,) = frames_of(JsfDecoder(), side(0, (16, 32), weighting=4, start_depth_samples=100), side(1, (48, 64), weighting=-1))
+    (frame,) = frames_of(
+        JsfDecoder(), side(0, (16, 32), weighting=4, start_depth_samples=100), side(1, (48, 64), weighting=-1)
+    )
     assert frame.port is not None
     assert frame.starboard is not None
     assert frame.transfer == "amplitude"
@@ -201,7 +205,12 @@ def test_only_what_is_valid_is_reported() -> None:
     (frame,) = frames_of(JsfDecoder(), side(0, validity=Validity.DEPTH, **reported))
     assert frame.navigation is not None
     assert frame.navigation.depth_m == 12.5
-    others = [frame.navigation.latitude_deg, frame.navigation.heading_rad, frame.navigation.roll_rad, frame.navigation.speed_mps]
+    others = [
+        frame.navigation.latitude_deg,
+        frame.navigation.heading_rad,
+        frame.navigation.roll_rad,
+        frame.navigation.speed_mps,
+    ]
     assert all(map(math.isnan, [*others, frame.altitude_m]))
     for change in ({"units": PositionUnits.DECIMETRES}, {"latitude": 91 * 600_000}):
         (frame,) = frames_of(JsfDecoder(), side(0, validity=everything, **reported | change))
@@ -224,7 +233,11 @@ def test_a_position_repeated_until_the_next_fix_is_reported_once() -> None:
         )
         for ping in range(80)
     ]
-    reported = [frame.number for frame in frames_of(decoder, *stream) if frame.navigation and math.isfinite(frame.navigation.latitude_deg)]
+    reported = [
+        frame.number
+        for frame in frames_of(decoder, *stream)
+        if frame.navigation and math.isfinite(frame.navigation.latitude_deg)
+    ]
     assert reported == [0, 10, 20, 30, 43, 56, 69]
     assert decoder.counters["jsf.repeated_position"] == 80 - len(reported)
 
@@ -233,7 +246,9 @@ def test_small_changes_of_sound_speed_keep_the_sample_layout() -> None:
     decoder = JsfDecoder()
     speeds = [1480.0, 1480.3, 1479.8, 1480.6, 1480.4, 0.0]
     frames = frames_of(decoder, *(side(0, ping_number=i, sound_speed_mps=speed) for i, speed in enumerate(speeds)))
-    assert [frame.sound_speed_mps for frame in frames] == pytest.approx([1480.0, 1480.0, 1480.0, 1480.6, 1480.6, 1480.6])
+    assert [frame.sound_speed_mps for frame in frames] == pytest.approx(
+        [1480.0, 1480.0, 1480.0, 1480.6, 1480.6, 1480.6]
+    )
     assert decoder.counters["jsf.sound_speed_not_told"] == 1
     (frame,) = frames_of(JsfDecoder(), side(0, validity=0))
     assert frame.sound_speed_mps == 1500.0
@@ -246,7 +261,14 @@ def test_a_clock_that_was_never_set_is_no_time() -> None:
 
 def test_one_frequency_is_used_and_the_others_are_counted() -> None:
     decoder = JsfDecoder(subsystem=20)
-    stream = (side(0, subsystem=20), side(0), side(1, subsystem=20), side(1), side(0, subsystem=40), side(2, subsystem=20))
+    stream = (
+        side(0, subsystem=20),
+        side(0),
+        side(1, subsystem=20),
+        side(1),
+        side(0, subsystem=40),
+        side(2, subsystem=20),
+    )
     (frame,) = frames_of(decoder, *stream)
     assert frame.starboard is not None
     assert decoder.counters["jsf.not_used.subsystem_21"] == 2
@@ -301,6 +323,8 @@ def test_the_reply_to_a_request_for_the_clock_gives_its_time() -> None:
 
 def test_refused_commands_are_reported_and_other_messages_counted() -> None:
     decoder = JsfDecoder()
-    (reply,) = replies_of(decoder, to_wire(JsfMessage(PING_RANGE, bytes(4), Command.ERROR)) + to_wire(JsfMessage(2020, bytes(44))))
+    (reply,) = replies_of(
+        decoder, to_wire(JsfMessage(PING_RANGE, bytes(4), Command.ERROR)) + to_wire(JsfMessage(2020, bytes(44)))
+    )
     assert (reply.request, reply.accepted, reply.utc_s) == (PING_RANGE, False, None)
     assert decoder.counters["jsf.other_messages"] == 1

@@ -34,7 +34,9 @@ def paired(sides: list[SonarFrame]) -> tuple[list[tuple[int, str]], Counter[str]
     counters: Counter[str] = Counter()
     pairer = SidePairer(counters)
     frames = [frame for one in sides for frame in pairer.add(one)] + pairer.finish()
-    return [(frame.number, "P" * (frame.port is not None) + "S" * (frame.starboard is not None)) for frame in frames], counters
+    return [
+        (frame.number, "P" * (frame.port is not None) + "S" * (frame.starboard is not None)) for frame in frames
+    ], counters
 
 
 def test_sides_with_one_number_are_one_transmission() -> None:
@@ -44,7 +46,9 @@ def test_sides_with_one_number_are_one_transmission() -> None:
 
 
 def test_heads_that_count_for_themselves_are_paired_by_time() -> None:
-    frames, _ = paired([side(port, n + (0 if port else 40), n * PERIOD_S + 0.001 * port) for n in range(3) for port in (False, True)])
+    frames, _ = paired(
+        [side(port, n + (0 if port else 40), n * PERIOD_S + 0.001 * port) for n in range(3) for port in (False, True)]
+    )
     assert [sides for _, sides in frames] == ["PS"] * 3
 
 
@@ -85,7 +89,11 @@ def test_the_frame_arrived_when_its_first_side_did() -> None:
     assert frame.received == Stamp(10, 10)
 
 
-@given(lost=st.lists(st.tuples(st.booleans(), st.booleans()), max_size=30), starboard_first=st.booleans(), common=st.booleans())
+@given(
+    lost=st.lists(st.tuples(st.booleans(), st.booleans()), max_size=30),
+    starboard_first=st.booleans(),
+    common=st.booleans(),
+)
 def test_whatever_is_lost_every_remaining_side_comes_out_once_and_in_its_place(
     lost: list[tuple[bool, bool]], starboard_first: bool, common: bool
 ) -> None:

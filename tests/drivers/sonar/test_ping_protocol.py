@@ -79,7 +79,9 @@ def test_published_profile_both_ways() -> None:
 def test_what_is_encoded_is_decoded_again(payload: Payload) -> None:
     reported = decode(read(encode(payload, source=3, destination=4)))
     assert type(reported) is type(payload)
-    assert tuple(reported or ()) == tuple(pytest.approx(value) if isinstance(value, float) else value for value in payload)
+    assert tuple(reported or ()) == tuple(
+        pytest.approx(value) if isinstance(value, float) else value for value in payload
+    )
     assert read(encode(payload, source=3, destination=4))[2:] == (3, 4)
 
 
@@ -110,17 +112,37 @@ def profile_payload(n_results: int) -> bytes:
     small=st.lists(st.integers(0, 65535), min_size=2, max_size=2),
     reals=st.lists(st.floats(width=32, allow_nan=False), min_size=6, max_size=6),
 )
-def test_profiles_agree_with_the_reference_library(results: list[int], numbers: list[int], small: list[int], reals: list[float]) -> None:
-    brping = pytest.importorskip("brping", reason="bluerobotics-ping, the reference for the wire format, is not installed")
+def test_profiles_agree_with_the_reference_library(
+    results: list[int], numbers: list[int], small: list[int], reals: list[float]
+) -> None:
+    brping = pytest.importorskip(
+        "brping", reason="bluerobotics-ping, the reference for the wire format, is not installed"
+    )
     ours = OsMonoProfile._make((*numbers, small[0], small[1], 1, *reals, np.array(results, dtype=np.uint16), 0))
     wire = encode(ours)
     parser = brping.PingParser()
     assert [parser.parse_byte(byte) for byte in wire][-1] == brping.PingParser.NEW_MESSAGE
     theirs: Any = parser.rx_msg
     assert np.frombuffer(theirs.pwr_results, "<u2").tolist() == results
-    names = ("ping_number", "start_mm", "length_mm", "timestamp_ms", "ping_hz", "gain_index", "sos_dmps", "channel_number")
+    names = (
+        "ping_number",
+        "start_mm",
+        "length_mm",
+        "timestamp_ms",
+        "ping_hz",
+        "gain_index",
+        "sos_dmps",
+        "channel_number",
+    )
     assert tuple(getattr(theirs, name) for name in names) == ours[:8]
-    real_names = ("pulse_duration_sec", "analog_gain", "max_pwr_db", "min_pwr_db", "transducer_heading_deg", "vehicle_heading_deg")
+    real_names = (
+        "pulse_duration_sec",
+        "analog_gain",
+        "max_pwr_db",
+        "min_pwr_db",
+        "transducer_heading_deg",
+        "vehicle_heading_deg",
+    )
     assert tuple(getattr(theirs, name) for name in real_names) == ours[8:14]
     assert bytes(theirs.pack_msg_data()) == wire
     reported = decode(read(wire))
@@ -130,7 +152,9 @@ def test_profiles_agree_with_the_reference_library(results: list[int], numbers: 
 
 @pytest.mark.parametrize("payload", PAYLOADS, ids=lambda payload: type(payload).__name__)
 def test_other_messages_agree_with_the_reference_library(payload: Payload) -> None:
-    brping = pytest.importorskip("brping", reason="bluerobotics-ping, the reference for the wire format, is not installed")
+    brping = pytest.importorskip(
+        "brping", reason="bluerobotics-ping, the reference for the wire format, is not installed"
+    )
     parser = brping.PingParser()
     assert [parser.parse_byte(byte) for byte in encode(payload)][-1] == brping.PingParser.NEW_MESSAGE
     if not isinstance(payload, Nack | AsciiText | JsonWrapper):
@@ -151,7 +175,8 @@ def test_power_is_linear_in_what_the_decibels_mean(results: list[int], low: floa
 
 
 def test_samples_need_no_guess_of_what_they_are() -> None:
-    """The frame's transfer is one a configuration takes, and undoes to the decibels of the message, whatever scale each message has."""
+    """The frame's transfer is one a configuration takes, and undoes to the decibels of the message, whatever scale each
+    message has."""
     results = np.array([0, 1000, 65535], dtype=np.uint16)
     for low, high in ((-90.0, -10.0), (-40.0, 20.0)):
         (frame,) = frames_of(PingDecoder(), encode(profile(pwr_results=results, min_pwr_db=low, max_pwr_db=high)))

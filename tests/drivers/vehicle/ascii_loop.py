@@ -82,7 +82,9 @@ class Loop:
 
     def step(self) -> None:
         self.now_s += STEP_S
-        sample = NavSample(**{**{name: getattr(self.pose, name) for name in self.pose.__struct_fields__}, "time_s": UTC_S + self.now_s})
+        sample = NavSample(
+            **{**{name: getattr(self.pose, name) for name in self.pose.__struct_fields__}, "time_s": UTC_S + self.now_s}
+        )
         if self.steer is not None and self.granted and round(self.now_s / STEP_S) % 10 == 0:
             self.dialect.command(self.steer, self.now_s)
         self._hear(self.vehicle.tick(sample, False, self.now_s))
@@ -131,8 +133,11 @@ def in_control(name: str) -> Loop:
 
 @st.composite
 def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
-    """What may happen to a dialect, in any order: calls, lines of the vehicle and its own, damaged or not, noise, and time."""
-    steps: list[tuple[str, Any]] = [("connected", None), ("hear", lines[0]), ("request", None)] if draw(st.booleans()) else []
+    """What may happen to a dialect, in any order: calls, lines of the vehicle and its own, damaged or not, noise, and
+    time."""
+    steps: list[tuple[str, Any]] = (
+        [("connected", None), ("hear", lines[0]), ("request", None)] if draw(st.booleans()) else []
+    )
     for _ in range(draw(st.integers(1, 40))):
         kind = draw(st.sampled_from(["line", "line", "line", "damaged", "noise", "wait", "call", "call"]))
         if kind in ("line", "damaged"):
@@ -147,13 +152,21 @@ def dialogues(draw: st.DrawFn, lines: list[bytes]) -> list[tuple[str, Any]]:
             steps.append(("wait", draw(st.sampled_from([0.1, 1.0, 4.0, 6.0, 30.0]))))
         else:
             steps.append(
-                (draw(st.sampled_from(["connected", "disconnected", "request", "command", "release", "report", "report_health"])), None)
+                (
+                    draw(
+                        st.sampled_from(
+                            ["connected", "disconnected", "request", "command", "release", "report", "report_health"]
+                        )
+                    ),
+                    None,
+                )
             )
     return steps
 
 
 def play(dialect: Conversation, steps: list[tuple[str, Any]]) -> tuple[list[tuple[bool, bytes]], list[VehicleEvent]]:
-    """Return what it sends, each with whether control was granted then, by its events and our releases; and its events."""
+    """Return what it sends, each with whether control was granted then, by its events and our releases; and its
+    events."""
     now_s, granted = 100.0, False
     sent: list[tuple[bool, bytes]] = []
     events: list[VehicleEvent] = []

@@ -1,4 +1,5 @@
-"""All dialects of sentences: they never raise, command unasked, or flood the wire; their vehicles obey and are let go."""
+"""All dialects of sentences: they never raise, command unasked, or flood the wire; their vehicles obey and are let
+go."""
 
 from __future__ import annotations
 
@@ -15,7 +16,18 @@ from drivers.navigation.nmea0183 import sentence
 from drivers.vehicle.dialect import GoTo, PayloadHealth, ReportedState, Steer, Vertical, Withheld
 from drivers.vehicle.recon_sentences import frame
 from drivers.vehicle.talkers.ascii_talker import FloorBelow
-from tests.drivers.vehicle.ascii_loop import COMMANDS, PAIRS, POSE, REPORT, STEER, Loop, dialogues, in_control, play, stamp_at
+from tests.drivers.vehicle.ascii_loop import (
+    COMMANDS,
+    PAIRS,
+    POSE,
+    REPORT,
+    STEER,
+    Loop,
+    dialogues,
+    in_control,
+    play,
+    stamp_at,
+)
 
 BLUEFIN_LINES = [
     *(f"BFCTL,101010.00{i},1" for i in range(2)),
@@ -37,7 +49,10 @@ BLUEFIN_LINES = [
     "BPRCE,101010.000,0",
 ]
 IVER_LINES = [
-    *(f"OSI,0,{mode},1,48.1,-5.2,3.0,50,N,20.0,0,0,m,0,123.0,40.0,0" for mode in ("N", "A", "W", "S", "P", "M", "mP", "?")),
+    *(
+        f"OSI,0,{mode},1,48.1,-5.2,3.0,50,N,20.0,0,0,m,0,123.0,40.0,0"
+        for mode in ("N", "A", "W", "S", "P", "M", "mP", "?")
+    ),
     "C82.8P-3.89R-2.63T20.3D3.2",
     "GPRMC,101010.000,A,4807.5,N,00539.2,W,3.0,123.0,010120,,",
     "OMS,90.0,5.0,20.0,3.0,5",
@@ -168,7 +183,11 @@ def test_after_a_reboot_of_the_vehicle_all_goes_on_when_asked_again(name: str) -
     loop.run(12.0)
     assert loop.granted
     assert loop.vehicle.in_control
-    assert loop.events[-1].received.mono_ns > (loop.now_s - 2.0) * 1e9 if isinstance(loop.events[-1], ReportedState) else True
+    assert (
+        loop.events[-1].received.mono_ns > (loop.now_s - 2.0) * 1e9
+        if isinstance(loop.events[-1], ReportedState)
+        else True
+    )
 
 
 @every_dialect

@@ -1,4 +1,5 @@
-"""Sentences of vehicles: what is written is read back, published samples are read, and what cannot be true is refused."""
+"""Sentences of vehicles: what is written is read back, published samples are read, and what cannot be true is
+refused."""
 
 from __future__ import annotations
 
@@ -25,9 +26,16 @@ from drivers.vehicle.dialect import ContactReport
 from sim_replay.fakes.vehicles.text_controller import report_from_fields
 from tests.drivers.vehicle.ascii_loop import REPORT
 
-BLUEFIN, IVER, RECON = bluefin.table_of(BluefinSettings()), iver.table_of(IverSettings()), recon.table_of(ReconSettings())
+BLUEFIN, IVER, RECON = (
+    bluefin.table_of(BluefinSettings()),
+    iver.table_of(IverSettings()),
+    recon.table_of(ReconSettings()),
+)
 FEET = iver.table_of(IverSettings(remote_helm_version=4))
-RECON_SAMPLE = b"#S,T15:08:37.672,LAT39N30.5553,LON74W19.4386,D-0.10,DG0.00,A0.00,P-0.3,R3.0,TR0,TRG0,V0.00,H0.4,HR0.0,HG0.0,M10,l0,*48\n"
+RECON_SAMPLE = (
+    b"#S,T15:08:37.672,LAT39N30.5553,LON74W19.4386,D-0.10,DG0.00,A0.00,P-0.3,R3.0,"
+    b"TR0,TRG0,V0.00,H0.4,HR0.0,HG0.0,M10,l0,*48\n"
+)
 IVER_SAMPLE = b"$C82.8P-3.89R-2.63T20.3D3.2*78"
 
 
@@ -74,7 +82,19 @@ DIALECTS: dict[str, tuple[Table, Write, Grammar[str], st.SearchStrategy[Any]]] =
         bluefin.BluefinGrammar(),
         st.one_of(
             st.builds(bluefin.BluefinAnswer, or_nan(TIME), WORDS, or_nan(TIME), st.sampled_from("0123"), WORDS),
-            st.builds(bluefin.BluefinPosition, TIME, LATITUDE, LONGITUDE, st.just(1.0), DEPTH, DEPTH, HEADING, ROLL, PITCH, TIME),
+            st.builds(
+                bluefin.BluefinPosition,
+                TIME,
+                LATITUDE,
+                LONGITUDE,
+                st.just(1.0),
+                DEPTH,
+                DEPTH,
+                HEADING,
+                ROLL,
+                PITCH,
+                TIME,
+            ),
             st.builds(bluefin.BluefinVelocity, TIME, SPEED, SPEED, SPEED),
             st.builds(bluefin.BluefinControl, TIME, BIT),
             st.builds(bluefin.BluefinMission, TIME, WORDS, WORDS),
@@ -95,11 +115,20 @@ DIALECTS: dict[str, tuple[Table, Write, Grammar[str], st.SearchStrategy[Any]]] =
         iver.IverGrammar(),
         st.one_of(
             st.builds(
-                iver.IverState, st.sampled_from(["N", "S", "P", "M", "mP", "A", "W"]), LATITUDE, LONGITUDE, SPEED, DEPTH, HEADING, DEPTH
+                iver.IverState,
+                st.sampled_from(["N", "S", "P", "M", "mP", "A", "W"]),
+                LATITUDE,
+                LONGITUDE,
+                SPEED,
+                DEPTH,
+                HEADING,
+                DEPTH,
             ),
             st.builds(iver.IverCompass, HEADING, PITCH.filter(math.isfinite), ROLL.filter(math.isfinite), SPEED, DEPTH),
             st.builds(iver.IverPoll),
-            st.builds(iver.IverSteer, HEADING, DEPTH, SIGMA.filter(math.isfinite), SPEED, st.integers(1, 120).map(float)),
+            st.builds(
+                iver.IverSteer, HEADING, DEPTH, SIGMA.filter(math.isfinite), SPEED, st.integers(1, 120).map(float)
+            ),
             st.builds(iver.IverContact, REPORTS),
             st.builds(iver.IverHealth, WORDS),
         ),
@@ -111,7 +140,18 @@ DIALECTS: dict[str, tuple[Table, Write, Grammar[str], st.SearchStrategy[Any]]] =
         st.one_of(
             st.builds(
                 recon.ReconState,
-                *(TIME, LATITUDE.filter(math.isfinite), LONGITUDE.filter(math.isfinite), DEPTH, DEPTH, DEPTH, PITCH, ROLL, SIZE, SIZE),
+                *(
+                    TIME,
+                    LATITUDE.filter(math.isfinite),
+                    LONGITUDE.filter(math.isfinite),
+                    DEPTH,
+                    DEPTH,
+                    DEPTH,
+                    PITCH,
+                    ROLL,
+                    SIZE,
+                    SIZE,
+                ),
                 *(SPEED, HEADING, PITCH, ROLL, st.integers(0, 0xFFFF), WORDS),
             ),
             st.builds(recon.ReconShutdown),
@@ -131,7 +171,9 @@ every_dialect = pytest.mark.parametrize("name", DIALECTS)
 def alike(value: Any, expected: Any, places: float) -> bool:
     """Equal within the last digit that is written; headings may have passed north."""
     if isinstance(expected, ContactReport):
-        return all(alike(getattr(value, field), getattr(expected, field), places) for field in expected.__struct_fields__)
+        return all(
+            alike(getattr(value, field), getattr(expected, field), places) for field in expected.__struct_fields__
+        )
     if isinstance(expected, dict):
         return all(alike(value[key], expected[key], places) for key in expected)
     if isinstance(expected, float):

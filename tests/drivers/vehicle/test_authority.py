@@ -22,9 +22,16 @@ def make() -> Authority:
 
 
 def oracle(history: list[tuple[float, str]], now_s: float) -> AuthorityState:
-    """The state after a step at now_s, from all that ever happened: wire events, what the vehicle said, and what was asked and returned."""
-    lost = max((index for index, (_, what) in enumerate(history) if what in ("connected", "disconnected", "silent")), default=-1)
-    closed = next((what for _, what in reversed(history) if what in ("connected", "disconnected")), "disconnected") == "disconnected"
+    """The state after a step at now_s, from all that ever happened: wire events, what the vehicle said, and what was
+    asked and returned."""
+    lost = max(
+        (index for index, (_, what) in enumerate(history) if what in ("connected", "disconnected", "silent")),
+        default=-1,
+    )
+    closed = (
+        next((what for _, what in reversed(history) if what in ("connected", "disconnected")), "disconnected")
+        == "disconnected"
+    )
     since = history[lost + 1 :]
     if closed or not any(what == "heard" for _, what in since):
         return "down"

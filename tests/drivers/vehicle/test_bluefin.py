@@ -1,4 +1,5 @@
-"""Bluefin's interface: one sentence at a time, said again three times, and control only as the vehicle's words have it."""
+"""Bluefin's interface: one sentence at a time, said again three times, and control only as the vehicle's words have
+it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Messages on the vehicle's CAN bus: what is written is read back, the DBC file says the same, and nobody takes them for NMEA 2000."""
+"""Messages on the vehicle's CAN bus: what is written is read back, the DBC file says the same, and nobody takes them
+for NMEA 2000."""
 
 from __future__ import annotations
 
@@ -22,7 +23,14 @@ from drivers.navigation.n2k_bus import N2kBus
 from drivers.vehicle import can_messages as can
 from drivers.vehicle.can_dbc import dbc_text
 from drivers.vehicle.can_receiver import CanReceiver
-from drivers.vehicle.can_translation import command_message, command_of, report_from_can, report_message, text_message, text_of
+from drivers.vehicle.can_translation import (
+    command_message,
+    command_of,
+    report_from_can,
+    report_message,
+    text_message,
+    text_of,
+)
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
 from tests.drivers.vehicle.can_traffic import records
 
@@ -104,7 +112,9 @@ def test_the_dbc_file_writes_and_reads_every_bit_as_we_do(record: can.Record, se
 
 
 def test_the_dbc_file_is_that_of_the_table() -> None:
-    assert DBC.read_text(encoding="ascii") == dbc_text(), "make it anew: python -m drivers.vehicle.can_dbc > deploy/auv_mcm.dbc"
+    assert DBC.read_text(encoding="ascii") == dbc_text(), (
+        "make it anew: python -m drivers.vehicle.can_dbc > deploy/auv_mcm.dbc"
+    )
 
 
 def test_the_dbc_file_describes_every_signal() -> None:
@@ -131,7 +141,10 @@ def test_signals_neither_overlap_nor_stand_out() -> None:
                 assert placed.first_byte == end
                 end += placed.signal.n_bytes
                 low, high = placed.signal.low, placed.signal.high
-                assert placed.signal.scale is None or max(abs(low), abs(high)) / placed.signal.scale < placed.signal.unavailable
+                assert (
+                    placed.signal.scale is None
+                    or max(abs(low), abs(high)) / placed.signal.scale < placed.signal.unavailable
+                )
             assert end <= can.FRAME_BYTES - tail * is_last
     assert len({message.number for message in can.MESSAGES}) == len(can.MESSAGES)
 
@@ -166,7 +179,12 @@ def test_frames_are_as_written_down() -> None:
     assert [(hex(frame.can_id), frame.data.hex()) for frame in status] == [("0xbff0160", "010301072aff7c6a")]
     go_to = sent(command_message(GoTo(48.1, 11.5, Vertical("altitude", 5.0), 1.5, 3.0), 3.0, 9, 7), 0x51)
     assert {hex(frame.can_id) for frame in go_to} == {"0xfff0260"}
-    assert [frame.data.hex() for frame in go_to] == ["0051407aab1c9600", "0151c0c2da062c01", "025188130000011e", "035109079e4a9424"]
+    assert [frame.data.hex() for frame in go_to] == [
+        "0051407aab1c9600",
+        "0151c0c2da062c01",
+        "025188130000011e",
+        "035109079e4a9424",
+    ]
 
 
 @given(records())
@@ -209,7 +227,9 @@ def test_a_report_is_read_back() -> None:
 
 
 def test_sizes_and_errors_too_large_are_reported_as_the_largest() -> None:
-    message = report_message(msgspec.structs.replace(REPORT, sigma_m=2000.0, length_m=math.inf, depth_m=-0.2, n_views=900), 1)
+    message = report_message(
+        msgspec.structs.replace(REPORT, sigma_m=2000.0, length_m=math.inf, depth_m=-0.2, n_views=900), 1
+    )
     sent(message)
     assert (message.sigma_m, message.length_m, message.depth_m, message.n_views) == (655.0, 65.53, 0.0, 255)
     assert math.isnan(message.width_m)
@@ -238,7 +258,9 @@ def test_commands_are_read_back_within_half_a_step_and_never_deeper(command: Com
     assert isinstance(message, can.GoToMessage | can.SteerMessage)
     again = command_of(message)
     assert again.vertical.reference == command.vertical.reference
-    rise_m = (again.vertical.value_m - command.vertical.value_m) * (1.0 if command.vertical.reference == "altitude" else -1.0)
+    rise_m = (again.vertical.value_m - command.vertical.value_m) * (
+        1.0 if command.vertical.reference == "altitude" else -1.0
+    )
     assert -1e-8 <= rise_m <= 1.001e-3
     assert abs(again.speed_mps - command.speed_mps) <= 0.005001
     if isinstance(command, GoTo) and isinstance(again, GoTo):

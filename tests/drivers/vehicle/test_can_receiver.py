@@ -1,4 +1,5 @@
-"""Frames of the vehicle's CAN bus, damaged, lost, repeated and out of order: what came whole is read, nothing else is."""
+"""Frames of the vehicle's CAN bus, damaged, lost, repeated and out of order: what came whole is read, nothing else
+is."""
 
 from __future__ import annotations
 
@@ -166,7 +167,9 @@ def test_frames_of_others_are_counted_and_left_alone(record: Record) -> None:
 
 
 @given(
-    st.lists(st.tuples(st.sampled_from(MESSAGES), st.integers(0, 255), st.binary(max_size=64), st.booleans()), max_size=60),
+    st.lists(
+        st.tuples(st.sampled_from(MESSAGES), st.integers(0, 255), st.binary(max_size=64), st.booleans()), max_size=60
+    ),
     st.floats(0.0, 1.0),
 )
 def test_no_frames_raise_or_are_believed(frames: list[tuple[CanMessage, int, bytes, bool]], step_s: float) -> None:
@@ -181,7 +184,9 @@ def test_no_frames_raise_or_are_believed(frames: list[tuple[CanMessage, int, byt
 
 def test_a_value_out_of_range_is_refused_though_its_checksum_is_right() -> None:
     content = bytes((len(GRANTS), 0, 1, 0, 0, 0))
-    frame = encode(VehicleStatus(0, 0, 1, 0, 0, 0), VEHICLE)[0]._replace(data=content + crc16(0x81, VEHICLE, content).to_bytes(2, "little"))
+    frame = encode(VehicleStatus(0, 0, 1, 0, 0, 0), VEHICLE)[0]._replace(
+        data=content + crc16(0x81, VEHICLE, content).to_bytes(2, "little")
+    )
     receiver = CanReceiver("can", "vehicle", VEHICLE, Counter())
     assert read(receiver, [frame]) == []
     assert receiver.counters == {"can.refused.value": 1}

@@ -1,4 +1,5 @@
-"""The payload's end of the vehicle's CAN bus: no command without a grant that is alive, no report lost, and no frame makes it fall over."""
+"""The payload's end of the vehicle's CAN bus: no command without a grant that is alive, no report lost, and no frame
+makes it fall over."""
 
 from __future__ import annotations
 
@@ -122,7 +123,9 @@ def test_it_greets_with_a_release_sent_three_times() -> None:
 def test_its_status_is_a_sign_of_life() -> None:
     bench = Bench()
     bench.take(0.0)
-    statuses = [record for tick in range(1, 101) for record in bench.take(0.1 * tick) if isinstance(record, PayloadStatus)]
+    statuses = [
+        record for tick in range(1, 101) for record in bench.take(0.1 * tick) if isinstance(record, PayloadStatus)
+    ]
     assert len(statuses) in (19, 20)
     assert all((after.counter - before.counter) % 256 == 1 for before, after in pairwise(statuses))
 
@@ -267,14 +270,20 @@ def test_a_refused_command_ends_the_grant() -> None:
     bench.dialect.command(PLACE, 0.1)
     [sent] = commands_in(bench.take(0.1))
     assert isinstance(sent, GoToMessage)
-    assert bench.status(2, number, 0.2, reason=6, state=3, command_number=sent.command_number) == [Withheld("command refused")]
+    assert bench.status(2, number, 0.2, reason=6, state=3, command_number=sent.command_number) == [
+        Withheld("command refused")
+    ]
 
 
 def test_a_report_is_sent_at_once_and_again_until_it_is_answered() -> None:
     bench = Bench()
     bench.take(0.0)
     bench.dialect.report(REPORT, 7, 1.0)
-    times = [0.1 * tick for tick in range(10, 400) if any(isinstance(record, ReportMessage) for record in bench.take(0.1 * tick))]
+    times = [
+        0.1 * tick
+        for tick in range(10, 400)
+        if any(isinstance(record, ReportMessage) for record in bench.take(0.1 * tick))
+    ]
     assert times == pytest.approx([1.0, 2.0, 4.0, 8.0, 16.0, 24.0, 32.0], abs=0.11)
     crc = answer_crc(bench.dialect, 40.0)
     assert bench.say(ReportAnswer(7, crc ^ 1, 0), 40.0) == [], "an answer to another report with this ticket"
@@ -286,7 +295,11 @@ def test_a_report_is_sent_at_once_and_again_until_it_is_answered() -> None:
 def answer_crc(dialect: Conversation, now_s: float) -> int:
     """Lower half of the CRC of the next report that is sent."""
     for tick in range(200):
-        frames = [frame for frame in dialect.take_outgoing(now_s + 0.1 * tick) if number_and_address(frame.can_id) == (0x04, PAYLOAD)]
+        frames = [
+            frame
+            for frame in dialect.take_outgoing(now_s + 0.1 * tick)
+            if number_and_address(frame.can_id) == (0x04, PAYLOAD)
+        ]
         if frames:
             return int.from_bytes(frames[-1].data[4:6], "little")
     raise AssertionError("no report was sent")
@@ -329,7 +342,9 @@ def test_health_is_reported_when_it_changes_and_every_now_and_then() -> None:
     sent = bench.take(0.1)
     assert [record.health for record in sent if isinstance(record, PayloadStatus)] == [2]
     assert [text_of(record) for record in sent if isinstance(record, HealthText)] == ["sonar silent"]
-    later = [text_of(record) for tick in range(2, 300) for record in bench.take(0.1 * tick) if isinstance(record, HealthText)]
+    later = [
+        text_of(record) for tick in range(2, 300) for record in bench.take(0.1 * tick) if isinstance(record, HealthText)
+    ]
     assert later == ["sonar silent"] * 2
 
 
@@ -374,13 +389,16 @@ def test_nmea_2000_units_can_report_the_vehicles_state() -> None:
     assert event.altitude_m == pytest.approx(5.25)
     [event] = bench.say(StateMessage(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 7.0, 0.0), 2.1)
     assert isinstance(event, ReportedState)
-    reported_by_controller = {name for name, value in event._asdict().items() if isinstance(value, float) and not math.isnan(value)}
+    reported_by_controller = {
+        name for name, value in event._asdict().items() if isinstance(value, float) and not math.isnan(value)
+    }
     assert reported_by_controller == {"depth_m"}, "one of both reports each quantity"
 
 
 @given(
     st.lists(
-        st.tuples(st.integers(0, 0x1FFFFFFF), st.binary(max_size=64), st.booleans()) | records().map(lambda record: (record, 0, True)),
+        st.tuples(st.integers(0, 0x1FFFFFFF), st.binary(max_size=64), st.booleans())
+        | records().map(lambda record: (record, 0, True)),
         max_size=40,
     )
 )
@@ -422,7 +440,8 @@ EVENTS = st.sampled_from(
 @settings(max_examples=300)
 @given(st.lists(st.tuples(EVENTS, st.floats(0.0, 0.7)), max_size=60))
 def test_no_command_leaves_without_a_grant_that_is_alive(events: list[tuple[str, float]]) -> None:
-    """Beside the dialect an account of its own is kept: of the request that stands, and of the last status that granted it."""
+    """Beside the dialect an account of its own is kept: of the request that stands, and of the last status that granted
+    it."""
     bench = Bench()
     now_s, counter, is_connected = 0.0, 0, True
     standing: int | None = None  # the number asked for and not given back, as heard on the bus

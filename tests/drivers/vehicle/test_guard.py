@@ -1,4 +1,5 @@
-"""Nothing that leads out of the fence, too low or too deep is let through, whatever the shape of the fence and wherever on Earth."""
+"""Nothing that leads out of the fence, too low or too deep is let through, whatever the shape of the fence and wherever
+on Earth."""
 
 from __future__ import annotations
 
@@ -24,24 +25,41 @@ from drivers.vehicle.guard import Fence, Guard
 HOME_DEG = (54.0, 8.0)
 SQUARE_M = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))
 # Open to the north: two arms and nothing between them above north 0.
-HORSESHOE_M = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (50.0, 100.0), (50.0, 0.0), (-50.0, 0.0), (-50.0, 100.0), (-100.0, 100.0))
+HORSESHOE_M = (
+    (-100.0, -100.0),
+    (100.0, -100.0),
+    (100.0, 100.0),
+    (50.0, 100.0),
+    (50.0, 0.0),
+    (-50.0, 0.0),
+    (-50.0, 100.0),
+    (-100.0, 100.0),
+)
 Metres = tuple[float, float]
 PLACES = st.tuples(st.floats(-150.0, 150.0), st.floats(-150.0, 150.0))
 HOMES = st.sampled_from([HOME_DEG, (0.0, 180.0), (-70.0, -179.9999), (89.999, 30.0), (-89.9995, 100.0)])
 
 
 def place_deg(place_m: Metres, home_deg: Metres = HOME_DEG) -> Metres:
-    latitude, longitude, _ = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1]).to_geodetic([*place_m, 0.0])
+    latitude, longitude, _ = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1]).to_geodetic(
+        [*place_m, 0.0]
+    )
     return float(latitude), float(longitude)
 
 
-def config(corners_m: tuple[Metres, ...] = SQUARE_M, home_deg: Metres = HOME_DEG, margin_m: float = 5.0) -> VehicleConfig:
+def config(
+    corners_m: tuple[Metres, ...] = SQUARE_M, home_deg: Metres = HOME_DEG, margin_m: float = 5.0
+) -> VehicleConfig:
     corners_deg = tuple(place_deg(corner, home_deg) for corner in corners_m)
     return VehicleConfig(command=True, fence_deg=corners_deg, fence_margin_m=margin_m, max_depth_m=40.0)
 
 
-def state(place_m: Metres, home_deg: Metres = HOME_DEG, *, depth_m: float = 20.0, altitude_m: float = 8.0) -> ReportedState:
-    return ReportedState(Stamp(0, 0), *place_deg(place_m, home_deg), heading_rad=0.0, depth_m=depth_m, altitude_m=altitude_m)
+def state(
+    place_m: Metres, home_deg: Metres = HOME_DEG, *, depth_m: float = 20.0, altitude_m: float = 8.0
+) -> ReportedState:
+    return ReportedState(
+        Stamp(0, 0), *place_deg(place_m, home_deg), heading_rad=0.0, depth_m=depth_m, altitude_m=altitude_m
+    )
 
 
 def go_to(place_m: Metres, home_deg: Metres = HOME_DEG) -> GoTo:
@@ -69,12 +87,16 @@ def nearest_m(points_m: NDArray[np.float64], corners_m: tuple[Metres, ...]) -> f
 
 
 def walked(start_m: Metres, end_m: Metres) -> NDArray[np.float64]:
-    return np.asarray(np.array(start_m) + np.linspace(0.0, 1.0, 151)[:, np.newaxis] * (np.array(end_m) - np.array(start_m)))
+    return np.asarray(
+        np.array(start_m) + np.linspace(0.0, 1.0, 151)[:, np.newaxis] * (np.array(end_m) - np.array(start_m))
+    )
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.sampled_from([SQUARE_M, HORSESHOE_M, HORSESHOE_M[::-1]]), PLACES, PLACES, HOMES)
-def test_clearance_of_a_way_is_that_of_walking_it(corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres) -> None:
+def test_clearance_of_a_way_is_that_of_walking_it(
+    corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres
+) -> None:
     fence = Fence([place_deg(corner, home_deg) for corner in corners_m])
     got_m = fence.clearance_m(fence.point(*place_deg(start_m, home_deg)), fence.point(*place_deg(end_m, home_deg)))
     points_m = walked(start_m, end_m)
@@ -85,7 +107,9 @@ def test_clearance_of_a_way_is_that_of_walking_it(corners_m: tuple[Metres, ...],
 
 @settings(max_examples=50, deadline=None)
 @given(st.sampled_from([SQUARE_M, HORSESHOE_M]), PLACES, PLACES, HOMES)
-def test_no_go_to_leads_out_of_the_fence(corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres) -> None:
+def test_no_go_to_leads_out_of_the_fence(
+    corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres
+) -> None:
     guard = Guard(config(corners_m, home_deg))
     if guard.command(go_to(end_m, home_deg), state(start_m, home_deg)) is None:
         assert inside(walked(start_m, end_m), corners_m).all()
@@ -111,7 +135,10 @@ def test_what_is_well_inside_passes() -> None:
     guard = Guard(config(HORSESHOE_M))
     assert code(guard, go_to((90.0, -50.0)), state((-80.0, -50.0))) is None
     assert code(guard, Steer(1.0, Vertical("altitude", 5.0), 1.5), state((0.0, -50.0))) is None
-    assert guard.plan([place_deg(place) for place in ((-75.0, 50.0), (-75.0, -50.0), (75.0, -50.0), (75.0, 50.0))], 3.0) is None
+    assert (
+        guard.plan([place_deg(place) for place in ((-75.0, 50.0), (-75.0, -50.0), (75.0, -50.0), (75.0, 50.0))], 3.0)
+        is None
+    )
 
 
 def test_the_way_across_the_mouth_of_a_concave_fence_is_refused() -> None:
@@ -167,7 +194,12 @@ def test_a_vehicle_that_must_not_be_commanded_is_not(changes: dict[str, Any], wa
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_refused_wherever_it_stands(value: Any) -> None:
     guard, here = Guard(config()), state((0.0, 0.0))
-    for name, why in {"latitude_deg": "leads_out", "longitude_deg": "leads_out", "speed_mps": "speed", "radius_m": "radius"}.items():
+    for name, why in {
+        "latitude_deg": "leads_out",
+        "longitude_deg": "leads_out",
+        "speed_mps": "speed",
+        "radius_m": "radius",
+    }.items():
         assert code(guard, go_to((10.0, 10.0))._replace(**{name: value}), here) == why
     for name, why in {"heading_rad": "heading", "speed_mps": "speed"}.items():
         assert code(guard, Steer(1.0, Vertical("altitude", 5.0), 1.5)._replace(**{name: value}), here) == why
@@ -189,9 +221,14 @@ def test_depth_and_altitude_are_judged_by_the_same_floor(vertical: Vertical, wan
     assert code(Guard(config()), go_to((10.0, 10.0))._replace(vertical=vertical), state((0.0, 0.0))) == wanted
 
 
-@pytest.mark.parametrize(("heading_rad", "speed_mps"), [(-0.1, 1.0), (2.0 * math.pi, 1.0), (1.0, 0.0), (1.0, -1.0), (1.0, 1.6)])
+@pytest.mark.parametrize(
+    ("heading_rad", "speed_mps"), [(-0.1, 1.0), (2.0 * math.pi, 1.0), (1.0, 0.0), (1.0, -1.0), (1.0, 1.6)]
+)
 def test_headings_and_speeds_out_of_range_are_refused(heading_rad: float, speed_mps: float) -> None:
-    assert code(Guard(config()), Steer(heading_rad, Vertical("altitude", 5.0), speed_mps), state((0.0, 0.0))) in ("heading", "speed")
+    assert code(Guard(config()), Steer(heading_rad, Vertical("altitude", 5.0), speed_mps), state((0.0, 0.0))) in (
+        "heading",
+        "speed",
+    )
 
 
 def test_commands_and_plans_grow_old() -> None:

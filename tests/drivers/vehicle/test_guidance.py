@@ -1,7 +1,8 @@
-"""A vehicle that holds a heading is kept on its legs, in current, anywhere on Earth. What is asserted here is what is claimed.
+"""A vehicle that holds a heading is kept on its legs, in current, anywhere on Earth. What is asserted here is what is
+claimed.
 
-The simulated vehicle follows its commanded heading with a lag of a second and half as fast again as the guidance turns it, and runs
-through water that moves.
+The simulated vehicle follows its commanded heading with a lag of a second and half as fast again as the guidance turns
+it, and runs through water that moves.
 """
 
 from __future__ import annotations
@@ -73,7 +74,9 @@ def sail(
 
 
 def current_mps(share: float, towards_deg: float) -> tuple[float, float]:
-    return share * SPEED_MPS * math.sin(math.radians(towards_deg)), share * SPEED_MPS * math.cos(math.radians(towards_deg))
+    return share * SPEED_MPS * math.sin(math.radians(towards_deg)), share * SPEED_MPS * math.cos(
+        math.radians(towards_deg)
+    )
 
 
 def worst_m(moments: list[Moment], index: int, from_to_go_m: float, to_to_go_m: float = 0.0) -> float:
@@ -81,7 +84,8 @@ def worst_m(moments: list[Moment], index: int, from_to_go_m: float, to_to_go_m: 
 
 
 def reinspection() -> tuple[Places, list[int]]:
-    """Three legs as the planner lays them, with its turns, 30 m and a settling radius at both ends; and the indices of their exits."""
+    """Three legs as the planner lays them, with its turns, 30 m and a settling radius at both ends; and the indices of
+    their exits."""
     places: Places = [(0.0, 0.0)]
     exits = []
     pose = PlanePose(0.0, 0.0, 0.0)
@@ -100,7 +104,9 @@ def reinspection() -> tuple[Places, list[int]]:
 
 @pytest.mark.parametrize(("share", "within_m"), [(0.0, 0.3), (0.3, 2.5), (0.5, 5.0)])
 @pytest.mark.parametrize("towards_deg", [0.0, 90.0, 225.0, 270.0])
-def test_legs_of_a_reinspection_are_flown_past_their_contacts(share: float, within_m: float, towards_deg: float) -> None:
+def test_legs_of_a_reinspection_are_flown_past_their_contacts(
+    share: float, within_m: float, towards_deg: float
+) -> None:
     places_m, exits = reinspection()
     moments, finished = sail(places_m, current_mps(share, towards_deg))
     assert finished
@@ -156,7 +162,9 @@ def test_a_vehicle_that_does_not_turn_is_not_led_round_to_its_other_side() -> No
     st.floats(0.0, TURN, exclude_max=True),
 )
 def test_every_way_comes_to_its_end(places_m: Places, share: float, towards_deg: float, heading_rad: float) -> None:
-    moments, finished = sail([(0.0, 0.0), *places_m], current_mps(share, towards_deg), heading_rad=heading_rad, max_s=8000.0)
+    moments, finished = sail(
+        [(0.0, 0.0), *places_m], current_mps(share, towards_deg), heading_rad=heading_rad, max_s=8000.0
+    )
     assert finished
     # No excursion is larger than a turn that a current carries along, from wherever the leg began.
     assert all(abs(m.cross_m) < 4.0 * TURN_RADIUS_M / (1.0 - share) for m in moments)

@@ -17,11 +17,15 @@ OFFSETS_M = st.floats(-20_000.0, 20_000.0)
 
 
 @given(LATITUDES, LONGITUDES, OFFSETS_M, OFFSETS_M)
-def test_points_are_those_of_the_local_frame(latitude_deg: float, longitude_deg: float, east_m: float, north_m: float) -> None:
+def test_points_are_those_of_the_local_frame(
+    latitude_deg: float, longitude_deg: float, east_m: float, north_m: float
+) -> None:
     frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
     latitude, longitude, _ = frame.to_geodetic([east_m, north_m, 0.0])
     wanted = frame.to_enu(latitude, longitude, 0.0)[:2].tolist()
-    assert LocalPlane(latitude_deg, longitude_deg).point(float(latitude), float(longitude)) == pytest.approx(wanted, abs=1e-6)
+    assert LocalPlane(latitude_deg, longitude_deg).point(float(latitude), float(longitude)) == pytest.approx(
+        wanted, abs=1e-6
+    )
 
 
 @given(LATITUDES, LONGITUDES, OFFSETS_M, OFFSETS_M, st.floats(0.0, 2.0 * math.pi, exclude_max=True))
@@ -32,7 +36,9 @@ def test_a_true_heading_is_a_step_on_the_chart_and_back(
     latitude, longitude, _ = (float(value) for value in frame.to_geodetic([east_m, north_m, 0.0]))
     plane = LocalPlane(latitude_deg, longitude_deg)
     step = plane.direction(latitude, longitude, heading_rad)
-    ahead = LocalFrame(latitude_deg=latitude, longitude_deg=longitude).to_geodetic([math.sin(heading_rad), math.cos(heading_rad), 0.0])
+    ahead = LocalFrame(latitude_deg=latitude, longitude_deg=longitude).to_geodetic(
+        [math.sin(heading_rad), math.cos(heading_rad), 0.0]
+    )
     there, here = plane.point(float(ahead[0]), float(ahead[1])), plane.point(latitude, longitude)
     assert step == pytest.approx((there.east_m - here.east_m, there.north_m - here.north_m), abs=1e-5)
     back_rad = plane.true_heading_rad(latitude, longitude, math.atan2(*step))

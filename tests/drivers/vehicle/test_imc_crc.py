@@ -9,8 +9,15 @@ from drivers.running_sum import RunningSum
 from drivers.vehicle.imc_crc import RunningRemainder, crc16_arc
 
 
-@given(before=st.binary(max_size=40), body=st.binary(max_size=80), after=st.binary(max_size=20), wrong=st.integers(0, 0xFFFF))
-def test_remainders_are_equal_where_the_checksum_is_right_and_nowhere_else(before: bytes, body: bytes, after: bytes, wrong: int) -> None:
+@given(
+    before=st.binary(max_size=40),
+    body=st.binary(max_size=80),
+    after=st.binary(max_size=20),
+    wrong=st.integers(0, 0xFFFF),
+)
+def test_remainders_are_equal_where_the_checksum_is_right_and_nowhere_else(
+    before: bytes, body: bytes, after: bytes, wrong: int
+) -> None:
     for checksum in (crc16_arc(body), wrong):
         right = checksum == crc16_arc(body)
         little = bytearray(before + body + checksum.to_bytes(2, "little") + after)

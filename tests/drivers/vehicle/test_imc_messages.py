@@ -19,18 +19,22 @@ from drivers.vehicle.imc_contact import CLASSES, imc_contact_of, report_from_imc
 from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, Many, Numbers, One, decode, encode, number_of
 from drivers.vehicle.imc_wire import HEADER_BYTES, ImcPacket, packed, to_wire
 
-NEEDS_IMCPY = pytest.mark.skipif(find_spec("imcpy") is None, reason="imcpy, the oracle, is not installed: pip install imcpy")
+NEEDS_IMCPY = pytest.mark.skipif(
+    find_spec("imcpy") is None, reason="imcpy, the oracle, is not installed: pip install imcpy"
+)
 OWN = (imc.MineContact, imc.MineContactTaken)
 TIME_S = 1_700_000_000.25
 
 # Made with imcpy 1.1.2, from source 0x6000/5 to 0x001E at TIME_S if not said otherwise.
 GOLDEN: dict[str, ImcMessage] = {
     "54fe9600000000001040fc54d9410060051e00ff4a31": imc.Heartbeat(),
-    "54fe5e01580000001040fc54d9411e0026ffffff71ac8bdb6800e73fca32c4b12e6ec3bf0000000000004841000050c00000000000000000000000000000a03f0000c03f"
+    "54fe5e01580000001040fc54d9411e0026ffffff71ac8bdb6800e73fca32c4b12e6ec3bf00000000"
+    "00004841000050c00000000000000000000000000000a03f0000c03f"
     "0000000000000000000000000000000000000000000000000000000000000000000020410000f04002ca": imc.EstimatedState(
         0.7188, -0.1518, x=12.5, y=-3.25, psi=1.25, u=1.5, depth=10.0, alt=7.5
     ),
-    "54fe2f02510000001040fc54d9410060051e00ff000007000a006d636d5f7265706c616e000027020a006d636d5f7265706c616e00000000000003006d636d01002802"
+    "54fe2f02510000001040fc54d9410060051e00ff000007000a006d636d5f7265706c616e00002702"
+    "0a006d636d5f7265706c616e00000000000003006d636d01002802"
     "03006d636dde010060ff000020410000704100000040000000000000000000000000d336": imc.PlanControl(
         0,
         0,
@@ -42,12 +46,12 @@ GOLDEN: dict[str, ImcMessage] = {
             maneuvers=(imc.PlanManeuver("mcm", imc.FollowReference(0x6000, 255, 10.0, 15.0, 2.0)),),
         ),
     ),
-    "54fedf01270000001040fc54d9410060051e00ff079201000000000000f83f00910100004040025305a3923a01e73f5396218e7571c3bf0000704168f4": (
+    "54fedf01270000001040fc54d9410060051e00ff079201000000000000f83f009101000040400253"
+    "05a3923a01e73f5396218e7571c3bf0000704168f4": (
         imc.Reference(7, imc.DesiredSpeed(1.5), imc.DesiredZ(3.0, 2), 0.7189, -0.1519, 15.0)
     ),
-    "54fe2003270000001040fc54d9410060051e00ff08004d4c432d303030315305a3923a01e73f5396218e7571c3bf00009441010000000000000000ba36": (
-        imc.Target("MLC-0001", 0.7189, -0.1519, 18.5, 1)
-    ),
+    "54fe2003270000001040fc54d9410060051e00ff08004d4c432d303030315305a3923a01e73f5396"
+    "218e7571c3bf00009441010000000000000000ba36": (imc.Target("MLC-0001", 0.7189, -0.1519, 18.5, 1)),
 }
 
 
@@ -121,7 +125,8 @@ def reported_by_imcpy(message: ImcMessage) -> Any:
             for inner in value:
                 getattr(other, name).append(reported_by_imcpy(inner))
         elif isinstance(value, msgspec.Struct):
-            setattr(other, name, reported_by_imcpy(value))  # type: ignore[arg-type]  # of a message, only messages are inside
+            # Of a message, only messages are inside.
+            setattr(other, name, reported_by_imcpy(value))  # type: ignore[arg-type]
         elif value is not None:
             setattr(other, name, value)
     return other
@@ -219,7 +224,9 @@ def test_a_report_goes_through_the_message_whole() -> None:
 
 
 def test_no_report_is_too_large_to_be_reported() -> None:
-    wired = encode(imc_contact_of(a_report(session=2**63, number=2**40, revision=70_000, n_views=10**6, sigma_m=math.inf)))
+    wired = encode(
+        imc_contact_of(a_report(session=2**63, number=2**40, revision=70_000, n_views=10**6, sigma_m=math.inf))
+    )
     assert encode(decode(1700, wired)) == wired
 
 

@@ -28,7 +28,9 @@ from drivers.vehicle.dialect import (
 from drivers.vehicle.talkers.imc_talker import PLAN_ID
 from tests.sim_replay.conversation import Conversation
 
-pytestmark = pytest.mark.skipif(find_spec("imcpy") is None, reason="imcpy, the peer, is not installed: pip install imcpy")
+pytestmark = pytest.mark.skipif(
+    find_spec("imcpy") is None, reason="imcpy, the peer, is not installed: pip install imcpy"
+)
 
 GOAL = GoTo(41.185, -8.706, Vertical("altitude", 5.0), 1.5, 3.0)
 DEADLINE_S = 20.0
@@ -70,13 +72,15 @@ while True:
         answer.type, answer.op, answer.request_id, answer.plan_id = 1, message.op, message.request_id, message.plan_id
         say(answer, us, host)
         state = imcpy.FollowRefState()
-        state.control_src, state.control_ent, state.state, state.proximity = follow.control_src, follow.control_ent, 1, 1
+        state.control_src, state.control_ent = follow.control_src, follow.control_ent
+        state.state, state.proximity = 1, 1
         say(state, us, host)
     elif name == "Reference":
         if message.flags & 0x80:
             taken.append([name, "done"])
             break
-        taken.append([name, message.flags, message.lat, message.lon, message.speed.value, message.z.value, message.z.z_units])
+        z = message.z
+        taken.append([name, message.flags, message.lat, message.lon, message.speed.value, z.value, z.z_units])
         state = imcpy.FollowRefState()
         state.control_src, state.control_ent, state.state, state.proximity, state.reference = us, 255, 3, 6, message
         say(state, us, host)
@@ -124,7 +128,13 @@ def test_an_imcpy_vehicle_is_taken_over_commanded_and_left() -> None:
     by_name = {name: values for name, *values in taken if values != ["done"]}
     assert by_name["PlanControl"] == [0, 0, PLAN_ID, 0x6000, 5.0]
     assert by_name["Reference"] == pytest.approx([7, math.radians(41.185), math.radians(-8.706), 1.5, 5.0, 2])
-    assert by_name["Target"] == ["MLC-00003", pytest.approx(math.radians(41.186)), pytest.approx(math.radians(-8.707)), 18.5, 1]
+    assert by_name["Target"] == [
+        "MLC-00003",
+        pytest.approx(math.radians(41.186)),
+        pytest.approx(math.radians(-8.707)),
+        18.5,
+        1,
+    ]
     assert by_name["EntityState"] == [1, "all is well"]
     assert taken[-1] == ["Reference", "done"]
 

@@ -52,7 +52,11 @@ from tests.sim_replay.conversation import Conversation
 US, VEHICLE, OTHER = 0x6000, 0x1E, 0x2F
 UTC_S = 1_700_000_000
 GOAL = GoTo(41.1851, -8.7062, Vertical("altitude", 5.0), 1.5, 3.0)
-LEARNS, KNOWS, INVITED = ImcSettings(), ImcSettings(vehicle_id=VEHICLE, acknowledges=True), ImcSettings(vehicle_id=VEHICLE, own_plan=False)
+LEARNS, KNOWS, INVITED = (
+    ImcSettings(),
+    ImcSettings(vehicle_id=VEHICLE, acknowledges=True),
+    ImcSettings(vehicle_id=VEHICLE, own_plan=False),
+)
 
 
 class Talk:
@@ -80,7 +84,9 @@ class Talk:
             found += [message for message in self.sent() if type(message) is kind]
         return found
 
-    def hear(self, *messages: ImcMessage, source: int = VEHICLE, to: int = ANYONE, age_s: float = 0.0) -> list[VehicleEvent]:
+    def hear(
+        self, *messages: ImcMessage, source: int = VEHICLE, to: int = ANYONE, age_s: float = 0.0
+    ) -> list[VehicleEvent]:
         """age_s: of their times, by the sender's clock, which is an hour off."""
         time_s = UTC_S + 3600.0 + self.now_s - age_s
         data = b"".join(packed(message, source, to=to, time_s=time_s) for message in messages)
@@ -103,8 +109,12 @@ def succeeded(request_id: int) -> imc.PlanControl:
     return imc.PlanControl(PlanType.SUCCESS, PlanOp.START, request_id, PLAN_ID)
 
 
-def follow_state(goal: GoTo | None = None, state: int = RefState.WAIT, near: int = Proximity.FAR, of: int = US) -> imc.FollowRefState:
-    reference = goal and imc.Reference(RefFlag.LOCATION, lat=math.radians(goal.latitude_deg), lon=math.radians(goal.longitude_deg))
+def follow_state(
+    goal: GoTo | None = None, state: int = RefState.WAIT, near: int = Proximity.FAR, of: int = US
+) -> imc.FollowRefState:
+    reference = goal and imc.Reference(
+        RefFlag.LOCATION, lat=math.radians(goal.latitude_deg), lon=math.radians(goal.longitude_deg)
+    )
     return imc.FollowRefState(of, 255, reference, state, near)
 
 
@@ -314,7 +324,9 @@ def test_a_request_can_be_withdrawn() -> None:
     talk.dialect.request(talk.now_s)
     talk.sent()
     talk.dialect.release("plan withdrawn", talk.now_s)
-    assert talk.sent_of(imc.PlanControl, 5.0) == [], "the vehicle may never have heard of it, and STOP would stop its own"
+    assert talk.sent_of(imc.PlanControl, 5.0) == [], (
+        "the vehicle may never have heard of it, and STOP would stop its own"
+    )
     assert talk.hear(succeeded(1), follow_state()) == []
     talk.dialect.request(talk.now_s)
     talk.hear(succeeded(2))
@@ -372,7 +384,19 @@ def test_position_is_displaced_by_the_offsets() -> None:
     talk = Talk()
     latitude_deg, north_m, east_m = 41.0, 1200.0, -3400.0
     message = estimated(
-        latitude_deg, -8.5, x=north_m, y=east_m, z=20.0, phi=0.1, theta=-0.2, psi=-0.5, vx=0.6, vy=0.8, vz=9.0, depth=20.0, alt=-1.0
+        latitude_deg,
+        -8.5,
+        x=north_m,
+        y=east_m,
+        z=20.0,
+        phi=0.1,
+        theta=-0.2,
+        psi=-0.5,
+        vx=0.6,
+        vy=0.8,
+        vz=9.0,
+        depth=20.0,
+        alt=-1.0,
     )
     (state,) = talk.hear(message)
     assert isinstance(state, ReportedState)
@@ -381,7 +405,9 @@ def test_position_is_displaced_by_the_offsets() -> None:
     w = math.sqrt(1.0 - e2 * math.sin(math.radians(latitude_deg)) ** 2)
     meridian_m, prime_vertical_m = a_m * (1.0 - e2) / w**3, a_m / w
     assert math.radians(state.latitude_deg - latitude_deg) * meridian_m == pytest.approx(north_m, abs=1.0)
-    longitude_m = math.radians(state.longitude_deg + 8.5) * prime_vertical_m * math.cos(math.radians(state.latitude_deg))
+    longitude_m = (
+        math.radians(state.longitude_deg + 8.5) * prime_vertical_m * math.cos(math.radians(state.latitude_deg))
+    )
     assert longitude_m == pytest.approx(east_m, abs=1.0)
     assert state.heading_rad == pytest.approx(math.tau - 0.5)
     assert (state.roll_rad, state.pitch_rad, state.speed_mps) == pytest.approx((0.1, -0.2, 1.0))
@@ -527,11 +553,16 @@ HEARD = st.one_of(
 STEPS = st.one_of(
     st.tuples(st.just("hear"), HEARD, st.sampled_from([VEHICLE, VEHICLE, VEHICLE, OTHER, US])),
     st.tuples(st.just("bytes"), st.binary(max_size=60)),
-    st.tuples(st.sampled_from(["request", "command", "release", "take", "disconnect", "connect", "report", "steer", "grant"])),
+    st.tuples(
+        st.sampled_from(["request", "command", "release", "take", "disconnect", "connect", "report", "steer", "grant"])
+    ),
 )
 
 
-@given(settings=st.sampled_from([LEARNS, KNOWS, INVITED]), steps=st.lists(st.tuples(st.floats(0.0, 3.0), STEPS), max_size=40))
+@given(
+    settings=st.sampled_from([LEARNS, KNOWS, INVITED]),
+    steps=st.lists(st.tuples(st.floats(0.0, 3.0), STEPS), max_size=40),
+)
 def test_no_reference_leaves_without_a_grant(settings: ImcSettings, steps: list[tuple[float, tuple[Any, ...]]]) -> None:
     talk = Talk(settings)
     dialect = talk.dialect
@@ -599,13 +630,17 @@ def test_a_grant_recorded_earlier_is_not_accepted() -> None:
     talk.hear(estimated(41.18, -8.7))
     talk.dialect.request(talk.now_s)
     (start,) = talk.sent_of(imc.PlanControl)
-    events = talk.hear(succeeded(start.request_id), follow_state(), age_s=86_400.0)  # of a run in which the number was the same
+    events = talk.hear(
+        succeeded(start.request_id), follow_state(), age_s=86_400.0
+    )  # of a run in which the number was the same
     assert [type(event) for event in events] == [Doubted, Doubted]
     assert "the vehicle's other messages" in events[0].reason  # type: ignore[union-attr]  # which is what it is
     assert talk.dialect.counters["imc.refused.stale"] == 2
     talk.dialect.command(GOAL, talk.now_s)
     assert talk.dialect.counters["imc.commands_unsaid"] == 1
-    assert [type(event) for event in talk.hear(succeeded(start.request_id), follow_state())] == [Granted], "the vehicle's own is"
+    assert [type(event) for event in talk.hear(succeeded(start.request_id), follow_state())] == [Granted], (
+        "the vehicle's own is"
+    )
 
 
 def test_an_answer_from_before_the_request_is_not_accepted() -> None:

@@ -24,7 +24,9 @@ def test_no_control_in_modes_that_are_a_persons_or_not_known(mode: str) -> None:
     assert isinstance(reported, Withheld)
     assert f"mode {mode[0]}" in reported.reason
     assert isinstance(where, ReportedState)
-    assert [type(event) for event in dialect.hear(state("N"), stamp_at(0.2))] == [ReportedState], "it has to be asked again"
+    assert [type(event) for event in dialect.hear(state("N"), stamp_at(0.2))] == [ReportedState], (
+        "it has to be asked again"
+    )
 
 
 @pytest.mark.parametrize("mode", ["N", "A", "W"])
@@ -38,7 +40,9 @@ def test_control_in_modes_that_obey_and_only_when_asked_for(mode: str) -> None:
 
 
 def test_it_is_polled_and_steered_for_as_long_as_its_settings_say() -> None:
-    dialect = Conversation(IverSettings(poll_s=0.2, command_timeout_s=2, max_pitch_deg=15.0, remote_helm_version=4, contact_sentence=""))
+    dialect = Conversation(
+        IverSettings(poll_s=0.2, command_timeout_s=2, max_pitch_deg=15.0, remote_helm_version=4, contact_sentence="")
+    )
     assert dialect.command_period_s == 0.5
     assert Capability.CONTACT not in dialect.capabilities
     dialect.connected(0.0)

@@ -31,7 +31,9 @@ from drivers.vehicle.pilot import Pilot
 from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, calls, stamp
 
 HOME_DEG = (54.0, 8.0)
-FENCE_DEG = tuple(moved(*HOME_DEG, *corner) for corner in ((-200.0, -200.0), (200.0, -200.0), (200.0, 200.0), (-200.0, 200.0)))
+FENCE_DEG = tuple(
+    moved(*HOME_DEG, *corner) for corner in ((-200.0, -200.0), (200.0, -200.0), (200.0, 200.0), (-200.0, 200.0))
+)
 Metres = tuple[float, float]
 
 
@@ -42,7 +44,13 @@ def settings(**changes: Any) -> VehicleConfig:
 def waypoint(leg: int, kind: str, place_m: Metres) -> Waypoint:
     latitude_deg, longitude_deg = moved(*HOME_DEG, *place_m)
     return Waypoint(
-        leg=leg, kind=kind, latitude_deg=latitude_deg, longitude_deg=longitude_deg, heading_rad=0.0, contact_id="C00001", why=""
+        leg=leg,
+        kind=kind,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        heading_rad=0.0,
+        contact_id="C00001",
+        why="",
     )
 
 
@@ -76,7 +84,8 @@ def contact(number: int, p_mine: float = 0.9) -> Contact:
 
 
 class Sea:
-    """Run a pilot, a vehicle and the time. The vehicle reports its state ten times a second, grants requests, and obeys."""
+    """Run a pilot, a vehicle and the time. The vehicle reports its state ten times a second, grants requests, and
+    obeys."""
 
     def __init__(self, capabilities: Capability = GOES_BY_ITSELF, **changes: Any) -> None:
         self.dialect = PaperTalker(capabilities)
@@ -92,7 +101,9 @@ class Sea:
         self.pilot.hear([calls(self.now_s, *events)], stamp(self.now_s))
 
     def state(self) -> ReportedState:
-        return ReportedState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad)._replace(
+        return ReportedState(
+            stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad
+        )._replace(
             **self.reported  # type: ignore[arg-type]  # settings of one test each
         )
 
@@ -121,10 +132,15 @@ class Sea:
             east_m, north_m = offset_m(moved(*HOME_DEG, *self.place_m), (command.latitude_deg, command.longitude_deg))
             self.heading_rad = math.atan2(east_m, north_m) % (2.0 * math.pi)
         else:
-            self.heading_rad += min(max(math.remainder(command.heading_rad - self.heading_rad, 2.0 * math.pi), -0.03), 0.03)
+            self.heading_rad += min(
+                max(math.remainder(command.heading_rad - self.heading_rad, 2.0 * math.pi), -0.03), 0.03
+            )
             self.heading_rad %= 2.0 * math.pi
         step_m = 0.1 * command.speed_mps
-        self.place_m = (self.place_m[0] + step_m * math.sin(self.heading_rad), self.place_m[1] + step_m * math.cos(self.heading_rad))
+        self.place_m = (
+            self.place_m[0] + step_m * math.sin(self.heading_rad),
+            self.place_m[1] + step_m * math.cos(self.heading_rad),
+        )
 
     def released(self) -> list[str]:
         return [line.removeprefix("release ") for line in self.dialect.calls if line.startswith("release")]

@@ -1,4 +1,5 @@
-"""Whatever happens in whatever order: no command without leave, out of the fence, too low, or too late; and never a dead end.
+"""Whatever happens in whatever order: no command without leave, out of the fence, too low, or too late; and never a
+dead end.
 
 A witness judges commands from the history alone; it shares nothing with the pilot but the interface.
 """
@@ -45,7 +46,16 @@ CONFIG: Final = VehicleConfig(
     max_control_s=40.0,
 )
 PLACES_M: Final = st.sampled_from(
-    [(40.0, 40.0), (40.0, 160.0), (160.0, 40.0), (20.0, 20.0), (100.0, 30.0), (78.0, 150.0), (120.0, 120.0), (-30.0, 50.0)]
+    [
+        (40.0, 40.0),
+        (40.0, 160.0),
+        (160.0, 40.0),
+        (20.0, 20.0),
+        (100.0, 30.0),
+        (78.0, 150.0),
+        (120.0, 120.0),
+        (-30.0, 50.0),
+    ]
 )
 GOOD_PLAN_M: Final = [(40.0, 40.0), (100.0, 40.0), (150.0, 40.0)]
 EXTENT_M: Final = 1e-2
@@ -131,10 +141,17 @@ class AnyOrder(RuleBasedStateMachine):
         if isinstance(command, GoTo):
             there_m = offset_m(HOME_DEG, (command.latitude_deg, command.longitude_deg))
             away = MARGIN_M - EXTENT_M
-            assert all(inside(there_m[0] + east_m, there_m[1] + north_m) for east_m in (-away, away) for north_m in (-away, away))
+            assert all(
+                inside(there_m[0] + east_m, there_m[1] + north_m)
+                for east_m in (-away, away)
+                for north_m in (-away, away)
+            )
         else:
             reach_m = command.speed_mps * CONFIG.command_valid_s
-            there_m = here_m[0] + reach_m * math.sin(command.heading_rad), here_m[1] + reach_m * math.cos(command.heading_rad)
+            there_m = (
+                here_m[0] + reach_m * math.sin(command.heading_rad),
+                here_m[1] + reach_m * math.cos(command.heading_rad),
+            )
         assert way_inside(here_m, there_m)
 
     @rule()
@@ -165,10 +182,16 @@ class AnyOrder(RuleBasedStateMachine):
         altitude_m=st.sampled_from([8.0, 8.0, 8.0, 1.0, NAN]),
         heading_rad=st.sampled_from([0.0, 1.0, 3.0, 5.0]),
     )
-    def report_place(self, place_m: tuple[float, float] | None, depth_m: float, altitude_m: float, heading_rad: float) -> None:
+    def report_place(
+        self, place_m: tuple[float, float] | None, depth_m: float, altitude_m: float, heading_rad: float
+    ) -> None:
         if place_m is not None:
             self.place_m = place_m
-        self.report_state(ReportedState(stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad, NAN, NAN, depth_m, altitude_m))
+        self.report_state(
+            ReportedState(
+                stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad, NAN, NAN, depth_m, altitude_m
+            )
+        )
 
     def report_state(self, state: ReportedState) -> None:
         # What a message leaves out holds for a while: the witness waits until it is reported whole.

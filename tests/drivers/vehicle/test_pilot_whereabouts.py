@@ -29,7 +29,9 @@ def test_every_quantity_is_known_for_so_long_after_it_was_reported() -> None:
     assert whereabouts.position_s == 0.0
 
 
-@pytest.mark.parametrize("position_deg", [(0.0, 0.0), (NAN, 8.0), (54.0, NAN), (91.0, 8.0), (54.0, 181.0), (math.inf, 8.0)])
+@pytest.mark.parametrize(
+    "position_deg", [(0.0, 0.0), (NAN, 8.0), (54.0, NAN), (91.0, 8.0), (54.0, 181.0), (math.inf, 8.0)]
+)
 def test_positions_that_cannot_be_are_not_believed(position_deg: tuple[float, float]) -> None:
     whereabouts = Whereabouts(valid_s=3.0)
     whereabouts.hear(ReportedState(STAMP, *position_deg, depth_m=20.0), 0.0)

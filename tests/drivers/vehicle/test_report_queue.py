@@ -1,4 +1,5 @@
-"""Over a link that loses, repeats and delays, the vehicle gets the latest report of every contact, and each revision once."""
+"""Over a link that loses, repeats and delays, the vehicle gets the latest report of every contact, and each revision
+once."""
 
 from __future__ import annotations
 
@@ -197,7 +198,9 @@ class FakeVehicle:
     def hear(self, report: ContactReport) -> None:
         key = (report.session, report.number, report.revision)
         assert self.texts.setdefault(key, repr(report)) == repr(report)  # a revision never changes
-        if key not in self.seen and (report.number not in self.latest or self.latest[report.number].revision < report.revision):
+        if key not in self.seen and (
+            report.number not in self.latest or self.latest[report.number].revision < report.revision
+        ):
             self.latest[report.number] = report
         self.seen[key] += 1
 
@@ -213,7 +216,9 @@ EVENTS = st.lists(
 
 @settings(max_examples=200, deadline=None)
 @given(EVENTS, st.booleans())
-def test_the_vehicle_ends_with_the_latest_of_every_contact(events: list[tuple[str, int, float]], acknowledges: bool) -> None:
+def test_the_vehicle_ends_with_the_latest_of_every_contact(
+    events: list[tuple[str, int, float]], acknowledges: bool
+) -> None:
     """The oracle keeps the last p_mine of each contact, from the first that reached the threshold."""
     queue, vehicle = empty_queue(acknowledges=acknowledges), FakeVehicle()
     last: dict[int, float] = {}

@@ -17,7 +17,9 @@ Metres = st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
 
 
 @given(entry=Metres, way_out=Metres, spacing_m=st.floats(1.0, 100.0))
-def test_points_lie_evenly_on_the_run(entry: tuple[float, float], way_out: tuple[float, float], spacing_m: float) -> None:
+def test_points_lie_evenly_on_the_run(
+    entry: tuple[float, float], way_out: tuple[float, float], spacing_m: float
+) -> None:
     whole = plan((entry, way_out))
     flown = with_points_on_legs(whole, spacing_m)
     assert tuple(point for point in flown if point.kind != ON_LEG) == whole
@@ -29,5 +31,9 @@ def test_points_lie_evenly_on_the_run(entry: tuple[float, float], way_out: tuple
 
 
 def test_turns_and_what_begins_a_plan_are_left_as_they_are() -> None:
-    points = (waypoint(1, "start", (0.0, 0.0)), waypoint(1, "turn", (0.0, 90.0)), waypoint(1, "leg_entry", (90.0, 90.0)))
+    points = (
+        waypoint(1, "start", (0.0, 0.0)),
+        waypoint(1, "turn", (0.0, 90.0)),
+        waypoint(1, "leg_entry", (90.0, 90.0)),
+    )
     assert with_points_on_legs(points, 10.0) == points

@@ -17,7 +17,9 @@ UTC_S = 1.7e9
     delays_s=st.lists(st.floats(0.0, 0.4), min_size=1, max_size=60),
     period_s=st.sampled_from([0.1, 1.0, 60.0, 1800.0]),
 )
-def test_the_sender_s_own_messages_are_believed_for_hours(drift: float, ahead_s: float, delays_s: list[float], period_s: float) -> None:
+def test_the_sender_s_own_messages_are_believed_for_hours(
+    drift: float, ahead_s: float, delays_s: list[float], period_s: float
+) -> None:
     clock = SenderClock()
     for number, delay_s in enumerate(delays_s):
         sent_s = 100.0 + number * period_s

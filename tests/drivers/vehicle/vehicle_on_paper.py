@@ -8,7 +8,9 @@ from collections.abc import Sequence
 from auv_mcm.clock import Stamp
 from drivers.vehicle.dialect import Capability, Command, ContactReport, PayloadHealth, VehicleEvent, VehicleMessage
 
-GOES_BY_ITSELF = Capability.NAVIGATION | Capability.WAYPOINT | Capability.CONTACT | Capability.ACKNOWLEDGED | Capability.HEALTH
+GOES_BY_ITSELF = (
+    Capability.NAVIGATION | Capability.WAYPOINT | Capability.CONTACT | Capability.ACKNOWLEDGED | Capability.HEALTH
+)
 IS_STEERED = Capability.NAVIGATION | Capability.STEERING | Capability.CONTACT | Capability.HEALTH
 
 
@@ -22,7 +24,8 @@ def calls(now_s: float, *events: VehicleEvent) -> VehicleMessage:
 
 
 class PaperTalker:
-    """W is a line of text; what the vehicle says are the events themselves. Lines that wait when the wire opens anew are forgotten."""
+    """W is a line of text; what the vehicle says are the events themselves. Lines that wait when the wire opens anew
+    are forgotten."""
 
     silent_after_s = 3.0
     command_period_s = 1.0
@@ -30,7 +33,9 @@ class PaperTalker:
     def __init__(self, capabilities: Capability = GOES_BY_ITSELF) -> None:
         self.capabilities = capabilities
         self.counters: Counter[str] = Counter()
-        self.calls: list[str] = []  # connected, disconnected, request, release REASON, command, report N.R, health STATE
+        self.calls: list[
+            str
+        ] = []  # connected, disconnected, request, release REASON, command, report N.R, health STATE
         self.commands: list[tuple[float, Command]] = []
         self.reports: list[tuple[float, ContactReport, int]] = []
         self._lines: list[str] = []

@@ -35,7 +35,9 @@ def events(path: Path, file: BinaryIO, config: Config, counters: Counter[str]) -
             counters["acme_log.damaged_lines"] += 1
 
 
-def _fix(time_s: float, latitude_deg: float, longitude_deg: float, heading_deg: float, depth_m: float, altitude_m: float) -> NavSample:
+def _fix(
+    time_s: float, latitude_deg: float, longitude_deg: float, heading_deg: float, depth_m: float, altitude_m: float
+) -> NavSample:
     return NavSample(
         time_s=time_s,
         latitude_deg=latitude_deg,

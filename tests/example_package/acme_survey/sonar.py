@@ -117,7 +117,8 @@ def _trace(samples: NDArray[np.uint16], range_cm: int) -> EchoTrace:
 
 
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
-    """Return the command that sets the range; none while not enabled. Raises UsageError for a range that cannot be set."""
+    """Return the command that sets the range; none while not enabled. Raises UsageError for a range that cannot be
+    set."""
     if not 1.0 <= settings.range_m <= MAX_RANGE_M:
         raise UsageError(f"acme_sonar: a range of {settings.range_m:g} m cannot be set. Give 1 to {MAX_RANGE_M:g} m.")
     return (b"RANGE%03d" % round(settings.range_m),) if settings.enabled else ()

@@ -17,6 +17,8 @@ def test_the_bench_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("option", ["--json", "--picture"])
-def test_a_missing_folder_is_reported_before_anything_is_flown(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_folder_is_reported_before_anything_is_flown(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["bench", "adapt", option, str(tmp_path / "nowhere" / "file")]) == 2
     assert f"{option} " in capsys.readouterr().err

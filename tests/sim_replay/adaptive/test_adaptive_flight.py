@@ -79,7 +79,9 @@ def test_what_a_lawnmower_would_come_to_is_what_was_expected_where_the_floor_is_
     limits = limits_of(scene, order)
     origin = local_frame(scene.origin)
     first = planned_legs(scene.track.plan)[0]
-    lawnmower = shortest_lawnmower(SIDE_M, order.required, {"flat": 1.0}, GOOD, limits, PlanePose(first.east_m, first.north_m, 0.0))
+    lawnmower = shortest_lawnmower(
+        SIDE_M, order.required, {"flat": 1.0}, GOOD, limits, PlanePose(first.east_m, first.north_m, 0.0)
+    )
     assert lawnmower is not None
     # The ground's plane may lie elsewhere than the scene's.
     plane = LocalFrame(latitude_deg=origin.latitude_deg + 3e-4, longitude_deg=origin.longitude_deg - 2e-4)

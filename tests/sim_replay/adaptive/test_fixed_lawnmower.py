@@ -80,6 +80,8 @@ def test_a_mixture_is_expected_to_give_the_mean_of_its_parts() -> None:
 
     lawnmower = shortest_lawnmower(80.0, 0.5, {"flat": 0.25, "rough": 0.75}, ByKind(0.0), LIMITS, START)
     assert lawnmower is not None
-    flat, rough = (expected_clearance(lawnmower.legs, 80.0, {kind: 1.0}, ByKind(0.0), LIMITS) for kind in ("flat", "rough"))
+    flat, rough = (
+        expected_clearance(lawnmower.legs, 80.0, {kind: 1.0}, ByKind(0.0), LIMITS) for kind in ("flat", "rough")
+    )
     assert lawnmower.expected == pytest.approx(0.25 * flat + 0.75 * rough)
     assert worst_seabed(ByKind(0.0), LIMITS) != "flat"

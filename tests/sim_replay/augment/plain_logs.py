@@ -42,7 +42,8 @@ def mission(
     turn_rate_rad_s: float = 0.0,
     seed: int = 1,
 ) -> Iterator[NavSample | Ping]:
-    """Straight north-north-east, a sample of navigation before each ping. shading: of the floor's intensity over ground range, by ping."""
+    """Straight north-north-east, a sample of navigation before each ping. shading: of the floor's intensity over ground
+    range, by ping."""
     random = np.random.Generator(np.random.PCG64(seed))
     slant_m = (np.arange(N_SAMPLES) + 0.5) * SPACING_M
     ground_m = np.sqrt(np.maximum(slant_m**2 - ALTITUDE_M**2, 0.0))
@@ -73,7 +74,11 @@ def mission(
 
 
 def written(
-    path: Path, events: Iterator[NavSample | Ping] | None = None, *, sample_type: SampleType = "uint16", far_to_near: bool = True
+    path: Path,
+    events: Iterator[NavSample | Ping] | None = None,
+    *,
+    sample_type: SampleType = "uint16",
+    far_to_near: bool = True,
 ) -> Path:
     write_xtf(path, mission() if events is None else events, sample_type=sample_type, port_far_to_near=far_to_near)
     return path

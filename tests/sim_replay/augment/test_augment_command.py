@@ -80,22 +80,30 @@ def test_a_directory_that_cannot_be_written_to_is_refused(log: Path, tmp_path: P
 
 def test_a_log_without_side_scan_is_refused(shared_data: Callable[[str], Path], tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="no side-scan channel"):
-        augment(shared_data("sidescan/bathymetry-only.xtf"), parse_target_spec(SPEC, "spec"), tmp_path / "out", Config())
+        augment(
+            shared_data("sidescan/bathymetry-only.xtf"), parse_target_spec(SPEC, "spec"), tmp_path / "out", Config()
+        )
 
 
-@pytest.mark.parametrize(("name", "ping", "ground_range_m"), [("scotsman-iver2.xtf", 250, 11.0), ("colorado-river-455k.xtf", 494, 14.0)])
+@pytest.mark.parametrize(
+    ("name", "ping", "ground_range_m"), [("scotsman-iver2.xtf", 250, 11.0), ("colorado-river-455k.xtf", 494, 14.0)]
+)
 def test_recorded_logs_change_around_the_target_only(
     shared_data: Callable[[str], Path], tmp_path: Path, name: str, ping: int, ground_range_m: float
 ) -> None:
     log = shared_data(f"sidescan/{name}")
     spec = parse_target_spec(
-        f"targets: [{{kind: cylinder, side: port, ping: {ping}, ground_range_m: {ground_range_m}, azimuth_deg: 20}}]", "spec"
+        f"targets: [{{kind: cylinder, side: port, ping: {ping}, ground_range_m: {ground_range_m}, azimuth_deg: 20}}]",
+        "spec",
     )
     done = augment(log, spec, tmp_path / "out", Config())
     before, after = (np.frombuffer(path.read_bytes(), dtype=np.uint8) for path in (log, done.log))
     assert before.size == after.size
     assert 0 < np.count_nonzero(before != after) < 10_000
-    pairs = zip(*([event for event in XtfLog(path, Config().sonar) if isinstance(event, Ping)] for path in (log, done.log)), strict=True)
+    pairs = zip(
+        *([event for event in XtfLog(path, Config().sonar) if isinstance(event, Ping)] for path in (log, done.log)),
+        strict=True,
+    )
     touched = []
     for old, new in pairs:
         assert old.port is not None

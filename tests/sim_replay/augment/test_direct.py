@@ -41,7 +41,9 @@ def scene_of(elevation: Array) -> SeafloorScene:
 
 def image_of(scene: SeafloorScene, looks: int, seed: int = 3) -> Array:
     generator = np.random.Generator(np.random.PCG64(seed))
-    return np.asarray((render_image(scene).intensity + 1e-3) * generator.gamma(looks, 1.0 / looks, scene.elevation_m.shape))
+    return np.asarray(
+        (render_image(scene).intensity + 1e-3) * generator.gamma(looks, 1.0 / looks, scene.elevation_m.shape)
+    )
 
 
 def inverted(image: Array, scene: SeafloorScene, valid: NDArray[np.bool_] = ALL) -> SeafloorScene:
@@ -127,7 +129,9 @@ def test_picture_without_echoes_gives_finite_planes_that_render_to_nothing() -> 
 @pytest.mark.parametrize("shape", [(1, 40), (2, 6), (20, 3), (1, 1)])
 def test_small_pictures_are_inverted_too(shape: tuple[int, int]) -> None:
     image = np.random.Generator(np.random.PCG64(1)).gamma(1.0, 1.0, shape)
-    found = invert(image, np.ones(shape, dtype=np.bool_), np.full(shape[0], 5.0), 0.2 * np.arange(shape[0], dtype=np.float64), 0.1)
+    found = invert(
+        image, np.ones(shape, dtype=np.bool_), np.full(shape[0], 5.0), 0.2 * np.arange(shape[0], dtype=np.float64), 0.1
+    )
     assert np.isfinite(render_image(found).intensity).all()
 
 

@@ -39,7 +39,9 @@ Floats = NDArray[np.float64]
 
 def box(side: Side = "starboard", contrast_db: float = 14.0) -> EmbeddedTarget:
     """Broadside to ping 80."""
-    return EmbeddedTarget(kind="box", ping=80, side=side, ground_range_m=12.0, azimuth_deg=30.0, contrast_db=contrast_db)
+    return EmbeddedTarget(
+        kind="box", ping=80, side=side, ground_range_m=12.0, azimuth_deg=30.0, contrast_db=contrast_db
+    )
 
 
 def augmented(log: Path, *targets: EmbeddedTarget, config: Config = CONFIG, seed: int = 1) -> Augmented:
@@ -52,7 +54,10 @@ def augmented(log: Path, *targets: EmbeddedTarget, config: Config = CONFIG, seed
 def samples(path: Path, config: Config = CONFIG) -> dict[Side, NDArray[np.float64]]:
     pings = [event for event in XtfLog(path, config.sonar) if isinstance(event, Ping)]
     traces = {side: [ping.port if side == "port" else ping.starboard for ping in pings] for side in SIDES}
-    return {side: np.stack([trace.samples.astype(np.float64) for trace in some if trace is not None]) for side, some in traces.items()}
+    return {
+        side: np.stack([trace.samples.astype(np.float64) for trace in some if trace is not None])
+        for side, some in traces.items()
+    }
 
 
 def changes(log: Path, done: Augmented, config: Config = CONFIG) -> dict[Side, NDArray[np.bool_]]:
@@ -97,7 +102,8 @@ def test_the_shadow_is_dark_and_the_highlight_bright(log: Path) -> None:
     seen = view_shape(Box(length_m=1.1, width_m=0.9, height_m=0.45), 0.0, 12.0, ALTITUDE_M)
     front = round(float(seen.front_slant_range_m) / SPACING_M)
     shadow = slice(
-        round(math.hypot(12.6, ALTITUDE_M) / SPACING_M) + 1, round(math.hypot(float(seen.shadow_end_m) - 0.15, ALTITUDE_M) / SPACING_M)
+        round(math.hypot(12.6, ALTITUDE_M) / SPACING_M) + 1,
+        round(math.hypot(float(seen.shadow_end_m) - 0.15, ALTITUDE_M) / SPACING_M),
     )
     assert image[:, front : front + 6].mean() > 10.0 * FLOOR_COUNTS**2
     assert image[:, shadow].mean() == pytest.approx(NOISE_COUNTS**2, rel=0.5)
@@ -109,7 +115,8 @@ def test_recorders_that_store_port_either_way_get_the_same_target(tmp_path: Path
     images = []
     for far_to_near in (True, False):
         config = msgspec.structs.replace(
-            CONFIG, sonar=msgspec.structs.replace(CONFIG.sonar, port_order="far_to_near" if far_to_near else "near_to_far")
+            CONFIG,
+            sonar=msgspec.structs.replace(CONFIG.sonar, port_order="far_to_near" if far_to_near else "near_to_far"),
         )
         log = written(tmp_path / f"{far_to_near}.xtf", far_to_near=far_to_near)
         after = tmp_path / "after.xtf"
@@ -130,7 +137,9 @@ def test_highlights_clip_where_the_recorder_does(tmp_path: Path) -> None:
     after = tmp_path / "after.xtf"
     after.write_bytes(augmented(log, box(contrast_db=45.0)).data)
     assert samples(after)["starboard"].max() == 8191.0
-    assert np.count_nonzero(samples(after)["starboard"][80] == 8191.0) > np.count_nonzero(samples(log)["starboard"][80] == 8191.0)
+    assert np.count_nonzero(samples(after)["starboard"][80] == 8191.0) > np.count_nonzero(
+        samples(log)["starboard"][80] == 8191.0
+    )
 
 
 def test_logarithmic_bytes_are_written_as_logarithms(tmp_path: Path) -> None:
@@ -148,9 +157,18 @@ def test_logarithmic_bytes_are_written_as_logarithms(tmp_path: Path) -> None:
 
 def test_what_is_behind_an_embedded_object_is_hidden_by_it(log: Path) -> None:
     tall = EmbeddedTarget(
-        kind="box", ping=80, side="starboard", ground_range_m=9.0, azimuth_deg=30.0, length_m=3.0, width_m=1.0, height_m=1.5
+        kind="box",
+        ping=80,
+        side="starboard",
+        ground_range_m=9.0,
+        azimuth_deg=30.0,
+        length_m=3.0,
+        width_m=1.0,
+        height_m=1.5,
     )
-    low = EmbeddedTarget(kind="box", ping=80, side="starboard", ground_range_m=11.0, azimuth_deg=30.0, height_m=0.3, length_m=0.6)
+    low = EmbeddedTarget(
+        kind="box", ping=80, side="starboard", ground_range_m=11.0, azimuth_deg=30.0, height_m=0.3, length_m=0.6
+    )
     done = augmented(log, tall, low)
     assert done.objects[0].looks[0].visible_fraction > 0.8
     assert done.objects[1].looks[0].visible_fraction < 0.1
@@ -166,7 +184,14 @@ def test_an_object_in_a_recorded_shadow_makes_no_highlight(tmp_path: Path) -> No
 
     log = written(tmp_path / "shaded.xtf", mission(shaded))
     low = EmbeddedTarget(
-        kind="box", ping=80, side="starboard", ground_range_m=11.5, azimuth_deg=30.0, height_m=0.3, length_m=0.6, contrast_db=25.0
+        kind="box",
+        ping=80,
+        side="starboard",
+        ground_range_m=11.5,
+        azimuth_deg=30.0,
+        height_m=0.3,
+        length_m=0.6,
+        contrast_db=25.0,
     )
     done = augmented(log, low)
     assert done.objects[0].looks[0].visible_fraction < 0.05
@@ -203,7 +228,10 @@ def distance(a: Floats, b: Floats) -> float:
     """Kolmogorov and Smirnov's distance between two samples."""
     joined = np.sort(np.concatenate([a, b]))
     return float(
-        np.abs(np.searchsorted(np.sort(a), joined, "right") / a.size - np.searchsorted(np.sort(b), joined, "right") / b.size).max()
+        np.abs(
+            np.searchsorted(np.sort(a), joined, "right") / a.size
+            - np.searchsorted(np.sort(b), joined, "right") / b.size
+        ).max()
     )
 
 
@@ -233,7 +261,14 @@ def test_embedded_shadow_scatters_as_real_shadow_does(shape: float) -> None:
 
 def test_shadow_embedded_in_a_log_scatters_as_its_water_column_does(log: Path) -> None:
     wide = EmbeddedTarget(
-        kind="box", ping=80, side="starboard", ground_range_m=10.0, azimuth_deg=30.0, length_m=4.0, width_m=1.0, height_m=1.0
+        kind="box",
+        ping=80,
+        side="starboard",
+        ground_range_m=10.0,
+        azimuth_deg=30.0,
+        length_m=4.0,
+        width_m=1.0,
+        height_m=1.0,
     )
     after = log.with_name("wide.xtf")
     after.write_bytes(augmented(log, wide).data)
@@ -248,7 +283,9 @@ def test_shadow_embedded_in_a_log_scatters_as_its_water_column_does(log: Path) -
 def test_highlights_have_the_mean_and_the_looks_asked_for(looks: int) -> None:
     line = white_line(looks=looks)
     recorded = np.full((60, 400), 1e-9)
-    intensity, changed = mixed(recorded, Change(np.zeros_like(recorded), np.full_like(recorded, 7.0)), line, np.full(400, 1e-9), 3, 2)
+    intensity, changed = mixed(
+        recorded, Change(np.zeros_like(recorded), np.full_like(recorded, 7.0)), line, np.full(400, 1e-9), 3, 2
+    )
     assert changed.all()
     assert intensity.mean() == pytest.approx(7.0, rel=0.03)
     assert intensity.var() / intensity.mean() ** 2 == pytest.approx(1.0 / looks, rel=0.08)
@@ -257,13 +294,19 @@ def test_highlights_have_the_mean_and_the_looks_asked_for(looks: int) -> None:
 def test_speckle_of_highlights_is_correlated_as_the_sonar_s() -> None:
     line = white_line(range_taps=gaussian_taps(2.0))
     recorded = np.full((80, 400), 1e-9)
-    intensity, _ = mixed(recorded, Change(np.zeros_like(recorded), np.ones_like(recorded)), line, np.full(400, 1e-9), 3, 2)
+    intensity, _ = mixed(
+        recorded, Change(np.zeros_like(recorded), np.ones_like(recorded)), line, np.full(400, 1e-9), 3, 2
+    )
     x = intensity - intensity.mean()
     assert (x[:, :-2] * x[:, 2:]).mean() / x.var() == pytest.approx(0.25, abs=0.04)
 
 
 def test_samples_are_the_inverse_of_intensities() -> None:
-    for transfer, dtype in ((Transfer("amplitude"), "uint16"), (Transfer("log", 0.35), "uint8"), (Transfer("intensity"), "uint16")):
+    for transfer, dtype in (
+        (Transfer("amplitude"), "uint16"),
+        (Transfer("log", 0.35), "uint8"),
+        (Transfer("intensity"), "uint16"),
+    ):
         stored = np.arange(0, 256).astype(dtype)
         intensity, _ = to_intensity(stored, transfer)
         assert np.array_equal(to_samples(intensity.astype(np.float64), transfer, 65535.0, np.dtype(dtype)), stored)

@@ -87,14 +87,21 @@ def shadow_ends_m(heard: Echoes) -> Floats:
 
 def solids(azimuth_rad: float, burial_m: float) -> list[tuple[ObjectKind, Shape]]:
     usual = USUAL
-    cylinder, sphere, cone, wedge, box = (usual[kind] for kind in ("cylinder", "sphere", "truncated_cone", "wedge", "box"))
+    cylinder, sphere, cone, wedge, box = (
+        usual[kind] for kind in ("cylinder", "sphere", "truncated_cone", "wedge", "box")
+    )
     pose = {"azimuth_rad": azimuth_rad, "burial_m": burial_m}
     return [
         ("cylinder", Cylinder(radius_m=0.5 * cylinder.width_m, length_m=cylinder.length_m, **pose)),
         ("sphere", Sphere(radius_m=0.5 * sphere.width_m, burial_m=burial_m)),
         (
             "truncated_cone",
-            TruncatedCone(base_radius_m=0.5 * cone.width_m, top_radius_m=0.5 * cone.top_m, height_m=cone.height_m, burial_m=burial_m),
+            TruncatedCone(
+                base_radius_m=0.5 * cone.width_m,
+                top_radius_m=0.5 * cone.top_m,
+                height_m=cone.height_m,
+                burial_m=burial_m,
+            ),
         ),
         ("wedge", Wedge(length_m=wedge.length_m, width_m=wedge.width_m, height_m=wedge.height_m, **pose)),
         ("box", Box(length_m=box.length_m, width_m=box.width_m, height_m=box.height_m, **pose)),
@@ -102,8 +109,12 @@ def solids(azimuth_rad: float, burial_m: float) -> list[tuple[ObjectKind, Shape]
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize(("azimuth_rad", "burial_m", "ground_m"), [(0.0, 0.0, 12.0), (0.7, 0.1, 18.0), (2.4, 0.05, 8.0)])
-def test_shadow_ends_where_the_closed_form_says_on_a_plane(side: Side, azimuth_rad: float, burial_m: float, ground_m: float) -> None:
+@pytest.mark.parametrize(
+    ("azimuth_rad", "burial_m", "ground_m"), [(0.0, 0.0, 12.0), (0.7, 0.1, 18.0), (2.4, 0.05, 8.0)]
+)
+def test_shadow_ends_where_the_closed_form_says_on_a_plane(
+    side: Side, azimuth_rad: float, burial_m: float, ground_m: float
+) -> None:
     for kind, shape in solids(azimuth_rad * SIGN[side], burial_m):
         placed = scene_object(kind, ground_m, side, azimuth_rad, burial_m)
         found = shadow_ends_m(echoes(view(side), relief(), placed, relief(), FARTHEST_M))

@@ -57,7 +57,9 @@ def slow_render(scene: SeafloorScene) -> Rendering:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 5), st.integers(1, 30), st.floats(0.0, 1.0), st.floats(0.0, 1.5))
-def test_render_is_what_every_pixel_on_its_own_gives(seed: int, n_pings: int, n_columns: int, relief_m: float, tilt: float) -> None:
+def test_render_is_what_every_pixel_on_its_own_gives(
+    seed: int, n_pings: int, n_columns: int, relief_m: float, tilt: float
+) -> None:
     generator = np.random.Generator(np.random.PCG64(seed))
     elevation = relief_m * generator.standard_normal((n_pings, n_columns)) + tilt * np.linspace(0.0, 1.0, n_columns)
     scene = msgspec.structs.replace(
@@ -76,7 +78,9 @@ def test_plain_floor_has_no_shadow_and_lamberts_cosine() -> None:
     ground_m = (np.arange(200) + 0.5) * 0.1
     sine = 5.0 / np.hypot(ground_m, 5.0)
     assert not rendering.shadow.any()
-    np.testing.assert_allclose(rendering.intensity[1], sine * np.interp(np.arcsin(sine), BEAM.depression_rad, BEAM.gain), rtol=1e-12)
+    np.testing.assert_allclose(
+        rendering.intensity[1], sine * np.interp(np.arcsin(sine), BEAM.depression_rad, BEAM.gain), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("slope", [-0.1, 0.0, 0.15])

@@ -25,14 +25,21 @@ def test_log_gives_pictures_and_scenes_of_both_sides(tmp_path: Path) -> None:
             assert picture.valid[:, -1].any()
             assert not picture.intensity[~picture.valid].any()
             assert (np.diff(picture.along_m) > 0.0).all()
-            assert scene.elevation_m.shape == picture.intensity.shape == (len(picture.altitude_m), picture.valid.shape[1])
-            image, rendered = picture.intensity[picture.valid].mean(), render_image(scene).intensity[picture.valid].mean()
+            assert (
+                scene.elevation_m.shape == picture.intensity.shape == (len(picture.altitude_m), picture.valid.shape[1])
+            )
+            image, rendered = (
+                picture.intensity[picture.valid].mean(),
+                render_image(scene).intensity[picture.valid].mean(),
+            )
             assert 0.7 < rendered / image < 1.4
 
 
 def test_rows_follow_one_another_without_gap_or_overlap(tmp_path: Path) -> None:
     config = Config()
-    pictures = list(waterfall_pictures(RecordedMission([written(tmp_path / "log.xtf", 400)], config).events(), config, "port"))
+    pictures = list(
+        waterfall_pictures(RecordedMission([written(tmp_path / "log.xtf", 400)], config).events(), config, "port")
+    )
     along_m = np.concatenate([picture.along_m for picture in pictures])
     np.testing.assert_allclose(np.diff(along_m), config.waterfall.row_spacing_m, rtol=1e-9)
 

@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 NEARLY_FREE = Stiffness(along_weight=1e-9, screen_per_m2=1e-9)
 
 
-def dense_equation(slope: Array, row_m: float, column_m: float, stiffness: Stiffness, weight: Array) -> tuple[Array, Array]:
+def dense_equation(
+    slope: Array, row_m: float, column_m: float, stiffness: Stiffness, weight: Array
+) -> tuple[Array, Array]:
     """Left and right side of a least-squares problem, one row per term of the sum."""
     n_pings, n_columns = slope.shape
     index = np.arange(slope.size).reshape(slope.shape)
@@ -84,7 +86,8 @@ def test_masked_heights_leave_no_more_than_the_residual_promised(
 def test_masked_heights_that_the_screen_holds_are_the_least_squares_solution(
     seed: int, n_pings: int, n_columns: int, along_weight: float, screen_per_m2: float
 ) -> None:
-    """The largest curvature is at most seven times the smallest, so that the heights are as near as the residual shows."""
+    """The largest curvature is at most seven times the smallest, so that the heights are as near as the residual
+    shows."""
     slope, weight = draw_masked(seed, (n_pings, n_columns))
     stiffness = Stiffness(along_weight, screen_per_m2)
     found = integrate_slope(slope, 0.15, 0.1, stiffness, weight)

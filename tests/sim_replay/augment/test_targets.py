@@ -29,13 +29,19 @@ def placed(text: str, track: PingTrack) -> tuple[Placement, ...]:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("targets: [{kind: mine, side: port, ping: 1, ground_range_m: 5}]", "Invalid enum value 'mine' - at `targets[0].kind`"),
+        (
+            "targets: [{kind: mine, side: port, ping: 1, ground_range_m: 5}]",
+            "Invalid enum value 'mine' - at `targets[0].kind`",
+        ),
         ("target: []", "unknown field `target`"),
         ("targets: [{kind: box, side: port, ground_range_m: 5}]", "`targets[0]`: give its place along the track once"),
         ("targets: [{kind: box, side: port, ping: 3, along_m: 2, ground_range_m: 5}]", "as `ping` or as `along_m`"),
         ("targets: [{kind: box, side: port, ping: 3, ground_range_m: -5}]", "`targets[0].ground_range_m`"),
         ("scatter: [{kinds: [], count: 3}]", "`scatter[0].kinds`"),
-        ("scatter: [{kinds: [box], count: 3, burial_m: [0.2, 0.1]}]", "`scatter[0].burial_m` is [0.2, 0.1]; the lowest comes first"),
+        (
+            "scatter: [{kinds: [box], count: 3, burial_m: [0.2, 0.1]}]",
+            "`scatter[0].burial_m` is [0.2, 0.1]; the lowest comes first",
+        ),
         ("seed: 1\nseed: 2", "given twice"),
         ("[1, 2]", "got list"),
     ],
@@ -82,7 +88,9 @@ def test_places_in_a_turn_are_refused(tmp_path: Path) -> None:
 
 
 def test_places_without_a_bottom_are_refused(tmp_path: Path) -> None:
-    blind = track_of(read_survey(written(tmp_path / "blind.xtf", mission(lambda ground_m, ping: 0.0 * ground_m)), CONFIG), CONFIG)
+    blind = track_of(
+        read_survey(written(tmp_path / "blind.xtf", mission(lambda ground_m, ping: 0.0 * ground_m)), CONFIG), CONFIG
+    )
     with pytest.raises(UsageError, match="bottom below the sonar is not seen"):
         placed("targets: [{kind: box, side: port, ping: 80, ground_range_m: 10}]", blind)
 
@@ -103,7 +111,10 @@ def test_scattered_objects_keep_apart_and_clear(track: PingTrack) -> None:
             assert math.dist((one.scene_object.east_m, one.scene_object.north_m), clear) >= 4.0 + 1.5
         for other in found[:index]:
             assert (
-                math.dist((one.scene_object.east_m, one.scene_object.north_m), (other.scene_object.east_m, other.scene_object.north_m))
+                math.dist(
+                    (one.scene_object.east_m, one.scene_object.north_m),
+                    (other.scene_object.east_m, other.scene_object.north_m),
+                )
                 >= 1.5
             )
     assert {one.scene_object.is_target for one in found if one.scene_object.kind == "sphere"} == {True}
@@ -112,7 +123,10 @@ def test_scattered_objects_keep_apart_and_clear(track: PingTrack) -> None:
 
 
 def test_scattered_objects_are_even_over_area_and_azimuth(track: PingTrack) -> None:
-    found = placed("scatter: [{kinds: [cylinder], count: 600, apart_m: 0, length_m: [0.001, 0.001], width_m: [0.001, 0.001]}]", track)
+    found = placed(
+        "scatter: [{kinds: [cylinder], count: 600, apart_m: 0, length_m: [0.001, 0.001], width_m: [0.001, 0.001]}]",
+        track,
+    )
     assert len(found) == 600
     sides = [one.side for one in found]
     assert 240 <= sides.count("port") <= 360
@@ -138,7 +152,9 @@ def test_ranges_that_are_never_seen_are_refused(track: PingTrack) -> None:
 
 def test_a_log_too_short_to_put_anything_on_is_reported_without_ranges(track: PingTrack) -> None:
     short = track._replace(why=("too close to the start or end of the recording",) * N_PINGS)
-    with pytest.raises(BadInputError, match=r"no sea floor of the log is shown .*; mostly because: too close to the start or end"):
+    with pytest.raises(
+        BadInputError, match=r"no sea floor of the log is shown .*; mostly because: too close to the start or end"
+    ):
         placed("scatter: [{kinds: [box], count: 1}]", short)
 
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_replay.benches.cascade import against_opencv, contrast_rows, drawn_model, drawn_tiles, tile_rows, visited_by_opencv
+from sim_replay.benches.cascade import (
+    against_opencv,
+    contrast_rows,
+    drawn_model,
+    drawn_tiles,
+    tile_rows,
+    visited_by_opencv,
+)
 
 SHAPE = (96, 400)
 

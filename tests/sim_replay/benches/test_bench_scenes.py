@@ -109,4 +109,8 @@ def test_a_contact_after_a_step_has_the_p_mine_of_the_last_step_taken_by_then(
     for step, p_mine in after.items():
         there = as_after(contact, step, PRIOR)
         assert there.p_mine == pytest.approx(p_mine)
-        assert (there.id, there.latitude_deg, there.longitude_deg) == (contact.id, contact.latitude_deg, contact.longitude_deg)
+        assert (there.id, there.latitude_deg, there.longitude_deg) == (
+            contact.id,
+            contact.latitude_deg,
+            contact.longitude_deg,
+        )

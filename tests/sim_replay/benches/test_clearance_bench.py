@@ -24,7 +24,9 @@ def place(east_m: float, north_m: float) -> tuple[float, float]:
 
 def contact(east_m: float, north_m: float, p_mine: float) -> Contact:
     latitude_deg, longitude_deg = place(east_m, north_m)
-    made = SimpleNamespace(latitude_deg=latitude_deg, longitude_deg=longitude_deg, p_mine=p_mine, covariance_m2=np.eye(2) * 0.01)
+    made = SimpleNamespace(
+        latitude_deg=latitude_deg, longitude_deg=longitude_deg, p_mine=p_mine, covariance_m2=np.eye(2) * 0.01
+    )
     return cast("Contact", cast("Any", made))
 
 
@@ -62,7 +64,9 @@ def test_a_floor_without_contacts_or_targets_is_judged_too() -> None:
 
 
 def mission(scene: str, n_left: int, p_doubtful: float) -> JudgedClearance:
-    return JudgedClearance(scene=scene, n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5)
+    return JudgedClearance(
+        scene=scene, n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5
+    )
 
 
 def test_the_share_makes_as_many_mines_expected_as_were_left() -> None:

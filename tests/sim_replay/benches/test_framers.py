@@ -93,7 +93,9 @@ def test_messages_that_nobody_sent_are_counted() -> None:
         pieces = list(chunks)
         return good.read(pieces) + ["never sent"] * (len(pieces) != 200)
 
-    honest, row = (campaign(FramedWire("inventive", good.messages, read), 50, seed=1) for read in (good.read, inventive))
+    honest, row = (
+        campaign(FramedWire("inventive", good.messages, read), 50, seed=1) for read in (good.read, inventive)
+    )
     assert row.n_false > honest.n_false
     assert row.n_other - honest.n_other == row.n_false - honest.n_false
 
@@ -114,7 +116,18 @@ def test_a_framer_that_believes_lengths_is_found_out() -> None:
 
 def test_every_protocol_of_a_configuration_is_in_the_campaign() -> None:
     # A bus is damaged where it becomes bytes, at the adapter, and where its messages span frames.
-    protocols = {*SONARS, *TEXT_PROTOCOLS, "pixse", "imc", "bluefin", "iver", "recon", "slcan", "fast_packet", "vehicle_can"}
+    protocols = {
+        *SONARS,
+        *TEXT_PROTOCOLS,
+        "pixse",
+        "imc",
+        "bluefin",
+        "iver",
+        "recon",
+        "slcan",
+        "fast_packet",
+        "vehicle_can",
+    }
     assert {wire.name for wire in WIRES} == protocols
 
 

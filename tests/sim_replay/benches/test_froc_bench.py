@@ -1,4 +1,5 @@
-"""The comparison of all detectors: what each reports of one short mission, rates at limits, and how rocks are counted."""
+"""The comparison of all detectors: what each reports of one short mission, rates at limits, and how rocks are
+counted."""
 
 from __future__ import annotations
 
@@ -79,7 +80,9 @@ def test_rocks_count_by_views_and_by_the_most_mine_like_contact_near_them() -> N
         place: dict[str, Any] = {"latitude_deg": float(latitude), "longitude_deg": float(longitude)}
         return contact(**place, p_mine=p_mine, views=tuple(detection(**place) for _ in range(n_views)))
 
-    found = list(froc._rocks([seen(0.5, 0.1, 1), seen(-0.5, 0.9, 2), seen(100.0, 0.2, 1)], ScoredMission((), truth, "here")))
+    found = list(
+        froc._rocks([seen(0.5, 0.1, 1), seen(-0.5, 0.9, 2), seen(100.0, 0.2, 1)], ScoredMission((), truth, "here"))
+    )
     assert [(rock.n_views, rock.called) for rock in found] == [(2, True), (1, False), (0, False)]
 
 

@@ -49,11 +49,15 @@ def test_a_log_without_pings_can_be_damaged_too(kind: str, log: Path) -> None:
 
 
 def test_jumps_span_ten_metres_to_ninety_degrees(log: Path) -> None:
-    before = np.frombuffer(b"".join(packet[160:176] for packet in split(log.read_bytes(), SHORT).packets), dtype="<f8").reshape(-1, 2)
+    before = np.frombuffer(
+        b"".join(packet[160:176] for packet in split(log.read_bytes(), SHORT).packets), dtype="<f8"
+    ).reshape(-1, 2)
     lengths = []
     for seed in range(60):
         data = damaged(log, "jump and back", seed=seed)
-        after = np.frombuffer(b"".join(packet[160:176] for packet in split(data, SHORT).packets), dtype="<f8").reshape(-1, 2)
+        after = np.frombuffer(b"".join(packet[160:176] for packet in split(data, SHORT).packets), dtype="<f8").reshape(
+            -1, 2
+        )
         moved = np.hypot(*(after - before).T)
         assert 1 <= np.count_nonzero(moved) <= SHORT
         lengths.append(moved.max())
@@ -67,7 +71,9 @@ def test_three_hundred_mutants_hold_every_kind_and_jumps_in_half_of_them() -> No
     assert sum(bool(set(kinds) & set(JUMPS)) for kinds in chosen) >= 150
 
 
-@pytest.mark.parametrize("kinds", [("jump and back",), ("every n-th fix elsewhere",), ("scattered fixes", "flipped bits"), ("cut off",)])
+@pytest.mark.parametrize(
+    "kinds", [("jump and back",), ("every n-th fix elsewhere",), ("scattered fixes", "flipped bits"), ("cut off",)]
+)
 def test_a_damaged_log_passes(kinds: tuple[str, ...], log: Path, tmp_path: Path) -> None:
     mutant = judge_mutant(0, log.name, kinds, damaged(log, *kinds, seed=1), tmp_path)
     assert mutant.failures == ()
@@ -86,7 +92,10 @@ def test_results_that_cannot_be_are_seen(log: Path, tmp_path: Path) -> None:
     summary, contacts = json.loads((tmp_path / "summary.json").read_text()), (tmp_path / "contacts.geojson").read_text()
 
     def with_contact(longitude: float, latitude: float, sigma_m: float) -> list[str]:
-        feature = {"geometry": {"type": "Point", "coordinates": [longitude, latitude]}, "properties": {"id": "C1", "sigma_m": sigma_m}}
+        feature = {
+            "geometry": {"type": "Point", "coordinates": [longitude, latitude]},
+            "properties": {"id": "C1", "sigma_m": sigma_m},
+        }
         (tmp_path / "contacts.geojson").write_text(json.dumps({"features": [feature]}))
         return wrong_results(tmp_path, log)
 
@@ -115,7 +124,10 @@ def test_the_command_names_what_failed_keeps_it_and_ends_with_5(
 
 
 def test_the_table_has_a_line_per_kind_and_one_for_all() -> None:
-    rows = [mutants.Mutant(n, "a.xtf", (kind,), code, 1.5 * n, 100.0, ()) for n, (kind, code) in enumerate([("a", 0), ("b", 3), ("a", 0)])]
+    rows = [
+        mutants.Mutant(n, "a.xtf", (kind,), code, 1.5 * n, 100.0, ())
+        for n, (kind, code) in enumerate([("a", 0), ("b", 3), ("a", 0)])
+    ]
     lines = table(rows)
     assert [line.split() for line in lines[1:]] == [
         ["a", "2", "2", "0", "0", "3.0", "100"],

@@ -27,10 +27,16 @@ def test_false_alarms_and_targets_are_counted_at_each_missions_own_level() -> No
     found = reached(some, 100.0)
     levels = [one.background.level_nats(100.0) for one in some]
     assert found.n_asked == pytest.approx(100.0 * 0.8)
-    assert found.n_false_alarms == sum(np.count_nonzero(one.mission.background >= level) for one, level in zip(some, levels, strict=True))
+    assert found.n_false_alarms == sum(
+        np.count_nonzero(one.mission.background >= level) for one, level in zip(some, levels, strict=True)
+    )
     on_objects = [one.mission.background[one.mission.on_objects] for one in some]
-    assert found.n_on_objects == sum(np.count_nonzero(part >= level) for part, level in zip(on_objects, levels, strict=True))
-    assert found.n_called == sum(np.count_nonzero(one.mission.mines >= level) for one, level in zip(some, levels, strict=True))
+    assert found.n_on_objects == sum(
+        np.count_nonzero(part >= level) for part, level in zip(on_objects, levels, strict=True)
+    )
+    assert found.n_called == sum(
+        np.count_nonzero(one.mission.mines >= level) for one, level in zip(some, levels, strict=True)
+    )
     assert found.n_asked / 3.0 < found.n_without_mines < 3.0 * found.n_asked
     assert found.n_inside == found.n_judged == 4
     pooled = np.concatenate([one.mission.background for one in some])
@@ -47,13 +53,20 @@ def test_the_share_of_mines_is_a_probability_that_rises_at_first() -> None:
 
 
 def test_the_report_has_a_row_per_domain_and_density_asked() -> None:
-    missions = [drawn_mission(1, "flat"), drawn_mission(2, "rough"), drawn_mission(3, "reef"), drawn_mission(4, "river")]
+    missions = [
+        drawn_mission(1, "flat"),
+        drawn_mission(2, "rough"),
+        drawn_mission(3, "reef"),
+        drawn_mission(4, "river"),
+    ]
     lines = report(missions, shipped_background(), in_markdown=True).splitlines()
     for name, n_tables in (("flat", 4), ("reef", 4), ("all simulated", 4), ("all recorded", 4)):
         assert sum(line.startswith(f"| {name} |") for line in lines) == n_tables
 
 
-def test_a_log_that_cannot_be_read_is_rejected_before_any_mission_is_flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_cannot_be_read_is_rejected_before_any_mission_is_flown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (empty := tmp_path / "empty.xtf").touch()
     parser = argparse.ArgumentParser()
     point.add_arguments(parser)

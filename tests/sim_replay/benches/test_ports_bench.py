@@ -55,7 +55,9 @@ def test_a_service_is_measured_from_its_start_to_its_first_ping(tmp_path: Path) 
 
 
 def test_pings_are_queued_while_perception_is_busy(tmp_path: Path) -> None:
-    measured = latency(1, tmp_path / "run", 230_400)  # ten pings a second, each of which keeps perception busy for 80 ms
+    measured = latency(
+        1, tmp_path / "run", 230_400
+    )  # ten pings a second, each of which keeps perception busy for 80 ms
     assert measured.n_pings > 0
     assert measured.perception_share > 0.0
     assert list(measured.spikes_ms) == sorted(measured.spikes_ms)

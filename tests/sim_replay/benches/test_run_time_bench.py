@@ -1,4 +1,5 @@
-"""The bench of run time against error: the plain script, what is compared, the page, and the check of counts of work."""
+"""The bench of run time against error: the plain script, what is compared, the page, and the check of counts of
+work."""
 
 from __future__ import annotations
 
@@ -29,7 +30,14 @@ from sim_replay.benches.run_time.results import (
     reason_words,
     require_same_missions,
 )
-from sim_replay.benches.run_time.scaling import ScalingSeries, ScalingStep, fitted_exponent, scaling_variants, scene_of, series_rows
+from sim_replay.benches.run_time.scaling import (
+    ScalingSeries,
+    ScalingStep,
+    fitted_exponent,
+    scaling_variants,
+    scene_of,
+    series_rows,
+)
 from sim_replay.benches.run_time.skip_table import SkipEffect, register_rows, skip_rows
 from sim_replay.benches.run_time.targets import cost_targets, target_rows
 from sim_replay.missions import config_for
@@ -45,7 +53,9 @@ sonar: {frequency_khz: 450, range_m: 25, n_samples: 400, ping_rate_hz: 10}
 track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 40, spacing_m: 40}}
 objects: [{kind: cylinder, leg: 0, along_m: 20, across_m: 12, azimuth_deg: 0, strength_db: -6}]
 """
-MACHINE = BenchMachine(processor="one", cores=1, kernels="c", versions={"python": "3"}, date="2026-11-23", load=(0.0, 0.0))
+MACHINE = BenchMachine(
+    processor="one", cores=1, kernels="c", versions={"python": "3"}, date="2026-11-23", load=(0.0, 0.0)
+)
 
 
 def a_run(*process_s: float, contacts: int = 3, pings: int = 100, chain_s: tuple[float, ...] = (1.0,)) -> MissionCost:
@@ -84,7 +94,9 @@ def test_the_plain_script_finds_a_bright_cylinder_and_places_it(tmp_path: Path) 
     script = str(Path(plain_script.__file__))
     subprocess.run([sys.executable, script, str(done.log), str(tmp_path / "found.json")], check=True, timeout=60)
     contacts = parse_contacts(json.loads((tmp_path / "found.json").read_bytes()), "found")
-    score = score_missions([ScoredMission(contacts, parse_truth(json.loads(done.truth.read_bytes()), "truth"), "bright")])
+    score = score_missions(
+        [ScoredMission(contacts, parse_truth(json.loads(done.truth.read_bytes()), "truth"), "bright")]
+    )
     assert score.froc[-1].pd.count == 1
 
 
@@ -105,7 +117,9 @@ def test_points_have_names_of_their_own_and_each_turns_something(tmp_path: Path)
     assert every[0].name == DEFAULT
     config = config_for(read_scene("flat"))
     for point in every[1:]:
-        assert point.is_plain_script or point.configure(config, tmp_path) != config or point.thoroughness != Thoroughness(), point.name
+        assert (
+            point.is_plain_script or point.configure(config, tmp_path) != config or point.thoroughness != Thoroughness()
+        ), point.name
 
 
 def test_short_missions_keep_all_objects_and_empty_ones_have_none() -> None:
@@ -216,10 +230,23 @@ def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
         run = msgspec.structs.replace(a_run(2.0), called=called, contacts_sha256=digest)
         return msgspec.structs.replace(a_point(name, 2.0), runs={"flat 1": run})
 
-    ours, other = point(DEFAULT, ((1.0, 1.0), (2.0, 2.0)), "a"), point("without gate", ((2.0, 2.0), (3.0, 3.0), (4.0, 4.0)), "b")
+    ours, other = (
+        point(DEFAULT, ((1.0, 1.0), (2.0, 2.0)), "a"),
+        point("without gate", ((2.0, 2.0), (3.0, 3.0), (4.0, 4.0)), "b"),
+    )
     effect = SkipEffect(mission="flat 1", skip="gate", count=7, with_skip=ours, without=other)
     (row,) = skip_rows([effect, msgspec.structs.replace(effect, count=0)])
-    assert row == ["flat 1", "gate", "7", "1.00 (1.00-1.00)", "3 -> 3", "2 -> 3", "1 and 2", *["10 -> 10 of 20"] * 2, "no"]
+    assert row == [
+        "flat 1",
+        "gate",
+        "7",
+        "1.00 (1.00-1.00)",
+        "3 -> 3",
+        "2 -> 3",
+        "1 and 2",
+        *["10 -> 10 of 20"] * 2,
+        "no",
+    ]
     assert len(register_rows()) == len(SKIPS)
 
 

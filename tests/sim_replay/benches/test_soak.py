@@ -1,4 +1,5 @@
-"""Check what a soak makes of a run: every counter has a reason or is named, and what died is reported with its cause."""
+"""Check what a soak makes of a run: every counter has a reason or is named, and what died is reported with its
+cause."""
 
 from __future__ import annotations
 
@@ -8,7 +9,10 @@ from sim_replay.benches.soak import found_dead, print_counters
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.verdict import Evidence
 
-HEALTH = "2026-01-01T00:00:05.000Z INFO health pings=9 queue=0/512 in_flight=0 dropped=0 contacts=1 clutter=2 lag_ms=0.1 ports=sonar:{}"
+HEALTH = (
+    "2026-01-01T00:00:05.000Z INFO health pings=9 queue=0/512 in_flight=0 dropped=0 contacts=1 clutter=2 lag_ms=0.1 "
+    "ports=sonar:{}"
+)
 
 
 def evidence(lines: list[str], counters: dict[str, int], device: dict[str, int], exit_code: int = 0) -> Evidence:
@@ -28,7 +32,9 @@ def test_a_counter_without_a_reason_is_named() -> None:
     assert print_counters(run) == ["nav.surprise 2"]
 
 
-def test_damage_is_explained_by_bytes_that_the_line_lost_and_by_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+def test_damage_is_explained_by_bytes_that_the_line_lost_and_by_nothing_else(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     damaged = {"port.sonar.ping_protocol.refused.checksum": 1, "port.sonar.ping_protocol.bytes_skipped": 800}
     assert len(print_counters(evidence([], damaged, {"port.overrun": 0}))) == 2
     assert print_counters(evidence([], damaged, {"port.overrun": 300})) == []
@@ -40,7 +46,12 @@ def test_a_run_that_lived_has_nothing_dead() -> None:
 
 
 def test_what_died_is_reported_with_its_cause() -> None:
-    raised = ["Traceback (most recent call last):", '  File "a.py", line 1, in f', "    1 / 0", "ZeroDivisionError: division by zero"]
+    raised = [
+        "Traceback (most recent call last):",
+        '  File "a.py", line 1, in f',
+        "    1 / 0",
+        "ZeroDivisionError: division by zero",
+    ]
     dead = found_dead(evidence([HEALTH.format("down"), *raised], {}, {}, exit_code=4))
     assert dead == [
         "the service ended with 4",

@@ -82,7 +82,9 @@ def test_another_implementation_of_the_protocol_is_served(tmp_path: Path) -> Non
         port.plug()
 
         def open_bus() -> can.BusABC:
-            return can.Bus(interface="slcan", channel=str(port.path), bitrate=250000, sleep_after_open=0.0, ignore_config=True)
+            return can.Bus(
+                interface="slcan", channel=str(port.path), bitrate=250000, sleep_after_open=0.0, ignore_config=True
+            )
 
         bus = await asyncio.to_thread(open_bus)
         async with asyncio.timeout(10.0):

@@ -53,7 +53,9 @@ def reported(name: str, messages: list[bytes]) -> list[SonarFrame | SonarReply]:
 
 def set_up(sonar: FakeSonar, name: str, **settings: float) -> list[SonarFrame | SonarReply]:
     wanted = SonarSettings(**{"range_m": 30.0, "n_samples": 300, **settings})  # type: ignore[arg-type]  # numbers by name
-    return reported(name, [answer for command in sonar_named(name).commands(wanted) for answer in sonar.heard(command, NOW)])
+    return reported(
+        name, [answer for command in sonar_named(name).commands(wanted) for answer in sonar.heard(command, NOW)]
+    )
 
 
 def traces_of(items: list[SonarFrame | SonarReply]) -> tuple[SonarFrame, EchoTrace, EchoTrace]:
@@ -134,7 +136,9 @@ def test_a_sport_scan_answers_each_command_with_its_newest_ping_and_gain_makes_i
     assert 24.0 < np.mean([port.samples, frame.starboard.samples]) < 26.0
     (louder,) = sonar_named("sportscan").commands(SonarSettings(range_m=30.0, gain=26))
     split = [*sonar.heard(louder[:10], NOW), *sonar.heard(louder[10:], NOW)]
-    assert traces_of(reported("sportscan", split))[1].samples.mean() == pytest.approx(2.0 * port.samples.mean(), rel=0.1)
+    assert traces_of(reported("sportscan", split))[1].samples.mean() == pytest.approx(
+        2.0 * port.samples.mean(), rel=0.1
+    )
 
 
 SAMPLES = st.builds(
@@ -164,12 +168,19 @@ def fixes_of(kind: str, sample: NavSample) -> list[NavFix]:
     messages = NAVIGATION_UNITS[kind]().measured(sample, NOW.utc_s)
     if kind == "nmea2000":
         bus = N2kBus("nav")
-        fixes = [fix for frame in messages if isinstance(frame, CanFrame) for fix in bus.feed(frame.can_id, frame.data, STAMP)]
+        fixes = [
+            fix
+            for frame in messages
+            if isinstance(frame, CanFrame)
+            for fix in bus.feed(frame.can_id, frame.data, STAMP)
+        ]
         assert bus.units == {"nav.12": 0xC0_32_82_00_1B_E0_04_D2}
         assert not bus.counters["n2k.ignored"]
         return fixes
     unit = text_decoder({"pixse": "nmea0183"}.get(kind, kind), "nav")
-    fixes = [fix for message in messages if isinstance(message, bytes) for fix in unit.feed(message, STAMP)] + unit.finish()
+    fixes = [
+        fix for message in messages if isinstance(message, bytes) for fix in unit.feed(message, STAMP)
+    ] + unit.finish()
     assert not any("refused" in name or "malformed" in name for name in unit.counters)
     return fixes
 
@@ -253,7 +264,9 @@ def test_jobs_that_cannot_be_are_refused_with_what_is_wrong(tmp_path: Path, text
 
 def test_a_job_is_read_whole(tmp_path: Path) -> None:
     path = tmp_path / "job.yaml"
-    path.write_text("{name: nav, folder: here, log: a.xtf, device: {device: pd6, faults: [{do: stall, at_s: 1, for_s: 2}]}}")
+    path.write_text(
+        "{name: nav, folder: here, log: a.xtf, device: {device: pd6, faults: [{do: stall, at_s: 1, for_s: 2}]}}"
+    )
     job = read_job(path)
     assert isinstance(job, Job)
     assert (job.device.device, job.device.link, job.device.faults[0].for_s) == ("pd6", "serial", 2.0)

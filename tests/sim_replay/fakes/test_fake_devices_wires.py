@@ -30,7 +30,21 @@ from drivers.sonar.sonars import sonar_named
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.faults import FaultRates
 from sim_replay.fakes.feed import TimedEvent, read_ahead
-from sim_replay.fakes.job import ClockStep, Damage, Device, Fault, Flood, Freeze, Garbage, Job, Offset, PowerOff, Stall, Unplug, WrongBaud
+from sim_replay.fakes.job import (
+    ClockStep,
+    Damage,
+    Device,
+    Fault,
+    Flood,
+    Freeze,
+    Garbage,
+    Job,
+    Offset,
+    PowerOff,
+    Stall,
+    Unplug,
+    WrongBaud,
+)
 from tests.sim_replay.logs.xtf_logs import written
 
 N_PINGS = 20
@@ -42,7 +56,14 @@ def mission(n_pings: int = N_PINGS) -> Iterator[TimedEvent]:
     trace = EchoTrace(samples=np.full(200, 1000, np.uint16), first_range_m=0.025, spacing_m=0.05)
     for number in range(n_pings):
         at_s = number * PERIOD_S
-        place = NavSample(time_s=at_s, latitude_deg=43.0 + at_s * 1.8e-5, longitude_deg=5.0, depth_m=9.0, altitude_m=5.0, speed_mps=2.0)
+        place = NavSample(
+            time_s=at_s,
+            latitude_deg=43.0 + at_s * 1.8e-5,
+            longitude_deg=5.0,
+            depth_m=9.0,
+            altitude_m=5.0,
+            speed_mps=2.0,
+        )
         yield TimedEvent(at_s, msgspec.structs.replace(place, heading_rad=0.5, pitch_rad=0.1, roll_rad=-0.1))
         yield TimedEvent(at_s, Ping(number=number, time_s=at_s, port=trace, starboard=trace))
 
@@ -54,7 +75,9 @@ class Bench:
         self.reports: list[tuple[str, dict[str, Any]]] = []
         self.reported: list[Any] = []
         job = Job(name="unit", device=device, folder=str(folder), seed=5)
-        self.device = FakeDevice(job, read_ahead(mission(n_pings)), lambda what, details: self.reports.append((what, details)))
+        self.device = FakeDevice(
+            job, read_ahead(mission(n_pings)), lambda what, details: self.reports.append((what, details))
+        )
         self._kind = device
         self._bus = N2kBus("unit")
         self._decoder: Any = None
@@ -92,7 +115,12 @@ class Bench:
     def _link(self) -> Link[Any]:
         address = parse_link_uri(self.device.wire.uri, "link")
         if self._kind.link == "slcan":
-            return can_link(address, lambda frame, stamp: self._take(self._bus.feed(*frame[:2], stamp)), self._on_state, SystemClock())
+            return can_link(
+                address,
+                lambda frame, stamp: self._take(self._bus.feed(*frame[:2], stamp)),
+                self._on_state,
+                SystemClock(),
+            )
         self._opened = byte_link(address, self._on_bytes, self._on_state, SystemClock())
         return self._opened
 
@@ -109,7 +137,9 @@ class Bench:
                 self._opened.write(command)
 
 
-def played(folder: Path, device: Device, n_pings: int = N_PINGS, extra: Callable[[Link[Any]], Awaitable[None]] | None = None) -> Bench:
+def played(
+    folder: Path, device: Device, n_pings: int = N_PINGS, extra: Callable[[Link[Any]], Awaitable[None]] | None = None
+) -> Bench:
     async def main() -> Bench:
         bench = Bench(folder, device, n_pings)
         await bench.run(extra)
@@ -153,7 +183,9 @@ def test_navigation_units_report_every_sample(tmp_path: Path, name: Any) -> None
     assert not any("refused" in counter for counter in bench.counters)
 
 
-def test_a_cable_that_is_pulled_comes_back_with_the_same_counter_and_one_without_power_with_a_new_one(tmp_path: Path) -> None:
+def test_a_cable_that_is_pulled_comes_back_with_the_same_counter_and_one_without_power_with_a_new_one(
+    tmp_path: Path,
+) -> None:
     out = played(tmp_path, sonar(Unplug(at_s=0.3, for_s=0.3)), 40)
     assert [what for what, _ in out.reports] == ["ready", "settings", "fault", "mended", "reopened", "done"]
     numbers = [frame.number for frame in out.frames]
@@ -237,7 +269,9 @@ def test_a_device_of_its_own_ends_with_its_standard_input_and_takes_its_port_alo
 def test_a_device_may_begin_at_once_and_ends_with_its_mission(tmp_path: Path) -> None:
     log = written(tmp_path / "mission.xtf")
     job = tmp_path / "job.yaml"
-    job.write_text(yaml.safe_dump({"name": "unit", "folder": str(tmp_path), "log": str(log), "device": {"device": "pd6"}}), "utf-8")
+    job.write_text(
+        yaml.safe_dump({"name": "unit", "folder": str(tmp_path), "log": str(log), "device": {"device": "pd6"}}), "utf-8"
+    )
     arguments = [sys.executable, "-m", "sim_replay.fakes", str(job), "--now"]
     done = subprocess.run(arguments, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=True)
     reports = [json.loads(line) for line in done.stdout.splitlines()]
@@ -249,7 +283,9 @@ def test_a_device_may_begin_at_once_and_ends_with_its_mission(tmp_path: Path) ->
 def test_an_impossible_device_is_rejected_with_the_reason_in_one_line(tmp_path: Path) -> None:
     job = tmp_path / "job.yaml"
     job.write_text("{name: unit, folder: here, log: nowhere.xtf, device: {device: pd6}}", "utf-8")
-    done = subprocess.run([sys.executable, "-m", "sim_replay.fakes", str(job)], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "sim_replay.fakes", str(job)], capture_output=True, text=True, timeout=60, check=False
+    )
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr.startswith("fake device: nowhere.xtf does not exist")
 

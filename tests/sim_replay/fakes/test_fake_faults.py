@@ -19,7 +19,9 @@ def test_without_faults_every_message_passes_as_it_is() -> None:
 
 
 def test_the_same_seed_does_the_same_damage_and_another_does_not() -> None:
-    rates = FaultRates(flip_byte=0.01, drop_byte=0.01, repeat_byte=0.01, lose=0.1, double=0.1, truncate=0.1, delay=0.1, delay_s=0.5)
+    rates = FaultRates(
+        flip_byte=0.01, drop_byte=0.01, repeat_byte=0.01, lose=0.1, double=0.1, truncate=0.1, delay=0.1, delay_s=0.5
+    )
     first, again, other = Faults(rates, 7), Faults(rates, 7), Faults(rates, 8)
     assert came_through(first) == came_through(again)
     assert first.counters == again.counters
@@ -47,7 +49,11 @@ def test_each_fault_does_as_named_at_its_set_rate(rates: FaultRates, name: str, 
     n_bytes = sum(map(len, copies))
     match name:
         case "fault.flipped":
-            bits = [(a ^ b).bit_count() for message, copy in zip(MESSAGES, copies, strict=True) for a, b in zip(message, copy, strict=True)]
+            bits = [
+                (a ^ b).bit_count()
+                for message, copy in zip(MESSAGES, copies, strict=True)
+                for a, b in zip(message, copy, strict=True)
+            ]
             assert sum(bits) == faults.counters[name]
             assert max(bits) == 1
         case "fault.dropped":

@@ -226,7 +226,9 @@ def test_a_host_in_another_process_is_served(tmp_path: Path) -> None:
         ready = asyncio.Event()
         port = FakePort(tmp_path / "sonar", 57600, on_bytes=lambda data: ready.set())
         port.plug()
-        process = await asyncio.create_subprocess_exec(sys.executable, "-c", host, str(port.path), stdout=subprocess.PIPE)
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-c", host, str(port.path), stdout=subprocess.PIPE
+        )
         async with asyncio.timeout(30.0):
             await ready.wait()
             assert port.host_baud == 57600

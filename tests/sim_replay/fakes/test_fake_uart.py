@@ -27,13 +27,16 @@ def test_whatever_the_rates_reading_comes_to_an_end(data: bytes, sender_baud: in
 @pytest.mark.parametrize(
     ("data", "sender_baud", "receiver_baud", "read"),
     [
-        # 0xFF is one low bit; to a receiver at half the rate it lasts half a bit, and is over at its middle: the byte is all ones.
+        # 0xFF is one low bit; to a receiver at half the rate it lasts half a bit, and is over at its middle: the byte
+        # is all ones.
         (b"\xff", 9600, 4800, b"\xff"),
         # At double the rate the low start bit covers the start and the lowest data bit.
         (b"\xff", 9600, 19200, b"\xfe"),
-        # 9 low bits at a quarter of the receiver's rate: 36 of its bits, so a byte without a stop bit, and no further edge.
+        # 9 low bits at a quarter of the receiver's rate: 36 of its bits, so a byte without a stop bit, and no further
+        # edge.
         (b"\x00", 9600, 38400, b"\x00"),
-        # 0x55 alternates every bit. At double the rate: 0 0 1 1 0 0 1 1 0 0, no stop bit; from the next edge 0 0 1 1 0 0 1 1 1 1.
+        # 0x55 alternates every bit. At double the rate: 0 0 1 1 0 0 1 1 0 0, no stop bit; from the next edge 0 0 1 1 0
+        # 0 1 1 1 1.
         (b"\x55", 9600, 19200, b"\x00\xe6"),
     ],
 )

@@ -35,7 +35,11 @@ SCENE = """
 name: a short leg
 world: {depth_m: 15, relief_rms_m: 0, seabeds: [{type: sand}]}
 sonar: {range_m: 20, n_samples: 200, ping_rate_hz: 20}
-track: {altitude_m: 5, speed_mps: 4, turn_rate_deg_s: 40, plan: {pattern: lawnmower, heading_deg: 0, n_legs: 1, leg_m: 6}}
+track:
+  altitude_m: 5
+  speed_mps: 4
+  turn_rate_deg_s: 40
+  plan: {pattern: lawnmower, heading_deg: 0, n_legs: 1, leg_m: 6}
 objects: [{kind: cylinder, east_m: 8, north_m: 4}]
 """
 PATIENCE_S = 300.0  # on a computer that has much else to do
@@ -59,7 +63,9 @@ class Host:
             "vehicle": Device(device="bluefin", link=link, faults=faults),
         }
         job = VehicleJob(devices=devices, folder=str(folder), scene=str(scene))
-        self.vehicle = FakeVehicle(job, lambda device, what, details: self.reports.append((device, what, details)), lambda: self.controller)
+        self.vehicle = FakeVehicle(
+            job, lambda device, what, details: self.reports.append((device, what, details)), lambda: self.controller
+        )
         self._sonar = sonar_named("ping_protocol").decoder(SonarConfig())
         self._nav = text_decoder("nmea0183", "nav")
         self._links: dict[str, Link[bytes]] = {}
@@ -268,4 +274,6 @@ def test_the_mission_waits_for_a_computer_that_is_too_slow(tmp_path: Path, monke
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     whats = [what for device, what, _ in host.reports if device == "vehicle"]
     assert whats[: whats.index("fault")].count("held") >= 2
-    assert host.reported("counters")[0]["world.held_ms"] >= 1e3 * sum(details["for_s"] for details in host.reported("held"))
+    assert host.reported("counters")[0]["world.held_ms"] >= 1e3 * sum(
+        details["for_s"] for details in host.reported("held")
+    )

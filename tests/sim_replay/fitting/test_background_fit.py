@@ -7,7 +7,15 @@ import pytest
 
 from auv_mcm.contacts.background import BIN_NATS, KNOTS_NATS, LEVELS_NATS, interpolation, parse_background
 from auv_mcm.errors import UsageError
-from sim_replay.fitting.fit_background import SortedContacts, background_json, background_tasks, fit_prior, fitted_model, judged, left_out
+from sim_replay.fitting.fit_background import (
+    SortedContacts,
+    background_json,
+    background_tasks,
+    fit_prior,
+    fitted_model,
+    judged,
+    left_out,
+)
 from sim_replay.missions import HELD_OUT
 
 MEAN = np.array([7.0, 6.3, 5.5, 4.4, 3.0, 0.5])
@@ -20,7 +28,9 @@ def drawn_mission(seed: int, scene: str = "flat", area_km2: float = 0.2, shift: 
     middle = LEVELS_NATS + 0.5 * BIN_NATS
     background = np.repeat(middle, random.poisson(area_km2 * BIN_NATS * np.exp(interpolation(middle) @ values)))
     mines = random.normal(0.5, 1.5, 20)
-    return SortedContacts(scene, np.concatenate([background, mines]), background, mines, 22, area_km2, area_km2, background > 0.0)
+    return SortedContacts(
+        scene, np.concatenate([background, mines]), background, mines, 22, area_km2, area_km2, background > 0.0
+    )
 
 
 def test_the_fit_finds_what_missions_were_drawn_from() -> None:

@@ -57,7 +57,9 @@ def test_the_command_writes_a_configuration_with_prices_and_duty(
     word: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     measured = BudgetConfig(peak_us=777.0)
-    monkeypatch.setattr(prices, "measure_prices", lambda config: PriceList(measured, {"looks": 2, "moves": 280, "hypotheses": 13_000}))
+    monkeypatch.setattr(
+        prices, "measure_prices", lambda config: PriceList(measured, {"looks": 2, "moves": 280, "hypotheses": 13_000})
+    )
     out = tmp_path / "calibrated.yaml"
     assert main(["calibrate", *word, "--speed", "2", "--duty", "0.2", "--write", str(out)]) == 0
     assert parse_config(out.read_text("utf-8"), "out") == Config(budget=msgspec.structs.replace(measured, duty=0.2))

@@ -30,7 +30,9 @@ OFFSET = -1.0
 MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock"}
 
 
-def example(features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat", usual: bool = True) -> Example:
+def example(
+    features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat", usual: bool = True
+) -> Example:
     """All steps measured the same; the detector's own odds among them, which the report needs."""
     known = {"detector_odds": 0.0, **features}
     return Example(scene, 1, usual, is_target, weight, known, known, known, {step: {} for step in N_TREES})
@@ -50,7 +52,9 @@ def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]
     chosen = random.choice(list(weights), n)
     return [
         example(dict(zip(WEIGHTS, row, strict=True)), bool(target), float(weight), SCENES[number % len(SCENES)])
-        for number, (row, target, weight) in enumerate(zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True))
+        for number, (row, target, weight) in enumerate(
+            zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True)
+        )
     ]
 
 
@@ -135,7 +139,9 @@ def test_redundant_features_share_their_weight() -> None:
 
 
 def test_the_prior_is_the_log_odds_of_targets_among_what_the_examples_stand_for() -> None:
-    examples = [example({"a": 0.0, "b": 0.0, "c": 0.0}, True)] * 3 + [example({"a": 1.0, "b": 0.0, "c": 0.0}, False, 4.0)] * 15
+    examples = [example({"a": 0.0, "b": 0.0, "c": 0.0}, True)] * 3 + [
+        example({"a": 1.0, "b": 0.0, "c": 0.0}, False, 4.0)
+    ] * 15
     assert fit(examples, "counted").prior == pytest.approx(math.log(3.0 / 60.0), abs=1e-5)
 
 
@@ -179,7 +185,9 @@ def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
     ]
     odds = fit_odds(examples, "a bump", {"detector": 0, "contours": 5, "shape": 80})
     assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [0, 5, 80]
-    right = [(odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples]
+    right = [
+        (odds.shape.log_odds(item.shape | item.details["shape"]) > odds.prior) == item.is_target for item in examples
+    ]
     assert np.mean(right) > 0.95
     assert parse_odds(calibrate.written(odds), "written.json") == odds
 
@@ -196,7 +204,8 @@ def test_log_odds_of_many_are_those_of_each() -> None:
 def test_without_targets_or_without_others_nothing_is_fitted(targets: list[bool]) -> None:
     examples = [example({"a": 1.0}, is_target) for is_target in targets]
     with pytest.raises(
-        UsageError, match=rf"seeds 1 to 2: {sum(targets)} targets in {len(targets)} detections\. Fly more missions, with --seeds"
+        UsageError,
+        match=rf"seeds 1 to 2: {sum(targets)} targets in {len(targets)} detections\. Fly more missions, with --seeds",
     ):
         fit(examples, "seeds 1 to 2")
 
@@ -204,7 +213,9 @@ def test_without_targets_or_without_others_nothing_is_fitted(targets: list[bool]
 # ---------------------------------------------------------------- which detection is what
 
 HOME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
-AROUND = Surroundings(codes=np.full((4, 4), 100, dtype=np.uint8), row=2.0, column=2.0, first_ground_range_m=10.0, first_return_m=5.0)
+AROUND = Surroundings(
+    codes=np.full((4, 4), 100, dtype=np.uint8), row=2.0, column=2.0, first_ground_range_m=10.0, first_return_m=5.0
+)
 
 
 class Truth(NamedTuple):
@@ -239,7 +250,9 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
         for scene_object in scene_objects:
             latitude, longitude, _ = HOME.to_geodetic(np.array([scene_object.east_m, 0.0, 0.0]))
             sizes = {"length_m": 1.0, "width_m": 0.5}
-            objects.append({"lat": float(latitude), "lon": float(longitude), "is_target": scene_object.is_target, **sizes})
+            objects.append(
+                {"lat": float(latitude), "lon": float(longitude), "is_target": scene_object.is_target, **sizes}
+            )
 
         class FakeMission:
             def __init__(self, scene: object) -> None:
@@ -298,7 +311,12 @@ def test_of_several_detections_of_a_target_the_most_mine_like_stands_for_it(fly:
 
 
 def test_each_side_and_each_passage_has_its_own(fly: Fly) -> None:
-    detections = [seen_at(0.1), seen_at(0.2, side="port"), seen_at(0.3, time_s=2000.0), seen_at(0.4, 0.1, time_s=2001.0)]
+    detections = [
+        seen_at(0.1),
+        seen_at(0.2, side="port"),
+        seen_at(0.3, time_s=2000.0),
+        seen_at(0.4, 0.1, time_s=2001.0),
+    ]
     assert labels(fly(detections, [Truth(0.0, True)])) == [(0.1, True), (0.2, True), (0.3, True)]
 
 
@@ -350,7 +368,10 @@ class Flown:
 
     def __call__(self, name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
         self.missions.append((name, seed, detector, crowd))
-        return [item._replace(scene=name, seed=seed, usual=crowd == 1) for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))]
+        return [
+            item._replace(scene=name, seed=seed, usual=crowd == 1)
+            for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))
+        ]
 
 
 @pytest.fixture
@@ -373,12 +394,16 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
     flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], detector: Detector, scenes: tuple[str, ...]
 ) -> None:
     out = tmp_path / "odds.json"
-    assert main(["calibrate", "odds", "--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    assert (
+        main(["calibrate", "odds", "--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
+    )
     assert flown.missions == [(name, seed, detector, 1) for seed in (7, 8) for name in scenes]
     odds = written(out)
     assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
     assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
-    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [2 if detector == "cascade" else 0] * 3
+    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [
+        2 if detector == "cascade" else 0
+    ] * 3
     printed = capsys.readouterr()
     assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in printed.err
     rows = [line.split("  ")[0] for line in printed.out.splitlines()]
@@ -389,17 +414,34 @@ def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
 def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
     flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    main(["calibrate", "odds", "--seeds", "5", "--crowded", "2", "--first-seed", "7", "--out", str(tmp_path / "odds.json")])
+    main(
+        [
+            "calibrate",
+            "odds",
+            "--seeds",
+            "5",
+            "--crowded",
+            "2",
+            "--first-seed",
+            "7",
+            "--out",
+            str(tmp_path / "odds.json"),
+        ]
+    )
     n_targets = {mission: sum(item.is_target for item in flown(*mission)) for mission in list(flown.missions)}
     title, _, _, _, *rows = capsys.readouterr().out.splitlines()[-7:]
     judged = sum(n for (_, seed, _, _), n in n_targets.items() if seed == 11)
     assert title == f"seed 11, {judged} looks at targets, judged with the weights of other seeds, all steps"
     learned = [{7, 57}, {7, 8, 57}, {7, 8, 9, 10, 57, 58}]
-    assert [int(row.split()[0]) for row in rows] == [sum(n for mission, n in n_targets.items() if mission[1] in some) for some in learned]
+    assert [int(row.split()[0]) for row in rows] == [
+        sum(n for mission, n in n_targets.items() if mission[1] in some) for some in learned
+    ]
     assert "nan" not in "".join(rows)
 
 
-def test_one_seed_gives_no_report_on_more_seeds(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_seed_gives_no_report_on_more_seeds(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / "odds.json")])
     assert flown.missions
     assert "learned from" not in capsys.readouterr().out
@@ -411,7 +453,9 @@ def test_crowded_scenes_are_flown_over_other_floors_and_reported(flown: Flown, t
     n = len(flown.missions) // 3
     assert {mission[1:] for mission in flown.missions[:n]} == {(7, "cascade", 1)}
     assert {mission[1:] for mission in flown.missions[n:]} == {(57, "cascade", CROWD), (58, "cascade", CROWD)}
-    assert written(out).fitted_on.endswith("shallow, deep, sas; seeds 7 to 7, and 57 to 58 with 3 times as many mines and rocks")
+    assert written(out).fitted_on.endswith(
+        "shallow, deep, sas; seeds 7 to 7, and 57 to 58 with 3 times as many mines and rocks"
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in HELD_OUT])
@@ -420,7 +464,9 @@ def test_a_crowded_scene_has_more_mines_and_rocks_on_the_same_floor(name: str) -
     crowd = crowded(scene, CROWD)
     usual, more = ({each.kind: each.count for each in one.scatter} for one in (scene, crowd))
     assert more == {kind: number if kind not in MINES_AND_ROCKS else CROWD * number for kind, number in usual.items()}
-    assert min(each.apart_m for each in crowd.scatter if each.kind in MINES_AND_ROCKS) > 8.0, "neighbours within which count as a crowd"
+    assert min(each.apart_m for each in crowd.scatter if each.kind in MINES_AND_ROCKS) > 8.0, (
+        "neighbours within which count as a crowd"
+    )
     assert (crowd.world, crowd.sonar, crowd.track) == (scene.world, scene.sonar, scene.track)
     assert len(place_objects(crowd)) > 2.0 * len(place_objects(scene))
     assert crowded(scene, 1) == scene
@@ -484,7 +530,9 @@ def test_the_help_names_the_defaults(capsys: pytest.CaptureFixture[str]) -> None
 def test_too_few_targets_end_the_command_with_advice(
     monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(calibrate, "examples_of", lambda name, seed, detector, crowd: [example({"a": 1.0}, False, scene=name)])
+    monkeypatch.setattr(
+        calibrate, "examples_of", lambda name, seed, detector, crowd: [example({"a": 1.0}, False, scene=name)]
+    )
     assert main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / "odds.json")]) == 2
     assert "0 targets in 9 detections" in capsys.readouterr().err
     assert not (tmp_path / "odds.json").exists()

@@ -120,7 +120,9 @@ def live_contacts(kind: SonarKind, late_s: float = 0.0) -> tuple[Contact, ...]:
 
 def write_session(run: Run, folder: Path) -> Path:
     """The recording of the service."""
-    description = SessionDescription(version="0.1.0", started=run.recorded[0].stamp, config_yaml=config_yaml(run.config), ports=())
+    description = SessionDescription(
+        version="0.1.0", started=run.recorded[0].stamp, config_yaml=config_yaml(run.config), ports=()
+    )
     writer = SessionWriter(folder, description)
     for recorded in run.recorded:
         writer.add(recorded)
@@ -154,7 +156,10 @@ def svlog_head(time_s: float) -> bytes:
 
 
 def mavlink(kind: str, since_boot_s: float, **fields: Any) -> bytes:
-    content = {"header": {"system_id": 1}, "message": {"type": kind, "time_boot_ms": round(1e3 * since_boot_s), **fields}}
+    content = {
+        "header": {"system_id": 1},
+        "message": {"type": kind, "time_boot_ms": round(1e3 * since_boot_s), **fields},
+    }
     return ping_wire(PingMessage(MAVLINK_WRAPPER, json.dumps(content).encode()))
 
 

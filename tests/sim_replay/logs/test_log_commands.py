@@ -13,7 +13,15 @@ from auv_mcm.cli import main
 from auv_mcm.records import Ping
 from drivers.recording.session_layout import file_name
 from sim_replay.fakes.feed import mission_events
-from tests.sim_replay.logs.sonar_logs import SonarKind, live_contacts, mission, run_of, write_jsf, write_session, write_svlog
+from tests.sim_replay.logs.sonar_logs import (
+    SonarKind,
+    live_contacts,
+    mission,
+    run_of,
+    write_jsf,
+    write_session,
+    write_svlog,
+)
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +36,14 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
-@pytest.mark.parametrize(("name", "kind"), [("jsf", "jsf"), ("svlog", "ping_protocol"), ("folder", "jsf"), ("mcap", "jsf")])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("jsf", "jsf"), ("svlog", "ping_protocol"), ("folder", "jsf"), ("mcap", "jsf")]
+)
 def test_replay_takes_every_format(name: str, kind: SonarKind, logs: dict[str, Path], tmp_path: Path) -> None:
     (tmp_path / "vehicle.yaml").write_text(
         f"ports: [{{name: sonar, link: 'tcp://10.0.0.2:1601', device: {kind}}},"
-        " {name: compass, link: 'tcp://10.0.0.3:2000', device: nmea0183, navigation: {latency_s: 0.026666666666666668}}]"
+        " {name: compass, link: 'tcp://10.0.0.3:2000', device: nmea0183, navigation: {latency_s: "
+        "0.026666666666666668}}]"
     )
     with_config = [] if name in ("folder", "mcap") else ["--config", str(tmp_path / "vehicle.yaml")]
     assert main(["replay", str(logs[name]), "--out", str(tmp_path / "out"), *with_config]) == 0
@@ -41,7 +52,9 @@ def test_replay_takes_every_format(name: str, kind: SonarKind, logs: dict[str, P
     assert summary["pings"] == 212
     features = json.loads((tmp_path / "out" / "contacts.geojson").read_text())["features"]
     for feature, contact in zip(features, live_contacts(kind), strict=True):
-        assert feature["geometry"]["coordinates"][:2] == pytest.approx([contact.longitude_deg, contact.latitude_deg], abs=3e-8)
+        assert feature["geometry"]["coordinates"][:2] == pytest.approx(
+            [contact.longitude_deg, contact.latitude_deg], abs=3e-8
+        )
 
 
 def test_check_looks_into_logs(logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,8 +69,12 @@ def test_check_looks_into_logs(logs: dict[str, Path], tmp_path: Path, capsys: py
     assert "FAILED  log cut.jsf" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("name", "words"), [("jsf", "EdgeTech JSF"), ("svlog", "Ping Protocol"), ("folder", "recorded session")])
-def test_augment_writes_xtf_alone(name: str, words: str, logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("name", "words"), [("jsf", "EdgeTech JSF"), ("svlog", "Ping Protocol"), ("folder", "recorded session")]
+)
+def test_augment_writes_xtf_alone(
+    name: str, words: str, logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "targets.yaml").write_text("targets: [{kind: sphere, side: port, ground_range_m: 9.0, along_m: 5.0}]")
     command = ["augment", str(logs[name]), "--targets", str(tmp_path / "targets.yaml"), "--out", str(tmp_path / "out")]
     assert main(command) == 3

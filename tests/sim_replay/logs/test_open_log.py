@@ -76,7 +76,14 @@ def apart_m(one: Contact, other: Contact) -> float:
 
 
 def bytes_of(contact: Contact) -> tuple[Any, ...]:
-    return contact.id, contact.time_s, contact.latitude_deg, contact.longitude_deg, contact.p_mine, contact.covariance_m2.tobytes()
+    return (
+        contact.id,
+        contact.time_s,
+        contact.latitude_deg,
+        contact.longitude_deg,
+        contact.p_mine,
+        contact.covariance_m2.tobytes(),
+    )
 
 
 # --- the same contacts as live ---
@@ -122,7 +129,8 @@ def test_a_link_that_was_late_costs_centimetres(kind: SonarKind, with_config: bo
 
 
 def with_header_navigation(run: Run, navigation: str = "{}") -> Run:
-    """The same run, but the sonar's messages carry the navigation, as those of a topside do, and there is no compass."""
+    """The same run, but the sonar's messages carry the navigation, as those of a topside do, and there is no
+    compass."""
     samples = [event for event in mission() if isinstance(event, NavSample)]
     start_s = mission()[0].time_s
     changed = []
@@ -220,7 +228,11 @@ def test_what_is_no_log_is_refused_with_what_is_known(tmp_path: Path) -> None:
 
 
 def of_subsystem(data: bytes, subsystem: int) -> bytes:
-    return b"".join(jsf_wire(framed.message._replace(subsystem=subsystem)) for framed in _jsf(data) if framed.message.message_type == 80)
+    return b"".join(
+        jsf_wire(framed.message._replace(subsystem=subsystem))
+        for framed in _jsf(data)
+        if framed.message.message_type == 80
+    )
 
 
 def _jsf(data: bytes) -> list[Any]:
@@ -267,7 +279,9 @@ def test_a_jsf_log_without_side_scan_is_rejected_with_its_contents(tmp_path: Pat
     whole = written("jsf", tmp_path / "high").read_bytes()
     path = tmp_path / "sub-bottom"
     path.write_bytes(of_subsystem(whole, 0))
-    with pytest.raises(BadInputError, match=r"holds no side-scan message.*of type 80 of subsystem 0.*side scan switched on"):
+    with pytest.raises(
+        BadInputError, match=r"holds no side-scan message.*of type 80 of subsystem 0.*side scan switched on"
+    ):
         open_log(path, Config())
 
 
@@ -276,7 +290,9 @@ def test_pitch_and_roll_of_the_motion_sensor_serve_where_nothing_else_gives_them
         body = bytearray(44)
         seconds, nanoseconds = divmod(stamp_at(at_s).utc_ns, 1_000_000_000)
         body[:12] = JSF_TIME.pack(seconds, nanoseconds // 1_000_000)
-        struct.pack_into("<hh6xHI", body, 24, round(3.0 / 180 * 32768), round(-5.0 / 180 * 32768), 12_345, 1 << 6 | 1 << 7 | 1 << 9)
+        struct.pack_into(
+            "<hh6xHI", body, 24, round(3.0 / 180 * 32768), round(-5.0 / 180 * 32768), 12_345, 1 << 6 | 1 << 7 | 1 << 9
+        )
         return jsf_wire(JsfMessage(2020, bytes(body), subsystem=101))
 
     whole = written("jsf", tmp_path / "whole").read_bytes()
@@ -288,7 +304,9 @@ def test_pitch_and_roll_of_the_motion_sensor_serve_where_nothing_else_gives_them
     last_s = run_of("jsf").recorded[-1].stamp.utc_ns * 1e-9 - UTC_S
     path = tmp_path / "log"
     path.write_bytes(b"".join(parts) + b"".join(motion(last_s + 0.1 * n) for n in range(9)))
-    samples = [event for event in open_log(path, Config()) if isinstance(event, NavSample) and not math.isnan(event.roll_rad)]
+    samples = [
+        event for event in open_log(path, Config()) if isinstance(event, NavSample) and not math.isnan(event.roll_rad)
+    ]
     assert len(samples) == 9
     for sample in samples:
         assert math.degrees(sample.pitch_rad) == pytest.approx(3.0, abs=0.02)
@@ -380,9 +398,18 @@ def test_mavlink_is_navigation_too(tmp_path: Path) -> None:
         elif (sample := next(samples, None)) is not None:
             boot_s = sample.time_s - start_s + 12.0
             north, east = (round(100.0 * sample.speed_mps * f(sample.heading_rad)) for f in (math.cos, math.sin))
-            place = {"lat": round(1e7 * sample.latitude_deg), "lon": round(1e7 * sample.longitude_deg), "alt": 0, "hdg": 65535}
+            place = {
+                "lat": round(1e7 * sample.latitude_deg),
+                "lon": round(1e7 * sample.longitude_deg),
+                "alt": 0,
+                "hdg": 65535,
+            }
             parts.append(mavlink("GLOBAL_POSITION_INT", boot_s, vx=north, vy=east, **place))
-            angles = {"roll": sample.roll_rad, "pitch": sample.pitch_rad, "yaw": math.remainder(sample.heading_rad, math.tau)}
+            angles = {
+                "roll": sample.roll_rad,
+                "pitch": sample.pitch_rad,
+                "yaw": math.remainder(sample.heading_rad, math.tau),
+            }
             parts += [mavlink("ATTITUDE", boot_s, **angles), mavlink("HEARTBEAT", boot_s)]
     path = tmp_path / "log"
     path.write_bytes(b"".join(parts))
@@ -454,7 +481,9 @@ def test_a_sonar_that_was_powered_up_anew_goes_on_in_time(tmp_path: Path) -> Non
 # --- what is missing or damaged ---
 
 
-@pytest.mark.parametrize(("kind", "words"), [("jsf", "type 80.*type 2002.*Record with"), ("ping_protocol", "109.*150.*Record with")])
+@pytest.mark.parametrize(
+    ("kind", "words"), [("jsf", "type 80.*type 2002.*Record with"), ("ping_protocol", "109.*150.*Record with")]
+)
 def test_a_log_without_navigation_is_rejected_with_what_is_missing(kind: SonarKind, words: str, tmp_path: Path) -> None:
     path = tmp_path / "log"
     path.write_bytes(sonar_only(kind))

@@ -105,7 +105,13 @@ def test_the_order_is_seen_in_port_alone_whatever_the_samples_mean(
 ) -> None:
     scene = Scene(
         world=World(depth_m=25.0, seabeds=(Seabed(type="sand", texture_shape=3.0, texture_m=0.5),)),
-        sonar=Sonar(range_m=30.0, ping_rate_hz=15.0, ring_down_m=ring_down_m, beam_lines=1, recorder=SampleRecorder(samples=kind)),
+        sonar=Sonar(
+            range_m=30.0,
+            ping_rate_hz=15.0,
+            ring_down_m=ring_down_m,
+            beam_lines=1,
+            recorder=SampleRecorder(samples=kind),
+        ),
         track=Track(plan=Lawnmower(n_legs=1, leg_m=6.0), altitude_m=altitude_m),
     )
     traces = [event.port for event in Mission(scene).events() if isinstance(event, Ping) and event.port is not None]
@@ -117,7 +123,9 @@ def test_the_order_is_seen_in_port_alone_whatever_the_samples_mean(
 
 def test_noise_alone_hardly_shows_a_port_order() -> None:
     random = np.random.default_rng(5)
-    totals = np.array([port_order_evidence(random.rayleigh(100.0, (50, 1024)), None, 0.03, 1.0).total for _ in range(40)])
+    totals = np.array(
+        [port_order_evidence(random.rayleigh(100.0, (50, 1024)), None, 0.03, 1.0).total for _ in range(40)]
+    )
     assert np.mean(np.abs(totals) > DECISIVE) < 0.3
     assert np.all(np.abs(totals) < 2.5 * DECISIVE)
 
@@ -163,7 +171,9 @@ def test_a_featureless_port_channel_is_assumed_far_to_near_and_reported_as_unsee
         (math.nan, 1500.0, ["reader.sound_speed_absurd"]),
     ],
 )
-def test_sound_speed_is_taken_two_way_or_replaced_if_absurd(tmp_path: Path, stored: float, expected: float, codes: list[str]) -> None:
+def test_sound_speed_is_taken_two_way_or_replaced_if_absurd(
+    tmp_path: Path, stored: float, expected: float, codes: list[str]
+) -> None:
     path = written(tmp_path / "log.xtf")
     edit_headers(path, lambda _, header: setattr(header, "SoundVelocity", stored))
     events, _ = read(path)
@@ -190,7 +200,14 @@ def test_zero_navigation_is_unknown_and_counted(tmp_path: Path) -> None:
 
     def forget(index: int, header: Any) -> None:
         if index == 0:
-            for name in ("SensorYcoordinate", "SensorXcoordinate", "SensorHeading", "SensorPrimaryAltitude", "SensorDepth", "SensorSpeed"):
+            for name in (
+                "SensorYcoordinate",
+                "SensorXcoordinate",
+                "SensorHeading",
+                "SensorPrimaryAltitude",
+                "SensorDepth",
+                "SensorSpeed",
+            ):
                 setattr(header, name, 0.0)
 
     edit_headers(path, forget)
@@ -286,7 +303,9 @@ def test_longitudes_beyond_180_are_wrapped(tmp_path: Path) -> None:
 @pytest.mark.parametrize("per_second", [1, 3, 10])
 def test_pings_that_share_a_time_stamp_are_spread_evenly(tmp_path: Path, per_second: int) -> None:
     n_pings = 5 * per_second
-    events, log = read(written(tmp_path / "log.xtf", navigated([ping(n, time_s=START_S + n // per_second) for n in range(n_pings)])))
+    events, log = read(
+        written(tmp_path / "log.xtf", navigated([ping(n, time_s=START_S + n // per_second) for n in range(n_pings)]))
+    )
     times = [p.time_s - START_S for p in pings_of(events)]
     assert times == pytest.approx([n / per_second for n in range(n_pings)])
     assert log.counters["reader.time_tied"] == 5 * (per_second - 1)
@@ -294,10 +313,13 @@ def test_pings_that_share_a_time_stamp_are_spread_evenly(tmp_path: Path, per_sec
 
 
 @given(ticks=st.lists(st.integers(0, 3), min_size=1, max_size=40))
-def test_times_always_increase_where_the_clock_does_not_run_backwards(tmp_path_factory: pytest.TempPathFactory, ticks: list[int]) -> None:
+def test_times_always_increase_where_the_clock_does_not_run_backwards(
+    tmp_path_factory: pytest.TempPathFactory, ticks: list[int]
+) -> None:
     stamps = START_S + 0.01 * np.cumsum(ticks)
     path = written(
-        tmp_path_factory.mktemp("clock") / "log.xtf", navigated([ping(n, time_s=float(t), n_samples=16) for n, t in enumerate(stamps)])
+        tmp_path_factory.mktemp("clock") / "log.xtf",
+        navigated([ping(n, time_s=float(t), n_samples=16) for n, t in enumerate(stamps)]),
     )
     times = np.array([p.time_s for p in pings_of(read(path)[0])])
     assert np.all(np.diff(times) > 0.0)
@@ -362,7 +384,9 @@ def test_of_two_frequencies_the_first_pair_is_taken(tmp_path: Path) -> None:
     edit_file_header(path, fill)
     assert codes_of(read(path)[0]) == ["reader.other_channel"]
 
-    edit_channels(path, lambda index, channel, header: setattr(header, "ChannelNumber", channel + 2 if index == 1 else channel))
+    edit_channels(
+        path, lambda index, channel, header: setattr(header, "ChannelNumber", channel + 2 if index == 1 else channel)
+    )
     events, log = read(path)
     assert len(pings_of(events)) == 2
     assert log.counters["reader.other_channel"] == 2
@@ -465,4 +489,8 @@ def test_repairs_of_the_reader_are_for_the_record_and_its_requests_are_notices(t
     edit_file_header(path, fill)
     events, _ = read(path, sound_speed_mps=1480.0)
     reported = {event.code: event.for_the_record for event in events if isinstance(event, Notice)}
-    assert reported == {"reader.sound_speed_overridden": True, "reader.time_tied": True, "reader.mounting_not_applied": False}
+    assert reported == {
+        "reader.sound_speed_overridden": True,
+        "reader.time_tied": True,
+        "reader.mounting_not_applied": False,
+    }

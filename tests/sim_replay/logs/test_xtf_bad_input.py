@@ -209,7 +209,9 @@ def test_much_damage_is_reported_a_few_times_and_counted_always(tmp_path: Path) 
 
 @given(spots=st.lists(st.tuples(st.floats(0.0, 1.0), st.binary(min_size=1, max_size=40)), min_size=1, max_size=6))
 @settings(max_examples=150)
-def test_no_overwritten_bytes_ever_break_the_reader(tmp_path_factory: pytest.TempPathFactory, spots: list[tuple[float, bytes]]) -> None:
+def test_no_overwritten_bytes_ever_break_the_reader(
+    tmp_path_factory: pytest.TempPathFactory, spots: list[tuple[float, bytes]]
+) -> None:
     folder = tmp_path_factory.mktemp("spoilt")
     data = bytearray(written(folder / "log.xtf", 4).read_bytes())
     for where, garbage in spots:
@@ -252,7 +254,14 @@ def test_no_navigation_at_all_is_delivered_without_positions(tmp_path: Path) -> 
     path = written(tmp_path / "log.xtf", navigated([ping(n) for n in range(5)]))
 
     def forget(_: int, header: Any) -> None:
-        for name in ("SensorHeading", "SensorPitch", "SensorRoll", "SensorDepth", "SensorSpeed", "SensorPrimaryAltitude"):
+        for name in (
+            "SensorHeading",
+            "SensorPitch",
+            "SensorRoll",
+            "SensorDepth",
+            "SensorSpeed",
+            "SensorPrimaryAltitude",
+        ):
             setattr(header, name, 0.0)
         header.SensorYcoordinate = header.SensorXcoordinate = 0.0
 
@@ -306,7 +315,10 @@ def test_an_impossible_position_is_unknown(tmp_path: Path, latitude: float, long
 
 def test_time_going_backwards_is_delivered_and_counted(tmp_path: Path) -> None:
     times = [START_S + t for t in (0.0, 0.1, 0.2, -5.0, -4.9, -4.8)]
-    path = written(tmp_path / "log.xtf", [event for n, t in enumerate(times) for event in (navigation(n, time_s=t), ping(n, time_s=t))])
+    path = written(
+        tmp_path / "log.xtf",
+        [event for n, t in enumerate(times) for event in (navigation(n, time_s=t), ping(n, time_s=t))],
+    )
     events, log = read(path)
     assert [p.time_s for p in pings_of(events)] == pytest.approx(times)
     assert [s.time_s for s in navigation_of(events)] == pytest.approx(times)
@@ -344,7 +356,9 @@ def test_a_ping_without_slant_range_is_skipped(tmp_path: Path, value: float) -> 
 
 def test_one_side_without_slant_range_is_left_out(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 3)
-    edit_channels(path, lambda index, channel, header: setattr(header, "SlantRange", 0.0) if (index, channel) == (1, 0) else None)
+    edit_channels(
+        path, lambda index, channel, header: setattr(header, "SlantRange", 0.0) if (index, channel) == (1, 0) else None
+    )
     events, log = read(path)
     assert [p.port is None for p in pings_of(events)] == [False, True, False]
     assert log.counters["reader.side_empty"] == 1
@@ -353,7 +367,9 @@ def test_one_side_without_slant_range_is_left_out(tmp_path: Path) -> None:
 
 def test_a_ping_without_samples_is_skipped(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 3)
-    edit_channels(path, lambda index, channel, header: setattr(header, "NumSamples", 0) if channel == 1 and index == 1 else None)
+    edit_channels(
+        path, lambda index, channel, header: setattr(header, "NumSamples", 0) if channel == 1 and index == 1 else None
+    )
     edit_headers(path, lambda index, header: setattr(header, "NumChansToFollow", 0 if index == 2 else 2))
     events, log = read(path)
     assert [p.starboard is None for p in pings_of(events)] == [False, True]
@@ -364,7 +380,9 @@ def test_samples_that_are_not_numbers_are_delivered_and_reported(tmp_path: Path)
     spoilt = ping(1, dtype="float32")
     assert spoilt.port is not None
     spoilt.port.samples[5] = np.nan
-    events, log = read(written(tmp_path / "log.xtf", navigated([ping(0, dtype="float32"), spoilt]), sample_type="float32"))
+    events, log = read(
+        written(tmp_path / "log.xtf", navigated([ping(0, dtype="float32"), spoilt]), sample_type="float32")
+    )
     assert len(pings_of(events)) == 2
     assert log.counters["reader.sample_not_finite"] == 1
 

@@ -16,7 +16,18 @@ from hypothesis import strategies as st
 from auv_mcm.errors import UsageError
 from auv_mcm.records import SIDES, EchoTrace, NavSample, Ping
 from sim_replay.logs.xtf_writer import SampleType, write_xtf
-from tests.sim_replay.logs.xtf_logs import START_S, mission, navigated, navigation_of, ping, pings_of, read, same_trace, trace, written
+from tests.sim_replay.logs.xtf_logs import (
+    START_S,
+    mission,
+    navigated,
+    navigation_of,
+    ping,
+    pings_of,
+    read,
+    same_trace,
+    trace,
+    written,
+)
 
 ANGLE = st.floats(-math.pi, math.pi)
 
@@ -145,16 +156,21 @@ def test_a_first_range_beyond_half_a_sample_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "sample_type"), [([1.5], "uint16"), ([70000], "uint16"), ([-1], "uint8"), ([300], "uint8"), ([math.nan], "uint8")]
+    ("values", "sample_type"),
+    [([1.5], "uint16"), ([70000], "uint16"), ([-1], "uint8"), ([300], "uint8"), ([math.nan], "uint8")],
 )
 def test_samples_that_do_not_fit_are_refused(tmp_path: Path, values: list[float], sample_type: SampleType) -> None:
     echo = EchoTrace(samples=np.array(values), first_range_m=0.05, spacing_m=0.1)
     with pytest.raises(UsageError, match="do not fit"):
-        written(tmp_path / "log.xtf", [Ping(number=0, time_s=START_S, port=echo, starboard=None)], sample_type=sample_type)
+        written(
+            tmp_path / "log.xtf", [Ping(number=0, time_s=START_S, port=echo, starboard=None)], sample_type=sample_type
+        )
 
 
 def test_sides_declared_are_those_asked_for(tmp_path: Path) -> None:
     for sides in (SIDES, ("port",), ("starboard",)):
         data = written(tmp_path / "log.xtf", 1, sides=sides).read_bytes()
         header = pyxtf.XTFFileHeader.from_buffer_copy(data)
-        assert [info.TypeOfChannel for info in header.ChanInfo if info.TypeOfChannel] == [1 + SIDES.index(side) for side in sides]
+        assert [info.TypeOfChannel for info in header.ChanInfo if info.TypeOfChannel] == [
+            1 + SIDES.index(side) for side in sides
+        ]

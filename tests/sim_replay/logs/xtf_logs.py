@@ -34,7 +34,9 @@ def trace(seed: int, n_samples: int = 96, dtype: str = "uint16", range_m: float 
     return EchoTrace(samples=samples(seed, n_samples, dtype), first_range_m=0.5 * spacing, spacing_m=spacing)
 
 
-def ping(number: int, *, time_s: float | None = None, n_samples: int = 96, dtype: str = "uint16", starboard: bool = True) -> Ping:
+def ping(
+    number: int, *, time_s: float | None = None, n_samples: int = 96, dtype: str = "uint16", starboard: bool = True
+) -> Ping:
     return Ping(
         number=number,
         time_s=START_S + 0.1 * number if time_s is None else time_s,
@@ -69,7 +71,9 @@ def navigated(pings: Iterable[Ping]) -> Iterator[NavSample | Ping]:
         yield p
 
 
-def written(path: Path, events: Iterable[NavSample | Ping] | int = 8, sample_type: SampleType = "uint16", **options: Any) -> Path:
+def written(
+    path: Path, events: Iterable[NavSample | Ping] | int = 8, sample_type: SampleType = "uint16", **options: Any
+) -> Path:
     """A log of these events, or of a plain mission of so many pings."""
     write_xtf(path, mission(events) if isinstance(events, int) else events, sample_type=sample_type, **options)
     return path
@@ -94,7 +98,8 @@ def edit_headers(path: Path, change: Callable[[int, Any], None]) -> None:
 
 
 def edit_channels(path: Path, change: Callable[[int, int, Any], None]) -> None:
-    """Apply `change(index, channel, XTFPingChanHeader)` to every channel header of an undamaged log of two equal channels."""
+    """Apply `change(index, channel, XTFPingChanHeader)` to every channel header of an undamaged log of two equal
+    channels."""
     data = bytearray(path.read_bytes())
     for index, offset in enumerate(packet_offsets(bytes(data))):
         first = pyxtf.XTFPingChanHeader.from_buffer(data, offset + 256)

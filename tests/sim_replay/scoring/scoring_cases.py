@@ -15,7 +15,9 @@ from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth
 FRAME = LocalFrame(latitude_deg=43.1, longitude_deg=5.9)
 
 
-def contact(east_m: float, north_m: float, p_mine: float = 0.9, named: str | None = None, **properties: Any) -> dict[str, Any]:
+def contact(
+    east_m: float, north_m: float, p_mine: float = 0.9, named: str | None = None, **properties: Any
+) -> dict[str, Any]:
     latitude, longitude, _ = FRAME.to_geodetic([east_m, north_m, 0.0])
     return {
         "type": "Feature",
@@ -24,7 +26,9 @@ def contact(east_m: float, north_m: float, p_mine: float = 0.9, named: str | Non
     }
 
 
-def truth_object(east_m: float, north_m: float, kind: str = "cylinder", *, is_target: bool = True, **facts: Any) -> dict[str, Any]:
+def truth_object(
+    east_m: float, north_m: float, kind: str = "cylinder", *, is_target: bool = True, **facts: Any
+) -> dict[str, Any]:
     latitude, longitude, _ = FRAME.to_geodetic([east_m, north_m, 0.0])
     return {"kind": kind, "lat": float(latitude), "lon": float(longitude), "is_target": is_target, **facts}
 
@@ -37,7 +41,9 @@ def collection(contacts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {"type": "FeatureCollection", "features": list(contacts)}
 
 
-def mission(contacts: Sequence[dict[str, Any]], objects: Sequence[dict[str, Any]], *, area_km2: float = 0.1, **truth: Any) -> ScoredMission:
+def mission(
+    contacts: Sequence[dict[str, Any]], objects: Sequence[dict[str, Any]], *, area_km2: float = 0.1, **truth: Any
+) -> ScoredMission:
     return ScoredMission(
         parse_contacts(collection(contacts), "contacts.geojson"),
         parse_truth({"area_km2": area_km2, "objects": list(objects), **truth}, "truth.json"),
@@ -53,12 +59,18 @@ def random_mission(seed: int, n_objects: int = 30, extent_m: float = 300.0) -> S
         kind = str(random.choice(["cylinder", "sphere", "truncated_cone"])) if is_target else "rock"
         length_m, range_m = float(random.uniform(0.5, 2.0)), float(random.uniform(4.0, 60.0))
         sizes: dict[str, Any] = {"length_m": length_m, "width_m": 0.5, "height_m": 0.5}
-        looks = [{"side": "port", "ground_range_m": range_m, "time": "2024-05-01T10:00:00Z"}] * int(random.random() < 0.95)
+        looks = [{"side": "port", "ground_range_m": range_m, "time": "2024-05-01T10:00:00Z"}] * int(
+            random.random() < 0.95
+        )
         objects.append(truth_object(east_m, north_m, kind, is_target=is_target, looks=looks, burial_m=0.1, **sizes))
         if random.random() < 0.9:
             for _ in range(1 + (random.random() < 0.1)):
                 east_error_m, north_error_m = random.normal(0.1, 0.4, 2).tolist()
-                reported: dict[str, Any] = {"length_m": length_m * float(random.uniform(0.9, 1.2)), "width_m": 0.6, "height_m": 0.42}
+                reported: dict[str, Any] = {
+                    "length_m": length_m * float(random.uniform(0.9, 1.2)),
+                    "width_m": 0.6,
+                    "height_m": 0.42,
+                }
                 p_mine = round(float(random.beta(4.0, 1.5) if is_target else random.beta(1.5, 2.0)), 4)
                 named = kind if is_target else "clutter"
                 reported |= {"sigma_m": 0.5, "ground_range_m": range_m}

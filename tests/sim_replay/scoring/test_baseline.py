@@ -19,7 +19,10 @@ sonar: {ping_rate_hz: 12, n_samples: 512, range_m: 40, noise_db: -25, beam_lines
 track: {altitude_m: 6, plan: {pattern: lawnmower, heading_deg: 30, n_legs: 1, leg_m: 45}}
 navigation_error: {position_sigma_m: 0, heading_bias_sigma_deg: 0, altitude_bias_percent: 0}
 """
-TARGET = "objects: [{kind: box, leg: 0, along_m: 22, across_m: ACROSS, length_m: 1.4, width_m: 1.0, height_m: 0.6, azimuth_deg: 30}]\n"
+TARGET = (
+    "objects: [{kind: box, leg: 0, along_m: 22, across_m: ACROSS, length_m: 1.4, width_m: 1.0, height_m: 0.6, "
+    "azimuth_deg: 30}]\n"
+)
 
 
 def flown(text: str) -> tuple[list[NavSample | Ping], Mission]:

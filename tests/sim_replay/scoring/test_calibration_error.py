@@ -13,7 +13,9 @@ from sim_replay.scoring.calibration import calibration_error
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.booleans()), min_size=1, max_size=30), st.integers(1, 12))
-def test_the_error_is_the_gap_of_every_bin_weighted_by_its_count(outcomes: list[tuple[float, bool]], n_bins: int) -> None:
+def test_the_error_is_the_gap_of_every_bin_weighted_by_its_count(
+    outcomes: list[tuple[float, bool]], n_bins: int
+) -> None:
     expected = 0.0
     for number in range(n_bins):
         inside = [(p, true) for p, true in outcomes if min(int(p * n_bins), n_bins - 1) == number]

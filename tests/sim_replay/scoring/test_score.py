@@ -14,7 +14,15 @@ from auv_mcm.errors import UsageError
 from sim_replay.scoring import ReportedContact, Score, ScoredMission, score_files, score_missions, table
 from sim_replay.scoring.breakdown import Group
 from sim_replay.scoring.seabed_map import encode
-from tests.sim_replay.scoring.scoring_cases import FRAME, contact, mission, random_mission, rock, truth_object, write_pair
+from tests.sim_replay.scoring.scoring_cases import (
+    FRAME,
+    contact,
+    mission,
+    random_mission,
+    rock,
+    truth_object,
+    write_pair,
+)
 
 
 def scored(contacts: list[dict[str, Any]], objects: list[dict[str, Any]], **options: Any) -> Score:
@@ -22,11 +30,14 @@ def scored(contacts: list[dict[str, Any]], objects: list[dict[str, Any]], **opti
 
 
 def sandy_and_rocky(n_swept: int = 80) -> dict[str, Any]:
-    """A map of 100 m by 100 m from the common origin: sand in the west, rock in the east, the northern rows not swept."""
+    """A map of 100 m by 100 m from the common origin: sand in the west, rock in the east, the northern rows not
+    swept."""
     cells = np.zeros((100, 100), dtype=np.int64)
     cells[:, 60:] = 1
     cells[n_swept:] = -1
-    seabed = encode(cells, types=["sand", "rock"], cell_m=1.0, latitude_deg=FRAME.latitude_deg, longitude_deg=FRAME.longitude_deg)
+    seabed = encode(
+        cells, types=["sand", "rock"], cell_m=1.0, latitude_deg=FRAME.latitude_deg, longitude_deg=FRAME.longitude_deg
+    )
     facts: dict[str, Any] = msgspec.to_builtins(seabed)
     return facts
 
@@ -70,7 +81,9 @@ def test_contact_on_a_rock_beside_a_missed_target_is_no_detection() -> None:
 
 
 def test_target_that_no_pass_saw_counts_neither_as_missed_nor_its_contact_as_a_false_alarm() -> None:
-    score = scored([contact(0.0, 0.0), contact(20.0, 0.0)], [truth_object(0.0, 0.0, looks=[]), rock(20.0, 0.0, looks=[])])
+    score = scored(
+        [contact(0.0, 0.0), contact(20.0, 0.0)], [truth_object(0.0, 0.0, looks=[]), rock(20.0, 0.0, looks=[])]
+    )
     point = score.at_threshold
     assert (point.pd.of, point.on_unseen_targets, point.false_alarms.count, point.on_known_clutter) == (0, 1, 1, 0)
     assert score.rocks_called_mines.of == 0
@@ -86,7 +99,11 @@ def test_second_contact_on_a_target_that_no_pass_saw_is_no_duplicate() -> None:
 def test_contact_without_a_position_is_left_out_and_counted() -> None:
     lost = contact(0.0, 0.0) | {"geometry": None}
     score = scored([lost], [truth_object(0.0, 0.0)])
-    assert (score.n_contacts, score.left_out.contacts_without_position, score.at_threshold.false_alarms.count) == (0, 1, 0)
+    assert (score.n_contacts, score.left_out.contacts_without_position, score.at_threshold.false_alarms.count) == (
+        0,
+        1,
+        0,
+    )
 
 
 def test_contact_outside_the_swept_area_is_left_out_unless_it_is_on_a_target() -> None:
@@ -127,11 +144,25 @@ def test_kinds_separate_targets_and_others() -> None:
 
 
 def test_range_is_that_of_the_nearest_look_and_of_the_contact_for_false_alarms() -> None:
-    looks = [{"side": "port", "ground_range_m": range_m, "time": "2024-05-01T10:00:00Z"} for range_m in (45.0, 20.0, 31.0)]
-    contacts = [contact(0.0, 0.0, ground_range_m=45.0), contact(60.0, 0.0, ground_range_m=9.99), contact(80.0, 0.0, ground_range_m=300.0)]
-    score = scored([*contacts, contact(99.0, 0.0)], [truth_object(0.0, 0.0, looks=looks), truth_object(20.0, 0.0, looks=looks[2:])])
+    looks = [
+        {"side": "port", "ground_range_m": range_m, "time": "2024-05-01T10:00:00Z"} for range_m in (45.0, 20.0, 31.0)
+    ]
+    contacts = [
+        contact(0.0, 0.0, ground_range_m=45.0),
+        contact(60.0, 0.0, ground_range_m=9.99),
+        contact(80.0, 0.0, ground_range_m=300.0),
+    ]
+    score = scored(
+        [*contacts, contact(99.0, 0.0)], [truth_object(0.0, 0.0, looks=looks), truth_object(20.0, 0.0, looks=looks[2:])]
+    )
     assert [one.name for one in score.ranges] == ["0-10 m", "20-30 m", "30-50 m", "over 150 m", "unknown"]
-    assert [group(score.ranges, one.name) for one in score.ranges] == [(0, 0, 1), (1, 1, 0), (0, 1, 0), (0, 0, 1), (0, 0, 1)]
+    assert [group(score.ranges, one.name) for one in score.ranges] == [
+        (0, 0, 1),
+        (1, 1, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (0, 0, 1),
+    ]
     assert score.missed_targets_of_unknown_range == 0
 
 
@@ -181,7 +212,12 @@ def test_groups_and_rates_are_at_the_same_threshold(threshold: float) -> None:
 
 def test_confusion_has_kinds_against_classes() -> None:
     objects = [truth_object(0.0, 0.0), truth_object(20.0, 0.0), truth_object(40.0, 0.0, "sphere"), rock(60.0, 0.0)]
-    named: list[tuple[float, float, str]] = [(0.0, 0.9, "sphere"), (20.0, 0.9, "cylinder"), (60.0, 0.9, "wedge"), (40.0, 0.1, "sphere")]
+    named: list[tuple[float, float, str]] = [
+        (0.0, 0.9, "sphere"),
+        (20.0, 0.9, "cylinder"),
+        (60.0, 0.9, "wedge"),
+        (40.0, 0.1, "sphere"),
+    ]
     contacts = [contact(east_m, 0.0, p_mine, name) for east_m, p_mine, name in named]
     matrix = scored([*contacts, contact(90.0, 0.0, named="odd")], objects).confusion
     assert matrix.columns == ("cylinder", "sphere", "wedge", "odd", "not called")
@@ -218,7 +254,10 @@ def test_errors_of_honest_contacts_are_rayleigh_in_their_sigmas() -> None:
 
 def test_size_errors_take_the_height_above_the_floor_and_skip_what_is_not_stated() -> None:
     sizes: dict[str, Any] = {"length_m": 2.0, "width_m": 0.5, "height_m": 0.5, "burial_m": 0.2}
-    contacts = [contact(0.0, 0.0, length_m=1.8, width_m=None, height_m=0.35), contact(20.0, 0.0, length_m=9.0, height_m=9.0)]
+    contacts = [
+        contact(0.0, 0.0, length_m=1.8, width_m=None, height_m=0.35),
+        contact(20.0, 0.0, length_m=9.0, height_m=9.0),
+    ]
     found = scored(contacts, [truth_object(0.0, 0.0, **sizes), truth_object(20.0, 0.0)]).size_errors
     assert (found.length_m.n, found.height_m.n) == (1, 1)
     assert found.length_m.median == pytest.approx(-0.2)
@@ -282,13 +321,18 @@ def test_contacts_that_do_not_say_whether_they_are_called_have_no_operating_poin
 
 
 def test_p_mine_is_compared_with_what_lay_there() -> None:
-    contacts = [contact(10.0 * number, 0.0, 0.25) for number in range(4)] + [contact(0.5, 0.5, 0.95), contact(100.0, 0.0, 0.95)]
+    contacts = [contact(10.0 * number, 0.0, 0.25) for number in range(4)] + [
+        contact(0.5, 0.5, 0.95),
+        contact(100.0, 0.0, 0.95),
+    ]
     objects = [truth_object(0.0, 0.0), truth_object(100.0, 0.0, looks=[])]
     kept = score_missions([mission(contacts, objects)]).calibration
     assert kept is not None
     assert [(each.low, each.on_mines.count, each.on_mines.of) for each in kept.bins] == [(0.2, 1, 4), (0.9, 1, 1)]
     assert kept.error == pytest.approx((4 * 0.0 + 1 * 0.05) / 5)
-    assert "expected calibration error of p_mine, in ten bins: 0.010" in table(score_missions([mission(contacts, objects)]))
+    assert "expected calibration error of p_mine, in ten bins: 0.010" in table(
+        score_missions([mission(contacts, objects)])
+    )
 
 
 def test_without_contacts_there_is_no_calibration() -> None:

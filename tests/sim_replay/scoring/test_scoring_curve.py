@@ -22,7 +22,10 @@ def pooled() -> Score:
 
 def pd_allowed(score: Score, most_per_km2: float) -> float:
     """The best Pd with at most that many false alarms, by looking at every point."""
-    return max((point.pd.value or 0.0 for point in score.froc if (point.false_alarms.per_km2 or 0.0) <= most_per_km2), default=0.0)
+    return max(
+        (point.pd.value or 0.0 for point in score.froc if (point.false_alarms.per_km2 or 0.0) <= most_per_km2),
+        default=0.0,
+    )
 
 
 def numbers(point: OperatingPoint) -> tuple[int, ...]:
@@ -37,7 +40,8 @@ def test_every_point_is_what_only_the_contacts_called_there_give() -> None:
     )
     for point in score.froc:
         called = [
-            one._replace(contacts=tuple(reported for reported in one.contacts if reported.p_mine >= point.threshold)) for one in missions
+            one._replace(contacts=tuple(reported for reported in one.contacts if reported.p_mine >= point.threshold))
+            for one in missions
         ]
         assert numbers(score_missions(called, threshold=0.0).at_threshold) == numbers(point)
 
@@ -65,14 +69,18 @@ def test_headline_is_the_best_pd_within_its_false_alarms() -> None:
     for headline in score.headlines:
         assert headline.pd.value == pd_allowed(score, headline.limit_per_km2)
         assert headline.per_km2 <= headline.limit_per_km2
-        again = score_missions([random_mission(seed) for seed in range(4)], threshold=headline.threshold or 1.0).at_threshold
+        again = score_missions(
+            [random_mission(seed) for seed in range(4)], threshold=headline.threshold or 1.0
+        ).at_threshold
         assert again.pd == headline.pd
 
 
 def test_partial_area_is_the_mean_of_pd_over_logarithmic_density() -> None:
     score = pooled()
     densities = 10.0 ** (np.arange(30_000) / 10_000.0)
-    assert score.partial_area == pytest.approx(np.mean([pd_allowed(score, density) for density in densities[::10]]), abs=2e-3)
+    assert score.partial_area == pytest.approx(
+        np.mean([pd_allowed(score, density) for density in densities[::10]]), abs=2e-3
+    )
 
 
 def test_perfect_contacts_have_the_whole_area_and_none_have_nothing_of_it() -> None:
@@ -86,14 +94,19 @@ def test_perfect_contacts_have_the_whole_area_and_none_have_nothing_of_it() -> N
 
 
 def test_headline_is_zero_if_even_the_surest_contacts_alarm_too_often() -> None:
-    score = score_missions([mission([contact(50.0, 0.0, 0.9), contact(0.0, 0.0, 0.9)], [truth_object(0.0, 0.0)], area_km2=0.005)])
+    score = score_missions(
+        [mission([contact(50.0, 0.0, 0.9), contact(0.0, 0.0, 0.9)], [truth_object(0.0, 0.0)], area_km2=0.005)]
+    )
     assert [headline.pd.value for headline in score.headlines] == [0.0, 0.0, 0.0]
     assert score.at_threshold.pd.value == 1.0
 
 
 def test_threshold_between_contacts_takes_those_above_it() -> None:
     one = mission([contact(0.0, 0.0, 0.8), contact(50.0, 0.0, 0.4)], [truth_object(0.0, 0.0), truth_object(50.0, 0.0)])
-    found = [score_missions([one], threshold=threshold).at_threshold.pd.count for threshold in (0.0, 0.4, 0.41, 0.8, 0.81, 1.0)]
+    found = [
+        score_missions([one], threshold=threshold).at_threshold.pd.count
+        for threshold in (0.0, 0.4, 0.41, 0.8, 0.81, 1.0)
+    ]
     assert found == [2, 2, 1, 1, 0, 0]
     assert [point.pd.count for point in score_missions([one]).ladder] == [0, 1, 1, 1, 1, 2, 2, 2, 2, 2]
 
@@ -125,7 +138,9 @@ def test_bootstrap_of_equal_missions_knows_no_spread() -> None:
     assert bootstrap.pd.low == bootstrap.pd.high == score.at_threshold.pd.value
     assert bootstrap.fa_per_km2 is not None
     assert bootstrap.fa_per_km2.low == pytest.approx(score.at_threshold.false_alarms.per_km2)
-    assert [bounds.high for bounds in bootstrap.headline_pd if bounds] == [headline.pd.value for headline in score.headlines]
+    assert [bounds.high for bounds in bootstrap.headline_pd if bounds] == [
+        headline.pd.value for headline in score.headlines
+    ]
 
 
 def test_bootstrap_spreads_as_the_missions_differ() -> None:

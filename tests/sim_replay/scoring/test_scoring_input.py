@@ -78,7 +78,9 @@ def test_truth_as_the_simulator_writes_it_is_read() -> None:
 def test_words_of_a_truth_file_reach_the_table_without_control_characters(tmp_path: Path) -> None:
     hostile = "mine\x1b[2J\n0.99\x9b"
     objects = [{"kind": hostile, "lat": 43.1, "lon": 5.9, "is_target": True, "seabed": hostile}]
-    document = changed({"type": "FeatureCollection", "features": [contact(0.0, 0.0)]}, "features.0.properties.class", hostile)
+    document = changed(
+        {"type": "FeatureCollection", "features": [contact(0.0, 0.0)]}, "features.0.properties.class", hostile
+    )
     (tmp_path / "truth.json").write_text(json.dumps({"area_km2": 1, "objects": objects}))
     paths = [tmp_path / name for name in ("a\x1b.geojson", "truth.json", "b\x1b.geojson", "truth.json")]
     for path in paths[::2]:
@@ -90,7 +92,9 @@ def test_words_of_a_truth_file_reach_the_table_without_control_characters(tmp_pa
 
 def test_least_that_other_producers_write_is_enough(tmp_path: Path) -> None:
     objects = [{"kind": "mine", "lat": 43.1, "lon": 5.9, "is_target": True, "colour": "green"}]
-    paths = write_pair(tmp_path, [contact(0.0, 0.0)], {"area_km2": 1, "objects": objects, "version": 3, "scene": "x", "seed": 7})
+    paths = write_pair(
+        tmp_path, [contact(0.0, 0.0)], {"area_km2": 1, "objects": objects, "version": 3, "scene": "x", "seed": 7}
+    )
     assert score_files(paths).at_threshold.pd.value == 1.0
 
 
@@ -125,7 +129,10 @@ def test_swapped_files_are_reported(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("read", [read_contacts, read_truth])
 def test_file_that_cannot_be_read_is_named(read: Callable[[Path], object], tmp_path: Path) -> None:
-    for path, message in ((tmp_path / "none.json", "cannot be read: No such file"), (tmp_path, "cannot be read: Is a directory")):
+    for path, message in (
+        (tmp_path / "none.json", "cannot be read: No such file"),
+        (tmp_path, "cannot be read: Is a directory"),
+    ):
         with pytest.raises(BadInputError, match=f"{path.name} {message}"):
             read(path)
 
@@ -148,8 +155,16 @@ def test_file_that_is_no_json_is_named(read: Callable[[Path], object], data: byt
         ("features.1.geometry.type", "Polygon", r"'Polygon' - at `features\[1\].geometry.type`"),
         ("features.1.geometry.coordinates", [5.9], r"length >= 2 - at `features\[1\].geometry.coordinates`"),
         ("features.1.geometry.coordinates", [5.9, None], r"got `null` - at `features\[1\].geometry.coordinates\[1\]`"),
-        ("features.1.geometry.coordinates.0", float("nan"), r"features\[1\].geometry.coordinates\[0\] is not a finite number"),
-        ("features.1.geometry.coordinates", [5.9, 143.0], r"features\[1\].geometry.coordinates: \[5.9, 143\] is not a position on Earth"),
+        (
+            "features.1.geometry.coordinates.0",
+            float("nan"),
+            r"features\[1\].geometry.coordinates\[0\] is not a finite number",
+        ),
+        (
+            "features.1.geometry.coordinates",
+            [5.9, 143.0],
+            r"features\[1\].geometry.coordinates: \[5.9, 143\] is not a position on Earth",
+        ),
         ("features.1.properties", None, r"got `null` - at `features\[1\].properties`"),
         ("features.1.properties.p_mine", ..., r"missing required field `p_mine` - at `features\[1\].properties`"),
         ("features.1.properties.p_mine", 1.01, r"`float` <= 1.0 - at `features\[1\].properties.p_mine`"),
@@ -185,7 +200,15 @@ def test_bad_contact_is_named_with_its_key(path: str, value: Any, message: str, 
         ("seabed_map", {}, "missing required field `cell_m` - at `seabed_map`"),
         (
             "seabed_map",
-            {"cell_m": 1, "latitude_deg": 0, "longitude_deg": 0, "types": ["sand"], "n_rows": 1, "n_columns": 3, "rows": ["2a"]},
+            {
+                "cell_m": 1,
+                "latitude_deg": 0,
+                "longitude_deg": 0,
+                "types": ["sand"],
+                "n_rows": 1,
+                "n_columns": 3,
+                "rows": ["2a"],
+            },
             r"seabed_map.rows\[0\]: runs of 2 cells",
         ),
     ],
@@ -208,7 +231,12 @@ CONTACT_PATHS = (
     "features.0",
     *(f"features.0.{key}" for key in ("type", "geometry", "geometry.coordinates", "properties")),
 )
-TRUTH_PATHS = ("area_km2", "objects", "objects.0", *(f"objects.0.{key}" for key in ("kind", "lat", "looks", "height_m", "seabed")))
+TRUTH_PATHS = (
+    "area_km2",
+    "objects",
+    "objects.0",
+    *(f"objects.0.{key}" for key in ("kind", "lat", "looks", "height_m", "seabed")),
+)
 
 
 @given(path=st.sampled_from(CONTACT_PATHS), value=anything)

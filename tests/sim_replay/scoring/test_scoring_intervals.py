@@ -12,7 +12,9 @@ from scipy.special import gammaln, pdtr
 from sim_replay.scoring.intervals import density, poisson_interval, proportion, wilson_interval
 
 
-@pytest.mark.parametrize(("count", "of", "low", "high"), [(190, 200, 0.910, 0.973), (950, 1000, 0.935, 0.962), (0, 10, 0.0, 0.278)])
+@pytest.mark.parametrize(
+    ("count", "of", "low", "high"), [(190, 200, 0.910, 0.973), (950, 1000, 0.935, 0.962), (0, 10, 0.0, 0.278)]
+)
 def test_wilson_gives_published_bounds(count: int, of: int, low: float, high: float) -> None:
     assert wilson_interval(count, of) == pytest.approx((low, high), abs=6e-4)
 

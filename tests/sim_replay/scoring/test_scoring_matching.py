@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from sim_replay.scoring.matching import gates_m, match_by_threshold
 
 
-def best_of_all(near: NDArray[np.bool_], distance_m: NDArray[np.float64], contact: int = 0, taken: int = 0) -> tuple[int, float]:
+def best_of_all(
+    near: NDArray[np.bool_], distance_m: NDArray[np.float64], contact: int = 0, taken: int = 0
+) -> tuple[int, float]:
     """Most matches, and with those the least total distance (negative), over every matching there is."""
     if contact == near.shape[0]:
         return 0, 0.0
@@ -34,7 +36,9 @@ some_p_mine = st.lists(st.sampled_from([0.0, 0.2, 0.5, 0.5001, 0.9, 1.0]), min_s
 
 
 def laid_out(contacts: list[tuple[float, float]], objects: list[tuple[float, float]]) -> NDArray[np.float64]:
-    offset = np.array(contacts, dtype=np.float64).reshape(-1, 1, 2) - np.array(objects, dtype=np.float64).reshape(1, -1, 2)
+    offset = np.array(contacts, dtype=np.float64).reshape(-1, 1, 2) - np.array(objects, dtype=np.float64).reshape(
+        1, -1, 2
+    )
     return np.hypot(offset[..., 0], offset[..., 1])
 
 
@@ -79,7 +83,10 @@ def test_more_matches_come_before_nearer_ones() -> None:
 
 def test_weak_contact_that_lies_nearer_takes_no_object_from_a_strong_one_until_it_is_called() -> None:
     distance_m = laid_out([(1.0, 0.0), (0.1, 0.0)], [(0.0, 0.0)])
-    steps = {threshold: matched.tolist() for threshold, matched in match_by_threshold(distance_m <= 2.0, distance_m, np.array([0.9, 0.2]))}
+    steps = {
+        threshold: matched.tolist()
+        for threshold, matched in match_by_threshold(distance_m <= 2.0, distance_m, np.array([0.9, 0.2]))
+    }
     assert steps == {0.9: [0, -1], 0.2: [-1, 0]}
 
 

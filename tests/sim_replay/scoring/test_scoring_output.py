@@ -54,7 +54,11 @@ def test_table_of_nothing_says_so() -> None:
 
 
 def test_table_warns_where_ranges_are_not_known() -> None:
-    text = table(score_missions([mission([contact(0.0, 0.0, ground_range_m=12.0)], [truth_object(0.0, 0.0), truth_object(20.0, 0.0)])]))
+    text = table(
+        score_missions(
+            [mission([contact(0.0, 0.0, ground_range_m=12.0)], [truth_object(0.0, 0.0), truth_object(20.0, 0.0)])]
+        )
+    )
     assert "no range of 1 missed target" in text
 
 

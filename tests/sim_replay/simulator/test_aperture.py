@@ -1,4 +1,5 @@
-"""Synthetic-aperture images against geometry worked out point by point, and against the laws of their speckle and levels."""
+"""Synthetic-aperture images against geometry worked out point by point, and against the laws of their speckle and
+levels."""
 
 from __future__ import annotations
 
@@ -79,11 +80,14 @@ def ground_range_m(aperture: Aperture) -> Floats:
 
 
 def wall(along_m: float, across_m: float, *, length_m: float, height_m: float = 2.0) -> SceneObject:
-    return SceneObject(kind="box", leg=0, along_m=along_m, across_m=across_m, length_m=length_m, width_m=0.2, height_m=height_m)
+    return SceneObject(
+        kind="box", leg=0, along_m=along_m, across_m=across_m, length_m=length_m, width_m=0.2, height_m=height_m
+    )
 
 
 def seen_share(along_m: Floats, across_m: float, angles_rad: Floats, box: SceneObject) -> Floats:
-    """Share of bearings from which an upright wall along the track, cut into thin slices, lets points of the flat floor be seen."""
+    """Share of bearings from which an upright wall along the track, cut into thin slices, lets points of the flat floor
+    be seen."""
     assert box.along_m is not None
     assert box.across_m is not None
     assert box.length_m is not None
@@ -176,14 +180,18 @@ def test_objects_stay_where_they_are_in_all_views() -> None:
     # Nearest to the sonar, a sphere of radius a is a closer than its centre; a steep cap around that place is bright.
     assert math.hypot(11.0, 4.7) - 0.3 - 0.05 < (spheres[3, 1] + 0.5) * aperture.bin_m < math.hypot(11.0, 4.7) - 0.15
     assert np.abs(points - points[3]).max() < 1e-6
-    assert points[3] * [aperture.line_m, aperture.bin_m] == pytest.approx([2.0, math.hypot(9.0, 4.0) - 0.5 * aperture.bin_m], abs=1e-3)
+    assert points[3] * [aperture.line_m, aperture.bin_m] == pytest.approx(
+        [2.0, math.hypot(9.0, 4.0) - 0.5 * aperture.bin_m], abs=1e-3
+    )
 
 
 def test_a_wall_is_at_its_closest_range_in_the_widest_views() -> None:
     aperture, strip = first_leg(scene_of(wall(3.0, 16.0, length_m=5.0, height_m=0.5), sonar=WIDEST))
     far = int(14.0 / aperture.bin_m)
     views: list[View] = [0, 1, 2, "full"]
-    brightest = [far + int(np.argmax(aperture.mean_intensity(strip, strip.n_lines // 2, 1, view)[0, 1, far:])) for view in views]
+    brightest = [
+        far + int(np.argmax(aperture.mean_intensity(strip, strip.n_lines // 2, 1, view)[0, 1, far:])) for view in views
+    ]
     assert len(set(brightest)) == 1
     top, foot = math.hypot(15.9, ALTITUDE_M - 0.5), math.hypot(15.9, ALTITUDE_M)
     assert top < (brightest[0] + 0.5) * aperture.bin_m < foot
@@ -195,7 +203,8 @@ def test_a_point_brings_back_its_target_strength() -> None:
     aperture, strip = first_leg(scene_of(point, sonar=sonar))
     bare, plain = first_leg(scene_of(sonar=sonar))
     added = (mean_image(aperture, strip, "full") - mean_image(bare, plain, "full"))[:, 1] / aperture.sea.spreading
-    # A square metre of floor with sigma = 1 would bring back one unit of energy per metre of track over a metre of track.
+    # A square metre of floor with sigma = 1 would bring back one unit of energy per metre of track over a metre of
+    # track.
     assert added.sum() * aperture.line_m == pytest.approx(pattern(sonar, 9.0, ALTITUDE_M), rel=1e-6)
 
 
@@ -213,7 +222,8 @@ def test_a_flat_floor_follows_the_sonar_equation_at_all_ranges(view: View) -> No
     slant = np.asarray((np.arange(sea.sonar.n_samples) + 0.5) * aperture.bin_m, dtype=np.float64)
     table = floor_tables(sea.scene, sea.world.covers)[0]
     expected = flat_floor_intensity(slant, ALTITUDE_M, table, sea.sonar, absorption_db_per_km(sea.sonar, 20.0))
-    # From where it is seen the floor is farther away than at closest approach, so that Lambert's law has the cosine squared of the bearing.
+    # From where it is seen the floor is farther away than at closest approach, so that Lambert's law has the cosine
+    # squared of the bearing.
     expected *= np.mean(np.cos(bearings(aperture, view)) ** 2)
     far = slant > 1.2 * ALTITUDE_M
     level_db = 10.0 * np.log10(mean_image(aperture, strip, view)[:, :, far] / expected[far])
@@ -221,13 +231,19 @@ def test_a_flat_floor_follows_the_sonar_equation_at_all_ranges(view: View) -> No
 
 
 def test_gain_levels_a_floor_that_scatters_alike_at_all_angles() -> None:
-    sonar = msgspec.structs.replace(WIDE, vertical_beam_width_deg=180.0, recorder=SampleRecorder(samples="amplitude_float32"))
+    sonar = msgspec.structs.replace(
+        WIDE, vertical_beam_width_deg=180.0, recorder=SampleRecorder(samples="amplitude_float32")
+    )
     aperture, strip = first_leg(scene_of(leg_m=12.0, sonar=sonar))
-    power = np.mean([ping.starboard.samples**2 for _, ping in aperture.lines(strip, 0.0, 0) if ping.starboard is not None], axis=0)
+    power = np.mean(
+        [ping.starboard.samples**2 for _, ping in aperture.lines(strip, 0.0, 0) if ping.starboard is not None], axis=0
+    )
     slant = (np.arange(power.size) + 0.5) * aperture.bin_m
     ground = np.maximum(ground_range_m(aperture), 0.1)
     # Less what Lambert's law, the floor within a sample and the vertical beam make of it.
-    alike = power * (slant / ALTITUDE_M) ** 2 * (ground / slant) / [pattern(sonar, y, ALTITUDE_M) for y in ground.tolist()]
+    alike = (
+        power * (slant / ALTITUDE_M) ** 2 * (ground / slant) / [pattern(sonar, y, ALTITUDE_M) for y in ground.tolist()]
+    )
     blocks = [alike[(slant > low) & (slant < low + 3.0)].mean() for low in (7.0, 10.0, 13.0, 16.5)]
     assert 10.0 * np.log10(np.array(blocks) / np.mean(blocks)) == pytest.approx(0.0, abs=0.25)
 
@@ -277,9 +293,12 @@ def test_edges_of_the_mean_image_are_blurred_by_the_point_spread_function() -> N
 
 
 def motley(**changes: Any) -> Scene:
-    """All that a block of lines could get wrong: relief, texture, bodies, points, other paths, a leg across patches south-west of zero."""
+    """All that a block of lines could get wrong: relief, texture, bodies, points, other paths, a leg across patches
+    south-west of zero."""
     scene = Scene(
-        world=World(seabeds=(Seabed(type="rippled_sand", ripples=Ripples(wavelength_m=0.6, height_m=0.08)),), slope_deg=2.0),
+        world=World(
+            seabeds=(Seabed(type="rippled_sand", ripples=Ripples(wavelength_m=0.6, height_m=0.08)),), slope_deg=2.0
+        ),
         scatter=(Scatter(kind="rock", count=6, apart_m=0.5), Scatter(kind="cylinder", count=3, apart_m=0.5)),
         objects=(
             SceneObject(kind="point", leg=0, along_m=3.0, across_m=8.0),
@@ -291,9 +310,13 @@ def motley(**changes: Any) -> Scene:
             looks=2,
             surface_echo_db=-20.0,
             crosstalk_db=-30.0,
-            synthetic_aperture=SyntheticAperture(along_track_resolution_m=0.08, range_resolution_m=0.06, sub_apertures=2),
+            synthetic_aperture=SyntheticAperture(
+                along_track_resolution_m=0.08, range_resolution_m=0.06, sub_apertures=2
+            ),
         ),
-        track=Track(altitude_m=4.0, plan=Lawnmower(n_legs=1, leg_m=8.0, heading_deg=213.0, start_east_m=1.3, start_north_m=2.7)),
+        track=Track(
+            altitude_m=4.0, plan=Lawnmower(n_legs=1, leg_m=8.0, heading_deg=213.0, start_east_m=1.3, start_north_m=2.7)
+        ),
     )
     return msgspec.structs.replace(scene, **changes)
 
@@ -361,7 +384,12 @@ def test_lines_come_when_the_vehicle_passes_them_and_hold_the_image(view: View) 
         assert (pose.east_m, pose.north_m) == pytest.approx((1.3 + way * sine, 2.7 + way * cosine))
         assert pose.time_s == ping.time_s == pytest.approx(1000.0 + way / scene.track.speed_mps)
         assert (pose.heading_rad, pose.pitch_rad, pose.roll_rad) == pytest.approx((math.radians(213.0), 0.0, 0.0))
-        assert (pose.depth_m, pose.speed_mps, pose.on_leg, ping.number) == (strip.depth_m, scene.track.speed_mps, 0, 7 + index)
+        assert (pose.depth_m, pose.speed_mps, pose.on_leg, ping.number) == (
+            strip.depth_m,
+            scene.track.speed_mps,
+            0,
+            7 + index,
+        )
         assert math.isnan(ping.altitude_m)
     port = lines[5][1].port
     assert port is not None
@@ -386,7 +414,9 @@ def test_a_scene_without_synthetic_aperture_is_refused() -> None:
 
 def test_an_aperture_too_wide_is_refused_with_the_finest_resolution_there_is() -> None:
     def sonar(resolution_m: float) -> Sonar:
-        return msgspec.structs.replace(WIDE, synthetic_aperture=SyntheticAperture(along_track_resolution_m=resolution_m))
+        return msgspec.structs.replace(
+            WIDE, synthetic_aperture=SyntheticAperture(along_track_resolution_m=resolution_m)
+        )
 
     with pytest.raises(UsageError, match=r"is 0\.014, .* takes an aperture of 31 degrees; give 0\.015 or more"):
         Aperture(Sea(scene_of(sonar=sonar(0.014))))

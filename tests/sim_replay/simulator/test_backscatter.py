@@ -88,7 +88,9 @@ def test_table_is_the_model(name: str, frequency_hz: float) -> None:
     grazing_deg = np.linspace(3.0, 80.0, 3000)
     assert table.shape == (TABLE_SIZE,)
     assert table.dtype == np.float32
-    np.testing.assert_allclose(looked_up_db(table, grazing_deg), strength_db(sediment, frequency_hz, grazing_deg), atol=0.1)
+    np.testing.assert_allclose(
+        looked_up_db(table, grazing_deg), strength_db(sediment, frequency_hz, grazing_deg), atol=0.1
+    )
     steep_deg = np.linspace(80.0, 90.0, 600)
     np.testing.assert_allclose(looked_up_db(table, steep_deg), strength_db(sediment, frequency_hz, steep_deg), atol=0.7)
 
@@ -96,7 +98,9 @@ def test_table_is_the_model(name: str, frequency_hz: float) -> None:
 def test_table_entry_stands_for_the_middle_of_its_sines() -> None:
     table = lookup_table(SEDIMENTS["fine_sand"], 100e3, 1500.0)
     middle = (1234 + 0.5) / TABLE_SIZE
-    assert table[1234] == pytest.approx(float(backscatter(SEDIMENTS["fine_sand"], 100e3, math.asin(middle), 1500.0)), rel=1e-6)
+    assert table[1234] == pytest.approx(
+        float(backscatter(SEDIMENTS["fine_sand"], 100e3, math.asin(middle), 1500.0)), rel=1e-6
+    )
 
 
 def test_fine_sand_is_nearly_lambertian_where_a_side_scan_looks() -> None:
@@ -115,7 +119,9 @@ def test_lambert_has_its_strength_at_normal_incidence_and_a_quarter_at_thirty_de
 @sediments
 @pytest.mark.parametrize("frequency_hz", [300e3, 450e3, 900e3])
 def test_beyond_the_band_the_shape_stays_and_the_level_follows_the_roughness(name: str, frequency_hz: float) -> None:
-    rise = strength_db(SEDIMENTS[name], frequency_hz, GRAZING_DEG) - strength_db(SEDIMENTS[name], HIGHEST_HZ, GRAZING_DEG)
+    rise = strength_db(SEDIMENTS[name], frequency_hz, GRAZING_DEG) - strength_db(
+        SEDIMENTS[name], HIGHEST_HZ, GRAZING_DEG
+    )
     np.testing.assert_allclose(rise, rise[0], atol=1e-9)
     octaves = math.log2(frequency_hz / HIGHEST_HZ)
     perturbation_db_per_octave = 10.0 * math.log10(2.0) * (4.0 - 3.25)  # the most that a spectrum K^-3.25 can give
@@ -136,13 +142,17 @@ def test_extrapolation_is_reported() -> None:
 
 @pytest.mark.parametrize("frequency_hz", [30e3, 100e3, 450e3])
 def test_coarser_beds_echo_more_at_thirty_degrees(frequency_hz: float) -> None:
-    strengths = [float(strength_db(sediment, frequency_hz, 30.0)) for name, sediment in SEDIMENTS.items() if name != "clay"]
+    strengths = [
+        float(strength_db(sediment, frequency_hz, 30.0)) for name, sediment in SEDIMENTS.items() if name != "clay"
+    ]
     assert strengths == sorted(strengths, reverse=True)
 
 
 def test_rays_along_the_floor_and_beyond_the_vertical_take_the_nearest_angle() -> None:
     sand = SEDIMENTS["fine_sand"]
-    np.testing.assert_array_equal(backscatter(sand, 100e3, np.radians([-10.0, 0.0])), [backscatter(sand, 100e3, math.radians(0.001))] * 2)
+    np.testing.assert_array_equal(
+        backscatter(sand, 100e3, np.radians([-10.0, 0.0])), [backscatter(sand, 100e3, math.radians(0.001))] * 2
+    )
     assert backscatter(sand, 100e3, math.radians(95.0)) == backscatter(sand, 100e3, math.radians(90.0))
 
 
@@ -178,7 +188,9 @@ def test_every_sediment_has_a_finite_positive_echo(
 
 
 def test_critical_angle_without_loss_is_no_pole() -> None:
-    sediment = Sediment(density_ratio=2.0, sound_speed_ratio=1.25, loss=1e-300, volume_parameter=0.002, spectral_strength_cm4=0.005)
+    sediment = Sediment(
+        density_ratio=2.0, sound_speed_ratio=1.25, loss=1e-300, volume_parameter=0.002, spectral_strength_cm4=0.005
+    )
     critical_rad = math.acos(1.0 / 1.25)
     with np.errstate(all="raise", under="ignore"):
         assert np.isfinite(backscatter(sediment, 100e3, critical_rad + np.linspace(-1e-9, 1e-9, 101))).all()
@@ -192,7 +204,9 @@ def test_target_is_lambertian_aside_and_flashes_at_normal_incidence() -> None:
     sines = np.sin(np.radians(grazing_deg))
     expected = 10.0 * np.log10(10.0**-1.0 * (sines**2 + 10.0**1.5 * sines**40.0))
     np.testing.assert_allclose(looked_up_db(table, grazing_deg), expected, atol=0.1)
-    np.testing.assert_allclose(looked_up_db(target_table(-10.0, -math.inf, 40.0), grazing_deg), -10.0 + 20.0 * np.log10(sines), atol=0.1)
+    np.testing.assert_allclose(
+        looked_up_db(target_table(-10.0, -math.inf, 40.0), grazing_deg), -10.0 + 20.0 * np.log10(sines), atol=0.1
+    )
 
 
 @pytest.mark.parametrize("phi", [-1.01, 9.01, math.nan])
@@ -201,7 +215,9 @@ def test_grain_size_outside_the_fits_is_refused(phi: float) -> None:
         sediment_from_grain_size(phi)
 
 
-@pytest.mark.parametrize(("frequency_hz", "sound_speed_mps"), [(0.0, 1500.0), (math.nan, 1500.0), (math.inf, 1500.0), (1e5, -1.0)])
+@pytest.mark.parametrize(
+    ("frequency_hz", "sound_speed_mps"), [(0.0, 1500.0), (math.nan, 1500.0), (math.inf, 1500.0), (1e5, -1.0)]
+)
 def test_senseless_wave_is_refused(frequency_hz: float, sound_speed_mps: float) -> None:
     with pytest.raises(ValueError, match="must be a positive number"):
         backscatter(SEDIMENTS["rock"], frequency_hz, 0.3, sound_speed_mps)
@@ -209,15 +225,29 @@ def test_senseless_wave_is_refused(frequency_hz: float, sound_speed_mps: float) 
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("density_ratio", 0.9), ("loss", 0.0), ("loss", math.nan), ("spectral_strength_cm4", 0.0), ("spectral_exponent", 4.0)],
+    [
+        ("density_ratio", 0.9),
+        ("loss", 0.0),
+        ("loss", math.nan),
+        ("spectral_strength_cm4", 0.0),
+        ("spectral_exponent", 4.0),
+    ],
 )
 def test_sediment_outside_the_limits_is_refused(field: str, value: float) -> None:
-    usual = {"density_ratio": 2.0, "sound_speed_ratio": 1.2, "loss": 0.01, "volume_parameter": 0.002, "spectral_strength_cm4": 0.005}
+    usual = {
+        "density_ratio": 2.0,
+        "sound_speed_ratio": 1.2,
+        "loss": 0.01,
+        "volume_parameter": 0.002,
+        "spectral_strength_cm4": 0.005,
+    }
     with pytest.raises(ValueError, match=field):
         Sediment(**{**usual, field: value})
 
 
-@pytest.mark.parametrize("arguments", [(0.0, 10.0, 0.0), (math.nan, 10.0, 40.0), (0.0, math.inf, 40.0), (0.0, 10.0, math.nan)])
+@pytest.mark.parametrize(
+    "arguments", [(0.0, 10.0, 0.0), (math.nan, 10.0, 40.0), (0.0, math.inf, 40.0), (0.0, 10.0, math.nan)]
+)
 def test_senseless_target_is_refused(arguments: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="exponent"):
         target_table(*arguments)

@@ -45,7 +45,10 @@ def packed(kind: int, sizes: tuple[float, ...] = (), planes: Planes = (), n_side
 
 
 def ellipsoid(a: float, b: float, c: float, centre: float) -> Solid:
-    return Solid(packed(ELLIPSOID, (a, b, c, centre)), lambda u, v, z: (u / a) ** 2 + (v / b) ** 2 + ((z - centre) / c) ** 2 <= 1.0)
+    return Solid(
+        packed(ELLIPSOID, (a, b, c, centre)),
+        lambda u, v, z: (u / a) ** 2 + (v / b) ** 2 + ((z - centre) / c) ** 2 <= 1.0,
+    )
 
 
 def cylinder(radius: float, half_length: float, centre: float, tilt: float) -> Solid:
@@ -67,7 +70,13 @@ def cone(base: float, top: float, height: float, burial: float) -> Solid:
 
 
 def polyhedron(length: float, width: float, height: float, ramp: float, hip: float) -> Solid:
-    sides = ((1.0, 0.0, length), (-1.0, 0.0, length), (0.0, 1.0, width), (0.0, -1.0, width), (0.6, 0.8, 0.8 * (length + width) / 1.4))
+    sides = (
+        (1.0, 0.0, length),
+        (-1.0, 0.0, length),
+        (0.0, 1.0, width),
+        (0.0, -1.0, width),
+        (0.6, 0.8, 0.8 * (length + width) / 1.4),
+    )
     tops = ((ramp, 0.0, height), (-0.2, hip, height), (0.0, -hip, 0.9 * height))
 
     def inside(u: Floats, v: Floats, z: Floats) -> NDArray[np.bool_]:
@@ -185,7 +194,9 @@ def test_bodies_that_move_the_floor_come_first() -> None:
 
 
 def test_near_are_those_that_reach_into_the_rectangle() -> None:
-    bodies = pack([Body(ELLIPSOID, east, 0.0, 0.0, 0.0, 1.0, (1.0, 1.0, 1.0, 0.0)) for east in (-3.0, -1.5, 0.0, 4.5, 6.5)])
+    bodies = pack(
+        [Body(ELLIPSOID, east, 0.0, 0.0, 0.0, 1.0, (1.0, 1.0, 1.0, 0.0)) for east in (-3.0, -1.5, 0.0, 4.5, 6.5)]
+    )
     found = near(bodies, -0.6, 5.0, -0.5, 0.5)
     np.testing.assert_array_equal(found.table[:, 1], [-1.5, 0.0, 4.5])
     assert len(near(bodies, -0.6, 5.0, 1.5, 3.0).table) == 0

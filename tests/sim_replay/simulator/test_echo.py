@@ -83,13 +83,21 @@ def test_materials_have_their_strength_at_normal_incidence() -> None:
     np.testing.assert_allclose(shiny[: TABLE_SIZE // 2], dull[: TABLE_SIZE // 2], rtol=1e-4)
 
 
-@given(spreading_db=st.floats(0.0, 60.0), absorption=st.floats(0.0, 300.0), made_up=st.one_of(st.none(), st.floats(0.0, 300.0)))
-def test_the_gain_compensates_the_configured_losses(spreading_db: float, absorption: float, made_up: float | None) -> None:
+@given(
+    spreading_db=st.floats(0.0, 60.0),
+    absorption=st.floats(0.0, 300.0),
+    made_up=st.one_of(st.none(), st.floats(0.0, 300.0)),
+)
+def test_the_gain_compensates_the_configured_losses(
+    spreading_db: float, absorption: float, made_up: float | None
+) -> None:
     sonar = Sonar(gain=TimeVariedGain(spreading_db=spreading_db, absorption_db_per_km=made_up))
     r, reference_m = bin_ranges_m(sonar), 25.0
     gain_db = 10.0 * np.log10(recorder_gain(r, sonar, absorption, reference_m))
     reported = absorption if made_up is None else made_up
-    np.testing.assert_allclose(gain_db, spreading_db * np.log10(r / reference_m) + 2e-3 * reported * (r - reference_m), atol=1e-9)
+    np.testing.assert_allclose(
+        gain_db, spreading_db * np.log10(r / reference_m) + 2e-3 * reported * (r - reference_m), atol=1e-9
+    )
 
 
 def test_a_gain_of_40_db_and_the_waters_absorption_undo_propagation() -> None:

@@ -105,7 +105,9 @@ def intensities(pings: list[Ping], side: Side = "starboard") -> Floats:
         (SampleRecorder(samples="log_uint16", seabed_counts=30_000.0, db_per_count=0.01), 0.01),
     ],
 )
-def test_the_floor_midway_is_stored_as_what_the_recorder_has_for_it(recorder: SampleRecorder, decibel_per_count: float | None) -> None:
+def test_the_floor_midway_is_stored_as_what_the_recorder_has_for_it(
+    recorder: SampleRecorder, decibel_per_count: float | None
+) -> None:
     scene = replace(PLAIN, sonar=replace(PLAIN.sonar, recorder=recorder, looks=8))
     mission = Mission(scene)
     pings = [event for event in mission.events() if isinstance(event, Ping)]
@@ -113,7 +115,9 @@ def test_the_floor_midway_is_stored_as_what_the_recorder_has_for_it(recorder: Sa
     stored = np.stack([p.starboard.samples for p in pings if p.starboard is not None])[:, midway].astype(np.float64)
     counts = mission.sea.recorder.seabed_counts
     assert counts is not None
-    intensity = (stored / counts) ** 2 if decibel_per_count is None else 10.0 ** (0.1 * decibel_per_count * (stored - counts))
+    intensity = (
+        (stored / counts) ** 2 if decibel_per_count is None else 10.0 ** (0.1 * decibel_per_count * (stored - counts))
+    )
     assert np.mean(intensity) == pytest.approx(1.0, abs=0.02)
 
 
@@ -149,13 +153,19 @@ def test_a_box_casts_the_shadow_of_similar_triangles(
 ) -> None:
     at = pose(altitude, heading, pitch)
     width = 0.8
-    box = abeam(at, across if side == "starboard" else -across, SceneObject(kind="box", length_m=6.0, width_m=width, height_m=height))
+    box = abeam(
+        at,
+        across if side == "starboard" else -across,
+        SceneObject(kind="box", length_m=6.0, width_m=width, height_m=height),
+    )
     scene = replace(PLAIN, track=replace(PLAIN.track, altitude_m=altitude))
     got, bare = heard(replace(scene, objects=(box,)), at, side), heard(scene, at, side)
     secant = 1.0 / math.cos(math.radians(pitch))
     far = across + width / 2
     shadow_end = far * altitude / (altitude - height)
-    begins = max(math.hypot(far, (altitude - height) * secant), math.hypot(far - width, altitude * secant))  # top's end, face's foot
+    begins = max(
+        math.hypot(far, (altitude - height) * secant), math.hypot(far - width, altitude * secant)
+    )  # top's end, face's foot
     ends = math.hypot(shadow_end, altitude * secant)
     if ends > 28.9:
         return
@@ -224,7 +234,9 @@ def towards(latitude_deg: float, longitude_deg: float, heading_rad: float) -> Fl
 
 @pytest.mark.parametrize("place", [(43.0, 5.5), (0.0, 179.9999), (-65.0, -180.0), (89.0, 10.0), (-89.0, 100.0)])
 @pytest.mark.parametrize("heading_deg", [0.0, 77.0, 200.0])
-def test_the_vehicle_moves_where_it_points_anywhere_on_the_globe(place: tuple[float, float], heading_deg: float) -> None:
+def test_the_vehicle_moves_where_it_points_anywhere_on_the_globe(
+    place: tuple[float, float], heading_deg: float
+) -> None:
     scene = replace(
         PLAIN,
         origin=Origin(latitude_deg=place[0], longitude_deg=place[1]),
@@ -234,7 +246,9 @@ def test_the_vehicle_moves_where_it_points_anywhere_on_the_globe(place: tuple[fl
     )
     samples, _ = flown(scene)
     assert ecef(samples[0].latitude_deg, samples[0].longitude_deg) == pytest.approx(ecef(*place), abs=1e-6)
-    assert math.remainder(samples[0].heading_rad - math.radians(heading_deg), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-8)
+    assert math.remainder(samples[0].heading_rad - math.radians(heading_deg), 2.0 * math.pi) == pytest.approx(
+        0.0, abs=1e-8
+    )
     for a, b in pairwise(samples):
         step = ecef(b.latitude_deg, b.longitude_deg) - ecef(a.latitude_deg, a.longitude_deg)
         assert np.linalg.norm(step) == pytest.approx(scene.track.speed_mps / scene.sonar.ping_rate_hz, abs=1e-3)
@@ -245,9 +259,16 @@ def test_the_vehicle_moves_where_it_points_anywhere_on_the_globe(place: tuple[fl
 
 def test_reported_depth_and_altitude_add_up_to_the_depth_of_the_floor() -> None:
     sloping = replace(PLAIN.world, slope_deg=3.0, slope_towards_deg=0.0, cell_m=0.5)
-    scene = replace(PLAIN, world=sloping, sonar=replace(PLAIN.sonar, n_samples=64), track=replace(PLAIN.track, plan=Lawnmower(leg_m=30.0)))
+    scene = replace(
+        PLAIN,
+        world=sloping,
+        sonar=replace(PLAIN.sonar, n_samples=64),
+        track=replace(PLAIN.track, plan=Lawnmower(leg_m=30.0)),
+    )
     samples, pings = flown(scene)
-    north = np.array([ecef(s.latitude_deg, s.longitude_deg) - ecef(43.0931, 5.8872) for s in samples]) @ towards(43.0931, 5.8872, 0.0)
+    north = np.array([ecef(s.latitude_deg, s.longitude_deg) - ecef(43.0931, 5.8872) for s in samples]) @ towards(
+        43.0931, 5.8872, 0.0
+    )
     floor = DEPTH_M - math.tan(math.radians(3.0)) * north
     assert np.array([s.depth_m + s.altitude_m for s in samples]) == pytest.approx(floor, abs=2e-3)
     assert [p.altitude_m for p in pings] == [s.altitude_m for s in samples]
@@ -271,9 +292,16 @@ def test_a_small_object_is_seen_when_abeam_at_its_slant_range(
     exact."""
     radius = 0.15 if kind == "sphere" else 0.0
     scene_object = SceneObject(
-        kind=kind, leg=0, along_m=5.0, across_m=across if side == "starboard" else -across, width_m=2.0 * radius or None, strength_db=30.0
+        kind=kind,
+        leg=0,
+        along_m=5.0,
+        across_m=across if side == "starboard" else -across,
+        width_m=2.0 * radius or None,
+        strength_db=30.0,
     )
-    sonar = replace(PLAIN.sonar, n_samples=1024, ping_rate_hz=15.0, looks=16, beam_width_deg=0.5, beam_lines=5 if radius else 1)
+    sonar = replace(
+        PLAIN.sonar, n_samples=1024, ping_rate_hz=15.0, looks=16, beam_width_deg=0.5, beam_lines=5 if radius else 1
+    )
     track = replace(
         PLAIN.track,
         plan=Lawnmower(heading_deg=heading, n_legs=1, leg_m=10.0),

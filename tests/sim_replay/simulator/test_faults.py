@@ -31,14 +31,19 @@ def mission(n_pings: int = N_PINGS, dtype: Any = np.uint16) -> Iterator[NavSampl
     for number in range(n_pings):
         yield NavSample(time_s=100.0 + number, latitude_deg=43.0)
         port, starboard = (
-            EchoTrace(samples=samples(number, side).astype(dtype), first_range_m=0.1, spacing_m=0.2) for side in ("port", "starboard")
+            EchoTrace(samples=samples(number, side).astype(dtype), first_range_m=0.1, spacing_m=0.2)
+            for side in ("port", "starboard")
         )
-        yield Ping(number=number, time_s=100.0 + number, port=port, starboard=starboard, altitude_m=6.0, place=f"ping {number}")
+        yield Ping(
+            number=number, time_s=100.0 + number, port=port, starboard=starboard, altitude_m=6.0, place=f"ping {number}"
+        )
 
 
 def struck(*faults: Fault, recorder: SampleRecorder = RECORDER) -> tuple[list[NavSample], list[Ping]]:
     events = list(with_faults(mission(), faults, recorder))
-    return [event for event in events if isinstance(event, NavSample)], [event for event in events if isinstance(event, Ping)]
+    return [event for event in events if isinstance(event, NavSample)], [
+        event for event in events if isinstance(event, Ping)
+    ]
 
 
 def numbers(pings: Sequence[Ping]) -> list[int]:
@@ -64,7 +69,11 @@ def same(events: Sequence[NavSample | Ping], others: Sequence[NavSample | Ping])
         if isinstance(event, NavSample):
             return event
         traces = (event.port, event.starboard)
-        return event.number, event.time_s, [None if t is None else (t.samples.tolist(), t.samples.dtype) for t in traces]
+        return (
+            event.number,
+            event.time_s,
+            [None if t is None else (t.samples.tolist(), t.samples.dtype) for t in traces],
+        )
 
     return [facts(event) for event in events] == [facts(event) for event in others]
 
@@ -120,7 +129,9 @@ def test_a_gain_step_multiplies_amplitudes(side: Any) -> None:
         (SampleRecorder(samples="log_uint16", db_per_count=0.01), np.uint16, 60.0, [6000, 6100, 65535]),
     ],
 )
-def test_gain_is_stored_as_the_recorder_stores_it(recorder: SampleRecorder, dtype: Any, gain_db: float, expected: list[float]) -> None:
+def test_gain_is_stored_as_the_recorder_stores_it(
+    recorder: SampleRecorder, dtype: Any, gain_db: float, expected: list[float]
+) -> None:
     loudest = {"amplitude_float32": 2e4, "amplitude_uint16": 60_000, "log_uint16": 60_000}.get(recorder.samples, 200)
     trace = EchoTrace(samples=np.array([0, 100, loudest], dtype=dtype), first_range_m=0.1, spacing_m=0.2)
     ping = Ping(number=0, time_s=0.0, port=trace, starboard=None)
@@ -189,7 +200,10 @@ def test_navigation_of_a_lost_ping_is_lost_with_that_pings_number() -> None:
 
 
 def test_gains_multiply_and_clock_steps_add() -> None:
-    faults = [Fault(kind="gain_step", at_ping=2, n_pings=9, gain_db=20.0), Fault(kind="gain_step", at_ping=4, n_pings=2, gain_db=-20.0)]
+    faults = [
+        Fault(kind="gain_step", at_ping=2, n_pings=9, gain_db=20.0),
+        Fault(kind="gain_step", at_ping=4, n_pings=2, gain_db=-20.0),
+    ]
     faults += [Fault(kind="clock_step", at_ping=1, step_s=5.0), Fault(kind="clock_step", at_ping=6, step_s=2.0)]
     _, pings = struck(*faults)
     assert [ping.time_s - 100.0 - ping.number for ping in pings] == [0.0] + [5.0] * 5 + [7.0] * 6
@@ -216,7 +230,9 @@ def test_a_stuck_channel_repeats_what_the_faults_before_it_left() -> None:
 
 faults = st.builds(
     Fault,
-    kind=st.sampled_from(["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]),
+    kind=st.sampled_from(
+        ["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]
+    ),
     at_ping=st.integers(0, 14),
     n_pings=st.integers(1, 8),
     side=st.sampled_from(["port", "starboard", "both"]),
@@ -229,9 +245,13 @@ faults = st.builds(
 def test_faults_strike_one_after_the_other_and_alike_each_time(first: list[Fault], last: Fault) -> None:
     once = list(with_faults(mission(), [*first, last], RECORDER))
     assert same(once, list(with_faults(mission(), [*first, last], RECORDER)))
-    if not any(fault.kind in ("drop", "gap") for fault in first):  # a lost ping takes the number of its navigation with it
+    if not any(
+        fault.kind in ("drop", "gap") for fault in first
+    ):  # a lost ping takes the number of its navigation with it
         assert same(once, list(with_faults(with_faults(mission(), first, RECORDER), [last], RECORDER)))
-    assert numbers([event for event in once if isinstance(event, Ping)]) == sorted({e.number for e in once if isinstance(e, Ping)})
+    assert numbers([event for event in once if isinstance(event, Ping)]) == sorted(
+        {e.number for e in once if isinstance(e, Ping)}
+    )
 
 
 @given(st.lists(faults, max_size=4))
@@ -244,7 +264,10 @@ def test_pings_before_the_first_fault_are_untouched(several: list[Fault]) -> Non
 def test_events_come_one_by_one_and_what_was_read_is_not_changed() -> None:
     kept = list(mission())
     copies = [structs.replace(event) for event in kept]
-    all_kinds = [Fault(kind=kind, at_ping=2, n_pings=3, gain_db=6.0, step_s=1.0) for kind in ("gain_step", "stuck_channel", "clock_step")]
+    all_kinds = [
+        Fault(kind=kind, at_ping=2, n_pings=3, gain_db=6.0, step_s=1.0)
+        for kind in ("gain_step", "stuck_channel", "clock_step")
+    ]
     asked = 0
 
     def source() -> Iterator[NavSample | Ping]:

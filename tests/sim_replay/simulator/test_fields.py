@@ -8,7 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sim_replay.simulator.fields import GammaLaw, Noise, gaussian, generator, periodic_field, power_law, refine, step_for
+from sim_replay.simulator.fields import (
+    GammaLaw,
+    Noise,
+    gaussian,
+    generator,
+    periodic_field,
+    power_law,
+    refine,
+    step_for,
+)
 
 CELL_M = 0.05
 GRAIN = Noise(1, "grain", step=1, cell_m=CELL_M, spectrum=power_law(1.0), periods=(180, 203))
@@ -97,7 +106,9 @@ def test_refining_sums_basis_splines(factor: int, seed: int, n_rows: int, n_colu
     coefficients = generator(seed, "coefficients").standard_normal(shape, dtype=np.float32)
     down = np.array([[basis_spline(i / factor + 1.0 - k) for k in range(shape[0])] for i in range(n_rows)])
     right = np.array([[basis_spline(j / factor + 1.0 - k) for k in range(shape[1])] for j in range(n_columns)])
-    np.testing.assert_allclose(refine(coefficients, factor, n_rows, n_columns), down @ coefficients @ right.T, atol=2e-6)
+    np.testing.assert_allclose(
+        refine(coefficients, factor, n_rows, n_columns), down @ coefficients @ right.T, atol=2e-6
+    )
 
 
 def test_splined_noise_keeps_unit_rms_and_smooth_slopes_between_its_nodes() -> None:
@@ -109,11 +120,23 @@ def test_splined_noise_keeps_unit_rms_and_smooth_slopes_between_its_nodes() -> N
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(-3000, 3000), st.integers(-3000, 3000), st.integers(1, 60), st.integers(1, 60), st.integers(0, 20), st.integers(0, 20))
-def test_splined_window_is_part_of_any_window_around_it(row: int, column: int, n_rows: int, n_columns: int, up: int, left: int) -> None:
+@given(
+    st.integers(-3000, 3000),
+    st.integers(-3000, 3000),
+    st.integers(1, 60),
+    st.integers(1, 60),
+    st.integers(0, 20),
+    st.integers(0, 20),
+)
+def test_splined_window_is_part_of_any_window_around_it(
+    row: int, column: int, n_rows: int, n_columns: int, up: int, left: int
+) -> None:
     part = FORMS.on_cells(row, column, n_rows, n_columns)
     around = FORMS.on_cells(row - up, column - left, n_rows + up + 5, n_columns + left + 3)
-    assert np.ascontiguousarray(part).tobytes() == np.ascontiguousarray(around[up : up + n_rows, left : left + n_columns]).tobytes()
+    assert (
+        np.ascontiguousarray(part).tobytes()
+        == np.ascontiguousarray(around[up : up + n_rows, left : left + n_columns]).tobytes()
+    )
 
 
 @pytest.mark.parametrize(("length_m", "step"), [(0.01, 1), (0.05, 1), (0.39, 4), (0.41, 8), (100.0, 256)])

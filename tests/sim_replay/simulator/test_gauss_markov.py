@@ -23,7 +23,9 @@ def generator(seed: int) -> np.random.Generator:
 def correlation(lag_s: float) -> float:
     """Of the stationary solution of x'' + 2 z w x' + w^2 x = noise at two times."""
     damped = OMEGA * math.sqrt(1.0 - DAMPING**2)
-    return math.exp(-DAMPING * OMEGA * lag_s) * (math.cos(damped * lag_s) + DAMPING * OMEGA / damped * math.sin(damped * lag_s))
+    return math.exp(-DAMPING * OMEGA * lag_s) * (
+        math.cos(damped * lag_s) + DAMPING * OMEGA / damped * math.sin(damped * lag_s)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,9 @@ def test_values_and_rates_are_gaussian_from_the_start_and_stay_so(ensemble: list
     values, rates = np.array([process.at(time_s) for process in ensemble]).T
     tolerance = 4.5 * math.sqrt(2.0 / N)  # of a variance from N independent samples
     assert np.mean(values**2) == pytest.approx(0.3**2, rel=tolerance)
-    assert np.mean(rates**2) == pytest.approx((0.3 * OMEGA) ** 2, rel=tolerance + 0.02)  # joining by cubics costs rates a little more
+    assert np.mean(rates**2) == pytest.approx(
+        (0.3 * OMEGA) ** 2, rel=tolerance + 0.02
+    )  # joining by cubics costs rates a little more
     assert abs(np.mean(values)) < 4.5 * 0.3 / math.sqrt(N)
     assert abs(np.mean(values * rates)) < 4.5 * 0.3**2 * OMEGA / math.sqrt(N)
     assert np.mean((values / 0.3) ** 4) == pytest.approx(3.0, abs=4.5 * math.sqrt(96.0 / N))

@@ -88,7 +88,9 @@ def test_every_ping_follows_its_navigation(reference: tuple[Mission, list[NavSam
     assert [ping.number for ping in events[1::2] if isinstance(ping, Ping)] == list(range(len(events) // 2))
 
 
-def test_truth_lists_the_objects_places_and_the_passes_that_saw_them(reference: tuple[Mission, list[NavSample | Ping]]) -> None:
+def test_truth_lists_the_objects_places_and_the_passes_that_saw_them(
+    reference: tuple[Mission, list[NavSample | Ping]],
+) -> None:
     facts = reference[0].truth()
     frame = local_frame(SCENE.origin)
     cylinder, rock, sphere = facts["objects"]
@@ -96,11 +98,14 @@ def test_truth_lists_the_objects_places_and_the_passes_that_saw_them(reference: 
     for scene_object, place in ((cylinder, leg.at(12.0, 10.0)), (rock, leg.at(6.0, -12.0))):
         assert frame.to_enu(scene_object["lat"], scene_object["lon"], 0.0)[:2] == pytest.approx(place, abs=1e-3)
     assert (cylinder["is_target"], rock["is_target"]) == (True, False)
-    # The second leg lies 20 m to starboard of the first and runs the other way: the cylinder is 10 m to starboard of both.
+    # The second leg lies 20 m to starboard of the first and runs the other way: the cylinder is 10 m to starboard of
+    # both.
     assert [look["side"] for look in cylinder["looks"]] == ["starboard", "starboard"]
     assert [look["ground_range_m"] for look in cylinder["looks"]] == pytest.approx([10.0, 10.0], abs=0.5)
     assert [look["side"] for look in rock["looks"]] == ["port"]
-    assert [look["ground_range_m"] for look in sphere["looks"]] == pytest.approx([19.5], abs=0.5)  # below the first leg it is not seen
+    assert [look["ground_range_m"] for look in sphere["looks"]] == pytest.approx(
+        [19.5], abs=0.5
+    )  # below the first leg it is not seen
 
 
 def test_the_swept_area_is_that_of_the_legs(reference: tuple[Mission, list[NavSample | Ping]]) -> None:
@@ -113,7 +118,9 @@ def test_the_swept_area_is_that_of_the_legs(reference: tuple[Mission, list[NavSa
     assert facts["area_km2"] == pytest.approx(24.0 * (20.0 + 2.0 * reach) * 1e-6, rel=0.08)
     assert set(facts["seabed_map"]["types"]) == {"sand", "rippled_sand"}
     world = reference[0].sea.world
-    corner = local_frame(SCENE.origin).to_enu(facts["seabed_map"]["latitude_deg"], facts["seabed_map"]["longitude_deg"], 0.0)
+    corner = local_frame(SCENE.origin).to_enu(
+        facts["seabed_map"]["latitude_deg"], facts["seabed_map"]["longitude_deg"], 0.0
+    )
     rows, columns = np.nonzero(swept >= 0)
     labels = world.seabed_at(corner[0] + columns + 0.5, corner[1] + rows + 0.5)
     assert np.mean(labels == swept[rows, columns]) > 0.999  # the map's plane touches elsewhere than the scene's
@@ -137,7 +144,9 @@ def test_exact_navigation_reports_the_sonars_place() -> None:
 
 
 def test_a_new_plan_changes_the_course_and_the_world_stays_the_same() -> None:
-    scene = msgspec.structs.replace(SCENE, track=msgspec.structs.replace(SCENE.track, motion=STEADY, pings_in_turns=False))
+    scene = msgspec.structs.replace(
+        SCENE, track=msgspec.structs.replace(SCENE.track, motion=STEADY, pings_in_turns=False)
+    )
     mission = Mission(scene, block_pings=8)
     heard = []
     turned = False
@@ -148,14 +157,20 @@ def test_a_new_plan_changes_the_course_and_the_world_stays_the_same() -> None:
             turned = True
             mission.follow([Leg(60.0, 0.0, 0.0, 10.0)])
     straight = [event for event in flown(scene)[1] if isinstance(event, Ping)]
-    same = [np.array_equal(a.port.samples, b.port.samples) for a, b in zip(heard, straight, strict=False) if a.port and b.port]
+    same = [
+        np.array_equal(a.port.samples, b.port.samples)
+        for a, b in zip(heard, straight, strict=False)
+        if a.port and b.port
+    ]
     assert all(same[:40])
     assert len(heard) < len(straight)
     assert mission.vehicle.legs[-1] == Leg(60.0, 0.0, 0.0, 10.0)
     assert mission.truth()["area_km2"] > 0.0
 
 
-def test_faults_strike_reported_data_and_leave_the_truth_alone(reference: tuple[Mission, list[NavSample | Ping]]) -> None:
+def test_faults_strike_reported_data_and_leave_the_truth_alone(
+    reference: tuple[Mission, list[NavSample | Ping]],
+) -> None:
     gap = Fault(kind="gap", at_ping=10, n_pings=5)
     mission, events = flown(msgspec.structs.replace(SCENE, faults=(gap,)))
     numbers = [event.number for event in events if isinstance(event, Ping)]
@@ -177,7 +192,9 @@ def test_a_scene_that_cannot_be_is_refused() -> None:
 
 def test_a_synthetic_aperture_delivers_lines_leg_by_leg_and_takes_a_new_plan_after_a_leg() -> None:
     aperture = SyntheticAperture(along_track_resolution_m=0.2, range_resolution_m=0.2, sub_apertures=1)
-    scene = msgspec.structs.replace(SCENE, sonar=msgspec.structs.replace(SCENE.sonar, synthetic_aperture=aperture), navigation_error=EXACT)
+    scene = msgspec.structs.replace(
+        SCENE, sonar=msgspec.structs.replace(SCENE.sonar, synthetic_aperture=aperture), navigation_error=EXACT
+    )
     mission = Mission(scene)
     pings: list[Ping] = []
     for event in mission.events():

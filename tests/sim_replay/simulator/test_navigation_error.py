@@ -42,8 +42,12 @@ def off_m(samples: list[NavSample], poses: list[SonarPose]) -> NDArray[np.float6
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.floats(-88.0, 88.0), st.floats(-180.0, 180.0), st.floats(-8e3, 8e3), st.floats(-8e3, 8e3), st.floats(-7.0, 14.0))
-def test_an_exact_system_reports_the_truth(latitude: float, longitude: float, east_m: float, north_m: float, heading_rad: float) -> None:
+@given(
+    st.floats(-88.0, 88.0), st.floats(-180.0, 180.0), st.floats(-8e3, 8e3), st.floats(-8e3, 8e3), st.floats(-7.0, 14.0)
+)
+def test_an_exact_system_reports_the_truth(
+    latitude: float, longitude: float, east_m: float, north_m: float, heading_rad: float
+) -> None:
     pose = POSE._replace(east_m=east_m, north_m=north_m, heading_rad=heading_rad)
     frame = LocalFrame(latitude_deg=latitude, longitude_deg=longitude)
     sample = NavigationModel(EXACT, Origin(latitude_deg=latitude, longitude_deg=longitude), 1).reported(pose, 6.25)
@@ -51,8 +55,12 @@ def test_an_exact_system_reports_the_truth(latitude: float, longitude: float, ea
     assert sample.latitude_deg == pytest.approx(float(here[0]), abs=1e-11)
     assert math.remainder(sample.longitude_deg - float(here[1]), 360.0) == pytest.approx(0.0, abs=1e-9)
     ahead = frame.to_geodetic([east_m + 10.0 * math.sin(heading_rad), north_m + 10.0 * math.cos(heading_rad), 0.0])
-    there = LocalFrame(latitude_deg=float(here[0]), longitude_deg=float(here[1]), height_m=float(here[2])).to_enu(*ahead)
-    assert math.remainder(sample.heading_rad - math.atan2(there[0], there[1]), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-8)
+    there = LocalFrame(latitude_deg=float(here[0]), longitude_deg=float(here[1]), height_m=float(here[2])).to_enu(
+        *ahead
+    )
+    assert math.remainder(sample.heading_rad - math.atan2(there[0], there[1]), 2.0 * math.pi) == pytest.approx(
+        0.0, abs=1e-8
+    )
     assert 0.0 <= sample.heading_rad < 2.0 * math.pi
     assert (sample.time_s, sample.depth_m, sample.altitude_m) == (pose.time_s, pose.depth_m, 6.25)
     assert (sample.pitch_rad, sample.roll_rad, sample.speed_mps) == (pose.pitch_rad, pose.roll_rad, pose.speed_mps)
@@ -72,7 +80,9 @@ def test_each_error_leaves_everything_else_alone() -> None:
     }
     for name, fields in touches.items():
         sample = reported(structs.replace(EXACT, **{name: 1.0}), [POSE, POSE._replace(time_s=POSE.time_s + 10.0)])[1]
-        differing = {field for field in NavSample.__struct_fields__ if abs(getattr(sample, field) - getattr(exact, field)) > 0.0}
+        differing = {
+            field for field in NavSample.__struct_fields__ if abs(getattr(sample, field) - getattr(exact, field)) > 0.0
+        }
         assert differing == fields, name
 
 
@@ -87,8 +97,12 @@ def test_the_position_wanders_by_its_sigma_over_its_period() -> None:
     damped = omega * math.sqrt(0.75)
     for tick in (1, 2):
         lag = 10.0 * tick
-        expected = math.exp(-omega * lag / 2.0) * (math.cos(damped * lag) + omega / 2.0 / damped * math.sin(damped * lag))
-        assert np.mean(off[:, 0] * off[:, tick], axis=0) / 0.4**2 == pytest.approx(expected, abs=SURE * math.sqrt(2.0 / N))
+        expected = math.exp(-omega * lag / 2.0) * (
+            math.cos(damped * lag) + omega / 2.0 / damped * math.sin(damped * lag)
+        )
+        assert np.mean(off[:, 0] * off[:, tick], axis=0) / 0.4**2 == pytest.approx(
+            expected, abs=SURE * math.sqrt(2.0 / N)
+        )
 
 
 def test_the_drift_grows_with_the_way_in_one_direction_of_the_mission() -> None:
@@ -115,7 +129,9 @@ def test_the_drift_counts_the_way_there_and_back() -> None:
 def test_biases_are_drawn_once_per_mission_with_their_standard_deviations() -> None:
     error = structs.replace(EXACT, heading_bias_sigma_deg=2.0, altitude_bias_percent=3.0, speed_bias_percent=1.5)
     poses = [POSE._replace(east_m=0.0, north_m=0.0, time_s=POSE.time_s + tick) for tick in (0.0, 500.0)]
-    missions = np.array([[(s.heading_rad, s.altitude_m, s.speed_mps) for s in reported(error, poses, seed)] for seed in range(N)])
+    missions = np.array(
+        [[(s.heading_rad, s.altitude_m, s.speed_mps) for s in reported(error, poses, seed)] for seed in range(N)]
+    )
     assert np.array_equal(missions[:, 0], missions[:, 1])
     heading, altitude, speed = missions[:, 0].T
     drawn = np.array([np.degrees(heading - 1.0) / 2.0, (altitude / 6.0 - 1.0) / 0.03, (speed / 1.8 - 1.0) / 0.015])
@@ -127,7 +143,9 @@ def test_biases_are_drawn_once_per_mission_with_their_standard_deviations() -> N
 def test_noise_is_new_in_every_sample() -> None:
     error = structs.replace(EXACT, attitude_noise_deg=0.2, altitude_noise_m=0.05)
     samples = reported(error, [POSE._replace(east_m=0.0, north_m=0.0, time_s=float(tick)) for tick in range(N)])
-    rows = np.array([(s.heading_rad - 1.0, s.pitch_rad - 0.05, s.roll_rad + 0.02, s.altitude_m - 6.0) for s in samples]).T
+    rows = np.array(
+        [(s.heading_rad - 1.0, s.pitch_rad - 0.05, s.roll_rad + 0.02, s.altitude_m - 6.0) for s in samples]
+    ).T
     noise = rows / np.array([math.radians(0.2), math.radians(0.2), math.radians(0.2), 0.05])[:, np.newaxis]
     assert np.mean(noise**2, axis=1) == pytest.approx(1.0, rel=SURE * math.sqrt(2.0 / N))
     assert np.mean(noise[:, 1:] * noise[:, :-1], axis=1) == pytest.approx(0.0, abs=SURE / math.sqrt(N))
@@ -136,7 +154,9 @@ def test_noise_is_new_in_every_sample() -> None:
 
 def test_no_altitude_is_below_zero_and_no_heading_out_of_the_circle() -> None:
     error = NavigationError(altitude_noise_m=5.0, attitude_noise_deg=5.0)
-    samples = reported(error, [POSE._replace(heading_rad=0.0, time_s=float(tick)) for tick in range(300)], altitude_m=1.0)
+    samples = reported(
+        error, [POSE._replace(heading_rad=0.0, time_s=float(tick)) for tick in range(300)], altitude_m=1.0
+    )
     assert min(sample.altitude_m for sample in samples) == 0.0
     assert all(0.0 <= sample.heading_rad < 2.0 * math.pi for sample in samples)
 
@@ -144,6 +164,8 @@ def test_no_altitude_is_below_zero_and_no_heading_out_of_the_circle() -> None:
 def test_equal_seeds_report_the_same_and_other_seeds_differ() -> None:
     poses = straight(30)
     assert reported(NavigationError(), poses) == reported(NavigationError(), poses)
-    for first, other in zip(reported(NavigationError(), poses), reported(NavigationError(), poses, seed=2), strict=True):
+    for first, other in zip(
+        reported(NavigationError(), poses), reported(NavigationError(), poses, seed=2), strict=True
+    ):
         shared = {name for name in NavSample.__struct_fields__ if getattr(first, name) == getattr(other, name)}
         assert shared == {"time_s", "depth_m"}

@@ -33,7 +33,10 @@ def highest_m(scene_object: PlacedObject) -> float:
     grid = np.linspace(-reach, reach, 401)
     top = 0.0
     for row in bodies.table:
-        east, north = (axis.ravel() for axis in np.meshgrid(scene_object.east_m + grid - row[1], scene_object.north_m + grid - row[2]))
+        east, north = (
+            axis.ravel()
+            for axis in np.meshgrid(scene_object.east_m + grid - row[1], scene_object.north_m + grid - row[2])
+        )
         u, v = east * row[4] + north * row[5], east * row[5] - north * row[4]
         heights, _, _, covered = body_tops(row, bodies.planes, u, v)
         top = max(top, float(heights[covered].max(initial=0.0)) + float(row[6]))
@@ -57,11 +60,15 @@ def test_a_tilted_cylinder_rests_on_its_lower_end() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_echoes_by_bodies_or_by_points(kind: ObjectKind) -> None:
     scene_object = named(kind=kind)
-    bodies, points = bodies_of(scene_object, lambda east, north: 0.0, 3), points_of(scene_object, lambda east, north: 0.0)
+    bodies, points = (
+        bodies_of(scene_object, lambda east, north: 0.0, 3),
+        points_of(scene_object, lambda east, north: 0.0),
+    )
     assert bool(bodies) != bool(points)
     assert all(body.material == 3 for body in bodies)
     assert all(
-        math.hypot(body.east_m - 30.0, body.north_m - 40.0) <= 0.5 * math.hypot(scene_object.length_m, scene_object.width_m)
+        math.hypot(body.east_m - 30.0, body.north_m - 40.0)
+        <= 0.5 * math.hypot(scene_object.length_m, scene_object.width_m)
         for body in bodies
     )
 
@@ -105,7 +112,9 @@ def scattered(*groups: Scatter, seed: int = 1) -> tuple[PlacedObject, ...]:
 
 
 def test_scattered_objects_lie_apart_and_within_the_ranges_asked_for() -> None:
-    group = Scatter(kind="rock", count=40, ground_range_m=(12.0, 35.0), apart_m=5.0, height_m=(0.3, 0.6), burial_m=(0.0, 0.1))
+    group = Scatter(
+        kind="rock", count=40, ground_range_m=(12.0, 35.0), apart_m=5.0, height_m=(0.3, 0.6), burial_m=(0.0, 0.1)
+    )
     scene_objects = scattered(group, Scatter(kind="cylinder", count=10))
     assert [scene_object.kind for scene_object in scene_objects] == ["rock"] * 40 + ["cylinder"] * 10
     legs = planned_legs(TRACK.plan)

@@ -16,7 +16,9 @@ metres = st.floats(-1000.0, 1000.0)
 
 
 @given(metres, metres, st.floats(-10.0, 10.0), st.floats(1.0, 1000.0), metres, metres)
-def test_along_and_across_invert_at(east: float, north: float, direction: float, length: float, along: float, across: float) -> None:
+def test_along_and_across_invert_at(
+    east: float, north: float, direction: float, length: float, along: float, across: float
+) -> None:
     leg = Leg(east, north, direction, length)
     assert leg.along_across(*leg.at(along, across)) == pytest.approx((along, across), abs=1e-9)
 
@@ -46,7 +48,9 @@ def test_waypoints_are_joined_by_straight_legs() -> None:
 
 
 @given(st.floats(-80.0, 80.0), st.floats(-180.0, 180.0), st.floats(-100.0, 100.0), st.floats(5.0, 45.0))
-def test_a_place_is_the_same_by_plane_by_leg_and_by_latitude(latitude: float, longitude: float, along: float, across: float) -> None:
+def test_a_place_is_the_same_by_plane_by_leg_and_by_latitude(
+    latitude: float, longitude: float, along: float, across: float
+) -> None:
     plan = Lawnmower(heading_deg=30.0, n_legs=1, leg_m=200.0)
     scene = Scene(track=Track(plan=plan), origin=Origin(latitude_deg=latitude, longitude_deg=longitude))
     east, north = place_in_plane(scene, SceneObject(kind="rock", leg=0, along_m=along, across_m=across))

@@ -42,14 +42,21 @@ def test_amplitudes_are_roots_of_intensity_and_gain(kind: Any) -> None:
 def test_logarithms_are_decibels(kind: Any) -> None:
     exact = 120.0 + 10.0 * np.log10(ECHO * GAIN) / 0.5
     assert 0.0 < exact.min() < exact.max() < 255.0
-    assert stored(SampleRecorder(samples=kind, seabed_counts=120.0, db_per_count=0.5)) == pytest.approx(exact, abs=0.5 + 1e-3)
+    assert stored(SampleRecorder(samples=kind, seabed_counts=120.0, db_per_count=0.5)) == pytest.approx(
+        exact, abs=0.5 + 1e-3
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(full_scale=st.integers(15, 250), n_ringing=st.integers(0, 40))
-def test_ringing_and_loud_echoes_clip_at_full_scale_and_silence_is_zero(kind: Any, full_scale: int, n_ringing: int) -> None:
+def test_ringing_and_loud_echoes_clip_at_full_scale_and_silence_is_zero(
+    kind: Any, full_scale: int, n_ringing: int
+) -> None:
     recorder = SampleRecorder(samples=kind, full_scale=full_scale, seabed_counts=10.0)
-    loud, silent = stored(recorder, np.full_like(ECHO, 1e30), n_ringing), stored(recorder, np.zeros_like(ECHO), n_ringing)
+    loud, silent = (
+        stored(recorder, np.full_like(ECHO, 1e30), n_ringing),
+        stored(recorder, np.zeros_like(ECHO), n_ringing),
+    )
     assert np.all(loud == full_scale)
     assert np.all(silent[:, :n_ringing] == full_scale)
     assert np.all(silent[:, n_ringing:] == 0)

@@ -33,7 +33,14 @@ def flat_patches(size: int = 10) -> Patches:
     """A level floor at height 0 about the origin; all its patches are one."""
     shape = (1, NODES, NODES)
     slots = np.zeros((size, size), dtype=np.int32)
-    return Patches(np.zeros(shape, np.float32), np.ones(shape, np.float32), np.zeros(shape, np.uint8), slots, -(size // 2), -(size // 2))
+    return Patches(
+        np.zeros(shape, np.float32),
+        np.ones(shape, np.float32),
+        np.zeros(shape, np.uint8),
+        slots,
+        -(size // 2),
+        -(size // 2),
+    )
 
 
 def one_patch(elevation_m: NDArray[np.float32]) -> Patches:
@@ -54,7 +61,9 @@ def rays(
     ping: NDArray[np.int64] | None = None,
 ) -> Lines:
     """Rays of steps of one cell, each a ping of its own by default."""
-    north, east, direction, elevation = np.broadcast_arrays(*np.atleast_1d(north_cells, east_cells, direction_rad, elevation_m))
+    north, east, direction, elevation = np.broadcast_arrays(
+        *np.atleast_1d(north_cells, east_cells, direction_rad, elevation_m)
+    )
     one = np.ones(north.shape)
     return Lines(
         north_cells=north * one,
@@ -70,7 +79,8 @@ def rays(
     )
 
 
-# --- Shadows and highlights of solids -------------------------------------------------------------------------------------------------
+# --- Shadows and highlights of solids
+# -------------------------------------------------------------------------------------------------
 
 
 class Standing(NamedTuple):
@@ -90,19 +100,28 @@ class Standing(NamedTuple):
 
 
 def block(length_m: float, width_m: float, planes: tuple[tuple[float, float, float], ...]) -> Body:
-    sides = ((1.0, 0.0, 0.5 * length_m), (-1.0, 0.0, 0.5 * length_m), (0.0, 1.0, 0.5 * width_m), (0.0, -1.0, 0.5 * width_m))
+    sides = (
+        (1.0, 0.0, 0.5 * length_m),
+        (-1.0, 0.0, 0.5 * length_m),
+        (0.0, 1.0, 0.5 * width_m),
+        (0.0, -1.0, 0.5 * width_m),
+    )
     return Body(POLYHEDRON, 0.0, 0.0, 0.0, 0.0, math.hypot(length_m, width_m), (), 1, sides + planes, 4)
 
 
 def sphere(radius: float, buried: float, u: float, v: float) -> Standing:
     burial = buried * radius
     body = Body(ELLIPSOID, 0.0, 0.0, 0.0, 0.0, radius, (radius, radius, radius, radius - burial), 1)
-    return Standing(Sphere(radius_m=radius, burial_m=burial), body, 0.0, 2.0 * radius - burial, 0.0, u * radius, v * radius)
+    return Standing(
+        Sphere(radius_m=radius, burial_m=burial), body, 0.0, 2.0 * radius - burial, 0.0, u * radius, v * radius
+    )
 
 
 def cylinder(radius: float, length: float, azimuth: float, buried: float, u: float) -> Standing:
     burial = buried * radius
-    body = Body(CYLINDER, 0.0, 0.0, 0.0, 0.0, math.hypot(radius, length), (radius, 0.5 * length, radius - burial, 0.0, 1.0), 1)
+    body = Body(
+        CYLINDER, 0.0, 0.0, 0.0, 0.0, math.hypot(radius, length), (radius, 0.5 * length, radius - burial, 0.0, 1.0), 1
+    )
     shape = Cylinder(radius_m=radius, length_m=length, azimuth_rad=azimuth, burial_m=burial)
     return Standing(shape, body, azimuth, 2.0 * radius - burial, 0.0, 0.5 * u * length, 0.0)
 
@@ -153,7 +172,13 @@ def closed_form(solid: Standing, ground_range_m: float, altitude_m: float) -> So
 
 
 def rendered(
-    solid: Standing, ground_range_m: float, altitude_m: float, heading_rad: float, cell_m: float, bin_m: float, part: float
+    solid: Standing,
+    ground_range_m: float,
+    altitude_m: float,
+    heading_rad: float,
+    cell_m: float,
+    bin_m: float,
+    part: float,
 ) -> Seen:
     """The same by one ray to starboard. part: of a cell that the first node lies from the sonar's foot towards a node
     of the grid.
@@ -161,10 +186,15 @@ def rendered(
     end_m = float(closed_form(solid, ground_range_m, altitude_m).shadow_end_m)
     n_nodes = math.ceil(1.1 * end_m / cell_m) + 5
     offset = solid.along_m * math.cos(solid.azimuth_rad) - solid.across_m * math.sin(solid.azimuth_rad)
-    ahead, aside = np.array([math.cos(heading_rad), math.sin(heading_rad)]), np.array([-math.sin(heading_rad), math.cos(heading_rad)])
+    ahead, aside = (
+        np.array([math.cos(heading_rad), math.sin(heading_rad)]),
+        np.array([-math.sin(heading_rad), math.cos(heading_rad)]),
+    )
     foot = np.array([part, 0.5 * part]) * cell_m
     place = foot - offset * ahead + ground_range_m * aside
-    body = solid.body._replace(north_m=float(place[0]), east_m=float(place[1]), azimuth_rad=heading_rad + solid.azimuth_rad)
+    body = solid.body._replace(
+        north_m=float(place[0]), east_m=float(place[1]), azimuth_rad=heading_rad + solid.azimuth_rad
+    )
     lines = rays(foot[0] / cell_m, foot[1] / cell_m, heading_rad + 0.5 * math.pi, altitude_m)
     n_bins = math.ceil(math.hypot(end_m, altitude_m) / bin_m)
     size = 2 * math.ceil(n_nodes / PATCH + 1)
@@ -187,7 +217,9 @@ def rendered(
     return Seen(shadow_end_m, float(np.flatnonzero(out.energy[0])[0]) * bin_m)
 
 
-@given(solid=SOLIDS, slope=st.floats(1.0, 6.0), altitude_m=st.floats(3.0, 9.0), heading_rad=TURN, part=st.floats(-0.5, 0.5))
+@given(
+    solid=SOLIDS, slope=st.floats(1.0, 6.0), altitude_m=st.floats(3.0, 9.0), heading_rad=TURN, part=st.floats(-0.5, 0.5)
+)
 @settings(max_examples=300)
 def test_shadows_end_and_highlights_begin_as_in_the_closed_forms(
     solid: Standing, slope: float, altitude_m: float, heading_rad: float, part: float
@@ -224,14 +256,17 @@ def test_errors_of_shadow_ends_shrink_with_the_cell(name: str) -> None:
         errors = []
         for ground_range_m in np.linspace(21.0, 21.3, 24):
             end_m = float(closed_form(FIXED[name], ground_range_m, altitude_m).shadow_end_m)
-            errors.append(rendered(FIXED[name], ground_range_m, altitude_m, 0.7, cell_m, 0.05, 0.3).shadow_end_m - end_m)
+            errors.append(
+                rendered(FIXED[name], ground_range_m, altitude_m, 0.7, cell_m, 0.05, 0.3).shadow_end_m - end_m
+            )
         return float(np.abs(errors).mean())
 
     errors = np.array([error_m(cell_m) for cell_m in (0.16, 0.08, 0.04, 0.02)])
     assert np.all(errors[1:] < 0.65 * errors[:-1])
 
 
-# --- Visibility -----------------------------------------------------------------------------------------------------------------------
+# --- Visibility -------------------------------------------------------------------------------------------------------
+# ----------------
 
 
 def bilinear(elevation_m: NDArray[np.float32], north_cells: Floats, east_cells: Floats) -> Floats:
@@ -292,7 +327,9 @@ def test_nodes_are_lit_where_a_slow_ray_caster_sees_them(
     nodes = np.arange(n_nodes, dtype=np.float64)
 
     def along(at: Floats) -> Floats:
-        return bilinear(floor, np.maximum(north + at * math.cos(direction), 0.0), np.maximum(east + at * math.sin(direction), 0.0))
+        return bilinear(
+            floor, np.maximum(north + at * math.cos(direction), 0.0), np.maximum(east + at * math.sin(direction), 0.0)
+        )
 
     def profile(at: Floats) -> Floats:
         return along(at) if turn_rad == 0.0 else np.interp(at, nodes, along(nodes))
@@ -330,7 +367,8 @@ def test_a_facet_is_lit_as_far_as_the_shadow_before_it_leaves_it() -> None:
     np.testing.assert_allclose(out.lit[0], expected, atol=1e-5)
 
 
-# --- Energy ---------------------------------------------------------------------------------------------------------------------------
+# --- Energy -----------------------------------------------------------------------------------------------------------
+# ----------------
 
 
 def rough_pool(seed: int) -> NDArray[np.float32]:
@@ -359,10 +397,22 @@ def test_no_energy_is_lost_or_made_on_the_way_into_bins(
 ) -> None:
     """Against the areas of the facets in double precision, from heights and slopes of the bilinear floor."""
     cell_m, n_nodes, slot = 0.05, 100, seed % 3
-    patches = Patches(POOL[slot : slot + 1], np.ones_like(POOL[:1]), np.zeros_like(SEABED[:1]), np.zeros((1, 1), np.int32), 0, 0)
+    patches = Patches(
+        POOL[slot : slot + 1], np.ones_like(POOL[:1]), np.zeros_like(SEABED[:1]), np.zeros((1, 1), np.int32), 0, 0
+    )
     lines = rays(128.0 + seed % 7 / 7.0, 128.4, direction_rad, 6.0, pitch_rad=pitch_rad)
     out = render_pings(
-        lines, patches, NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=n_bins, bin_m=bin_m, keep_nodes=True
+        lines,
+        patches,
+        NO_BODIES,
+        EVEN,
+        EVEN_BEAM,
+        cell_m=cell_m,
+        n_nodes=n_nodes,
+        n_pings=1,
+        n_bins=n_bins,
+        bin_m=bin_m,
+        keep_nodes=True,
     )
     assert out.lit is not None
     nodes = np.arange(n_nodes, dtype=np.float64)
@@ -379,7 +429,9 @@ def test_no_energy_is_lost_or_made_on_the_way_into_bins(
     s = np.diff(z) / cell_m
     area = cell_m * np.sqrt(1.0 + s**2 + q**2) * out.lit[0, 1:]
     assert float(out.energy.sum() + out.beyond.sum()) == pytest.approx(float(area.sum()), rel=2e-5)
-    whole = render_pings(lines, patches, NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=1, bin_m=1e3)
+    whole = render_pings(
+        lines, patches, NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=1, bin_m=1e3
+    )
     assert float(out.energy.sum() + out.beyond.sum()) == pytest.approx(float(whole.energy[0, 0]), rel=1e-6)
 
 
@@ -393,7 +445,16 @@ def test_a_level_floor_fills_every_bin_by_its_ground(bin_m: float, altitude_m: f
     lines = rays(0.3, 0.2, 1.0, altitude_m)._replace(weight=np.array([weight]))
     n_bins = int((math.hypot((n_nodes - 2) * cell_m, altitude_m)) / bin_m)
     out = render_pings(
-        lines, flat_patches(), NO_BODIES, EVEN, EVEN_BEAM, cell_m=cell_m, n_nodes=n_nodes, n_pings=1, n_bins=n_bins, bin_m=bin_m
+        lines,
+        flat_patches(),
+        NO_BODIES,
+        EVEN,
+        EVEN_BEAM,
+        cell_m=cell_m,
+        n_nodes=n_nodes,
+        n_pings=1,
+        n_bins=n_bins,
+        bin_m=bin_m,
     )
     edges = np.sqrt(np.maximum((np.arange(n_bins + 1) * bin_m) ** 2 - altitude_m**2, 0.0))
     cumulative = np.concatenate([[0.0], np.cumsum(out.energy[0])]) / weight
@@ -471,14 +532,17 @@ def test_the_beam_is_looked_up_by_the_angle_off_its_axis(side: float) -> None:
     assert len(r) > 5
 
 
-# --- C and numpy ----------------------------------------------------------------------------------------------------------------------
+# --- C and numpy
+# ----------------------------------------------------------------------------------------------------------------------
 
 
 PLACE, PART = st.floats(-12.0, 12.0), st.floats(0.1, 1.0)
 
 
 def any_body(kind: int) -> st.SearchStrategy[Body]:
-    def built(east: float, north: float, azimuth: float, base: float, a: float, b: float, c: float, tilt: float) -> Body:
+    def built(
+        east: float, north: float, azimuth: float, base: float, a: float, b: float, c: float, tilt: float
+    ) -> Body:
         sizes = {
             ELLIPSOID: (a, b, c, 0.5 * c),
             CYLINDER: (0.5 * a, b, 0.4 * c, math.sin(tilt), math.cos(tilt)),
@@ -490,10 +554,20 @@ def any_body(kind: int) -> st.SearchStrategy[Body]:
         place = (kind, east, north, base, azimuth, 5.0)
         if kind != POLYHEDRON:
             return Body(*place, sizes[kind], 2)
-        planes = ((1.0, 0.0, a), (-1.0, 0.0, a), (0.0, 1.0, b), (0.0, -1.0, b), (0.6, 0.8, 0.9 * a), (tilt, 0.0, c), (-0.5, 0.2, c))
+        planes = (
+            (1.0, 0.0, a),
+            (-1.0, 0.0, a),
+            (0.0, 1.0, b),
+            (0.0, -1.0, b),
+            (0.6, 0.8, 0.9 * a),
+            (tilt, 0.0, c),
+            (-0.5, 0.2, c),
+        )
         return Body(*place, (), 2, planes, 5)
 
-    return st.builds(built, PLACE, PLACE, TURN, st.floats(-0.3, 0.3), PART, PART, PART, st.sampled_from([0.0, 0.1, 0.4]))
+    return st.builds(
+        built, PLACE, PLACE, TURN, st.floats(-0.3, 0.3), PART, PART, PART, st.sampled_from([0.0, 0.1, 0.4])
+    )
 
 
 BODIES = st.lists(st.one_of(*(any_body(kind) for kind in range(7))), max_size=12).map(pack)

@@ -61,8 +61,12 @@ def sonar_equation(scene: Scene, at: SonarPose, starboard: bool, kind: SeabedTyp
     ground = np.sqrt(np.maximum(edges**2 - in_plane_m**2, 0.0))
     inside = ground[:-1, None] + np.diff(ground)[:, None] * ((np.arange(50) + 0.5) / 50)
     r = np.hypot(inside, in_plane_m)
-    sigma = backscatter(SEDIMENTS[USUAL[kind].sediment], 1e3 * sonar.frequency_khz, np.arcsin(altitude_m / r), sonar.sound_speed_mps)
-    off_axis = np.arctan2(in_plane_m, inside) - math.radians(sonar.tilt_deg) - (at.roll_rad if starboard else -at.roll_rad)
+    sigma = backscatter(
+        SEDIMENTS[USUAL[kind].sediment], 1e3 * sonar.frequency_khz, np.arcsin(altitude_m / r), sonar.sound_speed_mps
+    )
+    off_axis = (
+        np.arctan2(in_plane_m, inside) - math.radians(sonar.tilt_deg) - (at.roll_rad if starboard else -at.roll_rad)
+    )
     phase = 1.0019127 * np.sin(off_axis) / math.sin(math.radians(0.5 * sonar.vertical_beam_width_deg))
     pattern = (np.sin(phase) / phase) ** 4
     middle = 0.5 * (edges[1:] + edges[:-1])
@@ -74,7 +78,12 @@ def sonar_equation(scene: Scene, at: SonarPose, starboard: bool, kind: SeabedTyp
 @pytest.mark.parametrize("kind", ["sand", "gravel", "mud", "rock_outcrop"])
 @pytest.mark.parametrize(
     ("frequency_khz", "altitude_m", "tilt_deg", "roll_rad", "pitch_rad"),
-    [(450.0, 6.0, 25.0, 0.0, 0.0), (100.0, 15.0, 40.0, -0.1, 0.02), (900.0, 3.0, 30.0, 0.05, -0.2), (300.0, 2.0, 20.0, 0.0, 0.5)],
+    [
+        (450.0, 6.0, 25.0, 0.0, 0.0),
+        (100.0, 15.0, 40.0, -0.1, 0.02),
+        (900.0, 3.0, 30.0, 0.05, -0.2),
+        (300.0, 2.0, 20.0, 0.0, 0.5),
+    ],
 )
 def test_a_level_floor_has_the_level_of_the_sonar_equation_in_every_bin(
     kind: SeabedType, frequency_khz: float, altitude_m: float, tilt_deg: float, roll_rad: float, pitch_rad: float
@@ -106,7 +115,12 @@ def intensity(sea: Sea, poses: list[SonarPose]) -> Floats:
     pings = sea.sound(poses, 11)
     counts = sea.recorder.seabed_counts
     assert counts is not None
-    traces = [trace.samples.astype(np.float64) / counts for ping in pings for trace in (ping.port, ping.starboard) if trace is not None]
+    traces = [
+        trace.samples.astype(np.float64) / counts
+        for ping in pings
+        for trace in (ping.port, ping.starboard)
+        if trace is not None
+    ]
     mean = (sea.mean_intensity(poses) + sea.noise) / sea.reference
     sonar = sea.scene.sonar
     r = (np.arange(sonar.n_samples) + 0.5) * (sonar.range_m / sonar.n_samples)
@@ -116,7 +130,9 @@ def intensity(sea: Sea, poses: list[SonarPose]) -> Floats:
 
 
 @pytest.mark.parametrize(("looks", "resolution_m"), [(1, 0.0), (3, 0.0), (1, 0.12)])
-def test_speckle_is_exponential_about_the_mean_and_correlated_over_the_resolution(looks: int, resolution_m: float) -> None:
+def test_speckle_is_exponential_about_the_mean_and_correlated_over_the_resolution(
+    looks: int, resolution_m: float
+) -> None:
     recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0)
     sonar = Sonar(absorption_db_per_km=90.0, looks=looks, range_resolution_m=resolution_m, recorder=recorder)
     speckle = intensity(Sea(level_floor(6.0, "sand", sonar)), [pose(6.0)] * 100)[:, 200:]
@@ -140,14 +156,25 @@ def wild(seed: int) -> Scene:
     kinds: tuple[ObjectKind, ...] = ("cylinder", "wedge", "rock", "tyre", "anchor_scar", "fish_school", "debris")
     scene_objects = tuple(
         SceneObject(
-            kind=kind, leg=0, along_m=5.0 + 3.0 * k, across_m=(-1.0) ** k * (9.0 + 2.0 * k), azimuth_deg=40.0 * k, scour_m=0.05 * (k % 2)
+            kind=kind,
+            leg=0,
+            along_m=5.0 + 3.0 * k,
+            across_m=(-1.0) ** k * (9.0 + 2.0 * k),
+            azimuth_deg=40.0 * k,
+            scour_m=0.05 * (k % 2),
         )
         for k, kind in enumerate(kinds)
     )
     sonar = Sonar(range_m=35.0, n_samples=700, ping_rate_hz=6.0, beam_lines=3, crosstalk_db=-40.0)
     seabeds = (Seabed(type="rippled_sand"), Seabed(type="boulder_field"))
     plan = Lawnmower(n_legs=1, leg_m=30.0, heading_deg=200.0, start_east_m=-611.3, start_north_m=-1207.7)
-    return Scene(seed=seed, world=World(seabeds=seabeds, patch_m=10.0), objects=scene_objects, sonar=sonar, track=Track(plan=plan))
+    return Scene(
+        seed=seed,
+        world=World(seabeds=seabeds, patch_m=10.0),
+        objects=scene_objects,
+        sonar=sonar,
+        track=Track(plan=plan),
+    )
 
 
 def flown_straight(scene: Scene, n: int) -> list[SonarPose]:
@@ -173,7 +200,9 @@ def flown_straight(scene: Scene, n: int) -> list[SonarPose]:
 def sounded(scene: Scene, threads: int, block: int) -> bytes:
     sea, poses = Sea(scene, threads=threads), flown_straight(scene, 24)
     pings = [ping for first in range(0, len(poses), block) for ping in sea.sound(poses[first : first + block], first)]
-    return b"".join(trace.samples.tobytes() for ping in pings for trace in (ping.port, ping.starboard) if trace is not None)
+    return b"".join(
+        trace.samples.tobytes() for ping in pings for trace in (ping.port, ping.starboard) if trace is not None
+    )
 
 
 def test_threads_blocks_and_kernels_do_not_change_a_byte(monkeypatch: pytest.MonkeyPatch) -> None:

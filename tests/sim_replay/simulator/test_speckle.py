@@ -59,7 +59,9 @@ def plain_sample(key: int, column: int) -> complex:
     return complex(real, imaginary) / math.sqrt(2.0)
 
 
-def plain_intensity(energy: NDArray[np.float64], keys: NDArray[np.uint64], taps: NDArray[np.float32]) -> NDArray[np.float64]:
+def plain_intensity(
+    energy: NDArray[np.float64], keys: NDArray[np.uint64], taps: NDArray[np.float32]
+) -> NDArray[np.float64]:
     """The definition: mean over looks of |h * (sqrt(E) w)|^2, the edge bins' energy going on outside."""
     n_rows, n_columns = energy.shape
     half = taps.size // 2
@@ -120,7 +122,8 @@ def test_field_follows_the_definition() -> None:
     field = band_limited_rows(5, 6, -2, 3, 4, row_taps, column_taps)
     for row, column in np.ndindex(3, 4):
         expected = sum(
-            float(row_taps[i] * column_taps[j]) * plain_sample(plain_key(5, 6, -2 + row + i - row_half), column + j - column_half)
+            float(row_taps[i] * column_taps[j])
+            * plain_sample(plain_key(5, 6, -2 + row + i - row_half), column + j - column_half)
             for i, j in np.ndindex(row_taps.size, column_taps.size)
         )
         assert abs(field[row, column] - expected) < 1e-5
@@ -136,7 +139,9 @@ def test_field_follows_the_definition() -> None:
     exponent=st.integers(-60, 36),
 )
 @settings(max_examples=60)
-def test_c_and_numpy_give_the_same_bytes(n_rows: int, n_columns: int, n_looks: int, width: float, seed: int, exponent: int) -> None:
+def test_c_and_numpy_give_the_same_bytes(
+    n_rows: int, n_columns: int, n_looks: int, width: float, seed: int, exponent: int
+) -> None:
     energy = np.random.Generator(np.random.PCG64(seed)).random((n_rows, n_columns)) * 10.0**exponent
     keys, taps = row_keys(seed, range(n_looks), 0, n_rows), gaussian_taps(width)
     np.testing.assert_array_equal(speckle_rows(energy, keys, taps), speckle_rows_numpy(energy, keys, taps), strict=True)
@@ -168,7 +173,9 @@ def test_intensity_of_all_sums_of_entries_is_exponential() -> None:
         assert above(threshold, squares) == pytest.approx(math.exp(-threshold), rel=tolerance)
 
 
-@pytest.mark.parametrize(("seed", "stream", "shape"), [(0, 0, (1, 1_000_000)), (1, 2, (1000, 1000)), (12345, 7, (1_000_000, 1))])
+@pytest.mark.parametrize(
+    ("seed", "stream", "shape"), [(0, 0, (1, 1_000_000)), (1, 2, (1000, 1000)), (12345, 7, (1_000_000, 1))]
+)
 def test_a_million_samples_pass_for_exponential(seed: int, stream: int, shape: tuple[int, int]) -> None:
     intensity = np.sort(speckle_rows(np.ones(shape), row_keys(seed, [stream], 0, shape[0])).ravel().astype(np.float64))
     n = intensity.size
@@ -179,7 +186,9 @@ def test_a_million_samples_pass_for_exponential(seed: int, stream: int, shape: t
     assert intensity.var() == pytest.approx(1.0, abs=4.0 * math.sqrt(8.0 / n))
     for threshold in (1.0, 2.0, 4.0, 6.0, 8.0):
         expected = math.exp(-threshold)
-        assert (intensity > threshold).mean() == pytest.approx(expected, abs=4.0 * math.sqrt(expected / n) + 0.01 * expected)
+        assert (intensity > threshold).mean() == pytest.approx(
+            expected, abs=4.0 * math.sqrt(expected / n) + 0.01 * expected
+        )
 
 
 @pytest.mark.parametrize("n_looks", [1, 2, 5])
@@ -202,14 +211,18 @@ def test_neighbouring_bins_correlate_by_the_point_spread_function(width: float) 
     assert correlation_of_intensity(intensity, 1, 0) == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize(("row_taps", "column_taps"), [(low_pass_taps(1.25), low_pass_taps(2.0)), (gaussian_taps(3.0), WHITE)])
+@pytest.mark.parametrize(
+    ("row_taps", "column_taps"), [(low_pass_taps(1.25), low_pass_taps(2.0)), (gaussian_taps(3.0), WHITE)]
+)
 def test_field_correlates_by_its_taps(row_taps: NDArray[np.float32], column_taps: NDArray[np.float32]) -> None:
     field = band_limited_rows(3, 4, 0, 700, 700, row_taps, column_taps)
     power = np.abs(field) ** 2
     assert power.mean() == pytest.approx(1.0, abs=0.02)
     row_rho, column_rho = autocorrelation(row_taps), autocorrelation(column_taps)
     for row_lag, column_lag in np.ndindex(4, 4):
-        rho = (row_rho[row_lag] if row_lag < row_rho.size else 0.0) * (column_rho[column_lag] if column_lag < column_rho.size else 0.0)
+        rho = (row_rho[row_lag] if row_lag < row_rho.size else 0.0) * (
+            column_rho[column_lag] if column_lag < column_rho.size else 0.0
+        )
         measured = (field[row_lag:, column_lag:] * field[: 700 - row_lag, : 700 - column_lag].conj()).mean()
         assert abs(measured - rho) < 0.015
         assert correlation_of_intensity(power, row_lag, column_lag) == pytest.approx(rho**2, abs=0.04)
@@ -242,7 +255,9 @@ def test_columns_share_nothing_at_any_lag() -> None:
     field = white_rows(row_keys(9, [0], 0, 64)[0], 1 << 13)
     spectrum = np.abs(np.fft.fft(field, axis=1)) ** 2
     correlation = np.abs(np.fft.ifft(spectrum, axis=1)).mean(axis=0)[1:] / math.sqrt(field.shape[1])
-    assert correlation.max() < math.sqrt(math.pi) / 2.0 + 6.0 * 0.463 / math.sqrt(64)  # Rayleigh: mean and deviation over 64 rows
+    assert correlation.max() < math.sqrt(math.pi) / 2.0 + 6.0 * 0.463 / math.sqrt(
+        64
+    )  # Rayleigh: mean and deviation over 64 rows
 
 
 @given(cut=st.integers(0, 40), width=st.sampled_from([0.0, 2.0]))
@@ -270,7 +285,11 @@ def test_threads_give_the_same_bytes() -> None:
     energy, keys, taps = np.ones((64, 2000)), row_keys(3, [0], 0, 64), gaussian_taps(1.5)
     whole = speckle_rows(energy, keys, taps)
     with ThreadPoolExecutor(4) as pool:
-        blocks = list(pool.map(lambda begin: speckle_rows(energy[begin : begin + 8], keys[:, begin : begin + 8], taps), range(0, 64, 8)))
+        blocks = list(
+            pool.map(
+                lambda begin: speckle_rows(energy[begin : begin + 8], keys[:, begin : begin + 8], taps), range(0, 64, 8)
+            )
+        )
     np.testing.assert_array_equal(np.concatenate(blocks), whole)
 
 
@@ -287,7 +306,9 @@ def test_level_of_the_energy_only_scales_the_intensity(width: float) -> None:
 @pytest.mark.parametrize("width", [0.0, 2.0])
 @pytest.mark.parametrize("energy", [0.0, 5e-324, 1e-310])
 def test_no_energy_gives_no_intensity(rows: Rows, width: float, energy: float) -> None:
-    np.testing.assert_array_equal(rows(np.full((2, 20), energy), row_keys(1, [0], 0, 2), gaussian_taps(width)), np.zeros((2, 20)))
+    np.testing.assert_array_equal(
+        rows(np.full((2, 20), energy), row_keys(1, [0], 0, 2), gaussian_taps(width)), np.zeros((2, 20))
+    )
 
 
 def test_mean_across_an_edge_is_the_energy_blurred_by_the_power_of_the_taps() -> None:
@@ -356,7 +377,9 @@ def test_one_sample_per_resolution_cell_or_fewer_are_independent() -> None:
         (np.ones((1, 3)), 1, np.full(3, np.nan, dtype=np.float32), "add up to"),
     ],
 )
-def test_senseless_rows_are_refused(energy: NDArray[np.float64], n_key_rows: int, taps: NDArray[np.float32], message: str) -> None:
+def test_senseless_rows_are_refused(
+    energy: NDArray[np.float64], n_key_rows: int, taps: NDArray[np.float32], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         speckle_rows(energy, row_keys(0, [0], 0, n_key_rows), taps)
 

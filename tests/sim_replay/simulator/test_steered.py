@@ -90,7 +90,9 @@ def test_no_command_makes_it_do_what_it_cannot_or_brings_it_near_the_floor(
     history: list[tuple[Command | None, int]], motion: Motion
 ) -> None:
     poses = flown(history, structs.replace(TRACK, motion=motion))
-    east, north, depth, heading, speed = np.array([(p.east_m, p.north_m, p.depth_m, p.heading_rad, p.speed_mps) for p in poses]).T
+    east, north, depth, heading, speed = np.array(
+        [(p.east_m, p.north_m, p.depth_m, p.heading_rad, p.speed_mps) for p in poses]
+    ).T
     assert np.abs(np.diff(heading)).max(initial=0.0) * RATE_HZ <= math.radians(TRACK.turn_rate_deg_s) * (1.0 + 1e-9)
     assert speed.max() <= FASTEST * TRACK.speed_mps + motion.current_mps + 1e-9
     rise = np.abs(np.diff(depth)).max(initial=0.0) * RATE_HZ
@@ -129,7 +131,9 @@ def test_every_place_is_reached_in_any_current(
 
 @settings(max_examples=20, deadline=None)
 @given(histories, currents)
-def test_its_own_plan_is_flown_in_full_whatever_came_between(history: list[tuple[Command | None, int]], motion: Motion) -> None:
+def test_its_own_plan_is_flown_in_full_whatever_came_between(
+    history: list[tuple[Command | None, int]], motion: Motion
+) -> None:
     steered = vehicle(structs.replace(TRACK, motion=motion))
     poses = []
     for command, n_poses in history:
@@ -140,7 +144,9 @@ def test_its_own_plan_is_flown_in_full_whatever_came_between(history: list[tuple
     poses += fly_until_done(steered)
     assert steered.legs_flown == len(steered.legs)
     for number, leg in enumerate(steered.legs):
-        along, across = np.array([leg.along_across(pose.east_m, pose.north_m) for pose in poses if pose.on_leg == number]).T
+        along, across = np.array(
+            [leg.along_across(pose.east_m, pose.north_m) for pose in poses if pose.on_leg == number]
+        ).T
         near = np.sort(along[np.abs(across) < 1.0])
         gaps_m = np.diff(np.concatenate([[0.0], near, [leg.length_m]]))
         assert gaps_m.max() < 1.0
@@ -148,7 +154,11 @@ def test_its_own_plan_is_flown_in_full_whatever_came_between(history: list[tuple
 
 def test_left_alone_it_keeps_to_its_legs_against_the_current() -> None:
     steered = vehicle()
-    across = [abs(steered.legs[p.on_leg].along_across(p.east_m, p.north_m)[1]) for p in fly_until_done(steered) if p.on_leg >= 0]
+    across = [
+        abs(steered.legs[p.on_leg].along_across(p.east_m, p.north_m)[1])
+        for p in fly_until_done(steered)
+        if p.on_leg >= 0
+    ]
     assert max(across) < 0.7
     assert np.median(across) < 0.05
 

@@ -72,10 +72,18 @@ points = st.lists(st.tuples(st.integers(-40, 40), st.integers(-40, 40)), min_siz
 )
 plans = st.one_of(
     st.builds(
-        Lawnmower, heading_deg=st.floats(-360.0, 720.0), n_legs=st.integers(1, 4), leg_m=st.floats(5.0, 80.0), spacing_m=st.floats(1, 90)
+        Lawnmower,
+        heading_deg=st.floats(-360.0, 720.0),
+        n_legs=st.integers(1, 4),
+        leg_m=st.floats(5.0, 80.0),
+        spacing_m=st.floats(1, 90),
     ),
     st.builds(
-        Spiral, heading_deg=st.floats(0.0, 360.0), n_legs=st.integers(2, 5), first_leg_m=st.floats(5, 60), spacing_m=st.floats(5, 60)
+        Spiral,
+        heading_deg=st.floats(0.0, 360.0),
+        n_legs=st.integers(2, 5),
+        first_leg_m=st.floats(5, 60),
+        spacing_m=st.floats(5, 60),
     ),
     st.builds(Waypoints, points_m=points.map(tuple)),
 )
@@ -112,7 +120,9 @@ def test_the_vehicle_moves_as_its_heading_and_the_current_carry_it(track: Track)
     )
     np.testing.assert_allclose([speed * np.sin(course), speed * np.cos(course)], [east, north], atol=1e-9)
     for name, expected in (("east_m", east), ("north_m", north)):  # trapezoids are off where turns begin and end
-        np.testing.assert_allclose(np.diff(column(poses, name)), (expected[1:] + expected[:-1]) / 40.0, atol=0.02 * speed.max() / 20.0)
+        np.testing.assert_allclose(
+            np.diff(column(poses, name)), (expected[1:] + expected[:-1]) / 40.0, atol=0.02 * speed.max() / 20.0
+        )
     rate = np.abs(turned(np.diff(heading))) * 20.0
     assert rate.max() <= math.radians(track.turn_rate_deg_s) * (1.0 + 1e-6)
 
@@ -128,7 +138,9 @@ def test_a_steady_vehicle_keeps_direction_and_speed_to_rounding() -> None:
             np.testing.assert_allclose(places, np.column_stack([track.speed_mps * since, 0.0 * since]), atol=1e-9)
             assert {pose.heading_rad for pose in poses} == {leg.direction_rad}
             assert {pose.speed_mps for pose in poses} == {track.speed_mps}
-            assert {(pose.pitch_rad, pose.roll_rad, pose.depth_m) for pose in poses} == {(0.0, 0.0, DEPTH_M - track.altitude_m)}
+            assert {(pose.pitch_rad, pose.roll_rad, pose.depth_m) for pose in poses} == {
+                (0.0, 0.0, DEPTH_M - track.altitude_m)
+            }
 
 
 def test_on_legs_the_vehicle_crabs_by_the_arcsine_of_cross_current_over_speed() -> None:
@@ -155,7 +167,9 @@ def test_a_turn_ends_ahead_of_the_leg_on_its_line() -> None:
         if before.on_leg < 0 <= here.on_leg:
             run_in = [pose for pose in poses if here.time_s - RUN_IN_S < pose.time_s < here.time_s - 0.1]
             assert len(run_in) >= 28
-            assert all(abs(planned_legs(LAWNMOWER)[here.on_leg].along_across(p.east_m, p.north_m)[1]) < 1e-9 for p in run_in)
+            assert all(
+                abs(planned_legs(LAWNMOWER)[here.on_leg].along_across(p.east_m, p.north_m)[1]) < 1e-9 for p in run_in
+            )
 
 
 def test_legs_that_go_straight_on_are_flown_without_a_loop() -> None:
@@ -201,7 +215,9 @@ def test_a_silent_vehicle_begins_each_leg_at_its_start_when_it_would_get_there()
 
 
 def test_attitude_sway_speed_and_altitude_wander_by_their_standard_deviations() -> None:
-    motion = Motion(roll_sigma_deg=2.0, pitch_sigma_deg=0.5, heading_sigma_deg=1.0, pitch_offset_deg=3.0, altitude_lag_s=0.0)
+    motion = Motion(
+        roll_sigma_deg=2.0, pitch_sigma_deg=0.5, heading_sigma_deg=1.0, pitch_offset_deg=3.0, altitude_lag_s=0.0
+    )
     track = Track(plan=Lawnmower(n_legs=1, leg_m=20_000.0), speed_mps=5.0, start_time_s=0.0, motion=motion)
     poses = flown(track, 4.0, seed=4)
     speed_ahead = column(poses, "speed_mps") * np.cos(column(poses, "course_rad"))
@@ -227,7 +243,9 @@ def correlated_s(period_s: float) -> float:
     omega = 2.0 * math.pi / period_s
     damped = omega * math.sqrt(1.0 - DAMPING**2)
     lag = np.linspace(0.0, 10.0 * period_s, 20_001)
-    correlation = np.exp(-DAMPING * omega * lag) * (np.cos(damped * lag) + DAMPING * omega / damped * np.sin(damped * lag))
+    correlation = np.exp(-DAMPING * omega * lag) * (
+        np.cos(damped * lag) + DAMPING * omega / damped * np.sin(damped * lag)
+    )
     return float(2.0 * np.sum(correlation**2) * (lag[1] - lag[0]))
 
 
@@ -240,7 +258,9 @@ def test_course_and_speed_are_those_of_the_positions(motion: Motion) -> None:
     error_north = (north[2:] - north[:-2]) * 25.0 - (speed * np.cos(course))[1:-1]
     off = np.hypot(error_east, error_north)
     assert np.median(off) < 1e-3
-    assert np.quantile(off, 0.98) < 0.01  # curvature jumps where turns begin and end, and speed with it if the vehicle is set off sideways
+    assert (
+        np.quantile(off, 0.98) < 0.01
+    )  # curvature jumps where turns begin and end, and speed with it if the vehicle is set off sideways
     assert speed.max() < 4.0 * TRACK.speed_mps
 
 

@@ -21,7 +21,9 @@ TYPES: tuple[SeabedType, ...] = get_args(SeabedType)
 PATCH_M = PATCH * 0.05
 BARE = Seabed(type="sand", relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0)
 MOTLEY = scene.World(
-    seabeds=tuple(Seabed(type=kind) for kind in ("gravel", "rippled_sand", "rock_outcrop", "boulder_field", "seagrass")),
+    seabeds=tuple(
+        Seabed(type=kind) for kind in ("gravel", "rippled_sand", "rock_outcrop", "boulder_field", "seagrass")
+    ),
     patch_m=8.0,
     slope_deg=2.0,
     slope_towards_deg=60.0,
@@ -118,7 +120,9 @@ def test_full_pool_takes_less_than_300_mb(motley: SimulatedFloor) -> None:
 @given(st.floats(0.0, 10.0), st.floats(-180.0, 360.0), st.integers(-100, 100), st.integers(-100, 100))
 def test_slope_is_exact(slope_deg: float, towards_deg: float, patch_row: int, patch_column: int) -> None:
     world = SimulatedFloor(
-        scene.World(seabeds=(BARE,), relief_rms_m=0.0, slope_deg=slope_deg, slope_towards_deg=towards_deg), 1, max_patches=1
+        scene.World(seabeds=(BARE,), relief_rms_m=0.0, slope_deg=slope_deg, slope_towards_deg=towards_deg),
+        1,
+        max_patches=1,
     )
     north = (patch_row * PATCH + np.arange(NODES))[:, None] * 0.05
     east = (patch_column * PATCH + np.arange(NODES)) * 0.05
@@ -194,12 +198,16 @@ def test_sand_waves_are_under_all_kinds() -> None:
     waves = Ripples(wavelength_m=6.4, height_m=0.5, direction_deg=0.0, defects=0.0, skew=0.0)
     world = scene.World(seabeds=(BARE, BARE), relief_rms_m=0.0, sand_waves=waves)
     north = np.arange(0.0, 12.0, 0.05)
-    np.testing.assert_allclose(SimulatedFloor(world, 1).elevation_m(3.0, north), -0.25 * np.sin(2.0 * np.pi * north / 6.4), atol=1e-4)
+    np.testing.assert_allclose(
+        SimulatedFloor(world, 1).elevation_m(3.0, north), -0.25 * np.sin(2.0 * np.pi * north / 6.4), atol=1e-4
+    )
 
 
 def test_kinds_take_the_shares_asked_of_a_large_area() -> None:
     shares = (0.6, 0.3, 0.1)
-    seabeds = tuple(Seabed(type="sand", share=share, relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0) for share in shares)
+    seabeds = tuple(
+        Seabed(type="sand", share=share, relief_rms_m=0.0, texture_shape=0.0, stones_per_ha=0.0) for share in shares
+    )
     world = SimulatedFloor(scene.World(seabeds=seabeds, patch_m=5.0, relief_rms_m=0.0, cell_m=0.2), 2, max_patches=64)
     patches = world.patches(whole(8, 8), -4, -4)
     found = np.bincount(patches.seabed[patches.slots.ravel()].ravel(), minlength=3) / (64 * NODES**2)
@@ -291,7 +299,11 @@ def test_stones_have_the_density_and_the_size_law_asked() -> None:
 
 def test_stones_of_an_area_are_those_of_its_parts(motley: SimulatedFloor) -> None:
     whole_area = motley.stones(-30.0, 30.0, -17.0, 30.0)
-    parts = [motley.stones(east, east + 15.0, north, north + 23.5) for north in (-17.0, 6.5) for east in (-30.0, -15.0, 0.0, 15.0)]
+    parts = [
+        motley.stones(east, east + 15.0, north, north + 23.5)
+        for north in (-17.0, 6.5)
+        for east in (-30.0, -15.0, 0.0, 15.0)
+    ]
     assert len(whole_area) > 20
     np.testing.assert_array_equal(np.unique(whole_area, axis=0), np.unique(np.concatenate(parts), axis=0))
     assert np.all((whole_area[:, EAST] >= -30.0) & (whole_area[:, EAST] < 30.0) & (whole_area[:, NORTH] < 30.0))
@@ -332,4 +344,6 @@ def test_every_type_has_a_usual_cover_that_a_scene_may_override(kind: SeabedType
 def test_the_height_of_one_place_is_that_of_many() -> None:
     world = SimulatedFloor(scene.World(relief_rms_m=0.3, slope_deg=2.0), 4)
     places = np.random.default_rng(1).uniform(-40.0, 40.0, (2, 200))
-    assert [world.floor_m(east, north) for east, north in places.T] == pytest.approx(world.elevation_m(*places), abs=1e-9)
+    assert [world.floor_m(east, north) for east, north in places.T] == pytest.approx(
+        world.elevation_m(*places), abs=1e-9
+    )

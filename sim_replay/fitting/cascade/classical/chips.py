@@ -62,10 +62,16 @@ def picture_of(tile: LabelledTile) -> ChipPicture:
 
 
 def picture(
-    codes: NDArray[np.uint16], valid: NDArray[np.bool_], first_return_m: Array, row_spacing_m: float, column_spacing_m: float
+    codes: NDArray[np.uint16],
+    valid: NDArray[np.bool_],
+    first_return_m: Array,
+    row_spacing_m: float,
+    column_spacing_m: float,
 ) -> ChipPicture:
     """Return sums of codes (n_rows, n_columns) uint16 where valid (n_rows, n_columns) bool."""
-    return ChipPicture(_summed(np.where(valid, codes, 0)), _summed(valid), first_return_m, row_spacing_m, column_spacing_m)
+    return ChipPicture(
+        _summed(np.where(valid, codes, 0)), _summed(valid), first_return_m, row_spacing_m, column_spacing_m
+    )
 
 
 def reference_shadow_m(ground_range_m: Array, first_return_m: Array) -> Array:
@@ -80,7 +86,9 @@ def cut_chips(source: ChipPicture, rows: Pixels, columns: Pixels) -> Chips:
     """Cut chips centred on the pixels (rows, columns), (n,) each, inside the tile. What lies beyond the tile is not
     known.
     """
-    shadow_m = reference_shadow_m((columns.astype(np.float64) + 0.5) * source.column_spacing_m, source.first_return_m[rows])
+    shadow_m = reference_shadow_m(
+        (columns.astype(np.float64) + 0.5) * source.column_spacing_m, source.first_return_m[rows]
+    )
     row_edges, column_edges = _edges(shadow_m, source.row_spacing_m, source.column_spacing_m)
     row_edges, column_edges = row_edges + (rows[:, np.newaxis] + 0.5), column_edges + (columns[:, np.newaxis] + 0.5)
     total = _cell_sums(source.total, row_edges, column_edges)
@@ -121,7 +129,9 @@ def _split(edges: Array, n: int) -> tuple[NDArray[np.intp], Array]:
 
 
 def _contrast(mean: Array, known: NDArray[np.bool_]) -> Array:
-    background = np.nanmedian(np.where(known | ~known.any(axis=(1, 2), keepdims=True), mean, np.nan), axis=(1, 2), keepdims=True)
+    background = np.nanmedian(
+        np.where(known | ~known.any(axis=(1, 2), keepdims=True), mean, np.nan), axis=(1, 2), keepdims=True
+    )
     usable = known & (background > 0.0)
     ratio = np.divide(mean, background, out=np.ones_like(mean), where=usable)
     return np.asarray(np.log(np.maximum(ratio, _DARKEST)))

@@ -62,7 +62,9 @@ def find_candidates(tile: LabelledTile, config: Config) -> Candidates:
 
 def pixels_of(detections: Sequence[Detection], tile: Tile) -> tuple[Pixels, Pixels]:
     """Return rows and columns (n,) of the tile's pixels that hold detections; those just outside go to the edge."""
-    places = np.floor(np.array([(d.row - tile.first_row, d.column) for d in detections], dtype=np.float64).reshape(-1, 2))
+    places = np.floor(
+        np.array([(d.row - tile.first_row, d.column) for d in detections], dtype=np.float64).reshape(-1, 2)
+    )
     n_rows, n_columns = tile.mask.shape
     row, column = np.clip(places[:, 0], 0, n_rows - 1), np.clip(places[:, 1], 0, n_columns - 1)
     return row.astype(np.int32), column.astype(np.int32)
@@ -94,13 +96,17 @@ def label(tile: LabelledTile, found: Candidates) -> Labels:
     return Labels(object_index, is_other)
 
 
-def _offsets_m(tile: LabelledTile, found: Candidates, tile_object: TileObject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _offsets_m(
+    tile: LabelledTile, found: Candidates, tile_object: TileObject
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     along_m = (found.rows.astype(np.float64) + 0.5 - tile_object.row) * tile.row_spacing_m
     across_m = (found.columns.astype(np.float64) + 0.5 - tile_object.column) * tile.column_spacing_m
     return along_m, across_m
 
 
-def _near(tile: LabelledTile, tile_object: TileObject, along_m: NDArray[np.float64], across_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _near(
+    tile: LabelledTile, tile_object: TileObject, along_m: NDArray[np.float64], across_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
     first_return_m = tile.first_return_m[min(max(math.floor(tile_object.row), 0), len(tile.first_return_m) - 1)]
     shadow_m = float(reference_shadow_m(np.array(tile_object.ground_range_m), np.array(first_return_m)))
     return (np.abs(along_m) < _CLEAR_M) & (across_m > -_CLEAR_M) & (across_m < _CLEAR_M + shadow_m)

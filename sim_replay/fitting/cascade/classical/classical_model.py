@@ -53,7 +53,9 @@ def parse_classical_model(data: bytes, place: str) -> ClassicalModel:
     wanted = feature_names(model.families, list(model.templates))
     if set(wanted) != model.slopes.keys():
         differ = sorted(set(wanted) ^ model.slopes.keys())
-        raise BadInputError(f"{place}: slopes do not fit the features, which differ in {', '.join(differ[:3])}. {remedy}")
+        raise BadInputError(
+            f"{place}: slopes do not fit the features, which differ in {', '.join(differ[:3])}. {remedy}"
+        )
     return model
 
 

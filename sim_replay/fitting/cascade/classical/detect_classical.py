@@ -19,7 +19,9 @@ from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel,
 def tile_picture(tile: Tile) -> ChipPicture:
     """Return the tile's sums in the codes of a labelled tile."""
     valid = (tile.mask & VALID) != 0
-    return picture(codes_of(tile.intensity, valid), valid, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
+    return picture(
+        codes_of(tile.intensity, valid), valid, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m
+    )
 
 
 def detect_classical(tile: Tile, config: Config, model: ClassicalModel) -> TileDetections:

@@ -43,7 +43,8 @@ def fit_discriminant(features: Array, is_positive: NDArray[np.bool_], weight: Ar
     """
     if is_positive.all() or not is_positive.any():
         raise UsageError(
-            f"{is_positive.sum()} of {len(is_positive)} samples are targets: a classifier needs targets and others to learn from"
+            f"{is_positive.sum()} of {len(is_positive)} samples are targets: a classifier needs targets and others to "
+            "learn from"
         )
     mean = np.average(features, axis=0, weights=weight)
     scale = np.sqrt(np.average((features - mean) ** 2, axis=0, weights=weight))
@@ -55,7 +56,9 @@ def fit_discriminant(features: Array, is_positive: NDArray[np.bool_], weight: Ar
     return Discriminant(float(found[0] - slopes @ mean), slopes)
 
 
-def fit_calibrated(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: float, groups: Sequence[str]) -> Discriminant:
+def fit_calibrated(
+    features: Array, is_positive: NDArray[np.bool_], weight: Array, ridge: float, groups: Sequence[str]
+) -> Discriminant:
     """Fit as `fit_discriminant`, with odds calibrated on samples of other groups.
 
     groups: what each sample belongs to, such as its background; the groups are parted in five, each judged by a fit to
@@ -72,7 +75,9 @@ def fit_calibrated(features: Array, is_positive: NDArray[np.bool_], weight: Arra
         others = is_positive[~held_out]
         if not others.any() or others.all():
             return found
-        judged[held_out] = fit_discriminant(features[~held_out], others, weight[~held_out], ridge).log_odds(features[held_out])
+        judged[held_out] = fit_discriminant(features[~held_out], others, weight[~held_out], ridge).log_odds(
+            features[held_out]
+        )
     line = fit_discriminant(judged[:, np.newaxis], is_positive, weight, 1e-3)
     # Odds without evidence, or with the opposite sign, must not reverse the order of samples.
     stretch = max(float(line.slopes[0]), 1e-3)
@@ -91,7 +96,9 @@ def _newton(columns: Array, target: Array, weight: Array, ridge: float) -> Array
         p = 1.0 / (1.0 + np.exp(-np.clip(_odds(columns, at), -500.0, 500.0)))
         gradient = np.einsum("nk,n->k", columns, weight * (p - target)) + penalty * at
         bend = weight * np.maximum(p * (1.0 - p), _MIN_CURVATURE)
-        step = np.linalg.solve(np.einsum("nj,nk->jk", columns * bend[:, np.newaxis], columns) + np.diag(penalty), gradient)
+        step = np.linalg.solve(
+            np.einsum("nj,nk->jk", columns * bend[:, np.newaxis], columns) + np.diag(penalty), gradient
+        )
         share = 1.0
         while (lower := _loss(columns, target, weight, penalty, at - share * step)) > loss and share > _SMALLEST_STEP:
             share *= 0.5

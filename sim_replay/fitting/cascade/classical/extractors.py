@@ -57,7 +57,12 @@ SHADOW: Final = Zone(3, N_OBJECT_COLUMNS - 2, N_OBJECT_COLUMNS + 17)
 _ZONES: Final = {"whole": WHOLE, "highlight": HIGHLIGHT, "shadow": SHADOW}
 
 _CENTRES: Final = (CENTRE_COLUMN, 20, 26, 34)  # the highlight; near, middle and far in the shadow
-_SIZES: Final = ((0, 1), (1, 2), (2, 4), (3, 6))  # half rows and half columns of the middle; the ring is twice as far out
+_SIZES: Final = (
+    (0, 1),
+    (1, 2),
+    (2, 4),
+    (3, 6),
+)  # half rows and half columns of the middle; the ring is twice as far out
 _MATCHED_HEIGHTS: Final = (1, 3)  # half rows
 _MATCHED_COLUMNS: Final = (CENTRE_COLUMN - 3, CENTRE_COLUMN + 4)
 _MATCHED_SHADOWS: Final = ((17, 24), (17, 32), (17, 40))
@@ -66,7 +71,9 @@ CENTRAL_FILTERS: Final[Mapping[str, CentralFilter]] = MappingProxyType(
     {
         f"ring_{centre}_{half_rows}_{half_columns}": CentralFilter(
             Zone(half_rows, max(centre - half_columns, 0), min(centre + half_columns + 1, N_COLUMNS)),
-            Zone(2 * half_rows + 1, max(centre - 2 * half_columns - 1, 0), min(centre + 2 * half_columns + 2, N_COLUMNS)),
+            Zone(
+                2 * half_rows + 1, max(centre - 2 * half_columns - 1, 0), min(centre + 2 * half_columns + 2, N_COLUMNS)
+            ),
         )
         for centre, (half_rows, half_columns) in product(_CENTRES, _SIZES)
     }
@@ -79,8 +86,8 @@ CENTRAL_FILTERS: Final[Mapping[str, CentralFilter]] = MappingProxyType(
         for half_rows, (near, far) in product(_MATCHED_HEIGHTS, _MATCHED_SHADOWS)
     }
 )
-"""ring: a middle against what is around it, at several places and sizes. pair: a highlight against the shadow behind it, matched to objects
-of two lengths and shadows of three. flank: that shadow against the floor before and after it."""
+"""ring: a middle against what is around it, at several places and sizes. pair: a highlight against the shadow behind
+it, matched to objects of two lengths and shadows of three. flank: that shadow against the floor before and after it."""
 
 _INNER: Final = slice(CENTRE_ROW - 3, CENTRE_ROW + 4)
 _BLOCKS: Final = ((0, 9), (9, 17), (17, 28), (28, N_COLUMNS))
@@ -129,7 +136,8 @@ def wavelets(contrast: Array) -> Array:
 
 
 def thresholds(contrast: Array) -> Array:
-    """Return shares of the cells of each zone that are above 2, 4 and 8 times the floor, or below as many parts of it."""
+    """Return shares of the cells of each zone that are above 2, 4 and 8 times the floor, or below as many parts of
+    it."""
     features: list[Array] = []
     for zone, times in product(_ZONES.values(), _TIMES):
         part = contrast[:, *zone.slices]
@@ -156,7 +164,9 @@ def match_templates(contrast: Array, templates: Mapping[str, Array]) -> Array:
             part, wanted = part - part.mean(axis=(1, 2), keepdims=True), wanted - wanted.mean()
             power = (part**2).mean(axis=(1, 2)) * (wanted**2).mean()
             product_mean = np.einsum("nrc,rc->n", part, wanted) / wanted.size
-            features.append(np.where(power > _MIN_POWER**2, product_mean / np.sqrt(np.maximum(power, _MIN_POWER**2)), 0.0))
+            features.append(
+                np.where(power > _MIN_POWER**2, product_mean / np.sqrt(np.maximum(power, _MIN_POWER**2)), 0.0)
+            )
     return np.stack(features, axis=1)
 
 

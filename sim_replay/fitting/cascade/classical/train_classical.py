@@ -21,7 +21,13 @@ Array = NDArray[np.float64]
 
 _OTHER: Final = "other"
 _FAINT_FROM, _FAINT_KEPT = 48, 4  # of candidates after this many in a tile one in so many is kept, and counts as many
-_JITTER: Final = ((0, 0), (-1, 0), (1, 0), (0, -2), (0, 2))  # rows and columns about a target, each a share of one sample
+_JITTER: Final = (
+    (0, 0),
+    (-1, 0),
+    (1, 0),
+    (0, -2),
+    (0, 2),
+)  # rows and columns about a target, each a share of one sample
 _RIDGE: Final = 10.0
 _DIGITS: Final = 8
 
@@ -38,7 +44,11 @@ class ChipSamples(NamedTuple):
 
 
 def train_classical(
-    tiles: Iterable[LabelledTile], config: Config, *, families: Sequence[Family] = FAMILIES, kinds: Collection[str] | None = None
+    tiles: Iterable[LabelledTile],
+    config: Config,
+    *,
+    families: Sequence[Family] = FAMILIES,
+    kinds: Collection[str] | None = None,
 ) -> ClassicalModel:
     """Train a model on the candidates that the prescreen, with `config`, finds in tiles.
 
@@ -85,7 +95,9 @@ def fit_classical_model(samples: ChipSamples, families: Sequence[Family] = FAMIL
     features = extract(contrast, families, templates)
     found = fit_calibrated(features, is_target, samples.weight, _RIDGE, samples.background)
     n_targets, n_others = samples.weight[is_target].sum(), samples.weight[~is_target].sum()
-    return _model(found, families, templates, f"{n_targets:.0f} targets ({_count(samples.kind)}), {n_others:.0f} others")
+    return _model(
+        found, families, templates, f"{n_targets:.0f} targets ({_count(samples.kind)}), {n_others:.0f} others"
+    )
 
 
 def _samples(tile: LabelledTile, found: Candidates) -> ChipSamples:
@@ -103,7 +115,9 @@ def _samples(tile: LabelledTile, found: Candidates) -> ChipSamples:
             columns.append(found.columns[index])
             kind.append("")
             weight.append(1.0 if index < _FAINT_FROM else float(_FAINT_KEPT))
-    inside = [np.clip(np.array(at, dtype=np.int32), 0, n - 1) for at, n in zip((rows, columns), tile.codes.shape, strict=True)]
+    inside = [
+        np.clip(np.array(at, dtype=np.int32), 0, n - 1) for at, n in zip((rows, columns), tile.codes.shape, strict=True)
+    ]
     chips = cut_chips(picture_of(tile), *inside)
     known = np.flatnonzero(chips.known)
     return ChipSamples(
@@ -120,7 +134,9 @@ def _templates(contrast: Array, kinds: Sequence[str]) -> dict[str, Array]:
     return {kind or _OTHER: np.round(mean_chip(contrast[of_kind == kind]), 4) for kind in sorted(set(kinds))}
 
 
-def _model(found: Discriminant, families: Sequence[Family], templates: dict[str, Array], trained_on: str) -> ClassicalModel:
+def _model(
+    found: Discriminant, families: Sequence[Family], templates: dict[str, Array], trained_on: str
+) -> ClassicalModel:
     names = feature_names(families, list(templates))
     return ClassicalModel(
         format_version=FORMAT_VERSION,

@@ -38,7 +38,9 @@ def _lift(images: Array) -> tuple[Array, Array]:
     even, odd = images[..., ::2, :], images[..., 1::2, :]
     n_odd = odd.shape[-2]
     # An even row without an odd one after it, or the other way round, has the mirror's image there.
-    below = even[..., 1:, :] if even.shape[-2] > n_odd else np.concatenate([even[..., 1:, :], even[..., -1:, :]], axis=-2)
+    below = (
+        even[..., 1:, :] if even.shape[-2] > n_odd else np.concatenate([even[..., 1:, :], even[..., -1:, :]], axis=-2)
+    )
     detail = odd - 0.5 * (even[..., :n_odd, :] + below)
     before = np.concatenate([detail[..., :1, :], detail], axis=-2)[..., : even.shape[-2], :]
     after = detail if n_odd == even.shape[-2] else np.concatenate([detail, detail[..., -1:, :]], axis=-2)

@@ -14,7 +14,15 @@ from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.bluefin import FakeBluefin
 
-POSE = NavSample(time_s=36_610.0, latitude_deg=-8.5, longitude_deg=115.25, heading_rad=1.0, depth_m=10.0, altitude_m=5.0, speed_mps=1.5)
+POSE = NavSample(
+    time_s=36_610.0,
+    latitude_deg=-8.5,
+    longitude_deg=115.25,
+    heading_rad=1.0,
+    depth_m=10.0,
+    altitude_m=5.0,
+    speed_mps=1.5,
+)
 CONTACT = "1,17,1,0.125,0830.000000,S,11515.000000,E,1.0,,sphere,0.5,0,0.5,0,0,0.25,0.25,1,,,,,,"
 
 
@@ -65,7 +73,9 @@ def test_a_command_without_control_is_refused() -> None:
     vehicle = listening()
     vehicle.willing = False
     vehicle.tick(POSE, False, 0.1)
-    assert b",0,1,,the payload does not have control" in vehicle.heard(line("BPRMB,101010.000,90.0,5.0,0,1.5,1,0"), 0.2)[0]
+    assert (
+        b",0,1,,the payload does not have control" in vehicle.heard(line("BPRMB,101010.000,90.0,5.0,0,1.5,1,0"), 0.2)[0]
+    )
     assert not vehicle.in_control
     assert vehicle.counters["vehicle.commands_refused"] == 1
 
@@ -108,7 +118,11 @@ def test_after_power_up_it_has_forgotten_what_it_was_asked_for() -> None:
 
 
 @settings(max_examples=50)
-@given(chunks=st.lists(st.one_of(st.binary(max_size=40), st.text("$BPRMB,*0123456789.\r\n", max_size=40).map(str.encode)), max_size=10))
+@given(
+    chunks=st.lists(
+        st.one_of(st.binary(max_size=40), st.text("$BPRMB,*0123456789.\r\n", max_size=40).map(str.encode)), max_size=10
+    )
+)
 def test_nonsense_raises_nothing(chunks: list[bytes]) -> None:
     vehicle = listening()
     for chunk in chunks:

@@ -17,7 +17,14 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
-from drivers.vehicle.can_messages import COMMAND_VALID_S, DEMANDS, FIRST_COMMAND_S, PAYLOAD_SILENT_S, PayloadStatus, encode
+from drivers.vehicle.can_messages import (
+    COMMAND_VALID_S,
+    DEMANDS,
+    FIRST_COMMAND_S,
+    PAYLOAD_SILENT_S,
+    PayloadStatus,
+    encode,
+)
 from drivers.vehicle.can_translation import command_message
 from drivers.vehicle.dialect import (
     Acknowledged,
@@ -117,7 +124,9 @@ class Loop:
         if not isinstance(command, GoTo) or command.vertical != PLACE.vertical:
             return None
         numbers = (command.latitude_deg, command.longitude_deg, command.speed_mps, command.radius_m)
-        return PLACE if numbers == pytest.approx((PLACE.latitude_deg, PLACE.longitude_deg, 1.5, 3.0), rel=1e-12) else None
+        return (
+            PLACE if numbers == pytest.approx((PLACE.latitude_deg, PLACE.longitude_deg, 1.5, 3.0), rel=1e-12) else None
+        )
 
     def take_control(self) -> None:
         self.run(0.5)
@@ -302,12 +311,29 @@ def test_over_a_bad_bus_reports_arrive_once_and_control_works(seed: int) -> None
 
 
 ACTIONS = st.sampled_from(
-    ["request", "release", "command", "revoke", "power_up", "unwilling", "willing", "reconnect", "dead", "alive", "run", "run"]
+    [
+        "request",
+        "release",
+        "command",
+        "revoke",
+        "power_up",
+        "unwilling",
+        "willing",
+        "reconnect",
+        "dead",
+        "alive",
+        "run",
+        "run",
+    ]
 )
 
 
 @settings(max_examples=25)
-@given(st.lists(st.tuples(ACTIONS, st.sampled_from([0.1, 0.3, 1.2, 2.5])), max_size=12), st.integers(0, 1000), st.sampled_from([0.0, 0.2]))
+@given(
+    st.lists(st.tuples(ACTIONS, st.sampled_from([0.1, 0.3, 1.2, 2.5])), max_size=12),
+    st.integers(0, 1000),
+    st.sampled_from([0.0, 0.2]),
+)
 def test_whatever_happens_both_ends_come_to_agree_and_control_can_be_granted_again(
     actions: list[tuple[str, float]], seed: int, p_fault: float
 ) -> None:

@@ -28,7 +28,18 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from drivers.vehicle.imc_contact import imc_contact_of
-from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState, decode
+from drivers.vehicle.imc_messages import (
+    LAYOUTS,
+    ImcMessage,
+    OpMode,
+    PlanOp,
+    PlanState,
+    PlanType,
+    Proximity,
+    RefFlag,
+    RefState,
+    decode,
+)
 from drivers.vehicle.imc_wire import ImcGrammar, packed
 from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc
@@ -148,7 +159,12 @@ def test_control_is_asked_for_used_and_given_back() -> None:
     assert sea.fake.command is None
     counters = sea.fake.counters
     assert counters["vehicle.commands_accepted"] > 20
-    assert counters["vehicle.commands_refused"] == counters["vehicle.commands_expired"] == counters["vehicle.nonsense"] == 0
+    assert (
+        counters["vehicle.commands_refused"]
+        == counters["vehicle.commands_expired"]
+        == counters["vehicle.nonsense"]
+        == 0
+    )
 
 
 def test_where_it_is_arrives_at_the_driver() -> None:
@@ -244,7 +260,9 @@ class Wire:
         return _messages(b"".join(self.fake.tick(pose_at(0.0, 0.0, now_s), False, now_s)))
 
     def exchange(self, *messages: ImcMessage, source: int = US, now_s: float = 1.0) -> list[ImcMessage]:
-        return _messages(b"".join(self.fake.heard(b"".join(packed(message, source, to=ADDRESS) for message in messages), now_s)))
+        return _messages(
+            b"".join(self.fake.heard(b"".join(packed(message, source, to=ADDRESS) for message in messages), now_s))
+        )
 
     def start(self, timeout_s: float = 5.0) -> list[ImcMessage]:
         maneuver = imc.PlanManeuver("m", imc.FollowReference(US, 255, timeout_s))
@@ -281,7 +299,9 @@ def test_references_of_others_are_ignored_without_a_word() -> None:
     (answer,) = wire.exchange(a_reference())
     assert isinstance(answer, imc.FollowRefState)
     assert answer.reference == a_reference()
-    assert wire.fake.command == GoTo(math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 1.5, PLACE_RADIUS_M)
+    assert wire.fake.command == GoTo(
+        math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 1.5, PLACE_RADIUS_M
+    )
     assert wire.exchange(imc.Reference(RefFlag.MANDONE), source=OTHER) == []
     assert wire.fake.in_control
     assert wire.fake.counters["vehicle.commands_refused"] == 3
@@ -292,7 +312,9 @@ def test_fields_missing_from_a_reference_stay_as_they_were() -> None:
     wire.start()
     wire.exchange(a_reference())
     wire.exchange(imc.Reference(RefFlag.SPEED, imc.DesiredSpeed(2.0)))
-    assert wire.fake.command == GoTo(math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 2.0, PLACE_RADIUS_M)
+    assert wire.fake.command == GoTo(
+        math.degrees(0.7188), math.degrees(-0.152), Vertical("depth", 3.0), 2.0, PLACE_RADIUS_M
+    )
 
 
 @pytest.mark.parametrize(
@@ -348,7 +370,9 @@ def test_it_boots() -> None:
 def test_nonsense_is_counted() -> None:
     wire = Wire()
     contact = imc_contact_of(a_report())
-    bad_class = imc.MineContact(*(getattr(contact, name) if name != "classification" else 9 for name in contact.__struct_fields__))
+    bad_class = imc.MineContact(
+        *(getattr(contact, name) if name != "classification" else 9 for name in contact.__struct_fields__)
+    )
     (answer,) = wire.exchange(bad_class)
     assert isinstance(answer, imc.MineContactTaken)
     assert not answer.taken
@@ -363,7 +387,8 @@ def test_nonsense_is_counted() -> None:
 
 @given(
     chunks=st.lists(
-        st.binary(max_size=80) | st.sampled_from([packed(a_reference(lat=math.nan), US), packed(imc.Abort(), OTHER)]), max_size=6
+        st.binary(max_size=80) | st.sampled_from([packed(a_reference(lat=math.nan), US), packed(imc.Abort(), OTHER)]),
+        max_size=6,
     )
 )
 def test_whatever_it_hears_it_never_raises_and_flies_its_own_plan(chunks: list[bytes]) -> None:

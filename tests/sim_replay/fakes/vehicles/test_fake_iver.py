@@ -12,7 +12,14 @@ from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Vertical
 from sim_replay.fakes.vehicles.iver import FakeIver
 
-POSE = NavSample(time_s=36_610.0, latitude_deg=-8.5, longitude_deg=115.25, heading_rad=math.radians(57.3), depth_m=3.048, altitude_m=6.096)
+POSE = NavSample(
+    time_s=36_610.0,
+    latitude_deg=-8.5,
+    longitude_deg=115.25,
+    heading_rad=math.radians(57.3),
+    depth_m=3.048,
+    altitude_m=6.096,
+)
 
 
 def line(body: str) -> bytes:
@@ -59,7 +66,8 @@ def test_in_manual_mode_nothing_is_obeyed() -> None:
 
 
 @pytest.mark.parametrize(
-    "body", ["OMS,90.0,12.0,20.0,2.0", "OMS,90.0,12.0,50.0,2.0,3", "OMS,90.0,-3.0,20.0,2.0,3", "OMW,1", "PMCM,C,1,2", "X"]
+    "body",
+    ["OMS,90.0,12.0,20.0,2.0", "OMS,90.0,12.0,50.0,2.0,3", "OMS,90.0,-3.0,20.0,2.0,3", "OMW,1", "PMCM,C,1,2", "X"],
 )
 def test_nonsense_is_counted(body: str) -> None:
     vehicle = FakeIver()

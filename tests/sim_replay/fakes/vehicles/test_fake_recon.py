@@ -10,7 +10,14 @@ from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.recon import FakeRecon
 
-POSE = NavSample(time_s=36_610.0, latitude_deg=39.5, longitude_deg=-74.25, heading_rad=math.radians(359.98), depth_m=10.0, speed_mps=1.5)
+POSE = NavSample(
+    time_s=36_610.0,
+    latitude_deg=39.5,
+    longitude_deg=-74.25,
+    heading_rad=math.radians(359.98),
+    depth_m=10.0,
+    speed_mps=1.5,
+)
 GOALS = ("C,Heading,Goal,90.0", "C,Depth,Depth,5.0", "C,Speed,1.5 meters/sec")
 
 
@@ -35,7 +42,10 @@ def mode(vehicle: FakeRecon, now_s: float) -> str:
 def test_its_state_is_sent_twice_a_second_in_a_frame_with_the_right_sum() -> None:
     vehicle = FakeRecon()
     [state] = vehicle.tick(POSE, False, 0.0)
-    start = b"#S,T10:10:10.000,LAT39N30.0000,LON74W15.0000,D10.00,DG0.00,A0.00,P0.0,R0.0,TR1500,TRG1500,V1.50,H0.0,HR0.0,HG0.0,M1,l1,*"
+    start = (
+        b"#S,T10:10:10.000,LAT39N30.0000,LON74W15.0000,D10.00,DG0.00,A0.00,P0.0,R0.0,"
+        b"TR1500,TRG1500,V1.50,H0.0,HR0.0,HG0.0,M1,l1,*"
+    )
     assert state == start + b"%02X\n" % (sum(start) & 255)
     assert vehicle.tick(POSE, False, 0.3) == []
     assert len(vehicle.tick(POSE, False, 0.5)) == 1
@@ -77,7 +87,9 @@ def test_an_override_ends_with_its_goals_or_when_nothing_is_heard() -> None:
         assert vehicle.counters["vehicle.commands_expired"] == 1
 
 
-@pytest.mark.parametrize("body", ["C,Speed,800 rpm", "C,Depth,Triangle,3,3,10,30", "C,Heading,Goal,east", "C", "X,1", "K,1,2", "E,7"])
+@pytest.mark.parametrize(
+    "body", ["C,Speed,800 rpm", "C,Depth,Triangle,3,3,10,30", "C,Heading,Goal,east", "C", "X,1", "K,1,2", "E,7"]
+)
 def test_nonsense_is_counted(body: str) -> None:
     vehicle = engaged()
     assert vehicle.heard(frame(body) + b"#E,0,*00\n" + b"\xff\n", 0.0) == []

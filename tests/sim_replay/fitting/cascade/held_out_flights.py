@@ -53,6 +53,8 @@ def fly(flight: Flight) -> scoring.ScoredMission:
     return scoring.ScoredMission(contacts, scoring.parse_truth(mission.truth(), place), place)
 
 
-def fly_all(flights: Sequence[Flight], farm: Farm, progress: Callable[[int], None] = lambda done: None) -> Iterator[scoring.ScoredMission]:
+def fly_all(
+    flights: Sequence[Flight], farm: Farm, progress: Callable[[int], None] = lambda done: None
+) -> Iterator[scoring.ScoredMission]:
     """All flights in their order, ready for `scoring.score_missions`; raises as run_tasks does."""
     return run_tasks(fly, flights, farm, progress)

@@ -10,7 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.detect.cascade.model import SCORE_UNIT
-from sim_replay.fitting.cascade.boost import N_BINS, BoostedStump, ada_split, ada_stumps, gentle_split, gentle_stumps, histograms
+from sim_replay.fitting.cascade.boost import (
+    N_BINS,
+    BoostedStump,
+    ada_split,
+    ada_stumps,
+    gentle_split,
+    gentle_stumps,
+    histograms,
+)
 
 Booster = Callable[[np.ndarray, np.ndarray, int, float, np.random.Generator], Iterator[BoostedStump]]
 

@@ -14,20 +14,31 @@ from sim_replay.fitting.cascade.bootstrap import CLEAR_M, Errand, clear_of_targe
 from sim_replay.fitting.cascade.pool import feature_pool, model_stump, pool_box_means
 from sim_replay.fitting.cascade.store import pack, write_set
 from sim_replay.fitting.cascade.tiles import LabelledTile
-from tests.sim_replay.fitting.cascade.training_tiles import COLUMN_M, CORE, ROW_M, drawn_tile, labelled_tile, tile_object
+from tests.sim_replay.fitting.cascade.training_tiles import (
+    COLUMN_M,
+    CORE,
+    ROW_M,
+    drawn_tile,
+    labelled_tile,
+    tile_object,
+)
 
 POOL = feature_pool()
 
 
 def _plane(tile: LabelledTile) -> CodePlane:
-    return make_plane(tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
+    return make_plane(
+        tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m
+    )
 
 
 def _model(kind: str = "soft", reject: int = 0) -> CascadeModel:
     """Stumps about as likely to hold as not, in groups of three."""
     chosen = range(5, len(POOL.features), 700)
     edges = np.array([[1.0 if feature.is_ratio else 0.0] for feature in POOL.features], dtype=np.float32)
-    stumps = [model_stump(POOL, edges, BoostedStump(feature, 0, -100 - k, 100 + 7 * k)) for k, feature in enumerate(chosen)]
+    stumps = [
+        model_stump(POOL, edges, BoostedStump(feature, 0, -100 - k, 100 + 7 * k)) for k, feature in enumerate(chosen)
+    ]
     return CascadeModel(
         kind="soft" if kind == "soft" else "stages",
         trained_on="nothing",
@@ -41,7 +52,11 @@ def _model(kind: str = "soft", reject: int = 0) -> CascadeModel:
 
 
 def test_a_target_s_bag_holds_the_usable_windows_within_half_a_metre() -> None:
-    near_border, inside, in_overlap = tile_object(CORE.start + 1.5, 200.2), tile_object(40.9, 100.0), tile_object(CORE.start - 0.1, 300.0)
+    near_border, inside, in_overlap = (
+        tile_object(CORE.start + 1.5, 200.2),
+        tile_object(40.9, 100.0),
+        tile_object(CORE.start - 0.1, 300.0),
+    )
     tile = labelled_tile((near_border, tile_object(30.0, 250.0, is_target=False), inside, in_overlap))
     bags = target_bags(tile, _plane(tile))
     assert bags.targets == (near_border, inside)
@@ -115,7 +130,11 @@ def test_others_are_any_windows_before_there_is_a_cascade_and_its_false_alarms_t
         assert len(places)
         for number, tile in enumerate((drawn_tile(1), drawn_tile(2))):
             passed = run_plane(_plane(tile), model, None)
-            alarms = dict(zip(zip(passed.rows.tolist(), passed.columns.tolist(), strict=True), passed.scores.tolist(), strict=True))
+            alarms = dict(
+                zip(
+                    zip(passed.rows.tolist(), passed.columns.tolist(), strict=True), passed.scores.tolist(), strict=True
+                )
+            )
             taken = [(row, column) for at, row, column in places.tolist() if at == number]
             assert all(place in alarms for place in taken)
             if hardest:
@@ -129,7 +148,10 @@ def test_a_target_is_shown_by_its_brightest_window_and_then_by_its_best(tmp_path
     manifest = write_set(tmp_path, [pack([tile], "train", "drawn/0", "simulated")], {})
     model, plane = _model(), _plane(tile)
     bags = target_bags(tile, plane)
-    means, final = pool_box_means(plane, POOL.boxes, bags.rows, bags.columns), trace_plane(plane, model, bags.rows, bags.columns)[:, -1]
+    means, final = (
+        pool_box_means(plane, POOL.boxes, bags.rows, bags.columns),
+        trace_plane(plane, model, bags.rows, bags.columns)[:, -1],
+    )
     for given_model in (None, model):
         shown = glean(Errand(tmp_path, manifest.shards[0], POOL.boxes, given_model, 1, True, 0)).targets
         for number, target in enumerate(bags.targets):

@@ -59,7 +59,9 @@ def _passes(model: CascadeModel, band: int, image: np.ndarray, row: int, column:
 
 @pytest.mark.parametrize("kind", ["soft", "stages"])
 @pytest.mark.parametrize("band", [0, 7, 16])
-def test_opencv_passes_the_windows_that_the_model_passes(kind: Literal["soft", "stages"], band: int, tmp_path: Path) -> None:
+def test_opencv_passes_the_windows_that_the_model_passes(
+    kind: Literal["soft", "stages"], band: int, tmp_path: Path
+) -> None:
     rng = np.random.Generator(np.random.PCG64(band))
     passed, seen = 0, 0
     for seed in range(4):

@@ -9,7 +9,16 @@ from auv_mcm.detect.cascade.bands import areas, band_edges, bands_at, box_fault,
 from auv_mcm.detect.cascade.codes import CodePlane, box_sums, codes_of, make_plane
 from auv_mcm.kernels.cascade import CODE_OF_MEAN
 from sim_replay.fitting.cascade.boost import BoostedStump
-from sim_replay.fitting.cascade.pool import Feature, Pool, bin_edges, feature_pool, feature_values, model_stump, pool_box_means, quantise
+from sim_replay.fitting.cascade.pool import (
+    Feature,
+    Pool,
+    bin_edges,
+    feature_pool,
+    feature_values,
+    model_stump,
+    pool_box_means,
+    quantise,
+)
 
 POOL = feature_pool()
 ROW_M, COLUMN_M, ALTITUDE_M = 0.12, 0.06, 7.0
@@ -70,7 +79,9 @@ def test_features_are_ratios_of_means_and_differences_over_the_window() -> None:
 @given(seed=st.integers(0, 2**32 - 1), level=st.sampled_from([0.0, 0.001, 1.0, 16.0]), n_windows=st.integers(1, 60))
 def test_a_value_is_below_an_edge_if_and_only_if_its_bin_is(seed: int, level: float, n_windows: int) -> None:
     pool = Pool(POOL.boxes, POOL.features[::97])
-    means = pool_box_means(_plane((_speckle(seed) * level).clip(0, 16384).astype(np.uint16)), pool.boxes, *_windows(n_windows, seed))
+    means = pool_box_means(
+        _plane((_speckle(seed) * level).clip(0, 16384).astype(np.uint16)), pool.boxes, *_windows(n_windows, seed)
+    )
     edges, values = bin_edges(pool, means), feature_values(pool, range(len(pool.features)), means)
     assert np.isfinite(edges).all()
     assert (np.diff(edges, axis=1) >= 0).all()
@@ -100,7 +111,9 @@ def test_a_boosted_stump_decides_as_the_model_s_comparison_of_sums_does() -> Non
         sums = box_sums(plane, rows[:, np.newaxis], columns[:, np.newaxis], boxes).astype(np.float32).T
         area = areas(boxes).T
         threshold = stump.threshold
-        w_a, w_b, w_w = ((k / area[i]).astype(np.float32) for i, k in enumerate((1.0, 1.0 if stump.w else threshold, threshold)))
+        w_a, w_b, w_w = (
+            (k / area[i]).astype(np.float32) for i, k in enumerate((1.0, 1.0 if stump.w else threshold, threshold))
+        )
         holds = sums[0] * w_a - sums[1] * w_b < sums[2] * w_w if stump.w else sums[0] * w_a < sums[1] * w_b
         assert np.array_equal(np.where(holds, -7, 5), boosted.scores(bins))
 

@@ -16,7 +16,11 @@ def traces(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, float]:
     n_windows, n_groups = draw(st.integers(1, 60)), draw(st.integers(1, 6))
     steps = rng.integers(-draw(st.sampled_from([1, 500])), 500, (n_windows, n_groups))
     bag = rng.integers(0, draw(st.integers(1, 20)), n_windows)
-    return np.cumsum(steps, axis=1).astype(np.int32), bag.astype(np.intp), draw(st.sampled_from([0.01, 0.5, 0.9, 0.98, 1.0]))
+    return (
+        np.cumsum(steps, axis=1).astype(np.int32),
+        bag.astype(np.intp),
+        draw(st.sampled_from([0.01, 0.5, 0.9, 0.98, 1.0])),
+    )
 
 
 @settings(deadline=None)

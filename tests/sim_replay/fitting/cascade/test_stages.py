@@ -44,4 +44,6 @@ def test_threshold_keeps_the_share_and_no_higher_one_does(scores: list[int], det
 def test_samples_without_targets_to_judge_by_are_refused() -> None:
     good = _samples(3, 50.0, 100)
     with pytest.raises(ValueError, match="0 targets among 100"):
-        train_stage(good, StageSamples(good.bins, np.zeros(100, dtype=np.bool_)), np.random.Generator(np.random.PCG64(0)))
+        train_stage(
+            good, StageSamples(good.bins, np.zeros(100, dtype=np.bool_)), np.random.Generator(np.random.PCG64(0))
+        )

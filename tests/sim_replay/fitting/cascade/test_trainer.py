@@ -23,7 +23,9 @@ def _train(folder: Path, kind: Kind, workers: int = 1) -> tuple[CascadeModel, li
 def _found(model: CascadeModel, seed: int) -> tuple[int, int]:
     """Targets found in a tile never seen, and false alarms."""
     tile = drawn_tile(seed)
-    plane = make_plane(tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m)
+    plane = make_plane(
+        tile.codes, tile.valid, tile.usable, tile.first_return_m, tile.row_spacing_m, tile.column_spacing_m
+    )
     result = run_plane(plane, model, None)
     best = well_apart(tile, result, 1000)
     rows, columns = result.rows[best], result.columns[best]

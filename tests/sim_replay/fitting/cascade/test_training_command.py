@@ -13,7 +13,9 @@ from tests.sim_replay.fitting.cascade.training_tiles import write_drawn_set
 SPEC = "scenes: [flat]\nseeds: {train: {first: 600, count: 1}, validate: {first: 700, count: 1}}\n"
 
 
-def test_tiles_already_rendered_from_the_spec_are_trained_on_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tiles_already_rendered_from_the_spec_are_trained_on_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     spec, tiles, out = tmp_path / "spec.yaml", tmp_path / "tiles", tmp_path / "model.json"
     spec.write_text(SPEC)
     manifest = write_drawn_set(tiles, 3, 1, 1, made_from=msgspec.to_builtins(read_training_spec(spec)[0]))
@@ -22,6 +24,8 @@ def test_tiles_already_rendered_from_the_spec_are_trained_on_as_they_are(tmp_pat
     assert "targets" in capsys.readouterr().err
 
 
-def test_a_place_that_cannot_be_written_to_is_refused_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_place_that_cannot_be_written_to_is_refused_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["train", "--out", str(tmp_path / "nowhere" / "model.json")]) == 2
     assert "there is no folder" in capsys.readouterr().err

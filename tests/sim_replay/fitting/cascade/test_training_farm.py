@@ -47,7 +47,11 @@ class Cluster:
     def _start(self, *words: str, sources: Path = ROOT) -> subprocess.Popen[bytes]:
         environment = os.environ | {"PYTHONPATH": str(sources), "PYTHONWARNINGS": "default"}
         process = subprocess.Popen(
-            [sys.executable, "-m", "dask", *words], cwd=self._folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [sys.executable, "-m", "dask", *words],
+            cwd=self._folder,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         )
         self._stack.callback(process.wait)
         self._stack.callback(process.kill)

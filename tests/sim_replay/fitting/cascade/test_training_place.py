@@ -22,7 +22,9 @@ ROW_M, COLUMN_M = 0.12, 0.06
 N_ROWS, N_COLUMNS = 120, 500
 
 
-def tile_of(side: Side, *, heading_rad: float = 0.0, pitch_rad: float = 0.0, turn_rad: float = 0.0, first_return_m: float = 6.0) -> Tile:
+def tile_of(
+    side: Side, *, heading_rad: float = 0.0, pitch_rad: float = 0.0, turn_rad: float = 0.0, first_return_m: float = 6.0
+) -> Tile:
     """Steady way in one direction, turned by turn_rad over the whole tile."""
     even = np.ones(N_ROWS)
     heading = heading_rad + np.linspace(0.0, turn_rad, N_ROWS)
@@ -145,7 +147,9 @@ def test_a_floor_lower_than_the_tile_s_shows_farther_out() -> None:
         ("debris", 0.0, 0.0),
     ],
 )
-def test_the_near_side_is_where_the_line_of_sight_enters_the_outline(kind: str, azimuth_deg: float, expected_m: float) -> None:
+def test_the_near_side_is_where_the_line_of_sight_enters_the_outline(
+    kind: str, azimuth_deg: float, expected_m: float
+) -> None:
     what = target(0.0, 0.0, kind=kind, azimuth_rad=math.radians(azimuth_deg), length_m=2.0, width_m=0.5)
     assert near_side_m(what, 0.0) == pytest.approx(expected_m)
 
@@ -172,7 +176,9 @@ def test_the_highlight_lies_before_the_middle_and_nearer_the_higher_the_object()
 def test_aspects_count_from_the_long_axis() -> None:
     tile, sonar = tile_of("starboard", heading_rad=0.0), SonarConfig()  # looks east
     place = located(tile, 60.0, 300.0, sonar)
-    end_on, broadside = objects_in(tile, [target(*place, azimuth_rad=0.5 * math.pi), target(*place, azimuth_rad=0.0)], sonar)
+    end_on, broadside = objects_in(
+        tile, [target(*place, azimuth_rad=0.5 * math.pi), target(*place, azimuth_rad=0.0)], sonar
+    )
     assert math.cos(math.radians(end_on.aspect_deg)) == pytest.approx(1.0, abs=1e-3)
     assert broadside.aspect_deg == pytest.approx(90.0, abs=0.5)
 
@@ -181,7 +187,9 @@ def test_a_track_without_positions_shows_nothing() -> None:
     tile, sonar = tile_of("starboard"), SonarConfig()
     place = located(tile, 60.0, 300.0, sonar)
     nowhere = np.full(N_ROWS, np.nan)
-    lost = msgspec.structs.replace(tile, pose=msgspec.structs.replace(tile.pose, latitude_deg=nowhere, longitude_deg=nowhere))
+    lost = msgspec.structs.replace(
+        tile, pose=msgspec.structs.replace(tile.pose, latitude_deg=nowhere, longitude_deg=nowhere)
+    )
     assert objects_in(lost, [target(*place)], sonar) == ()
 
 

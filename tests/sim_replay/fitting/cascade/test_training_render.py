@@ -88,7 +88,9 @@ def test_the_brightest_spot_lies_at_the_labelled_target_and_the_darkest_behind_i
     rows, columns, darkest = [], [], []
     for tile, target in seen:
         row, column = math.floor(target.row), math.floor(target.column)
-        padded = np.pad(tile.codes.astype(np.float64), 60, constant_values=1024.0)[row : row + 121, column : column + 121]
+        padded = np.pad(tile.codes.astype(np.float64), 60, constant_values=1024.0)[
+            row : row + 121, column : column + 121
+        ]
         smooth = uniform_filter(padded, (3, 5)) / 1024.0
         near = smooth[60 - reach[0] : 61 + reach[0], 60 - reach[1] : 61 + reach[1]]
         peak_row, peak_column = np.unravel_index(near.argmax(), near.shape)
@@ -152,7 +154,9 @@ def augmented(folder: Path, line: SimulatedLine, **facts: Any) -> Path:
     return folder
 
 
-def test_augmented_logs_become_tiles_of_their_background(tmp_path: Path, line: SimulatedLine, tiles: list[LabelledTile]) -> None:
+def test_augmented_logs_become_tiles_of_their_background(
+    tmp_path: Path, line: SimulatedLine, tiles: list[LabelledTile]
+) -> None:
     packed = render_line(AugmentedLine(augmented(tmp_path / "line", line), line.config, "validate"))
     assert (packed.shard.background, packed.shard.origin, packed.shard.split) == ("line-7.xtf", "augmented", "validate")
     (tmp_path / packed.shard.file).write_bytes(packed.data)

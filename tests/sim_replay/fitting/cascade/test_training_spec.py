@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import UsageError
-from sim_replay.fitting.cascade.spec import AugmentedLine, SimulatedLine, lines_of, parse_training_spec, read_training_spec
+from sim_replay.fitting.cascade.spec import (
+    AugmentedLine,
+    SimulatedLine,
+    lines_of,
+    parse_training_spec,
+    read_training_spec,
+)
 from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.scene import EXACT, TARGET_KINDS
 from sim_replay.simulator.scene_file import read_scene
@@ -76,7 +82,11 @@ def test_targets_are_shared_out_among_kinds_with_the_scene_s_strengths_and_the_s
     line = simulated(TWO)[0]
     own = {group.kind: group for group in read_scene("flat").scatter}
     groups = {group.kind: group for group in line.scene.scatter}
-    assert {kind: groups[kind].count for kind in ("cylinder", "sphere", "rock")} == {"cylinder": 7, "sphere": 3, "rock": 4}
+    assert {kind: groups[kind].count for kind in ("cylinder", "sphere", "rock")} == {
+        "cylinder": 7,
+        "sphere": 3,
+        "rock": 4,
+    }
     assert groups["cylinder"].length_m == (1.5, 1.6)
     assert groups["cylinder"].strength_db == own["cylinder"].strength_db
     assert groups["sphere"].width_m == own["sphere"].width_m
@@ -86,7 +96,13 @@ def test_targets_are_shared_out_among_kinds_with_the_scene_s_strengths_and_the_s
 
 
 def test_sonars_take_turns_and_set_the_grid() -> None:
-    lines = simulated(TWO + "sonars: [{}, {frequency_khz: 900, range_m: 30, ping_rate_hz: 20, row_spacing_m: 0.1, column_spacing_m: 0.04}]")
+    lines = simulated(
+        TWO
+        + (
+            "sonars: [{}, {frequency_khz: 900, range_m: 30, ping_rate_hz: 20, row_spacing_m: 0.1, column_spacing_m: "
+            "0.04}]"
+        )
+    )
     flat = [line for line in lines if line.scene.name == "flat" and line.split == "train"]
     assert [line.scene.sonar.frequency_khz for line in flat] == [450.0, 900.0, 450.0]
     assert [line.config.waterfall.column_spacing_m for line in flat] == [0.06, 0.04, 0.06]
@@ -108,13 +124,16 @@ def test_seabeds_follow_the_theatre() -> None:
     (line,) = simulated(text)
     shares = {seabed.type: seabed.share for seabed in line.scene.world.seabeds}
     own = {seabed.type: seabed.share for seabed in read_scene("mixed").world.seabeds}
-    assert shares == {kind: share * (3.0 if kind == "mud" else 1.0) for kind, share in own.items() if kind != "seagrass"}
+    assert shares == {
+        kind: share * (3.0 if kind == "mud" else 1.0) for kind, share in own.items() if kind != "seagrass"
+    }
 
 
 def test_scene_files_and_augmented_logs_are_looked_for_beside_the_spec(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text("track: {plan: {pattern: lawnmower, n_legs: 1}}")
     (tmp_path / "set.yaml").write_text(
-        "scenes: [mine.yaml]\nseeds: {train: {first: 600, count: 1}}\ntargets: {per_mission: 5}\nrocks: {per_mission: 3}\n"
+        "scenes: [mine.yaml]\nseeds: {train: {first: 600, count: 1}}\ntargets: {per_mission: 5}\nrocks: {per_mission: "
+        "3}\n"
         "augmented: [{folder: line1, split: validate}]"
     )
     first, second = lines_of(*read_training_spec(tmp_path / "set.yaml"))
@@ -144,7 +163,10 @@ SEEDS = "seeds: {train: {first: 600, count: 2}}\n"
         ("scenes: [flat]\ntargets: {per_mission: 0}\n" + SEEDS, "`int` >= 1 - at `targets.per_mission`"),
         ("scenes: [flat]\ntargets: {kinds: {tyre: {}}}\n" + SEEDS, "`targets.kinds"),
         ("scenes: [flat]\ntargets: {kinds: {box: {lenght_m: [1, 2]}}}\n" + SEEDS, "unknown field `lenght_m`"),
-        ("scenes: [flat]\naltitude_factor: [1.2, 0.8]\n" + SEEDS, "`altitude_factor` is [1.2, 0.8]; the lowest comes first"),
+        (
+            "scenes: [flat]\naltitude_factor: [1.2, 0.8]\n" + SEEDS,
+            "`altitude_factor` is [1.2, 0.8]; the lowest comes first",
+        ),
         ("scenes: [flat]\nsonars: []\n" + SEEDS, "length >= 1 - at `sonars`"),
         ("augmented: [{folder: a, split: train}, {folder: a, split: test}]", "`augmented[1].folder`: a is given twice"),
         ("augmented: [{folder: a, split: learn}]", "Invalid enum value 'learn' - at `augmented[0].split`"),
@@ -164,7 +186,10 @@ def test_specs_that_cannot_be_are_refused_with_the_key(text: str, message: str) 
     [
         ("scenes: [flat, flat]\n" + SEEDS, "two are named 'flat'"),
         ("scenes: [atlantis]\n" + SEEDS, "no such scene"),
-        ("scenes: [flat]\nseabed_factors: {sand: 0, mud: 0}\n" + SEEDS, "leave nothing of the sea floor of scene 'flat'"),
+        (
+            "scenes: [flat]\nseabed_factors: {sand: 0, mud: 0}\n" + SEEDS,
+            "leave nothing of the sea floor of scene 'flat'",
+        ),
         ("scenes: [deep]\nsonars: [{range_m: 9}]\n" + SEEDS, "scene deep as the spec changes it: `track.altitude_m`"),
     ],
 )

@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 
 from auv_mcm.errors import BadInputError
-from sim_replay.fitting.cascade.store import MANIFEST_NAME, Manifest, Packed, pack, read_manifest, read_shard, read_tiles, write_set
+from sim_replay.fitting.cascade.store import (
+    MANIFEST_NAME,
+    Manifest,
+    Packed,
+    pack,
+    read_manifest,
+    read_shard,
+    read_tiles,
+    write_set,
+)
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
 
 
@@ -55,7 +64,8 @@ def same(one: LabelledTile, other: LabelledTile) -> bool:
     arrays = ("codes", "valid", "usable", "first_return_m")
     plain = [name for name in LabelledTile.__struct_fields__ if name not in arrays]
     return all(
-        getattr(one, name).dtype == getattr(other, name).dtype and np.array_equal(getattr(one, name), getattr(other, name))
+        getattr(one, name).dtype == getattr(other, name).dtype
+        and np.array_equal(getattr(one, name), getattr(other, name))
         for name in arrays
     ) and all(repr(getattr(one, name)) == repr(getattr(other, name)) for name in plain)  # NaN is not equal to itself
 
@@ -93,7 +103,11 @@ def test_equal_tiles_give_equal_bytes_and_other_ones_another_digest(tmp_path: Pa
     for folder in (first, again):
         folder.mkdir()
         written(folder)
-    assert sorted(path.name for path in first.iterdir()) == [MANIFEST_NAME, "train-flat_600.npz", "validate-line_one.xtf.npz"]
+    assert sorted(path.name for path in first.iterdir()) == [
+        MANIFEST_NAME,
+        "train-flat_600.npz",
+        "validate-line_one.xtf.npz",
+    ]
     assert all((again / path.name).read_bytes() == path.read_bytes() for path in first.iterdir())
     other = write_set(again, [pack([made_tile(4)], "train", "flat/600", "simulated")], {})
     assert other.sha256 != read_manifest(first).sha256
@@ -122,8 +136,12 @@ def flip(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
-@pytest.mark.parametrize(("damage", "message"), [(cut, "cut off"), (flip, "was changed"), (Path.unlink, "cannot be read")])
-def test_damaged_shards_are_reported_before_the_first_tile(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
+@pytest.mark.parametrize(
+    ("damage", "message"), [(cut, "cut off"), (flip, "was changed"), (Path.unlink, "cannot be read")]
+)
+def test_damaged_shards_are_reported_before_the_first_tile(
+    tmp_path: Path, damage: Callable[[Path], None], message: str
+) -> None:
     manifest = written(tmp_path)
     damage(tmp_path / "train-flat_600.npz")
     with pytest.raises(BadInputError, match=rf"train-flat_600\.npz .*{message}.*Render the training set anew"):
@@ -142,7 +160,9 @@ def test_files_other_than_shards_are_reported(tmp_path: Path) -> None:
 
 def test_a_manifest_that_lost_a_shard_is_reported(tmp_path: Path) -> None:
     manifest = written(tmp_path)
-    (tmp_path / MANIFEST_NAME).write_bytes(msgspec.json.encode(msgspec.structs.replace(manifest, shards=manifest.shards[:1])))
+    (tmp_path / MANIFEST_NAME).write_bytes(
+        msgspec.json.encode(msgspec.structs.replace(manifest, shards=manifest.shards[:1]))
+    )
     with pytest.raises(BadInputError, match="was changed after"):
         read_manifest(tmp_path)
 

@@ -47,7 +47,9 @@ def bump(n: int, seed: int) -> tuple[Array, NDArray[np.bool_]]:
 @given(st.integers(0, 10_000))
 def test_rows_reach_the_leaves_that_questions_lead_them_to(seed: int) -> None:
     random = random_of(seed)
-    tree = GrownTree(random.integers(0, 3, N_QUESTIONS), random.normal(0.0, 1.0, N_QUESTIONS), random.normal(0.0, 1.0, N_LEAVES))
+    tree = GrownTree(
+        random.integers(0, 3, N_QUESTIONS), random.normal(0.0, 1.0, N_QUESTIONS), random.normal(0.0, 1.0, N_LEAVES)
+    )
     values = random.normal(0.0, 1.0, (20, 3)).round(1)
     assert leaves(tree, values).tolist() == [walked(tree, row) for row in values]
 

@@ -14,7 +14,14 @@ from sim_replay.fitting.cascade.bootstrap import clear_of_targets
 from sim_replay.fitting.cascade.pool import Feature, Pool, model_stump
 from sim_replay.fitting.cascade.pool import feature_pool as whole_pool
 from sim_replay.fitting.cascade.store import pack, write_set
-from sim_replay.fitting.cascade.validation import Inspection, ValidationSighting, calibrate, expected_pd, passed, sightings
+from sim_replay.fitting.cascade.validation import (
+    Inspection,
+    ValidationSighting,
+    calibrate,
+    expected_pd,
+    passed,
+    sightings,
+)
 from tests.sim_replay.fitting.cascade.training_tiles import drawn_tile
 
 POOL = whole_pool()
@@ -22,7 +29,9 @@ POOL = whole_pool()
 
 def _bright(times: float, reject: int = 0) -> CascadeModel:
     """Passes windows whose middle is so many times as bright as all of the window."""
-    middle = min(range(1, len(POOL.boxes)), key=lambda k: abs(POOL.boxes[k].top_m + 0.18) + abs(POOL.boxes[k].near_m + 0.18))
+    middle = min(
+        range(1, len(POOL.boxes)), key=lambda k: abs(POOL.boxes[k].top_m + 0.18) + abs(POOL.boxes[k].near_m + 0.18)
+    )
     pool = Pool(POOL.boxes, (Feature(True, middle, 0),))
     stump = model_stump(pool, np.array([[times]], dtype=np.float32), BoostedStump(0, 0, -10, 10))
     return CascadeModel(
@@ -69,7 +78,14 @@ def test_expected_detection_counts_the_targets_of_each_sea_floor_and_range() -> 
 
     model = _bright(2.0)
     reported = expected_pd(
-        model, [seen("mud", 5.0, 1), seen("mud", 9.9, -1), seen("mud", 10.0, 0), seen("sand", 999.0, 4), seen("rock", 61.0, -3)]
+        model,
+        [
+            seen("mud", 5.0, 1),
+            seen("mud", 9.9, -1),
+            seen("mud", 10.0, 0),
+            seen("sand", 999.0, 4),
+            seen("rock", 61.0, -3),
+        ],
     )
     assert [(cell.seabed, cell.near_m, cell.far_m, cell.n_targets, cell.pd) for cell in reported] == [
         ("mud", 0.0, 10.0, 2, 0.5),

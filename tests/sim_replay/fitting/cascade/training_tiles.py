@@ -71,7 +71,9 @@ def drawn_tile(seed: int, background: str = "drawn/0") -> LabelledTile:
     rows = rng.integers(CORE.start + 6, CORE.stop - 6, 5)
     order = rng.permutation(5).tolist()
     places = list(zip(rows.tolist(), columns.tolist(), strict=True))
-    return labelled_tile(tuple(tile_object(places[k][0] + 0.5, places[k][1] + 0.5, k < 3) for k in order), seed, background)
+    return labelled_tile(
+        tuple(tile_object(places[k][0] + 0.5, places[k][1] + 0.5, k < 3) for k in order), seed, background
+    )
 
 
 def write_drawn_set(
@@ -83,5 +85,7 @@ def write_drawn_set(
     for number in range(n_train + n_validate):
         split: Split = "train" if number < n_train else "validate"
         background = f"drawn/{number}"
-        packed.append(pack([drawn_tile(100 * number + k, background) for k in range(tiles)], split, background, "simulated"))
+        packed.append(
+            pack([drawn_tile(100 * number + k, background) for k in range(tiles)], split, background, "simulated")
+        )
     return write_set(folder, packed, made_from or {})

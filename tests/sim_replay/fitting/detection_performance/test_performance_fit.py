@@ -16,7 +16,12 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.detection_performance import FLOORS, parse_performance
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import SEABED_TYPES
-from sim_replay.fitting.detection_performance.calibrate_performance import performance_fit_words, performance_json, sweep_widths_m, tables
+from sim_replay.fitting.detection_performance.calibrate_performance import (
+    performance_fit_words,
+    performance_json,
+    sweep_widths_m,
+    tables,
+)
 from sim_replay.fitting.detection_performance.closed_form import p_found
 from sim_replay.fitting.detection_performance.fit_performance import (
     EDGES_M,
@@ -63,7 +68,9 @@ def look(
     )
 
 
-def world(p_found_by_kind: dict[str, float], n_missions: int = 12, n_targets: int = 240, seed: int = 1) -> list[CellPass]:
+def world(
+    p_found_by_kind: dict[str, float], n_missions: int = 12, n_targets: int = 240, seed: int = 1
+) -> list[CellPass]:
     """Targets everywhere at every range and aspect, each look found on its own."""
     rng = np.random.Generator(np.random.PCG64(seed))
     return [
@@ -86,7 +93,9 @@ def test_counts_are_those_of_counting() -> None:
     n, k = counts(seen.floor, band), counts(seen.floor, band, seen.found)
     for floor, number in itertools.product(range(len(FLOORS)), range(len(EDGES_M) - 1)):
         here = [
-            i for i in range(len(seen.found)) if seen.floor[i] == floor and EDGES_M[number] <= seen.ground_range_m[i] < EDGES_M[number + 1]
+            i
+            for i in range(len(seen.found))
+            if seen.floor[i] == floor and EDGES_M[number] <= seen.ground_range_m[i] < EDGES_M[number + 1]
         ]
         assert n[floor, number] == len(here)
         assert k[floor, number] == sum(bool(seen.found[i]) for i in here)
@@ -121,7 +130,9 @@ BANDS = st.lists(st.tuples(st.integers(0, 400), st.floats(0.0, 1.0), st.floats(0
 
 @settings(max_examples=60)
 @given(BANDS, st.floats(1.0, 10.0))
-def test_probabilities_lie_in_their_intervals_whatever_was_counted(bands: list[tuple[int, float, float]], effect: float) -> None:
+def test_probabilities_lie_in_their_intervals_whatever_was_counted(
+    bands: list[tuple[int, float, float]], effect: float
+) -> None:
     n = np.array([float(looks) for looks, *_ in bands])
     k = np.array([math.floor(looks * share) for looks, share, _ in bands], dtype=np.float64)
     p, low, high = smooth_bands(k, n, np.array([prior for *_, prior in bands]), effect)
@@ -135,7 +146,9 @@ def test_probabilities_lie_in_their_intervals_whatever_was_counted(bands: list[t
 @given(st.integers(1, 500), st.integers(0, 499), st.floats(0.0, 1.0))
 def test_more_found_is_more_likely(n: int, k: int, prior: float) -> None:
     k = min(k, n - 1)
-    one, more = (smooth_bands(np.array([float(count)]), np.array([float(n)]), np.array([prior])).p[0] for count in (k, k + 1))
+    one, more = (
+        smooth_bands(np.array([float(count)]), np.array([float(n)]), np.array([prior])).p[0] for count in (k, k + 1)
+    )
     assert more > one
     assert one == pytest.approx((k + PRIOR_LOOKS * prior) / (n + PRIOR_LOOKS))
 
@@ -199,7 +212,9 @@ def test_pairs_are_looks_at_one_target_by_direction_in_order_of_time() -> None:
 def test_correlation_comes_back_from_how_many_are_missed_twice(first: float, second: float, rho: float) -> None:
     n = 20_000
     missed = np.arange(n) < round(n * (1.0 - first) * (1.0 - second) ** (1.0 - rho))
-    assert correlation(np.full(n, first), np.full(n, second), missed) == pytest.approx(rho, abs=0.05 if second > 0.2 else 0.2)
+    assert correlation(np.full(n, first), np.full(n, second), missed) == pytest.approx(
+        rho, abs=0.05 if second > 0.2 else 0.2
+    )
 
 
 def test_correlation_stays_between_nothing_and_all() -> None:
@@ -211,7 +226,9 @@ def test_correlation_stays_between_nothing_and_all() -> None:
 
 @settings(max_examples=40)
 @given(st.floats(0.1, 500.0), st.floats(0.5, 100.0), st.floats(0.01, 1e3))
-def test_the_closed_form_is_a_probability_and_no_better_over_a_restless_floor(ground_m: float, altitude_m: float, texture: float) -> None:
+def test_the_closed_form_is_a_probability_and_no_better_over_a_restless_floor(
+    ground_m: float, altitude_m: float, texture: float
+) -> None:
     restless, even = (float(p_found(np.array([ground_m]), altitude_m, shape)[0]) for shape in (texture, 2.0 * texture))
     assert 0.0 <= restless <= 1.0
     assert restless <= even + 0.02

@@ -22,7 +22,9 @@ SEABED = (0, 1, 1, 1, 2, 3)  # of FLOORS
 
 
 def tables() -> Performance:
-    floors: dict[Floor, tuple[Band, ...]] = {name: (Band(n_looks=9, n_found=4, p=P[name], low=0.0, high=1.0),) * 2 for name in FLOORS}
+    floors: dict[Floor, tuple[Band, ...]] = {
+        name: (Band(n_looks=9, n_found=4, p=P[name], low=0.0, high=1.0),) * 2 for name in FLOORS
+    }
     return Performance(
         fitted_on="a test",
         altitude_m=6.0,
@@ -61,7 +63,9 @@ def test_brier_score_and_shares_are_those_of_counting() -> None:
     assert sum(place.share.n for place in found.places) == sum(part.n for part in found.bins) == 500
     for place in found.places:
         index = ("flat", "ripple", "rough", "vegetation").index(place.seabed)
-        here = [i for i in range(500) if seen.seabed[i] == index and place.near_m <= seen.ground_range_m[i] < place.far_m]
+        here = [
+            i for i in range(500) if seen.seabed[i] == index and place.near_m <= seen.ground_range_m[i] < place.far_m
+        ]
         assert place.share.realised == pytest.approx(sum(bool(seen.found[i]) for i in here) / len(here))
         assert place.share.predicted == pytest.approx(sum(p[i] for i in here) / len(here))
     assert found.same is None
@@ -78,14 +82,18 @@ def test_missions_unlike_each_other_carry_less_information() -> None:
     p, mission = np.full(400, 0.5), np.repeat(np.arange(4), 100)
     apart = share(p, mission % 2 == 0, mission)
     assert apart.by_mission > 5.0 * apart.by_chance
-    assert share(p[:1], np.array([True]), mission[:1]).by_mission == share(p[:1], np.array([True]), mission[:1]).by_chance
+    assert (
+        share(p[:1], np.array([True]), mission[:1]).by_mission == share(p[:1], np.array([True]), mission[:1]).by_chance
+    )
 
 
 def test_two_looks_are_judged_by_what_the_further_one_adds() -> None:
     one = drawn(300)
     again = one._replace(time_s=one.time_s + 9.0)
     other = one._replace(time_s=one.time_s + 20.0, look_rad=one.look_rad + math.pi)
-    found = judge_predictions(tables(), Outcomes(*(np.concatenate(parts) for parts in zip(one, again, other, strict=True))))
+    found = judge_predictions(
+        tables(), Outcomes(*(np.concatenate(parts) for parts in zip(one, again, other, strict=True)))
+    )
     assert found.same is not None
     assert found.other is not None
     assert (found.same.n, found.other.n) == (300, 600)
@@ -145,7 +153,12 @@ def test_the_command_writes_tables_that_the_bench_judges(
     ],
 )
 def test_bad_files_are_refused_before_anything_is_flown(
-    arguments: list[str], code: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    code: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def none_flown(flight: Flight) -> list[CellPass]:
         raise AssertionError(flight)
@@ -169,7 +182,9 @@ def test_scenes_are_full_of_targets_that_keep_apart_and_differ_by_seed_and_fligh
     scenes = [target_scene(seed, flight) for seed in (800, 801) for flight in (0, 1)]
     assert len({scene.seed for scene in scenes}) == 4
     for scene in scenes:
-        place = np.array([(scene_object.east_m, scene_object.north_m) for scene_object in scene.objects], dtype=np.float64)
+        place = np.array(
+            [(scene_object.east_m, scene_object.north_m) for scene_object in scene.objects], dtype=np.float64
+        )
         apart_m = np.hypot(*(place[:, np.newaxis] - place).transpose(2, 0, 1)) + 1e9 * np.eye(len(place))
         assert len(place) > 100
         assert apart_m.min() >= 12.0

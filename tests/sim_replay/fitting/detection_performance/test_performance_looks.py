@@ -74,7 +74,8 @@ def test_looks_are_those_that_were_flown_and_strong_targets_on_even_sand_are_fou
         seed=5,
         world=World(depth_m=20.0, seabeds=(Seabed(type="sand"),), relief_rms_m=0.0),
         objects=tuple(
-            SceneObject(kind="cylinder", east_m=east, north_m=north, azimuth_deg=0.0, strength_db=-10.0) for east, north in places
+            SceneObject(kind="cylinder", east_m=east, north_m=north, azimuth_deg=0.0, strength_db=-10.0)
+            for east, north in places
         ),
         sonar=Sonar(range_m=30.0, n_samples=640),
         track=Track(plan=Lawnmower(n_legs=1, leg_m=100.0), altitude_m=5.0),

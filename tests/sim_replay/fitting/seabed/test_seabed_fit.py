@@ -46,7 +46,9 @@ def test_kinds_that_differ_are_separated() -> None:
     odds = seabed_odds(held_out.features.astype(np.float64), held_out.cot_grazing.astype(np.float64), model)
     whole = held_out.shares.max(axis=1) == 1.0
     found = kind_indices(model)[np.argmax(odds.log_p, axis=-1)]
-    assert (found == np.array([SEABED_TYPES.index(kind) for kind in KINDS])[held_out.shares.argmax(axis=1)])[whole].mean() > 0.97
+    assert (found == np.array([SEABED_TYPES.index(kind) for kind in KINDS])[held_out.shares.argmax(axis=1)])[
+        whole
+    ].mean() > 0.97
     assert (odds.distance > model.learnt.novelty).mean() < 0.02
     far = seabed_odds(held_out.features.astype(np.float64) + 100.0, held_out.cot_grazing.astype(np.float64), model)
     assert (far.distance > model.learnt.novelty).all()
@@ -97,7 +99,9 @@ def test_decibels_per_count_are_known_as_well_as_an_estimate() -> None:
     scene = mission_scene(3)
     recorder = SampleRecorder(samples="log_uint8", db_per_count=0.3)
     some = [
-        sonar_config(msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, recorder=recorder)))
+        sonar_config(
+            msgspec.structs.replace(scene, seed=seed, sonar=msgspec.structs.replace(scene.sonar, recorder=recorder))
+        )
         for seed in range(40)
     ]
     assert {config.transfer for config in some} == {"log"}
@@ -123,7 +127,9 @@ def test_cells_of_a_mission_are_what_the_simulator_put_there(monkeypatch: pytest
     assert seabed_fit_words([11], pooled([reported])).startswith("1 simulated missions of seeds 11 to 11, ")
 
 
-def test_a_new_model_can_be_learnt_when_the_shipped_one_measures_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_model_can_be_learnt_when_the_shipped_one_measures_something_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Calibration could not run after the names of textures had changed, since the pipeline read the shipped model
     first."""
 

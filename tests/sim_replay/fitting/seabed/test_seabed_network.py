@@ -23,7 +23,9 @@ def crossed(n: int, seed: int) -> tuple[Floats, Floats]:
 
 def fitted(seed: int = 1) -> list[NetworkLayer]:
     x, shares = crossed(20_000, 2)
-    return fitted_network(x, shares, np.ones(len(x), dtype=np.float32), n_hidden=(16, 8), epochs=60, weight_decay=0.01, seed=seed)
+    return fitted_network(
+        x, shares, np.ones(len(x), dtype=np.float32), n_hidden=(16, 8), epochs=60, weight_decay=0.01, seed=seed
+    )
 
 
 def test_a_border_that_is_not_straight_is_learnt() -> None:
@@ -40,13 +42,17 @@ def test_the_same_seed_makes_the_same_network() -> None:
 def test_slopes_are_those_of_the_cross_entropy() -> None:
     rng = np.random.Generator(np.random.PCG64(4))
     sizes = (3, 4, 2)
-    network = [NetworkLayer(rng.normal(size=(before, after)), rng.normal(size=after)) for before, after in pairwise(sizes)]
+    network = [
+        NetworkLayer(rng.normal(size=(before, after)), rng.normal(size=after)) for before, after in pairwise(sizes)
+    ]
     x, weight = rng.normal(size=(7, 3)), rng.uniform(0.5, 2.0, 7)
     shares = rng.dirichlet((1.0, 1.0), 7)
 
     def loss() -> float:
         odds = log_odds(network, x)
-        return float((weight * -(shares * (odds - np.logaddexp.reduce(odds, axis=1, keepdims=True))).sum(axis=1)).mean())
+        return float(
+            (weight * -(shares * (odds - np.logaddexp.reduce(odds, axis=1, keepdims=True))).sum(axis=1)).mean()
+        )
 
     found = slopes(network, x, shares, weight)
     parts = [part for units in network for part in units]

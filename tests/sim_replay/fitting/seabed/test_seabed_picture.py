@@ -37,7 +37,9 @@ def test_sand_is_drawn_twice_the_second_time_in_the_colour_of_a_flat_floor(sandy
     middle = (slice(n_rows // 4, 3 * n_rows // 4), slice(n_columns // 4, 3 * n_columns // 4))
     blue, _, red = tinted[middle].reshape(-1, 3).mean(axis=0)
     flat_blue, _, flat_red = KIND_COLOURS["flat"]
-    assert red - blue == pytest.approx(0.5 * (flat_red - flat_blue) * (0.4 + 0.6 * plain[middle].mean() / 255.0), abs=4.0)
+    assert red - blue == pytest.approx(
+        0.5 * (flat_red - flat_blue) * (0.4 + 0.6 * plain[middle].mean() / 255.0), abs=4.0
+    )
 
 
 @pytest.mark.parametrize(

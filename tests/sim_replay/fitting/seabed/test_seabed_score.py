@@ -19,7 +19,9 @@ FLAT, RIPPLE, ROUGH, VEGETATION, UNKNOWN = range(len(SEABED_TYPES))
 AT_DEG = (43.0, 5.0)
 
 
-def mapped(seabed: list[list[int]], first_east: int = 0, first_north: int = 0, unseen: tuple[int, int] | None = None) -> Clearance:
+def mapped(
+    seabed: list[list[int]], first_east: int = 0, first_north: int = 0, unseen: tuple[int, int] | None = None
+) -> Clearance:
     """Four by four metres a cell."""
     kind = np.array(seabed, dtype=np.uint8)
     looks = np.ones(kind.shape, dtype=np.uint8)
@@ -44,7 +46,9 @@ def mapped(seabed: list[list[int]], first_east: int = 0, first_north: int = 0, u
 
 def true_map(cells: NDArray[np.int64], types: tuple[str, ...], east_m: float = 0.0, north_m: float = 0.0) -> SeabedMap:
     """One by one metre a cell, its corner so far from the map's origin."""
-    latitude_deg, longitude_deg, _ = LocalFrame(latitude_deg=AT_DEG[0], longitude_deg=AT_DEG[1]).to_geodetic([east_m, north_m, 0.0])
+    latitude_deg, longitude_deg, _ = LocalFrame(latitude_deg=AT_DEG[0], longitude_deg=AT_DEG[1]).to_geodetic(
+        [east_m, north_m, 0.0]
+    )
     return encode(cells, types=types, cell_m=1.0, latitude_deg=float(latitude_deg), longitude_deg=float(longitude_deg))
 
 
@@ -69,7 +73,8 @@ def test_maps_with_corners_of_their_own_are_laid_over_each_other() -> None:
     cells = np.full((4, 4), 0, dtype=np.int64)
     cells[:, 2:] = 1
     reported = confusion_m2(
-        mapped([[ROUGH, RIPPLE]], first_east=-2, first_north=25), true_map(cells, ("gravel", "rippled_sand"), east_m=-6.0, north_m=100.0)
+        mapped([[ROUGH, RIPPLE]], first_east=-2, first_north=25),
+        true_map(cells, ("gravel", "rippled_sand"), east_m=-6.0, north_m=100.0),
     )
     assert reported[ROUGH, ROUGH] == 8.0
     assert reported[RIPPLE, RIPPLE] == 8.0

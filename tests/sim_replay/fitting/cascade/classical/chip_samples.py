@@ -33,8 +33,8 @@ def chip_of(seed: int, with_object: bool) -> Array:
 
 
 def tile_with(kinds: tuple[str, ...], seed: int, background: str = "made up/1", side: Side = "port") -> LabelledTile:
-    """Speckle with an object every 6 m along track, each at another range: a mine is a highlight before a shadow, a "rock" a small
-    highlight alone."""
+    """Speckle with an object every 6 m along track, each at another range: a mine is a highlight before a shadow, a
+    "rock" a small highlight alone."""
     draw = generator(seed)
     intensity = draw.gamma(4.0, 0.25, (N_TILE_ROWS, N_TILE_COLUMNS))
     objects = []

@@ -27,7 +27,9 @@ Codes = NDArray[np.uint16]
 Valid = NDArray[np.bool_]
 
 
-def _oracle(codes: Codes, valid: Valid, first_return_m: NDArray[np.float64], row: int, column: int) -> NDArray[np.float64]:
+def _oracle(
+    codes: Codes, valid: Valid, first_return_m: NDArray[np.float64], row: int, column: int
+) -> NDArray[np.float64]:
     """One chip, each pixel shared out to the cells it overlaps."""
     shadow_m = min(max(0.35 * (column + 0.5) * COLUMN_M / (max(first_return_m[row], 0.65) - 0.35), 0.4), 6.0)
     widths_m = [0.08] * 20 + [0.05 * shadow_m] * 24
@@ -48,7 +50,9 @@ def _cell(codes: Codes, valid: Valid, rows: tuple[float, float], columns: tuple[
     for row in range(math.floor(rows[0]), math.ceil(rows[1])):
         for column in range(math.floor(columns[0]), math.ceil(columns[1])):
             if 0 <= row < codes.shape[0] and 0 <= column < codes.shape[1] and valid[row, column]:
-                share = (min(rows[1], row + 1) - max(rows[0], row)) * (min(columns[1], column + 1) - max(columns[0], column))
+                share = (min(rows[1], row + 1) - max(rows[0], row)) * (
+                    min(columns[1], column + 1) - max(columns[0], column)
+                )
                 total += share * float(codes[row, column])
                 weight += share
     area = (rows[1] - rows[0]) * (columns[1] - columns[0])
@@ -86,7 +90,9 @@ def test_chips_hold_the_mean_of_every_cell_over_their_median(
 def test_what_masked_pixels_hold_changes_nothing() -> None:
     codes, other = _speckle(1), _speckle(2)
     valid = generator(3).random(codes.shape) < 0.8
-    first, second = (_cut(np.where(valid, codes, filled), valid, np.full(40, 6.0), (20, 100), (0, 0)) for filled in (0, other))
+    first, second = (
+        _cut(np.where(valid, codes, filled), valid, np.full(40, 6.0), (20, 100), (0, 0)) for filled in (0, other)
+    )
     assert np.array_equal(first.contrast, second.contrast)
 
 
@@ -94,7 +100,9 @@ def test_what_masked_pixels_hold_changes_nothing() -> None:
 def test_a_gain_changes_nothing(gain: int) -> None:
     codes = np.minimum(_speckle(4), 1024)
     valid = np.ones(codes.shape, dtype=np.bool_)
-    first, second = (_cut(np.asarray(codes * np.uint16(g)), valid, np.full(40, 6.0), (20, 100), (39, 299)) for g in (1, gain))
+    first, second = (
+        _cut(np.asarray(codes * np.uint16(g)), valid, np.full(40, 6.0), (20, 100), (39, 299)) for g in (1, gain)
+    )
     assert first.contrast == pytest.approx(second.contrast, abs=1e-9)
 
 
@@ -143,4 +151,6 @@ def test_chips_mostly_beyond_the_tile_or_masked_are_not_known() -> None:
 
 @pytest.mark.parametrize("first_return_m", [math.nan, 0.0, -1.0])
 def test_an_altitude_not_known_counts_as_a_low_one(first_return_m: float) -> None:
-    assert reference_shadow_m(np.array([0.0, 1.0, 100.0]), np.full(3, first_return_m)) == pytest.approx([0.4, 0.35 / 0.3, 6.0])
+    assert reference_shadow_m(np.array([0.0, 1.0, 100.0]), np.full(3, first_return_m)) == pytest.approx(
+        [0.4, 0.35 / 0.3, 6.0]
+    )

@@ -13,10 +13,21 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import LOW_RESOLUTION, VALID
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.classical.classical_candidates import Candidates, find_candidates, label, unlabelled
-from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, format_model, parse_classical_model, score_windows
+from sim_replay.fitting.cascade.classical.classical_model import (
+    ClassicalModel,
+    format_model,
+    parse_classical_model,
+    score_windows,
+)
 from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES
-from sim_replay.fitting.cascade.classical.train_classical import ChipSamples, collect, fit_classical_model, of_kinds, train_classical
+from sim_replay.fitting.cascade.classical.train_classical import (
+    ChipSamples,
+    collect,
+    fit_classical_model,
+    of_kinds,
+    train_classical,
+)
 from tests.sim_replay.fitting.cascade.classical.chip_samples import tile_with
 
 CONFIG = Config()
@@ -37,7 +48,9 @@ def model(samples: ChipSamples) -> ClassicalModel:
 
 def _at(*objects: int) -> tuple[np.ndarray[tuple[int], np.dtype[np.int32]], np.ndarray[tuple[int], np.dtype[np.int32]]]:
     chosen = [UNSEEN.objects[index] for index in objects]
-    return np.array([math.floor(o.row) for o in chosen], dtype=np.int32), np.array([math.floor(o.column) for o in chosen], dtype=np.int32)
+    return np.array([math.floor(o.row) for o in chosen], dtype=np.int32), np.array(
+        [math.floor(o.column) for o in chosen], dtype=np.int32
+    )
 
 
 def test_mines_never_seen_are_likely_and_rocks_without_shadow_are_not(model: ClassicalModel) -> None:
@@ -60,7 +73,12 @@ def test_the_same_tiles_give_the_same_model_which_comes_back_from_its_file(model
 def test_kinds_that_were_not_asked_for_teach_nothing(samples: ChipSamples) -> None:
     wedges = of_kinds(samples, {"wedge"})
     assert set(wedges.kind) == {"", "wedge"}
-    assert len(wedges.contrast) == len(wedges.background) == len(wedges.weight) == len(samples.kind) - samples.kind.count("cylinder")
+    assert (
+        len(wedges.contrast)
+        == len(wedges.background)
+        == len(wedges.weight)
+        == len(samples.kind) - samples.kind.count("cylinder")
+    )
     assert set(fit_classical_model(wedges).templates) == {"wedge", "other"}
     one_tile = train_classical(TILES[:1], CONFIG, families=["central"], kinds={"wedge"})
     assert one_tile.trained_on.startswith("1 targets (1 wedge)")
@@ -95,7 +113,9 @@ def test_targets_of_the_overlap_are_left_to_the_tile_they_belong_to() -> None:
 def test_candidates_find_all_objects_in_the_core() -> None:
     found = find_candidates(UNSEEN, CONFIG)
     for tile_object in UNSEEN.objects:
-        away_m = np.hypot((found.rows + 0.5 - tile_object.row) * 0.12, (found.columns + 0.5 - tile_object.column) * 0.06)
+        away_m = np.hypot(
+            (found.rows + 0.5 - tile_object.row) * 0.12, (found.columns + 0.5 - tile_object.column) * 0.06
+        )
         assert away_m.min() < 0.5
 
 
@@ -125,7 +145,9 @@ def test_windows_mostly_unknown_have_no_odds_and_none_asked_for_gives_none(model
         ({"unheard_of": 1}, "unheard_of"),
     ],
 )
-def test_a_model_file_that_makes_no_sense_is_refused_by_name(model: ClassicalModel, change: dict[str, object], words: str) -> None:
+def test_a_model_file_that_makes_no_sense_is_refused_by_name(
+    model: ClassicalModel, change: dict[str, object], words: str
+) -> None:
     data = msgspec.json.encode(msgspec.to_builtins(model) | change)
     with pytest.raises(BadInputError, match=words) as refused:
         parse_classical_model(data, "model.json")

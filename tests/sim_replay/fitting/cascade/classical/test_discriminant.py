@@ -39,7 +39,10 @@ def _oracle(features: Array, is_positive: NDArray[np.bool_], weight: Array, ridg
 def test_the_discriminant_is_the_one_that_descent_ends_at(seed: int, ridge: float) -> None:
     features, is_positive = _samples(seed, 120, np.array([1.0, -0.5, 0.0]))
     weight = generator(seed + 1).uniform(0.5, 3.0, 120)
-    found, wanted = fit_discriminant(features, is_positive, weight, ridge), _oracle(features, is_positive, weight, ridge)
+    found, wanted = (
+        fit_discriminant(features, is_positive, weight, ridge),
+        _oracle(features, is_positive, weight, ridge),
+    )
     assert found.slopes == pytest.approx(wanted.slopes, abs=1e-6)
     assert found.offset == pytest.approx(wanted.offset, abs=1e-6)
 
@@ -57,7 +60,9 @@ def test_a_weight_counts_as_so_many_samples() -> None:
     features, is_positive = _samples(2, 60, np.array([1.0, 0.5]))
     weight = generator(3).integers(1, 4, 60)
     weighed = fit_discriminant(features, is_positive, weight.astype(np.float64), 1.0)
-    repeated = fit_discriminant(np.repeat(features, weight, axis=0), np.repeat(is_positive, weight), np.ones(int(weight.sum())), 1.0)
+    repeated = fit_discriminant(
+        np.repeat(features, weight, axis=0), np.repeat(is_positive, weight), np.ones(int(weight.sum())), 1.0
+    )
     assert weighed.slopes == pytest.approx(repeated.slopes, abs=1e-9)
 
 

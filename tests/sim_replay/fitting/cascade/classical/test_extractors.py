@@ -13,11 +13,21 @@ from hypothesis import strategies as st
 
 from sim_replay.fitting.cascade.classical import extractors
 from sim_replay.fitting.cascade.classical.chips import CENTRE_ROW, N_COLUMNS, N_OBJECT_COLUMNS, N_ROWS
-from sim_replay.fitting.cascade.classical.extractors import CENTRAL_FILTERS, FAMILIES, Family, extract, feature_names, mean_chip
+from sim_replay.fitting.cascade.classical.extractors import (
+    CENTRAL_FILTERS,
+    FAMILIES,
+    Family,
+    extract,
+    feature_names,
+    mean_chip,
+)
 from sim_replay.fitting.cascade.classical.wavelets import Subbands, analyse
 from tests.sim_replay.fitting.cascade.classical.chip_samples import Array, chip_of, generator
 
-TEMPLATES = {"mine": mean_chip(np.stack([chip_of(seed, True) for seed in range(20)])), "other": np.full((N_ROWS, N_COLUMNS), 0.25)}
+TEMPLATES = {
+    "mine": mean_chip(np.stack([chip_of(seed, True) for seed in range(20)])),
+    "other": np.full((N_ROWS, N_COLUMNS), 0.25),
+}
 
 
 def _oracle_central(chip: Array) -> list[float]:
@@ -77,7 +87,10 @@ def _oracle_thresholds(chip: Array) -> list[float]:
     for rows, columns in ((range(17), range(44)), (range(5, 12), range(8, 17)), (range(5, 12), range(18, 37))):
         cells = [math.exp(chip[row, column]) for row in rows for column in columns]
         for times in (2.0, 4.0, 8.0):
-            shares += [sum(cell > times for cell in cells) / len(cells), sum(cell < 1.0 / times for cell in cells) / len(cells)]
+            shares += [
+                sum(cell > times for cell in cells) / len(cells),
+                sum(cell < 1.0 / times for cell in cells) / len(cells),
+            ]
     return shares
 
 
@@ -91,7 +104,9 @@ def _oracle_variances(chip: Array) -> list[float]:
     inner = range(5, 12)
     for near, far in ((0, 9), (9, 17), (17, 28), (28, 44)):
         for rows in (inner, [row for row in range(17) if row not in inner]):
-            features.append(math.log(_variance([chip[row, column] for row in rows for column in range(near, far)]) + 1e-3))
+            features.append(
+                math.log(_variance([chip[row, column] for row in rows for column in range(near, far)]) + 1e-3)
+            )
     return features
 
 
@@ -183,7 +198,8 @@ def test_each_feature_has_a_name_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    "function", [extractors.central, extractors.wavelets, extractors.thresholds, extractors.variances, extractors.histograms]
+    "function",
+    [extractors.central, extractors.wavelets, extractors.thresholds, extractors.variances, extractors.histograms],
 )
 def test_features_of_a_chip_do_not_depend_on_those_beside_it(function: Callable[[Array], Array]) -> None:
     chips = np.stack([chip_of(seed, seed % 3 == 0) for seed in range(7)])
@@ -195,5 +211,7 @@ def test_features_of_a_chip_do_not_depend_on_those_beside_it(function: Callable[
 @pytest.mark.parametrize("name", ["ring_12_1_2", "pair_1_32", "pair_3_40"])
 def test_central_filters_answer_to_an_object_more_than_to_floor(name: str) -> None:
     index = list(CENTRAL_FILTERS).index(name)
-    floor, mines = (extractors.central(np.stack([chip_of(seed, there) for seed in range(30)]))[:, index] for there in (False, True))
+    floor, mines = (
+        extractors.central(np.stack([chip_of(seed, there) for seed in range(30)]))[:, index] for there in (False, True)
+    )
     assert mines.min() > floor.max()
