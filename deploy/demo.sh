@@ -1,6 +1,6 @@
 #!/bin/sh
-# A short mission through virtual serial and CAN ports into the running service, and what its ports recorded replayed; then a longer simulated
-# mission through the whole chain, scored. Says where the reports are.
+# A short mission through virtual serial and CAN ports into the running service, and what its ports recorded replayed;
+# then a longer simulated mission through the whole chain, scored. Says where the reports are.
 # Needs Python 3.11 or later; a C compiler is used if there is one. Everything is written below this checkout.
 set -eu
 cd "$(dirname "$0")/.."

@@ -1,6 +1,8 @@
 #!/bin/sh
-# The quick tests under every Python from 3.11 on that is installed here, each in an environment of its own: sh deploy/matrix.sh [TEST...]
-# PYTHONS names the interpreters instead. Says which versions were not there; fails if a test fails, or under no version at all.
+# Run the quick tests under every Python from 3.11 on that is installed here, each in an environment of its own:
+#     sh deploy/matrix.sh [TEST...]
+# PYTHONS names the interpreters instead. Prints the versions that were not found; fails if a test fails, or if no
+# version was found.
 set -eu
 cd "$(dirname "$0")/.."
 [ $# -gt 0 ] || set -- tests/auv_mcm tests/drivers tests/accuracy tests/test_import_graph.py
@@ -8,7 +10,8 @@ cd "$(dirname "$0")/.."
 found= missing= failed=
 for version in 3.11 3.12 3.13 3.14; do
     python=
-    for candidate in ${PYTHONS:-"python$version" "${PYENV_ROOT:-$HOME/.pyenv}"/versions/"$version".*/bin/python python3}; do
+    pyenv=${PYENV_ROOT:-$HOME/.pyenv}/versions
+    for candidate in ${PYTHONS:-"python$version" "$pyenv/$version".*/bin/python python3}; do
         if [ "$("$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)" = "$version" ]; then
             python=$candidate
             break
@@ -21,7 +24,9 @@ for version in 3.11 3.12 3.13 3.14; do
     echo "matrix: Python $version"
     found="$found $version"
     place=.venv-$version
-    PYTHON=$python VENV=$place sh deploy/venv.sh bench dev docs && "$place/bin/python" -m pytest "$@" --quiet || failed="$failed $version"
+    PYTHON=$python VENV=$place sh deploy/venv.sh bench dev docs &&
+        "$place/bin/python" -m pytest "$@" --quiet ||
+        failed="$failed $version"
 done
 echo "matrix: ran under${found:- none}; not installed:${missing:- none}; failed:${failed:- none}"
 [ -n "$found" ] && [ -z "$failed" ]

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Build the documentation as a site into out-site/, with warnings as errors. Nothing is fetched but what pip installs the first time.
+# Build the documentation as a site into out-site/, with warnings as errors. Nothing is fetched but what pip installs
+# the first time.
 set -eu
 cd "$(dirname "$0")/.."
 sh deploy/venv.sh bench dev docs

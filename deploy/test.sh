@@ -1,6 +1,6 @@
 #!/bin/sh
-# Everything that must hold before a change goes in: style, types, tests, and a replay of recorded data where it is at hand.
-# Needs Python 3.11 or later; a C compiler is used if there is one.
+# Everything that must hold before a change goes in: style, types, tests, and a replay of recorded data where it is at
+# hand. Needs Python 3.11 or later; a C compiler is used if there is one.
 set -eu
 cd "$(dirname "$0")/.."
 unset PYTHONDONTWRITEBYTECODE # each of hundreds of processes would compile all that it imports

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Make or refresh .venv at the root of this checkout: sh deploy/venv.sh EXTRA... (bench, dev, docs)
-# Does nothing if what is installed is what this checkout asks for. PYTHON names the interpreter, default python3; VENV the folder.
+# Does nothing if what is installed is what this checkout asks for. PYTHON names the interpreter, default python3; VENV
+# the folder.
 set -eu
 cd "$(dirname "$0")/.."
 venv=${VENV:-.venv}
@@ -21,13 +22,15 @@ else
         if [ "$PYTHON" = none ] || recent "$PYTHON"; then break; fi
     done
     [ "$PYTHON" != none ] ||
-        fail "Python 3.11 or later is needed. On Debian or Ubuntu: sudo apt-get install python3 python3-venv (or set PYTHON=/path/to/python)."
+        fail "Python 3.11 or later is needed. On Debian or Ubuntu: sudo apt-get install python3 python3-venv" \
+            "(or set PYTHON=/path/to/python)."
 fi
 
 version=$("$PYTHON" -c 'import platform; print(platform.python_version())')
 if [ "$("$venv/bin/python" -c 'import platform; print(platform.python_version())' 2>/dev/null)" != "$version" ]; then
     "$PYTHON" -c 'import ensurepip, venv' 2>/dev/null ||
-        fail "Python $version cannot make virtual environments. On Debian or Ubuntu: sudo apt-get install python3-venv (or python${version%.*}-venv)."
+        fail "Python $version cannot make virtual environments. On Debian or Ubuntu:" \
+            "sudo apt-get install python3-venv (or python${version%.*}-venv)."
     echo "deploy: making $venv with Python $version"
     "$PYTHON" -m venv --clear "$venv"
 fi
@@ -40,7 +43,8 @@ done
 if [ -n "$missing" ]; then
     extras=$(echo "$*" | tr ' ' ',')
     echo "deploy: installing auv-mcm[$extras] into $venv (a few minutes the first time)"
-    command -v "${CC:-cc}" >/dev/null || echo "deploy: no C compiler found: numpy will do the work of the C kernels, more slowly"
+    command -v "${CC:-cc}" >/dev/null ||
+        echo "deploy: no C compiler found: numpy will do the work of the C kernels, more slowly"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[$extras]"
     for extra in "$@"; do
         echo "$asked" >"$venv/installed-$extra"

@@ -1,9 +1,10 @@
 /* Codes, integral images and boosted stumps of the trained cascade, see cascade.py for their definition.
  *
- * Stumps run breadth-first: all windows of a block through one stump before the next, so that the iterations are independent. While many
- * windows of a block are alive, whole rows are weighed, which vectorises; then runs of neighbours, and where hardly any window has a
- * neighbour, one by one. An outcome is looked up or blended, never branched upon: on speckle it is a coin's. Contrasts are mostly
- * against one and the same box, the whole window's, whose sum is taken once for all stumps of a group.
+ * Stumps run breadth-first: all windows of a block through one stump before the next, so that the iterations are
+ * independent. While many windows of a block are alive, whole rows are weighed, which vectorises; then runs of
+ * neighbours, and where hardly any window has a neighbour, one by one. An outcome is looked up or blended, never
+ * branched upon: on speckle it is a coin's. Contrasts are mostly against one and the same box, the whole window's,
+ * whose sum is taken once for all stumps of a group.
  */
 
 #include <stddef.h>
@@ -16,7 +17,8 @@ enum { LOWER_RIGHT, UPPER_RIGHT, LOWER_LEFT, UPPER_LEFT, CORNERS };
 enum { LANES = 8, SEGMENT = 1024, BLOCK = 8192, LIST = 512, DENSE_SHARE = 2, DIGIT_BITS = 11 };
 enum { RUN_COST = 3, RUN_WINDOWS = 2 }; /* a run costs about as much as 3 / 2 windows by themselves */
 
-/* Left to itself, gcc makes vectors of values gathered one by one, which takes half as long again as one window at a time. */
+/* Left to itself, gcc makes vectors of values gathered one by one, which takes half as long again as one window at a
+ * time. */
 #if defined(__GNUC__) && !defined(__clang__)
 #define ONE_BY_ONE __attribute__((optimize("no-tree-vectorize")))
 #else
@@ -35,13 +37,14 @@ typedef struct {
     int32_t stop, reject;
 } Group;
 
-/* Neighbouring windows of one row: index of the first in the integral images, number, and number with those up to a multiple of LANES. */
+/* Neighbouring windows of one row: index of the first in the integral images, number, and number with those up to a
+ * multiple of LANES. */
 typedef struct {
     int64_t at, n, padded;
 } Segment;
 
-WIDE void auv_mcm_cascade_encode(int64_t n, const float *restrict intensity, const uint8_t *restrict mask, uint16_t *restrict codes,
-                            uint8_t *restrict valid)
+WIDE void auv_mcm_cascade_encode(int64_t n, const float *restrict intensity, const uint8_t *restrict mask,
+                                 uint16_t *restrict codes, uint8_t *restrict valid)
 {
     for (int64_t i = 0; i < n; i++) {
         const float value = intensity[i];
@@ -57,39 +60,39 @@ WIDE void auv_mcm_cascade_encode(int64_t n, const float *restrict intensity, con
 }
 
 /* Four sums at a time depend on the last one only once. */
-#define INTEGRAL(NAME, TYPE)                                                                                                             \
-    void NAME(int64_t n_rows, int64_t n_columns, int64_t margin_rows, int64_t margin_near, int64_t margin_far, uint32_t beyond,          \
-              const TYPE *restrict values, uint32_t *restrict sums)                                                                      \
-    {                                                                                                                                    \
-        const int64_t stride = margin_near + n_columns + margin_far + 1;                                                                 \
-        memset(sums, 0, (size_t)stride * sizeof *sums);                                                                                  \
-        for (int64_t row = -margin_rows; row < n_rows + margin_rows; row++) {                                                            \
-            const uint32_t *restrict above = sums + (row + margin_rows) * stride;                                                        \
-            uint32_t *restrict here = sums + (row + margin_rows + 1) * stride;                                                           \
-            const TYPE *restrict from = values + row * n_columns;                                                                        \
-            const int64_t columns = row < 0 || row >= n_rows ? 0 : n_columns, first = margin_near + 1;                                   \
-            uint32_t total = beyond * (uint32_t)margin_near;                                                                             \
-            int64_t column = 0;                                                                                                          \
-            for (int64_t before = 0; before < first; before++)                                                                           \
-                here[before] = above[before] + beyond * (uint32_t)before;                                                                \
-            for (; column + 4 <= columns; column += 4) {                                                                                 \
-                const uint32_t one = from[column], two = one + from[column + 1];                                                         \
-                const uint32_t three = two + from[column + 2], four = three + from[column + 3];                                          \
-                here[first + column] = above[first + column] + (total + one);                                                            \
-                here[first + column + 1] = above[first + column + 1] + (total + two);                                                    \
-                here[first + column + 2] = above[first + column + 2] + (total + three);                                                  \
-                here[first + column + 3] = above[first + column + 3] + (total + four);                                                   \
-                total += four;                                                                                                           \
-            }                                                                                                                            \
-            for (; column < columns; column++) {                                                                                         \
-                total += from[column];                                                                                                   \
-                here[first + column] = above[first + column] + total;                                                                    \
-            }                                                                                                                            \
-            for (column += first; column < stride; column++) {                                                                           \
-                total += beyond;                                                                                                         \
-                here[column] = above[column] + total;                                                                                    \
-            }                                                                                                                            \
-        }                                                                                                                                \
+#define INTEGRAL(NAME, TYPE)                                                                                   \
+    void NAME(int64_t n_rows, int64_t n_columns, int64_t margin_rows, int64_t margin_near, int64_t margin_far, \
+              uint32_t beyond, const TYPE *restrict values, uint32_t *restrict sums)                           \
+    {                                                                                                          \
+        const int64_t stride = margin_near + n_columns + margin_far + 1;                                       \
+        memset(sums, 0, (size_t)stride * sizeof *sums);                                                        \
+        for (int64_t row = -margin_rows; row < n_rows + margin_rows; row++) {                                  \
+            const uint32_t *restrict above = sums + (row + margin_rows) * stride;                              \
+            uint32_t *restrict here = sums + (row + margin_rows + 1) * stride;                                 \
+            const TYPE *restrict from = values + row * n_columns;                                              \
+            const int64_t columns = row < 0 || row >= n_rows ? 0 : n_columns, first = margin_near + 1;         \
+            uint32_t total = beyond * (uint32_t)margin_near;                                                   \
+            int64_t column = 0;                                                                                \
+            for (int64_t before = 0; before < first; before++)                                                 \
+                here[before] = above[before] + beyond * (uint32_t)before;                                      \
+            for (; column + 4 <= columns; column += 4) {                                                       \
+                const uint32_t one = from[column], two = one + from[column + 1];                               \
+                const uint32_t three = two + from[column + 2], four = three + from[column + 3];                \
+                here[first + column] = above[first + column] + (total + one);                                  \
+                here[first + column + 1] = above[first + column + 1] + (total + two);                          \
+                here[first + column + 2] = above[first + column + 2] + (total + three);                        \
+                here[first + column + 3] = above[first + column + 3] + (total + four);                         \
+                total += four;                                                                                 \
+            }                                                                                                  \
+            for (; column < columns; column++) {                                                               \
+                total += from[column];                                                                         \
+                here[first + column] = above[first + column] + total;                                          \
+            }                                                                                                  \
+            for (column += first; column < stride; column++) {                                                 \
+                total += beyond;                                                                               \
+                here[column] = above[column] + total;                                                          \
+            }                                                                                                  \
+        }                                                                                                      \
     }
 
 INTEGRAL(auv_mcm_cascade_sums, uint16_t)
@@ -97,7 +100,8 @@ INTEGRAL(auv_mcm_cascade_counts, uint8_t)
 
 static inline int32_t box(const uint32_t *at, const int32_t *offset)
 {
-    return (int32_t)((at[offset[LOWER_RIGHT]] - at[offset[UPPER_RIGHT]]) - (at[offset[LOWER_LEFT]] - at[offset[UPPER_LEFT]]));
+    return (int32_t)((at[offset[LOWER_RIGHT]] - at[offset[UPPER_RIGHT]]) -
+                     (at[offset[LOWER_LEFT]] - at[offset[UPPER_LEFT]]));
 }
 
 /* The first contrast among stumps [from, stop), whose third box others of the group share; NULL if there is none. */
@@ -111,19 +115,20 @@ static const Stump *find_whole(const Stump *stumps, int32_t from, int32_t stop)
 /* sum if the stump is a contrast against the box of `whole`, else NULL. */
 static inline const float *shared_sum(const Stump *stump, const Stump *whole, const float *sum)
 {
-    return whole && stump->contrast && !memcmp(stump->offset[2], whole->offset[2], sizeof whole->offset[2]) ? sum : NULL;
+    return whole && stump->contrast && !memcmp(stump->offset[2], whole->offset[2], sizeof whole->offset[2]) ? sum
+                                                                                                            : NULL;
 }
 
 /* whole: out, sums over the third box of a contrast; (n), of runs (n, LANES). */
-ONE_BY_ONE static void sum_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
-                                float *restrict whole)
+ONE_BY_ONE static void sum_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n,
+                                const int32_t *restrict at, float *restrict whole)
 {
     for (int64_t i = 0; i < n; i++)
         whole[i] = (float)box(sums + at[i], stump->offset[2]);
 }
 
-WIDE static void sum_runs(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
-                          float *restrict whole)
+WIDE static void sum_runs(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n,
+                          const int32_t *restrict at, float *restrict whole)
 {
     const Stump s = *stump;
     for (int64_t run = 0; run < n; run++) {
@@ -145,31 +150,34 @@ WIDE static void sum_row(const uint32_t *restrict here, const Stump *restrict st
 }
 
 /* whole: those sums, NULL for a contrast with a box of its own; the same below. */
-ONE_BY_ONE static void weigh_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
-                                  const float *restrict whole, int32_t *restrict score)
+ONE_BY_ONE static void weigh_list(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n,
+                                  const int32_t *restrict at, const float *restrict whole, int32_t *restrict score)
 {
     const Stump s = *stump;
     if (s.contrast && whole)
         for (int64_t i = 0; i < n; i++) {
             const uint32_t *here = sums + at[i];
-            const float a = (float)box(here, s.offset[0]) * s.weight[0], b = (float)box(here, s.offset[1]) * s.weight[1];
+            const float a = (float)box(here, s.offset[0]) * s.weight[0],
+                        b = (float)box(here, s.offset[1]) * s.weight[1];
             score[i] += s.leaf[a - b < whole[i] * s.weight[2]];
         }
     else if (s.contrast)
         for (int64_t i = 0; i < n; i++) {
             const uint32_t *here = sums + at[i];
-            const float a = (float)box(here, s.offset[0]) * s.weight[0], b = (float)box(here, s.offset[1]) * s.weight[1];
+            const float a = (float)box(here, s.offset[0]) * s.weight[0],
+                        b = (float)box(here, s.offset[1]) * s.weight[1];
             score[i] += s.leaf[a - b < (float)box(here, s.offset[2]) * s.weight[2]];
         }
     else
         for (int64_t i = 0; i < n; i++) {
             const uint32_t *here = sums + at[i];
-            score[i] += s.leaf[(float)box(here, s.offset[0]) * s.weight[0] < (float)box(here, s.offset[1]) * s.weight[1]];
+            score[i] +=
+                s.leaf[(float)box(here, s.offset[0]) * s.weight[0] < (float)box(here, s.offset[1]) * s.weight[1]];
         }
 }
 
-/* Windows of a list that lie within LANES of each other in a row go together. at: of the first one each; slot: of each window among all
- * lanes. Returns the number of such runs. */
+/* Windows of a list that lie within LANES of each other in a row go together. at: of the first one each; slot: of each
+ * window among all lanes. Returns the number of such runs. */
 static int64_t find_runs(int64_t n, const int32_t *restrict place, int32_t *restrict at, int32_t *restrict slot)
 {
     int64_t runs = 0;
@@ -183,8 +191,8 @@ static int64_t find_runs(int64_t n, const int32_t *restrict place, int32_t *rest
     return runs;
 }
 
-WIDE static void weigh_runs(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n, const int32_t *restrict at,
-                            const float *restrict whole, int32_t *restrict score)
+WIDE static void weigh_runs(const uint32_t *restrict sums, const Stump *restrict stump, int64_t n,
+                            const int32_t *restrict at, const float *restrict whole, int32_t *restrict score)
 {
     const Stump s = *stump;
     const int32_t above = s.leaf[0], below = s.leaf[1];
@@ -194,7 +202,8 @@ WIDE static void weigh_runs(const uint32_t *restrict sums, const Stump *restrict
             const float *restrict w = whole + run * LANES;
             int32_t *restrict lane = score + run * LANES;
             for (int i = 0; i < LANES; i++) {
-                const float a = (float)box(here + i, s.offset[0]) * s.weight[0], b = (float)box(here + i, s.offset[1]) * s.weight[1];
+                const float a = (float)box(here + i, s.offset[0]) * s.weight[0],
+                            b = (float)box(here + i, s.offset[1]) * s.weight[1];
                 lane[i] += a - b < w[i] * s.weight[2] ? below : above;
             }
         }
@@ -203,7 +212,8 @@ WIDE static void weigh_runs(const uint32_t *restrict sums, const Stump *restrict
             const uint32_t *here = sums + at[run];
             int32_t *restrict lane = score + run * LANES;
             for (int i = 0; i < LANES; i++) {
-                const float a = (float)box(here + i, s.offset[0]) * s.weight[0], b = (float)box(here + i, s.offset[1]) * s.weight[1];
+                const float a = (float)box(here + i, s.offset[0]) * s.weight[0],
+                            b = (float)box(here + i, s.offset[1]) * s.weight[1];
                 lane[i] += a - b < (float)box(here + i, s.offset[2]) * s.weight[2] ? below : above;
             }
         }
@@ -212,15 +222,16 @@ WIDE static void weigh_runs(const uint32_t *restrict sums, const Stump *restrict
             const uint32_t *here = sums + at[run];
             int32_t *restrict lane = score + run * LANES;
             for (int i = 0; i < LANES; i++) {
-                const float a = (float)box(here + i, s.offset[0]) * s.weight[0], b = (float)box(here + i, s.offset[1]) * s.weight[1];
+                const float a = (float)box(here + i, s.offset[0]) * s.weight[0],
+                            b = (float)box(here + i, s.offset[1]) * s.weight[1];
                 lane[i] += a < b ? below : above;
             }
         }
 }
 
 /* n: a multiple of LANES. */
-WIDE static void weigh_row(const uint32_t *restrict here, const Stump *restrict stump, int64_t n, const float *restrict whole,
-                           int32_t *restrict score)
+WIDE static void weigh_row(const uint32_t *restrict here, const Stump *restrict stump, int64_t n,
+                           const float *restrict whole, int32_t *restrict score)
 {
     const int32_t above = stump->leaf[0], below = stump->leaf[1];
     const float weight_a = stump->weight[0], weight_b = stump->weight[1], weight_w = stump->weight[2];
@@ -253,14 +264,17 @@ WIDE static void weigh_row(const uint32_t *restrict here, const Stump *restrict 
     }
 }
 
-/* Runs groups [first, last) on a list of windows of one band and keeps the survivors at its front. Returns their number. */
-static int64_t run_list(const uint32_t *restrict sums, const Stump *restrict stumps, const Group *restrict groups, int64_t first,
-                        int64_t last, int64_t restart, int64_t n, int32_t *restrict at, int32_t *restrict score, int64_t *restrict n_alive)
+/* Runs groups [first, last) on a list of windows of one band and keeps the survivors at its front. Returns their
+ * number. */
+static int64_t run_list(const uint32_t *restrict sums, const Stump *restrict stumps, const Group *restrict groups,
+                        int64_t first, int64_t last, int64_t restart, int64_t n, int32_t *restrict at,
+                        int32_t *restrict score, int64_t *restrict n_alive)
 {
     int32_t run_at[LIST], slot[LIST], lanes[LIST * LANES];
     float sum[LIST * LANES];
     for (int64_t group = first; group < last; group++) {
-        const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop, reject = groups[group].reject;
+        const int32_t from = group ? groups[group - 1].stop : 0, stop = groups[group].stop,
+                      reject = groups[group].reject;
         const Stump *const whole = find_whole(stumps, from, stop);
         int64_t kept = 0;
         for (int64_t start = 0; start < n; start += LIST) {
@@ -272,7 +286,8 @@ static int64_t run_list(const uint32_t *restrict sums, const Stump *restrict stu
                 if (whole)
                     sum_list(sums, whole, length, at + start, sum);
                 for (int32_t stump = from; stump < stop; stump++)
-                    weigh_list(sums, stumps + stump, length, at + start, shared_sum(stumps + stump, whole, sum), score + start);
+                    weigh_list(sums, stumps + stump, length, at + start, shared_sum(stumps + stump, whole, sum),
+                               score + start);
             } else {
                 memset(lanes, 0, (size_t)(runs * LANES) * sizeof *lanes);
                 if (whole)
@@ -307,9 +322,10 @@ WIDE static int64_t keep_alive(int64_t n, const int32_t *restrict score, int32_t
     return left;
 }
 
-/* Which of n neighbouring windows hold at least `enough` valid pixels and may be centred there: -1 or 0. Returns how many. */
-WIDE static int64_t find_windows(int64_t n, const uint32_t *restrict counts, const int32_t *restrict window, int32_t enough,
-                                 const uint8_t *restrict usable, int32_t *restrict alive)
+/* Which of n neighbouring windows hold at least `enough` valid pixels and may be centred there: -1 or 0. Returns how
+ * many. */
+WIDE static int64_t find_windows(int64_t n, const uint32_t *restrict counts, const int32_t *restrict window,
+                                 int32_t enough, const uint8_t *restrict usable, int32_t *restrict alive)
 {
     const uint32_t *const c0 = counts + window[0], *const c1 = counts + window[1];
     const uint32_t *const c2 = counts + window[2], *const c3 = counts + window[3];
@@ -328,9 +344,10 @@ WIDE static int64_t find_windows(int64_t n, const uint32_t *restrict counts, con
 }
 
 /* Runs groups [0, n_groups) on the windows of a block and appends the survivors to a list. Returns their number. */
-static int64_t open_block(const uint32_t *restrict sums, const Stump *restrict stumps, const Group *restrict groups, int64_t n_groups,
-                          int64_t restart, int64_t n_segments, const Segment *restrict segments, int32_t *restrict block_score,
-                          int32_t *restrict alive, int32_t *restrict at, int32_t *restrict score, int64_t *restrict n_alive)
+static int64_t open_block(const uint32_t *restrict sums, const Stump *restrict stumps, const Group *restrict groups,
+                          int64_t n_groups, int64_t restart, int64_t n_segments, const Segment *restrict segments,
+                          int32_t *restrict block_score, int32_t *restrict alive, int32_t *restrict at,
+                          int32_t *restrict score, int64_t *restrict n_alive)
 {
     int64_t group = 0, total, filled = 0, n = 0;
     float sum[SEGMENT];
@@ -346,7 +363,8 @@ static int64_t open_block(const uint32_t *restrict sums, const Stump *restrict s
             if (whole)
                 sum_row(here, whole, segments[k].padded, sum);
             for (int32_t stump = from; stump < stop; stump++)
-                weigh_row(here, stumps + stump, segments[k].padded, shared_sum(stumps + stump, whole, sum), block_score + begin);
+                weigh_row(here, stumps + stump, segments[k].padded, shared_sum(stumps + stump, whole, sum),
+                          block_score + begin);
         }
         total = keep_alive(filled, block_score, groups[group].reject, alive);
         n_alive[group] += total;
@@ -361,16 +379,19 @@ static int64_t open_block(const uint32_t *restrict sums, const Stump *restrict s
     return run_list(sums, stumps, groups, group, n_groups, restart, n, at, score, n_alive);
 }
 
-/* edges (n_rows, n_bands + 1), usable (n_rows, n_columns), windows (n_bands, CORNERS), least (n_bands), stumps (n_bands, n_stumps).
- * corner: index of pixel (0, 0) in the integral images, whose rows are `stride` long. at, score (as many as windows may be centred, and
- * one more): out, the survivors of all groups by band, row, column. band_stop (n_bands): out, where each band's end. n_alive (n_groups):
- * out. n_windows (1): out. Without groups windows are only counted.
+/* edges (n_rows, n_bands + 1), usable (n_rows, n_columns), windows (n_bands, CORNERS), least (n_bands), stumps
+ * (n_bands, n_stumps). corner: index of pixel (0, 0) in the integral images, whose rows are `stride` long. at, score
+ * (as many as windows may be centred, and one more): out, the survivors of all groups by band, row, column. band_stop
+ * (n_bands): out, where each band's end. n_alive (n_groups): out. n_windows (1): out. Without groups windows are only
+ * counted.
  */
-void auv_mcm_cascade_open(int64_t n_rows, int64_t n_columns, int64_t stride, int64_t corner, const uint32_t *restrict sums,
-                          const uint32_t *restrict counts, const uint8_t *restrict usable, int64_t n_bands, const int32_t *restrict edges,
-                          const int32_t *restrict windows, const int32_t *restrict least, int64_t n_stumps, const Stump *restrict stumps,
-                          int64_t n_groups, const Group *restrict groups, int64_t restart, int32_t *restrict at, int32_t *restrict score,
-                          int64_t *restrict band_stop, int64_t *restrict n_alive, int64_t *restrict n_windows)
+void auv_mcm_cascade_open(int64_t n_rows, int64_t n_columns, int64_t stride, int64_t corner,
+                          const uint32_t *restrict sums, const uint32_t *restrict counts,
+                          const uint8_t *restrict usable, int64_t n_bands, const int32_t *restrict edges,
+                          const int32_t *restrict windows, const int32_t *restrict least, int64_t n_stumps,
+                          const Stump *restrict stumps, int64_t n_groups, const Group *restrict groups, int64_t restart,
+                          int32_t *restrict at, int32_t *restrict score, int64_t *restrict band_stop,
+                          int64_t *restrict n_alive, int64_t *restrict n_windows)
 {
     int32_t block_score[BLOCK], alive[BLOCK];
     Segment segments[BLOCK / LANES];
@@ -383,15 +404,16 @@ void auv_mcm_cascade_open(int64_t n_rows, int64_t n_columns, int64_t stride, int
         for (int64_t row = 0; row < n_rows; row++) {
             const int32_t *edge = edges + row * (n_bands + 1) + band;
             for (int64_t column = edge[0]; column < edge[1]; column += SEGMENT) {
-                Segment segment = {corner + row * stride + column, edge[1] - column < SEGMENT ? edge[1] - column : SEGMENT, 0};
+                Segment segment = {corner + row * stride + column,
+                                   edge[1] - column < SEGMENT ? edge[1] - column : SEGMENT, 0};
                 segment.padded = (segment.n + LANES - 1) / LANES * LANES;
                 if (filled + segment.padded > BLOCK) {
-                    n += open_block(sums, stumps + band * n_stumps, groups, n_groups, restart, n_segments, segments, block_score, alive,
-                                    at + n, score + n, n_alive);
+                    n += open_block(sums, stumps + band * n_stumps, groups, n_groups, restart, n_segments, segments,
+                                    block_score, alive, at + n, score + n, n_alive);
                     n_segments = filled = 0;
                 }
-                const int64_t found = find_windows(segment.n, counts + segment.at, window, enough, usable + row * n_columns + column,
-                                                   alive + filled);
+                const int64_t found = find_windows(segment.n, counts + segment.at, window, enough,
+                                                   usable + row * n_columns + column, alive + filled);
                 *n_windows += found;
                 if (!found || !n_groups)
                     continue;
@@ -400,23 +422,25 @@ void auv_mcm_cascade_open(int64_t n_rows, int64_t n_columns, int64_t stride, int
             }
         }
         if (n_segments)
-            n += open_block(sums, stumps + band * n_stumps, groups, n_groups, restart, n_segments, segments, block_score, alive, at + n,
-                            score + n, n_alive);
+            n += open_block(sums, stumps + band * n_stumps, groups, n_groups, restart, n_segments, segments,
+                            block_score, alive, at + n, score + n, n_alive);
         band_stop[band] = n;
     }
 }
 
-/* Runs groups [first, last) on the windows that auv_mcm_cascade_open left, or some of them; at, score, band_stop: in and out. */
-void auv_mcm_cascade_run(const uint32_t *restrict sums, int64_t n_bands, int64_t n_stumps, const Stump *restrict stumps, int64_t first,
-                         int64_t last, const Group *restrict groups, int64_t restart, int32_t *restrict at, int32_t *restrict score,
-                         int64_t *restrict band_stop, int64_t *restrict n_alive)
+/* Runs groups [first, last) on the windows that auv_mcm_cascade_open left, or some of them; at, score, band_stop: in
+ * and out. */
+void auv_mcm_cascade_run(const uint32_t *restrict sums, int64_t n_bands, int64_t n_stumps, const Stump *restrict stumps,
+                         int64_t first, int64_t last, const Group *restrict groups, int64_t restart,
+                         int32_t *restrict at, int32_t *restrict score, int64_t *restrict band_stop,
+                         int64_t *restrict n_alive)
 {
     int64_t begin = 0, kept = 0;
     memset(n_alive, 0, (size_t)last * sizeof *n_alive);
     for (int64_t band = 0; band < n_bands; band++) {
         const int64_t stop = band_stop[band];
-        const int64_t n = run_list(sums, stumps + band * n_stumps, groups, first, last, restart, stop - begin, at + begin, score + begin,
-                                   n_alive);
+        const int64_t n = run_list(sums, stumps + band * n_stumps, groups, first, last, restart, stop - begin,
+                                   at + begin, score + begin, n_alive);
         memmove(at + kept, at + begin, (size_t)n * sizeof *at);
         memmove(score + kept, score + begin, (size_t)n * sizeof *score);
         kept += n;
@@ -425,8 +449,8 @@ void auv_mcm_cascade_run(const uint32_t *restrict sums, int64_t n_bands, int64_t
     }
 }
 
-/* order (n): out, indices of scores from the highest down, of equal ones the first first: of the n_first (1 to n) highest, and of all that
- * equal the last of those. scratch (n): overwritten. n_ranked (1): out, how many.
+/* order (n): out, indices of scores from the highest down, of equal ones the first first: of the n_first (1 to n)
+ * highest, and of all that equal the last of those. scratch (n): overwritten. n_ranked (1): out, how many.
  */
 void auv_mcm_cascade_rank(int64_t n, const int32_t *restrict score, int64_t n_first, int32_t *order, int32_t *scratch,
                           int64_t *restrict n_ranked)

@@ -1,7 +1,9 @@
-/* Box sums, background and variances that contrasts are made of, and where a box may stand out, see contrast.py for their definition.
+/* Box sums, background and variances that contrasts are made of, and where a box may stand out, see contrast.py for
+ * their definition.
  *
- * Sums run along rows and then down, in the order of a running integral image, so that numpy's cumulative sums give the same bits. Boxes
- * are half-open offsets from a pixel, first and last row, first and last column, and are clipped at the tile's edge.
+ * Sums run along rows and then down, in the order of a running integral image, so that numpy's cumulative sums give the
+ * same bits. Boxes are half-open offsets from a pixel, first and last row, first and last column, and are clipped at
+ * the tile's edge.
  */
 
 #include <math.h>
@@ -16,29 +18,31 @@ enum { CHUNK = 8, PLANES = 3 };
 static inline int64_t within(int64_t value, int64_t last) { return value < 0 ? 0 : value > last ? last : value; }
 
 /* Differences of two rows of an integral image, with what stands at its edges repeated `pad` times on either side. */
-#define BAND(NAME, TYPE)                                                                                                                 \
-    static inline void NAME(int64_t n_rows, int64_t n_columns, const TYPE *restrict sums, int64_t top, int64_t bottom, int64_t pad,       \
-                            TYPE *restrict band)                                                                                         \
-    {                                                                                                                                    \
-        const TYPE *restrict upper = sums + within(top, n_rows) * (n_columns + 1);                                                       \
-        const TYPE *restrict lower = sums + within(bottom, n_rows) * (n_columns + 1);                                                    \
-        for (int64_t column = 0; column <= n_columns; column++)                                                                          \
-            band[pad + column] = lower[column] - upper[column];                                                                          \
-        for (int64_t column = 0; column < pad; column++) {                                                                               \
-            band[column] = band[pad];                                                                                                    \
-            band[pad + n_columns + 1 + column] = band[pad + n_columns];                                                                  \
-        }                                                                                                                                \
+#define BAND(NAME, TYPE)                                                                                               \
+    static inline void NAME(int64_t n_rows, int64_t n_columns, const TYPE *restrict sums, int64_t top, int64_t bottom, \
+                            int64_t pad, TYPE *restrict band)                                                          \
+    {                                                                                                                  \
+        const TYPE *restrict upper = sums + within(top, n_rows) * (n_columns + 1);                                     \
+        const TYPE *restrict lower = sums + within(bottom, n_rows) * (n_columns + 1);                                  \
+        for (int64_t column = 0; column <= n_columns; column++)                                                        \
+            band[pad + column] = lower[column] - upper[column];                                                        \
+        for (int64_t column = 0; column < pad; column++) {                                                             \
+            band[column] = band[pad];                                                                                  \
+            band[pad + n_columns + 1 + column] = band[pad + n_columns];                                                \
+        }                                                                                                              \
     }
 
 BAND(band_of_sums, double)
 BAND(band_of_counts, int32_t)
 
-/* intensity, mask (n_rows, n_columns). sums, floor_sums, counts, floor_counts (n_rows + 1, n_columns + 1): out, integral images of
- * intensity bounded by `most` and the number of valid pixels, and of the same bounded by `floor_most` and without saturated pixels.
+/* intensity, mask (n_rows, n_columns). sums, floor_sums, counts, floor_counts (n_rows + 1, n_columns + 1): out,
+ * integral images of intensity bounded by `most` and the number of valid pixels, and of the same bounded by
+ * `floor_most` and without saturated pixels.
  */
-void auv_mcm_contrast_sums(int64_t n_rows, int64_t n_columns, const float *restrict intensity, const uint8_t *restrict mask, int32_t valid,
-                           int32_t saturated, float most, float floor_most, double *restrict sums, double *restrict floor_sums,
-                           int32_t *restrict counts, int32_t *restrict floor_counts)
+void auv_mcm_contrast_sums(int64_t n_rows, int64_t n_columns, const float *restrict intensity,
+                           const uint8_t *restrict mask, int32_t valid, int32_t saturated, float most, float floor_most,
+                           double *restrict sums, double *restrict floor_sums, int32_t *restrict counts,
+                           int32_t *restrict floor_counts)
 {
     const int64_t stride = n_columns + 1;
     memset(sums, 0, (size_t)stride * sizeof *sums);
@@ -69,11 +73,11 @@ void auv_mcm_contrast_sums(int64_t n_rows, int64_t n_columns, const float *restr
 }
 
 /* band (2, n_columns + 1 + 2 pad), count_band: overwritten. background, known (n_rows, n_columns): out. */
-WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const double *restrict sums, const int32_t *restrict counts,
-                                      const uint8_t *restrict mask, int32_t valid, const int32_t *restrict frame,
-                                      const int32_t *restrict hollow, double least_count, double least_mean, int64_t pad,
-                                      double *restrict band, int32_t *restrict count_band, float *restrict background,
-                                      uint8_t *restrict known)
+WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const double *restrict sums,
+                                      const int32_t *restrict counts, const uint8_t *restrict mask, int32_t valid,
+                                      const int32_t *restrict frame, const int32_t *restrict hollow, double least_count,
+                                      double least_mean, int64_t pad, double *restrict band,
+                                      int32_t *restrict count_band, float *restrict background, uint8_t *restrict known)
 {
     const int64_t width = n_columns + 1 + 2 * pad;
     const float silent = (float)least_mean;
@@ -83,8 +87,11 @@ WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const d
         band_of_counts(n_rows, n_columns, counts, row + frame[TOP], row + frame[BOTTOM], pad, count_band);
         band_of_counts(n_rows, n_columns, counts, row + hollow[TOP], row + hollow[BOTTOM], pad, count_band + width);
         const double *restrict far = band + pad + frame[RIGHT], *restrict near = band + pad + frame[LEFT];
-        const double *restrict inner_far = band + width + pad + hollow[RIGHT], *restrict inner_near = band + width + pad + hollow[LEFT];
-        const int32_t *restrict n_far = count_band + pad + frame[RIGHT], *restrict n_near = count_band + pad + frame[LEFT];
+        const double *restrict inner_far = band + width + pad + hollow[RIGHT], *restrict inner_near = band + width +
+                                                                                                      pad +
+                                                                                                      hollow[LEFT];
+        const int32_t *restrict n_far = count_band + pad + frame[RIGHT], *restrict n_near = count_band + pad +
+                                                                                            frame[LEFT];
         const int32_t *restrict n_inner_far = count_band + width + pad + hollow[RIGHT];
         const int32_t *restrict n_inner_near = count_band + width + pad + hollow[LEFT];
         float *restrict mean_out = background + row * n_columns;
@@ -92,20 +99,24 @@ WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const d
         const uint8_t *restrict bits = mask + row * n_columns;
         for (int64_t column = 0; column < n_columns; column++) {
             double total = (far[column] - near[column]) - (inner_far[column] - inner_near[column]);
-            const double count = (double)((n_far[column] - n_near[column]) - (n_inner_far[column] - n_inner_near[column]));
+            const double count = (double)((n_far[column] - n_near[column]) -
+                                          (n_inner_far[column] - n_inner_near[column]));
             total = total > 0.0 ? total : 0.0;
             double mean = total / (count > 1.0 ? count : 1.0);
             mean = mean > least_mean ? mean : least_mean;
             mean_out[column] = (float)mean;
-            known_out[column] = (uint8_t)((count >= least_count) & ((float)mean > silent) & ((bits[column] & valid) != 0));
+            known_out[column] = (uint8_t)((count >= least_count) & ((float)mean > silent) &
+                                          ((bits[column] & valid) != 0));
         }
     }
 }
 
-/* boxes (n_boxes, SIDES). ratios (n_boxes, n_rows, n_columns): out. band, count_band (n_columns + 1 + 2 pad): overwritten. */
-WIDE void auv_mcm_contrast_ratios(int64_t n_rows, int64_t n_columns, const double *restrict sums, const int32_t *restrict counts,
-                                  const float *restrict background, int64_t n_boxes, const int32_t *restrict boxes, float least,
-                                  int64_t pad, double *restrict band, int32_t *restrict count_band, float *restrict ratios)
+/* boxes (n_boxes, SIDES). ratios (n_boxes, n_rows, n_columns): out. band, count_band (n_columns + 1 + 2 pad):
+ * overwritten. */
+WIDE void auv_mcm_contrast_ratios(int64_t n_rows, int64_t n_columns, const double *restrict sums,
+                                  const int32_t *restrict counts, const float *restrict background, int64_t n_boxes,
+                                  const int32_t *restrict boxes, float least, int64_t pad, double *restrict band,
+                                  int32_t *restrict count_band, float *restrict ratios)
 {
     for (int64_t row = 0; row < n_rows; row++)
         for (int64_t k = 0; k < n_boxes; k++) {
@@ -113,7 +124,8 @@ WIDE void auv_mcm_contrast_ratios(int64_t n_rows, int64_t n_columns, const doubl
             band_of_sums(n_rows, n_columns, sums, row + box[TOP], row + box[BOTTOM], pad, band);
             band_of_counts(n_rows, n_columns, counts, row + box[TOP], row + box[BOTTOM], pad, count_band);
             const double *restrict far = band + pad + box[RIGHT], *restrict near = band + pad + box[LEFT];
-            const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad + box[LEFT];
+            const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad +
+                                                                                              box[LEFT];
             const float *restrict level = background + row * n_columns;
             float *restrict out = ratios + (k * n_rows + row) * n_columns;
             for (int64_t column = 0; column < n_columns; column++) {
@@ -125,11 +137,13 @@ WIDE void auv_mcm_contrast_ratios(int64_t n_rows, int64_t n_columns, const doubl
         }
 }
 
-/* Adds the running sums of a row's values, clipped and 0 where not known, and of their squares to what stands in `total`, by plane first
- * the sums and then the squares. The planes go together since each sum waits for the one before.
+/* Adds the running sums of a row's values, clipped and 0 where not known, and of their squares to what stands in
+ * `total`, by plane first the sums and then the squares. The planes go together since each sum waits for the one
+ * before.
  */
-static inline void add_along(int64_t n_columns, int64_t step, const float *restrict values, const uint8_t *restrict known, float clip,
-                             double *restrict total, int32_t *restrict n, int32_t sign)
+static inline void add_along(int64_t n_columns, int64_t step, const float *restrict values,
+                             const uint8_t *restrict known, float clip, double *restrict total, int32_t *restrict n,
+                             int32_t sign)
 {
     const int64_t width = n_columns + 1;
     double sum[PLANES] = {0.0}, square_sum[PLANES] = {0.0};
@@ -150,13 +164,14 @@ static inline void add_along(int64_t n_columns, int64_t step, const float *restr
     }
 }
 
-/* values (PLANES, n_rows, n_columns), known (n_rows, n_columns). sums (6 PLANES, n_columns + 1), n_known (n_columns + 1): zeros,
- * overwritten. variance (PLANES, n_rows, n_columns): out, rows [first, last). Sums above and below the box's rows go down the tile with
- * them, from its first row on.
+/* values (PLANES, n_rows, n_columns), known (n_rows, n_columns). sums (6 PLANES, n_columns + 1), n_known (n_columns +
+ * 1): zeros, overwritten. variance (PLANES, n_rows, n_columns): out, rows [first, last). Sums above and below the box's
+ * rows go down the tile with them, from its first row on.
  */
-WIDE void auv_mcm_contrast_variances(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const float *restrict values,
-                                     const uint8_t *restrict known, int64_t half_rows, int64_t half_columns, float clip, double least,
-                                     double *restrict sums, int32_t *restrict n_known, float *restrict variance)
+WIDE void auv_mcm_contrast_variances(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last,
+                                     const float *restrict values, const uint8_t *restrict known, int64_t half_rows,
+                                     int64_t half_columns, float clip, double least, double *restrict sums,
+                                     int32_t *restrict n_known, float *restrict variance)
 {
     const int64_t width = n_columns + 1, size = n_rows * n_columns, n_sums = 2 * PLANES * width;
     double *restrict lower = sums, *restrict upper = sums + n_sums, *restrict band = sums + 2 * n_sums;
@@ -175,13 +190,13 @@ WIDE void auv_mcm_contrast_variances(int64_t n_rows, int64_t n_columns, int64_t 
         for (int plane = 0; plane < PLANES; plane++) {
             const double *restrict total = band + 2 * plane * width, *restrict squares = total + width;
             float *restrict out = variance + plane * size + row * n_columns;
-#define VARIANCE(FAR, NEAR)                                                                                                              \
-    {                                                                                                                                    \
-        const int32_t inside = n_known[FAR] - n_known[NEAR];                                                                             \
-        const double count = (double)(inside > 1 ? inside : 1);                                                                          \
-        const double mean = (total[FAR] - total[NEAR]) / count;                                                                          \
-        const double value = (squares[FAR] - squares[NEAR]) / count - mean * mean;                                                       \
-        out[column] = (float)(value > least ? value : least);                                                                            \
+#define VARIANCE(FAR, NEAR)                                                        \
+    {                                                                              \
+        const int32_t inside = n_known[FAR] - n_known[NEAR];                       \
+        const double count = (double)(inside > 1 ? inside : 1);                    \
+        const double mean = (total[FAR] - total[NEAR]) / count;                    \
+        const double value = (squares[FAR] - squares[NEAR]) / count - mean * mean; \
+        out[column] = (float)(value > least ? value : least);                      \
     }
             for (int64_t column = 0; column < begin; column++)
                 VARIANCE(within(column + half_columns + 1, n_columns), 0)
@@ -203,7 +218,9 @@ WIDE void auv_mcm_contrast_extremes(int64_t n_rows, int64_t n_columns, const flo
         for (int64_t block = 0; block < n_blocks; block++) {
             const float *restrict from = plane + row * n_columns + block * block_columns;
             const int64_t left = n_columns - block * block_columns, n = left < block_columns ? left : block_columns;
-            float *const low = lowest + row / block_rows * n_blocks + block, *const high = highest + row / block_rows * n_blocks + block;
+            float *const low = lowest + row / block_rows * n_blocks + block, *const high = highest +
+                                                                                           row / block_rows * n_blocks +
+                                                                                           block;
             float least = row % block_rows ? *low : from[0], most = row % block_rows ? *high : from[0];
             for (int64_t i = 0; i < n; i++) {
                 least = from[i] < least ? from[i] : least;
@@ -232,16 +249,19 @@ static int64_t collect(int64_t n, uint8_t *restrict flags, int32_t place, int32_
     return found;
 }
 
-/* For each box the pixels of rows [first, last) around which its sum reaches its block's limit times background and valid pixels.
+/* For each box the pixels of rows [first, last) around which its sum reaches its block's limit times background and
+ * valid pixels.
  *
- * boxes (n_boxes, SIDES), limits (n_boxes, blocks of rows, blocks of columns). flags (n_columns, and CHUNK more): zeros. places (n_boxes,
- * room): out, n_places (n_boxes): how many.
+ * boxes (n_boxes, SIDES), limits (n_boxes, blocks of rows, blocks of columns). flags (n_columns, and CHUNK more):
+ * zeros. places (n_boxes, room): out, n_places (n_boxes): how many.
  */
-WIDE void auv_mcm_contrast_bright(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const double *restrict sums,
-                                  const int32_t *restrict counts, const float *restrict background, const uint8_t *restrict known,
-                                  int64_t n_boxes, const int32_t *restrict boxes, const double *restrict limits, int64_t block_rows,
-                                  int64_t block_columns, int64_t pad, int64_t room, double *restrict band, int32_t *restrict count_band,
-                                  uint8_t *restrict flags, int32_t *restrict places, int64_t *restrict n_places)
+WIDE void auv_mcm_contrast_bright(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last,
+                                  const double *restrict sums, const int32_t *restrict counts,
+                                  const float *restrict background, const uint8_t *restrict known, int64_t n_boxes,
+                                  const int32_t *restrict boxes, const double *restrict limits, int64_t block_rows,
+                                  int64_t block_columns, int64_t pad, int64_t room, double *restrict band,
+                                  int32_t *restrict count_band, uint8_t *restrict flags, int32_t *restrict places,
+                                  int64_t *restrict n_places)
 {
     const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
     const int64_t blocks_each = (n_rows + block_rows - 1) / block_rows * n_blocks;
@@ -256,7 +276,8 @@ WIDE void auv_mcm_contrast_bright(int64_t n_rows, int64_t n_columns, int64_t fir
                 band_of_counts(n_rows, n_columns, counts, row + box[TOP], row + box[BOTTOM], pad, count_band);
             }
             const double *restrict far = band + pad + box[RIGHT], *restrict near = band + pad + box[LEFT];
-            const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad + box[LEFT];
+            const int32_t *restrict n_far = count_band + pad + box[RIGHT], *restrict n_near = count_band + pad +
+                                                                                              box[LEFT];
             const int32_t tall = box[BOTTOM] - box[TOP], wide = box[RIGHT] - box[LEFT], full = tall * wide;
             const double *restrict limit = limits + k * blocks_each + row / block_rows * n_blocks;
             for (int64_t block = 0; block < n_blocks; block++) {
@@ -264,7 +285,9 @@ WIDE void auv_mcm_contrast_bright(int64_t n_rows, int64_t n_columns, int64_t fir
                 const int64_t begin = block * block_columns, end = within(begin + block_columns, n_columns);
                 if (n_far[end - 1] - n_near[begin] == tall * (int32_t)(end - 1 - begin + wide))
                     for (int64_t column = begin; column < end; column++) /* nothing is missing anywhere */
-                        flags[column] = (uint8_t)((far[column] - near[column] >= bound * (double)level[column] * (double)full) & sure[column]);
+                        flags[column] = (uint8_t)((far[column] - near[column] >=
+                                                   bound * (double)level[column] * (double)full) &
+                                                  sure[column]);
                 else
                     for (int64_t column = begin; column < end; column++) {
                         const double least = bound * (double)level[column] * (double)(n_far[column] - n_near[column]);
@@ -277,7 +300,8 @@ WIDE void auv_mcm_contrast_bright(int64_t n_rows, int64_t n_columns, int64_t fir
 }
 
 /* The length in columns of the shadow at a column; see shadow_columns of contrast.py. */
-static inline int64_t shadow_columns(int64_t column, double height_m, double clearance_m, double column_m, double least_m, double most_m)
+static inline int64_t shadow_columns(int64_t column, double height_m, double clearance_m, double column_m,
+                                     double least_m, double most_m)
 {
     double length_m = height_m * (((double)column + 0.5) * column_m) / clearance_m;
     length_m = length_m < least_m ? least_m : length_m;
@@ -287,12 +311,14 @@ static inline int64_t shadow_columns(int64_t column, double height_m, double cle
     return whole > 1.0 ? (int64_t)whole : 1;
 }
 
-/* One height's shadow in a row, whose band of sums begins at `sums`: flags where it is at most its block's limit times background and valid
- * pixels, which are more than least_share of it. Lengths never fall with the column, so that a row is a few runs of equal length.
+/* One height's shadow in a row, whose band of sums begins at `sums`: flags where it is at most its block's limit times
+ * background and valid pixels, which are more than least_share of it. Lengths never fall with the column, so that a row
+ * is a few runs of equal length.
  */
-static inline void flag_dark(int64_t n_columns, const double *restrict sums, const int32_t *restrict counts, const float *restrict level,
-                             int64_t half_rows, float least_share, double height_m, double clear_m, double column_m, double least_m,
-                             double most_m, const double *restrict limit, int64_t block_columns, uint8_t *restrict flags)
+static inline void flag_dark(int64_t n_columns, const double *restrict sums, const int32_t *restrict counts,
+                             const float *restrict level, int64_t half_rows, float least_share, double height_m,
+                             double clear_m, double column_m, double least_m, double most_m,
+                             const double *restrict limit, int64_t block_columns, uint8_t *restrict flags)
 {
     const double columns_per_length = clear_m / height_m;
     const int64_t longest = shadow_columns(n_columns - 1, height_m, clear_m, column_m, least_m, most_m);
@@ -313,15 +339,18 @@ static inline void flag_dark(int64_t n_columns, const double *restrict sums, con
         const double *restrict far = sums + length;
         const int32_t *restrict n_far = counts + length;
         while (begin < end) {
-            const int64_t block = begin / block_columns, next = (block + 1) * block_columns, stop = next < end ? next : end;
+            const int64_t block = begin / block_columns, next = (block + 1) * block_columns,
+                          stop = next < end ? next : end;
             const double bound = limit[block];
             if (full > least_count && n_far[stop - 1] - counts[begin] == n_rows * (int32_t)(stop - 1 + length - begin))
                 for (int64_t column = begin; column < stop; column++) /* nothing is missing anywhere */
-                    flags[column] = (uint8_t)(far[column] - sums[column] <= bound * (double)level[column] * (double)full);
+                    flags[column] = (uint8_t)(far[column] - sums[column] <=
+                                              bound * (double)level[column] * (double)full);
             else
                 for (int64_t column = begin; column < stop; column++) {
                     const int32_t count = n_far[column] - counts[column];
-                    flags[column] = (uint8_t)((far[column] - sums[column] <= bound * (double)level[column] * (double)count) &
+                    flags[column] = (uint8_t)((far[column] - sums[column] <=
+                                               bound * (double)level[column] * (double)count) &
                                               (count > least_count));
                 }
             begin = stop;
@@ -331,16 +360,17 @@ static inline void flag_dark(int64_t n_columns, const double *restrict sums, con
 
 /* For each height the pixels of rows [first, last) from which on its shadow's sum is low enough, see flag_dark.
  *
- * half_rows, height_m (n_heights), clearance_m (n_heights, n_rows): what the height's grazing ray has below it. The rest as in
- * auv_mcm_contrast_bright.
+ * half_rows, height_m (n_heights), clearance_m (n_heights, n_rows): what the height's grazing ray has below it. The
+ * rest as in auv_mcm_contrast_bright.
  */
-WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const double *restrict sums,
-                                const int32_t *restrict counts, const float *restrict background, int64_t n_heights,
-                                const int64_t *restrict half_rows, const double *restrict height_m, const double *restrict clearance_m,
-                                float least_share, double column_m, double least_m, double most_m, const double *restrict limits,
-                                int64_t block_rows, int64_t block_columns, int64_t pad, int64_t room, double *restrict band,
-                                int32_t *restrict count_band, uint8_t *restrict flags, int32_t *restrict places,
-                                int64_t *restrict n_places)
+WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last,
+                                const double *restrict sums, const int32_t *restrict counts,
+                                const float *restrict background, int64_t n_heights, const int64_t *restrict half_rows,
+                                const double *restrict height_m, const double *restrict clearance_m, float least_share,
+                                double column_m, double least_m, double most_m, const double *restrict limits,
+                                int64_t block_rows, int64_t block_columns, int64_t pad, int64_t room,
+                                double *restrict band, int32_t *restrict count_band, uint8_t *restrict flags,
+                                int32_t *restrict places, int64_t *restrict n_places)
 {
     const int64_t n_blocks = (n_columns + block_columns - 1) / block_columns;
     const int64_t blocks_each = (n_rows + block_rows - 1) / block_rows * n_blocks;
@@ -352,33 +382,38 @@ WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first
                 band_of_sums(n_rows, n_columns, sums, row - half, row + half + 1, pad, band);
                 band_of_counts(n_rows, n_columns, counts, row - half, row + half + 1, pad, count_band);
             }
-            flag_dark(n_columns, band + pad, count_band + pad, background + row * n_columns, half, least_share, height_m[k],
-                      clearance_m[k * n_rows + row], column_m, least_m, most_m, limits + k * blocks_each + row / block_rows * n_blocks,
-                      block_columns, flags);
+            flag_dark(n_columns, band + pad, count_band + pad, background + row * n_columns, half, least_share,
+                      height_m[k], clearance_m[k * n_rows + row], column_m, least_m, most_m,
+                      limits + k * blocks_each + row / block_rows * n_blocks, block_columns, flags);
             n_places[k] += collect(n_columns, flags, (int32_t)(row * n_columns), places + k * room + n_places[k]);
         }
 }
 
 /* places (n), boxes (n, SIDES): means and numbers of valid pixels (n) of the boxes around these pixels. */
-void auv_mcm_contrast_means(int64_t n_rows, int64_t n_columns, const double *restrict sums, const int32_t *restrict counts, int64_t n,
-                            const int32_t *restrict places, const int32_t *restrict boxes, float *restrict mean, int32_t *restrict count)
+void auv_mcm_contrast_means(int64_t n_rows, int64_t n_columns, const double *restrict sums,
+                            const int32_t *restrict counts, int64_t n, const int32_t *restrict places,
+                            const int32_t *restrict boxes, float *restrict mean, int32_t *restrict count)
 {
     const int64_t stride = n_columns + 1;
     for (int64_t i = 0; i < n; i++) {
         const int32_t row = places[i] / (int32_t)n_columns, column = places[i] % (int32_t)n_columns;
         const int32_t *box = boxes + i * SIDES;
-        const int64_t top = within(row + box[TOP], n_rows) * stride, bottom = within(row + box[BOTTOM], n_rows) * stride;
+        const int64_t top = within(row + box[TOP], n_rows) * stride,
+                      bottom = within(row + box[BOTTOM], n_rows) * stride;
         const int64_t left = within(column + box[LEFT], n_columns), right = within(column + box[RIGHT], n_columns);
         const double total = (sums[bottom + right] - sums[top + right]) - (sums[bottom + left] - sums[top + left]);
-        const int32_t number = (counts[bottom + right] - counts[top + right]) - (counts[bottom + left] - counts[top + left]);
+        const int32_t number = (counts[bottom + right] - counts[top + right]) -
+                               (counts[bottom + left] - counts[top + left]);
         mean[i] = (float)(total / (double)(number > 1 ? number : 1));
         count[i] = number;
     }
 }
 
-/* Pixels of rows [first, last) above -infinity than which none within half_rows and half_columns is higher. places: out. */
-void auv_mcm_contrast_peaks(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const float *restrict plane, int64_t half_rows,
-                            int64_t half_columns, int32_t *restrict places, int64_t *restrict n_places)
+/* Pixels of rows [first, last) above -infinity than which none within half_rows and half_columns is higher. places:
+ * out. */
+void auv_mcm_contrast_peaks(int64_t n_rows, int64_t n_columns, int64_t first, int64_t last, const float *restrict plane,
+                            int64_t half_rows, int64_t half_columns, int32_t *restrict places,
+                            int64_t *restrict n_places)
 {
     int64_t n = 0;
     for (int64_t row = first; row < last; row++) {
@@ -387,7 +422,8 @@ void auv_mcm_contrast_peaks(int64_t n_rows, int64_t n_columns, int64_t first, in
             const float value = plane[row * n_columns + column];
             if (!(value > -INFINITY))
                 continue;
-            const int64_t left = within(column - half_columns, n_columns - 1), right = within(column + half_columns, n_columns - 1);
+            const int64_t left = within(column - half_columns, n_columns - 1),
+                          right = within(column + half_columns, n_columns - 1);
             int32_t higher = 0;
             for (int64_t i = top; i <= bottom && !higher; i++)
                 for (int64_t j = left; j <= right; j++)

@@ -1,7 +1,7 @@
 /* Hot loops in plain C: no Python.h, called through ctypes, which releases the interpreter lock.
  *
- * Every function here has a readable numpy twin that is its oracle and its fallback. Compile with -O3 -ffp-contract=off:
- * fused multiply-adds and -ffast-math would round differently from numpy.
+ * Every function here has a readable numpy twin that is its oracle and its fallback. Compile with -O3
+ * -ffp-contract=off: fused multiply-adds and -ffast-math would round differently from numpy.
  */
 
 #include <math.h>
@@ -15,11 +15,12 @@
 
 int32_t auv_mcm_kernels_version(void) { return AUV_MCM_KERNELS_VERSION; }
 
-/* Offer each bin the predecessor `step` bins above (below where negative) at a penalty. Strictly better, so that the candidate offered first
- * wins a tie. chosen: steps so far, whole numbers in the type of the costs, so that both go through the same vectors.
+/* Offer each bin the predecessor `step` bins above (below where negative) at a penalty. Strictly better, so that the
+ * candidate offered first wins a tie. chosen: steps so far, whole numbers in the type of the costs, so that both go
+ * through the same vectors.
  */
-static inline void offer(int64_t first, int64_t last, int64_t step, double penalty, const double *restrict cost, double *restrict best,
-                         double *restrict chosen)
+static inline void offer(int64_t first, int64_t last, int64_t step, double penalty, const double *restrict cost,
+                         double *restrict best, double *restrict chosen)
 {
     const double named = (double)step;
     for (int64_t bin = first; bin < last; bin++) {
@@ -35,8 +36,9 @@ static inline void offer(int64_t first, int64_t last, int64_t step, double penal
  * score (n_pings, n_bins), back (n_pings, n_bins): C-contiguous. cost (n_bins): in, the state before the first ping;
  * out, the state after the last. scratch (2, n_bins): overwritten.
  */
-WIDE void auv_mcm_viterbi_forward(int64_t n_pings, int64_t n_bins, int64_t max_step, double step_cost, const double *restrict score,
-                                  double *restrict cost, double *restrict scratch, int32_t *restrict back)
+WIDE void auv_mcm_viterbi_forward(int64_t n_pings, int64_t n_bins, int64_t max_step, double step_cost,
+                                  const double *restrict score, double *restrict cost, double *restrict scratch,
+                                  int32_t *restrict back)
 {
     double *restrict best = scratch, *restrict chosen = scratch + n_bins;
     for (int64_t ping = 0; ping < n_pings; ping++) {

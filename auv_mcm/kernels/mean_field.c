@@ -7,9 +7,10 @@
 
 #define LABELS 3
 
-/* Weighted sum of the eight neighbours' probabilities, as far as it lies in one row and in its neighbours' share of it. */
-WIDE static void add_beside(int64_t n_rows, int64_t n_columns, const double *restrict weight, const double *restrict probability,
-                            double *restrict beside, double *restrict across)
+/* Weighted sum of the eight neighbours' probabilities, as far as it lies in one row and in its neighbours' share of it.
+ */
+WIDE static void add_beside(int64_t n_rows, int64_t n_columns, const double *restrict weight,
+                            const double *restrict probability, double *restrict beside, double *restrict across)
 {
     for (int64_t row = 0; row < n_rows; row++) {
         const double *restrict from = probability + row * n_columns;
@@ -24,8 +25,9 @@ WIDE static void add_beside(int64_t n_rows, int64_t n_columns, const double *res
     }
 }
 
-WIDE static void take_off_heard(int64_t n_rows, int64_t n_columns, const double *restrict weight, const double *restrict beside,
-                                const double *restrict across, const double *restrict cost, double *restrict left)
+WIDE static void take_off_heard(int64_t n_rows, int64_t n_columns, const double *restrict weight,
+                                const double *restrict beside, const double *restrict across,
+                                const double *restrict cost, double *restrict left)
 {
     for (int64_t row = 0; row < n_rows; row++) {
         const int64_t above = row > 0, below = row + 1 < n_rows;
@@ -41,8 +43,9 @@ WIDE static void take_off_heard(int64_t n_rows, int64_t n_columns, const double 
 /* cost (3, n_rows, n_columns). weight (4): of the edges right, down-left, down, down-right; both diagonals count alike.
  * probability (3, n_rows, n_columns): in and out. beside, across (n_rows, n_columns): overwritten.
  */
-void auv_mcm_mean_field(int64_t n_rows, int64_t n_columns, const double *restrict cost, const double *restrict weight, int64_t n_sweeps,
-                        double *restrict probability, double *restrict beside, double *restrict across)
+void auv_mcm_mean_field(int64_t n_rows, int64_t n_columns, const double *restrict cost, const double *restrict weight,
+                        int64_t n_sweeps, double *restrict probability, double *restrict beside,
+                        double *restrict across)
 {
     const int64_t size = n_rows * n_columns;
 
@@ -54,7 +57,8 @@ void auv_mcm_mean_field(int64_t n_rows, int64_t n_columns, const double *restric
         for (int64_t k = 0; k < size; k++) {
             const double a = probability[k], b = probability[size + k], c = probability[2 * size + k];
             const double ab = a < b ? a : b, least = ab < c ? ab : c;
-            const double p = a == least ? 1.0 : exp(least - a), q = b == least ? 1.0 : exp(least - b), r = c == least ? 1.0 : exp(least - c);
+            const double p = a == least ? 1.0 : exp(least - a), q = b == least ? 1.0 : exp(least - b),
+                         r = c == least ? 1.0 : exp(least - c);
             const double total = p + q + r;
             probability[k] = p / total;
             probability[size + k] = q / total;

@@ -9,7 +9,8 @@
 enum { PINGS = 16, WINDOW = 4, STRIDES = 3, HALVES = 2 };
 
 /* Averages over the cells of a part, added up column by column. edges (n_cells + 1). cell k goes to out[k * step]. */
-static void by_cell(const double *restrict values, int64_t n_cells, const int64_t *restrict edges, int64_t step, double *restrict out)
+static void by_cell(const double *restrict values, int64_t n_cells, const int64_t *restrict edges, int64_t step,
+                    double *restrict out)
 {
     for (int64_t cell = 0; cell < n_cells; cell++) {
         double sum = values[edges[cell]];
@@ -19,14 +20,17 @@ static void by_cell(const double *restrict values, int64_t n_cells, const int64_
     }
 }
 
-/* Adds a window's second and third k-statistic to those of its half; writes its deviations, PINGS rows `width` apart. */
-static inline void add_window(int64_t n_part, int64_t width, const double *restrict x, int64_t first, int64_t stride, double third_scale,
-                              double *restrict second, double *restrict third, double *restrict deviation)
+/* Adds a window's second and third k-statistic to those of its half; writes its deviations, PINGS rows `width` apart.
+ */
+static inline void add_window(int64_t n_part, int64_t width, const double *restrict x, int64_t first, int64_t stride,
+                              double third_scale, double *restrict second, double *restrict third,
+                              double *restrict deviation)
 {
     const double *restrict a = x + first * width, *restrict b = x + (first + stride) * width;
     const double *restrict c = x + (first + 2 * stride) * width, *restrict d = x + (first + 3 * stride) * width;
     double *restrict da = deviation + first * width, *restrict db = deviation + (first + stride) * width;
-    double *restrict dc = deviation + (first + 2 * stride) * width, *restrict dd = deviation + (first + 3 * stride) * width;
+    double *restrict dc = deviation + (first + 2 * stride) * width, *restrict dd = deviation +
+                                                                                   (first + 3 * stride) * width;
     for (int64_t i = 0; i < n_part; i++) {
         const double mean = (((a[i] + b[i]) + c[i]) + d[i]) / WINDOW;
         const double p = a[i] - mean, q = b[i] - mean, r = c[i] - mean, s = d[i] - mean;
@@ -40,15 +44,17 @@ static inline void add_window(int64_t n_part, int64_t width, const double *restr
     }
 }
 
-/* x (PINGS, n_parts n_part): parts with samples beyond `largest`, or none, become zeros. strides (STRIDES): of 1 to 4 pings, the largest last.
- * kept (n_parts): out, 0 for those parts. mean, at_zero, covariance (n_parts, n_cells), cumulants (STRIDES, n_parts, n_cells, HALVES, 2),
- * highest, at_highest (n_parts): out. deviation (PINGS, n_parts n_part), column (5, n_parts n_part): overwritten.
+/* x (PINGS, n_parts n_part): parts with samples beyond `largest`, or none, become zeros. strides (STRIDES): of 1 to 4
+ * pings, the largest last. kept (n_parts): out, 0 for those parts. mean, at_zero, covariance (n_parts, n_cells),
+ * cumulants (STRIDES, n_parts, n_cells, HALVES, 2), highest, at_highest (n_parts): out. deviation (PINGS, n_parts
+ * n_part), column (5, n_parts n_part): overwritten.
  */
 WIDE void auv_mcm_ping_windows(int64_t n_parts, int64_t n_part, int64_t n_cells, const int64_t *restrict edges,
-                               const int64_t *restrict strides, int64_t n_lags, const int64_t *restrict lags, double largest,
-                               double *restrict x, uint8_t *restrict kept, double *restrict mean, double *restrict cumulants,
-                               double *restrict covariance, double *restrict highest, double *restrict at_highest,
-                               double *restrict at_zero, double *restrict deviation, double *restrict column)
+                               const int64_t *restrict strides, int64_t n_lags, const int64_t *restrict lags,
+                               double largest, double *restrict x, uint8_t *restrict kept, double *restrict mean,
+                               double *restrict cumulants, double *restrict covariance, double *restrict highest,
+                               double *restrict at_highest, double *restrict at_zero, double *restrict deviation,
+                               double *restrict column)
 {
     const int64_t width = n_parts * n_part;
     const double third_scale = (double)WINDOW / ((WINDOW - 1) * (WINDOW - 2));
@@ -96,7 +102,8 @@ WIDE void auv_mcm_ping_windows(int64_t n_parts, int64_t n_part, int64_t n_cells,
                 /* Windows go by phase within groups of 4 strides; every second one belongs to this half. */
                 for (int64_t window = half; window < PINGS / WINDOW; window += HALVES) {
                     const int64_t first = window / strides[k] * WINDOW * strides[k] + window % strides[k];
-                    add_window(n_part, width, here, first, strides[k], third_scale, second, third, deviation + part * n_part);
+                    add_window(n_part, width, here, first, strides[k], third_scale, second, third,
+                               deviation + part * n_part);
                 }
                 for (int64_t i = 0; i < n_part; i++) {
                     second[i] /= PINGS / WINDOW / HALVES;

@@ -1,7 +1,8 @@
 /* Costs of solids as explanations of an image, see shape.py for their definition.
  *
- * Slices are those of auv_mcm.solids.slices and polyhedron, a block of them at a time so that the compiler can use vectors. Newton's
- * methods start from simpler bounds and go on until they stand still; as they close in from one side, that finds the same point.
+ * Slices are those of auv_mcm.solids.slices and polyhedron, a block of them at a time so that the compiler can use
+ * vectors. Newton's methods start from simpler bounds and go on until they stand still; as they close in from one side,
+ * that finds the same point.
  */
 
 #include <math.h>
@@ -11,7 +12,16 @@
 #include "wide.h"
 
 enum { SPHERE, CYLINDER, CONE, WEDGE };
-enum { FIELDS = 8, EDGES = 9, CORNERS = 6, MAX_STEPS = 60, N_ENDS = 3, MAX_TAPS = 3, MIXTURES = 27, BLOCK = 96 }; /* 3 to the power of MAX_TAPS; slices */
+enum {
+    FIELDS = 8,
+    EDGES = 9,
+    CORNERS = 6,
+    MAX_STEPS = 60,
+    N_ENDS = 3,
+    MAX_TAPS = 3,
+    MIXTURES = 27,
+    BLOCK = 96
+}; /* 3 to the power of MAX_TAPS; slices */
 enum { SUNK = 7, RATIO = 8, N_FACTORS = 9 };
 
 #define FORBIDDEN 1e12
@@ -28,10 +38,12 @@ typedef struct {
 } Placed;
 
 typedef struct {
-    double front_squared, tangent, height, foot; /* slant range; ground range and height; ground range of a vertical face, if any is seen */
+    double front_squared, tangent, height,
+        foot; /* slant range; ground range and height; ground range of a vertical face, if any is seen */
 } Slice;
 
-/* A block of slices: where they are, along the track from the object and across it to its place; what they hold; columns, see cut(). */
+/* A block of slices: where they are, along the track from the object and across it to its place; what they hold;
+ * columns, see cut(). */
 typedef struct {
     int64_t n;
     double u[BLOCK], y[BLOCK];
@@ -51,7 +63,8 @@ typedef struct {
     int n_taps;
     int64_t n_steps; /* of Fisher scoring */
     const double *angle;
-    double share[MIXTURES][2]; /* of highlight and shadow, by mixture: its digit of base 3 per tap is 0 floor, 1 highlight, 2 shadow */
+    double share[MIXTURES][2]; /* of highlight and shadow, by mixture: its digit of base 3 per tap is 0 floor, 1
+                                  highlight, 2 shadow */
 } Beam;
 
 static const int EDGE[EDGES][2] = {{0, 1}, {1, 2}, {2, 3}, {3, 0}, {1, 4}, {2, 5}, {4, 5}, {0, 4}, {3, 5}};
@@ -83,7 +96,8 @@ static inline double below(double altitude, double centre, double half)
     return altitude - clamp(altitude, larger(centre - half, 0.0), larger(centre + half, 0.0));
 }
 
-/* Where the nearest point of a cylinder's circle, drawn out across the track, is: Newton's method in all slices at once. */
+/* Where the nearest point of a cylinder's circle, drawn out across the track, is: Newton's method in all slices at
+ * once. */
 WIDE static void arch_fronts(double radius, double cosine, double rise, double sine, Slices *slices, double *front)
 {
     const double per_radius = 1.0 / radius, second = rise * per_radius, squeeze = cosine * cosine;
@@ -128,7 +142,8 @@ WIDE static void cylinders(const double *solid, const Placed *placed, double alt
     for (int64_t i = 0; i < slices->n; i++) {
         double end_low, end_high, side_low, side_high;
         interval(slices->u[i] * cosine, placed->sine, placed->per_sine, 0.5 * solid[1], &end_low, &end_high);
-        interval(-slices->u[i] * placed->sine, cosine, placed->per_cosine, half_chord(radius, sunk), &side_low, &side_high);
+        interval(-slices->u[i] * placed->sine, cosine, placed->per_cosine, half_chord(radius, sunk), &side_low,
+                 &side_high);
         low[i] = larger(side_low, end_low);
         high[i] = smaller(side_high, end_high);
         slices->hit[i] = low[i] <= high[i] ? is_there : 0;
@@ -138,7 +153,8 @@ WIDE static void cylinders(const double *solid, const Placed *placed, double alt
         const double y = slices->y[i], lateral = -slices->u[i] * placed->sine, sonar = lateral - cosine * y;
         const double square = sonar * sonar + rise * rise, power = square - radius * radius;
         const double touch = radius * (radius * sonar + sqrt(larger(power, 0.0)) * rise) / square;
-        const double across = clamp(power > 0.0 ? (touch - lateral) / larger(cosine, LEVEL) : -INFINITY, low[i], high[i]);
+        const double across = clamp(power > 0.0 ? (touch - lateral) / larger(cosine, LEVEL) : -INFINITY, low[i],
+                                    high[i]);
         const double nearest = clamp(front[i], low[i], high[i]);
         const double down = below(altitude, centre, half_chord(radius, lateral + cosine * nearest));
 
@@ -174,7 +190,8 @@ WIDE static void spheres(const double *solid, double altitude, Slices *slices)
 
 static inline double cone_side(const Placed *placed, double across, double u, double base, double rim, int64_t flat)
 {
-    const double slope = clamp((placed->base_radius - sqrt(across * across + u * u)) * placed->per_taper, 0.0, placed->height);
+    const double slope = clamp((placed->base_radius - sqrt(across * across + u * u)) * placed->per_taper, 0.0,
+                               placed->height);
     const double side = fabs(across) >= base ? 0.0 : slope;
     return flat & (fabs(across) <= rim ? 1 : 0) ? placed->height : side;
 }
@@ -300,7 +317,8 @@ static int wedge(const Placed *placed, double u, double y, double altitude, Slic
 static void place_wedge(const double *solid, Placed *placed)
 {
     for (int v = 0; v < CORNERS; v++) {
-        const double l = (v == 0 || v == 3 ? -0.5 : 0.5) * solid[0], w = (v == 0 || v == 1 || v == 4 ? -0.5 : 0.5) * solid[1];
+        const double l = (v == 0 || v == 3 ? -0.5 : 0.5) * solid[0],
+                     w = (v == 0 || v == 1 || v == 4 ? -0.5 : 0.5) * solid[1];
         placed->corner[v][0] = l * placed->cosine - w * placed->sine;
         placed->corner[v][1] = l * placed->sine + w * placed->cosine;
         placed->corner[v][2] = (v < 4 ? 0.0 : solid[2]) - solid[4];
@@ -355,7 +373,8 @@ static void place(int64_t kind, const double *solid, Placed *placed)
 /* Columns at which the highlight begins, the shadow begins and the shadow ends in each slice of a block. */
 WIDE static void find_ends(const Image *image, double altitude, Slices *slices)
 {
-    const double per_metre = 1.0 / image->column_m, flat = image->altitude * image->altitude, last = (double)image->n_columns;
+    const double per_metre = 1.0 / image->column_m, flat = image->altitude * image->altitude,
+                 last = (double)image->n_columns;
 
     for (int64_t i = 0; i < slices->n; i++) {
         const double down = altitude - slices->height[i], shadow_end = altitude * slices->tangent[i] / down;
@@ -363,7 +382,8 @@ WIDE static void find_ends(const Image *image, double altitude, Slices *slices)
         const double foot = slices->foot[i] * slices->foot[i] + altitude * altitude;
         const double tangent = slices->foot[i] > 0.0 ? larger(highest, foot) : highest;
         const double end = shadow_end * shadow_end + altitude * altitude;
-        const double near_m = sqrt(larger(slices->front_squared[i] - flat, 0.0)), top_m = sqrt(larger(tangent - flat, 0.0));
+        const double near_m = sqrt(larger(slices->front_squared[i] - flat, 0.0)),
+                     top_m = sqrt(larger(tangent - flat, 0.0));
         const double end_m = sqrt(larger(end - flat, 0.0));
         const double front = clamp((near_m - image->first_m + -image->smear) * per_metre, 0.0, last);
         const double between = larger(clamp((top_m - image->first_m + image->smear) * per_metre, 0.0, last), front);
@@ -373,7 +393,8 @@ WIDE static void find_ends(const Image *image, double altitude, Slices *slices)
     }
 }
 
-static void cut(int64_t kind, const double *solid, const Placed *placed, const Image *image, double altitude, Slices *slices)
+static void cut(int64_t kind, const double *solid, const Placed *placed, const Image *image, double altitude,
+                Slices *slices)
 {
     switch (kind) {
     case SPHERE:
@@ -419,7 +440,8 @@ static inline void gather(Echoes *into, Echoes from, Echoes to)
     into->sum += to.sum - from.sum;
 }
 
-/* Adds a row's stretches to what is known of each mixture. at (n): columns where stretches end; found (n): of the row up to them. */
+/* Adds a row's stretches to what is known of each mixture. at (n): columns where stretches end; found (n): of the row
+ * up to them. */
 static void mix_row(const double *at, const int *code, int n, const Echoes *found, Echoes *mixture)
 {
     int order[N_ENDS * MAX_TAPS], now = 0;
@@ -454,7 +476,8 @@ WIDE static void improve(const Mixtures *mixtures, double *mean)
     double h[3][3] = {{0.0}}, g[3] = {0.0}, part[3][MIXTURES], surprise[MIXTURES];
 
     for (int64_t i = 0; i < mixtures->n; i++) {
-        const double bright = mixtures->share[0][i] * mean[0], dark = mixtures->share[1][i] * mean[1], rest = mixtures->share[2][i] * mean[2];
+        const double bright = mixtures->share[0][i] * mean[0], dark = mixtures->share[1][i] * mean[1],
+                     rest = mixtures->share[2][i] * mean[2];
         const double scale = 1.0 / (bright + dark + rest);
         surprise[i] = mixtures->sum[i] * scale - mixtures->count[i];
         part[0][i] = bright * scale;
@@ -491,7 +514,8 @@ WIDE static void improve(const Mixtures *mixtures, double *mean)
 static double cost_of(int64_t kind, const double *hypothesis, const Image *image, const Beam *beam, double *mean)
 {
     static const int DIGIT[MAX_TAPS] = {1, 3, 9};
-    const double *solid = hypothesis + 3, along = hypothesis[0], y = hypothesis[1], altitude = image->altitude * hypothesis[2];
+    const double *solid = hypothesis + 3, along = hypothesis[0], y = hypothesis[1],
+                 altitude = image->altitude * hypothesis[2];
     const double slant = sqrt(y * y + altitude * altitude);
     const int middle = beam->n_taps / 2, n_mixtures = beam->n_taps > 1 ? MIXTURES : 3;
     Echoes part[3] = {{0.0, 0.0}}, mixture[MIXTURES]; /* highlight, shadow and floor as the middle slice has them */
@@ -506,8 +530,10 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
         spread = larger(spread, fabs(beam->angle[tap]) * slant);
     for (int i = 0; i < n_mixtures; i++)
         mixture[i].count = mixture[i].sum = 0.0;
-    const double low = (along - placed.reach - spread) / image->row_m - 1.0, high = (along + placed.reach + spread) / image->row_m + 1.0;
-    const int64_t first = (int64_t)clamp(low, 0.0, (double)image->n_rows), stop = (int64_t)clamp(high, 0.0, (double)image->n_rows);
+    const double low = (along - placed.reach - spread) / image->row_m - 1.0,
+                 high = (along + placed.reach + spread) / image->row_m + 1.0;
+    const int64_t first = (int64_t)clamp(low, 0.0, (double)image->n_rows),
+                  stop = (int64_t)clamp(high, 0.0, (double)image->n_rows);
 
     for (int64_t block = first; block < stop; block += BLOCK / MAX_TAPS) {
         const int64_t n_rows = block + BLOCK / MAX_TAPS < stop ? BLOCK / MAX_TAPS : stop - block;
@@ -576,7 +602,8 @@ static double cost_of(int64_t kind, const double *hypothesis, const Image *image
         for (int64_t step = 0; step < beam->n_steps; step++)
             improve(&held, mean);
         for (int64_t i = 0; i < held.n; i++)
-            cost += misfit(held.count[i], held.sum[i], held.share[0][i] * mean[0] + held.share[1][i] * mean[1] + held.share[2][i] * mean[2]);
+            cost += misfit(held.count[i], held.sum[i],
+                           held.share[0][i] * mean[0] + held.share[1][i] * mean[1] + held.share[2][i] * mean[2]);
     } else {
         for (int k = 0; k < 3; k++)
             cost += misfit(part[k].count, part[k].sum, mean[k]);
@@ -598,9 +625,11 @@ static Beam beam_of(int64_t n_taps, const double *angle, const double *share, in
     return beam;
 }
 
-static Image image_of(int64_t n_rows, int64_t n_columns, const double *scalars, const double *echoes, const double *counts)
+static Image image_of(int64_t n_rows, int64_t n_columns, const double *scalars, const double *echoes,
+                      const double *counts)
 {
-    Image image = {n_rows, n_columns, scalars[0], scalars[1], scalars[2], scalars[3], scalars[4], scalars[5], scalars[6], echoes, counts, 0.0, 0.0};
+    Image image = {n_rows,     n_columns,  scalars[0], scalars[1], scalars[2], scalars[3], scalars[4],
+                   scalars[5], scalars[6], echoes,     counts,     0.0,        0.0};
     for (int64_t row = 0; row < n_rows; row++) {
         image.total += echoes[row * (n_columns + 1) + n_columns];
         image.n_total += counts[row * (n_columns + 1) + n_columns];
@@ -608,12 +637,13 @@ static Image image_of(int64_t n_rows, int64_t n_columns, const double *scalars, 
     return image;
 }
 
-/* hypotheses (n, 8), echoes and counts (n_rows, n_columns + 1), scalars: row, column, first ground range, altitude in metres,
- * independent samples per pixel, smear in metres, shear. angle, share (n_taps), one or three. cost (n), mean (n, 3).
+/* hypotheses (n, 8), echoes and counts (n_rows, n_columns + 1), scalars: row, column, first ground range, altitude in
+ * metres, independent samples per pixel, smear in metres, shear. angle, share (n_taps), one or three. cost (n), mean
+ * (n, 3).
  */
-void auv_mcm_shape_costs(int64_t kind, int64_t n, const double *hypotheses, int64_t n_rows, int64_t n_columns, const double *scalars,
-                         const double *echoes, const double *counts, int64_t n_taps, const double *angle, const double *share,
-                         int64_t n_steps, double *cost, double *mean)
+void auv_mcm_shape_costs(int64_t kind, int64_t n, const double *hypotheses, int64_t n_rows, int64_t n_columns,
+                         const double *scalars, const double *echoes, const double *counts, int64_t n_taps,
+                         const double *angle, const double *share, int64_t n_steps, double *cost, double *mean)
 {
     const Image image = image_of(n_rows, n_columns, scalars, echoes, counts);
     const Beam beam = beam_of(n_taps, angle, share, n_steps);
@@ -626,10 +656,11 @@ void auv_mcm_shape_costs(int64_t kind, int64_t n, const double *hypotheses, int6
 }
 
 /* ends (n, n_rows, n_taps, 3): columns as cut() finds them, 0 where it finds none. The rest as above. */
-void auv_mcm_shape_intervals(int64_t kind, int64_t n, const double *hypotheses, int64_t n_rows, int64_t n_columns, const double *scalars,
-                             int64_t n_taps, const double *angle, double *ends)
+void auv_mcm_shape_intervals(int64_t kind, int64_t n, const double *hypotheses, int64_t n_rows, int64_t n_columns,
+                             const double *scalars, int64_t n_taps, const double *angle, double *ends)
 {
-    const Image image = {n_rows, n_columns, scalars[0], scalars[1], scalars[2], scalars[3], scalars[4], scalars[5], scalars[6], 0, 0, 0.0, 0.0};
+    const Image image = {n_rows,     n_columns,  scalars[0], scalars[1], scalars[2], scalars[3], scalars[4],
+                         scalars[5], scalars[6], 0,          0,          0.0,        0.0};
 
     for (int64_t i = 0; i < n; i++) {
         const double *hypothesis = hypotheses + FIELDS * i, *solid = hypothesis + 3, y = hypothesis[1];
@@ -688,7 +719,8 @@ static double cost_at(const double *unit, const Chart *chart, int64_t kind, cons
     return cost_of(kind, hypothesis, image, beam, mean) + 0.5 * (altitude * altitude + burial * burial) + chart->fixed;
 }
 
-/* The index of the lowest cost after the one at `last`, the first of equals; n if there is none. last: -1 for the lowest of all. */
+/* The index of the lowest cost after the one at `last`, the first of equals; n if there is none. last: -1 for the
+ * lowest of all. */
 static int64_t next_best(int64_t n, const double *cost, int64_t last)
 {
     int64_t found = n;
@@ -711,23 +743,25 @@ static int is_apart(const double *a, const double *b, const Chart *chart, double
     return 0;
 }
 
-/* Out of n starts the n_kept best that are apart from every better one; each then takes the best of n_tries steps if that is better,
- * n_steps times. Returns through n_found how many there are, best first.
+/* Out of n starts the n_kept best that are apart from every better one; each then takes the best of n_tries steps if
+ * that is better, n_steps times. Returns through n_found how many there are, best first.
  *
- * box (4, n_dimensions): low, span, wraps, one grain over the span. term (8, 3). scalars: as above, then sigmas of altitude and burial
- * and what every point costs. start (n, n_dimensions), cost (n): ranks; computed first unless is_known, then computed anew for those
- * kept if is_known is 1. strides: first, growth, shrinkage, least; how far starts are apart. way (n_steps, n_tries, n_dimensions).
- * unit (n_kept, n_dimensions), best (n_kept): out.
+ * box (4, n_dimensions): low, span, wraps, one grain over the span. term (8, 3). scalars: as above, then sigmas of
+ * altitude and burial and what every point costs. start (n, n_dimensions), cost (n): ranks; computed first unless
+ * is_known, then computed anew for those kept if is_known is 1. strides: first, growth, shrinkage, least; how far
+ * starts are apart. way (n_steps, n_tries, n_dimensions). unit (n_kept, n_dimensions), best (n_kept): out.
  */
-void auv_mcm_shape_search(int64_t kind, int64_t n, int64_t n_dimensions, const double *box, const double *term, int64_t n_rows,
-                          int64_t n_columns, const double *scalars, const double *echoes, const double *counts, int64_t n_taps,
-                          const double *angle, const double *share, int64_t n_scoring_steps, const double *start, double *cost,
-                          int64_t is_known, int64_t n_kept, const double *strides, int64_t n_steps, int64_t n_tries, const double *way,
-                          double *unit, double *best, int64_t *n_found)
+void auv_mcm_shape_search(int64_t kind, int64_t n, int64_t n_dimensions, const double *box, const double *term,
+                          int64_t n_rows, int64_t n_columns, const double *scalars, const double *echoes,
+                          const double *counts, int64_t n_taps, const double *angle, const double *share,
+                          int64_t n_scoring_steps, const double *start, double *cost, int64_t is_known, int64_t n_kept,
+                          const double *strides, int64_t n_steps, int64_t n_tries, const double *way, double *unit,
+                          double *best, int64_t *n_found)
 {
     const Image image = image_of(n_rows, n_columns, scalars, echoes, counts);
     const Beam beam = beam_of(n_taps, angle, share, n_scoring_steps);
-    const Chart chart = {n_dimensions, box, box + n_dimensions, box + 2 * n_dimensions, term, scalars[7], scalars[8], scalars[9]};
+    const Chart chart = {n_dimensions, box,        box + n_dimensions, box + 2 * n_dimensions,
+                         term,         scalars[7], scalars[8],         scalars[9]};
     const double *grain = box + 3 * n_dimensions;
     const size_t size = (size_t)n_dimensions * sizeof *unit;
     int64_t kept = 0;

@@ -1,7 +1,9 @@
-/* A highlight and a shadow polygon moved together over row cumulative sums, see snake.py for the definitions and the numpy twin.
+/* A highlight and a shadow polygon moved together over row cumulative sums, see snake.py for the definitions and the
+ * numpy twin.
  *
- * Sums, counts and node coordinates are dyadic fractions that doubles hold exactly, so totals may be updated by differences without
- * drift and every decision equals the twin's. Logarithms come from the C library that Python's own math.log calls.
+ * Sums, counts and node coordinates are dyadic fractions that doubles hold exactly, so totals may be updated by
+ * differences without drift and every decision equals the twin's. Logarithms come from the C library that Python's own
+ * math.log calls.
  */
 
 #include <math.h>
@@ -24,7 +26,8 @@ enum { SUM, COUNT, AREA, FAR, ROWS, GAP, SHARED, OVERLAP };
 typedef struct {
     double row_spacing_m, column_spacing_m, first_ground_range_m, altitude_m, correlation_px;
     double extent_tolerance_m, extent_sigma_m, gap_tolerance_m, gap_sigma_m;
-    double height_limit_m, height_sigma_m, height_bound_m, min_area_px, faintest, dimmest_highlight, brightest_shadow, forbidden;
+    double height_limit_m, height_sigma_m, height_bound_m, min_area_px, faintest, dimmest_highlight, brightest_shadow,
+        forbidden;
     double window_sum, window_count, log_window;
 } settings;
 
@@ -36,7 +39,8 @@ typedef struct {
     double step[2]; /* summed |difference| of rows and of columns between adjacent nodes */
     double own;     /* its part of the criterion */
     double top, bottom, near;
-    int64_t tried[MAX_NODES]; /* the pair's n_changes when no way of a node was better: as long as nothing changes none will be */
+    int64_t tried[MAX_NODES]; /* the pair's n_changes when no way of a node was better: as long as nothing changes none
+                                 will be */
 } polygon;
 
 typedef struct {
@@ -58,7 +62,8 @@ static inline int64_t ceil_of(double value)
 
 static inline int64_t clip(int64_t value, int64_t highest) { return value < 0 ? 0 : value > highest ? highest : value; }
 
-/* First row an edge crosses in *start, one past the last in *stop; its column at row centre r + 0.5 is column + (r + 0.5 - row) * slope. */
+/* First row an edge crosses in *start, one past the last in *stop; its column at row centre r + 0.5 is column + (r +
+ * 0.5 - row) * slope. */
 typedef struct {
     int64_t start, stop;
     double row, column, slope;
@@ -96,7 +101,8 @@ static void measure_edge(const pair *pair, int which, const double *a, const dou
         count += cell[1];
         columns += column;
         if (facing && pair->bound[row] >= 0.0) {
-            const double between = which == HIGHLIGHT ? pair->bound[row] - (double)column : (double)column - pair->bound[row];
+            const double between = which == HIGHLIGHT ? pair->bound[row] - (double)column
+                                                      : (double)column - pair->bound[row];
             gap += between > 0.0 ? between : 0.0;
             overlap += between < 0.0 ? -between : 0.0;
             shared += 1.0;
@@ -286,12 +292,12 @@ static int meet(const double *a, const double *b, const double *c, const double 
     const int a_side = sign(turn(c, d, a)), b_side = sign(turn(c, d, b));
     if (c_side * d_side < 0 && a_side * b_side < 0)
         return 1;
-    return (c_side == 0 && on_segment(a, b, c)) || (d_side == 0 && on_segment(a, b, d)) || (a_side == 0 && on_segment(c, d, a)) ||
-           (b_side == 0 && on_segment(c, d, b));
+    return (c_side == 0 && on_segment(a, b, c)) || (d_side == 0 && on_segment(a, b, d)) ||
+           (a_side == 0 && on_segment(c, d, a)) || (b_side == 0 && on_segment(c, d, b));
 }
 
-/* Whether edges [first, first + n_edges) of a polygon, the others being sound, leave it simple, with nodes apart and crossed twice by
- * every row. */
+/* Whether edges [first, first + n_edges) of a polygon, the others being sound, leave it simple, with nodes apart and
+ * crossed twice by every row. */
 static int sound(const double (*node)[2], int64_t n, int64_t first, int64_t n_edges)
 {
     int changes = 0, before = 0, initial = 0;
@@ -330,7 +336,8 @@ static int sound(const double (*node)[2], int64_t n, int64_t first, int64_t n_ed
     return 1;
 }
 
-/* Nodes first .. first + n_moved - 1 shifted by (row, column): the criterion if that is better than `best` and allowed, else `best`. */
+/* Nodes first .. first + n_moved - 1 shifted by (row, column): the criterion if that is better than `best` and allowed,
+ * else `best`. */
 static double try_shift(pair *pair, int which, int64_t first, int64_t n_moved, double row, double column, double best)
 {
     polygon *part = &pair->part[which];
@@ -380,7 +387,8 @@ static double try_shift(pair *pair, int which, int64_t first, int64_t n_moved, d
 }
 
 /* Directions of a node, then of an edge: (row, column). */
-static const double WAYS[12][2] = {{-1, 0}, {1, 0}, {0, -1}, {0, 1}, {-1, -1}, {-1, 1}, {1, -1}, {1, 1}, {-1, 0}, {1, 0}, {0, -1}, {0, 1}};
+static const double WAYS[12][2] = {{-1, 0}, {1, 0}, {0, -1}, {0, 1}, {-1, -1}, {-1, 1},
+                                   {1, -1}, {1, 1}, {-1, 0}, {1, 0}, {0, -1},  {0, 1}};
 
 /* Each node, and the edge after it, goes the best way of all unless it is settled; returns how many moved. */
 static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
@@ -397,7 +405,8 @@ static int64_t sweep(pair *pair, int which, double amplitude, double *cost)
         if (part->tried[i] == pair->n_changes)
             continue;
         for (int way = 0; way < 12; way++) {
-            const double found = try_shift(pair, which, i, way < 8 ? 1 : 2, WAYS[way][0] * amplitude, WAYS[way][1] * amplitude, *cost);
+            const double found = try_shift(pair, which, i, way < 8 ? 1 : 2, WAYS[way][0] * amplitude,
+                                           WAYS[way][1] * amplitude, *cost);
             if (found < *cost) {
                 *cost = found;
                 chosen = way;
@@ -436,7 +445,8 @@ static void subdivide(polygon *part, int64_t n)
             return;
         const double *a = part->node[longest], *b = part->node[(longest + 1) % part->n];
         const double middle[2] = {0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])};
-        memmove(part->node[longest + 2], part->node[longest + 1], (size_t)(part->n - longest - 1) * sizeof part->node[0]);
+        memmove(part->node[longest + 2], part->node[longest + 1],
+                (size_t)(part->n - longest - 1) * sizeof part->node[0]);
         memcpy(part->node[longest + 1], middle, sizeof middle);
         part->n++;
     }
@@ -484,7 +494,8 @@ typedef struct {
     int64_t n_accepted, n_evaluated;
 } Moved;
 
-/* Moves the pair through all stages of the schedule, if nothing keeps it from being moved: then fault (2) reports what, see below. */
+/* Moves the pair through all stages of the schedule, if nothing keeps it from being moved: then fault (2) reports what,
+ * see below. */
 static void move(pair *pair, int64_t n_stages, const double *schedule, Moved *moved, int64_t *fault)
 {
     static const int ORDER[2] = {SHADOW, HIGHLIGHT};
@@ -569,15 +580,18 @@ static void give_out(const Moved *moved, double *highlight, double *shadow, int6
 
 /* Moves the pair through all stages of the schedule.
  *
- * table (n_rows, n_columns + 1, 2): row cumulative sums and counts. set: see `settings`. schedule (n_stages, 3): nodes, amplitude in
- * pixels, sweeps at most; amplitude 0 prunes. highlight, shadow (MAX_NODES, 2): nodes in and out, n_nodes (2): their numbers.
- * bound (n_rows): overwritten. out (3 + 2 * N_FIELDS): criterion, moves, proposals, totals of both. fault (2): what keeps a polygon from
- * being moved, 0 for nothing, 1 too small or not measured, 2 not sound; then nothing else is written.
+ * table (n_rows, n_columns + 1, 2): row cumulative sums and counts. set: see `settings`. schedule (n_stages, 3): nodes,
+ * amplitude in pixels, sweeps at most; amplitude 0 prunes. highlight, shadow (MAX_NODES, 2): nodes in and out, n_nodes
+ * (2): their numbers. bound (n_rows): overwritten. out (3 + 2 * N_FIELDS): criterion, moves, proposals, totals of both.
+ * fault (2): what keeps a polygon from being moved, 0 for nothing, 1 too small or not measured, 2 not sound; then
+ * nothing else is written.
  */
-void auv_mcm_snake(int64_t n_rows, int64_t n_columns, const double *table, const double *set, int64_t n_stages, const double *schedule,
-                   double *highlight, double *shadow, int64_t *n_nodes, double *bound, double *out, int64_t *fault)
+void auv_mcm_snake(int64_t n_rows, int64_t n_columns, const double *table, const double *set, int64_t n_stages,
+                   const double *schedule, double *highlight, double *shadow, int64_t *n_nodes, double *bound,
+                   double *out, int64_t *fault)
 {
-    pair pair = {.n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
+    pair pair = {
+        .n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
     Moved moved;
 
     take_in(&moved, highlight, shadow, n_nodes);
@@ -595,7 +609,8 @@ static void whole_side(double low, double high, double size, double *from, doubl
     *to = fmax(high, *from + LEAST_SIDE);
 }
 
-/* A strip on the near side of a shadow, `width` pixels wide; returns whether there is room for one in which enough was measured. */
+/* A strip on the near side of a shadow, `width` pixels wide; returns whether there is room for one in which enough was
+ * measured. */
 static int strip_before(const pair *pair, double width, const Moved *shadow, Moved *strip)
 {
     const double (*const node)[2] = shadow->node[SHADOW];
@@ -615,7 +630,8 @@ static int strip_before(const pair *pair, double width, const Moved *shadow, Mov
     extents(node, n, &top, &bottom, &nearest);
     whole_side(top, bottom, (double)pair->n_rows, &low_row, &high_row);
     whole_side(near - width, near, (double)pair->n_columns, &low_column, &high_column);
-    const double corner[4][2] = {{low_row, low_column}, {low_row, high_column}, {high_row, high_column}, {high_row, low_column}};
+    const double corner[4][2] = {
+        {low_row, low_column}, {low_row, high_column}, {high_row, high_column}, {high_row, low_column}};
     strip->n[HIGHLIGHT] = 4;
     memcpy(strip->node[HIGHLIGHT], corner, sizeof corner);
     for (int64_t row = (int64_t)low_row; row < (int64_t)high_row && row < pair->n_rows; row++) {
@@ -628,14 +644,16 @@ static int strip_before(const pair *pair, double width, const Moved *shadow, Mov
     return n_measured >= (enough > 1 ? enough : 1);
 }
 
-/* The best pair from a start, as snake_descent.py has it. schedule (n_stages[0] + n_stages[1] + n_stages[2], 3): coarse, fine, polish.
- * strip_px: width of the strip before a shadow. moves (1): out, those on the way to the pair. The rest as above.
+/* The best pair from a start, as snake_descent.py has it. schedule (n_stages[0] + n_stages[1] + n_stages[2], 3):
+ * coarse, fine, polish. strip_px: width of the strip before a shadow. moves (1): out, those on the way to the pair. The
+ * rest as above.
  */
-void auv_mcm_snake_descend(int64_t n_rows, int64_t n_columns, const double *table, const double *set, const int64_t *n_stages,
-                           const double *schedule, double strip_px, double *highlight, double *shadow, int64_t *n_nodes, double *bound,
-                           double *out, int64_t *fault, int64_t *moves)
+void auv_mcm_snake_descend(int64_t n_rows, int64_t n_columns, const double *table, const double *set,
+                           const int64_t *n_stages, const double *schedule, double strip_px, double *highlight,
+                           double *shadow, int64_t *n_nodes, double *bound, double *out, int64_t *fault, int64_t *moves)
 {
-    pair pair = {.n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
+    pair pair = {
+        .n_rows = n_rows, .n_columns = n_columns, .table = table, .set = (const settings *)set, .bound = bound};
     const double *fine = schedule + 3 * n_stages[0], *polish = fine + 3 * n_stages[1];
     Moved best, start;
 
@@ -733,15 +751,17 @@ static void select_place(double *value, int64_t n, int64_t place)
     }
 }
 
-/* Evidence of polygons shifted clear of themselves over that in place, see snake_elsewhere.py: the best, and what one in twenty exceeds.
+/* Evidence of polygons shifted clear of themselves over that in place, see snake_elsewhere.py: the best, and what one
+ * in twenty exceeds.
  *
- * which, n_nodes (n_polygons); node (sum of n_nodes, 2). step (2): rows and columns between shifts. sides (2, n_rows), offset (n_room),
- * sums (n_room, 2), there (n_room): overwritten; n_room: no fewer than there are shifts. out (2).
+ * which, n_nodes (n_polygons); node (sum of n_nodes, 2). step (2): rows and columns between shifts. sides (2, n_rows),
+ * offset (n_room), sums (n_room, 2), there (n_room): overwritten; n_room: no fewer than there are shifts. out (2).
  */
 void auv_mcm_snake_elsewhere(int64_t n_rows, int64_t n_columns, const double *restrict table, int64_t n_polygons,
-                             const int64_t *restrict which, const int64_t *restrict n_nodes, const double *restrict node,
-                             const int64_t *restrict step, int64_t *restrict sides, int64_t *restrict offset, double *restrict sums,
-                             double *restrict there, double *restrict out)
+                             const int64_t *restrict which, const int64_t *restrict n_nodes,
+                             const double *restrict node, const int64_t *restrict step, int64_t *restrict sides,
+                             int64_t *restrict offset, double *restrict sums, double *restrict there,
+                             double *restrict out)
 {
     int64_t n_all = 0, n = 0;
     double top = INFINITY, bottom = -INFINITY, near = INFINITY, far = -INFINITY, here = 0.0;
@@ -799,7 +819,8 @@ void auv_mcm_snake_elsewhere(int64_t n_rows, int64_t n_columns, const double *re
     for (int64_t k = before + 1; k < n; k++)
         after = k == before + 1 || there[k] < after ? there[k] : after;
     /* As numpy's quantile rounds. */
-    const double common = part < 0.5 ? there[before] + (after - there[before]) * part : after - (after - there[before]) * (1.0 - part);
+    const double common = part < 0.5 ? there[before] + (after - there[before]) * part
+                                     : after - (after - there[before]) * (1.0 - part);
     out[0] = best / here;
     out[1] = common / here;
 }

@@ -4,9 +4,10 @@
 
 enum { PARTS = 4 };
 
-/* Of a row with what lies `lag` further on, n pairs: adds to *square and *number. Four sums at once keep the adder busy. */
-static void add_pairs(const double *a, const uint8_t *usable_a, const double *b, const uint8_t *usable_b, int64_t n, double *square,
-                      int64_t *number)
+/* Of a row with what lies `lag` further on, n pairs: adds to *square and *number. Four sums at once keep the adder
+ * busy. */
+static void add_pairs(const double *a, const uint8_t *usable_a, const double *b, const uint8_t *usable_b, int64_t n,
+                      double *square, int64_t *number)
 {
     double part[PARTS] = {0.0};
     int64_t both = 0, i = 0;
@@ -29,11 +30,12 @@ static void add_pairs(const double *a, const uint8_t *usable_a, const double *b,
     *number += both;
 }
 
-/* plane, usable (n_rows, n_columns), usable 0 or 1. box (n_boxes, 4): first row, first column, and one past the last of each, of a part of
- * the plane. lags (n_lags). squares, numbers (n_boxes, 2, n_lags): in, zeros; out, sums over pairs of rows and of columns so far apart.
+/* plane, usable (n_rows, n_columns), usable 0 or 1. box (n_boxes, 4): first row, first column, and one past the last of
+ * each, of a part of the plane. lags (n_lags). squares, numbers (n_boxes, 2, n_lags): in, zeros; out, sums over pairs
+ * of rows and of columns so far apart.
  */
-void auv_mcm_speckle_lags(int64_t n_columns, const double *plane, const uint8_t *usable, int64_t n_boxes, const int64_t *box,
-                          int64_t n_lags, const int64_t *lags, double *squares, int64_t *numbers)
+void auv_mcm_speckle_lags(int64_t n_columns, const double *plane, const uint8_t *usable, int64_t n_boxes,
+                          const int64_t *box, int64_t n_lags, const int64_t *lags, double *squares, int64_t *numbers)
 {
     for (int64_t i = 0; i < n_boxes; i++, box += 4, squares += 2 * n_lags, numbers += 2 * n_lags) {
         const int64_t wide = box[3] - box[1];
@@ -44,8 +46,8 @@ void auv_mcm_speckle_lags(int64_t n_columns, const double *plane, const uint8_t 
                 if (row + lag < box[2])
                     add_pairs(plane + at, usable + at, plane + down, usable + down, wide, squares + k, numbers + k);
                 if (lag < wide)
-                    add_pairs(plane + at, usable + at, plane + at + lag, usable + at + lag, wide - lag, squares + n_lags + k,
-                              numbers + n_lags + k);
+                    add_pairs(plane + at, usable + at, plane + at + lag, usable + at + lag, wide - lag,
+                              squares + n_lags + k, numbers + n_lags + k);
             }
         }
     }

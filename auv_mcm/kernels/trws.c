@@ -1,7 +1,7 @@
 /* Minimisers of a Potts energy of three labels on a grid of eight neighbours, see trws.py for their definition.
  *
- * Cells run in raster order. Edges are kept at the earlier of their two cells, in the order right, down-left, down, down-right.
- * One message per edge serves both passes: what a pass reads is what the pass before wrote.
+ * Cells run in raster order. Edges are kept at the earlier of their two cells, in the order right, down-left, down,
+ * down-right. One message per edge serves both passes: what a pass reads is what the pass before wrote.
  */
 
 #include <math.h>
@@ -31,7 +31,8 @@ static inline double share(int64_t row, int64_t column, int64_t n_rows, int64_t 
 }
 
 /* Weights of a cell's four later edges; zero where the grid ends, which makes their messages zero. */
-static inline void later_weights(int64_t row, int64_t column, int64_t n_rows, int64_t n_columns, const double *weight, double *own)
+static inline void later_weights(int64_t row, int64_t column, int64_t n_rows, int64_t n_columns, const double *weight,
+                                 double *own)
 {
     const int down = row + 1 < n_rows;
     own[0] = column + 1 < n_columns ? weight[0] : 0.0;
@@ -75,7 +76,8 @@ static inline void forward_cell(const double *unary, Messages *cell, int64_t str
 }
 
 /* Returns what the cell and its earlier edges add to the lower bound. */
-static inline double backward_cell(const double *unary, Messages *cell, int64_t stride, double gamma, const double *weight)
+static inline double backward_cell(const double *unary, Messages *cell, int64_t stride, double gamma,
+                                   const double *weight)
 {
     const int64_t other[EDGES] = {-1, 1 - stride, -stride, -1 - stride};
     double cost[LABELS], bound[EDGES];
@@ -129,8 +131,8 @@ static inline uint8_t cheapest(const double *cost)
 }
 
 /* Labels in raster order, each against the earlier labels and the messages of the later cells; returns their energy. */
-static double decode(int64_t n_rows, int64_t n_columns, const double *unary, const double *weight, const Messages *messages,
-                     uint8_t *label)
+static double decode(int64_t n_rows, int64_t n_columns, const double *unary, const double *weight,
+                     const Messages *messages, uint8_t *label)
 {
     const int64_t stride = n_columns + 2;
     double energy = 0.0;
@@ -142,7 +144,8 @@ static double decode(int64_t n_rows, int64_t n_columns, const double *unary, con
             earlier_weights(row, column, n_columns, weight, own);
             against_earlier(label + at, n_columns, own, pair);
             for (int k = 0; k < LABELS; k++)
-                cost[k] = (unary[LABELS * at + k] + pair[k]) + ((cell->to[k][0] + cell->to[k][1]) + (cell->to[k][2] + cell->to[k][3]));
+                cost[k] = (unary[LABELS * at + k] + pair[k]) +
+                          ((cell->to[k][0] + cell->to[k][1]) + (cell->to[k][2] + cell->to[k][3]));
             label[at] = cheapest(cost);
             energy += unary[LABELS * at + label[at]] + pair[label[at]];
         }
@@ -152,12 +155,12 @@ static double decode(int64_t n_rows, int64_t n_columns, const double *unary, con
 
 /* unary (n_rows, n_columns, 3); weight (4). messages (n_rows + 1, n_columns + 2, 3, 4): in, any, zero in cells outside
  * the grid; out, those of the last sweep. label, scratch (n_rows, n_columns): out, the best labels met; overwritten.
- * trace (n_sweeps, 2): out, lower bound and energy after each sweep. done (1): out, the sweeps made. Stops early once the best
- * energy is within tolerance of the bound.
+ * trace (n_sweeps, 2): out, lower bound and energy after each sweep. done (1): out, the sweeps made. Stops early once
+ * the best energy is within tolerance of the bound.
  */
 void auv_mcm_trws(int64_t n_rows, int64_t n_columns, int64_t n_sweeps, double tolerance, const double *restrict unary,
-                  const double *restrict weight, void *restrict message, uint8_t *restrict label, uint8_t *restrict scratch,
-                  double *restrict trace, int64_t *restrict done)
+                  const double *restrict weight, void *restrict message, uint8_t *restrict label,
+                  uint8_t *restrict scratch, double *restrict trace, int64_t *restrict done)
 {
     Messages *messages = message;
     const int64_t stride = n_columns + 2;
@@ -172,8 +175,8 @@ void auv_mcm_trws(int64_t n_rows, int64_t n_columns, int64_t n_sweeps, double to
                     later_weights(row, column, n_rows, n_columns, weight, own);
                     gamma = share(row, column, n_rows, n_columns);
                 }
-                forward_cell(unary + LABELS * (row * n_columns + column), messages + (row + 1) * stride + column + 1, stride, gamma,
-                             own);
+                forward_cell(unary + LABELS * (row * n_columns + column), messages + (row + 1) * stride + column + 1,
+                             stride, gamma, own);
             }
         }
         for (int64_t row = n_rows - 1; row >= 0; row--) {
@@ -183,8 +186,8 @@ void auv_mcm_trws(int64_t n_rows, int64_t n_columns, int64_t n_sweeps, double to
                     earlier_weights(row, column, n_columns, weight, own);
                     gamma = share(row, column, n_rows, n_columns);
                 }
-                bound += backward_cell(unary + LABELS * (row * n_columns + column), messages + (row + 1) * stride + column + 1, stride,
-                                       gamma, own);
+                bound += backward_cell(unary + LABELS * (row * n_columns + column),
+                                       messages + (row + 1) * stride + column + 1, stride, gamma, own);
             }
         }
         const double energy = decode(n_rows, n_columns, unary, weight, messages, scratch);
@@ -201,11 +204,11 @@ void auv_mcm_trws(int64_t n_rows, int64_t n_columns, int64_t n_sweeps, double to
     }
 }
 
-/* label (n_rows, n_columns): in, the start; out, the labels no single change of which lowers the energy, or those after n_sweeps.
- * done (1): out, the sweeps made, the one that changed nothing included.
+/* label (n_rows, n_columns): in, the start; out, the labels no single change of which lowers the energy, or those after
+ * n_sweeps. done (1): out, the sweeps made, the one that changed nothing included.
  */
-void auv_mcm_icm(int64_t n_rows, int64_t n_columns, int64_t n_sweeps, const double *restrict unary, const double *restrict weight,
-                 uint8_t *restrict label, int64_t *restrict done)
+void auv_mcm_icm(int64_t n_rows, int64_t n_columns, int64_t n_sweeps, const double *restrict unary,
+                 const double *restrict weight, uint8_t *restrict label, int64_t *restrict done)
 {
     *done = 0;
     for (int64_t sweep = 0; sweep < n_sweeps; sweep++) {

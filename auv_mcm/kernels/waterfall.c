@@ -1,7 +1,7 @@
 /* What every ping and every row of a waterfall goes through, see waterfall.py for its definition.
  *
- * Nothing but sums, products and quotients in numpy's order, so that numpy gives the same bits; logarithms, exponentials and angles, which
- * no two libraries round alike, are left to numpy.
+ * Nothing but sums, products and quotients in numpy's order, so that numpy gives the same bits; logarithms,
+ * exponentials and angles, which no two libraries round alike, are left to numpy.
  */
 
 #include <math.h>
@@ -15,8 +15,8 @@ enum { VALID = 1, SATURATED = 2, LOW_RESOLUTION = 4, TURN = 8 }; /* of records.p
 
 static inline int64_t at_most(int64_t value, int64_t last) { return value < last ? value : last; }
 
-/* values (n_rows, n_columns). sums (n_rows, n_columns + 1): out, less the sum from each column to the last. Rows go together since each
- * sum waits for the one before.
+/* values (n_rows, n_columns). sums (n_rows, n_columns + 1): out, less the sum from each column to the last. Rows go
+ * together since each sum waits for the one before.
  */
 void auv_mcm_waterfall_sums(int64_t n_rows, int64_t n_columns, const float *restrict values, double *restrict sums)
 {
@@ -38,35 +38,37 @@ void auv_mcm_waterfall_sums(int64_t n_rows, int64_t n_columns, const float *rest
     }
 }
 
-/* counts (n_rows, n_columns) of one or two bytes each; intensity: of every count. sums (n_rows, n_columns + 1): out, as above. */
-#define COUNT_SUMS(NAME, COUNT)                                                                                                          \
-    void NAME(int64_t n_rows, int64_t n_columns, const COUNT *restrict counts, const float *restrict intensity, double *restrict sums)   \
-    {                                                                                                                                    \
-        for (int64_t first = 0; first < n_rows; first += ROWS_TOGETHER) {                                                                \
-            const int64_t rows = at_most(ROWS_TOGETHER, n_rows - first), stride = n_columns + 1;                                         \
-            const COUNT *from[ROWS_TOGETHER];                                                                                            \
-            double *to[ROWS_TOGETHER], total[ROWS_TOGETHER] = {0.0};                                                                     \
-            for (int64_t k = 0; k < ROWS_TOGETHER; k++) {                                                                                \
-                const int64_t row = first + at_most(k, rows - 1);                                                                        \
-                from[k] = counts + row * n_columns;                                                                                      \
-                to[k] = sums + row * stride;                                                                                             \
-                to[k][n_columns] = -0.0;                                                                                                 \
-            }                                                                                                                            \
-            for (int64_t column = n_columns - 1; column >= 0; column--)                                                                  \
-                for (int64_t k = 0; k < ROWS_TOGETHER; k++) {                                                                            \
-                    total[k] += intensity[from[k][column]];                                                                              \
-                    to[k][column] = -total[k];                                                                                           \
-                }                                                                                                                        \
-        }                                                                                                                                \
+/* counts (n_rows, n_columns) of one or two bytes each; intensity: of every count. sums (n_rows, n_columns + 1): out, as
+ * above. */
+#define COUNT_SUMS(NAME, COUNT)                                                                                 \
+    void NAME(int64_t n_rows, int64_t n_columns, const COUNT *restrict counts, const float *restrict intensity, \
+              double *restrict sums)                                                                            \
+    {                                                                                                           \
+        for (int64_t first = 0; first < n_rows; first += ROWS_TOGETHER) {                                       \
+            const int64_t rows = at_most(ROWS_TOGETHER, n_rows - first), stride = n_columns + 1;                \
+            const COUNT *from[ROWS_TOGETHER];                                                                   \
+            double *to[ROWS_TOGETHER], total[ROWS_TOGETHER] = {0.0};                                            \
+            for (int64_t k = 0; k < ROWS_TOGETHER; k++) {                                                       \
+                const int64_t row = first + at_most(k, rows - 1);                                               \
+                from[k] = counts + row * n_columns;                                                             \
+                to[k] = sums + row * stride;                                                                    \
+                to[k][n_columns] = -0.0;                                                                        \
+            }                                                                                                   \
+            for (int64_t column = n_columns - 1; column >= 0; column--)                                         \
+                for (int64_t k = 0; k < ROWS_TOGETHER; k++) {                                                   \
+                    total[k] += intensity[from[k][column]];                                                     \
+                    to[k][column] = -total[k];                                                                  \
+                }                                                                                               \
+        }                                                                                                       \
     }
 COUNT_SUMS(auv_mcm_waterfall_sums_of_bytes, uint8_t)
 COUNT_SUMS(auv_mcm_waterfall_sums_of_words, uint16_t)
 
-/* Sums up to edges given in samples, whole part and fraction apart, and from each edge to the next. at (n_edges): overwritten. Not WIDE:
- * two loads are faster than a gather.
+/* Sums up to edges given in samples, whole part and fraction apart, and from each edge to the next. at (n_edges):
+ * overwritten. Not WIDE: two loads are faster than a gather.
  */
-static void between(int64_t n_edges, const double *restrict sums, const int32_t *restrict whole, const double *restrict fraction,
-                    double *restrict at, double *restrict difference)
+static void between(int64_t n_edges, const double *restrict sums, const int32_t *restrict whole,
+                    const double *restrict fraction, double *restrict at, double *restrict difference)
 {
     for (int64_t edge = 0; edge < n_edges; edge++) {
         const double low = sums[whole[edge]], high = sums[whole[edge] + 1];
@@ -77,8 +79,9 @@ static void between(int64_t n_edges, const double *restrict sums, const int32_t 
 }
 
 /* One row of edges in samples. width, sampled: from each edge to the next, as wanted and within the samples. */
-WIDE static void place_edges(int64_t n_edges, int64_t n_samples, const double *restrict edges, double first, double per_spacing,
-                             int32_t *restrict whole, double *restrict fraction, double *restrict width, double *restrict sampled)
+WIDE static void place_edges(int64_t n_edges, int64_t n_samples, const double *restrict edges, double first,
+                             double per_spacing, int32_t *restrict whole, double *restrict fraction,
+                             double *restrict width, double *restrict sampled)
 {
     const double last = (double)n_samples;
     for (int64_t edge = 0; edge < n_edges; edge++)
@@ -87,7 +90,8 @@ WIDE static void place_edges(int64_t n_edges, int64_t n_samples, const double *r
         double position = width[edge];
         position = position < 0.0 ? 0.0 : position;
         position = position > last ? last : position;
-        const int32_t sample = (int32_t)position, kept = sample < (int32_t)n_samples - 1 ? sample : (int32_t)n_samples - 1;
+        const int32_t sample = (int32_t)position,
+                      kept = sample < (int32_t)n_samples - 1 ? sample : (int32_t)n_samples - 1;
         whole[edge] = kept;
         fraction[edge] = position - (double)kept;
         sampled[edge] = fraction[edge] + (double)kept;
@@ -117,25 +121,28 @@ WIDE static void divide(int64_t n, const double *restrict divisor, const uint8_t
     }
 }
 
-/* sums (n_pings, n_samples + 1), weights the same or NULL; clipped (n_pings, n_near + 1) or NULL: none is beyond the first n_near samples.
- * edges (any, n_edges); edge_row (n_pings): which of them a ping has. whole (n_edges), scratch (6, n_edges), covered (n_edges):
- * overwritten. intensity, valid, saturated (n_pings, n_edges - 1): out.
+/* sums (n_pings, n_samples + 1), weights the same or NULL; clipped (n_pings, n_near + 1) or NULL: none is beyond the
+ * first n_near samples. edges (any, n_edges); edge_row (n_pings): which of them a ping has. whole (n_edges), scratch
+ * (6, n_edges), covered (n_edges): overwritten. intensity, valid, saturated (n_pings, n_edges - 1): out.
  */
 void auv_mcm_waterfall_means(int64_t n_pings, int64_t n_samples, int64_t n_edges, const double *restrict sums,
-                             const double *restrict weights, const double *restrict clipped, int64_t n_near, double first,
-                             double per_spacing, const double *restrict edges, const int64_t *restrict edge_row, int32_t *restrict whole,
-                             double *restrict scratch, uint8_t *restrict covered, double *restrict intensity, uint8_t *restrict valid,
+                             const double *restrict weights, const double *restrict clipped, int64_t n_near,
+                             double first, double per_spacing, const double *restrict edges,
+                             const int64_t *restrict edge_row, int32_t *restrict whole, double *restrict scratch,
+                             uint8_t *restrict covered, double *restrict intensity, uint8_t *restrict valid,
                              uint8_t *restrict saturated)
 {
     const int64_t n = n_edges - 1;
     double *restrict fraction = scratch, *restrict width = scratch + n_edges, *restrict sampled = scratch + 2 * n_edges;
-    double *restrict at = scratch + 3 * n_edges, *restrict weight = scratch + 4 * n_edges, *restrict divisor = scratch + 5 * n_edges;
+    double *restrict at = scratch + 3 * n_edges, *restrict weight = scratch + 4 * n_edges,
+                     *restrict divisor = scratch + 5 * n_edges;
     for (int64_t ping = 0; ping < n_pings; ping++) {
         double *restrict mean = intensity + ping * n;
         uint8_t *restrict full = saturated + ping * n;
         const int is_new = ping == 0 || edge_row[ping] != edge_row[ping - 1];
         if (is_new) {
-            place_edges(n_edges, n_samples, edges + edge_row[ping] * n_edges, first, per_spacing, whole, fraction, width, sampled);
+            place_edges(n_edges, n_samples, edges + edge_row[ping] * n_edges, first, per_spacing, whole, fraction,
+                        width, sampled);
             if (!weights)
                 cover(n, sampled, width, covered, divisor);
         }
@@ -163,10 +170,12 @@ void auv_mcm_waterfall_means(int64_t n_pings, int64_t n_samples, int64_t n_edges
     }
 }
 
-/* values, valid (n_pings, n_bins). total, count (n_bins + 1): overwritten. score (n_pings, n_bins): out, where a step may be, else as is. */
-WIDE void auv_mcm_waterfall_steps(int64_t n_pings, int64_t n_bins, const double *restrict values, const uint8_t *restrict valid,
-                                  int64_t blank, int64_t window, double least_step, double twice_variance, double *restrict total,
-                                  double *restrict count, double *restrict score)
+/* values, valid (n_pings, n_bins). total, count (n_bins + 1): overwritten. score (n_pings, n_bins): out, where a step
+ * may be, else as is. */
+WIDE void auv_mcm_waterfall_steps(int64_t n_pings, int64_t n_bins, const double *restrict values,
+                                  const uint8_t *restrict valid, int64_t blank, int64_t window, double least_step,
+                                  double twice_variance, double *restrict total, double *restrict count,
+                                  double *restrict score)
 {
     const int64_t begin = blank + 3, end = n_bins - window;
     const double half = 0.5 * (double)window;
@@ -179,17 +188,17 @@ WIDE void auv_mcm_waterfall_steps(int64_t n_pings, int64_t n_bins, const double 
             total[bin + 1] = sum += sure ? values[ping * n_bins + bin] : 0.0;
             count[bin + 1] = number += (double)sure;
         }
-#define STEP(START)                                                                                                                      \
-    {                                                                                                                                    \
-        const double n_after = count[bin + window] - count[bin], n_near = count[bin] - count[START];                                     \
-        const double n_column = count[bin] - count[blank], both = n_near + n_after;                                                      \
-        const double after = (total[bin + window] - total[bin]) / (n_after > 1.0 ? n_after : 1.0);                                       \
-        const double near = (total[bin] - total[START]) / (n_near > 1.0 ? n_near : 1.0);                                                 \
-        const double column = (total[bin] - total[blank]) / (n_column > 1.0 ? n_column : 1.0);                                           \
-        const double rise = after - near;                                                                                                \
-        const double ratio = n_near * n_after / (both > 1.0 ? both : 1.0) * (rise * rise) / twice_variance;                              \
-        const int32_t step = (rise > 0.0) & (after - column > least_step) & (n_near >= 3.0) & (n_after >= half);                         \
-        out[bin] = step ? ratio : 0.0;                                                                                                   \
+#define STEP(START)                                                                                              \
+    {                                                                                                            \
+        const double n_after = count[bin + window] - count[bin], n_near = count[bin] - count[START];             \
+        const double n_column = count[bin] - count[blank], both = n_near + n_after;                              \
+        const double after = (total[bin + window] - total[bin]) / (n_after > 1.0 ? n_after : 1.0);               \
+        const double near = (total[bin] - total[START]) / (n_near > 1.0 ? n_near : 1.0);                         \
+        const double column = (total[bin] - total[blank]) / (n_column > 1.0 ? n_column : 1.0);                   \
+        const double rise = after - near;                                                                        \
+        const double ratio = n_near * n_after / (both > 1.0 ? both : 1.0) * (rise * rise) / twice_variance;      \
+        const int32_t step = (rise > 0.0) & (after - column > least_step) & (n_near >= 3.0) & (n_after >= half); \
+        out[bin] = step ? ratio : 0.0;                                                                           \
     }
         const int64_t whole = at_most(blank + window > begin ? blank + window : begin, end);
         for (int64_t bin = begin; bin < whole; bin++)
@@ -200,11 +209,11 @@ WIDE void auv_mcm_waterfall_steps(int64_t n_pings, int64_t n_bins, const double 
     }
 }
 
-/* ratios, score (n_pings, n_bins); score: adds each ping's ratios times share, brought to the same highest value, vote, unless that is less
- * than evidence.
+/* ratios, score (n_pings, n_bins); score: adds each ping's ratios times share, brought to the same highest value, vote,
+ * unless that is less than evidence.
  */
-WIDE void auv_mcm_waterfall_votes(int64_t n_pings, int64_t n_bins, const double *restrict ratios, double share, double vote,
-                                  double evidence, double *restrict score)
+WIDE void auv_mcm_waterfall_votes(int64_t n_pings, int64_t n_bins, const double *restrict ratios, double share,
+                                  double vote, double evidence, double *restrict score)
 {
     for (int64_t ping = 0; ping < n_pings; ping++) {
         const double *restrict ratio = ratios + ping * n_bins;
@@ -226,8 +235,8 @@ WIDE void auv_mcm_waterfall_votes(int64_t n_pings, int64_t n_bins, const double 
 }
 
 /* Adds a ping to a row that it overlaps by length; the first one starts the row. */
-WIDE static void add_ping(int64_t n_columns, double length, const float *restrict from, const uint8_t *restrict bits, int is_first,
-                          double *restrict total, double *restrict weight, uint8_t *restrict flags)
+WIDE static void add_ping(int64_t n_columns, double length, const float *restrict from, const uint8_t *restrict bits,
+                          int is_first, double *restrict total, double *restrict weight, uint8_t *restrict flags)
 {
     if (is_first)
         for (int64_t column = 0; column < n_columns; column++) {
@@ -243,8 +252,8 @@ WIDE static void add_ping(int64_t n_columns, double length, const float *restric
         }
 }
 
-WIDE static void finish_row(int64_t n_columns, const double *restrict total, const double *restrict weight, double least,
-                            float *restrict out, uint8_t *restrict flags)
+WIDE static void finish_row(int64_t n_columns, const double *restrict total, const double *restrict weight,
+                            double least, float *restrict out, uint8_t *restrict flags)
 {
     for (int64_t column = 0; column < n_columns; column++) {
         const int32_t enough = weight[column] >= least;
@@ -255,12 +264,13 @@ WIDE static void finish_row(int64_t n_columns, const double *restrict total, con
     }
 }
 
-/* intensity, mask (n_pings, n_columns) of pings; source, overlap (n_rows, n_steps): the pings that each row overlaps, and by how much.
- * total, weight (n_columns): overwritten. rows, row_mask (n_rows, n_columns): out.
+/* intensity, mask (n_pings, n_columns) of pings; source, overlap (n_rows, n_steps): the pings that each row overlaps,
+ * and by how much. total, weight (n_columns): overwritten. rows, row_mask (n_rows, n_columns): out.
  */
 void auv_mcm_waterfall_rows(int64_t n_rows, int64_t n_columns, int64_t n_steps, const int64_t *restrict source,
-                            const double *restrict overlap, const float *restrict intensity, const uint8_t *restrict mask, double least,
-                            double *restrict total, double *restrict weight, float *restrict rows, uint8_t *restrict row_mask)
+                            const double *restrict overlap, const float *restrict intensity,
+                            const uint8_t *restrict mask, double least, double *restrict total, double *restrict weight,
+                            float *restrict rows, uint8_t *restrict row_mask)
 {
     for (int64_t row = 0; row < n_rows; row++) {
         float *restrict out = rows + row * n_columns;
@@ -283,18 +293,19 @@ void auv_mcm_waterfall_rows(int64_t n_rows, int64_t n_columns, int64_t n_steps, 
     }
 }
 
-/* What a box of rows holds: sums above its first row and below its last one, from the image's corner on, and valid pixels by column. Of the
- * box around each column: count, how many pixels are valid, and per_count, one over that or 1.
+/* What a box of rows holds: sums above its first row and below its last one, from the image's corner on, and valid
+ * pixels by column. Of the box around each column: count, how many pixels are valid, and per_count, one over that or 1.
  */
 typedef struct {
     double *lower, *upper, *band, *enters, *leaves, *per_count;
     int32_t *valid, *n_band, *count;
 } Box;
 
-/* Running sums along `rows` rows of an image from row `first` on, sums (ROWS_TOGETHER, n); rows outside the image are left out. Rows go
- * together since each sum waits for the one before.
+/* Running sums along `rows` rows of an image from row `first` on, sums (ROWS_TOGETHER, n); rows outside the image are
+ * left out. Rows go together since each sum waits for the one before.
  */
-static void sum_rows(int64_t first, int64_t rows, int64_t n_rows, int64_t n, const float *restrict values, double *restrict sums)
+static void sum_rows(int64_t first, int64_t rows, int64_t n_rows, int64_t n, const float *restrict values,
+                     double *restrict sums)
 {
     const int64_t begin = first < 0 ? 0 : first, end = at_most(first + rows, n_rows);
     if (begin >= end)
@@ -358,8 +369,8 @@ WIDE static void recount(int64_t n, int64_t pad, Box box)
     }
 }
 
-/* room (2 (n_columns + 1) + n_columns + 1 + 2 pad + 2 ROWS_TOGETHER n_columns + n_columns), n_room (n_columns + n_columns + 1 + 2 pad +
- * n_columns): overwritten.
+/* room (2 (n_columns + 1) + n_columns + 1 + 2 pad + 2 ROWS_TOGETHER n_columns + n_columns), n_room (n_columns +
+ * n_columns + 1 + 2 pad + n_columns): overwritten.
  */
 static Box empty_box(int64_t n_columns, int64_t pad, double *room, int32_t *n_room)
 {
@@ -379,14 +390,15 @@ static Box empty_box(int64_t n_columns, int64_t pad, double *room, int32_t *n_ro
     return box;
 }
 
-/* The box goes on by one row, to those around `row`, the first time from -half_rows. Rows of the same usable pixels leave the counts as they
- * are, which most rows do.
+/* The box goes on by one row, to those around `row`, the first time from -half_rows. Rows of the same usable pixels
+ * leave the counts as they are, which most rows do.
  */
-static void enter_row(int64_t row, int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t pad, const float *values,
-                      const uint8_t *usable, Box box)
+static void enter_row(int64_t row, int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t pad,
+                      const float *values, const uint8_t *usable, Box box)
 {
     const int64_t enters = row + half_rows, leaves = row - half_rows - 1, k = enters % ROWS_TOGETHER;
-    const uint8_t *more = enters < n_rows ? usable + enters * n_columns : NULL, *less = leaves >= 0 ? usable + leaves * n_columns : NULL;
+    const uint8_t *more = enters < n_rows ? usable + enters * n_columns : NULL,
+                  *less = leaves >= 0 ? usable + leaves * n_columns : NULL;
     if (k == 0) {
         sum_rows(enters, ROWS_TOGETHER, n_rows, n_columns, values, box.enters);
         sum_rows(leaves, ROWS_TOGETHER, n_rows, n_columns, values, box.leaves);
@@ -407,33 +419,37 @@ static void enter_row(int64_t row, int64_t n_rows, int64_t n_columns, int64_t ha
 }
 
 /* band: from `pad` columns before the first on. */
-WIDE static void box_means(int64_t n, int64_t pad, const double *restrict band, const double *restrict per_count, double *restrict mean)
+WIDE static void box_means(int64_t n, int64_t pad, const double *restrict band, const double *restrict per_count,
+                           double *restrict mean)
 {
     for (int64_t column = 0; column < n; column++)
         mean[column] = (band[column + 2 * pad] - band[column + 1]) * per_count[column];
 }
 
 /* Whether any pixel of a row may reach its limit: a first look at all, since hardly any does. */
-WIDE static int32_t any_bright(int64_t n, const float *restrict logarithms, const uint8_t *restrict usable, const double *restrict mean,
-                               double above, double highest, double slack, uint8_t *restrict bright)
+WIDE static int32_t any_bright(int64_t n, const float *restrict logarithms, const uint8_t *restrict usable,
+                               const double *restrict mean, double above, double highest, double slack,
+                               uint8_t *restrict bright)
 {
     int32_t any = 0;
     for (int64_t column = 0; column < n; column++) {
         const double limit = mean[column] + above;
-        const int32_t is = (usable[column] != 0) & ((double)logarithms[column] + slack >= (limit < highest ? limit : highest));
+        const int32_t is = (usable[column] != 0) &
+                           ((double)logarithms[column] + slack >= (limit < highest ? limit : highest));
         bright[column] = (uint8_t)is;
         any |= is;
     }
     return any;
 }
 
-/* logarithms, usable (n_rows, n_columns). mean, bright (n_columns), room, n_room: overwritten. places, limits (n_at_most): out, n_places (1): how
- * many there are, even if only the first n_at_most are written.
+/* logarithms, usable (n_rows, n_columns). mean, bright (n_columns), room, n_room: overwritten. places, limits
+ * (n_at_most): out, n_places (1): how many there are, even if only the first n_at_most are written.
  */
-void auv_mcm_waterfall_glints(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns, const float *restrict logarithms,
-                              const uint8_t *restrict usable, double above, double highest, double slack, double *restrict mean,
-                              uint8_t *restrict bright, double *room, int32_t *n_room, int64_t n_at_most,
-                              int32_t *restrict places, double *restrict limits, int64_t *restrict n_places)
+void auv_mcm_waterfall_glints(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns,
+                              const float *restrict logarithms, const uint8_t *restrict usable, double above,
+                              double highest, double slack, double *restrict mean, uint8_t *restrict bright,
+                              double *room, int32_t *n_room, int64_t n_at_most, int32_t *restrict places,
+                              double *restrict limits, int64_t *restrict n_places)
 {
     const int64_t pad = half_columns + 1;
     const Box box = empty_box(n_columns, pad, room, n_room);
@@ -443,7 +459,8 @@ void auv_mcm_waterfall_glints(int64_t n_rows, int64_t n_columns, int64_t half_ro
         if (row < 0)
             continue;
         box_means(n_columns, pad, box.band, box.per_count, mean);
-        if (!any_bright(n_columns, logarithms + row * n_columns, usable + row * n_columns, mean, above, highest, slack, bright))
+        if (!any_bright(n_columns, logarithms + row * n_columns, usable + row * n_columns, mean, above, highest, slack,
+                        bright))
             continue;
         for (int64_t column = 0; column < n_columns; column++)
             if (bright[column]) {
@@ -457,16 +474,17 @@ void auv_mcm_waterfall_glints(int64_t n_rows, int64_t n_columns, int64_t half_ro
     *n_places = n;
 }
 
-WIDE static void know(int64_t n, const int32_t *restrict count, const double *restrict wanted, const double *restrict mean,
-                      uint8_t *restrict known)
+WIDE static void know(int64_t n, const int32_t *restrict count, const double *restrict wanted,
+                      const double *restrict mean, uint8_t *restrict known)
 {
     for (int64_t column = 0; column < n; column++)
         known[column] = (uint8_t)(((double)count[column] >= wanted[column]) & (mean[column] > 0.0));
 }
 
 /* One row: over its mean where that is known and the pixel VALID. */
-WIDE static void divide_row(int64_t n, const float *restrict intensity, const double *restrict mean, const uint8_t *restrict known,
-                            const uint8_t *restrict mask, float *restrict divided, uint8_t *restrict masked)
+WIDE static void divide_row(int64_t n, const float *restrict intensity, const double *restrict mean,
+                            const uint8_t *restrict known, const uint8_t *restrict mask, float *restrict divided,
+                            uint8_t *restrict masked)
 {
     for (int64_t column = 0; column < n; column++) {
         const int32_t sure = known[column] != 0, echo = sure & ((mask[column] & VALID) != 0);
@@ -476,15 +494,16 @@ WIDE static void divide_row(int64_t n, const float *restrict intensity, const do
     }
 }
 
-/* level, usable (n_rows, n_columns). wanted (n_columns), room, n_room: overwritten. mean, known: out, (n_rows, n_columns), or one row
- * that is overwritten again and again where mean_step is 0. intensity, mask (n_rows, n_columns), or NULL; divided, masked: out, the same.
- * some (n_some): columns; some_mean, some_known (n_rows, n_some): out.
+/* level, usable (n_rows, n_columns). wanted (n_columns), room, n_room: overwritten. mean, known: out, (n_rows,
+ * n_columns), or one row that is overwritten again and again where mean_step is 0. intensity, mask (n_rows, n_columns),
+ * or NULL; divided, masked: out, the same. some (n_some): columns; some_mean, some_known (n_rows, n_some): out.
  */
-void auv_mcm_waterfall_level(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns, double least_share,
-                             const float *restrict level, const uint8_t *restrict usable, double *restrict wanted, double *room,
-                             int32_t *n_room, double *restrict mean, uint8_t *restrict known, int64_t mean_step,
-                             const float *restrict intensity, const uint8_t *restrict mask, float *restrict divided,
-                             uint8_t *restrict masked, int64_t n_some, const int64_t *restrict some, double *restrict some_mean,
+void auv_mcm_waterfall_level(int64_t n_rows, int64_t n_columns, int64_t half_rows, int64_t half_columns,
+                             double least_share, const float *restrict level, const uint8_t *restrict usable,
+                             double *restrict wanted, double *room, int32_t *n_room, double *restrict mean,
+                             uint8_t *restrict known, int64_t mean_step, const float *restrict intensity,
+                             const uint8_t *restrict mask, float *restrict divided, uint8_t *restrict masked,
+                             int64_t n_some, const int64_t *restrict some, double *restrict some_mean,
                              uint8_t *restrict some_known)
 {
     const int64_t pad = half_columns + 1;
@@ -525,25 +544,28 @@ static inline int32_t is_bent(double stretch, double turn, double ground_m, doub
 }
 
 /* One ping; coarse: LOW_RESOLUTION or 0 by column. */
-WIDE static void join_masks(int64_t n, const uint8_t *restrict valid, const uint8_t *restrict saturated, const uint8_t *restrict coarse,
-                            uint8_t always, uint8_t *restrict mask)
+WIDE static void join_masks(int64_t n, const uint8_t *restrict valid, const uint8_t *restrict saturated,
+                            const uint8_t *restrict coarse, uint8_t always, uint8_t *restrict mask)
 {
     for (int64_t column = 0; column < n; column++)
-        mask[column] = (uint8_t)((valid[column] ? VALID : 0) | (saturated[column] ? SATURATED : 0) | coarse[column] | always);
+        mask[column] = (uint8_t)((valid[column] ? VALID : 0) | (saturated[column] ? SATURATED : 0) | coarse[column] |
+                                 always);
 }
 
-/* pitch, yaw, fast (n_pings), ground_m (n_columns) rising, coarse (any, n_columns), coarse_row (n_pings): which of them a ping has; valid,
- * saturated (n_pings, n_columns). mask: out.
+/* pitch, yaw, fast (n_pings), ground_m (n_columns) rising, coarse (any, n_columns), coarse_row (n_pings): which of them
+ * a ping has; valid, saturated (n_pings, n_columns). mask: out.
  */
-void auv_mcm_waterfall_masks(int64_t n_pings, int64_t n_columns, const double *restrict pitch, const double *restrict yaw,
-                             const uint8_t *restrict fast, const double *restrict ground_m, const uint8_t *restrict coarse,
-                             const int64_t *restrict coarse_row, const uint8_t *restrict valid, const uint8_t *restrict saturated,
-                             double limit, uint8_t *restrict mask)
+void auv_mcm_waterfall_masks(int64_t n_pings, int64_t n_columns, const double *restrict pitch,
+                             const double *restrict yaw, const uint8_t *restrict fast, const double *restrict ground_m,
+                             const uint8_t *restrict coarse, const int64_t *restrict coarse_row,
+                             const uint8_t *restrict valid, const uint8_t *restrict saturated, double limit,
+                             uint8_t *restrict mask)
 {
     for (int64_t ping = 0; ping < n_pings; ping++) {
         const double stretch = 1.0 + pitch[ping], turn = yaw[ping];
         const int64_t at = ping * n_columns;
-        join_masks(n_columns, valid + at, saturated + at, coarse + coarse_row[ping] * n_columns, fast[ping] ? TURN : 0, mask + at);
+        join_masks(n_columns, valid + at, saturated + at, coarse + coarse_row[ping] * n_columns, fast[ping] ? TURN : 0,
+                   mask + at);
         /* The ratio rises or falls along the row: its ends bound all of it. */
         if (!is_bent(stretch, turn, ground_m[0], limit) && !is_bent(stretch, turn, ground_m[n_columns - 1], limit))
             continue;
@@ -552,13 +574,13 @@ void auv_mcm_waterfall_masks(int64_t n_pings, int64_t n_columns, const double *r
     }
 }
 
-/* angle (any, n_columns); angle_row (n_pings): which of them a ping has; values, usable (n_pings, n_columns). centre (n_bins), or NULL for
- * plain sums. bins (n_columns): overwritten. count, total (n_bins): out.
+/* angle (any, n_columns); angle_row (n_pings): which of them a ping has; values, usable (n_pings, n_columns). centre
+ * (n_bins), or NULL for plain sums. bins (n_columns): overwritten. count, total (n_bins): out.
  */
 void auv_mcm_waterfall_angle_sums(int64_t n_pings, int64_t n_columns, int64_t n_bins, const double *restrict angle,
-                                  const int64_t *restrict angle_row, const double *restrict values, const uint8_t *restrict usable,
-                                  const double *restrict centre, double clip, int32_t *restrict bins, int64_t *restrict count,
-                                  double *restrict total)
+                                  const int64_t *restrict angle_row, const double *restrict values,
+                                  const uint8_t *restrict usable, const double *restrict centre, double clip,
+                                  int32_t *restrict bins, int64_t *restrict count, double *restrict total)
 {
     memset(count, 0, (size_t)n_bins * sizeof *count);
     memset(total, 0, (size_t)n_bins * sizeof *total);
@@ -631,14 +653,16 @@ static void sort_few(int64_t n, double *values)
     }
 }
 
-/* Values in [low, high], or in [low, high) where high is open, among which the median is; below: how many are less, left: how many are in. */
+/* Values in [low, high], or in [low, high) where high is open, among which the median is; below: how many are less,
+ * left: how many are in. */
 typedef struct {
     double low, high;
     int64_t below, left;
     int high_is_open;
 } Bracket;
 
-/* Narrows the bracket by a limit where it stays on one side of the first and second of the middle values. Returns whether it does. */
+/* Narrows the bracket by a limit where it stays on one side of the first and second of the middle values. Returns
+ * whether it does. */
 static int narrow(int64_t n, const double *values, double limit, int64_t first, int64_t second, Bracket *bracket)
 {
     const int64_t number = count_below(n, values, limit), upto = bracket->below + bracket->left;
@@ -655,8 +679,8 @@ static int narrow(int64_t n, const double *values, double limit, int64_t first, 
     return 1;
 }
 
-/* Mean of the (n - 1) / 2 th and the n / 2 th of n values by size: halves what lies between two of a sample, or the ends, until few are
- * left, and sorts those. room (n): overwritten.
+/* Mean of the (n - 1) / 2 th and the n / 2 th of n values by size: halves what lies between two of a sample, or the
+ * ends, until few are left, and sorts those. room (n): overwritten.
  */
 static double median(int64_t n, const double *restrict values, double *restrict room)
 {
@@ -694,11 +718,11 @@ static double median(int64_t n, const double *restrict values, double *restrict 
     return 0.5 * (room[first - bracket.below] + room[second - bracket.below]);
 }
 
-/* values, usable (n_rows, n), usable NULL where all are. room (2 n + 2): overwritten. medians (n_rows): out, NaN where fewer than least are
- * usable.
+/* values, usable (n_rows, n), usable NULL where all are. room (2 n + 2): overwritten. medians (n_rows): out, NaN where
+ * fewer than least are usable.
  */
-void auv_mcm_waterfall_medians(int64_t n_rows, int64_t n, const double *restrict values, const uint8_t *restrict usable, int64_t least,
-                               double *restrict room, double *restrict medians)
+void auv_mcm_waterfall_medians(int64_t n_rows, int64_t n, const double *restrict values, const uint8_t *restrict usable,
+                               int64_t least, double *restrict room, double *restrict medians)
 {
     for (int64_t row = 0; row < n_rows; row++) {
         const double *from = values + row * n;
@@ -715,9 +739,11 @@ void auv_mcm_waterfall_medians(int64_t n_rows, int64_t n, const double *restrict
     }
 }
 
-/* values (n_pings, n_columns), factor (any, n_columns), factor_row (n_pings): which of them a ping has. product: out. */
-WIDE void auv_mcm_waterfall_scale(int64_t n_pings, int64_t n_columns, const double *restrict values, const double *restrict factor,
-                                  const int64_t *restrict factor_row, float *restrict product)
+/* values (n_pings, n_columns), factor (any, n_columns), factor_row (n_pings): which of them a ping has. product: out.
+ */
+WIDE void auv_mcm_waterfall_scale(int64_t n_pings, int64_t n_columns, const double *restrict values,
+                                  const double *restrict factor, const int64_t *restrict factor_row,
+                                  float *restrict product)
 {
     for (int64_t ping = 0; ping < n_pings; ping++) {
         const double *restrict from = values + ping * n_columns, *restrict by = factor + factor_row[ping] * n_columns;
@@ -727,11 +753,12 @@ WIDE void auv_mcm_waterfall_scale(int64_t n_pings, int64_t n_columns, const doub
     }
 }
 
-/* angle (n). known, level (n_known): rising bins, whose values stand at their middles; place (n_bins + 1): of the last known bin whose
- * middle is not beyond that of each bin before, -1 for none. slope (n_known - 1). curve (n): out.
+/* angle (n). known, level (n_known): rising bins, whose values stand at their middles; place (n_bins + 1): of the last
+ * known bin whose middle is not beyond that of each bin before, -1 for none. slope (n_known - 1). curve (n): out.
  */
-void auv_mcm_waterfall_curve(int64_t n, const double *restrict angle, const double *restrict middle, const double *restrict level,
-                             int64_t n_known, const double *restrict slope, const int32_t *restrict place, double *restrict curve)
+void auv_mcm_waterfall_curve(int64_t n, const double *restrict angle, const double *restrict middle,
+                             const double *restrict level, int64_t n_known, const double *restrict slope,
+                             const int32_t *restrict place, double *restrict curve)
 {
     for (int64_t i = 0; i < n; i++) {
         const int64_t bin = (int64_t)angle[i];

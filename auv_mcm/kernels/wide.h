@@ -3,7 +3,8 @@
 #ifndef AUV_MCM_WIDE_H
 #define AUV_MCM_WIDE_H
 
-/* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same. */
+/* Where the loader can choose, a second version for the wide vectors that most x86 processors have; it rounds the same.
+ */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
 #if __has_attribute(target_clones)
 #define WIDE __attribute__((target_clones("avx2", "default")))

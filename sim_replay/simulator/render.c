@@ -1,5 +1,6 @@
-/* Echo energy of rays over a height field, one vertical slice per ray. render.py documents the computation and holds the numpy twin, which
- * gives the same bytes: same operations in the same order, no fused multiply-adds, no function of libm but the square root and rounding.
+/* Echo energy of rays over a height field, one vertical slice per ray. render.py documents the computation and holds
+ * the numpy twin, which gives the same bytes: same operations in the same order, no fused multiply-adds, no function of
+ * libm but the square root and rounding.
  */
 
 #include <math.h>
@@ -25,9 +26,36 @@
 
 int32_t auv_mcm_simulator_version(void) { return AUV_MCM_SIMULATOR_VERSION; }
 
-enum line_field { L_NORTH, L_EAST, L_STEP_NORTH, L_STEP_EAST, L_ELEVATION, L_SLANT, L_AXIS_COS, L_AXIS_SIN, L_WEIGHT, L_PING };
-enum body_field { B_KIND, B_EAST, B_NORTH, B_REACH, B_SIN, B_COS, B_BASE, B_MATERIAL, B_P0, B_P1, B_P2, B_P3, B_P4, B_PLANE, B_SIDES,
-                  B_TOPS };
+enum line_field {
+    L_NORTH,
+    L_EAST,
+    L_STEP_NORTH,
+    L_STEP_EAST,
+    L_ELEVATION,
+    L_SLANT,
+    L_AXIS_COS,
+    L_AXIS_SIN,
+    L_WEIGHT,
+    L_PING
+};
+enum body_field {
+    B_KIND,
+    B_EAST,
+    B_NORTH,
+    B_REACH,
+    B_SIN,
+    B_COS,
+    B_BASE,
+    B_MATERIAL,
+    B_P0,
+    B_P1,
+    B_P2,
+    B_P3,
+    B_P4,
+    B_PLANE,
+    B_SIDES,
+    B_TOPS
+};
 enum body_kind { ELLIPSOID, CYLINDER, CONE, POLYHEDRON, TORUS, SCAR, MOAT };
 
 typedef struct {
@@ -35,7 +63,8 @@ typedef struct {
     int covered;
 } top;
 
-/* Height over the body's base, and slopes, at (u, v) in the body's axes. For SCAR and MOAT z is what the floor is moved by. */
+/* Height over the body's base, and slopes, at (u, v) in the body's axes. For SCAR and MOAT z is what the floor is moved
+ * by. */
 static inline top body_top(const double *restrict b, const double *restrict planes, double u, double v)
 {
     const double p0 = b[B_P0], p1 = b[B_P1], p2 = b[B_P2], p3 = b[B_P3], p4 = b[B_P4];
@@ -49,7 +78,8 @@ static inline top body_top(const double *restrict b, const double *restrict plan
         }
         break;
     }
-    case CYLINDER: { /* radius p0, half length p1, centre at p2, sine p3 >= 0 and cosine p4 of the tilt: +u end raised */
+    case CYLINDER: { /* radius p0, half length p1, centre at p2, sine p3 >= 0 and cosine p4 of the tilt: +u end raised
+                      */
         const double inside = p0 * p0 - v * v;
         if (inside > 0.0) {
             const double root = sqrt(inside), rise = p3 / p4, half = root / p4;
@@ -111,7 +141,8 @@ static inline top body_top(const double *restrict b, const double *restrict plan
         break;
     }
     case MOAT: { /* semi-axes p0, p1 of the ring, depth p2, half width p3 in parts of the axes */
-        const double s = u / p0, t = v / p1, across = sqrt(s * s + t * t), w = (across - 1.0) / p3, inside = 1.0 - w * w;
+        const double s = u / p0, t = v / p1, across = sqrt(s * s + t * t), w = (across - 1.0) / p3,
+                     inside = 1.0 - w * w;
         if (inside > 0.0 && across > 0.0) {
             const double steep = 4.0 * p2 * w * inside / (p3 * across);
             out = (top){-p2 * inside * inside, steep * s / p0, steep * t / p1, 1};
@@ -123,8 +154,8 @@ static inline top body_top(const double *restrict b, const double *restrict plan
 }
 
 /* Horizontal normal of the body's wall next to (u, v), a place outside of it. */
-static inline void body_wall(const double *restrict b, const double *restrict planes, double u, double v, double *normal_u,
-                             double *normal_v)
+static inline void body_wall(const double *restrict b, const double *restrict planes, double u, double v,
+                             double *normal_u, double *normal_v)
 {
     *normal_u = u;
     *normal_v = v;
@@ -159,13 +190,15 @@ static inline void body_wall(const double *restrict b, const double *restrict pl
     }
 }
 
-/* Put the bodies on the profile of one ray. material: first entry of its table. owner: index of the body that a node lies on, -1 for the
- * floor. */
+/* Put the bodies on the profile of one ray. material: first entry of its table. owner: index of the body that a node
+ * lies on, -1 for the floor. */
 static void raise_bodies(const double *restrict line, int64_t n_nodes, double cell_m, int64_t n_bodies,
-                         const double *restrict bodies, const double *restrict planes, float *restrict z, float *restrict q,
-                         float *restrict texture, int32_t *restrict material, int32_t *restrict owner)
+                         const double *restrict bodies, const double *restrict planes, float *restrict z,
+                         float *restrict q, float *restrict texture, int32_t *restrict material,
+                         int32_t *restrict owner)
 {
-    const double step_m = cell_m * sqrt(line[L_STEP_NORTH] * line[L_STEP_NORTH] + line[L_STEP_EAST] * line[L_STEP_EAST]);
+    const double step_m = cell_m *
+                          sqrt(line[L_STEP_NORTH] * line[L_STEP_NORTH] + line[L_STEP_EAST] * line[L_STEP_EAST]);
     const double away_north = line[L_STEP_NORTH] * cell_m / step_m, away_east = line[L_STEP_EAST] * cell_m / step_m;
     const double ahead_north = -away_east, ahead_east = away_north; /* a right angle from the ray; its sign is free */
     for (int64_t k = 0; k < n_bodies; k++) {
@@ -179,11 +212,13 @@ static void raise_bodies(const double *restrict line, int64_t n_nodes, double ce
         const double low = ceil((along - half) / step_m), high = floor((along + half) / step_m);
         if (high < 0.0 || low > (double)(n_nodes - 1))
             continue;
-        const int64_t first = low < 0.0 ? 0 : (int64_t)low, last = high > (double)(n_nodes - 1) ? n_nodes - 1 : (int64_t)high;
+        const int64_t first = low<0.0 ? 0 : (int64_t)low, last = high>(double)(n_nodes - 1) ? n_nodes - 1
+                                                                                            : (int64_t)high;
         const double u0 = east * b[B_SIN] + north * b[B_COS], v0 = east * b[B_COS] - north * b[B_SIN];
         const double du = (away_east * b[B_SIN] + away_north * b[B_COS]) * step_m;
         const double dv = (away_east * b[B_COS] - away_north * b[B_SIN]) * step_m;
-        const double ahead_u = ahead_east * b[B_SIN] + ahead_north * b[B_COS], ahead_v = ahead_east * b[B_COS] - ahead_north * b[B_SIN];
+        const double ahead_u = ahead_east * b[B_SIN] + ahead_north * b[B_COS],
+                     ahead_v = ahead_east * b[B_COS] - ahead_north * b[B_SIN];
         const int moves_floor = b[B_KIND] >= SCAR;
         for (int64_t j = first; j <= last; j++) {
             const double u = u0 + (double)j * du, v = v0 + (double)j * dv;
@@ -205,14 +240,15 @@ static void raise_bodies(const double *restrict line, int64_t n_nodes, double ce
     }
 }
 
-/* A wall stands between two nodes of different owners: it belongs to the higher one, and its slope along the track follows from how it
- * is turned. Facet j lies between nodes j - 1 and j and carries what node j carries, so this may overwrite it. Backwards, because what
- * facet j takes from node j - 1 must not have been overwritten. */
+/* A wall stands between two nodes of different owners: it belongs to the higher one, and its slope along the track
+ * follows from how it is turned. Facet j lies between nodes j - 1 and j and carries what node j carries, so this may
+ * overwrite it. Backwards, because what facet j takes from node j - 1 must not have been overwritten. */
 static void turn_walls(const double *restrict line, int64_t n_nodes, double cell_m, const double *restrict bodies,
-                       const double *restrict planes, const float *restrict z, float *restrict q, float *restrict texture,
-                       int32_t *restrict material, const int32_t *restrict owner)
+                       const double *restrict planes, const float *restrict z, float *restrict q,
+                       float *restrict texture, int32_t *restrict material, const int32_t *restrict owner)
 {
-    const double step_m = cell_m * sqrt(line[L_STEP_NORTH] * line[L_STEP_NORTH] + line[L_STEP_EAST] * line[L_STEP_EAST]);
+    const double step_m = cell_m *
+                          sqrt(line[L_STEP_NORTH] * line[L_STEP_NORTH] + line[L_STEP_EAST] * line[L_STEP_EAST]);
     const double away_north = line[L_STEP_NORTH] * cell_m / step_m, away_east = line[L_STEP_EAST] * cell_m / step_m;
     const double ahead_north = -away_east, ahead_east = away_north;
     for (int64_t j = n_nodes - 1; j > 0; j--) {
@@ -229,21 +265,23 @@ static void turn_walls(const double *restrict line, int64_t n_nodes, double cell
         const double e = east + (double)outer * step_m * away_east, n = north + (double)outer * step_m * away_north;
         double normal_u, normal_v;
         body_wall(b, planes, e * b[B_SIN] + n * b[B_COS], e * b[B_COS] - n * b[B_SIN], &normal_u, &normal_v);
-        const double towards =
-            normal_u * (away_east * b[B_SIN] + away_north * b[B_COS]) + normal_v * (away_east * b[B_COS] - away_north * b[B_SIN]);
-        const double aside =
-            normal_u * (ahead_east * b[B_SIN] + ahead_north * b[B_COS]) + normal_v * (ahead_east * b[B_COS] - ahead_north * b[B_SIN]);
+        const double towards = normal_u * (away_east * b[B_SIN] + away_north * b[B_COS]) +
+                               normal_v * (away_east * b[B_COS] - away_north * b[B_SIN]);
+        const double aside = normal_u * (ahead_east * b[B_SIN] + ahead_north * b[B_COS]) +
+                             normal_v * (ahead_east * b[B_COS] - ahead_north * b[B_SIN]);
         const double limit = 20.0 * fabs(towards);
         const double bounded = aside > limit ? limit : aside < -limit ? -limit : aside;
         q[j] = towards != 0.0 ? (float)((double)(z[j] - z[j - 1]) / step_m * (bounded / towards)) : 0.0f;
     }
 }
 
-/* Where the nodes of a ray lie: patch, index of the south-western of the four corners around and of the nearest one within the patch, and
- * how far to the north and east of the former. first_row, first_column: cell that node 0 lies in; part_*: where in it. */
-WIDE static void place(int32_t n, int32_t first_row, int32_t first_column, float first_north, float first_east, float step_north,
-                       float step_east, int32_t n_patch_columns, int32_t *restrict patch, int32_t *restrict corner,
-                       int32_t *restrict nearest, float *restrict part_north, float *restrict part_east)
+/* Where the nodes of a ray lie: patch, index of the south-western of the four corners around and of the nearest one
+ * within the patch, and how far to the north and east of the former. first_row, first_column: cell that node 0 lies in;
+ * part_*: where in it. */
+WIDE static void place(int32_t n, int32_t first_row, int32_t first_column, float first_north, float first_east,
+                       float step_north, float step_east, int32_t n_patch_columns, int32_t *restrict patch,
+                       int32_t *restrict corner, int32_t *restrict nearest, float *restrict part_north,
+                       float *restrict part_east)
 {
     for (int32_t j = 0; j < n; j++) {
         const float north = first_north + (float)j * step_north, east = first_east + (float)j * step_east;
@@ -268,10 +306,10 @@ typedef struct {
 } pair;
 
 /* What the patches hold at those places. material: first entry of its table. */
-static void fetch(int32_t n, const int32_t *restrict slots, const float *restrict elevation, const float *restrict texture_pool,
-                  const uint8_t *restrict seabed, const int32_t *restrict patch, const int32_t *restrict corner,
-                  const int32_t *restrict nearest, pair *restrict south, pair *restrict north, float *restrict texture,
-                  int32_t *restrict material)
+static void fetch(int32_t n, const int32_t *restrict slots, const float *restrict elevation,
+                  const float *restrict texture_pool, const uint8_t *restrict seabed, const int32_t *restrict patch,
+                  const int32_t *restrict corner, const int32_t *restrict nearest, pair *restrict south,
+                  pair *restrict north, float *restrict texture, int32_t *restrict material)
 {
     for (int32_t j = 0; j < n;) {
         const int32_t here = patch[j];
@@ -288,8 +326,9 @@ static void fetch(int32_t n, const int32_t *restrict slots, const float *restric
 }
 
 /* Height and slope along the track, bilinear. */
-WIDE static void blend(int32_t n, float ahead_north, float ahead_east, const pair *restrict south, const pair *restrict north,
-                       const float *restrict part_north, const float *restrict part_east, float *restrict z, float *restrict slope)
+WIDE static void blend(int32_t n, float ahead_north, float ahead_east, const pair *restrict south,
+                       const pair *restrict north, const float *restrict part_north, const float *restrict part_east,
+                       float *restrict z, float *restrict slope)
 {
     for (int32_t j = 0; j < n; j++) {
         const float along = south[j].east - south[j].west, far = north[j].east - north[j].west;
@@ -300,8 +339,8 @@ WIDE static void blend(int32_t n, float ahead_north, float ahead_east, const pai
 }
 
 /* Slant depth and range, and depression as depth over nodes from the sonar. */
-WIDE static void look_down(int32_t n, float dy, float sonar_m, float slant, const float *restrict inverse, const float *restrict z,
-                           float *restrict depth, float *restrict r, float *restrict t)
+WIDE static void look_down(int32_t n, float dy, float sonar_m, float slant, const float *restrict inverse,
+                           const float *restrict z, float *restrict depth, float *restrict r, float *restrict t)
 {
     for (int32_t j = 0; j < n; j++) {
         const float y = (float)j * dy, below = sonar_m - z[j], slanted = below * slant;
@@ -322,15 +361,16 @@ static void find_least(int32_t n, const float *restrict t, float *restrict least
     }
 }
 
-/* Facet j lies between nodes j - 1 and j; facet 0 is none. lit: the share of it that no nearer node hides. entry, beam_entry: of the
- * tables; entry comes in as the first of the material's. upright: depth per slant depth. area: lit, per metre of width, weighed by texture.
- * Its energy is spread evenly over the slant ranges, in bins, that the lit part spans, and bin n_bins takes what lies beyond: first is the
- * bin where that starts, past what share goes into the bin where it ends if it is another, inner what share goes into each between;
- * between counts those. */
-WIDE static void face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight, float bins_per_m,
-                      float n_bins, const float *restrict z, const float *restrict slope, const float *restrict texture,
-                      const float *restrict depth, const float *restrict r, const float *restrict t, const float *restrict least,
-                      float *restrict lit, int32_t *restrict entry, int32_t *restrict beam_entry, float *restrict area,
+/* Facet j lies between nodes j - 1 and j; facet 0 is none. lit: the share of it that no nearer node hides. entry,
+ * beam_entry: of the tables; entry comes in as the first of the material's. upright: depth per slant depth. area: lit,
+ * per metre of width, weighed by texture. Its energy is spread evenly over the slant ranges, in bins, that the lit part
+ * spans, and bin n_bins takes what lies beyond: first is the bin where that starts, past what share goes into the bin
+ * where it ends if it is another, inner what share goes into each between; between counts those. */
+WIDE static void face(int32_t n, float dy, float per_dy, float upright, float axis_cos, float axis_sin, float weight,
+                      float bins_per_m, float n_bins, const float *restrict z, const float *restrict slope,
+                      const float *restrict texture, const float *restrict depth, const float *restrict r,
+                      const float *restrict t, const float *restrict least, float *restrict lit,
+                      int32_t *restrict entry, int32_t *restrict beam_entry, float *restrict area,
                       int32_t *restrict first, int32_t *restrict between, float *restrict past, float *restrict inner)
 {
     const float width = dy * weight;
@@ -346,7 +386,8 @@ WIDE static void face(int32_t n, float dy, float per_dy, float upright, float ax
         const float seen = hidden > 0.0f ? out / (out + hidden) : 1.0f, share = t[j] < least[j] ? seen : 0.0f;
         const float far_end = r[j] * bins_per_m, near_end = (r[j] - share * (r[j] - r[j - 1])) * bins_per_m;
         const float from = near_end < far_end ? near_end : far_end, to = near_end < far_end ? far_end : near_end;
-        const int32_t from_bin = (int32_t)(from < n_bins ? from : n_bins), to_bin = (int32_t)(to < n_bins ? to : n_bins);
+        const int32_t from_bin = (int32_t)(from < n_bins ? from : n_bins),
+                      to_bin = (int32_t)(to < n_bins ? to : n_bins);
         const int32_t span = to_bin - from_bin, inside = span > 1 ? span - 1 : 0;
         const float per_bin = 1.0f / (to - from), ending = (to - (float)to_bin) * per_bin;
         lit[j] = share;
@@ -365,12 +406,13 @@ typedef struct {
     double own, next;
 } bin;
 
-/* Adds each facet's energy to the bins it spans, facets that skip bins last. skipping: room for their numbers; area: theirs become energy.
+/* Adds each facet's energy to the bins it spans, facets that skip bins last. skipping: room for their numbers; area:
+ * theirs become energy.
  */
 static void deposit(int32_t n, const float *restrict tables, const float *restrict beam, const int32_t *restrict entry,
                     const int32_t *restrict beam_entry, float *restrict area, const int32_t *restrict first,
-                    const int32_t *restrict between, const float *restrict past, const float *restrict inner, int32_t *restrict skipping,
-                    bin *restrict bins)
+                    const int32_t *restrict between, const float *restrict past, const float *restrict inner,
+                    int32_t *restrict skipping, bin *restrict bins)
 {
     int32_t n_skipping = 0;
     for (int32_t j = 1; j < n; j++) {
@@ -398,19 +440,23 @@ static void deposit(int32_t n, const float *restrict tables, const float *restri
     }
 }
 
-/* elevation, texture, seabed: (n_slots, NODES, NODES). slots: (n_patch_rows, n_patch_columns), the first of which starts at cell
- * (first_row, first_column). lines: (n_lines, LINE_WIDTH). tables: (n_materials, TABLE). beam: (TABLE). scratch: 22 rows of n_nodes floats;
- * bins: n_bins + 1. energy: (n_pings, n_bins + 1), added to. lit, owner: (n_lines, n_nodes) or NULL.
+/* elevation, texture, seabed: (n_slots, NODES, NODES). slots: (n_patch_rows, n_patch_columns), the first of which
+ * starts at cell (first_row, first_column). lines: (n_lines, LINE_WIDTH). tables: (n_materials, TABLE). beam: (TABLE).
+ * scratch: 22 rows of n_nodes floats; bins: n_bins + 1. energy: (n_pings, n_bins + 1), added to. lit, owner: (n_lines,
+ * n_nodes) or NULL.
  */
-void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, double cell_m, double bins_per_m, int64_t first_row,
-                          int64_t first_column, int64_t n_patch_columns, const int32_t *restrict slots, const float *restrict elevation,
-                          const float *restrict texture_pool, const uint8_t *restrict seabed, const double *restrict lines,
-                          int64_t n_bodies, const double *restrict bodies, const double *restrict planes, const float *restrict tables,
-                          const float *restrict beam, float *restrict scratch, bin *restrict bins, double *restrict energy,
-                          float *restrict lit_out, int16_t *restrict owner_out)
+void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, double cell_m, double bins_per_m,
+                          int64_t first_row, int64_t first_column, int64_t n_patch_columns,
+                          const int32_t *restrict slots, const float *restrict elevation,
+                          const float *restrict texture_pool, const uint8_t *restrict seabed,
+                          const double *restrict lines, int64_t n_bodies, const double *restrict bodies,
+                          const double *restrict planes, const float *restrict tables, const float *restrict beam,
+                          float *restrict scratch, bin *restrict bins, double *restrict energy, float *restrict lit_out,
+                          int16_t *restrict owner_out)
 {
     const int32_t n = (int32_t)n_nodes;
-    float *const z = scratch, *const slope = z + n, *const texture = slope + n, *const depth = texture + n, *const r = depth + n;
+    float *const z = scratch, *const slope = z + n, *const texture = slope + n, *const depth = texture + n,
+                 *const r = depth + n;
     float *const t = r + n, *const least = t + n, *const lit = least + n, *const area = lit + n, *const past = area + n;
     float *const inner = past + n, *const inverse = inner + n;
     pair *const south = (pair *)(inverse + n), *const north = south + n;
@@ -427,9 +473,9 @@ void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, doub
         const float ahead_east = (float)(line[L_STEP_NORTH] / (step_cells * cell_m));
         const double row = floor(line[L_NORTH]), column = floor(line[L_EAST]);
 
-        place(n, (int32_t)(row - (double)first_row), (int32_t)(column - (double)first_column), (float)(line[L_NORTH] - row),
-              (float)(line[L_EAST] - column), (float)line[L_STEP_NORTH], (float)line[L_STEP_EAST], (int32_t)n_patch_columns, first, between,
-              beam_entry, past, inner);
+        place(n, (int32_t)(row - (double)first_row), (int32_t)(column - (double)first_column),
+              (float)(line[L_NORTH] - row), (float)(line[L_EAST] - column), (float)line[L_STEP_NORTH],
+              (float)line[L_STEP_EAST], (int32_t)n_patch_columns, first, between, beam_entry, past, inner);
         fetch(n, slots, elevation, texture_pool, seabed, first, between, beam_entry, south, north, texture, material);
         blend(n, ahead_north, ahead_east, south, north, past, inner, z, slope);
         for (int32_t j = 0; (n_bodies > 0 || owner_out) && j < n; j++)
@@ -440,9 +486,9 @@ void auv_mcm_render_lines(int64_t n_lines, int64_t n_nodes, int64_t n_bins, doub
         }
         look_down(n, dy, (float)line[L_ELEVATION], (float)line[L_SLANT], inverse, z, depth, r, t);
         find_least(n, t, least);
-        face(n, dy, per_dy, (float)(1.0 / line[L_SLANT]), (float)line[L_AXIS_COS], (float)line[L_AXIS_SIN], (float)line[L_WEIGHT],
-             (float)bins_per_m, (float)n_bins, z, slope, texture, depth, r, t, least, lit, material, beam_entry, area, first, between, past,
-             inner);
+        face(n, dy, per_dy, (float)(1.0 / line[L_SLANT]), (float)line[L_AXIS_COS], (float)line[L_AXIS_SIN],
+             (float)line[L_WEIGHT], (float)bins_per_m, (float)n_bins, z, slope, texture, depth, r, t, least, lit,
+             material, beam_entry, area, first, between, past, inner);
 
         for (int64_t b = 0; b <= n_bins; b++)
             bins[b].own = bins[b].next = 0.0;

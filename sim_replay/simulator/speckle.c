@@ -11,8 +11,8 @@
 #define EXTENT (BLOCK + MAX_TAPS - 1)
 #define FIELD 2047u /* table entries - 1 */
 
-/* AVX2 where the machine has it, half as fast again; there are no fused operations in it, so the bytes are the same. Table
- * lookups are left out: gathers gain little, and lose much on processors patched against reading through them. */
+/* AVX2 where the machine has it, half as fast again; there are no fused operations in it, so the bytes are the same.
+ * Table lookups are left out: gathers gain little, and lose much on processors patched against reading through them. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
 #define CLONED __attribute__((target_clones("avx2", "default"))) static
 #else
@@ -39,8 +39,8 @@ CLONED void random_words(int64_t n, uint32_t column, uint64_t key, uint32_t *res
     }
 }
 
-static void gaussians(int64_t n, const uint32_t *restrict first, const uint32_t *restrict second, const float *restrict table,
-                      float *restrict real, float *restrict imaginary)
+static void gaussians(int64_t n, const uint32_t *restrict first, const uint32_t *restrict second,
+                      const float *restrict table, float *restrict real, float *restrict imaginary)
 {
     for (int64_t i = 0; i < n; i++) {
         real[i] = table[first[i] & FIELD] + table[first[i] >> 21];
@@ -85,8 +85,8 @@ static void clear(int64_t n, float *restrict sum)
 }
 
 /* One row without a filter: energy times the mean power of the looks, no square root. */
-static void white_row(int64_t n_columns, const double *energy, const uint64_t *keys, int64_t key_stride, int64_t n_looks,
-                      const float *table, float weight, float *intensity)
+static void white_row(int64_t n_columns, const double *energy, const uint64_t *keys, int64_t key_stride,
+                      int64_t n_looks, const float *table, float weight, float *intensity)
 {
     uint32_t first[BLOCK], second[BLOCK];
     float real[BLOCK], imaginary[BLOCK];
@@ -103,8 +103,9 @@ static void white_row(int64_t n_columns, const double *energy, const uint64_t *k
     }
 }
 
-static void filtered_row(int64_t n_columns, const double *energy, const uint64_t *keys, int64_t key_stride, int64_t n_looks,
-                         const float *table, const float *taps, int64_t n_taps, float weight, float *intensity)
+static void filtered_row(int64_t n_columns, const double *energy, const uint64_t *keys, int64_t key_stride,
+                         int64_t n_looks, const float *table, const float *taps, int64_t n_taps, float weight,
+                         float *intensity)
 {
     uint32_t first[EXTENT], second[EXTENT];
     float amplitude[EXTENT], real[EXTENT], imaginary[EXTENT], filtered_real[BLOCK], filtered_imaginary[BLOCK];
@@ -130,11 +131,11 @@ static void filtered_row(int64_t n_columns, const double *energy, const uint64_t
 
 /* Mean intensity of the looks of n_rows rows.
  *
- * energy (n_rows, n_columns), keys (n_looks, n_rows), table (2048), taps (n_taps), intensity (n_rows, n_columns): C-contiguous.
- * n_taps odd and at most MAX_TAPS; n_looks at least 1.
+ * energy (n_rows, n_columns), keys (n_looks, n_rows), table (2048), taps (n_taps), intensity (n_rows, n_columns):
+ * C-contiguous. n_taps odd and at most MAX_TAPS; n_looks at least 1.
  */
-void auv_mcm_speckle_rows(int64_t n_rows, int64_t n_columns, const double *energy, const uint64_t *keys, int64_t n_looks,
-                          const float *table, const float *taps, int64_t n_taps, float *intensity)
+void auv_mcm_speckle_rows(int64_t n_rows, int64_t n_columns, const double *energy, const uint64_t *keys,
+                          int64_t n_looks, const float *table, const float *taps, int64_t n_taps, float *intensity)
 {
     const float weight = (float)(0.5 / (double)n_looks); /* a complex sample of two unit Gaussians has power 2 */
 
@@ -144,6 +145,7 @@ void auv_mcm_speckle_rows(int64_t n_rows, int64_t n_columns, const double *energ
         if (n_taps == 1)
             white_row(n_columns, row_energy, keys + row, n_rows, n_looks, table, weight, row_intensity);
         else
-            filtered_row(n_columns, row_energy, keys + row, n_rows, n_looks, table, taps, n_taps, weight, row_intensity);
+            filtered_row(n_columns, row_energy, keys + row, n_rows, n_looks, table, taps, n_taps, weight,
+                         row_intensity);
     }
 }
