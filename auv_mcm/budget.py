@@ -35,7 +35,7 @@ cascade without a close look. Measured by `auv-mcm bench chain --knobs budget`: 
 RESERVED_LOOKS: Final = 2
 """Close looks without which windows are not begun: the cascade without any look found less at equal false alarms than
 clear contrasts (Pd of 0.05 and 0.14 at 10 per km² on flat, ripple and rough)."""
-_US_PER_S: Final = 1e6
+_US_PER_S: Final = 1e6  # microseconds per second
 
 
 class Allowance(NamedTuple):

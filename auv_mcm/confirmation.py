@@ -43,7 +43,7 @@ from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.snippet import unpack_snippet
 
 _QUALITY: Final = 0.95  # of a view that nothing speaks against
-_POOR_QUALITY: Final = 0.6
+_POOR_QUALITY: Final = 0.6  # reliability of a poor view, where a good one has _QUALITY; chosen, not measured
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
 _MIN_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its

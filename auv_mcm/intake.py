@@ -19,12 +19,12 @@ from auv_mcm.geometry.navigation_checks import AltitudeCheck
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack, Transfer
 from auv_mcm.settings.config import Config
 
-BLOCK_PINGS: Final = 32
+BLOCK_PINGS: Final = 32  # pings processed at once: more delays tiles, fewer cost time per ping
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
-_CLOCK_STEP_S: Final = 1.0
-_MIN_SEGMENT_GAP_S: Final = 2.0
-_MIN_STEP_M: Final = 1e-3
-_UNKNOWN_SPEED_MPS: Final = 1.5
+_CLOCK_STEP_S: Final = 1.0  # s: a step back of less is a late ping, of more a clock that was set
+_MIN_SEGMENT_GAP_S: Final = 2.0  # s without a ping that end a segment, whatever navigation may bridge
+_MIN_STEP_M: Final = 1e-3  # m between pings: keeps distances along the track increasing when the vehicle stands
+_UNKNOWN_SPEED_MPS: Final = 1.5  # m/s, a usual survey speed; spaces pings whose speed is not known
 
 
 class PingBlock(NamedTuple):

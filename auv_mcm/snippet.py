@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-_FLOOR_DB: Final = -40.0
-_PER_DB: Final = 4.0
+_FLOOR_DB: Final = -40.0  # dB over the sea floor that code 1 stands for
+_PER_DB: Final = 4.0  # codes per dB: the 8 bits reach 23.5 dB
 
 
 def pack_snippet(intensity: NDArray[Any]) -> NDArray[np.uint8]:

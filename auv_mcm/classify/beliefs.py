@@ -52,7 +52,8 @@ MIN_AGREEMENT: Final = (
     1e-12  # below it the agreement of two sources is rounding, and dividing by it would make certainty of it
 )
 
-DEMPSTER_BELOW: Final = 0.6
+DEMPSTER_BELOW: Final = 0.6  # conflict K up to which Dempster's rule combines views; chosen, not measured
+# conflict K from which nothing is combined: two opposite views of reliability 0.95 stay just below
 APART_FROM: Final = 0.9
 ASPECT_SPREAD_RAD: Final = math.radians(15.0)  # shadows from aspects closer than this mostly repeat each other
 

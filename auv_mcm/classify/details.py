@@ -20,8 +20,8 @@ from auv_mcm.records import Detection
 
 _NOT_MEASURED: Final = -1.0  # of lengths and heights, which are positive
 _NO_SOLID: Final = 30.0  # nats, of a solid that cannot be seen in the region at all
-_NO_GAIN: Final = -50.0
-_NO_REPETITION: Final = 5.0
+_NO_GAIN: Final = -50.0  # nats; stands for no contours
+_NO_REPETITION: Final = 5.0  # ratio; stands for no contours
 _FAR_BEHIND: Final = 20.0  # nats, for a missing second solution
 _OF_THE_BEST: Final = (
     "solid_highlight_contrast",

@@ -27,6 +27,7 @@ from auv_mcm.classify.beliefs import EVERYTHING, FRAME, MAX_RELIABILITY, N_CLASS
 from auv_mcm.records import NAN, ContactClass
 
 TEMPERATURE: Final = 4.0  # divisor of log-likelihoods: pixels are correlated and models not exact
+# relative excess over a class's sizes at which plausibility has fallen to 0; chosen, not measured
 _SIZE_MARGIN: Final = 0.3
 _CLUTTER: Final = FRAME.index("clutter")
 

@@ -26,14 +26,14 @@ Features: TypeAlias = dict[str, float]
 _NATS: Final = 5.0  # nats: below it evidence counts about in full, above it by its logarithm
 _NO_SOLID: Final = 20.0  # nats: cost where no solid explains anything
 _NO_ALTITUDE: Final = 0.2  # relative error of an altitude that no solid bears out
-_MIN_PLAUSIBILITY: Final = 1e-3
-_TEMPER: Final = 4.0
-_MAX_ODDS: Final = 6.0
-_MAX_SCORE: Final = 15.0
-_RANGE: Final = (-1.5, 3.5)
+_MIN_PLAUSIBILITY: Final = 1e-3  # bounds the logarithm of a plausibility of 0 to -6.9 nats
+_TEMPER: Final = 4.0  # nats a solid loses per nat of plausibility of its size; chosen, not measured
+_MAX_ODDS: Final = 6.0  # nats: as far as the detector's log-odds count, the bound of detect.belief
+_MAX_SCORE: Final = 15.0  # as far as a score of cascade or contrasts counts: one extreme value must not decide alone
+_RANGE: Final = (-1.5, 3.5)  # ln of ground range over altitude: 0.2 to 33 altitudes, beyond them nothing was fitted
 _MIN_ROWS: Final = 4  # of an edge whose bend can be measured
-_MIN_AREA_M2: Final = 0.01
-_MAX_M: Final = 3.0
+_MIN_AREA_M2: Final = 0.01  # m²: keeps the logarithm of an empty highlight finite
+_MAX_M: Final = 3.0  # m: no shape of an object differs by more; bounds outliers of the outline
 
 
 def detector_features(detection: Detection) -> Features:

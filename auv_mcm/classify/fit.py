@@ -53,7 +53,7 @@ _TOLERANCE: Final = 0.3  # beyond the usual sizes, relative, at which a size is 
 _MIN_HIGHLIGHT: Final = 6.0  # independent samples below which a highlight is not evidence
 _WEDGE_M: Final = (1.02, 0.80, 0.385)  # at scale 1
 _ALONG_M, _BEFORE_M, _BEHIND_M = 1.2, 0.5, 1.2  # how far from the highlight's centre an object's place may be
-_PLACE_GRAIN_M: Final = 0.05
+_PLACE_GRAIN_M: Final = 0.05  # m to which a place is refined
 
 
 class Effort(NamedTuple):

@@ -26,7 +26,7 @@ from auv_mcm.records import Detector, LookStep
 _TEMPER: Final = (
     0.5  # two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
 )
-_RELIABILITY: Final = 0.999
+_RELIABILITY: Final = 0.999  # share of the mass that the odds commit; the rest stays unknown
 _BOUND: Final = 12.0  # nats
 _CLUTTER: Final = subset("clutter")
 

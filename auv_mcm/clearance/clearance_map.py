@@ -21,9 +21,10 @@ Array = NDArray[np.float64]
 HIGHEST_P: Final = 0.98  # of one view: no mine is ever seen for certain
 N_LOOKS: Final = 64  # directions distinguished
 _SAME_LOOK_RAD: Final = math.radians(15.0)
+# s between patches of one pass, either way: tiles of both sides overlap in time; chosen, not measured
 _SAME_PASS_S: Final = 60.0
-_ROUNDING_RAD: Final = 1e-6
-_KEY: Final = 1 << 32
+_ROUNDING_RAD: Final = 1e-6  # rad: look angles at the border count alike whatever the rounding
+_KEY: Final = 1 << 32  # packs a cell's east and north index, 32 bits each, into one integer
 _MAX_BOX_CELLS: Final = (
     1 << 22
 )  # of a laid-out map: 8.2 km square at cells of 4 m, about 230 MB while it is drawn and written

@@ -15,7 +15,9 @@ from auv_mcm.geometry.navigation import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, SeabedCells, Tile
 from auv_mcm.settings.config import SonarConfig
 
+# m along the track that one outline covers: shorter follows turns more closely and makes larger files
 _STRIP_M: Final = 5.0
+# share of a strip's rows that have to be covered for a column to count; chosen, not measured
 _MIN_ROW_COVER: Final = 0.2
 _MAX_GAP_M: Final = 0.5  # a lost ping or two do not break an outline
 

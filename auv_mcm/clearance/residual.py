@@ -30,8 +30,8 @@ USUAL_PER_KM2: Final = 300
 """Mines in those missions: 20 to 24 on 0.06 to 0.11 km²."""
 
 _PRIOR_MINES: Final = 0.5  # mines: Jeffreys' prior of a Poisson density, what an empty search may hide
-_TAIL: Final = 0.025
-_MAX_MINES: Final = 1_000_000
+_TAIL: Final = 0.025  # probability beyond each end of the central 95 % interval
+_MAX_MINES: Final = 1_000_000  # bounds the search for a quantile; more mines than any area holds
 
 
 class Remaining(NamedTuple):

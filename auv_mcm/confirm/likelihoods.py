@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 Plane = NDArray[np.float64]
 
 _SPIKY_BELOW_NU: Final = 20.0  # shape above which texture cannot be separated from none
+# shape of the K law's texture, minimum: spikier than any sea floor, keeps the law normalisable in the table
 _MIN_NU: Final = 0.3
-_MAX_LOOKS: Final = 50.0
+_MAX_LOOKS: Final = 50.0  # looks beyond which speckle no longer matters to a label; bounds the inverse trigamma
 _SIGMAS: Final = 3.0  # of the log-variance's scatter: threshold for a texture or more looks
 _MORE_LOOKS: Final = 0.25  # of the nominal variance; the nominal looks themselves are measured
-_TABLE_BINS: Final = 2048
+_TABLE_BINS: Final = 2048  # entries of the table over the logarithm of intensity; bounds the error of interpolation
 _TABLE_LOG_RANGE: Final = (math.log(1e-7), math.log(1e7))
 
 

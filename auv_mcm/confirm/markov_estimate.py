@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MIN_COUNT: Final = 5  # a rarer configuration has too uncertain a logarithm, none at all has no logarithm
-_RIDGE: Final = 1e-3
-_WORST_CONDITION: Final = 1e8
+_RIDGE: Final = 1e-3  # of the scaled normal equations: keeps them solvable where two neighbourhoods are nearly alike
+_WORST_CONDITION: Final = 1e8  # number beyond which half of the digits of a solution are lost and no estimate is given
+# nats: smoothness outside of it leaves speckle as it is, or wipes out small shadows; chosen, not measured
 _RANGE: Final = (0.2, 2.0)
 
 

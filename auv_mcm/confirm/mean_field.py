@@ -19,14 +19,15 @@ from auv_mcm.kernels.mean_field import softmin, sweep
 Plane = NDArray[np.float64]
 
 SHADOW_START: Final = 0.15  # times the background
-HIGHLIGHT_START: Final = 5.0
-_ROUNDS: Final = 3
-_SWEEPS: Final = 2
+HIGHLIGHT_START: Final = 5.0  # times the background: where the estimate of the highlight's mean starts; 7 dB
+_ROUNDS: Final = 3  # of means and labels in turn; chosen, not measured
+_SWEEPS: Final = 2  # of the mean field per round; it continues from the round before
 _SHADOW_RANGE: Final = (1e-3, 0.5)  # times the background; a lighter shadow is sea floor
-_HIGHLIGHT_RANGE: Final = (2.0, 1e3)
+_HIGHLIGHT_RANGE: Final = (2.0, 1e3)  # times the background: a highlight's mean stays inside of it, 3 to 30 dB
 _GLINT: Final = 3.0  # times the highlight's mean
 SPIKE: Final = 10.0  # times a mean: speckle is hardly ever brighter, and one pixel that is must not make a class's mean
 _ABSENT_BELOW: Final = 8.0  # independent samples
+# probability below which a pixel adds nothing to a class's mean: see fit_means; chosen, not measured
 _OWN_SHARE: Final = 0.2
 _OWN_WEIGHT: Final = 12.0  # independent samples: weight of the start
 

@@ -34,25 +34,25 @@ Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 Flag = Literal["too_little_data", "no_speckle", "no_shadow", "no_highlight"]
 
-DEFAULT_SWEEPS: Final = 5
+DEFAULT_SWEEPS: Final = 5  # of TRW-S, unless the bound shows earlier that the labels are nearly best (_CLOSE_ENOUGH)
 
-_MIN_USABLE: Final = 0.25
-_MIN_CELLS: Final = 64
+_MIN_USABLE: Final = 0.25  # share of a region that has to be measured for a sea-floor level; chosen, not measured
+_MIN_CELLS: Final = 64  # pixels that a level and its spread need, about 12 % of error for single looks
 _FLATTEST: Final = 1e-4  # variance of the logarithm; 10 000 looks
 _RANGE: Final = (1e-6, 1e6)  # of intensity over the sea floor's
 _BACKGROUND_LIKE: Final = (0.35, 3.0)  # local mean over the region's
-_LOCAL_MEAN_PIXELS: Final = 9
-_PRIOR_ROUNDS: Final = 2
+_LOCAL_MEAN_PIXELS: Final = 9  # pixels along and across, averaged to leave speckle out
+_PRIOR_ROUNDS: Final = 2  # of class means and labels while the prior is built; chosen, not measured
 _CLOSE_ENOUGH: Final = 0.1  # nats from the minimum energy
-_AROUND_CELLS: Final = 5
-_MOSTLY: Final = 0.7
-_EDGE_SWEEPS: Final = 8
+_AROUND_CELLS: Final = 5  # pixels along and across: the neighbourhood that has to be background
+_MOSTLY: Final = 0.7  # mean probability of background around a pixel, from which it counts as background
+_EDGE_SWEEPS: Final = 8  # of the soft edges between labels; chosen, not measured
 _CORE: Final = 0.9  # share of a pixel's own label under the point spread
 _MIN_CORE: Final = 12.0  # independent samples
 _SMALLEST_SHADOW_M: Final = (0.4, 0.8)  # along and across track
 _DESIGN_CONTRAST: Final = 10.0**-0.9  # -9 dB
-_MARGIN: Final = 0.75
-_SMOOTHEST: Final = 1.0
+_MARGIN: Final = 0.75  # of the smoothness at which the smallest shadow would vanish; chosen, not measured
+_SMOOTHEST: Final = 1.0  # nats, maximum; chosen, not measured
 _ROUGHEST: Final = 0.5  # minimum smoothness, nats: below it speckle casts shadows of its own
 
 

@@ -22,15 +22,16 @@ Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 _HIGHEST_M: Final = 1.2  # m: height of the highest object sought
-_REACH_MARGIN_M: Final = 1.0
+_REACH_MARGIN_M: Final = 1.0  # m beyond the longest shadow that a highlight may cast: its own extent and the pulse
 _ATTACHED_M: Final = (
     1.5  # a shadow starts no further behind its highlight's near edge: depth of an object and the witness
 )
 _WITNESS_M: Final = 0.3  # side of the square of shadow that fully supports a highlight
 _UNSUPPORTED: Final = 2.0  # nats; support is not rewarded, or the sea floor in front of every shadow would be highlight
 _ORPHAN: Final = 0.5  # nats; weak: ripples and dips cast shadows without highlights
+# m²: a highlight or shadow outside of it is no mine's; from the sizes of mines and the pixel
 _CLUSTER_AREA_M2: Final = (0.02, 4.0)
-_CLUSTER_EXTENT_M: Final = 3.5
+_CLUSTER_EXTENT_M: Final = 3.5  # m: longer than the longest mine with its blur along the track
 
 
 def prior_pair_costs(labels: Labels, region: Region, factors: tuple[int, int]) -> Plane:

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-BACKGROUND: Final = 0
-SHADOW: Final = 1
-HIGHLIGHT: Final = 2
+BACKGROUND: Final = 0  # the labels of pixels, also their index in tables of classes
+SHADOW: Final = 1  # see BACKGROUND
+HIGHLIGHT: Final = 2  # see BACKGROUND
 
-_MIN_LENGTH_M: Final = 1e-6
+_MIN_LENGTH_M: Final = 1e-6  # m: any real spacing is larger; keeps divisions finite
 _FARTHEST: Final = 1e9  # metres or pixels; beyond it, places a centimetre apart are the same number
 _MAX_SQUINT_RAD: Final = 0.25 * math.pi
 

@@ -25,22 +25,24 @@ from auv_mcm.kernels.snake_twin import Moved, Settings
 
 Nodes = NDArray[np.float64]
 
+# (nodes, pixels a move goes, sweeps at most): from the box toward the object, on few nodes
 COARSE: Final[Schedule] = ((4, 8.0, 20), (4, 3.0, 20))
 FINE: Final[Schedule] = ((8, 3.0, 20), (8, 1.0, 20), (16, 1.0, 20), (0, 0.0, 1), (0, 1.0, 10))
 """(nodes, pixels a move goes, sweeps at most) per stage; 0 pixels is pruning. See `kernels.snake.move_pair`."""
 
+# the same after highlight and shadow are joined: moves of a pixel, then pruning
 _POLISH: Final[Schedule] = ((0, 1.0, 10), (0, 0.0, 1))
 _NONE: Final = np.empty((0, 2))
-_MIN_AREA_PX: Final = 9.0
+_MIN_AREA_PX: Final = 9.0  # pixels: a polygon of less holds too few samples to estimate a mean
 _NODES_PER_PX: Final = 16.0  # coarse enough that the kernel need not round what it returned before
-_FAINTEST: Final = 1e-6
+_FAINTEST: Final = 1e-6  # times the region's mean: keeps the logarithm of an empty shadow's mean finite
 _DIMMEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.5, 0.5  # times the region's mean
-_FORBIDDEN: Final = 1e6
+_FORBIDDEN: Final = 1e6  # nats: more than any likelihood of a region, so that such a state never wins
 # How well highlight and shadow of one object fit: beam width, layover and scour allow this much.
 _EXTENT_M, _EXTENT_SIGMA_M = 0.2, 0.1
 _GAP_M, _GAP_SIGMA_M = 0.3, 0.1
 _HEIGHT_M, _HEIGHT_SIGMA_M, _HEIGHT_BOUND_M = 1.2, 0.1, 2.0
-_STRIP_M: Final = 0.3
+_STRIP_M: Final = 0.3  # m across the track of the thinnest start of a shadow; at least the smallest side in pixels
 # Boxes to start from, metres: along track, across track, from the detection, and the height of what casts the shadow.
 _START_SHIFTS_M: Final = (0.0, -0.35, 0.35)
 _START_ALONG_M: Final = (0.5, 1.0, 2.0)

@@ -29,7 +29,7 @@ from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, Moved, Settings
 
 Nodes = NDArray[np.float64]
 
-BORDER_PX: Final = 2.0
+BORDER_PX: Final = 2.0  # pixels from the region's edge within which a contour may be cut by it
 _DARKEST: Final = 0.01  # times the mean of the window
 
 # Bounds that objects keep, on held-out seeds of simulated missions over rippled sand, seagrass and bare floor.
@@ -38,15 +38,16 @@ _SHORTEST_M, _LONGEST_M = 0.36, 4.5
 _DEEPEST_HIGHLIGHT_M, _LARGEST_HIGHLIGHT_M2 = 0.92, 1.25
 _LARGEST_MINE_M, _HIGHEST_MINE_M, _SHADOW_MARGIN = 2.5, 0.6, 2.5
 _LOWEST_M, _LOWEST_PEAK_M, _HIGHEST_M = 0.1, 0.14, 1.2
-_BRIGHTEST_SHADOW: Final = 0.45
+_BRIGHTEST_SHADOW: Final = 0.45  # times the background's mean: above it a shadow is not dark
 _DARKEST_FLANK, _BRIGHTEST_FLANK = 0.35, 1.5
 _DARKEST_FRONT, _LIT = 0.15, 2.0
 _FRONT_M, _FRONT_GAP_M, _MIN_FRONT_M2 = 1.5, 0.2, 0.1
-_HALF_OBJECT_M: Final = 0.4
+_HALF_OBJECT_M: Final = 0.4  # m from the detection to where its front begins, where the contours leave no room for it
 _MIN_GAIN: Final = -8.0  # J pays for the nodes of small contours with more than a faint target earns
 _MAX_REPETITION, _MAX_COMMON = 0.55, 0.3
 _DOUBTFUL_GAIN, _GAIN_SCALE, _HOPELESS_GAIN = -6.0, 10.0, -14.0
 _GRAVE: Final = 6.6  # nats of doubt
+# evidence of what the contours started from that is common around, beyond which it repeats
 _MAX_COMMON_SPOT: Final = 0.35
 
 REJECTING: Final = frozenset(

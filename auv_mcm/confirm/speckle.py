@@ -19,12 +19,12 @@ Plane = NDArray[np.float64]
 
 _NEAR_LAGS: Final = range(1, 5)  # pixels; grains of well processed images are 1 to 4 pixels
 _PLATEAU_LAGS: Final = range(7, 10)
-_NO_CORRELATION: Final = 0.05
-_MIN_PAIRS: Final = 200
+_NO_CORRELATION: Final = 0.05  # of the variance: less is the scatter of the estimate
+_MIN_PAIRS: Final = 200  # of pixels for an estimate at one lag: 7 % of error for independent pairs
 _CLIP: Final = 5.0  # times the mean: one speckle in 150 is brighter; bright texture would outweigh all grains
 _LARGEST_BLOCK_M: Final = 0.25  # blocks must stay small against the shadow of the smallest mine
 _PARTS: Final = 3  # of a region along each axis
-_MOSTLY_USABLE: Final = 0.5
+_MOSTLY_USABLE: Final = 0.5  # share of a box that has to be measured; chosen, not measured
 _UNCORRELATED: Final = 1.15  # pixels; measurement scatter about 1
 
 

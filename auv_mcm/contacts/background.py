@@ -29,7 +29,7 @@ LOWEST_P_MINE: Final = 0.01
 """What reaches this p_mine is fully observed: the gate before measuring drops what cannot (detect/gate.py)."""
 LOWEST_NATS: Final = math.log(LOWEST_P_MINE / (1.0 - LOWEST_P_MINE))
 BIN_NATS: Final = 0.25  # a tenth of what the density changes by e over, on the steepest of the named scenes
-N_BINS: Final = 44
+N_BINS: Final = 44  # of BIN_NATS: they end at p_mine 0.998
 LEVELS_NATS: Final[Array] = LOWEST_NATS + BIN_NATS * np.arange(N_BINS, dtype=np.float64)
 """Lower edges of the bins, (N_BINS,): p_mine 0.01 to 0.998. The last bin has no upper edge."""
 KNOTS_NATS: Final[Array] = np.array([LOWEST_NATS, -3.5, -2.25, -0.75, 1.0, 3.0])
@@ -44,9 +44,9 @@ on a test range.
 _MINES_STEPS: Final[Array] = np.linspace(-2.5, 2.5, 11, dtype=np.float64)  # standard deviations
 
 _CONFIDENCE_SIGMAS: Final = 1.959964  # of the central 95 %
-_MAX_STEPS: Final = 60
-_MAX_HALVINGS: Final = 30
-_SETTLED_NATS: Final = 1e-7
+_MAX_STEPS: Final = 60  # of Newton's method; a guard, it settles in a few
+_MAX_HALVINGS: Final = 30  # of one step: 1e-9 of it is left, below _SETTLED_NATS
+_SETTLED_NATS: Final = 1e-7  # nats of the density's logarithm: far below its error
 _HIGHEST_LOG_DENSITY: Final = 30.0  # keeps a step too far from overflowing
 _FILE: Final = "background.json"
 

@@ -18,8 +18,8 @@ from auv_mcm.snippet import unpack_snippet
 
 Bytes: TypeAlias = NDArray[np.uint8]
 
-FLOOR_DB: Final = -15.0
-CEILING_DB: Final = 12.0
+FLOOR_DB: Final = -15.0  # dB over the sea floor shown as black; display only
+CEILING_DB: Final = 12.0  # dB over the sea floor shown as white; display only
 LEVELS: Final = 63  # 1..63; 0: no echo
 SOFT: Final = 1  # condition of a pixel of low resolution
 TURNED: Final = 2  # condition of a pixel in a turn

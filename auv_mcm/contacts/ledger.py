@@ -25,9 +25,10 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, ContactClass, Detection, contact_id, contact_number
 from auv_mcm.settings.config import ContactsConfig
 
+# s within which one pass may show an object twice, in tiles that overlap; chosen, not measured
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_RAD: Final = math.radians(45.0)
-_IMPOSSIBLE: Final = 1e6
+_IMPOSSIBLE: Final = 1e6  # squared deviations: more than any gate allows, so that such a pair is never assigned
 # probability, however much two views differ: one of them may be of the end that shows nothing
 _MIN_SAME_KIND: Final = 1e-3
 # no centroid is known better than to a centimetre, whatever the errors configured

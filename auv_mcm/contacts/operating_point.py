@@ -33,9 +33,9 @@ _TURNED_NATS: Final = 0.25
 _UNLIKE_SIGMAS: Final = 6.0  # of training missions: of 19 simulated and recorded missions left out the highest has 3.8
 _UNLIKE_P_MINE: Final = (0.05, 0.2)
 
-_UNKNOWN: Final = 0
-_NOT_CALLED: Final = 1
-_CALLED: Final = 2
+_UNKNOWN: Final = 0  # what was announced of a contact, one byte each: nothing yet
+_NOT_CALLED: Final = 1  # announced as not called
+_CALLED: Final = 2  # announced as called
 
 
 class OperatingPoint(NamedTuple):

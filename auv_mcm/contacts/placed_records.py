@@ -17,8 +17,8 @@ from auv_mcm.contacts.record_file import RecordFile, RecordPlace, packed, record
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-_UNKNOWN: Final = -1
-_IN_MEMORY: Final = -2
+_UNKNOWN: Final = -1  # instead of a start in the file: no such record
+_IN_MEMORY: Final = -2  # instead of a start in the file: not written yet
 
 
 class PlacedRecords(Generic[T]):

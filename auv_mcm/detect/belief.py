@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:  # measuring needs OpenCV, which the process that serves never loads
     from auv_mcm.detect.measure import Measurement
 
-_EVEN_SCORE: Final = 5.2
-_PER_DEVIATION: Final = 1.6
-_BOUND: Final = 6.0
-_CROWD_FREE: Final = 2
-_PER_NEIGHBOUR: Final = 0.25
-_CROWD_BOUND: Final = 2.5
+_EVEN_SCORE: Final = 5.2  # standard deviations of highlight and shadow that make a mine as likely as not
+_PER_DEVIATION: Final = 1.6  # nats of log-odds per standard deviation
+_BOUND: Final = 6.0  # nats: contrasts alone say at most p 0.9975, or at least 0.0025
+_CROWD_FREE: Final = 2  # neighbours alike that do not count against a detection
+_PER_NEIGHBOUR: Final = 0.25  # nats of log-odds that each further neighbour takes
+_CROWD_BOUND: Final = 2.5  # nats that neighbours take at most: a mine may lie among boulders
 
-MIN_OBJECT_M: Final = 0.2
+MIN_OBJECT_M: Final = 0.2  # m: shorter than any mine sought
+# m above the sea floor: no mine sought is measured lower or higher; chosen, not measured
 HEIGHT_RANGE_M: Final = (0.08, 1.2)
 
 REASONS: Final[dict[str, str]] = {

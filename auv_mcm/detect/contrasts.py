@@ -48,6 +48,7 @@ SLACK: Final = 0.01
 MIN_THRESHOLD: Final = 2.5
 """Of a score, below which all pixels are scored: bounds would hold back too few."""
 _MIN_SHADOW: Final = 0.7  # fainter ones are scored where a highlight makes up for them
+# rows and columns, minimum, that one bound covers: smaller ones skip more pixels, and there are more of them
 _BLOCK: Final = (8, 32)
 
 Values = NDArray[np.float32]

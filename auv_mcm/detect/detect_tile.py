@@ -25,12 +25,12 @@ from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 OVERLAP_M: Final = LOCAL_MEAN_REACH_M + max(CONTEXT_M, ROWS_M) + 1.0
 """Along-track context a tile needs beyond its core for detections there to be independent of where it was cut."""
 
-_STALE_SIGMA_M: Final = 25.0
+_STALE_SIGMA_M: Final = 25.0  # m, 1-sigma added where navigation is stale; chosen, not measured
 _UNSEEN_BOTTOM: Final = 0.2  # relative error of the first return that only a bottom not seen has
 _NEAR_M: Final = 3.0  # of the surroundings, before the object
 _BEHIND_M: Final = 2.5  # and behind the longest shadow looked for
-_TALLEST_M: Final = 0.8
-_FAR_M: Final = (8.0, 12.0)
+_TALLEST_M: Final = 0.8  # m above the sea floor: the object whose shadow the surroundings must hold
+_FAR_M: Final = (8.0, 12.0)  # m behind the peak that surroundings reach, minimum and maximum
 _DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 
 

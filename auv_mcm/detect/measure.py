@@ -13,25 +13,25 @@ from auv_mcm.detect.prescreen import Floor, Peak
 from auv_mcm.records import NAN, SATURATED, TURN, VALID, Tile
 from auv_mcm.snippet import pack_snippet
 
-ROWS_M: Final = 4.0
-_NEAR_M: Final = 3.0
-_FAR_M: Final = 8.0
+ROWS_M: Final = 4.0  # m along the track on either side of the peak that are cut out
+_NEAR_M: Final = 3.0  # m in front of the peak that are cut out
+_FAR_M: Final = 8.0  # m behind the peak that are cut out: a longer shadow is cut off
 
 _BRIGHT_STEP: Final = 0.7  # nats above the background, minimum (3 dB)
 _DARK_STEP: Final = -1.0  # nats below it
-_STEP_DEVIATIONS: Final = 2.0
-_SNIPPET_M: Final = 2.5
-_SEARCH_M: Final = 0.45
+_STEP_DEVIATIONS: Final = 2.0  # standard deviations of the background that highlight and shadow stand off by, minimum
+_SNIPPET_M: Final = 2.5  # m on either side of the detection: the picture that is kept with a contact
+_SEARCH_M: Final = 0.45  # m around the peak within which its highlight has to lie
 _MAX_GAP_M: Final = 0.9  # between highlight and shadow: bright surroundings of scour lie there
-_CENTRE_ROWS_M: Final = 0.3
+_CENTRE_ROWS_M: Final = 0.3  # m along the track on either side of the middle, where the shadow is looked for
 _BRIDGE_M: Final = 0.3  # speckle peaks inside a shadow
 _LOW_OBJECT_M: Final = 0.1  # the shadows of such are the shortest that smoothing must leave
-_LONGEST_BLUR_M: Final = 0.5
+_LONGEST_BLUR_M: Final = 0.5  # m over which the shadow of a long object is smoothed, maximum
 _DARK_CLIP: Final = 2.0  # of the background: a highlight must not be smoothed into the shadow behind it
 _PROFILE_M: Final = 1.2  # of the shadow next to the object give its extent along track
-_HALF_DEPTH: Final = 0.5
+_HALF_DEPTH: Final = 0.5  # of the shadow's depth, where its edge is taken: half power
 _FOOTPRINTS_TO_SIGMA: Final = 1.0 / math.sqrt(8.0 * math.log(2.0))
-_KEPT_OF_POINT: Final = 0.1
+_KEPT_OF_POINT: Final = 0.1  # share of its image that a point keeps when the footprint is taken off
 # at half power, the Gaussian as wide as the mean of three
 _THREE_ROWS: Final = math.sqrt(8.0 * math.log(2.0) * 2.0 / 3.0)
 _HALVINGS: Final = 30

@@ -10,7 +10,7 @@ import numpy as np
 from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.records import Tile
 
-RANGE_BAND_M: Final = 10.0
+RANGE_BAND_M: Final = 10.0  # m of ground range per row of the table in the summary
 STRENGTH_STEP: Final = 0.5
 """Of the detector's strength: the cascade's score and a share of the contrast, or the contrast alone, in its deviates.
 """

@@ -41,16 +41,16 @@ BACKGROUND_CLIP: Final = 6.0  # times the local mean: one speckle in 400 is brig
 MIN_BACKGROUND: Final = 0.3
 NO_ECHO: Final = np.float32(1e-6)
 """Background where nothing around echoes, and the least that there is."""
-MIN_SHADOW: Final = 0.6
+MIN_SHADOW: Final = 0.6  # share of a shadow box that has to be measured
 
-LOOKS_ROWS_M: Final = 5.0
-LOOKS_COLUMNS_M: Final = 4.0
-SMALL_BOX_M: Final = (0.36, 0.24)
-THIN_BOX_M: Final = (0.12, 0.24)
-LARGE_BOX_M: Final = (0.84, 0.84)
+LOOKS_ROWS_M: Final = 5.0  # m along the track over which the looks of the sea floor are estimated
+LOOKS_COLUMNS_M: Final = 4.0  # m across the track, the same
+SMALL_BOX_M: Final = (0.36, 0.24)  # m along and across: the highlight of a small mine
+THIN_BOX_M: Final = (0.12, 0.24)  # m: the highlight of one seen end on
+LARGE_BOX_M: Final = (0.84, 0.84)  # m: that of the largest mine sought, broadside
 LOG_CLIP: Final = 1.2  # bright objects and shadows must not pass for texture
 MIN_DECAY: Final = 0.3  # less is measured where a structure, not texture, spans the large boxes
-MIN_LOG_VARIANCE: Final = 1e-3
+MIN_LOG_VARIANCE: Final = 1e-3  # nats²: a thousand looks; keeps deviates finite where nothing scatters
 
 # A shadow is the better witness: speckle, glints and texture make bright spots, hardly anything else makes dark ones.
 # But they seldom make brighter ones than this, and from there on a highlight counts like a shadow: far off it often is

@@ -23,20 +23,20 @@ from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import Detection
 from auv_mcm.settings.config import DetectConfig
 
-_SURROUNDINGS_M: Final = 8.0
-_MAX_SHADOW_M: Final = 4.0
-_ALIKE: Final = 0.5
-_CROWDED: Final = 6
+_SURROUNDINGS_M: Final = 8.0  # m around a detection within which those alike crowd it
+_MAX_SHADOW_M: Final = 4.0  # m of shadow behind a detection that may hide another, maximum
+_ALIKE: Final = 0.5  # standard deviations of strength that a neighbour may be weaker by
+_CROWDED: Final = 6  # neighbours from which the reason is given; display only, the odds fall gradually
 _LONGEST_OBJECT_M: Final = 4.0 * ROWS_M  # more than half of the longest that is measured reaches beyond its middle
 
-_LINK_M: Final = 2.5
-_BORDER_M: Final = 60.0
-_STRUCTURE_MEMBERS: Final = 6
-_STRUCTURE_LARGE: Final = 2
-_STRUCTURE_P: Final = 0.02
-_OUTLINE_STEP_M: Final = 2.5
-_ALONE_P: Final = 0.1
-_BESIDE_STRUCTURE_ODDS: Final = 0.7
+_LINK_M: Final = 2.5  # m between neighbours of a chain; detections closer than that are one structure
+_BORDER_M: Final = 60.0  # m of track between the borders that end chains: bounds delay and memory
+_STRUCTURE_MEMBERS: Final = 6  # detections of a chain, from which it may be a structure
+_STRUCTURE_LARGE: Final = 2  # of them longer than any mine
+_STRUCTURE_P: Final = 0.02  # p_mine that remains to a part of a structure; chosen, not measured
+_OUTLINE_STEP_M: Final = 2.5  # m between the detections that outline a structure
+_ALONE_P: Final = 0.1  # p_mine from which a mine-sized detection stays beside a structure; chosen, not measured
+_BESIDE_STRUCTURE_ODDS: Final = 0.7  # nats of log-odds that it loses there; chosen, not measured
 
 
 class Suppressor:

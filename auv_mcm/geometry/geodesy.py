@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SEMI_MAJOR_M: Final = 6378137.0
-FLATTENING: Final = 1.0 / 298.257223563
+SEMI_MAJOR_M: Final = 6378137.0  # m; with the flattening it defines the ellipsoid of WGS 84
+FLATTENING: Final = 1.0 / 298.257223563  # of the ellipsoid of WGS 84
 SEMI_MINOR_M: Final = SEMI_MAJOR_M * (1.0 - FLATTENING)
 ECCENTRICITY_SQUARED: Final = FLATTENING * (2.0 - FLATTENING)
 _SECOND_ECCENTRICITY_SQUARED: Final = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED)

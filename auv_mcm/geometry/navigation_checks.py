@@ -19,9 +19,9 @@ _MIN_RESULTANT: Final = (
     0.9  # of the unit vectors of the differences: a circular standard deviation of 26 degrees; turns scatter more
 )
 
-_MIN_PINGS: Final = 100
+_MIN_PINGS: Final = 100  # pings before a verdict
 _MIN_PINGS_AT_END: Final = 20  # of a short mission
-_MIN_SHARE_BEYOND: Final = 0.5
+_MIN_SHARE_BEYOND: Final = 0.5  # of the pings: more than half
 
 ZERO_ALTITUDES: Final = 20
 """Altitudes of exactly 0 in a row that are reported: a bottom lock that is lost for a ping or two is not."""

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 
+# integer that stands for the sea floor's mean: steps of 0.1 %; with MAX_INTENSITY it fits 16 bits
 CODE_OF_MEAN: Final = 1024
-MAX_INTENSITY: Final = 16.0
+MAX_INTENSITY: Final = 16.0  # times the mean: 12 dB, above which a highlight counts as that bright
 
 STUMP: Final = np.dtype(
     [("offset", np.int32, (3, 4)), ("weight", np.float32, 3), ("leaf", np.int32, 2), ("contrast", np.int32)]

@@ -21,8 +21,9 @@ from auv_mcm import kernels
 Values = NDArray[np.float64]
 
 BLOCK_PINGS: Final = 16  # four windows of four pings, at strides of 1, 2 or 4 pings
+# pings between the members of a window; three of them show how the cumulants grow with time; equal in C
 STRIDES: Final = (1, 2, 4)
-WINDOW_PINGS: Final = 4
+WINDOW_PINGS: Final = 4  # of a window, from which second and third cumulants are estimated; equal in C
 
 
 class WindowTable(NamedTuple):

@@ -44,7 +44,7 @@ FIELDS: Final[dict[Solid, tuple[str, ...]]] = {
     "wedge": ("length_m", "width_m", "height_m", "azimuth_rad", "burial_m"),
 }
 FIRST_FIELD: Final = 3  # of a hypothesis, after its place and the share of the altitude
-N_COLUMNS: Final = 8
+N_COLUMNS: Final = 8  # numbers of a hypothesis; equal in C
 
 _KINDS: Final = list(FIELDS)
 _CLASSES: Final[dict[Solid, Callable[..., Shape]]] = {
@@ -60,7 +60,7 @@ _MIN: Final[dict[Solid, Array]] = {
     "truncated_cone": np.array([_POSITIVE, 0.0, _POSITIVE, 0.0]),
     "wedge": np.array([_POSITIVE, _POSITIVE, _POSITIVE, _NO_BOUND, 0.0]),
 }
-_MAX_TAPS: Final = 3
+_MAX_TAPS: Final = 3  # slices of a beam: its middle and one on either side; equal in C
 SCORING_STEPS: Final = 2  # of Fisher's; they leave 0.02 nats at the median, 0.5 at the 95th percentile
 _MIN_HIGHLIGHT, _MIN_SHADOW = 4.0, 8.0  # pixels
 _DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor

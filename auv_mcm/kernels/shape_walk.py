@@ -36,10 +36,10 @@ from auv_mcm.solids.box_search import (
 from auv_mcm.solids.box_search import walk as walk_down
 
 ONE: Final = 0  # numbers of the factors; value k of a point is factor k + 1
-SUNK: Final = 7
-RATIO: Final = 8
+SUNK: Final = 7  # column of the factors: how deep the solid is sunk
+RATIO: Final = 8  # column of the factors: brightness against the class's usual one
 
-_N_FACTORS: Final = 9
+_N_FACTORS: Final = 9  # columns of the factors; equal in C
 _UNKNOWN, _OF_ONE_SLICE, _KNOWN = range(3)  # states of the costs of starts, passed to C
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 

@@ -27,7 +27,7 @@ Polygons = Sequence[tuple[int, Nodes]]
 
 _ROW_STEP, _COLUMN_STEP = 2, 4  # pixels between the places where contours are tried again
 _COMMON: Final = 0.95  # equal in C
-_FAINTEST: Final = 1e-6
+_FAINTEST: Final = 1e-6  # times the region's mean: keeps the logarithm of an empty shadow's mean finite
 
 
 def elsewhere(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, float]:

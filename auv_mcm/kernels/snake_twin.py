@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 Nodes = NDArray[np.float64]
 
-HIGHLIGHT: Final = 0
-SHADOW: Final = 1
-BACKGROUND: Final = 2
+HIGHLIGHT: Final = 0  # indices of the two polygons and of what neither holds; equal in C
+SHADOW: Final = 1  # see HIGHLIGHT
+BACKGROUND: Final = 2  # see HIGHLIGHT
+# 2 ln(2e), nats: of the code length of a node (see polygon_cost); equal in C
 _TWICE_LOG_2E: Final = 2.0 * 1.6931471805599454
-_CLOSEST_PX: Final = 0.5
-_SHORTEST_CUT_PX: Final = 2.0
+_CLOSEST_PX: Final = 0.5  # pixels between two nodes, minimum; equal in C
+_SHORTEST_CUT_PX: Final = 2.0  # pixels of the shortest side that is cut in two; equal in C
 
 # Ways a node may go, then ways an edge may go: (row, column).
 _NODE_WAYS: Final = ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (-1, 1), (1, -1), (1, 1))

@@ -29,6 +29,7 @@ Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 _REACH: Final = 2.5  # of the point spread, in its sigmas
+# rows down and columns right of each of the eight, in the order of the weights; equal in C
 _NEIGHBOURS: Final = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))
 
 _P, _I, _R = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double

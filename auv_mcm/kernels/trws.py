@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from auv_mcm import kernels
 
-N_LABELS = 3
-N_EDGES = 4
+N_LABELS = 3  # background, shadow and highlight; equal in C
+N_EDGES = 4  # of a pixel to the neighbours that come after it, of eight; equal in C
 
 _EARLIER = ((0, -1), (-1, 1), (-1, 0), (-1, -1))  # of a cell: where the other end of edge e is; later ones are opposite
 

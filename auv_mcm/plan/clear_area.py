@@ -28,10 +28,11 @@ from auv_mcm.plan.survey import Plan, SurveyState, replan
 from auv_mcm.records import Contact, CoveragePatch, EchoTrace, Ping, Side
 from auv_mcm.settings.config import Config
 
+# after which a cell is given up and reported: sailing on would not change why it was in vain
 MAX_VAIN_PASSES: Final = 2
 SHOWN_AFTER_S: Final = 120.0  # longest time from the end of a leg to the tiles that show it
 _VAIN: Final = 0.1  # of what was expected
-_SAME_PLACE_M: Final = 1.0
+_SAME_PLACE_M: Final = 1.0  # m: ends of legs nearer than that are the same request
 
 
 def wished(required: float) -> float:

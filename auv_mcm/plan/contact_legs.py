@@ -26,13 +26,14 @@ from auv_mcm.records import NAN, SEABED_TYPES, Contact
 
 Array = NDArray[np.float64]
 
-FALSE_CALL: Final = 0.1
+FALSE_CALL: Final = 0.1  # probability that a view calls clutter a mine; for planning only, chosen, not measured
 LOOK_RUN_M: Final = 30.0  # straight, with the contact abeam of its middle, beside the settling
 _MINES_M2: Final = 5e-6  # per square metre: the density that plans are weighed by
 NAT_M2: Final = 1.0 / (_MINES_M2 * (1.0 - math.log(_MINES_M2)))
-_RANGES: Final = 16
+_RANGES: Final = 16  # stand-offs tried per side; finer than half a metre on a usual swath is lost in steering
+# of the best stand-off's probability: among equals the middle one tolerates most error of steering
 _AS_GOOD: Final = 0.98
-_MIN_M2: Final = 1e-6
+_MIN_M2: Final = 1e-6  # m² worth of a gain: less is rounding
 
 
 class ContactLegs(NamedTuple):

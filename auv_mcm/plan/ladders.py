@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.plan.orienteering import MoreTime, Problem, Wanting
 
-_MAX_STAGES: Final = 4
-_MAX_RUNGS: Final = 40
+_MAX_STAGES: Final = 4  # of ladders in a row; bounds time
+_MAX_RUNGS: Final = 40  # legs of one ladder; bounds time
 _VAIN: Final = 3  # spacings tried in a row without improvement
 _MIN_LENGTH: Final = 0.3  # of the longest leg side by side with it, for a rung
 

@@ -21,10 +21,10 @@ from auv_mcm.plan.reinspect import Place, needs_second_look
 from auv_mcm.records import NAN, Contact, Notice, Waypoint
 from auv_mcm.settings.config import Config
 
-MAX_VAIN_LOOKS: Final = 2
-MAX_LOOKS: Final = 4
+MAX_VAIN_LOOKS: Final = 2  # legs that brought no view, after which a contact is given up
+MAX_LOOKS: Final = 4  # legs flown for one contact: bounds what one contact may cost
 WAIT_FOR_VIEW_S: Final = 120.0  # from the end of a leg until its tile is complete
-_EVERY_S: Final = 5.0
+_EVERY_S: Final = 5.0  # s between two requests, minimum
 _REFRESH_S: Final = 30.0  # a plan that waits for a grant begins where the vehicle was
 LEAVES_LEG_M: Final = 5.0  # and the radius of arrival: so far before its end a leg counts as flown
 _BESIDE_M: Final = 5.0  # between a leg as planned and as flown
@@ -32,7 +32,7 @@ _SURVEY_S: Final = 10.0  # between updates on the search of an area, while no le
 _SURVEY_AGAIN_S: Final = 60.0  # and while a leg is flown, or none can be
 _STEP_M: Final = 5.0  # in which track is measured, so that the noise of positions does not add up
 _JUMP_M: Final = 100.0  # farther apart, two positions are not joined to a track
-_SAME_M: Final = 1.0
+_SAME_M: Final = 1.0  # m: ends of legs nearer than that are the same request
 _CODES: Final = {"done": "survey_done", "cannot": "survey_cannot", "not yet": "survey_waits"}
 
 Run: TypeAlias = tuple[Place, Place]

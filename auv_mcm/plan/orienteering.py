@@ -32,18 +32,18 @@ MoreTime = Callable[[], bool]
 ARC_STEP_RAD: Final = math.radians(15.0)
 _CHECK_STEP_RAD: Final = math.radians(7.5)
 _ROOM: Final = 1.01  # circles that turns need, so that points sampled from a turn are well inside
-_NO_WAY_M: Final = 1e7
-_MIN_M2: Final = 1e-6
-_ROUNDS: Final = 4
-_SWEEPS: Final = 10
-EXACT_LEGS: Final = 9
+_NO_WAY_M: Final = 1e7  # m instead of infinity where no way is: more than any budget, and sums stay finite
+_MIN_M2: Final = 1e-6  # m² worth of a gain: less is rounding
+_ROUNDS: Final = 4  # of choice and order in turn; bounds time, the best found is kept
+_SWEEPS: Final = 10  # over all legs, at most; it ends earlier when none moves
+EXACT_LEGS: Final = 9  # up to which every order is tried; bounds time, 9 legs each either way
 _OVERFULL: Final = 1.25  # of the budget, chosen by rough ways; exact ways then drop the excess
 MIN_ALIKE: Final = 0.7
 """Minimum share of a repeated view from one direction that adds nothing new.
 
 Tables hold little about such pairs, and what hides from one side may show from another.
 """
-_MIN_CUT_M: Final = 2.0
+_MIN_CUT_M: Final = 2.0  # m that have to be saved: less is not worth a new request
 _MADE_GOOD: Final = 0.1  # of all gains: what moving the others can recover of a leg that is left out
 
 

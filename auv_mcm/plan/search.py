@@ -23,7 +23,7 @@ from auv_mcm.plan.orienteering import (
 )
 
 NEARLY_ALL: Final = 0.99  # of what is wanting: the rest is rounding of cells
-_SHIFTS: Final = 3
+_SHIFTS: Final = 3  # tracks that a leg may move to either side at a time; bounds time
 # Share of the area that a metre of track can see: what it clears of what ladders leave open; 0: no ladder.
 _TAILS: Final = (0.5, 0.25, 0.12, 0.06, 0.0)
 _REBUILT: Final = 3

@@ -39,12 +39,12 @@ from auv_mcm.plan.search import NEARLY_ALL, searched, wanting_m2_of
 from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
 from auv_mcm.records import Contact, Waypoint
 
-HIGHEST_REQUIRED: Final = 0.999
+HIGHEST_REQUIRED: Final = 0.999  # probability: nearer to 1 no finite number of passes reaches it
 BETTER: Final = 1.1  # factor by which a new plan must beat one that is being sailed
 _MAX_CELLS: Final = 2000  # planned with; of more cells, every n-th stands for its neighbours
 _ON_TRACK_RAD: Final = math.radians(15.0)
-_MIN_STEP_M: Final = 1e-3
-_KNOWN_LEGS: Final = 40
+_MIN_STEP_M: Final = 1e-3  # m: places nearer than that are one
+_KNOWN_LEGS: Final = 40  # legs of the plan before that are tried again; bounds time
 
 
 class SurveyState(NamedTuple):

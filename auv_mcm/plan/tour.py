@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 Costs: TypeAlias = NDArray[np.float64]
 
-WAYS: Final = 4
-EXACT_CONTACTS: Final = 12
-_STRETCH: Final = 8
-_MAX_SWEEPS: Final = 10
-_MIN_GAIN_M: Final = 1e-6
+WAYS: Final = 4  # to pass one contact: on either side, in either direction
+EXACT_CONTACTS: Final = 12  # up to which the exact tour is found; bounds time, which doubles per contact
+_STRETCH: Final = 8  # contacts whose order is made exact at once; bounds time
+_MAX_SWEEPS: Final = 10  # of stretches along the tour; it ends earlier when nothing gets shorter
+_MIN_GAIN_M: Final = 1e-6  # m: less is rounding
 _MAX_MOVES: Final = 20_000_000  # moves measured: bounds the time for very many contacts, equal on every machine
 
 

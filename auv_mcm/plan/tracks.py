@@ -25,15 +25,15 @@ MoreTime = Callable[[], bool]
 
 SAME_LOOK_RAD: Final = math.radians(15.0)  # as in `clearance`
 RIGHT: Final = math.pi / 2.0
-_N_HEADINGS: Final = 8
+_N_HEADINGS: Final = 8  # of survey lines over half a turn, 22.5° apart; bounds time
 _IN_TURN: Final = (0, 4, 2, 6, 1, 5, 3, 7)  # headings
 _OWN_HEADING_RAD: Final = math.radians(5.0)  # ripples nearer than this to a heading need no heading of their own
 _TURNED_RAD: Final = math.radians(3.0)
-_LINES_PER_SWATH: Final = 8
+_LINES_PER_SWATH: Final = 8  # tried side by side; bounds time: a line is at most a sixteenth of a swath from the best
 _MAX_LINES: Final = 64  # side by side
 _MAX_SAMPLES: Final = 32  # per line, to find where it is inside the fence
-_MIN_EXPONENT: Final = 1e-4
-_ROUNDING_RAD: Final = 1e-6
+_MIN_EXPONENT: Final = 1e-4  # of clearance in a cell, minimum: less clears nothing
+_ROUNDING_RAD: Final = 1e-6  # rad: look angles at the border count alike whatever the rounding
 
 
 def bits_alike(look_rad: ArrayLike) -> NDArray[np.uint64]:

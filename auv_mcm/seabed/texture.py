@@ -73,16 +73,16 @@ NAMES: Final = (
     "level_large",
     "level_spread",
 )
-BLOCK_M: Final = 0.24
-CELL_BLOCKS: Final = 8
+BLOCK_M: Final = 0.24  # m: averages speckle, and two of them still resolve ripples of half a metre
+CELL_BLOCKS: Final = 8  # blocks along a cell's side: about two metres
 WINDOW_BLOCKS: Final = 32  # of the spectrum, with two by two cells in its middle
 MARGIN_CELLS: Final = 4  # around those measured: half the largest window, and one for differences
 
 _MIN_VALID: Final = 0.5  # of the small window
 _DARK: Final = 0.35  # of the local mean, for blocks
-_BRIGHT: Final = 2.5
+_BRIGHT: Final = 2.5  # times the local mean
 _DARK_MEDIUM: Final = 0.5  # for two by two blocks, whose speckle is less
-_BRIGHT_MEDIUM: Final = 1.8
+_BRIGHT_MEDIUM: Final = 1.8  # times it
 _MIN_SHARE: Final = 0.003  # of dark or bright blocks, below which they do not count
 _MIN_VARIANCE: Final = 0.003  # of logarithms, below which differences do not count
 _FLOOR: Final = 1e-2  # of the local mean, for logarithms
@@ -91,10 +91,10 @@ _LAG: Final = 4  # blocks: about a metre
 _FINE_LAG_M: Final = 0.18  # half of the shortest ripples
 _FINE_LIMIT: Final = 5.0  # of what is measured inside blocks
 _DIM: Final = 0.05  # of the local mean; darker blocks count as that bright in ratios
-_LONGEST_RIPPLE_M: Final = 4.0
-_LONG_M: Final = 1.5
-_SMALLEST: Final = 1e-9
-_MIN_ALTITUDE_M: Final = 0.1
+_LONGEST_RIPPLE_M: Final = 4.0  # m from crest to crest; longer ones are relief
+_LONG_M: Final = 1.5  # m: structure longer than that is shared by a patch of the sea floor
+_SMALLEST: Final = 1e-9  # keeps divisions of empty windows finite
+_MIN_ALTITUDE_M: Final = 0.1  # m: keeps divisions finite where the bottom was not seen
 
 
 class Texture(NamedTuple):

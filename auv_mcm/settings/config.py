@@ -307,8 +307,8 @@ class PlanConfig(_Section, frozen=True, kw_only=True):
 
 
 _FARTHEST_CORNER_M: Final = 50_000.0  # farther out the mission's plane bends straight lines
-_MAX_CELLS: Final = 1_000_000
-_DEGREE_M: Final = 111_320.0
+_MAX_CELLS: Final = 1_000_000  # of a planned area; bounds memory and time of a plan
+_DEGREE_M: Final = 111_320.0  # m per degree of latitude, to 0.5 %; only for the count of cells
 
 
 def _about_first(

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
-_ALIGNMENT: Final = 64
+_ALIGNMENT: Final = 64  # bytes: a cache line, so that arrays in shared memory begin on one
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
 _PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
 _MAX_PLANNING_S: Final = 1.0  # while pings wait

@@ -26,7 +26,7 @@ SUMMARY: Final = "summary.json"
 """The file that is written last: its presence shows that the session came to its end."""
 
 BALLAST_BYTES: Final = 16 << 20  # contacts.geojson takes about 1 kB a contact, contacts.csv 0.2 kB
-_MIN_BALLAST_BYTES: Final = 1 << 16
+_MIN_BALLAST_BYTES: Final = 1 << 16  # bytes; where less than this can be had, none is held
 
 
 class Ballast:

@@ -69,7 +69,7 @@ log = logging.getLogger(__name__)
 
 
 _STOP_S: Final = 2.0  # for a live source to close its ports
-_LAG_PROBE_S: Final = 0.25
+_LAG_PROBE_S: Final = 0.25  # s between two measurements of how late the event loop wakes
 _ATTEND_S: Final = 0.5  # s between two updates of the vehicle
 _SWITCH_S: Final = (
     5e-4  # for which the thread that records may hold up the event loop; Python's own 5 ms are a ping's whole allowance
@@ -77,8 +77,8 @@ _SWITCH_S: Final = (
 _SHED_FROM, _SHED_ALL = 0.25, 0.5
 """Shares of the queue of pings: from the first on, work on tiles is shed; from the second on all but the cheapest pass.
 Tiles take half a minute to come and a second to work off, which does not fill a quarter of the queue."""
-_CLUTTER: Final = 1
-_NO_CLUTTER: Final = 2
+_CLUTTER: Final = 1  # what a contact was announced as, one byte each
+_NO_CLUTTER: Final = 2  # see _CLUTTER
 
 
 class Service:

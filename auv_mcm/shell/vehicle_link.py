@@ -17,6 +17,7 @@ from auv_mcm.records import NAN, Contact, EarlyContact, NavSample, Notice, Sourc
 from auv_mcm.settings.config import Config
 from auv_mcm.source import Health, VehiclePilot
 
+# s without a position of the vehicle, after which health is a fault and no leg is requested
 _POSITION_LOST_S: Final = 3.0
 _LAST_WORDS_S: Final = 0.5  # s for the last report to go out, and again where it was not acknowledged
 

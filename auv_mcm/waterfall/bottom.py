@@ -19,22 +19,23 @@ from auv_mcm.kernels.viterbi import backtrack, viterbi_forward
 from auv_mcm.kernels.waterfall import add_votes, row_medians, step_ratios
 from auv_mcm.waterfall.ground import Traces, mean_between
 
-BIN_M: Final = 0.05
-_WINDOW_M: Final = 0.5
+BIN_M: Final = 0.05  # m of slant range: the step of the search
+_WINDOW_M: Final = 0.5  # m on either side of a change point whose means are compared
 _LOG_VARIANCE: Final = math.pi**2 / 6.0
 _MIN_STEP: Final = math.log(2.0)
-_SIDE_VOTE: Final = 10.0
+_SIDE_VOTE: Final = 10.0  # nats that one side may add to a score, maximum
+# of first return and altitude reading, either way, beyond which the reading speaks against a range
 _ALTITUDE_RATIO: Final = 1.6
-_OUTSIDE_GATE: Final = 8.0
-_ALTITUDE_PULL: Final = 1.0
-_UNSEEN_SIGMA: Final = 0.25
-_MAX_SLOPE_BINS: Final = 8
-_STEP_COST: Final = 0.5
-_EVIDENCE: Final = 6.0
-_SMOOTHING_PINGS: Final = 8
-_LEVEL_PINGS: Final = 32
-_LEVEL_SLOPE: Final = 0.01
-_SEEN_PINGS: Final = 4
+_OUTSIDE_GATE: Final = 8.0  # nats that it then takes
+_ALTITUDE_PULL: Final = 1.0  # nats per nat between range and altitude reading: decides only where no step shows
+_UNSEEN_SIGMA: Final = 0.25  # of the first return, 1-sigma where the bottom was not seen; chosen, not measured
+_MAX_SLOPE_BINS: Final = 8  # bins that the path may move from ping to ping: 0.4 m
+_STEP_COST: Final = 0.5  # nats per bin that the path moves from ping to ping
+_EVIDENCE: Final = 6.0  # nats over the pings around, from which the bottom counts as seen
+_SMOOTHING_PINGS: Final = 8  # pings: of the median that gives the first return
+_LEVEL_PINGS: Final = 32  # pings: of the median that leaves out what rises for a few metres of track
+_LEVEL_SLOPE: Final = 0.01  # relative change of the level from ping to ping, maximum
+_SEEN_PINGS: Final = 4  # pings over which the evidence is averaged
 
 
 class BottomTrack(NamedTuple):

@@ -20,10 +20,10 @@ from auv_mcm.waterfall.texture import speckle_variance
 
 Floats = NDArray[np.float64]
 
-_MIN_REGIONS: Final = 24
+_MIN_REGIONS: Final = 24  # regions that a shape is measured from, minimum: three times _MIN_EVEN
 _EVEN_SHARE: Final = 0.1  # about what water column and noise take up, which are even over any sea floor
 _LOG_EVEN_SHARE: Final = 0.15  # texture is taken away, and third cumulants of logarithms are the noisier
-_MIN_EVEN: Final = 8
+_MIN_EVEN: Final = 8  # regions that count as even, minimum
 _EVEN_LEVEL: Final = 1.05  # of the variance of the most even tenth, below which any other region counts as even, too
 # Share trimmed at both ends, of samples over their mean and of logarithms: a fish or a target is in few regions.
 # Linear samples have the longer tails.

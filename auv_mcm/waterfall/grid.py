@@ -19,7 +19,7 @@ from auv_mcm.geometry.navigation import interpolate_track, slice_pose
 from auv_mcm.kernels.waterfall import average_rows
 from auv_mcm.records import PoseTrack, Side
 
-_MIN_ROW_COVER = 0.5
+_MIN_ROW_COVER = 0.5  # share of a row that pings have to cover for it to hold echoes
 
 
 LEVEL_COLUMNS: Final = 8  # pixels per value of a level across the track: 0.48 m of the default spacing

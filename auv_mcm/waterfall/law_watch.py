@@ -23,13 +23,13 @@ from auv_mcm.waterfall.law import LAWS, Law, LawOdds, weigh_laws
 from auv_mcm.waterfall.regions import Regions, measure_regions
 from auv_mcm.waterfall.speckle import summarise
 
-DECIDE_PINGS: Final = 256
+DECIDE_PINGS: Final = 256  # pings before the first verdict on the law, if they take long enough
 _MAX_PINGS: Final = 512  # where the first do not decide
-_MIN_PINGS: Final = 64
+_MIN_PINGS: Final = 64  # pings that a verdict needs, however long they took
 _LOOK_AGAIN_PINGS: Final = 128  # pings between checks after the first: each check costs 12 ms of processor time
 _DECIDE_S: Final = 30.0  # slow pings decide after this much time, so that contacts do not wait for minutes
-_MAX_S: Final = 60.0
-_DECISIVE: Final = 0.99
+_MAX_S: Final = 60.0  # s after which it is taken with _MIN_PINGS: slow sonars
+_DECISIVE: Final = 0.99  # probability of the likeliest law, from which the verdict stands
 _NARROW_NATS: Final = 0.35  # between the ends of the interval of decibels per count; wider, more pings are awaited
 # Probability below which a law is contradicted: a notice, or a turn, must not come of an odd stretch of sea floor
 _STRONG: Final = 1e-3

@@ -24,7 +24,7 @@ LOOKS_PRIOR.flags.writeable = False
 
 _STEP_NATS: Final = 0.05  # of the mean above the cut
 _N_STEPS: Final = 320  # to 16 nats, where less than 1e-6 is cut off
-_X_STEP_NATS: Final = 0.02
+_X_STEP_NATS: Final = 0.02  # nats: step of the integrals over ln I
 
 
 def ln_gamma(values: NDArray[np.float64]) -> NDArray[np.float64]:

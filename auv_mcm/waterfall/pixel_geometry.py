@@ -17,7 +17,7 @@ from auv_mcm.settings.config import WaterfallConfig
 from auv_mcm.waterfall.bottom import BottomTrack
 from auv_mcm.waterfall.ground import ground_edges_m
 
-_MIN_RETURN_M = 0.05
+_MIN_RETURN_M = 0.05  # m: keeps divisions finite where no bottom was found
 
 
 class RepeatedValues(NamedTuple):

@@ -17,8 +17,8 @@ from auv_mcm.waterfall.regions import Regions, RegionTable
 from auv_mcm.waterfall.shape import Shape
 
 _FAR_BELOW_STD: Final = 4.0  # of samples, from the middle of the trace: 23 dB of a single look, 6 dB of 8 looks
-_MIN_BLOCKS: Final = 3
-_MIN_CELLS: Final = 4
+_MIN_BLOCKS: Final = 3  # blocks of pings in which a cell is quiet, minimum
+_MIN_CELLS: Final = 4  # cells that show quiet water, minimum
 # Where the bottom comes nearer, or a fish swims, a block is left out; so is a cell that loses half of its blocks.
 _MAX_BLOCK_VARIANCE: Final = 2.0  # of the cell's median; of a single look 3 sigma
 _STEADY_SHARE: Final = 0.5

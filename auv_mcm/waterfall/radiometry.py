@@ -19,25 +19,26 @@ from auv_mcm.kernels.waterfall import Levelled, along_curve, angle_sums, box_lev
 from auv_mcm.kernels.waterfall import row_medians as medians_of_rows
 from auv_mcm.records import SATURATED, VALID
 
-N_ANGLE_BINS: Final = 180
+N_ANGLE_BINS: Final = 180  # of the angle response over 90°: half a degree each
 _BIN_RAD: Final = math.pi / 2.0 / N_ANGLE_BINS
+# nats from the mean beyond which a level counts as that far: objects must not move the response
 _CLIP_NATS: Final = 3.0
-_TIME_CONSTANT_PINGS: Final = 150.0
+_TIME_CONSTANT_PINGS: Final = 150.0  # pings over which the angle response is averaged
 REFERENCE_PINGS: Final = 20_000.0
 """Time constant of the angle response that levels of the sea floor are measured against: half an hour and more, so that
 a patch of one kind of sea floor does not become its own reference."""
-_MIN_BIN_SAMPLES: Final = 8
+_MIN_BIN_SAMPLES: Final = 8  # samples of one ping that an angle needs to be learnt
 
-_GAIN_STEP_NATS: Final = 0.7
-_GAIN_HISTORY: Final = 8
-_MIN_LEVEL_SAMPLES: Final = 24
+_GAIN_STEP_NATS: Final = 0.7  # nats (3 dB): a smaller change of level is the sea floor's, a larger one the sonar's gain
+_GAIN_HISTORY: Final = 8  # pings whose levels a step stands off from
+_MIN_LEVEL_SAMPLES: Final = 24  # samples of a ping that its level needs
 
-LOCAL_MEAN_M: Final = 7.5
+LOCAL_MEAN_M: Final = 7.5  # m along and across: the box of the local mean
 LOCAL_MEAN_REACH_M: Final = (
     LOCAL_MEAN_M  # how far away a pixel still matters: half a box to the mean's edge, half around what lies there
 )
-_MIN_VALID_FRACTION: Final = 0.25
-_GLINT_LIMIT: Final = 6.0
+_MIN_VALID_FRACTION: Final = 0.25  # of the box that has to be measured
+_GLINT_LIMIT: Final = 6.0  # times the mean above which a pixel counts as that bright in the local mean
 _SLACK_NATS: Final = 1e-3  # more than a logarithm's rounding
 
 

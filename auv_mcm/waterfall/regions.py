@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from auv_mcm.kernels.ping_windows import BLOCK_PINGS, STRIDES, cell_edges, ping_windows
 
-N_CELLS: Final = 4
-_TRACE_PARTS: Final = 40
-_MIN_PART_SAMPLES: Final = 16
+N_CELLS: Final = 4  # cells along a region, whose spread shows texture; equal in C
+_TRACE_PARTS: Final = 40  # regions along a trace
+_MIN_PART_SAMPLES: Final = 16  # samples of a region: four for each cell
 # Of range: farther than speckle reaches where a recorder takes up to four samples per resolution cell.
 _APART_SAMPLES: Final = (6, 8)
 _MAX_SAMPLE: Final = 1e19

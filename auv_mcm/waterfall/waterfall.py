@@ -21,8 +21,8 @@ from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.radiometry import REFERENCE_PINGS, AngleCurve, GainStepFilter, ping_levels
 from auv_mcm.waterfall.tiles import TileCutter
 
-_MIN_SPEED_MPS: Final = 0.2
-_WATER_FRACTION: Final = 0.9
+_MIN_SPEED_MPS: Final = 0.2  # m/s: keeps the turn per metre finite when the vehicle stands
+_WATER_FRACTION: Final = 0.9  # of the first return, up to which samples are water for certain
 _TURN_SIGN: Final[dict[Side, float]] = {"port": 1.0, "starboard": -1.0}
 
 

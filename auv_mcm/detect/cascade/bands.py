@@ -16,14 +16,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-N_BANDS: Final = 24
+N_BANDS: Final = 24  # of shadow length: one is 12 % longer than the one before
+# m: of the shortest shadow with enough pixels, and of the longest that a window holds
 SHADOW_LIMITS_M: Final = (0.4, 6.0)
 REFERENCE_HEIGHT_M: Final = 0.35
 """Of the object whose shadow is the unit of boxes, unless a model says otherwise."""
 
-WINDOW_ROWS_M: Final = 1.0
-WINDOW_NEAR_M: Final = 1.0
-WINDOW_FAR_M: Final = 1.0
+WINDOW_ROWS_M: Final = 1.0  # m along the track on either side of the middle: a mine and the sea floor beside it
+WINDOW_NEAR_M: Final = 1.0  # m in front of the object
+WINDOW_FAR_M: Final = 1.0  # m behind the end of the shadow
 WINDOW_SHADOWS: Final = 1.2
 """What a box may reach: so far along the track either way, towards the sonar, and away from it plus so many shadows."""
 

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from auv_mcm.detect.cascade.bands import REFERENCE_HEIGHT_M, FeatureBox, box_fault
 from auv_mcm.errors import BadInputError
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 1  # of the model's file; a change of its fields or of the boxes' meaning raises it
 SCORE_UNIT: Final = 1024
 """Score of one unit of GentleBoost's sum."""
-MAX_STUMPS: Final = 4096
+MAX_STUMPS: Final = 4096  # keeps the sum of scores within its 32 bits
 MAX_LEAF: Final = 64 * SCORE_UNIT
 
 _REMEDY: Final = "Train the model anew or take the one that ships with the package"

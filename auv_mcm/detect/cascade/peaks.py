@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-_STRETCH: Final = 4096
+_STRETCH: Final = 4096  # places in a batch: bounds memory of the distances
 
 
 def spaced_apart(

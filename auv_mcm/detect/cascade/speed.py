@@ -13,8 +13,8 @@ from auv_mcm.detect.cascade.codes import codes_of, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, CascadeModel
 from auv_mcm.detect.cascade.run import opening_groups, run_plane
 
-_SHAPE: Final = (512, 1024)
-_FIRST_RETURN_M: Final = 6.0
+_SHAPE: Final = (512, 1024)  # rows and columns of the tile that is timed
+_FIRST_RETURN_M: Final = 6.0  # m, of the tile that is timed
 _N_FINISHED: Final = 20_000  # windows that go all the way
 _ANY_SCORE: Final = -MAX_STUMPS * MAX_LEAF
 
