@@ -18,16 +18,16 @@ from auv_mcm.records import Notice
 
 MILLISECOND_COUNTER_S: Final = 2**32 / 1000.0  # after which a 32-bit counter of milliseconds starts over
 
-_NS: Final = 1_000_000_000
-_MILLION: Final = 1_000_000
+_NS: Final = 1_000_000_000  # nanoseconds per second
+_MILLION: Final = 1_000_000  # parts per million
 _BITS_PER_BYTE: Final = 10  # 8N1
 _RESOLUTION_NS: Final = 10_000_000  # of the window's end, which bounds how many messages it holds
 _LATEST_S: Final = 1e12  # no clock reports more
 _STEP_NS: Final = 500_000_000  # a device whose time is off by more was set or started anew
 _LATE_FOR_NS: Final = 3_000_000_000  # unless the link stalled, which does not last as long
-_UTC_STEP_NS: Final = 100_000_000
+_UTC_STEP_NS: Final = 100_000_000  # ns: an offset of UTC that differs by more is a step, by less it is followed slowly
 _UTC_SLEW_PPM: Final = 500  # as fast as NTP slews
-_PULSE_PPM: Final = 200
+_PULSE_PPM: Final = 200  # ppm between pulses and this computer's clock, maximum: crystals are within 100
 
 
 class HostTime(NamedTuple):

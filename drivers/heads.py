@@ -9,7 +9,7 @@ from msgspec import structs
 
 from auv_mcm.records import Ping
 
-_MAX_WAITING: Final = 8
+_MAX_WAITING: Final = 8  # pings of one head that wait for the other's; bounds memory and delay
 
 
 class HeadPairer:

@@ -29,9 +29,9 @@ from drivers.vehicle.vehicles import VEHICLES
 
 LISTEN_S: Final = 4.0  # units send once a second and more, sonars ping every 2 s and more
 _OPEN_S: Final = CONNECT_S + 1.0
-_ENOUGH_MESSAGES: Final = 3
+_ENOUGH_MESSAGES: Final = 3  # of a port, after which it counts as heard
 _KEPT_BYTES: Final = 1 << 16  # of what does not decode, to find out what it is
-_PATIENCE_S: Final = 0.05
+_PATIENCE_S: Final = 0.05  # s between looks at what came
 _ESTABLISHED: Final = "01"  # state of a connection in /proc/net/tcp
 _TCP_TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 

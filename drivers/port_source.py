@@ -37,10 +37,10 @@ OnBytes = Callable[[bytes, Stamp], None]
 OnState = Callable[[LinkState, str], None]
 OpenLink = Callable[[PortSettings, OnBytes, OnState, Clock], Link[bytes] | Link[CanFrame]]
 
-_TICK_S: Final = 0.25
+_TICK_S: Final = 0.25  # s between looks at silence, settings and notices
 _ASK_AGAIN_S: Final = 5.0  # a sonar that is silent, as it may have lost its settings with its supply
 _MAX_STATE_NOTICES: Final = 20  # per port; a loose contact has no end of them
-_RESTART_S: Final = 1.0
+_RESTART_S: Final = 1.0  # s before a reader that failed is started again, so that a lasting fault does not fill the log
 _LAST_TURNS: Final = 50  # 0.5 s of decoding at the end
 
 

@@ -26,8 +26,8 @@ from drivers.vehicle.vehicles import VehicleSettings, decoder_of
 log = logging.getLogger(__name__)
 
 Decoded: TypeAlias = Ping | NavFix | Notice
-_EXTENDED: Final = 1 << 31
-_ID_BYTES: Final = 4
+_EXTENDED: Final = 1 << 31  # bit 31 of a packed identifier, as in Linux's SocketCAN
+_ID_BYTES: Final = 4  # of a packed identifier, before the data
 _MAX_WORDS: Final = 200  # characters of a device's own words in a notice
 _SPOKEN: Final = {"pixse": "nmea0183"}  # bursts of an inertial unit are sentences like others
 

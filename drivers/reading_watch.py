@@ -10,9 +10,9 @@ from typing import Final
 
 from auv_mcm.records import Notice
 
-_CHECK_NS: Final = 2_000_000_000
+_CHECK_NS: Final = 2_000_000_000  # ns of bytes without a message, after which a port counts as unreadable
 _CHECK_BYTES: Final = 256  # fewer may be one message and its remains
-_MAX_NOTICES: Final = 20
+_MAX_NOTICES: Final = 20  # per port; a loose contact has no end of them
 
 
 class ReadingWatch:

@@ -12,7 +12,7 @@ from drivers.links.pulse import unpack_edge
 from drivers.navigation.nav_decoder import NavFix
 from drivers.ports import PortSettings
 
-_LOST_NS: Final = 10_000_000_000
+_LOST_NS: Final = 10_000_000_000  # ns without a pulse or a sentence, after which UTC counts as lost
 _AGREE_NS: Final = 200_000_000  # units send a sentence as late as that
 
 

@@ -12,7 +12,7 @@ from auv_mcm.errors import HardwareError
 from drivers.links.can_frame import CanFrame
 from drivers.links.gather import GATHER_S
 
-_MAX_PER_READ: Final = 256
+_MAX_PER_READ: Final = 256  # frames: bounds how long one read keeps the event loop
 _ERROR_BUS_OFF: Final = 0x40  # in the identifier of an error frame, linux/can/error.h
 
 

@@ -16,7 +16,7 @@ PLENTY_BYTES: Final = 1024
 a serial line."""
 
 _GATHER_BYTES: Final = 256  # no more than come at the line's rate meanwhile
-_BITS_PER_BYTE: Final = 10
+_BITS_PER_BYTE: Final = 10  # 8N1
 
 
 def gather_s(baud: int) -> float:

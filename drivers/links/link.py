@@ -18,11 +18,11 @@ LinkState: TypeAlias = Literal["up", "silent", "down"]
 OnState: TypeAlias = Callable[[LinkState, str], None]
 T = TypeVar("T")
 
-FIRST_RETRY_S: Final = 0.1
-LONGEST_RETRY_S: Final = 2.0
+FIRST_RETRY_S: Final = 0.1  # s from a failure to the first attempt to open again, doubled from then on
+LONGEST_RETRY_S: Final = 2.0  # s between attempts, maximum: so late a returned device is noticed
 _POLL_S: Final = 0.005  # ports that nothing can wait for
 _RETURN_POLL_S: Final = 0.02  # checking whether a path exists costs microseconds
-_CHECKS_PER_SILENCE: Final = 4
+_CHECKS_PER_SILENCE: Final = 4  # of the time after which a link is silent: so exactly silence is noticed
 
 
 class Wire(Protocol[T]):

@@ -18,8 +18,8 @@ from drivers.links.stream import StreamPort
 from drivers.links.uri import CAN_BITRATES
 
 MAX_LINE_BYTES: Final = 26  # T, identifier, length, 8 bytes of data
-_MAX_EXTENDED_ID: Final = 0x1FFFFFFF
-_MAX_STANDARD_ID: Final = 0x7FF
+_MAX_EXTENDED_ID: Final = 0x1FFFFFFF  # 29 bits, by the CAN specification 2.0 B
+_MAX_STANDARD_ID: Final = 0x7FF  # 11 bits, by the CAN specification 2.0 A
 _FRAME: Final = (
     rb"(?:T[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}|t[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10})\r"  # MAX_LINE_BYTES
 )

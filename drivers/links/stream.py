@@ -10,8 +10,8 @@ from typing import Final
 from auv_mcm.errors import HardwareError
 from drivers.links.gather import PLENTY_BYTES
 
-READ_BYTES: Final = 1 << 16
-MAX_QUEUED_BYTES: Final = 1 << 16
+READ_BYTES: Final = 1 << 16  # bytes per read: the buffer of a pseudo-terminal or pipe; bounds how long one read takes
+MAX_QUEUED_BYTES: Final = 1 << 16  # bytes not yet written to a stalled port; bounds memory and the age of what is sent
 
 
 class StreamPort:

@@ -11,7 +11,7 @@ from auv_mcm.errors import HardwareError
 from drivers.links.gather import GATHER_S
 from drivers.links.stream import StreamPort
 
-CONNECT_S: Final = 5.0
+CONNECT_S: Final = 5.0  # s for a connection: long enough for a SYN packet repeated after 1 s and 3 s
 _OPTIONS: Final = (
     (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
     (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),

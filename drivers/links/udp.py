@@ -12,8 +12,8 @@ from drivers.links.tcp import addresses_of
 from drivers.links.uri import UdpAddress
 
 RECEIVE_BUFFER_BYTES: Final = 1 << 22  # a second of the fastest sonar, should the event loop be late
-_MAX_DATAGRAM_BYTES: Final = 1 << 16
-_MAX_PER_READ: Final = 64
+_MAX_DATAGRAM_BYTES: Final = 1 << 16  # by the 16-bit length of UDP
+_MAX_PER_READ: Final = 64  # datagrams: bounds how long one read keeps the event loop
 
 
 class UdpPort:

@@ -11,10 +11,10 @@ from auv_mcm.settings.port_settings import NavUnitSettings, Quantity
 from drivers.navigation.nav_decoder import NavFix
 
 _TURN: Final = 2.0 * math.pi
-_MAX_DEPTH_M: Final = 12_000.0
-_MIN_DEPTH_M: Final = -100.0
-_MAX_SPEED_MPS: Final = 30.0
-_MAX_SIGMA: Final = 1e6
+_MAX_DEPTH_M: Final = 12_000.0  # m: deeper than any sea
+_MIN_DEPTH_M: Final = -100.0  # m: above the surface by as much as a pressure sensor without its offset may read
+_MAX_SPEED_MPS: Final = 30.0  # m/s: faster than any vehicle that this runs on
+_MAX_SIGMA: Final = 1e6  # metres or radians: receivers mark the unknown by such
 _SHARPEST_COSINE: Final = 1e-9  # keeps steps finite at a pole
 
 

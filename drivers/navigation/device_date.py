@@ -7,7 +7,7 @@ from typing import Final
 
 from auv_mcm.clock import Stamp
 
-DAY_S: Final = 86_400.0
+DAY_S: Final = 86_400.0  # seconds per day
 
 
 class DeviceDate:

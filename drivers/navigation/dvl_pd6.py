@@ -20,7 +20,7 @@ from drivers.framing import Grammar, StampedFramer, StampedMessage
 from drivers.message_candidates import MessageCandidates
 from drivers.navigation.nav_decoder import NavFix
 
-_MAX_LINE_BYTES: Final = 128
+_MAX_LINE_BYTES: Final = 128  # of a line; bounds how long junk can hold one back
 _BODY: Final = rb"[\x20-\x39\x3b-\x7e]"
 _LINE: Final = re.compile(rb":([A-Z]{2}),(%b{0,%d})[\r\n]" % (_BODY, _MAX_LINE_BYTES - 5))
 _RUN: Final = re.compile(rb":%b*" % _BODY)
@@ -31,8 +31,8 @@ _CANDIDATES: Final = MessageCandidates(
     reasons=("interrupted", "oversize", "interrupted", "non_ascii", "malformed"),
 )
 _NUMBER: Final = re.compile(r" *[+-]? *(?:\d+\.?\d*|\.\d+) *")
-_BAD_VELOCITY: Final = -32768.0
-_MAX_VELOCITY_MM_S: Final = 20_000.0
+_BAD_VELOCITY: Final = -32768.0  # mm/s: what PD6 gives for a velocity that is not measured
+_MAX_VELOCITY_MM_S: Final = 20_000.0  # mm/s: faster than any vehicle or lock on the bottom
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 

@@ -16,7 +16,7 @@ from drivers.framing import Grammar, StampedFramer, StampedMessage
 from drivers.message_candidates import MessageCandidates
 from drivers.navigation.nav_decoder import NavFix
 
-_MAX_MESSAGE_BYTES: Final = 384
+_MAX_MESSAGE_BYTES: Final = 384  # of a message; bounds how long junk can hold one back
 _BODY: Final = rb"[\x20-\x29\x2b-\x76\x78-\x7e]"
 _MESSAGE: Final = re.compile(rb"(w%b{3,%d})\*([0-9A-Fa-f]{2})" % (_BODY, _MAX_MESSAGE_BYTES - 4))
 _RUN: Final = re.compile(rb"w%b*" % _BODY)
@@ -29,7 +29,7 @@ _CANDIDATES: Final = MessageCandidates(
     reasons=("interrupted", "oversize", "interrupted", "checksum_malformed", "malformed"),
 )
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d{1,2})?")
-_MAX_VELOCITY_MPS: Final = 20.0
+_MAX_VELOCITY_MPS: Final = 20.0  # m/s: faster than any vehicle or lock on the bottom
 _CLOCK_SET_S: Final = 946_684_800.0  # year 2000: a time of validity before it counts from power-up
 
 

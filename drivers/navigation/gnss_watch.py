@@ -11,8 +11,8 @@ from drivers.navigation.reckoning import Travelled
 
 Doubt: TypeAlias = Literal["submerged", "frozen", "not_the_way_made", "recovering"]
 
-_WINDOW_S: Final = 20.0
-_MAX_FIXES: Final = 256
+_WINDOW_S: Final = 20.0  # s of fixes that are compared with the distance run; chosen, not measured
+_MAX_FIXES: Final = 256  # bounds memory: 20 s at 10 Hz, and some
 _FROZEN_M: Final = 4.0  # run while positions stay equal to the last digit; receivers round to 2 m or finer
 _WAY_SLACK: Final = 0.3  # of the distance run, for its own errors: a log that runs through a current
 _N_GOOD: Final = 3  # after a doubt so many fixes in a row must be good

@@ -39,13 +39,13 @@ from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
 Event: TypeAlias = NavSample | Notice
 
 _QUEUE_SLACK_S: Final = 0.25  # beyond the longest latency, for links of unequal speed
-_RECKONING_PERIOD_S: Final = 0.1
+_RECKONING_PERIOD_S: Final = 0.1  # s between reckoned positions
 _RECKONING_STEPS_M: Final = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # 1-sigma at which a person should know
 _JUMP_SLACK_M: Final = 3.0  # receivers scatter and round
 _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or reckoned
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a notice is raised; as many that agree end it
-_N_SIGMA: Final = 3.0
+_N_SIGMA: Final = 3.0  # standard deviations: of sound values one in 370 is further off
 _N_IMPOSSIBLE: Final = (
     20  # values in a row, 2 s at 10 Hz: a bottom lock is lost for longer than a ping, a sentence damaged only once
 )
@@ -58,8 +58,8 @@ _FIELDS: Final[dict[Quantity, tuple[str, ...]]] = {
     "speed": ("speed_mps",),
 }
 _UNITS: Final = {"deg": "degrees", "rad": "rad", "m": "m", "mps": "m/s"}
-_MAX_UNKNOWN: Final = 32
-_TICK_S: Final = 1e-3
+_MAX_UNKNOWN: Final = 32  # sources; bounds memory where a damaged bus invents them
+_TICK_S: Final = 1e-3  # s: times nearer than that are the same
 # Differences that need no notice: the units measure at different places and instants.
 _SLACK: Final[dict[Quantity, float]] = {
     "position": 2.0,

@@ -28,13 +28,13 @@ from drivers.navigation.n2k_messages import (
 )
 from drivers.navigation.nav_decoder import NavFix
 
-_MAX_NAMES: Final = 512
-_NO_ADDRESS: Final = 254
-_MAX_SID: Final = 252
+_MAX_NAMES: Final = 512  # devices remembered; bounds memory, a bus has 252 addresses
+_NO_ADDRESS: Final = 254  # the address of a device that could claim none; 255 is all (ISO 11783-5)
+_MAX_SID: Final = 252  # sequence numbers beyond it mark none (NMEA 2000)
 _SAME_INSTANT_NS: Final = 50_000_000  # messages of one sid leave a unit within this time
 _TRUE, _MAGNETIC = 0.0, 1.0
-_NOT_MEASURED: Final = (0.0, 7.0, 8.0)
-_ESTIMATED: Final = 6.0
+_NOT_MEASURED: Final = (0.0, 7.0, 8.0)  # GNSS methods of PGN 129029: no fix, manual input, simulated
+_ESTIMATED: Final = 6.0  # GNSS method of PGN 129029: dead reckoning
 _TURN: Final = 2.0 * math.pi
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final
 
-MAX_MESSAGE_BYTES: Final = 223
+MAX_MESSAGE_BYTES: Final = 223  # 6 of the first frame and 7 of each of the 31 that follow
 _MAX_OPEN: Final = 64  # messages under way: more talkers than any bus has for the groups that are read
 
 

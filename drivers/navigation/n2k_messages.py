@@ -14,8 +14,8 @@ from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
 
 from auv_mcm.records import NAN
 
-ADDRESS_CLAIM: Final = 60928
-GLOBAL: Final = 255
+ADDRESS_CLAIM: Final = 60928  # PGN (ISO 11783-5)
+GLOBAL: Final = 255  # destination: all devices
 
 
 class N2kField(NamedTuple):
@@ -228,7 +228,7 @@ def encode(record: Record) -> tuple[int, bytes]:
 
 _SID: Final = N2kField(0, 8)
 _DATE: Final = N2kField(16, 16)
-_ANGLE: Final = 1e-4
+_ANGLE: Final = 1e-4  # rad per count, of headings and attitude
 
 MESSAGES: Final[dict[int, N2kMessage[Any]]] = {
     message.pgn: message

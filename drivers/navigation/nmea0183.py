@@ -14,6 +14,7 @@ from typing import Final
 from drivers.framing import Grammar
 from drivers.message_candidates import MessageCandidates
 
+# the standard allows 82, but devices' own sentences are longer; bounds how long junk holds one back
 MAX_SENTENCE_BYTES: Final = 255
 _BODY: Final = rb"[\x20\x22\x23\x25-\x29\x2b-\x7e]"
 _SENTENCE: Final = re.compile(rb"[$!](%b{4,%d})\*([0-9A-Fa-f]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 6))

@@ -16,14 +16,14 @@ from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
 
 from auv_mcm.records import NAN
 
-KNOT_MPS: Final = 1852.0 / 3600.0
-_FOOT_M: Final = 0.3048
-_FATHOM_M: Final = 1.8288
+KNOT_MPS: Final = 1852.0 / 3600.0  # m/s: a nautical mile in an hour
+_FOOT_M: Final = 0.3048  # m, the international foot
+_FATHOM_M: Final = 1.8288  # m: six feet
 _EPOCH: Final = date(1970, 1, 1)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _CLOCK: Final = re.compile(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)")
 _ANGLE: Final = re.compile(r"(\d{2,3})(\d\d(?:\.\d*)?)")
-_MICRO: Final = 1_000_000
+_MICRO: Final = 1_000_000  # millionths of a minute of arc per minute: 2 mm
 
 
 class Codec(NamedTuple):

@@ -20,7 +20,7 @@ PROFILE: Final = "auv-mcm-session"
 HEAD_TOPIC: Final = "session/head"
 LOST_TOPIC: Final = "session/lost"
 FILE_PATTERN: Final = "session-*.mcap"
-SEQUENCE_SPAN: Final = 2**32
+SEQUENCE_SPAN: Final = 2**32  # of the 32-bit sequence number of MCAP
 
 
 class Recorded(NamedTuple):

@@ -19,11 +19,11 @@ from drivers.recording.session_writer import FILE_BYTES, RESERVE_BYTES, DurableF
 
 log = logging.getLogger(__name__)
 
-QUEUE_BYTES: Final = 32 << 20
+QUEUE_BYTES: Final = 32 << 20  # bytes that wait for the disk; bounds memory while the disk stalls
 _CHUNK_BYTES: Final = 256  # what a queued chunk takes beside its data
 _TAKE_S: Final = 0.1  # a short while of Python at a time, which the event loop has to wait for
-_TAKES_PER_FLUSH: Final = 5
-_CLOSE_S: Final = 10.0
+_TAKES_PER_FLUSH: Final = 5  # of _TAKE_S: flushed twice a second
+_CLOSE_S: Final = 10.0  # s for the last flush at the end; a dead disk must not keep the service
 
 
 class SessionRecorder:

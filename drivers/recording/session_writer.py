@@ -26,11 +26,11 @@ from drivers.recording.session_layout import (
     file_name,
 )
 
-FILE_BYTES: Final = 1 << 30
+FILE_BYTES: Final = 1 << 30  # bytes after which the next file begins: as much is lost if its index is
 FILE_FLUSHES: Final = (
     1200  # ten minutes of a recorder; until a file ends, the index of each of its chunks is kept in memory
 )
-RESERVE_BYTES: Final = 256 << 20
+RESERVE_BYTES: Final = 256 << 20  # bytes left free on the disk for contacts, results and the system
 _MESSAGE_BYTES: Final = 64  # at most, of a message beside its data, with its entry in the index
 
 

@@ -20,27 +20,27 @@ from drivers.message_candidates import MessageCandidates
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
 
-COMMAND_BYTES: Final = 27
-RETURN_BYTES: Final = 413
-RANGES_M: Final = (15, 30, 60, 90, 120)
+COMMAND_BYTES: Final = 27  # of a switch data command (SportScan interface description)
+RETURN_BYTES: Final = 413  # header, echo and terminator
+RANGES_M: Final = (15, 30, 60, 90, 120)  # m that the sonar can be set to
 MAX_GAIN: Final = 40  # dB
 STARBOARD, PORT, BOTH = 1, 2, 3  # channel
 
 _SYNC: Final = b"IGX"
-_HEADER_BYTES: Final = 12
-_N_ECHO: Final = 400
-_HEAD_ID: Final = 0x10
-_TERMINATOR: Final = 0xFC
+_HEADER_BYTES: Final = 12  # of a return, before the echo
+_N_ECHO: Final = 400  # bytes of echo of one side
+_HEAD_ID: Final = 0x10  # of the head in its interface description
+_TERMINATOR: Final = 0xFC  # last byte of a return
 _COMMAND_START: Final = b"\xfe\x44"
-_COMMAND_END: Final = 0xFD
-_MAX_ECHO: Final = 127
+_COMMAND_END: Final = 0xFD  # last byte of a command; must not occur before it
+_MAX_ECHO: Final = 127  # of 7 bits
 _HEADER: Final = (
     rb"\x10.[\x00\x01][\x01-\x03][\x0f\x1e\x3c\x5a\x78].."  # head, status, kind, channel, range, two unused
 )
 _COUNT: Final = rb"(?:\x10\x03|\x1c\x03)"  # 400 or 412, seven bits a byte
-_SOUND_SPEED_MPS: Final = 1500.0
+_SOUND_SPEED_MPS: Final = 1500.0  # m/s that the sonar takes for its ranges
 _OVERRUN: Final = 0x80  # of the serial status
-_ACCEPTED: Final = 0x40
+_ACCEPTED: Final = 0x40  # status of a return without an error
 
 
 class SwitchCommand(NamedTuple):

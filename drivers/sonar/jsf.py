@@ -41,21 +41,21 @@ from drivers.sonar.sonar_settings import check_settings
 
 HIGH_FREQUENCY: Final = 21  # subsystem
 SIDE_SCAN_SUBSYSTEMS: Final = (20, 21, 22)  # low, high, very high frequency
-MAX_RANGE_M: Final = 500.0
-MAX_GAIN: Final = 100
-NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
+MAX_RANGE_M: Final = 500.0  # m: beyond any side-scan of this protocol
+MAX_GAIN: Final = 100  # per cent
+NOMINAL_SOUND_SPEED_MPS: Final = 1500.0  # m/s, while the sonar reports none
 
 _MAX_BODY_BYTES: Final = (1 << 18) - 1  # 32 times the samples that side-scans of AUVs send
 _MAX_OTHER_BYTES: Final = 1 << 14  # only its size gives the length of other messages: a wrong one costs little waiting
 _PADDING_BYTES: Final = 64  # that a data message may have behind its samples
 _LENGTH_KNOWN_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
-_MAX_WEIGHTING: Final = 40
-_MAX_REPORTED_RANGE_M: Final = 2000.0
+_MAX_WEIGHTING: Final = 40  # power of two that scales samples: up to it squares of 16-bit samples fit a 32-bit float
+_MAX_REPORTED_RANGE_M: Final = 2000.0  # m: longer traces are damage
 _NAVIGATION: Final = (
     Validity.POSITION | Validity.HEADING | Validity.PITCH_ROLL | Validity.DEPTH | Validity.ALTITUDE | Validity.SPEED
 )
-_KNOT_MPS: Final = 1852.0 / 3600.0
-_SAME_SPEED_MPS: Final = 0.5
+_KNOT_MPS: Final = 1852.0 / 3600.0  # m/s: a nautical mile in an hour
+_SAME_SPEED_MPS: Final = 0.5  # m/s that the sound speed changes by before ranges are scaled anew: 2.5 cm at 75 m
 _REPEATED_S: Final = (
     1.25  # between the second of slow receivers and the 1.5 s after which a unit without a new position counts as lost
 )

@@ -13,10 +13,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-SYNC: Final = 0x1601
+SYNC: Final = 0x1601  # first two bytes of every message
 HEADER: Final = Struct("<HBBHBBBBHI")
 HEADER_BYTES: Final = HEADER.size
-VERSION: Final = 0x0E
+VERSION: Final = 0x0E  # of the protocol, as written
 PORT, STARBOARD = 0, 1  # channel
 
 SYSTEM_TIME, ALIVE, SIDE_SCAN, DATA_ACTIVE = 22, 41, 80, 83
@@ -24,6 +24,8 @@ PING_ENABLE, PING_GAIN, PING_TRIGGER, PING_RANGE, PING_AUTOSELECT = 120, 121, 12
 
 
 class Command(IntEnum):
+    """Name the bytes for what a message is: an order, a question, or an answer."""
+
     SET = 0
     GET = 1
     REPLY = 2

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 SYNC: Final = b"BR"
 HEADER: Final = Struct("<2sHHBB")
 HEADER_BYTES: Final = HEADER.size
-CHECKSUM_BYTES: Final = 2
+CHECKSUM_BYTES: Final = 2  # a sum of 16 bits after the payload
 
 ACK, NACK, ASCII_TEXT, DEVICE_INFORMATION, PROTOCOL_VERSION, GENERAL_REQUEST, JSON_WRAPPER = 1, 2, 3, 4, 5, 6, 10
 SET_SPEED_OF_SOUND, OLD_SET_SPEED_OF_SOUND = 116, 1002  # devices made before the spring of 2026 take the old number
@@ -29,7 +29,7 @@ NMEA_WRAPPER, MAVLINK_WRAPPER = (
 PROFILE_HEADER: Final = Struct("<5I3HBB6f")
 N_RESULTS_OFFSET: Final = 22  # of the profile's payload, u16
 MAX_RESULTS: Final = 12_000  # ten times what the devices send
-_FULL_SCALE: Final = 65535.0
+_FULL_SCALE: Final = 65535.0  # counts of a 16-bit power result
 
 
 class PingMessage(NamedTuple):

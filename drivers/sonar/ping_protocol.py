@@ -49,11 +49,11 @@ from drivers.sonar.ping_messages import (
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
 
-MAX_GAIN: Final = 7
-MAX_RANGE_M: Final = 200.0
+MAX_GAIN: Final = 7  # highest gain setting of the sonar
+MAX_RANGE_M: Final = 200.0  # m: the longest range of the sonar
 _RESULTS: Final = (200, 1200)  # that the device takes
-_MAX_TRACE_MM: Final = 2_000_000
-_MAX_DB: Final = 300.0
+_MAX_TRACE_MM: Final = 2_000_000  # mm: longer traces are damage
+_MAX_DB: Final = 300.0  # dB: more is damage; 10^30 is still a 32-bit float
 _LENGTH_AND_ID: Final = Struct("<HH")
 _N_RESULTS: Final = Struct("<H").unpack_from
 _N_RESULTS_AT: Final = HEADER_BYTES + N_RESULTS_OFFSET

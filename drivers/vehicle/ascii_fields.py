@@ -16,10 +16,10 @@ from auv_mcm.records import ContactClass
 from drivers.navigation.sentences import SENTENCES, Codec, Sentence
 from drivers.vehicle.dialect import ContactReport
 
-FOOT_M: Final = 0.3048
+FOOT_M: Final = 0.3048  # m, the international foot
 DEGREE: Final = math.pi / 180.0
 _HALF_TURN: Final = math.pi
-_MAX_KEY_FIELDS: Final = 3
+_MAX_KEY_FIELDS: Final = 3  # fields that name a sentence, before its values
 _NO_TEXT: Final = re.compile(r"[^\x20-\x7e]|[,*$!#]")
 _WHOLE: Final = re.compile(r"\d{1,20}")
 

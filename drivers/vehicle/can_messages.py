@@ -27,19 +27,19 @@ from zlib import crc32
 from auv_mcm.records import ContactClass
 from drivers.links.can_frame import CanFrame
 
-FRAME_BYTES: Final = 8
+FRAME_BYTES: Final = 8  # of a classic CAN frame
 HEAD_BYTES: Final = 2  # of a frame of a transfer: part, sequence
-CRC16_BYTES: Final = 2
-CRC32_BYTES: Final = 4
+CRC16_BYTES: Final = 2  # of the checksum of a single frame
+CRC32_BYTES: Final = 4  # of the checksum of a message of several frames
 N_NUMBERS: Final = 256  # of counters, sequences, requests and commands
 _PAGES_AND_FORMAT: Final = 0x3FF00  # both page bits, and the format of messages to all
-_CRC16_START: Final = 0xFFFF
+_CRC16_START: Final = 0xFFFF  # of CRC-16/IBM-3740
 
 STATUS_PERIOD_S: Final = 0.5  # of the payload; also sent at once when it changes
-VEHICLE_STATUS_PERIOD_S: Final = 0.2
-VEHICLE_STATE_PERIOD_S: Final = 0.1
-COMMAND_PERIOD_S: Final = 0.5
-COMMAND_VALID_S: Final = 3.0
+VEHICLE_STATUS_PERIOD_S: Final = 0.2  # s between two, by auv_mcm/docs/vehicle.md
+VEHICLE_STATE_PERIOD_S: Final = 0.1  # s, the same
+COMMAND_PERIOD_S: Final = 0.5  # s, the same: five lost in a row before a command expires
+COMMAND_VALID_S: Final = 3.0  # s after which the vehicle forgets a command
 PAYLOAD_SILENT_S: Final = 2.0  # without a new status of the payload for so long the vehicle takes control back
 VEHICLE_SILENT_S: Final = 1.0  # without a new status of the vehicle for so long the payload has no control
 FIRST_COMMAND_S: Final = 10.0  # without any command for so long after a grant the vehicle takes control back

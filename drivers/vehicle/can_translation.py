@@ -8,15 +8,15 @@ from typing import Final
 from drivers.vehicle.can_messages import CLASSES, REFERENCES, GoToMessage, HealthText, ReportMessage, SteerMessage
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
 
-TEXT_BYTES: Final = 44
-_TEXT_PART_BYTES: Final = (6, 6, 6, 6, 6, 6, 6, 2)
+TEXT_BYTES: Final = 44  # of a text message: 7 parts of 6 bytes and one of 2
+_TEXT_PART_BYTES: Final = (6, 6, 6, 6, 6, 6, 6, 2)  # bytes of each field of a text message
 _TURN: Final = 2.0 * math.pi
-_SESSION_BITS: Final = 32
-_MAX_SIZE_M: Final = 65.53
-_MAX_SIGMA_M: Final = 655.0
-_MAX_DEPTH_M: Final = 12_000.0
-_MAX_VIEWS: Final = 255
-_STEPS_PER_M: Final = 1000.0
+_SESSION_BITS: Final = 32  # of a session's number on the bus
+_MAX_SIZE_M: Final = 65.53  # m: the largest value of 16 bits of mm that is not a mark
+_MAX_SIGMA_M: Final = 655.0  # m: below the largest value of 16 bits of cm
+_MAX_DEPTH_M: Final = 12_000.0  # m: deeper than any sea
+_MAX_VIEWS: Final = 255  # of 8 bits
+_STEPS_PER_M: Final = 1000.0  # per metre: depths go in mm
 
 
 def command_message(

@@ -16,7 +16,7 @@ from drivers.vehicle.dialect import Command, GoTo, ReportedState, Steer, Vertica
 from drivers.vehicle.plane import LocalPlane, Point, distance_m, distance_to_line_m
 
 MAX_FENCE_RADIUS_M: Final = 50_000.0  # farther out a flat chart bends straight lines
-_ROUNDING_M: Final = 1e-3
+_ROUNDING_M: Final = 1e-3  # m: places on a border count as inside whatever the rounding
 _TOUCH_M: Final = 1e-6  # a way through a corner may be out of the fence behind it
 _TURN: Final = 2.0 * math.pi
 

@@ -28,7 +28,7 @@ MAX_LEAD_RAD: Final = math.radians(
     60.0
 )  # of the commanded heading before the vehicle's: far from where it would turn the other way
 _LONGEST_STEP_S: Final = 5.0  # after a longer silence the observer starts anew, but keeps the current
-_MAX_CUT_RADII: Final = 1.5
+_MAX_CUT_RADII: Final = 1.5  # turning radii before a corner where the turn begins, maximum
 _CHART_M: Final = 10_000.0  # from its origin: farther, the estimate's chart is laid anew
 _HERE: Final = Point(0.0, 0.0)
 _TURN: Final = 2.0 * math.pi

@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-_PERIOD: Final = 32767
+_PERIOD: Final = 32767  # after which powers of x repeat
 _POLYNOMIAL: Final = 0xA001  # reflected
-_NIBBLE: Final = 16
+_NIBBLE: Final = 16  # values of 4 bits: a table of so many columns fits the cache
 
 
 def crc16_arc(data: bytes | bytearray) -> int:

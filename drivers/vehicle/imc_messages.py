@@ -28,13 +28,15 @@ from auv_mcm.records import NAN
 Order: TypeAlias = Literal["<", ">"]
 """Byte order in the notation of `struct`."""
 
-MAX_TEXT_BYTES: Final = 1024
+MAX_TEXT_BYTES: Final = 1024  # of a text, longer ones are cut; bounds a packet
 MAX_PAYLOAD_BYTES: Final = 4096  # of kinds whose length varies, and of those that are not known here
 MAX_DEPTH: Final = 6  # of messages inside messages; to start a plan of one manoeuvre takes three
-_NO_MESSAGE: Final = 0xFFFF
+_NO_MESSAGE: Final = 0xFFFF  # id that stands for none (IMC.xml)
 
 
 class EntityStatus(enum.IntEnum):
+    """Name the states of EntityState (IMC.xml)."""
+
     BOOT = 0
     NORMAL = 1
     FAULT = 2
@@ -43,6 +45,8 @@ class EntityStatus(enum.IntEnum):
 
 
 class OpMode(enum.IntEnum):
+    """Name the modes of VehicleState (IMC.xml)."""
+
     SERVICE = 0
     CALIBRATION = 1
     ERROR = 2
@@ -52,6 +56,8 @@ class OpMode(enum.IntEnum):
 
 
 class ZUnits(enum.IntEnum):
+    """Name what a vertical coordinate is measured from (IMC.xml)."""
+
     NONE = 0
     DEPTH = 1
     ALTITUDE = 2
@@ -59,6 +65,8 @@ class ZUnits(enum.IntEnum):
 
 
 class RefFlag(enum.IntFlag):
+    """Name the bits of Reference for what it commands (IMC.xml)."""
+
     LOCATION = 0x01
     SPEED = 0x02
     Z = 0x04
@@ -69,6 +77,8 @@ class RefFlag(enum.IntFlag):
 
 
 class RefState(enum.IntEnum):
+    """Name the states of FollowRefState (IMC.xml)."""
+
     WAIT = 1
     GOTO = 2
     LOITER = 3
@@ -78,6 +88,8 @@ class RefState(enum.IntEnum):
 
 
 class Proximity(enum.IntFlag):
+    """Name the bits of FollowRefState for how near its goal the vehicle is (IMC.xml)."""
+
     FAR = 0x01
     XY_NEAR = 0x02
     Z_NEAR = 0x04
@@ -86,6 +98,8 @@ class Proximity(enum.IntFlag):
 
 
 class PlanType(enum.IntEnum):
+    """Name what a PlanControl is: a request or an answer (IMC.xml)."""
+
     REQUEST = 0
     SUCCESS = 1
     FAILURE = 2
@@ -93,6 +107,8 @@ class PlanType(enum.IntEnum):
 
 
 class PlanOp(enum.IntEnum):
+    """Name what a PlanControl requests (IMC.xml)."""
+
     START = 0
     STOP = 1
     LOAD = 2
@@ -100,6 +116,8 @@ class PlanOp(enum.IntEnum):
 
 
 class PlanState(enum.IntEnum):
+    """Name the states of PlanControlState (IMC.xml)."""
+
     BLOCKED = 0
     READY = 1
     INITIALIZING = 2

@@ -14,16 +14,16 @@ from drivers.framing import Grammar, Refused
 from drivers.vehicle.imc_crc import RunningRemainder, crc16_arc
 from drivers.vehicle.imc_messages import LAYOUTS, MAX_PAYLOAD_BYTES, ImcMessage, Order, encode, in_limits, number_of
 
-SYNC: Final = 0xFE54
-ANYONE: Final = 0xFFFF
-ANY_ENTITY: Final = 0xFF
+SYNC: Final = 0xFE54  # first two bytes of a packet; their order gives the byte order (IMC 5.4)
+ANYONE: Final = 0xFFFF  # destination: all
+ANY_ENTITY: Final = 0xFF  # entity: all
 
 _HEADERS: Final[dict[Order, Struct]] = {"<": Struct("<HHHdHBHB"), ">": Struct(">HHHdHBHB")}
 _BEGINNINGS: Final[dict[Order, Struct]] = {"<": Struct("<HHH"), ">": Struct(">HHH")}  # of a header, up to the size
 _CHECKSUMS: Final[dict[Order, Struct]] = {"<": Struct("<H"), ">": Struct(">H")}
 _LITTLE, _BIG = SYNC.to_bytes(2, "little"), SYNC.to_bytes(2, "big")
 HEADER_BYTES: Final = _HEADERS["<"].size
-CHECKSUM_BYTES: Final = 2
+CHECKSUM_BYTES: Final = 2  # CRC-16/ARC after the payload
 _BEGINNING_BYTES: Final = _BEGINNINGS["<"].size
 _MAX_PAYLOAD: Final = max(MAX_PAYLOAD_BYTES, *(layout.max_bytes for layout in LAYOUTS.values()))
 _FRAME_BYTES: Final = HEADER_BYTES + CHECKSUM_BYTES

@@ -44,7 +44,8 @@ log = logging.getLogger(__name__)
 
 W = TypeVar("W")
 
-_MAX_NOTICES: Final = 256
+_MAX_NOTICES: Final = 256  # that wait to be taken; bounds memory
+# radii of arrival from the goal, maximum, for a vehicle's own report of arrival to count
 _ARRIVED_WITHIN_RADII: Final = 5.0
 _STEER_AGAIN_S: Final = (
     0.2  # not sooner with another heading, so that a slow wire is not asked for more than it carries

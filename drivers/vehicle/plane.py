@@ -16,7 +16,7 @@ from auv_mcm.records import NAN
 
 Vector: TypeAlias = tuple[float, float, float]
 
-_REACH_M: Final = 500_000.0
+_REACH_M: Final = 500_000.0  # m from the chart's origin: farther, the plane is too poor a picture of the Earth
 _TURN: Final = 2.0 * math.pi
 
 

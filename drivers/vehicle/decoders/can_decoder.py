@@ -17,9 +17,9 @@ from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
 
 _NAME: Final = "vehicle_can"
-_FIX_VALID_S: Final = 1.0
+_FIX_VALID_S: Final = 1.0  # s that a value of the vehicle counts for a fix
 _TURN: Final = 2.0 * math.pi
-_S_PER_NS: Final = 1e-9
+_S_PER_NS: Final = 1e-9  # seconds per nanosecond
 
 _Quantity = Literal["heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"]
 _QUANTITIES: Final[tuple[_Quantity, ...]] = (

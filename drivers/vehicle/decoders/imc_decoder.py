@@ -17,7 +17,7 @@ from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, decode
 from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface
-_MAX_OFFSET_M: Final = 1e5
+_MAX_OFFSET_M: Final = 1e5  # m from the reference: more is damage
 
 
 class ImcReceived(NamedTuple):

@@ -25,7 +25,7 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 
-_FLOOR_S: Final = 3.0
+_FLOOR_S: Final = 3.0  # s that an altitude heard counts for the depth of the sea floor
 _REPORT_EVERY_S: Final = 0.2  # 250 bytes take 0.13 s at 19200 baud, and commands go between them
 _HEALTH_TEXT: Final = 60  # characters
 

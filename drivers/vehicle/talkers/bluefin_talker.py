@@ -43,11 +43,11 @@ from drivers.vehicle.dialect import (
 )
 from drivers.vehicle.talkers.ascii_talker import AsciiTalker
 
-RESEND_S: Final = 5.0
-ATTEMPTS: Final = 3
-_HEARTBEAT_S: Final = 1.0
+RESEND_S: Final = 5.0  # s without an answer, after which a sentence is sent again
+ATTEMPTS: Final = 3  # of one sentence, after which it is given up
+_HEARTBEAT_S: Final = 1.0  # s between two
 _COMMAND_VALID_S: Final = 2.0  # one that could not be sent by then is old
-_PENDING_FOR_S: Final = 60.0
+_PENDING_FOR_S: Final = 60.0  # s that a sentence may stay pending with the vehicle before it is given up
 _TIME_STEP_S: Final = (
     0.01  # between the times of two sentences, so that an answer in hundredths still identifies its sentence
 )

@@ -47,13 +47,13 @@ from drivers.vehicle.dialect import (
 )
 
 _NAME: Final = "vehicle_can"
-_SILENT_S: Final = 2.0
+_SILENT_S: Final = 2.0  # s without a message, after which the vehicle counts as silent
 _N_RELEASES: Final = 3  # a release is sent so often, so that two lost frames do not matter
-_TEXT_PERIOD_S: Final = 10.0
+_TEXT_PERIOD_S: Final = 10.0  # s between two texts of health
 _REPEATS_S: Final = (1.0, 2.0, 4.0, 8.0)  # after the first time a report was sent, the second, ...
 _BETWEEN_REPORTS_S: Final = 0.05  # 13 % of a bus of 250 kbit/s, however many wait
-_CRC_PART: Final = 0xFFFF
-_S_PER_NS: Final = 1e-9
+_CRC_PART: Final = 0xFFFF  # the low half of the checksum, by which an answer names the report
+_S_PER_NS: Final = 1e-9  # seconds per nanosecond
 
 
 class _Report(msgspec.Struct):

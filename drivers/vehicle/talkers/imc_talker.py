@@ -76,17 +76,17 @@ _MODES: Final[dict[int, str]] = {
     OpMode.BOOT: "booting",
 }
 
-_HEARTBEAT_S: Final = 1.0
-_HEALTH_S: Final = 5.0
-_START_AGAIN_S: Final = 2.0
-_MAX_STARTS: Final = 3
+_HEARTBEAT_S: Final = 1.0  # s between two, by IMC
+_HEALTH_S: Final = 5.0  # s between two reports of health
+_START_AGAIN_S: Final = 2.0  # s without an answer, after which a START is repeated
+_MAX_STARTS: Final = 3  # of one request, after which it is given up
 _SETTLE_S: Final = 2.0  # after a grant, states reported every second may still be those of before
-_STOP_AGAIN_S: Final = 2.0
-_REPORT_AGAIN_S: Final = 2.0
-_REPORT_SELDOM_S: Final = 30.0
+_STOP_AGAIN_S: Final = 2.0  # s without an answer, after which a STOP is repeated
+_REPORT_AGAIN_S: Final = 2.0  # s without an answer, after which a contact is reported again; doubled each time
+_REPORT_SELDOM_S: Final = 30.0  # s between repetitions, maximum
 _SAME_PLACE_RAD: Final = 1e-9  # 6 mm
 _PASSED_M: Final = 1.0  # farther than it was already: it will not come nearer
-_EARTH_RADIUS_M: Final = 6_371_000.0
+_EARTH_RADIUS_M: Final = 6_371_000.0  # m, of a sphere: exact enough for the distance to a goal
 
 
 class _Pending(NamedTuple):

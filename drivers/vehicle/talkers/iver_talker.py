@@ -24,7 +24,7 @@ from drivers.vehicle.iver_sentences import (
 )
 from drivers.vehicle.talkers.ascii_talker import AsciiTalker, FloorBelow, PacedReports
 
-_HEALTH_EVERY_S: Final = 1.0
+_HEALTH_EVERY_S: Final = 1.0  # s between two reports of health
 _MODES: Final = {
     "N": "normal",
     "S": "stopped",

@@ -28,17 +28,17 @@ from drivers.vehicle.recon_sentences import (
 )
 from drivers.vehicle.talkers.ascii_talker import AsciiTalker, FloorBelow, PacedReports
 
-_IN_MISSION: Final = 0x01
-_SUSPENDED: Final = 0x02
-_ENABLED: Final = 0x04
-_ACTIVE: Final = 0x08
-_SHORE_POWER: Final = 0x10
-_DEPTH_ONLY: Final = 0x40
-_NOT_ALLOWED: Final = 0x80
+_IN_MISSION: Final = 0x01  # bits of the vehicle's mode (RECON interface)
+_SUSPENDED: Final = 0x02  # see _IN_MISSION
+_ENABLED: Final = 0x04  # see _IN_MISSION
+_ACTIVE: Final = 0x08  # see _IN_MISSION: the override is on
+_SHORE_POWER: Final = 0x10  # see _IN_MISSION
+_DEPTH_ONLY: Final = 0x40  # see _IN_MISSION: the mission lets depth alone be overridden
+_NOT_ALLOWED: Final = 0x80  # see _IN_MISSION
 
-_KEEP_ALIVE_S: Final = 1.0
-_ENGAGE_EVERY_S: Final = 1.0
-_ENGAGE_FOR_S: Final = 10.0
+_KEEP_ALIVE_S: Final = 1.0  # s between two messages, minimum, that keep the connection alive
+_ENGAGE_EVERY_S: Final = 1.0  # s between two requests for the override
+_ENGAGE_FOR_S: Final = 10.0  # s without the override, after which the request is given up
 
 
 class ReconTalker(AsciiTalker):
