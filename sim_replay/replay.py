@@ -41,7 +41,7 @@ from sim_replay.logs.open_log import CHUNK_BYTES
 from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.report import MissionRecord, PictureCollector, write_report
 
-MAX_TRACK_POINTS: Final = 4000
+MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
 
 Progress = Callable[[float], None]
 

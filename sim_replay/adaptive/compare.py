@@ -30,8 +30,8 @@ from sim_replay.simulator.scene import Origin
 ABOVE: Final = 0.02
 """By how much of mean clearance the replanned flight is to be better than what the lawnmower would give on the sea
 floor as mapped."""
-HALF_P: Final = 0.5
-GATE_M: Final = 2.0
+HALF_P: Final = 0.5  # p_mine: as likely a mine as not
+GATE_M: Final = 2.0  # m between contact and target, maximum, as in scoring
 
 
 class AreaMine(msgspec.Struct, frozen=True, kw_only=True):

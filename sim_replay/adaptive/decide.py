@@ -18,7 +18,7 @@ from sim_replay.adaptive.order import Order
 from sim_replay.simulator.plan import Leg
 
 _STEPS: Final = 300  # of the planner's search: counted, so that the same mission gives the same plans on any machine
-_FENCE_MARGIN_M: Final = 5.0
+_FENCE_MARGIN_M: Final = 5.0  # m that legs keep from the fence
 
 
 def by_replanning(order: Order, model: LookModel, limits: Limits, origin: LocalFrame) -> Decide:

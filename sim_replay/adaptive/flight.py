@@ -26,11 +26,11 @@ from sim_replay.simulator.vehicle import RUN_IN_S
 
 Array = NDArray[np.float64]
 
-_BLOCK_PINGS: Final = 16
-_TILE_ROWS: Final = 256
+_BLOCK_PINGS: Final = 16  # simulated at once: decisions wait for no more
+_TILE_ROWS: Final = 256  # rows per tile: shorter than usual, so that decisions come sooner
 _ENDS_M: Final = 2.0  # before its end a leg counts as flown: the block under way is flown to its end in any case
-_BESIDE_M: Final = 10.0
-_WAIT_LEG_M: Final = 40.0
+_BESIDE_M: Final = 10.0  # m across the track, within which a vehicle is on its leg
+_WAIT_LEG_M: Final = 40.0  # m of the leg that is flown while nothing is requested
 _TRACK_EVERY: Final = 5  # pings between places kept of the track
 
 

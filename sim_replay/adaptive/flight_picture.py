@@ -18,11 +18,11 @@ from sim_replay.simulator.sea import Sea
 
 Bytes = NDArray[np.uint8]
 
-_PER_M: Final = 4.0
-_AROUND_M: Final = 40.0
-_STEP_M: Final = 0.5
-_INK: Final = (60, 50, 40)
-_TRACK: Final = (30, 30, 200)
+_PER_M: Final = 4.0  # pixels per metre
+_AROUND_M: Final = 40.0  # m shown around the square
+_STEP_M: Final = 0.5  # m between the places whose sea floor is drawn
+_INK: Final = (60, 50, 40)  # blue, green, red
+_TRACK: Final = (30, 30, 200)  # blue, green, red
 
 
 def mission_png(scene: Scene, order: Order, flights: dict[str, AdaptiveFlight]) -> bytes:

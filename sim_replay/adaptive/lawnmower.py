@@ -24,8 +24,8 @@ from sim_replay.simulator.plan import Leg
 Array = NDArray[np.float64]
 
 MAX_LINES: Final = 12  # of one direction
-_CELL_M: Final = 4.0
-_N_CRESTS: Final = 6
+_CELL_M: Final = 4.0  # m: side of the cells whose clearance is averaged
+_N_CRESTS: Final = 6  # directions of ripple crests averaged over half a turn
 
 
 class LawnmowerLegs(NamedTuple):

@@ -27,18 +27,18 @@ from sim_replay.simulator.scene import (
     World,
 )
 
-SIDE_M: Final = 120.0
-REQUIRED: Final = 0.6
+SIDE_M: Final = 120.0  # m: side of the square searched; one flight takes minutes of processor time
+REQUIRED: Final = 0.6  # probability that a mine lying there would have been found
 
 _MARGIN_M: Final = 60.0  # of sea room around the area
-_BUDGET_M: Final = 4000.0
-_APART_M: Final = 8.0
-_MINES_PER_KIND_M2: Final = 1.0 / 2400.0
-_TURN_RATE_DEG_S: Final = 12.0
+_BUDGET_M: Final = 4000.0  # m of track
+_APART_M: Final = 8.0  # m between objects, minimum: no contact can belong to two
+_MINES_PER_KIND_M2: Final = 1.0 / 2400.0  # per m²: six of each kind in the usual square
+_TURN_RATE_DEG_S: Final = 12.0  # degrees per second, of a usual survey vehicle
 _RUN_IN_M: Final = 30.0  # before the area, where the vehicle starts
 _FIRST_LEG_M: Final = 18.0  # inside the area's western edge
-_TRIES: Final = 20_000
-_STREAM: Final = 0x41444150
+_TRIES: Final = 20_000  # places drawn before the square counts as full
+_STREAM: Final = 0x41444150  # "ADAP": its own stream of random numbers
 _UNCLIPPED: Final = SampleRecorder(samples="amplitude_float32")  # levels differ by 20 dB from one sea floor to the next
 _MINE_KINDS: Final[tuple[ObjectKind, ...]] = ("cylinder", "sphere", "truncated_cone", "wedge", "box")
 

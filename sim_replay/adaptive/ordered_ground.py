@@ -22,8 +22,8 @@ from sim_replay.simulator.plan import Leg
 
 Array = NDArray[np.float64]
 
-_ACROSS_M: Final = 0.5
-_ALONG_M: Final = 1.0
+_ACROSS_M: Final = 0.5  # m: step of the sum across the swath
+_ALONG_M: Final = 1.0  # m: step of the sum along a leg
 
 
 def clearance_over_order(

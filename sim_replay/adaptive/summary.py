@@ -13,9 +13,9 @@ from sim_replay.adaptive.compare import Arm, Compared
 Array = NDArray[np.float64]
 
 HEADER: Final = ("", "missions", "replanned", "lawnmower", "difference (95 %)")
-_RESAMPLES: Final = 4000
-_SEED: Final = 1
-_CONFIDENCE: Final = 0.95
+_RESAMPLES: Final = 4000  # of the bootstrap
+_SEED: Final = 1  # of the bootstrap, fixed so that reports repeat
+_CONFIDENCE: Final = 0.95  # of the interval
 
 
 class Paired(NamedTuple):

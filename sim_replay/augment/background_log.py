@@ -35,9 +35,9 @@ from sim_replay.logs.xtf_packets import HEADER_BLOCK, XtfPacket, header_bytes, r
 from sim_replay.simulator.echo import absorption_db_per_km
 from sim_replay.simulator.scene import Sonar
 
-_SONAR_PACKET: Final = 0
-_PING_HEADER: Final = 256
-_CHANNEL_HEADER: Final = 64
+_SONAR_PACKET: Final = 0  # XTF header type of a ping
+_PING_HEADER: Final = 256  # bytes (XTF)
+_CHANNEL_HEADER: Final = 64  # bytes (XTF)
 _NEPERS_PER_DB: Final = 0.1 * math.log(10.0)  # of power
 _DEPTH_M: Final = 20.0  # absorption hardly depends on it
 

@@ -29,27 +29,27 @@ from sim_replay.augment.poisson import Stiffness, integrate_slope
 STIFFNESS: Final = Stiffness(along_weight=0.1, screen_per_m2=0.3)
 REFLECTIVITY_M: Final = 1.0  # standard deviation of the mean that reflectivity is
 
-_ITERATIONS: Final = 3
+_ITERATIONS: Final = 3  # of levels and slopes in turn; chosen, not measured
 _BRIDGE_WEIGHT: Final = 0.05  # of level slopes where nothing was recorded, against those that were seen
-_MIN_LOOKS: Final = 4.0
+_MIN_LOOKS: Final = 4.0  # looks that an image is averaged to: fewer are too noisy for a slope
 _SMOOTHING_PX: Final = (
     (0.5, 2),
     (0.8, 3),
     (1.1, 4),
     (1.5, 5),
 )  # standard deviation, and a lag farther than that and speckle reach
-_LOOKS_BLOCK: Final = 16
-_MAX_LOOKS: Final = 50.0
+_LOOKS_BLOCK: Final = 16  # pixels along and across, whose variance gives the looks
+_MAX_LOOKS: Final = 50.0  # beyond which speckle no longer matters
 
-_N_ANGLES: Final = 180
-_MIN_BIN_PIXELS: Final = 48
-_MIN_FACING: Final = 0.02
-_NO_ECHO: Final = 1e-12
+_N_ANGLES: Final = 180  # bins of depression over 90°: half a degree each
+_MIN_BIN_PIXELS: Final = 48  # of a bin, for its beam pattern to be fitted
+_MIN_FACING: Final = 0.02  # sine of the angle to the surface, below which it gives no echo to speak of
+_NO_ECHO: Final = 1e-12  # keeps divisions finite
 
-SLOPE_SIGMA: Final = 0.3
-_STEEPEST: Final = 1.5
+SLOPE_SIGMA: Final = 0.3  # 1-sigma of the prior of slopes, rise over run
+_STEEPEST: Final = 1.5  # rise over run, at the ends of the table
 _FLOOR: Final = 0.01  # an echo from where none can come, over that of level floor
-_TABLE_ECHOES: Final = 161
+_TABLE_ECHOES: Final = 161  # entries over the root of the echo
 _MAX_ROOT_ECHO: Final = 4.0  # square root of an echo over that of level floor
 
 Array = NDArray[np.float64]

@@ -37,10 +37,10 @@ _COLUMN_M: Final = 0.1  # of the image that is inverted, which shows no relief f
 _AROUND_M: Final = 3.0  # of sea floor recovered before and after an object
 _BEFORE_M: Final = 8.0  # and towards the sonar, whence it may be hidden
 _BEYOND_M: Final = 2.0  # and behind the shadow's end
-_LEVEL_M: Final = 4.0
-_GLINT: Final = 6.0
+_LEVEL_M: Final = 4.0  # m of range that the level is averaged over
+_GLINT: Final = 6.0  # times the level, above which a recorded echo counts as that bright
 _MIN_FACING: Final = 0.2  # of a flat floor's: what is seen to echo cannot face away more
-_SAME_PASS_M: Final = 5.0
+_SAME_PASS_M: Final = 5.0  # m along the track, minimum, between two passes on one stretch
 
 Floats: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]

@@ -28,9 +28,9 @@ from sim_replay.simulator.render import Lines, render_pings
 from sim_replay.simulator.scene import Sonar
 from sim_replay.simulator.world import NODES, PATCH, Patches
 
-CELL_M: Final = 0.03
+CELL_M: Final = 0.03  # m: of the elevation that embedded objects are drawn with
 REFERENCE_NORTH_M: Final = 0.5 * PATCH * CELL_M  # few patches then do for a window
-BEAM_LINES: Final = 5
+BEAM_LINES: Final = 5  # rays per beam
 _NO_BODIES: Final = pack([])
 _FLOOR, _TARGET = 0, 1
 

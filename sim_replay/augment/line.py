@@ -23,12 +23,12 @@ from sim_replay.augment.background_log import Stretch, window_intensity
 from sim_replay.augment.shadows import shadow_runs
 from sim_replay.simulator.speckle import WHITE, Float32s, band_limited_rows, gaussian_taps
 
-_BLOCK_PINGS: Final = 64
-_MAX_BLOCKS: Final = 24
-_BOX_M: Final = 0.4
-_LEVEL_M: Final = 4.0
-_BIN_M: Final = 4.0
-_MIN_SHADOW_SAMPLES: Final = 100
+_BLOCK_PINGS: Final = 64  # pings measured together
+_MAX_BLOCKS: Final = 24  # of a line; bounds time
+_BOX_M: Final = 0.4  # m of range averaged to find shadows
+_LEVEL_M: Final = 4.0  # m of range that the level is averaged over
+_BIN_M: Final = 4.0  # m: range bins of the noise
+_MIN_SHADOW_SAMPLES: Final = 100  # of a bin, for its noise
 _WHOLE_SHADOW: Final = 0.15  # quantile
 _SURE_SHARE: Final = 0.25  # quantile over range
 _DARKEST_OF_SPECKLE: Final = 0.65  # of the mean: one box in twenty of speckle alone
@@ -36,12 +36,12 @@ _WATER_SHARE: Final = 0.85  # of the first return: nearer there is water only
 _MIN_SPAN: Final = 0.5  # of ln r in the water column, from which a gain can be estimated
 _STEEPEST_GAIN: Final = 4.0  # 40 log r
 _MIN_GAIN: Final = 1.5  # a gain that makes up for spreading
-_LOG_WINDOW: Final = 64
+_LOG_WINDOW: Final = 64  # samples whose logarithms give the looks
 _FAR_LAGS: Final = (9, 13)  # correlation left there is texture, not speckle
-_N_QUANTILES: Final = 513
-_MIN_QUANTILE_SAMPLES: Final = 2000
-_MAX_LOOKS: Final = 16
-_MAX_WIDTH: Final = 12.0
+_N_QUANTILES: Final = 513  # of the distribution of samples
+_MIN_QUANTILE_SAMPLES: Final = 2000  # for that distribution
+_MAX_LOOKS: Final = 16  # looks that a recorder may have averaged, maximum
+_MAX_WIDTH: Final = 12.0  # samples: of correlated speckle, maximum
 
 Floats: TypeAlias = NDArray[np.float64]
 

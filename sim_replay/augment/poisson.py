@@ -17,8 +17,8 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-_TOLERANCE: Final = 1e-4
-_MAX_ITERATIONS: Final = 60
+_TOLERANCE: Final = 1e-4  # of the residual, relative: far below speckle
+_MAX_ITERATIONS: Final = 60  # bounds time
 
 Array = NDArray[np.float64]
 

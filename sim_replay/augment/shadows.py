@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 BOX_M: Final = 0.5  # echoes are averaged over this range and BOX_PINGS to separate shadow from speckle
-BOX_PINGS: Final = 3
-MIN_SHADOW_M: Final = 0.3
-_AROUND_M: Final = 6.0
+BOX_PINGS: Final = 3  # pings averaged
+MIN_SHADOW_M: Final = 0.3  # m: shorter ones are speckle
+_AROUND_M: Final = 6.0  # m along and across: the level that a shadow stands off from
 _BEFORE_M: Final = 0.8  # nearer than the shadow, where its cause shows
 _CAUSE: Final = 2.0  # of the floor's level, at its brightest; sand beside mud is less
 _DARK: Final = 0.25  # of the floor's level, where the noise is not known
 _DARKEST, _BRIGHTEST = 0.1, 0.35  # bounds of the same where it is
-_ABOVE_NOISE: Final = 2.0
+_ABOVE_NOISE: Final = 2.0  # times the noise, below which a stretch is shadow
 _MIN_LEVEL: Final = 0.03  # of the typical level: a floor cannot be darker
 
 Floats: TypeAlias = NDArray[np.float64]

@@ -38,7 +38,7 @@ Contrast = Annotated[float, Meta(ge=-30.0, le=60.0)]
 Tilt = Annotated[float, Meta(ge=-45.0, le=45.0)]
 SideName: TypeAlias = Literal["port", "starboard"]
 
-USUAL_CONTRAST_DB: Final = 14.0
+USUAL_CONTRAST_DB: Final = 14.0  # dB of a target's echo over the sea floor
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

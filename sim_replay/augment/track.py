@@ -18,7 +18,7 @@ from sim_replay.augment.background_log import Survey
 
 _MARGIN_PINGS: Final = 8  # of sea floor that must have been recorded before and after an object
 _MARGIN_M: Final = 1.5  # the same across the track
-_MIN_SPEED_MPS: Final = 0.2
+_MIN_SPEED_MPS: Final = 0.2  # m/s: keeps the turn per metre finite
 
 Floats: TypeAlias = NDArray[np.float64]
 

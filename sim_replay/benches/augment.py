@@ -37,14 +37,14 @@ from sim_replay.simulator.scene import EXACT, Lawnmower, Scene, SceneObject, Tar
 from sim_replay.simulator.scene_file import read_scene
 from sim_replay.simulator.world import SimulatedFloor
 
-_FIRST_SEED: Final = 9300
-_LEG_M: Final = 320.0
+_FIRST_SEED: Final = 9300  # of missions that nothing was fitted on
+_LEG_M: Final = 320.0  # m
 _GRID_M: Final = 7.0  # places are this far apart at least
-_ROCKS: Final = 12
+_ROCKS: Final = 12  # per mission
 _KINDS: Final[tuple[TargetKind, ...]] = ("cylinder", "sphere", "truncated_cone", "wedge", "box")
 _CHIP_PINGS: Final = 14  # before and after the target
 _CHIP_NEAR_M, _CHIP_FAR_M, _COLUMN_M = 1.5, 6.0, 0.1
-_RIDGE: Final = 3.0
+_RIDGE: Final = 3.0  # penalty of a squared weight
 
 Floats: TypeAlias = NDArray[np.float64]
 

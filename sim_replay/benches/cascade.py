@@ -70,18 +70,18 @@ from auv_mcm.settings.config import DetectConfig
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.opencv_xml import opencv_cascade
 
-ROW_M: Final = 0.12
-COLUMN_M: Final = 0.05
-SHAPE: Final = (1024, 1024)
+ROW_M: Final = 0.12  # m along the track, of the tiles that are timed
+COLUMN_M: Final = 0.05  # m across
+SHAPE: Final = (1024, 1024)  # rows and columns
 
-_FIRST_RETURN_M: Final = 6.0
-_BAND: Final = 12
-_SIZES: Final = (3, 4, 6, 10, 15, 20, 30, 40, 50)
-_SHARE: Final = 0.4
+_FIRST_RETURN_M: Final = 6.0  # m
+_BAND: Final = 12  # of the model that OpenCV runs, one in the middle
+_SIZES: Final = (3, 4, 6, 10, 15, 20, 30, 40, 50)  # stumps per group of the drawn model
+_SHARE: Final = 0.4  # of windows that each group of the drawn model lets pass, maximum
 _ANY_SCORE: Final = -MAX_STUMPS * MAX_LEAF
 _FINISHED: Final = 32  # one in so many windows can be finished where none is rejected
-_PERIOD_S: Final = 15.0
-_CODES_PER_GREY: Final = 64
+_PERIOD_S: Final = 15.0  # s between tiles at a usual speed
+_CODES_PER_GREY: Final = 64  # codes per level of OpenCV's 8 bits
 
 Image = NDArray[np.float32]
 

@@ -34,7 +34,7 @@ from sim_replay.simulator.scene import TARGET_KINDS
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import columns, markdown
 
-FIRST_SEED: Final = 91001
+FIRST_SEED: Final = 91001  # of missions that nothing was fitted on
 _HEADER = (
     "scene",
     "missions",

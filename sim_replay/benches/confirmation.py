@@ -35,7 +35,7 @@ _STEPS: Final[tuple[ExaminationStep, ...]] = (
     "features",
 )
 _WHOLE: Final = "whole look"
-_QUANTILES: Final = (0.5, 0.9, 0.99)
+_QUANTILES: Final = (0.5, 0.9, 0.99)  # of the time of one confirmation, printed
 _MOVED: Final = 0.01  # of p_mine
 EFFORTS: Final = {
     "as it is": Effort(),

@@ -29,7 +29,7 @@ from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 SCENES: Final = ("flat", "ripple", "mixed", "seagrass")
 FACTORS: Final = (0.73, 0.85, 1.0, 1.15, 1.44)
 """Of the true decibels per count: within 15 % as most estimates are, and the worst estimates of `auv-mcm bench law`."""
-DB_PER_COUNT: Final = 0.3
+DB_PER_COUNT: Final = 0.3  # dB per count of the recorder simulated
 _HEADER: Final = (
     "decibels per count",
     "Pd at 10 FA/km²",

@@ -45,19 +45,19 @@ from sim_replay.fakes.worst_bytes import WORST_BYTES
 FaultKind = Literal["flip", "drop", "insert", "truncate", "duplicate"]
 FAULT_KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
 
-_MESSAGES_PER_STREAM: Final = 200
-_FAULTS_PER_STREAM: Final = 50
-_LONGEST_FAULT_BYTES: Final = 64
-_MAX_CHUNK_BYTES: Final = 400
-_CHUNK_BYTES: Final = 4096
+_MESSAGES_PER_STREAM: Final = 200  # of one stream
+_FAULTS_PER_STREAM: Final = 50  # put into one stream
+_LONGEST_FAULT_BYTES: Final = 64  # bytes of one fault
+_MAX_CHUNK_BYTES: Final = 400  # bytes of one read
+_CHUNK_BYTES: Final = 4096  # bytes per read where speed is measured
 MAX_S_PER_MB: Final = 0.3
 """Processor time that a framer may take for a megabyte, whatever it is: 9 % of a core at 921600 baud with nothing to
 spare.
 """
 
-_N_SAMPLES: Final = 1200
+_N_SAMPLES: Final = 1200  # per ping, of a usual side-scan
 _ARRIVED: Final = Stamp(0, 0)
-_VEHICLE_CAN_ADDRESS: Final = 96
+_VEHICLE_CAN_ADDRESS: Final = 96  # on the bus
 
 
 class FramedWire(NamedTuple):

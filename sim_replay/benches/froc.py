@@ -51,14 +51,14 @@ from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
 FIRST_SEED: Final = 9200  # on seeds from here on nothing was ever trained, fitted or tried
-LIMITS_PER_KM2: Final = (10.0, 50.0, 100.0)
+LIMITS_PER_KM2: Final = (10.0, 50.0, 100.0)  # false alarms per km² at which Pd is printed
 BARE_LIMITS_PER_KM2: Final = (10.0, 50.0)
 """Limits of false alarms where no object was put; what of the rocks that were is called has a table of its own."""
 
-_ROCKS_P: Final = 0.5
-_GATE_M: Final = 2.0
+_ROCKS_P: Final = 0.5  # p_mine from which a rock counts as called
+_GATE_M: Final = 2.0  # m between contact and object, maximum, as in scoring
 _TARGETS_PER_LINE: Final = 8  # and as many rocks
-_APART_M: Final = 5.0
+_APART_M: Final = 5.0  # m between embedded objects, minimum
 _STEPS: Final[dict[str, LookStep]] = {"confirmation": "contours", "chain": "shape"}
 SYSTEMS: Final = {
     "baseline": "plain threshold",

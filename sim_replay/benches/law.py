@@ -39,8 +39,8 @@ from sim_replay.text_tables import columns, markdown
 
 FIRST_SEED: Final = 7101  # nothing here was set on seeds from here on
 FLOORS: Final = ("flat", "ripple", "rough", "seagrass")
-LOOKS: Final = (1, 2, 4, 8)
-N_PINGS: Final = 512
+LOOKS: Final = (1, 2, 4, 8)  # of the recorders simulated
+N_PINGS: Final = 512  # per stretch
 WITHIN: Final = 0.15  # of decibels per count
 _RINGING: Final = 6  # first samples, which clip
 _LOG_SPAN_DB: Final = 100.0  # of 16-bit logarithmic recorders

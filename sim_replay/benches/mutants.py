@@ -34,9 +34,9 @@ from sim_replay.arguments import count
 from sim_replay.benches.mutations import CHANGES, JUMPS, mutated, split
 from sim_replay.logs.xtf import XtfLog
 
-MAX_CPU_S: Final = 20.0
-MAX_RSS_MB: Final = 400.0
-GOOD_CODES: Final = (0, 3)
+MAX_CPU_S: Final = 20.0  # s of processor time of one replay, beyond which it fails
+MAX_RSS_MB: Final = 400.0  # MB of memory of one replay, beyond which it fails
+GOOD_CODES: Final = (0, 3)  # exit codes: done, and bad input data
 
 # from the nearest position of the log: twice the greatest range of the shared logs and seconds of track
 _NEAR_M: Final = 200.0

@@ -11,12 +11,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pyxtf
 
-FILE_HEADER_BYTES: Final = 1024
-_PING_HEADER_BYTES: Final = 256
-_CHANNEL_HEADER_BYTES: Final = 64
+FILE_HEADER_BYTES: Final = 1024  # of XTF
+_PING_HEADER_BYTES: Final = 256  # of XTF
+_CHANNEL_HEADER_BYTES: Final = 64  # of XTF
 _SONAR: Final = 0  # packet type
-_METRES_PER_DEGREE: Final = 111_320.0
-_SHORTEST_JUMP_M: Final = 10.0
+_METRES_PER_DEGREE: Final = 111_320.0  # of latitude
+_SHORTEST_JUMP_M: Final = 10.0  # m: below the noise of a poor receiver
 _LONGEST_JUMP_M: Final = 90.0 * _METRES_PER_DEGREE
 _NONSENSE: Final = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-30, 1e30, 1e9, -1e9, 360.0, 90.001)
 

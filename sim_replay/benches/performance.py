@@ -28,7 +28,7 @@ from sim_replay.text_tables import NOTHING, columns, markdown
 
 FIRST_SEED: Final = 9300  # nothing was fitted or tried on seeds from here on
 _COLOURS: Final = {"flat": "#1f4e79", "ripple": "#c98a00", "rough": "#8c2d19", "vegetation": "#3a7d44"}
-_DPI: Final = 110
+_DPI: Final = 110  # of the picture
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

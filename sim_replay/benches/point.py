@@ -48,8 +48,8 @@ from sim_replay.scoring.intervals import density, proportion
 from sim_replay.simulator.scene_file import named_scenes
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
-ASKED_PER_KM2: Final = (30.0, 100.0, 300.0)
-FIXED_P_MINE: Final = 0.2
+ASKED_PER_KM2: Final = (30.0, 100.0, 300.0)  # false alarms per km² that the operating point is set to
+FIXED_P_MINE: Final = 0.2  # threshold compared with, as in classify.beliefs
 _HEADER: Final = (
     "domain",
     "targets",

@@ -41,16 +41,16 @@ from sim_replay.arguments import count
 from sim_replay.benches.framers import made_profile
 from sim_replay.logs.session_reader import Session, recorded_config
 
-_N_SAMPLES: Final = 1200
-_BITS_PER_BYTE: Final = 10
+_N_SAMPLES: Final = 1200  # per ping, of a usual side-scan
+_BITS_PER_BYTE: Final = 10  # 8N1
 _PACKET_BYTES: Final = 64  # of USB at full speed
-_SETTLE_S: Final = 1.0
+_SETTLE_S: Final = 1.0  # s before measuring, so that start-up is not counted
 _SPARE_S: Final = 30.0  # of messages, for a service that is slow to start
-_READY_S: Final = 60.0
+_READY_S: Final = 60.0  # s for the service to start
 _END_S: Final = 120.0  # until what is queued was worked off
-_N_SORTED: Final = 1_000_000
-_SPIKES: Final = (50.0, 99.0, 100.0)
-_POLL_S: Final = 0.01
+_N_SORTED: Final = 1_000_000  # numbers sorted: the yardstick for the speed of the computer
+_SPIKES: Final = (50.0, 99.0, 100.0)  # percentiles printed
+_POLL_S: Final = 0.01  # s between looks at the service's output
 _PARTS: Final = ("start", "pings", "garbage", "latency")
 
 _RUN: Final = ("-m", "auv_mcm", "run", "--config")

@@ -28,7 +28,7 @@ from auv_mcm.source import EventSink
 from drivers.port_source import PortSource
 
 _BUSY_S: Final = 0.08  # of a core, per ping: more than there is between two pings at the rates that are measured
-_N_SORTED: Final = 1 << 15
+_N_SORTED: Final = 1 << 15  # numbers sorted at a time, to take processor time
 
 
 class WatchedPorts(PortSource):

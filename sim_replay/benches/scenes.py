@@ -33,7 +33,7 @@ from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import NOTHING, columns, density_cell, markdown, share_cell
 
-_LIMIT_PER_KM2: Final = 100.0
+_LIMIT_PER_KM2: Final = 100.0  # false alarms per km² at which Pd is printed
 
 System: TypeAlias = Literal["chain", "detector", "baseline"]
 SYSTEMS: Final[tuple[System, ...]] = get_args(System)

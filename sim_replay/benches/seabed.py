@@ -42,7 +42,7 @@ from sim_replay.text_tables import NOTHING, columns, markdown
 Array = NDArray[np.float64]
 
 FIRST_SEED: Final = 91001  # nothing of the sea floor was ever fitted or tried on seeds from here on
-_QUALITY: Final = 62
+_QUALITY: Final = 62  # of JPEG, per cent
 
 
 class SeabedTask(NamedTuple):

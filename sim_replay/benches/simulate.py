@@ -44,14 +44,14 @@ from sim_replay.simulator.speckle import row_keys, speckle_rows, speckle_rows_nu
 from sim_replay.simulator.vehicle import SonarPose
 from sim_replay.simulator.world import NODES, Patches, SimulatedFloor
 
-_SOURCE_PAPER_S: Final = 7.0
-_SWATH_M: Final = 50.0
-_ALTITUDE_M: Final = 6.0
-_N_PINGS: Final = 1000
-_N_SAMPLES: Final = 1000
-_BLOCK: Final = 64
-_NOISE: Final = 1e-3
-_CELLS_M: Final = (0.1, 0.05, 0.025)
+_SOURCE_PAPER_S: Final = 7.0  # s for one image of 1000 x 1000 samples (source paper)
+_SWATH_M: Final = 50.0  # m of range, and of track
+_ALTITUDE_M: Final = 6.0  # m above the sea floor
+_N_PINGS: Final = 1000  # as in the source paper
+_N_SAMPLES: Final = 1000  # as in the source paper
+_BLOCK: Final = 64  # pings rendered at once
+_NOISE: Final = 1e-3  # intensity added, so that logarithms are finite
+_CELLS_M: Final = (0.1, 0.05, 0.025)  # m: grids whose errors are compared
 
 Speckle: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.uint64]], NDArray[np.float32]]
 

@@ -47,17 +47,17 @@ MAX_LOST_S: Final = 1.0
 """What a recording may lack at its end."""
 
 _FLOWN_MPS: Final = 12.0  # at a multiple of real time; faster, no navigation unit could report it
-_LONGEST_LEG_M: Final = 300.0
-_TARGET_EVERY_M: Final = 15.0
+_LONGEST_LEG_M: Final = 300.0  # m of a leg
+_TARGET_EVERY_M: Final = 15.0  # m of a leg between targets
 _KILL_LEG_M: Final = 180.0  # contacts come half-way, so that devices still send when the service is killed
-_KILL_SPEED: Final = 4.0
-_AFTER_CONTACT_S: Final = 1.0
+_KILL_SPEED: Final = 4.0  # times real time, of missions that end in a kill
+_AFTER_CONTACT_S: Final = 1.0  # s from an announced contact to the kill, maximum
 _SETTLE_S: Final = 0.5  # between `ready` and the first bytes
-_POLL_S: Final = 0.02
-_SAMPLE_S: Final = 0.5
-_MAX_ROWS: Final = 12
+_POLL_S: Final = 0.02  # s between looks at the service's output
+_SAMPLE_S: Final = 0.5  # s between samples of memory
+_MAX_ROWS: Final = 12  # of the table printed
 _PATIENCE_S: Final = 60.0  # for the last contacts of a mission, on a computer that has much else to do
-_BYTES_PER_MB: Final = 1e6
+_BYTES_PER_MB: Final = 1e6  # bytes per megabyte
 _HEALTH: Final = re.compile(
     r"^(\S+)Z INFO health pings=(\d+) .*contacts=(\d+) clutter=(\d+) .*ports=(\S+)", re.MULTILINE
 )

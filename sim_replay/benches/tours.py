@@ -28,14 +28,14 @@ from auv_mcm.plan.tour import richest_tour
 from auv_mcm.records import SEABED_TYPES, Contact
 from sim_replay.arguments import count
 
-_CELL_M: Final = 4.0
+_CELL_M: Final = 4.0  # m: side of a cell
 _SIDE_CELLS: Final = 45  # 2025 cells
 _ORIGIN: Final = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
 _START: Final = PlanePose(-20.0, -20.0, 0.3)
 _FENCE: Final = np.array([[-80.0, -80.0], [-80.0, 260.0], [260.0, 260.0], [260.0, -80.0]])
 _LIMITS: Final = Limits(10.0, 6000.0, _FENCE, 6.5, 2.0, (5.0, 40.0))
-_SEED: Final = 9500
-_REQUIRED: Final = 0.7
+_SEED: Final = 9500  # of the worlds drawn
+_REQUIRED: Final = 0.7  # probability of finding a mine in a cell
 
 
 class _Timed(NamedTuple):

@@ -14,7 +14,7 @@ from auv_mcm.commands import Commands, add_config_option, command, read_config, 
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
 
-_LAST_SEED: Final = 2**32 - 1
+_LAST_SEED: Final = 2**32 - 1  # largest of 32 bits
 
 _BUDGET: Final = (
     "Measures what each unit of the chain's work costs on one core: stored samples, pixels, comparisons of the "

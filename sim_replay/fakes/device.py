@@ -50,7 +50,7 @@ _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves
 _HELD_S: Final = 0.02  # 0.12 m at 6 m/s: a vehicle waits for a later device
 _TICK_S: Final = 0.1  # of a controller
 _LOOK_S: Final = 0.02  # whether a host has opened the wire of a vehicle
-_GARBAGE_BYTES: Final = 256
+_GARBAGE_BYTES: Final = 256  # bytes of one burst of junk
 _WIRES: Final = {"nmea2000": "fast_packet"}  # devices whose wire is called otherwise in WORST_BYTES
 _FLOOD_BYTES: Final = 1400  # a datagram that fits an Ethernet frame
 

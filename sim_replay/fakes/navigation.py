@@ -16,9 +16,9 @@ from drivers.navigation.nmea0183 import sentence
 
 Message: TypeAlias = bytes | CanFrame
 
-_DAY_S: Final = 86_400.0
-_N_SID: Final = 253
-_N2K_ADDRESS: Final = 12
+_DAY_S: Final = 86_400.0  # seconds per day
+_N_SID: Final = 253  # sequence numbers 0 to 252 (NMEA 2000)
+_N2K_ADDRESS: Final = 12  # on the bus
 _N2K_NAME: Final = (
     0xC0_32_82_00_1B_E0_04_D2  # a GNSS and attitude sensor of marine industry, manufacturer 223, number 1234
 )

@@ -18,7 +18,7 @@ from sim_replay.fakes.faults import Faults
 from sim_replay.fakes.uart import misread
 
 _SLICE_S: Final = 0.002  # on the line at once
-_BITS_PER_BYTE: Final = 10
+_BITS_PER_BYTE: Final = 10  # 8N1
 _KERNEL_BYTES: Final = 640 * 1024  # that Linux keeps for the reader of a tty (tty_buffer.c, TTYB_DEFAULT_MEM_LIMIT)
 _BAUD_OF: Final = {
     getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()

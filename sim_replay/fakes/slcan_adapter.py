@@ -15,7 +15,7 @@ from sim_replay.fakes.port import FakePort
 
 _ACCEPTED: Final = b"\r"
 _REFUSED: Final = b"\a"
-_MAX_COMMAND_BYTES: Final = 64
+_MAX_COMMAND_BYTES: Final = 64  # longer than any command of slcan; bounds memory
 _BUS_ERROR: Final = 0x80  # status flag
 
 

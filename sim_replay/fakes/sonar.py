@@ -25,10 +25,10 @@ from drivers.sonar.jsf import HIGH_FREQUENCY, JsfGrammar
 from drivers.sonar.ping_protocol import PingGrammar
 
 _DYNAMIC_RANGE_DB: Final = 90.0  # of a profile, below its strongest echo
-_FREQUENCY_HZ: Final = 450_000
-_COUNTER_MS: Final = 2**32
+_FREQUENCY_HZ: Final = 450_000  # Hz, of a usual side-scan
+_COUNTER_MS: Final = 2**32  # ms after which a 32-bit counter starts over
 _JSF_INTERVAL_FRACTION: Final = 256  # of a nanosecond
-_U16: Final = 65535
+_U16: Final = 65535  # largest value of 16 bits
 
 
 class DeviceTime(NamedTuple):

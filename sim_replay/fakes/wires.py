@@ -19,8 +19,8 @@ from sim_replay.fakes.port import FakePort
 from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
 
 Heard: TypeAlias = Callable[[bytes | CanFrame], None]
-_LOOK_S: Final = 0.002
-_NETWORK_BYTES_PER_S: Final = 1e6
+_LOOK_S: Final = 0.002  # s between looks at the pseudo-terminal's rate
+_NETWORK_BYTES_PER_S: Final = 1e6  # bytes per second: a slow Ethernet
 
 
 class Weather(Faults):

@@ -46,13 +46,13 @@ Array = NDArray[np.float64]
 Task: TypeAlias = tuple[str, int, Detector]
 
 FIRST_SEED: Final = 1500  # odds, gate, cascade and performance were fitted on others, and rates are taken from 9100 on
-ASKED_PER_KM2: Final = (30.0, 100.0, 300.0)
+ASKED_PER_KM2: Final = (30.0, 100.0, 300.0)  # false alarms per km² that the left-out scene is judged at
 _SMOOTH_SD: Final = 1.0  # of the logarithm of the density from mission to mission: that of the ten scenes is 0.8 to 1.2
 _SMOOTH_NATS: Final = 2.5  # over which densities go together
 _SMOOTH_MISSIONS: Final = 4.0  # that the smooth covariance is worth
-_STEPS: Final = 40
-_MIN_VARIANCE: Final = 1e-3
-_DIGITS: Final = 4
+_STEPS: Final = 40  # of expectation and maximisation
+_MIN_VARIANCE: Final = 1e-3  # of the prior along any axis, so that no scene is certain
+_DIGITS: Final = 4  # decimals in the file
 
 
 class SortedContacts(NamedTuple):

@@ -30,9 +30,9 @@ LOST_SHARE: Final = 0.005
 """Share of the detections to report that the gate may drop: 19 of 2232 in ten scenes, each judged by the nine others,
 none of which had p_mine 0.1 or more."""
 _FAR_BELOW_NATS: Final = 2.0  # under the lowest log-odds reported; from there down a detection counts a tenth
-_FAINT_WEIGHT: Final = 0.1
+_FAINT_WEIGHT: Final = 0.1  # of detections below _FAR_BELOW_NATS
 _LOWEST_NATS: Final = -9.2  # p_mine 1e-4: how much less does not matter
-_DIGITS: Final = 4
+_DIGITS: Final = 4  # decimals in the file
 
 _CASCADE: Final[tuple[Feature, ...]] = ("cascade", "cascade_squared", "range", "range_squared", "cascade_by_range")
 _CONTRAST: Final[tuple[Feature, ...]] = ("contrast", "contrast_by_range")

@@ -46,17 +46,17 @@ FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on, and settings w
 CROWD: Final = 3
 """Times as many mines and rocks."""
 _CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
-_CROWD_APART_M: Final = 9.0
+_CROWD_APART_M: Final = 9.0  # m between objects of crowded missions, minimum
 _CROWD_SEEDS: Final = 50  # after the first: other floors than those of the scenes as they are
-_GATE_M: Final = 2.0
-_CLEAR_M: Final = 3.0
-_PASSAGE_S: Final = 60.0
+_GATE_M: Final = 2.0  # m between detection and object, maximum, as in scoring
+_CLEAR_M: Final = 3.0  # m around objects where a detection counts as neither
+_PASSAGE_S: Final = 60.0  # s: detections of an object nearer in time are of one pass
 _FAINT_P, _FAINT_KEPT = (
     0.03,
     4,
 )  # of detections that the detector gives less than this, one in so many is kept, and counts as many
-_RIDGE: Final = 2.0
-_DIGITS: Final = 5
+_RIDGE: Final = 2.0  # of the logistic regression, per feature of unit variance
+_DIGITS: Final = 5  # decimals in the file
 _MAX_SHIFT: Final = 50.0  # nats
 _SHARES: Final = (0.3, 0.5, 0.7, 0.9)  # of targets
 _PARTS: Final = (0.25, 0.5, 1.0)  # of missions

@@ -39,15 +39,15 @@ from sim_replay.simulator.scene_file import read_scene
 
 SCENE: Final = "rough"
 """The named scene that prices are measured on: of all it has most places to measure and to look at."""
-_SEED: Final = 600
-_LEG_M: Final = 120.0
-_MAX_LOOKS: Final = 60
+_SEED: Final = 600  # of the missions timed
+_LEG_M: Final = 120.0  # m of track timed
+_MAX_LOOKS: Final = 60  # confirmations timed
 _WAY_TO_TILES: Final = ("intake", "law", "waterfall")
 _OF_PIXELS: Final = ("seabed", "coverage")
 _OF_CONTOURS: Final[tuple[ExaminationStep, ...]] = ("first contours", "second contours")
-_DIGITS: Final = 3
-_SIDES: Final = 2
-_US_PER_S: Final = 1e6
+_DIGITS: Final = 3  # significant, of a price
+_SIDES: Final = 2  # port and starboard share the time
+_US_PER_S: Final = 1e6  # microseconds per second
 
 Clock = Callable[[], float]
 

@@ -44,7 +44,7 @@ SERVICE_LOG: Final = "service.log"
 
 _READY_S: Final = 60.0  # for a process to come up on a computer that has much else to do
 _SETTLE_S: Final = 0.5  # for the service to open its ports
-_GRACE_S: Final = 5.0
+_GRACE_S: Final = 5.0  # s for a program to end after a signal, before it is killed
 _DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units count as silent after 1.5 s
 _AFTERMATH_S: Final = 1.5  # for the service to report its reaction to a fault
 _ALONE_S: Final = 4.0  # mission time of a vehicle after the service's end, to see that it goes on by itself
@@ -52,8 +52,8 @@ _LOOK_S: Final = 0.1  # between looks at the mission time
 _SLOWEST: Final = (
     10.0  # wall time per mission time of a vehicle's world on a busy computer; a run that needs more is over
 )
-_TAIL_LINES: Final = 5
-_PR_SET_PDEATHSIG: Final = 1
+_TAIL_LINES: Final = 5  # of the program's log, shown with a failure
+_PR_SET_PDEATHSIG: Final = 1  # Linux, prctl.h: the signal at the parent's death
 
 
 def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> Evidence:

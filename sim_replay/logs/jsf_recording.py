@@ -46,15 +46,15 @@ NO_NAVIGATION: Final = (
 
 NMEA_STRING, PITCH_ROLL = 2002, 2020
 _TIME: Final = Struct("<ii")  # seconds since 1970, milliseconds: the first fields of types 2002 and 2020
-_STRING_AT: Final = 12
+_STRING_AT: Final = 12  # byte of a message where its text begins (JSF description)
 _ATTITUDE: Final = Struct("<24xhh6xHI")  # pitch, roll: 180 / 32768 deg, bow up, port up; heading: 0.01 deg; validity
 _PITCH_VALID, _ROLL_VALID, _HEADING_VALID = 1 << 6, 1 << 7, 1 << 9
 
 _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
-_PROBE_MESSAGES: Final = 400
+_PROBE_MESSAGES: Final = 400  # looked at to find which sonars a log holds
 _STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
-_DAY_S: Final = 86_400.0
+_DAY_S: Final = 86_400.0  # seconds per day
 
 
 class JsfRecording:

@@ -19,7 +19,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, SonarName, SonarPortConfig
 from sim_replay.logs.log_reader import AddedFormat, AddedLog, Log, added_formats
 
-CHUNK_BYTES: Final = 1 << 18
+CHUNK_BYTES: Final = 1 << 18  # bytes per read: bounds memory
 
 LogFormat: TypeAlias = Literal["xtf", "jsf", "svlog", "session"]
 FORMAT_NAMES: Final[dict[LogFormat, str]] = {

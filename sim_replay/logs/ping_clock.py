@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator
 from typing import Final, Protocol, TypeVar
 
 MAX_TIED: Final = 64  # more than this at one time: the clock stands still, pings are timed by their interval
-_MAX_STEP_S: Final = 2.0
-_FALLBACK_INTERVAL_S: Final = 0.1
+_MAX_STEP_S: Final = 2.0  # s between pings: a longer one is a hole, over which times are not spread
+_FALLBACK_INTERVAL_S: Final = 0.1  # s between pings of equal time, where nothing shows the rate
 
 
 class TimedPing(Protocol):

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 DECISIVE: Final = 0.3  # less decides nothing: pings of pure noise reach it in one of ten recordings
 
-_RING_DOWN_M: Final = 0.3
+_RING_DOWN_M: Final = 0.3  # m of range that the transmitted pulse rings on
 _STEP_M: Final = 0.5  # the bottom return may take this long to rise
-_SEABED_M: Final = 1.0
+_SEABED_M: Final = 1.0  # m of range behind the step whose level is compared
 
 
 class PortOrderEvidence(NamedTuple):

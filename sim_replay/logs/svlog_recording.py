@@ -41,14 +41,14 @@ NO_NAVIGATION: Final = (
 )
 
 _PROFILE: Final = Struct("<4xIII8xH")  # start_mm, length_mm, timestamp_ms, and behind 8 bytes the sound speed, dm/s
-_CHANNEL_AT: Final = 26
-_COUNTER_MS: Final = 2**32
+_CHANNEL_AT: Final = 26  # byte of a profile with its channel
+_COUNTER_MS: Final = 2**32  # ms after which a 32-bit counter starts over
 _MAX_WAITING: Final = 256  # navigation packets before the next ping
 _RESTART_MS: Final = 1000  # a counter that goes back by more was started anew; heads send within that of each other
 _RESTART_GAP_NS: Final = 100_000_000  # between the last ping before and the first one after, of which nothing is known
 _SAME_TIME_NS: Final = 2_000_000_000  # a further head that differs by this much begins another log
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
-_DAY_S: Final = 86_400.0
+_DAY_S: Final = 86_400.0  # seconds per day
 _NO_HEADING: Final = 65535  # cdeg, of GLOBAL_POSITION_INT
 
 

@@ -49,13 +49,13 @@ from sim_replay.logs.xtf_packets import (
     read_packets,
 )
 
-KNOT_MPS: Final = 1852.0 / 3600.0
-PROBE_PINGS: Final = 50
+KNOT_MPS: Final = 1852.0 / 3600.0  # m/s: a nautical mile in an hour
+PROBE_PINGS: Final = 50  # looked at before the first is given, to learn what all of them share
 
 _SONAR: Final = 0  # packet type: side scan and sub-bottom
-_PING_HEADER: Final = 256
-_CHANNEL_HEADER: Final = 64
-_MAX_DAMAGE_NOTICES: Final = 10
+_PING_HEADER: Final = 256  # bytes (XTF)
+_CHANNEL_HEADER: Final = 64  # bytes (XTF)
+_MAX_DAMAGE_NOTICES: Final = 10  # of a file; further damage is only counted
 # What the reader mends, leaves out and counts, or was set to do: nobody has to act.
 _MENDED: Final = frozenset(
     f"reader.{name}"

@@ -9,14 +9,14 @@ import pyxtf
 
 from sim_replay.logs.xtf_packets import HEADER_BLOCK
 
-PORT: Final = 1
-STARBOARD: Final = 2
+PORT: Final = 1  # channel type (XTF)
+STARBOARD: Final = 2  # channel type (XTF)
 SIDE_SCAN: Final = (PORT, STARBOARD)
 GROUND_RANGE: Final = 2  # correction flag of a channel
 LATITUDE_LONGITUDE: Final = 3  # navigation unit
 
-_CHANNEL_BYTES: Final = 128
-_IBM_FLOAT: Final = 1
+_CHANNEL_BYTES: Final = 128  # of a channel's description (XTF)
+_IBM_FLOAT: Final = 1  # sample format (XTF)
 _DTYPE_OF_FORMAT: Final = {2: "<u4", 3: "<u2", 5: "<f4", 8: "u1"}
 _DTYPE_OF_WIDTH: Final = {1: "u1", 2: "<u2", 4: "<u4"}
 

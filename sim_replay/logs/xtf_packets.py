@@ -13,11 +13,11 @@ from typing import BinaryIO, Final, NamedTuple, TypeAlias
 
 MAGIC: Final = b"\xce\xfa"
 FILE_FORMAT: Final = 0x7B  # first byte of a file header
-HEADER_BLOCK: Final = 1024
+HEADER_BLOCK: Final = 1024  # bytes: a file header is a multiple of it (XTF)
 MAX_PACKET_BYTES: Final = 64 << 20  # water-column packets reach some MB; anything above this is a damaged length
 
 _START: Final = struct.Struct("<2sBBHxxxxI")  # magic, type, sub-channel, channels to follow, reserved, packet length
-_SEARCH_BYTES: Final = 1 << 16
+_SEARCH_BYTES: Final = 1 << 16  # read at a time to find the next packet after damage; bounds memory
 
 
 class XtfPacket(NamedTuple):

@@ -28,7 +28,7 @@ SampleType: TypeAlias = Literal["uint8", "uint16", "float32"]
 
 _SAMPLE_FORMAT: Final[dict[SampleType, int]] = {"uint8": 8, "uint16": 3, "float32": 5}
 _CHANNEL: Final[dict[Side, int]] = {"port": PORT, "starboard": STARBOARD}
-_ALIGNMENT: Final = 64
+_ALIGNMENT: Final = 64  # bytes: packets are a multiple of it (XTF)
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 

@@ -18,9 +18,9 @@ _PICTURE_BYTES: Final = (
     # of pictures of contacts in the page; further contacts are described in words, their files lie in snippets/
     1_200_000
 )
-_MAX_VIEWS: Final = 8
-_MIN_SHARE_SHOWN: Final = 0.005
-_OPEN_FROM: Final = 0.1
+_MAX_VIEWS: Final = 8  # shown on a card
+_MIN_SHARE_SHOWN: Final = 0.005  # of belief
+_OPEN_FROM: Final = 0.1  # share of belief, from which a class is still open
 _SOLIDS: Final = frozenset({"cylinder", "sphere", "truncated_cone", "wedge"})
 _COMPASS: Final = 44.0  # radius of its rose, drawing units
 

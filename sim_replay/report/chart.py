@@ -19,11 +19,11 @@ from sim_replay.report.report_words import degrees_minutes
 
 Points: TypeAlias = NDArray[np.float64]  # (n, 2) east, north in metres, or right, down in drawing units
 
-WIDTH: Final = 1100.0
-_MIN_HEIGHT: Final = 380.0
-_MAX_HEIGHT: Final = 900.0
-_MARGIN: Final = 46.0
-_MIN_SPAN_M: Final = 60.0
+WIDTH: Final = 1100.0  # units of the drawing
+_MIN_HEIGHT: Final = 380.0  # units
+_MAX_HEIGHT: Final = 900.0  # units
+_MARGIN: Final = 46.0  # units around the mission
+_MIN_SPAN_M: Final = 60.0  # m shown, of the shortest mission
 _MINUTE_STEPS: Final = [factor * 10.0**power for power in range(-4, 2) for factor in (1.0, 2.0, 5.0)] + [
     60.0,
     120.0,

@@ -23,12 +23,12 @@ from sim_replay.report.cards import band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.pictures import PictureCollector, PictureStrip
 
-_NOTICES_PER_CODE: Final = 5
-MAX_CARDS: Final = 100
+_NOTICES_PER_CODE: Final = 5  # shown, the others are counted
+MAX_CARDS: Final = 100  # bounds the page: see MAX_ROWS
 MAX_ROWS: Final = 1000
 """Contacts in a line of the table below the cards. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
 """
-_MIN_BOX_M: Final = 3.0
+_MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays visible
 
 
 class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -20,8 +20,8 @@ from sim_replay.report.chart import svg_path
 from sim_replay.report.pictures import snippet_jpeg
 from sim_replay.report.report_words import class_name
 
-_UNITS_PER_M: Final = 100.0
-_BARS_M: Final = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2)
+_UNITS_PER_M: Final = 100.0  # of the drawing
+_BARS_M: Final = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2)  # m: lengths of the scale bar
 
 
 class Stroke(NamedTuple):

@@ -23,22 +23,22 @@ from auv_mcm.records import SIDES, NavSample, Ping, Side, SourceEvent
 from sim_replay.scoring import ReportedContact
 
 _STRAIGHT_DEG_S: Final = 3.0  # turning faster than this a ping is left out
-_TURN_OVER_S: Final = 1.0
-_SHORTEST_PINGS: Final = 50
-_MEDIAN_PINGS: Final = 151
-_MEDIAN_STEP: Final = 25
+_TURN_OVER_S: Final = 1.0  # s on either side, over which the turn rate is taken
+_SHORTEST_PINGS: Final = 50  # of a straight line that is searched
+_MEDIAN_PINGS: Final = 151  # over which each range's level is taken
+_MEDIAN_STEP: Final = 25  # pings between levels; linear in between
 
-_BLUR_ALONG_M: Final = 0.6
-_BLUR_ACROSS_M: Final = 0.2
-_BRIGHT: Final = 1.9
-_DARK: Final = 0.6
+_BLUR_ALONG_M: Final = 0.6  # m along the track, averaged
+_BLUR_ACROSS_M: Final = 0.2  # m across the track, averaged
+_BRIGHT: Final = 1.9  # times the level: a highlight
+_DARK: Final = 0.6  # times the level: a shadow
 _SHADOW_M: Final = 0.8  # of the stretch that must be dark,
 _SHADOW_BEHIND_M: Final = 0.8  # and how far behind the highlight its middle is
-_LONGEST_M: Final = 4.0
-_SMALLEST_M2: Final = 0.04
+_LONGEST_M: Final = 4.0  # m: longer ones are no mines
+_SMALLEST_M2: Final = 0.04  # m²: smaller ones are speckle
 _WATER_COLUMN: Final = 1.1  # altitudes; nearer than this is no floor
-_FAR_END_M: Final = 1.5
-_ONE_OBJECT_M: Final = 2.0
+_FAR_END_M: Final = 1.5  # m left out at the end of the range
+_ONE_OBJECT_M: Final = 2.0  # m between calls that count as one
 _EVEN_RATIO: Final = 7.0  # of highlight to shadow, at which the score is 0.5
 
 Floats = NDArray[np.float32]

@@ -20,7 +20,7 @@ from sim_replay.scoring.intervals import Density, Proportion, density, proportio
 from sim_replay.scoring.layout import UNKNOWN, MissionLayout, Outcome, State
 from sim_replay.scoring.matching import UNMATCHED
 
-RANGE_BANDS_M: Final = (0.0, 10.0, 20.0, 30.0, 50.0, 75.0, 150.0)
+RANGE_BANDS_M: Final = (0.0, 10.0, 20.0, 30.0, 50.0, 75.0, 150.0)  # m of ground range, edges of the bands
 NOT_CALLED: Final = "not called"
 _BEYOND: Final = f"over {RANGE_BANDS_M[-1]:g} m"
 _BANDS: Final = (*(f"{near:g}-{far:g} m" for near, far in pairwise(RANGE_BANDS_M)), _BEYOND, UNKNOWN)

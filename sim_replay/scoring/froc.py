@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from sim_replay.scoring.intervals import CONFIDENCE, Density, Proportion, density, proportion
 from sim_replay.scoring.layout import MissionLayout, Outcome, State, nothing_called, states
 
-HEADLINE_PER_KM2: Final = (10.0, 30.0, 100.0)
-AREA_FROM_PER_KM2: Final = 1.0
-AREA_TO_PER_KM2: Final = 1000.0
-MIN_BOOTSTRAP_MISSIONS: Final = 3
-_N_RESAMPLES: Final = 2000
+HEADLINE_PER_KM2: Final = (10.0, 30.0, 100.0)  # false alarms per km² at which Pd is printed
+AREA_FROM_PER_KM2: Final = 1.0  # false alarms per km² where the area under the curve begins
+AREA_TO_PER_KM2: Final = 1000.0  # and where it ends
+MIN_BOOTSTRAP_MISSIONS: Final = 3  # fewer say nothing of the scatter between missions
+_N_RESAMPLES: Final = 2000  # of the bootstrap
 _RESAMPLES_AT_ONCE: Final = 100  # bounds the memory that many thresholds take
-_SEED: Final = 1
+_SEED: Final = 1  # of the bootstrap, fixed so that scores repeat
 
 
 class OperatingPoint(msgspec.Struct, frozen=True, kw_only=True):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammainccinv, gammaincinv, ndtri
 
-CONFIDENCE: Final = 0.95
+CONFIDENCE: Final = 0.95  # of all intervals
 
 
 class Proportion(msgspec.Struct, frozen=True, kw_only=True):

@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-SIGMAS: Final = 3.0
-MAX_SIGMA_GATE_M: Final = 4.0
-UNMATCHED: Final = -1
+SIGMAS: Final = 3.0  # of a contact's position, that widen the gate
+MAX_SIGMA_GATE_M: Final = 4.0  # m: a contact that knows its place no better does not get a wider gate
+UNMATCHED: Final = -1  # instead of an index
 _STAY_M: Final = 1e-6  # between equal distances, who was matched stays matched
 
 

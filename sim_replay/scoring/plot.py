@@ -16,10 +16,10 @@ from sim_replay.scoring.score import Score
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_LEFT_PER_KM2: Final = 0.1
+_LEFT_PER_KM2: Final = 0.1  # false alarms per km² at the left end; the axis is logarithmic
 _INK: Final = "#1f4e79"
 _MARK: Final = "#c0392b"
-_DPI: Final = 150
+_DPI: Final = 150  # of the picture
 
 
 def plot(score: Score, path: Path) -> None:

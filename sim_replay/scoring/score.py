@@ -47,9 +47,9 @@ from sim_replay.scoring.inputs import ScoredMission, read_contacts, read_truth
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
 from sim_replay.scoring.layout import MissionLayout, Outcome, lay_out
 
-GATE_M: Final = 2.0
-THRESHOLD: Final = 0.5
-_LADDER: Final = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
+GATE_M: Final = 2.0  # m between contact and target, maximum
+THRESHOLD: Final = 0.5  # of p_mine
+_LADDER: Final = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # thresholds of p_mine that are printed
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
 
-NOT_SWEPT: Final = -1
-MAX_TYPES: Final = 26
+NOT_SWEPT: Final = -1  # instead of a type
+MAX_TYPES: Final = 26  # letters of the alphabet
 _MAX_CELLS: Final = 1 << 28  # 16 km by 16 km of 1 m; a damaged file must not ask for all memory
 _SIGNS: Final = ".abcdefghijklmnopqrstuvwxyz"  # by type + 1
 _RUN: Final = re.compile(r"([0-9]{1,9})([.a-z])")

@@ -12,7 +12,7 @@ from sim_replay.scoring.matching import MAX_SIGMA_GATE_M, SIGMAS
 from sim_replay.scoring.score import MissionRow, Score
 
 _NOTHING: Final = "-"
-_MAX_NAME: Final = 40
+_MAX_NAME: Final = 40  # characters of a name in the table
 _RATES: Final = ("Pd", "interval", "count", "FA per km²", "interval", "FA")
 
 

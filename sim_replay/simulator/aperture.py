@@ -52,10 +52,10 @@ Float32s: TypeAlias = NDArray[np.float32]
 WIDEST_RAD: Final = 0.5  # integration angle up to which small angles may be taken for their tangents
 
 _SMOOTH_SHADOW_M: Final = 5.0  # a shadow this long blurs in steps of no more than the resolution
-_BLOCK_LINES: Final = 256
+_BLOCK_LINES: Final = 256  # rendered at once; bounds memory
 _STREAMS_PER_LEG: Final = 1 << 10  # 16 views with 64 looks each
-_STREAMS_PER_VIEW: Final = 1 << 6
-_STREAMS_PER_SIDE: Final = 1 << 32
+_STREAMS_PER_VIEW: Final = 1 << 6  # room for the random numbers of one view
+_STREAMS_PER_SIDE: Final = 1 << 32  # room for those of one side
 
 
 class Strip(NamedTuple):

@@ -27,17 +27,17 @@ from scipy.special import erf, gamma
 Floats: TypeAlias = NDArray[np.float64]
 Complexes: TypeAlias = NDArray[np.complex128]
 
-TABLE_SIZE: Final = 4096
-LOWEST_HZ: Final = 10e3
-HIGHEST_HZ: Final = 100e3
+TABLE_SIZE: Final = 4096  # entries over the sine of the grazing angle
+LOWEST_HZ: Final = 10e3  # Hz: below, the angular shape is that of 10 kHz (data of APL-UW TR 9407)
+HIGHEST_HZ: Final = 100e3  # Hz: above, that of 100 kHz
 REFERENCE_SOUND_SPEED_MPS: Final = 1528.0  # of the report's own tables
 
 _LEVEL_GRAZING_RAD: Final = math.radians(20.0)
 _MIN_GRAZING_DEG: Final = 0.001  # the strength tends to -inf below
-_KIRCHHOFF_MIN_DEG: Final = 40.0
-_SLOW_BOTTOM_CRITICAL_DEG: Final = 2.5613
+_KIRCHHOFF_MIN_DEG: Final = 40.0  # degrees of grazing, below which the Kirchhoff part does not count (APL-UW TR 9407)
+_SLOW_BOTTOM_CRITICAL_DEG: Final = 2.5613  # degrees: the critical angle of a speed ratio of 1.001
 _SLOPE_WEIGHTS: Final = (0.295410, 1.181636, 0.295410)  # Gauss-Hermite quadrature over the slopes of large scale
-_SLOPE_NODES: Final = (1.224745, 0.0, -1.224745)
+_SLOPE_NODES: Final = (1.224745, 0.0, -1.224745)  # standard deviations: three-point Gauss-Hermite
 _LIMITS: Final = {  # recommended in Sec. IV.A.8; lower ends of loss and spectral_strength_cm4 excluded
     "density_ratio": (1.0, 3.0),
     "sound_speed_ratio": (0.8, 3.0),

@@ -10,7 +10,7 @@ import numpy as np
 from sim_replay.simulator.fields import FloatArray, Noise, gaussian, generator, power_law, refined_window, step_for
 from sim_replay.simulator.scene import Ripples
 
-_PERIODS: Final = (500, 567)
+_PERIODS: Final = (500, 567)  # nodes after which the noise repeats, along and across
 # Of ripples with defects 1: the length over which crests stay in step, and the one over which their direction wanders,
 # in wavelengths.
 _STEP_WAVELENGTHS: Final = 2.5

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-BODY_WIDTH: Final = 20
+BODY_WIDTH: Final = 20  # numbers per body; equal in C
 ELLIPSOID, CYLINDER, CONE, POLYHEDRON, TORUS, SCAR, MOAT = range(7)
 MOVES_FLOOR: Final = SCAR  # this kind and those after it move the floor instead of standing on it
 

@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-DAMPING: Final = 0.5
-_STEPS_PER_PERIOD: Final = 32
-_BLOCK: Final = 512
+DAMPING: Final = 0.5  # of the oscillation: half of critical
+_STEPS_PER_PERIOD: Final = 32  # steps of the process per period
+_BLOCK: Final = 512  # random numbers drawn at once
 
 
 class GaussMarkov:

@@ -12,8 +12,8 @@ from sim_replay.simulator.fields import FloatArray, GammaLaw, Noise, gaussian, p
 from sim_replay.simulator.scene import SeabedType
 from sim_replay.simulator.seabeds import Cover
 
-_GRAIN_PERIODS: Final = (729, 800)
-_TEXTURE_PERIODS: Final = (441, 500)
+_GRAIN_PERIODS: Final = (729, 800)  # nodes after which the grain repeats, along and across
+_TEXTURE_PERIODS: Final = (441, 500)  # nodes after which the texture repeats
 # What roughens ledges and canopies: its outer scale, and its share of their relief.
 _ROUGHENED: Final[Mapping[SeabedType, tuple[float, float]]] = {"rock_outcrop": (1.5, 0.12), "seagrass": (0.3, 0.2)}
 

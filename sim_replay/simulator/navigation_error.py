@@ -15,7 +15,7 @@ from sim_replay.simulator.scene import NavigationError, Origin
 from sim_replay.simulator.vehicle import SonarPose
 
 _STREAM: Final = 0x4E415645  # keeps these random numbers apart from others of the same seed
-_BLOCK: Final = 512
+_BLOCK: Final = 512  # random numbers drawn at once
 _NOISES: Final = 4  # heading, pitch, roll, altitude
 
 

@@ -51,7 +51,7 @@ USUAL: Final[dict[ObjectKind, Usual]] = {
     "fish_school": Usual(4.0, 2.5, 1.2, n_members=150, strength_db=-42.0),
     "point": Usual(0.0, 0.0, 0.0, strength_db=-15.0),
 }
-_SPECULAR_EXPONENT: Final = 40.0
+_SPECULAR_EXPONENT: Final = 40.0  # of the cosine: how narrow the glint of a smooth surface is
 
 
 class PlacedObject(NamedTuple):

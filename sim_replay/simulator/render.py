@@ -27,7 +27,7 @@ from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import MOVES_FLOOR, Bodies, body_tops, body_wall
 from sim_replay.simulator.world import NODES, PATCH, Patches
 
-LINE_WIDTH: Final = 12
+LINE_WIDTH: Final = 12  # numbers per line; equal in C
 _PATCH_SHIFT: Final = PATCH.bit_length() - 1
 _NUMPY_LINES: Final = 32  # at a time: fewer cost more calls, more do not stay in the cache
 

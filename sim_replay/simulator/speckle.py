@@ -29,12 +29,12 @@ from sim_replay.simulator import backend
 Float32s: TypeAlias = NDArray[np.float32]
 Keys: TypeAlias = NDArray[np.uint64]
 
-MAX_TAPS: Final = 1023
-MAX_ENERGY: Final = 1e36
+MAX_TAPS: Final = 1023  # of the correlation; equal in C
+MAX_ENERGY: Final = 1e36  # mean intensity, maximum: its speckle fits a 32-bit float
 WHITE: Final = np.ones(1, dtype=np.float32)
 WHITE.flags.writeable = False
 
-_TABLE_BITS: Final = 11
+_TABLE_BITS: Final = 11  # of a random word, per entry of the normal table; equal in C
 _QUANTUM: Final = 2.0**-20  # of the table: sums of two entries are exact in float32
 _SAMPLES_AT_A_TIME: Final = 1 << 14  # numpy's temporaries stay in the second-level cache
 

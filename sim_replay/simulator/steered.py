@@ -36,16 +36,16 @@ SAFE_ALTITUDE_M: Final = 1.5  # lower it goes for nobody
 FASTEST: Final = 1.5  # of the planned speed
 STEEPEST_RAD: Final = math.radians(20.0)
 
-_TICK_S: Final = 0.05
-_TURN_LAG_S: Final = 0.3
-_SPEED_LAG_S: Final = 1.5
-_DEPTH_LAG_S: Final = 1.0
+_TICK_S: Final = 0.05  # s: step of the vehicle's motion
+_TURN_LAG_S: Final = 0.3  # s: lag of the heading
+_SPEED_LAG_S: Final = 1.5  # s: lag of the speed
+_DEPTH_LAG_S: Final = 1.0  # s: lag of the depth
 _LOOK_AHEAD_RADII: Final = 0.5  # of the line of sight along a leg
 _WIDE: Final = 1.2  # of the narrowest turn are those on the way back to a leg
 _RUN_IN_RADII: Final = 2.0  # straight before a leg is taken up
-_STEP_M: Final = 0.2
+_STEP_M: Final = 0.2  # m: step along the line that is steered to
 _ARC_STEP_RAD: Final = math.radians(10.0)
-_ON_LINE_M: Final = 0.5
+_ON_LINE_M: Final = 0.5  # m across the track, within which the vehicle is on its line
 _STREAM: Final = 0x53544545  # keeps these random numbers apart from others of the same seed
 
 _Plane: TypeAlias = tuple[float, float]

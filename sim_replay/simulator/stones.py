@@ -19,10 +19,10 @@ LabelAt: TypeAlias = Callable[[Array, Array], NDArray[np.uint8]]
 # Columns of a table of stones.
 EAST, NORTH, LENGTH, WIDTH, HEIGHT, AZIMUTH = range(6)
 
-_SQUARE_M: Final = 4.0
-_SIZE_EXPONENT: Final = 2.5
-_LARGEST_M: Final = 6.0
-_LARGEST_RATIO: Final = 8.0
+_SQUARE_M: Final = 4.0  # m: squares whose stones are drawn together
+_SIZE_EXPONENT: Final = 2.5  # of the power law of sizes
+_LARGEST_M: Final = 6.0  # m: of a stone, maximum
+_LARGEST_RATIO: Final = 8.0  # times the smallest, maximum
 # An outline bulges to three sides by this much of r^3, which carries it out to 1.12 radii.
 _BULGE: Final = 0.18
 _OUTLINE_RADII: Final = 1.12

@@ -17,9 +17,9 @@ from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.sea import Sea
 from sim_replay.simulator.vehicle import SonarPose
 
-CELL_M: Final = 1.0
+CELL_M: Final = 1.0  # m: of the area swept
 STEEPEST_GRAZING_DEG: Final = 70.0  # nearer to the track nothing counts as swept
-_SAMPLES_PER_CELL: Final = 2.0
+_SAMPLES_PER_CELL: Final = 2.0  # along and across: no cell swept is left out
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]

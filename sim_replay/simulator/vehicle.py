@@ -25,17 +25,17 @@ STRONGEST_CURRENT: Final = 0.8  # of the planned speed
 SLOWEST: Final = (
     0.1  # of the planned speed is what the vehicle always makes through water on top of the current's speed
 )
-MIN_ALTITUDE_M: Final = 0.5
-MIN_DEPTH_M: Final = 0.2
+MIN_ALTITUDE_M: Final = 0.5  # m above the sea floor, whatever the plan
+MIN_DEPTH_M: Final = 0.2  # m below the surface, whatever the plan
 RUN_IN_S: Final = 3.0  # straight before a leg starts
 WANDER_PERIOD_S: Final = 20.0  # of sway, speed and altitude
 
 _SWAY_SPEED: Final = 0.05  # of the planned speed is what sway's rate has as standard deviation at most
 _SIGMAS_IN_TURN: Final = 4.0  # a turn is at least so many standard deviations of sway wide
-_TICK_S: Final = 0.05
-_ROUNDING_M: Final = 1e-9
-_SAME_PLACE_M: Final = 1e-3
-_SAME_DIRECTION_RAD: Final = 1e-6
+_TICK_S: Final = 0.05  # s: step of the depth's lag
+_ROUNDING_M: Final = 1e-9  # m of way that is none
+_SAME_PLACE_M: Final = 1e-3  # m between the end of a leg and the start of the next, so that no turn is flown
+_SAME_DIRECTION_RAD: Final = 1e-6  # rad between them
 _STREAM: Final = 0x56454849  # keeps these random numbers apart from others of the same seed
 _SENSE: Final[dict[dubins.Turn, float]] = {"left": -1.0, "straight": 0.0, "right": 1.0}
 

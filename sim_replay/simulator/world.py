@@ -22,7 +22,7 @@ from sim_replay.simulator.partition import Partition
 from sim_replay.simulator.seabeds import cover_of
 from sim_replay.simulator.stones import Stones, raise_stones
 
-PATCH: Final = 256
+PATCH: Final = 256  # cells along a patch's side: bounds memory and what is drawn in vain
 NODES: Final = PATCH + 1
 
 Labels: TypeAlias = NDArray[np.uint8]

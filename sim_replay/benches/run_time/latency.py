@@ -22,7 +22,7 @@ from sim_replay.benches.run_time.measure import CALLED_P
 from sim_replay.logs.open_log import open_log
 from sim_replay.scoring.inputs import TruthObject
 
-WITHIN_M: Final = 20.0
+WITHIN_M: Final = 20.0  # m of track: see below
 WITHIN_S: Final = 10.0
 """Target: an announcement within these metres of track or seconds, whichever is later."""
 _GATE_M: Final = 3.0  # between a contact and its target

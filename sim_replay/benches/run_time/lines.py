@@ -28,7 +28,7 @@ MissionKind: TypeAlias = Literal["scene", "empty", "recorded", "long"]
 """scene: a named scene; empty: one without its objects; recorded: with targets put in; long: a recording repeated end
 to end."""
 _TARGETS_PER_LINE: Final = 8  # and as many rocks
-_APART_M: Final = 5.0
+_APART_M: Final = 5.0  # m between embedded objects, minimum
 
 
 class BenchMission(NamedTuple):

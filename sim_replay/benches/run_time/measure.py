@@ -31,7 +31,7 @@ from sim_replay.scoring.inputs import ReportedContact, ScoredMission, parse_cont
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
 from sim_replay.scoring.score import Score, score_missions
 
-LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0)
+LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0)  # false alarms per km² at which Pd is printed
 CALLED_P: Final = 0.2
 """p_mine from which on contacts are called mine-like."""
 _PLACE_DIGITS: Final = 7  # of degrees: a centimetre

@@ -96,8 +96,8 @@ def _untrained(config: Config, _: Path) -> Config:
     return untrained_alone(config)
 
 
-_NODES_4: Final = ((4, 1.0, 20),)
-_NODES_8: Final = ((8, 3.0, 20), (8, 1.0, 20), (0, 0.0, 1), (0, 1.0, 10))
+_NODES_4: Final = ((4, 1.0, 20),)  # (nodes, pixels a move goes, sweeps at most): see confirm.snake
+_NODES_8: Final = ((8, 3.0, 20), (8, 1.0, 20), (0, 0.0, 1), (0, 1.0, 10))  # the same, with twice as many nodes
 _NODES_24: Final = (*FINE[:-2], (24, 1.0, 20), *FINE[-2:])
 _QUARTER: Final = Effort(128, 5, 12, 6, 2, 12, 6)
 _HALF: Final = Effort(256, 6, 12, 6, 2, 14, 8)

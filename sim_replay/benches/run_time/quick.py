@@ -17,7 +17,7 @@ from sim_replay.simulator.scene import Lawnmower, Scene
 from sim_replay.simulator.scene_file import read_scene
 
 _BUDGETED: Final = f"budget.duty {DUTIES[0]}"
-_LEG_M: Final = 60.0
+_LEG_M: Final = 60.0  # m: a mission of seconds
 _OBJECTS: Final = 0.4  # of those of the scene
 _EVALUATIONS_PER_WINDOW: Final = 60.0  # the cascade makes 31 on quiet and 54 on busy tiles
 _MEASURED_PER_KM2: Final = 40_000  # four times what flat sand with 1300 objects per km² needs

@@ -17,7 +17,7 @@ from sim_replay.benches.run_time.points import PLAIN, REASON
 from sim_replay.benches.run_time.targets import CostTarget
 from sim_replay.text_tables import density_cell, share_cell
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 _MIN_CHANGE: Final = 0.03  # of a cost: runs of the same program differ by as much on an idle computer
 
 

@@ -26,11 +26,11 @@ SERIES_HEADER: Final = (
     "exponent of elapsed time",
 )
 _SCENE: Final = "flat"
-_RANGE_M: Final = 50.0
-_SAMPLES_PER_M: Final = 20.0
+_RANGE_M: Final = 50.0  # m, while something else is varied
+_SAMPLES_PER_M: Final = 20.0  # per trace
 _PING_RATE_HZ: Final = 7.0  # the highest for a range of 100 m
-_OBJECTS_PER_KM2: Final = 1000.0
-_LEG_M: Final = 120.0
+_OBJECTS_PER_KM2: Final = 1000.0  # while something else is varied
+_LEG_M: Final = 120.0  # m
 
 
 class ScalingVariant(NamedTuple):

@@ -24,7 +24,7 @@ SKIP_HEADER: Final = (
     "same bytes",
 )
 REGISTER_HEADER: Final = ("skip", "leaves out", "because", "counter", "proof")
-_DEGREE_M: Final = 111_320.0
+_DEGREE_M: Final = 111_320.0  # m per degree of latitude
 _PROOFS: Final = {
     "bytes": "same bytes, by test",
     "bytes while 0": "same bytes while the counter is 0, by test",

@@ -16,7 +16,7 @@ FLAT: Final = "flat"
 BUSY: Final = "boulders"
 LONG_S: Final = 2400.0
 """Duration of the long mission that memory is measured on, s."""
-_STAGES_SHOWN: Final = 6
+_STAGES_SHOWN: Final = 6  # of a profile, the costliest
 
 
 class CostTarget(msgspec.Struct, frozen=True, kw_only=True):

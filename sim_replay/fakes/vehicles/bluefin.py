@@ -25,7 +25,7 @@ from sim_replay.fakes.vehicles.text_controller import (
 )
 
 _HEARTBEAT_VALID_S: Final = 20.0  # longer than a sentence's period, while which no other may come
-_STATUS_EVERY_S: Final = 1.0
+_STATUS_EVERY_S: Final = 1.0  # s between status sentences
 _TIME: Final = re.compile(r"\d{6}\.\d{3}")
 _INVALID, _FAILED, _DONE = 0, 1, 2
 

@@ -37,7 +37,7 @@ from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import command_of, report_from_can, text_of
 from drivers.vehicle.dialect import Command, ContactReport
 
-_ANSWER_CRC: Final = 0xFFFF
+_ANSWER_CRC: Final = 0xFFFF  # the low half of a report's checksum, which the answer repeats
 _TURN: Final = 2.0 * math.pi
 
 _CommandState = Literal["none", "under way", "arrived", "refused"]

@@ -35,17 +35,17 @@ from drivers.vehicle.imc_messages import (
 )
 from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, ImcPacket, packed, to_wire
 
-ADDRESS: Final = 0x001E
+ADDRESS: Final = 0x001E  # of the vehicle on IMC
 PLAN_ID: Final = "survey"  # its own
-PLACE_RADIUS_M: Final = 5.0
+PLACE_RADIUS_M: Final = 5.0  # m within which the vehicle reports a place as reached
 
-_ENTITY: Final = 38
+_ENTITY: Final = 38  # that sends for the vehicle
 _FOLLOW_REFERENCE: Final = number_of(imc.FollowReference)
 _GOTO: Final = 450  # the manoeuvre of its own plan
 _TOLERANCE_M: Final = 15.0  # DUNE's, horizontal
-_VERTICAL_TOLERANCE_M: Final = 2.0
-_SECOND_S: Final = 1.0
-_ANNOUNCE_S: Final = 10.0
+_VERTICAL_TOLERANCE_M: Final = 2.0  # m of depth within which it is near
+_SECOND_S: Final = 1.0  # s between heartbeats and states
+_ANNOUNCE_S: Final = 10.0  # s between announcements
 _UNDER_WATER: Final = 2  # Announce.sys_type
 _CPU_USAGE: Final = ImcPacket(7, b"\x21", ADDRESS)  # of the many messages that are nothing to the payload
 

@@ -18,9 +18,9 @@ from sim_replay.fakes.vehicles.text_controller import (
     steer_of,
 )
 
-_KNOT_MPS: Final = 1852.0 / 3600.0
-_FOOT_M: Final = 0.3048
-_MAX_TIMEOUT_S: Final = 120.0
+_KNOT_MPS: Final = 1852.0 / 3600.0  # m/s: a nautical mile in an hour
+_FOOT_M: Final = 0.3048  # m, the international foot
+_MAX_TIMEOUT_S: Final = 120.0  # s that a command may ask to hold
 
 
 class FakeIver(TextController):

@@ -12,7 +12,7 @@ from auv_mcm.records import NavSample
 from drivers.vehicle.dialect import Steer, Vertical
 from sim_replay.fakes.vehicles.text_controller import TextController, clock, or_zero, report_from_fields, steer_of
 
-_STATE_EVERY_S: Final = 0.5
+_STATE_EVERY_S: Final = 0.5  # s between states
 _IN_MISSION, _OVERRIDE, _NOT_ALLOWED = 0x01, 0x0C, 0x80
 _GOALS: Final = ("Heading", "Depth", "Speed")
 

@@ -15,7 +15,7 @@ from auv_mcm.records import ContactClass, NavSample
 from drivers.vehicle.dialect import ContactReport, Steer, Vertical
 
 REGRANT_S: Final = 10.0  # after control was taken back
-_MAX_LINE_BYTES: Final = 4096
+_MAX_LINE_BYTES: Final = 4096  # bounds memory
 _CLASSES: Final[tuple[ContactClass, ...]] = get_args(ContactClass)
 
 

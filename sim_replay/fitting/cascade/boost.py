@@ -22,17 +22,17 @@ from auv_mcm.detect.cascade.model import SCORE_UNIT
 Bins = NDArray[np.uint8]
 Weights = NDArray[np.float64]
 
-N_BINS: Final = 256
+N_BINS: Final = 256  # of a feature's values: fits a byte
 
-_TOTAL: Final = 2.0**40
-_LARGEST_LEAF: Final = 4.0
+_TOTAL: Final = 2.0**40  # sum of weights, as integers: sums are exact in float64, whatever their order
+_LARGEST_LEAF: Final = 4.0  # in units of the boosted sum: bounds what one stump says
 _LARGEST_GROWTH: Final = 100.0  # of a weight since the first round: one mislabelled sample must not take over
-_TRIMMED_MASS: Final = 0.01
+_TRIMMED_MASS: Final = 0.01  # of the weight, of easy examples that a stump leaves out
 _RIDGE: Final = 1e-3  # share of the total weight that pulls leaves to 0, so that a few samples do not give certainty
 _FEATURE_SHARE: Final = (
     0.25  # of the features, drawn anew every round: a quarter of the time, and stumps more unlike each other
 )
-_FEWEST_FEATURES: Final = 512
+_FEWEST_FEATURES: Final = 512  # drawn for a stump, minimum
 
 
 class BoostedStump(NamedTuple):

@@ -28,8 +28,8 @@ from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
 CLEAR_M: Final = 3.0
 """Windows nearer than this to a target, along and across the track, are neither it nor anything else."""
 
-_BAG_M: Final = 0.5
-_APART_M: Final = 1.0
+_BAG_M: Final = 0.5  # m around a target whose windows count as its own
+_APART_M: Final = 1.0  # m between windows of clutter, minimum
 _HIGHLIGHT: Final = FeatureBox(-0.18, 0.18, -0.12, 0.0, 0.12, 0.0)
 _MIN_SHARE: Final = 0.6  # of a window that must be valid, as where a cascade runs
 

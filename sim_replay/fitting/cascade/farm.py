@@ -32,8 +32,8 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _AHEAD: Final = 2  # tasks under way per worker, so that none waits for whoever takes the results
-_CONNECT_S: Final = 10.0
-_POLL_S: Final = 1.0
+_CONNECT_S: Final = 10.0  # s for the scheduler to answer
+_POLL_S: Final = 1.0  # s between looks at a task
 _ALONE_S: Final = 30.0  # how long a cluster may be without any worker
 _PACKAGES: Final = ("auv_mcm", "sim_replay")
 _SOURCES: Final = frozenset({".py", ".c", ".json", ".yaml"})

@@ -20,7 +20,7 @@ from auv_mcm.detect.cascade.codes import CodePlane, box_sums
 from auv_mcm.detect.cascade.model import Stump
 from sim_replay.fitting.cascade.boost import N_BINS, Bins, BoostedStump
 
-_SEED: Final = 20100512
+_SEED: Final = 20100512  # of the features drawn, fixed so that models repeat
 # Features drawn of each family; all of those that have fewer.
 _SHARES: Final = {
     "highlight and sea floor": 1400,

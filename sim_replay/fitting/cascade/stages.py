@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from sim_replay.fitting.cascade.boost import Bins, BoostedStump, ada_stumps
 
-DETECTION: Final = 0.99
-FALSE_ALARMS: Final = 0.5
-_MAX_STUMPS: Final = 200
+DETECTION: Final = 0.99  # share of targets that each stage keeps (Viola and Jones 2004)
+FALSE_ALARMS: Final = 0.5  # share of clutter that each stage keeps, maximum (Viola and Jones 2004)
+_MAX_STUMPS: Final = 200  # of a stage; bounds time
 
 
 class Stage(NamedTuple):

@@ -25,9 +25,9 @@ from auv_mcm.records import Side
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin, Split, TileObject
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 1  # of the set; a change of its fields raises it
 MANIFEST_NAME: Final = "manifest.json"
-_EPOCH: Final = (1980, 1, 1, 0, 0, 0)
+_EPOCH: Final = (1980, 1, 1, 0, 0, 0)  # the earliest time of a ZIP file, so that equal sets are equal bytes
 _HEADER: Final = "tiles"
 _REMEDY: Final = "Render the training set anew"
 

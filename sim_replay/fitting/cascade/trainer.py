@@ -45,22 +45,22 @@ Floats: TypeAlias = NDArray[np.float32]
 N_STUMPS: Final = 320
 """Of a soft cascade, unless asked otherwise."""
 
-_SEED: Final = 7
+_SEED: Final = 7  # of the training, fixed so that models repeat
 _DETECTION: Final = (
     0.95  # share of the validation targets that a soft cascade keeps: the last few are hidden in rocks, or hardly show
 )
 _PASSES: Final = 5  # over the tiles, each with so many more of a soft cascade's stumps
-_ASYMMETRY: Final = 4.0
-_MINING_DETECTION: Final = 0.99
+_ASYMMETRY: Final = 4.0  # times the weight of clutter, that targets start with
+_MINING_DETECTION: Final = 0.99  # share of targets kept by the models that look for hard windows
 _MINING_MARGIN: Final = 1024  # below the worst target kept: few stumps separate their own training targets too well
 _OTHERS: Final = 20_000  # windows a pass is to bring, over all tiles
-_MAX_PER_TILE: Final = 30
+_MAX_PER_TILE: Final = 30  # hard windows of one tile, so that no tile makes up the set
 _FEWEST: Final = 0.01  # of the windows a pass was to bring; with fewer there is little left to learn
 _EDGE_WINDOWS: Final = 6000  # of each class, for the quantiles
-_STAGES: Final = 20
+_STAGES: Final = 20  # at most, of the cascade by stages
 _JUDGES: Final = 3  # one shard in three judges the stages that the others train
-_SPACING_TOLERANCE: Final = 0.1
-_SHARES: Final = (0.8, 0.9, 0.95, 0.98)
+_SPACING_TOLERANCE: Final = 0.1  # relative change of a tile's spacing that a model accepts
+_SHARES: Final = (0.8, 0.9, 0.95, 0.98)  # of targets that pass, for which the report gives the windows that pass
 _UNKNOWN: Final = Calibration(score=(0, 1), log_odds=(0.0, 0.0))
 
 

@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 
 N_QUESTIONS: Final = 2**DEPTH - 1
 N_LEAVES: Final = 2**DEPTH
-_N_BINS: Final = 64
-_RATE: Final = 0.07
-_RIDGE: Final = 5.0
+_N_BINS: Final = 64  # of a feature's values
+_RATE: Final = 0.07  # share of a tree's answer that is added
+_RIDGE: Final = 5.0  # added to the curvature of a leaf
 _MIN_HESSIAN: Final = 2.0  # of a leaf: about as many targets
-_EXAMPLES: Final = 0.6
-_FEATURES: Final = 0.25
-_FEWEST_FEATURES: Final = 4
-_SEED: Final = 1958
+_EXAMPLES: Final = 0.6  # share that a tree sees
+_FEATURES: Final = 0.25  # share that a tree sees
+_FEWEST_FEATURES: Final = 4  # that a tree sees, minimum
+_SEED: Final = 1958  # of what a tree sees, fixed so that models repeat
 _NEVER: Final = 1e30  # above every value: a question that parts nothing
 
 

@@ -18,9 +18,9 @@ from sim_replay.fitting.cascade.soft import best_windows
 from sim_replay.fitting.cascade.store import Shard
 from sim_replay.fitting.cascade.tiles import LabelledTile
 
-_GATE_M: Final = 2.0
-_RANGE_BANDS_M: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 200.0)
-_MAX_LOG_ODDS: Final = 12.0
+_GATE_M: Final = 2.0  # m between detection and target, maximum, as in scoring
+_RANGE_BANDS_M: Final = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 200.0)  # m of ground range, edges of the bands
+_MAX_LOG_ODDS: Final = 12.0  # nats: bounds what a bin without clutter says
 
 
 class Inspection(NamedTuple):

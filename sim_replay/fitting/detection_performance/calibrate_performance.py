@@ -19,8 +19,8 @@ from sim_replay.fitting.detection_performance.performance_missions import target
 from sim_replay.text_tables import columns
 
 FIT_SEEDS: Final = range(800, 816)
-FLIGHTS: Final = 2
-_SWEEP_STEP_M: Final = 0.25
+FLIGHTS: Final = 2  # over each scene, on other tracks
+_SWEEP_STEP_M: Final = 0.25  # m: step of the integral over range
 
 
 class Flight(NamedTuple):

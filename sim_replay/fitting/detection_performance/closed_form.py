@@ -16,19 +16,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import fdtr, fdtrc, fdtri
 
 _BY_CHANCE: Final = 1e-3  # that a highlight, or a shadow, is seen where there is none
-_HEIGHT_M: Final = 0.35
-_HIGHLIGHT_M2: Final = 0.16
-_SHADOW_WIDTH_M: Final = 0.8
-_SHADOW_M: Final = (0.1, 6.0)
-_AROUND_M2: Final = 14.0
-_RANGE_RESOLUTION_M: Final = 0.065
-_ALONG_RESOLUTION_M: Final = 0.15
+_HEIGHT_M: Final = 0.35  # m: of the usual target
+_HIGHLIGHT_M2: Final = 0.16  # m²: its highlight
+_SHADOW_WIDTH_M: Final = 0.8  # m along the track: its shadow
+_SHADOW_M: Final = (0.1, 6.0)  # m across the track: of shadows that are used, minimum and maximum
+_AROUND_M2: Final = 14.0  # m² of sea floor that the contrast is taken against
+_RANGE_RESOLUTION_M: Final = 0.065  # m, of the usual sonar
+_ALONG_RESOLUTION_M: Final = 0.15  # m, of a tile's rows
 _BEAM_RAD: Final = math.radians(0.4)
-_STRENGTHS_DB: Final = (-22.0, -17.0, -12.0)
+_STRENGTHS_DB: Final = (-22.0, -17.0, -12.0)  # dB of target strength: faint, usual, bright
 _FLOOR_DB: Final = -27.0  # at a grazing angle of 10 degrees, falling with its sine
 _IN_SHADOW_DB: Final = -12.0  # what surroundings spill into a shadow, against the floor
 _NOISE_DB: Final = -22.0  # against the floor at 28 m, growing with the fourth power of range
-_NOISE_RANGE_M: Final = 28.0
+_NOISE_RANGE_M: Final = 28.0  # m at which the noise is _NOISE_DB
 _PATCHES: Final = 10.0  # of texture in the surroundings
 
 

@@ -24,15 +24,16 @@ from sim_replay.fitting.detection_performance.looks import CellPass
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-EDGES_M: Final = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0)
+EDGES_M: Final = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 75.0)  # m of ground range, of the table's bands
 PRIOR_LOOKS: Final = 20.0  # that the closed form counts as
-_ALTITUDE_M: Final = 6.5
+_ALTITUDE_M: Final = 6.5  # m that ranges of other altitudes are scaled to
+# of the altitude, tried in turn; the best on left-out missions is taken
 _EXPONENTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 _TEXTURES: Final = tuple(float(f"{texture:.3g}") for texture in np.geomspace(0.3, 30.0, 21))
 _SAME_LOOK_RAD: Final = math.radians(15.0)
-_TAIL: Final = 0.025
-_MIN_GROUP: Final = 5
-_DIGITS: Final = 4
+_TAIL: Final = 0.025  # probability beyond each end of the central 95 % interval
+_MIN_GROUP: Final = 5  # views of a mission and band, for its scatter
+_DIGITS: Final = 4  # decimals of a probability in the file
 
 
 class Outcomes(NamedTuple):

@@ -18,7 +18,7 @@ from sim_replay.scoring.calibration import calibration_error
 Array = NDArray[np.float64]
 
 MIN_LOOKS: Final = 30  # with fewer, a share carries no information
-_N_BINS: Final = 8
+_N_BINS: Final = 8  # of predictions, with equally many views each
 _MEAN_DEVIATION: Final = math.sqrt(2.0 / math.pi)  # of a normal distribution, in standard deviations
 
 

@@ -21,9 +21,9 @@ from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.scene import Scene, SeabedType
 
-GATE_M: Final = 2.0
+GATE_M: Final = 2.0  # m between contact and target, maximum, as in scoring
 _WHOLE: Final = 0.8  # of a target's cell must have been seen by the pass; cells are counted in coarse blocks
-_SAME_PASS_S: Final = 60.0
+_SAME_PASS_S: Final = 60.0  # s between patches of one pass, as in clearance
 _SAME_PASS_RAD: Final = math.radians(15.0)
 _MARGIN_S: Final = 5.0  # a centroid may lie in the tile beside that of the target's cell
 

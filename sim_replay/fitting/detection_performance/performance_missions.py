@@ -29,10 +29,10 @@ from sim_replay.simulator.scene import (
     World,
 )
 
-_STREAM: Final = 0x504C4F4F
-_APART_M: Final = 12.0
-_PITCH_M: Final = 13.0
-_LEG_M: Final = 150.0
+_STREAM: Final = 0x504C4F4F  # "PLOO": its own stream of random numbers
+_APART_M: Final = 12.0  # m between targets, minimum
+_PITCH_M: Final = 13.0  # m of the lattice that they are shifted from
+_LEG_M: Final = 150.0  # m
 _EDGE_M: Final = 1.0  # of the swath that stays free
 _MAX_PING_RATE: Final = 0.95  # of those that the way of sound to the end of the range and back allows
 
@@ -44,8 +44,8 @@ MIX: Final[dict[TargetKind, tuple[float, SizeRange, SizeRange, float]]] = {
     "box": (0.12, (0.0, 0.12), (0.0, 0.0), 0.0),
 }
 """The usual mix of mines, as in the named scenes: share, burial and scour (m), greatest tilt (degrees)."""
-_STRENGTH_DB: Final = (-24.0, -10.0)
-_SPHERE_M: Final = (0.6, 1.0)
+_STRENGTH_DB: Final = (-24.0, -10.0)  # dB of target strength, from and to
+_SPHERE_M: Final = (0.6, 1.0)  # m of diameter, from and to
 
 
 def target_scene(seed: int, flight: int = 0) -> Scene:

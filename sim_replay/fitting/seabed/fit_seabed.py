@@ -16,12 +16,12 @@ from sim_replay.fitting.seabed.seabed_missions import FIRST_LIKE_SCENE
 FIT_SEEDS: Final = (*range(3000, 3050), *range(FIRST_LIKE_SCENE, FIRST_LIKE_SCENE + 80))
 """Missions drawn freely, and missions like the named scenes; see `missions`."""
 
-_HIDDEN: Final = (96, 48)
-_EPOCHS: Final = 14
-_WEIGHT_DECAY: Final = 0.3
-_SEED: Final = 1
-_SHRINKAGE: Final = 0.05
-_RIDGE: Final = 1e-3
+_HIDDEN: Final = (96, 48)  # units of the two hidden layers
+_EPOCHS: Final = 14  # over all cells
+_WEIGHT_DECAY: Final = 0.3  # per step, relative to the rate
+_SEED: Final = 1  # of the training, fixed so that models repeat
+_SHRINKAGE: Final = 0.05  # of the covariance toward its diagonal
+_RIDGE: Final = 1e-3  # added to its diagonal
 _KEPT: Final = (
     0.99  # of the textures learnt are not novel; recorded floors, which lie farther out, are so in 10 to 15 % of cells
 )

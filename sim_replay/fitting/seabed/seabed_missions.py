@@ -48,25 +48,25 @@ KIND_OF: Final[dict[scene.SeabedType, SeabedType]] = {
 }
 """What each of the simulator's sea floors is to the payload."""
 
-FIRST_LIKE_SCENE: Final = 4000
+FIRST_LIKE_SCENE: Final = 4000  # first seed of missions that resemble the named scenes
 LIKE: Final = ("flat", "ripple", "mixed", "rough", "boulders", "seagrass", "slope", "shallow", "deep", "sas")
 
 Rng = np.random.Generator
 
-_STREAM: Final = 0x464C4F4F
-_LAW_STREAM: Final = 0x4C4157
+_STREAM: Final = 0x464C4F4F  # "FLOO": its own stream of random numbers
+_LAW_STREAM: Final = 0x4C4157  # "LAW": another one
 _LAW_ERROR: Final = (0.8, 1.25)  # of decibels per count, by which an estimate from speckle may be off
 _LAW_ERROR_LIKE_SCENE: Final = (0.6, 1.25)  # over reefs, whose echoes vary more than speckle does, it comes out low
-_LEG_M: Final = 150.0
+_LEG_M: Final = 150.0  # m
 _P_KIND: Final = 0.65  # that a kind of sea floor is in a mission; two are at least
 _FLAT: Final[tuple[tuple[scene.SeabedType, ...], ...]] = (("sand",), ("mud",), ("sand", "mud"))
 _ROUGH: Final[tuple[scene.SeabedType, ...]] = ("gravel", "rock_outcrop", "boulder_field")
-_SOUND_MPS: Final = 1500.0
+_SOUND_MPS: Final = 1500.0  # m/s
 _MAX_PING_RATE: Final = 0.9  # of those that the way of sound to the end of the range and back allows
 _P_APERTURE: Final = 0.1  # of a synthetic aperture
 _P_UNUSUAL: Final = 0.35  # that the covers of a mission differ much from what is usual
-_USUAL_SPREAD: Final = 0.3
-_P_SLOPE: Final = 0.3
+_USUAL_SPREAD: Final = 0.3  # of what differs from the usual, where a mission that differs much has 1
+_P_SLOPE: Final = 0.3  # share of missions over a slope
 _P_SHALLOW: Final = 0.2  # of water so shallow that the surface is heard
 
 

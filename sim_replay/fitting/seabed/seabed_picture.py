@@ -23,13 +23,13 @@ from sim_replay.logs.open_log import open_log
 
 Canvas = NDArray[np.uint8]
 
-_PIXEL_M: Final = 0.12
+_PIXEL_M: Final = 0.12  # m per pixel
 _PER_LEVEL: Final = 4  # there are 63 of them
-_GAP_PX: Final = 8
-_BAR_PX: Final = 30
-_TINT: Final = 0.5
-_LETTER: Final = 0.55
-_WHITE: Final = 255
+_GAP_PX: Final = 8  # pixels between panels
+_BAR_PX: Final = 30  # pixels: height of the legend
+_TINT: Final = 0.5  # share of a pixel that its type colours
+_LETTER: Final = 0.55  # times OpenCV's letters
+_WHITE: Final = 255  # of 8 bits
 
 
 def seabed_picture(logs: Sequence[Path], n_tiles: int, model: SeabedModel) -> Canvas:

@@ -18,20 +18,20 @@ from sim_replay.fitting.cascade.tiles import LabelledTile
 Array = NDArray[np.float64]
 Pixels = NDArray[np.int32]
 
-N_ROWS: Final = 17
-N_COLUMNS: Final = 44
+N_ROWS: Final = 17  # cells along the track
+N_COLUMNS: Final = 44  # cells across: of the object, and of the shadow
 N_OBJECT_COLUMNS: Final = 20
 """Columns before this one are metres, those from it on shares of the reference shadow."""
-CENTRE_ROW: Final = 8
-CENTRE_COLUMN: Final = 12
+CENTRE_ROW: Final = 8  # of N_ROWS, with the object
+CENTRE_COLUMN: Final = 12  # of N_COLUMNS, with the object
 
-_ROW_M: Final = 0.12
-_COLUMN_M: Final = 0.08
+_ROW_M: Final = 0.12  # m along the track per cell
+_COLUMN_M: Final = 0.08  # m across the track per cell of the object
 _COLUMN_SHADOW: Final = 0.05  # of the reference shadow
-_MIN_CLEARANCE_M: Final = 0.3
+_MIN_CLEARANCE_M: Final = 0.3  # m between the reference object and the sonar, so that its shadow ends
 
 _KNOWN: Final = 0.5  # of a cell
-_KNOWN_OF_CHIP: Final = 0.6
+_KNOWN_OF_CHIP: Final = 0.6  # share of a chip's cells that has to be measured
 _DARKEST: Final = 0.01  # -20 dB: darker than this is noise
 
 

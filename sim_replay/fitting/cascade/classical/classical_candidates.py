@@ -18,8 +18,8 @@ from sim_replay.fitting.cascade.classical.chips import Pixels, reference_shadow_
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
 
 _CODES: Final = 1024.0  # of a labelled tile for the mean of the sea floor
-_ON_OBJECT_M: Final = 1.0
-_CLEAR_M: Final = 3.0
+_ON_OBJECT_M: Final = 1.0  # m from a target, within which a candidate is on it
+_CLEAR_M: Final = 3.0  # m around objects where a candidate counts as neither
 
 
 class Candidates(NamedTuple):

@@ -16,7 +16,7 @@ from sim_replay.fitting.cascade.tiles import LabelledTile
 
 Array = NDArray[np.float64]
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 _BOUND: Final = 30.0  # nats
 
 _Bounded = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]

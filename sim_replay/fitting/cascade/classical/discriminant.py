@@ -18,10 +18,10 @@ from auv_mcm.errors import UsageError
 
 Array = NDArray[np.float64]
 
-_STEPS: Final = 50
-_SMALLEST_STEP: Final = 1e-8
-_MIN_CURVATURE: Final = 1e-9
-_N_PARTS: Final = 5
+_STEPS: Final = 50  # of Newton's method; a guard, it settles earlier
+_SMALLEST_STEP: Final = 1e-8  # below which it has settled
+_MIN_CURVATURE: Final = 1e-9  # keeps the system solvable where all is certain
+_N_PARTS: Final = 5  # of the cross-validation
 
 
 class Discriminant(NamedTuple):

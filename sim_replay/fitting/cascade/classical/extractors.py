@@ -26,10 +26,10 @@ Family: TypeAlias = Literal["central", "wavelets", "thresholds", "variances", "t
 FAMILIES: Final[tuple[Family, ...]] = get_args(Family)
 
 _MIN_POWER: Final = 1e-3  # (nats)^2 below which differences are noise
-_TIMES: Final = (2.0, 4.0, 8.0)
-_QUANTILES: Final = (0.05, 0.1, 0.25, 0.75, 0.9, 0.95)
-_N_LEVELS: Final = 3
-_HIGHEST_MOMENT: Final = 10.0
+_TIMES: Final = (2.0, 4.0, 8.0)  # the median, whose exceedance is counted
+_QUANTILES: Final = (0.05, 0.1, 0.25, 0.75, 0.9, 0.95)  # of the histogram
+_N_LEVELS: Final = 3  # of the wavelets: eight cells
+_HIGHEST_MOMENT: Final = 10.0  # bounds skewness and kurtosis of few cells
 
 
 class Zone(NamedTuple):
@@ -65,7 +65,7 @@ _SIZES: Final = (
 )  # half rows and half columns of the middle; the ring is twice as far out
 _MATCHED_HEIGHTS: Final = (1, 3)  # half rows
 _MATCHED_COLUMNS: Final = (CENTRE_COLUMN - 3, CENTRE_COLUMN + 4)
-_MATCHED_SHADOWS: Final = ((17, 24), (17, 32), (17, 40))
+_MATCHED_SHADOWS: Final = ((17, 24), (17, 32), (17, 40))  # columns from, up to, of shadows filtered for
 
 CENTRAL_FILTERS: Final[Mapping[str, CentralFilter]] = MappingProxyType(
     {

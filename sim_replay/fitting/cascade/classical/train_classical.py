@@ -28,8 +28,8 @@ _JITTER: Final = (
     (0, -2),
     (0, 2),
 )  # rows and columns about a target, each a share of one sample
-_RIDGE: Final = 10.0
-_DIGITS: Final = 8
+_RIDGE: Final = 10.0  # of the logistic regression, per feature of unit variance
+_DIGITS: Final = 8  # significant, in the file
 
 
 class ChipSamples(NamedTuple):
