@@ -39,7 +39,7 @@ _US_PER_S: Final = 1e6  # microseconds per second
 
 
 class Allowance(NamedTuple):
-    """What may be spent on a tile, µs of work by the price list; infinite without a limit.
+    """Hold what may be spent on a tile, µs of work by the price list; infinite without a limit.
 
     total_us: the tile's budget. cheapest_us: price of the cheapest pass, which is always done, measuring left out.
     """
@@ -50,16 +50,16 @@ class Allowance(NamedTuple):
 
     @property
     def left_us(self) -> float:
-        """What is left beyond the cheapest pass."""
+        """Return what is left beyond the cheapest pass, µs."""
         return max(self.total_us - self.cheapest_us, 0.0)
 
     @property
     def is_limited(self) -> bool:
-        """Whether anything can be beyond the budget."""
+        """Find whether anything can be beyond the budget."""
         return self.total_us < math.inf
 
     def comparisons(self) -> int | None:
-        """Comparisons that the cascade may make, beside the reserved looks; None without a limit."""
+        """Count the comparisons that the cascade may make, beside the reserved looks; None without a limit."""
         left_us = max(self.left_us - RESERVED_LOOKS * look_price_us(self.prices), 0.0)
         return math.floor(left_us / self.prices.comparison_us) if self.is_limited else None
 

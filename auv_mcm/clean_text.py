@@ -53,7 +53,9 @@ class CleanFormatter(logging.Formatter):
     """Format log records on one clean line each, with the lines of a traceback indented below it."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 (the standard library's name)
+        """Format a record's message, on one line of printable characters."""
         return clean(super().formatMessage(record))
 
     def formatException(self, ei: _Exception) -> str:  # noqa: N802 (the standard library's name)
+        """Format an exception, indented, without control characters."""
         return "  " + clean_lines(super().formatException(ei))

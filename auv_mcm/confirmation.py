@@ -54,7 +54,7 @@ _NO_LABELS: Final = np.empty((0, 0), dtype=np.uint8)
 
 
 class Thoroughness(NamedTuple):
-    """How much each step of a confirmation tries; the odds are fitted with the default.
+    """Set how much each step of a confirmation tries; the odds are fitted with the default.
 
     coarse, fine: schedules of contours, (nodes added, stride in pixels, rounds) per stage. n_sweeps: maximum of the
     Markov field. effort: of the search for solids.

@@ -19,11 +19,11 @@ R = TypeVar("R")
 
 
 class DefectWarning(ResourceWarning):
-    """A stage failed on a piece of the mission. Python hides this category unless asked to show it."""
+    """Warn that a stage failed on a piece of the mission. Python hides this category unless asked to show it."""
 
 
 class Defect(NamedTuple):
-    """An exception raised by a stage, in words.
+    """Hold an exception raised by a stage, in words.
 
     text: its type, message, and where in the code it was raised.
     """
@@ -54,6 +54,6 @@ def defect_notice(defect: Defect, what: str, consequence: str, place: str) -> No
     advice = "Free memory" if isinstance(defect.error, MemoryError) else "This is a defect: report it with the log"
     return Notice(
         code="pipeline.tile_failed",
-        text=f"{what} failed ({defect.text}). {consequence} {advice}. More are counted.",
+        text=f"{what} failed ({defect.text}). {consequence} {advice}. Further ones are only counted.",
         place=place,
     )

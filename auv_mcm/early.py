@@ -58,7 +58,10 @@ class _Pending(NamedTuple):
 
 
 class _FinalView(NamedTuple):
-    """A detection of a finished tile. contact_id: of the contact that it is a view of, "" if that is not reported."""
+    """Hold a detection of a finished tile.
+
+    contact_id: of the contact that it is a view of, "" if that is not reported.
+    """
 
     view: Detection
     contact_id: str

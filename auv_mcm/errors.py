@@ -15,22 +15,30 @@ from typing import ClassVar
 
 
 class AuvMcmError(Exception):
-    """Base of all errors meant for a person; `exit_code` is what the command line returns."""
+    """Serve as the base of all errors meant for a person; `exit_code` is what the command line returns."""
 
     exit_code: ClassVar[int] = 1
 
 
 class UsageError(AuvMcmError):
+    """Report bad usage or a bad configuration."""
+
     exit_code: ClassVar[int] = 2
 
 
 class BadInputError(AuvMcmError):
+    """Report input data that cannot be used."""
+
     exit_code: ClassVar[int] = 3
 
 
 class HardwareError(AuvMcmError):
+    """Report hardware or a link that failed."""
+
     exit_code: ClassVar[int] = 4
 
 
 class SelfCheckError(AuvMcmError):
+    """Report a failed self-check."""
+
     exit_code: ClassVar[int] = 5

@@ -28,7 +28,7 @@ _UNKNOWN_SPEED_MPS: Final = 1.5  # m/s, a usual survey speed; spaces pings whose
 
 
 class PingBlock(NamedTuple):
-    """Pings of equal sample layout with their poses at transmit; speeds are known and not negative.
+    """Hold pings of equal sample layout with their poses at transmit; speeds are known and not negative.
 
     along_m: (n,) float64 distance from mission start, strictly increasing once placed along the track, zero before.
     yaw_rate_rad_s, pitch_rate_rad_s: (n,) float64.
@@ -52,7 +52,7 @@ class PingBlock(NamedTuple):
 
 
 class SegmentEnd(NamedTuple):
-    """The end of a segment: the next block does not continue the one before.
+    """Mark the end of a segment: the next block does not continue the one before.
 
     transfer: what its samples are from there on, None for no change.
     """
@@ -91,6 +91,7 @@ class Intake:
 
     @property
     def navigation_counters(self) -> Counter[str]:
+        """Count the navigation samples that were refused, and what the buffer counts."""
         return self._refused + self._navigation.counters
 
     def add_navigation(self, sample: NavSample) -> list[Notice]:

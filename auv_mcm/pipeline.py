@@ -377,12 +377,12 @@ class Pipeline:
         return self._grid
 
     def _detect(self, tile: Tile, allowance: Allowance) -> TileDetections | Defect | None:
-        """What was found; None if there is nothing to see."""
+        """Find the detections of a tile; None if there is nothing to see."""
         looks_anyway = "empty-tiles" in self._without_skips
         return caught(lambda: self._detect_within(tile, allowance) if looks_anyway or worth_looking(tile) else None)
 
     def _detect_within(self, tile: Tile, allowance: Allowance) -> TileDetections:
-        """What was found within a tile's budget, with surroundings for the close looks that it pays."""
+        """Find what a tile's budget pays for, with surroundings for the close looks that it pays."""
         found = self._detect_in(tile, allowance.comparisons())
         config = self._config.confirm
         if not config.enabled or "look-budget" in self._without_skips:
@@ -443,8 +443,10 @@ class Pipeline:
         ]
 
     def _confirm(self, detections: list[Detection]) -> tuple[list[Detection], int, list[tuple[Detection, Defect]]]:
-        """The detections of one tile, looked at; how many more there were than may be; those on which confirmation
-        failed."""
+        """Confirm the detections of one tile.
+
+        Returns them; how many more there were than may be; those on which confirmation failed.
+        """
         config = self._config.confirm
         if not config.enabled:
             return [msgspec.structs.replace(detection, surroundings=None) for detection in detections], 0, []
@@ -490,7 +492,7 @@ def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
         code="confirm.over_budget",
         text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's "
         "p_mine. "
-        "Raise confirm.max_per_tile if the computer can afford it. More are counted.",
+        "Raise confirm.max_per_tile if the computer can afford it. Further ones are only counted.",
         place=f"{detection.side}, ping {detection.ping_number}",
     )
 
@@ -521,7 +523,7 @@ def _tile_limited(tile: Tile, result: TileDetections) -> Notice:
         code="budget.tile_limited",
         text=f"a tile's budget ended {cut}; the likeliest came first, and it earns {result.covered_share:.0%} of its "
         "coverage. Raise "
-        "budget.duty if the computer can afford it. More are counted.",
+        "budget.duty if the computer can afford it. Further ones are only counted.",
         place=f"{tile.side} tile {tile.index}",
     )
 
@@ -531,6 +533,6 @@ def _over_budget(tile: Tile, result: TileDetections) -> Notice:
         code="detect.over_budget",
         text=f"{result.n_over_budget} candidates beyond the budget of a tile were not looked at (the "
         f"{len(result.detections)} best were). "
-        "Raise detect.max_candidates_per_tile if the computer can afford it. More are counted.",
+        "Raise detect.max_candidates_per_tile if the computer can afford it. Further ones are only counted.",
         place=f"{tile.side} tile {tile.index}",
     )

@@ -29,7 +29,7 @@ TURN: Final = 8  # pixel spacing distorted by a turn: no coverage; what is found
 
 
 class EchoTrace(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """Samples of one side of one ping, in the recorder's own numbers.
+    """Hold samples of one side of one ping, in the recorder's own numbers.
 
     samples: (n_samples,) any real dtype, ordered near to far.
     first_range_m: slant range of the centre of sample 0. spacing_m: slant range between samples.
@@ -51,7 +51,7 @@ class Transfer(NamedTuple):
 
 
 class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """One transmission.
+    """Hold one transmission with its echoes.
 
     `time_s` is UTC seconds since 1970 of the transmit instant; `place` names file and ping for messages.
 
@@ -69,7 +69,7 @@ class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class NavSample(msgspec.Struct, frozen=True, kw_only=True):
-    """What a navigation source knew at `time_s`. Any quantity it did not measure anew is NaN."""
+    """Hold what a navigation source knew at `time_s`. Any quantity it did not measure anew is NaN."""
 
     time_s: float
     latitude_deg: float = NAN
@@ -106,7 +106,7 @@ SourceEvent: TypeAlias = Ping | NavSample | Notice
 
 
 class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """Vehicle poses at n instants; every array has shape (n,) and dtype float64 (`stale`: bool).
+    """Hold vehicle poses at n instants; every array has shape (n,) and dtype float64 (`stale`: bool).
 
     Positions are those of the vehicle's navigation reference point. `heading_rad` is unwrapped along the track. `stale`
     marks instants farther from a navigation sample than the permitted gap, whose values are the nearest known ones, and
@@ -135,7 +135,7 @@ class PoseTrack(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """A metric piece of one side's waterfall on the mission-fixed along-track grid.
+    """Hold a metric piece of one side's waterfall on the mission-fixed along-track grid.
 
     intensity: (n_rows, n_columns) float32, linear, local seabed mean about 1, 0 where not VALID. mask: (n_rows,
     n_columns) uint8, the bits above. first_row: mission grid index of row 0; rows [core_start, core_stop) (local
@@ -164,7 +164,7 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Surroundings(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The sea floor around a detection, wide enough for any mine's shadow; kept until the detection is confirmed.
+    """Hold the sea floor around a detection, wide enough for any mine's shadow; kept until the detection is confirmed.
 
     codes: (n_rows, n_columns) uint8 codes of `auv_mcm.snippet`, 0 where nothing was measured. row, column: the
     detection inside it, fractional. first_ground_range_m: near edge of column 0. first_return_m: slant range of the
@@ -182,7 +182,7 @@ ContactClass: TypeAlias = Literal["cylinder", "sphere", "truncated_cone", "wedge
 
 
 class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.solids.shapes`.
+    """Hold the solid that explains a view best. sizes and sigma: m and radians by name, as in `auv_mcm.solids.shapes`.
 
     highlight, shadow: (n, 2) float64 outlines (row, column) in pixels of the detection's snippet; (0, 2) where there is
     none.
@@ -196,7 +196,7 @@ class ShapeModel(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Confirmation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The results of confirming one detection.
+    """Hold the results of confirming one detection.
 
     log_ratio: evidence for a mine against clutter, nats. shape_mass: (32,) float64 of `auv_mcm.classify.beliefs`, which
     kinds of mine it may be; mass: the same with log_ratio. half_turn_symmetric: the best solid looks alike from the
@@ -229,7 +229,7 @@ LookStep: TypeAlias = Literal["detector", "contours", "shape"]
 
 
 class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """One object seen once, on one side, in one pass.
+    """Hold one object seen once, on one side, in one pass.
 
     row, column: highlight centroid on the mission grid (fractional pixels, row 0 at mission start). Sizes in metres;
     height_m from the shadow's length, NaN if no shadow was seen. score: evidence of highlight and shadow together, in
@@ -283,7 +283,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """An object on the sea floor, from one or more detections. `belief` sums to 1 over classes plus `unknown`.
+    """Hold an object on the sea floor, from one or more detections. `belief` sums to 1 over classes plus `unknown`.
 
     covariance_m2: (2, 2) float64 east/north of the fused position. views: its detections, in order of time.
     aspects_deg: compass direction from sonar to object per view, [0, 360). *_sigma_m: 1-sigma of the sizes, NaN where
@@ -353,7 +353,7 @@ EarlyState: TypeAlias = Literal["found", "became", "withdrawn"]
 
 
 class EarlyContact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """An object that a first look shows before its tile is finished; it is announced, and stands in no result.
+    """Hold an object that a first look shows before its tile is finished; it is announced, and stands in no result.
 
     contact: one view of it, under an id of its own (`early_id`). state: `found` comes first, and once the tile is
     finished `became`, with the id of the contact that it is, or `withdrawn`.
@@ -365,7 +365,7 @@ class EarlyContact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def reported(self) -> Contact:
-        """The contact to report to a vehicle: without views, a class and p_mine once its tile is finished."""
+        """Return the contact to report to a vehicle: without views, a class and p_mine once its tile is finished."""
         if self.state == "found":
             return self.contact
         return msgspec.structs.replace(
@@ -379,7 +379,7 @@ SEABED_TYPES: Final[tuple[SeabedType, ...]] = get_args(SeabedType)
 
 
 class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The seabed types that one side of one tile shows, in square cells.
+    """Hold the seabed types that one side of one tile shows, in square cells.
 
     Cell (i, j) covers the tile's core from i * cell_m[0] on along track, and ground range [j, j + 1) * cell_m[1]; the
     last ones may be cut short. Arrays are (n_along, n_across): kind uint8, index into SEABED_TYPES; confidence float32,
@@ -396,7 +396,7 @@ class SeabedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The cells that one side of one tile surveyed, in the mission's own plane.
+    """Hold the cells that one side of one tile surveyed, in the mission's own plane.
 
     The cells are square; the plane touches the ellipsoid at the origin.
 
@@ -423,7 +423,7 @@ class SurveyedCells(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """Sea floor that one side of one tile really covered.
+    """Hold sea floor that one side of one tile really covered.
 
     rings_deg: polygons as (n, 2) float64 arrays of longitude, latitude, closed, counter-clockwise. covered_m2: area of
     pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
@@ -444,7 +444,7 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True):
-    """One point of a proposed leg.
+    """Hold one point of a proposed leg.
 
     `kind`: `start`, `turn`, `leg_entry`, `leg_exit`; `contact_id` names what the leg looks at.
     """

@@ -32,7 +32,7 @@ ALL_SKIPS: Final[frozenset[SkipName]] = frozenset(get_args(SkipName))
 
 
 class Skip(NamedTuple):
-    """One skip. leaves_out: which work. because: why that is no loss. counter: what counts it.
+    """Describe one skip. leaves_out: which work. because: why that is no loss. counter: what counts it.
 
     proof: `bytes` where the contacts are the same without it whatever the mission, `bytes while 0` where they are as
     long as the counter is 0, `bound` where they may differ by as much as the bench shows.

@@ -14,7 +14,7 @@ Health: TypeAlias = Literal["starting", "normal", "fault", "failure"]
 
 
 class SourceUri(NamedTuple):
-    """A parsed service.source, e.g. replay:///data/mission.xtf?speed=1."""
+    """Hold a parsed service.source, e.g. replay:///data/mission.xtf?speed=1."""
 
     text: str
     scheme: str
@@ -66,7 +66,8 @@ class Source(Protocol):
     """
 
     @property
-    def lossless(self) -> bool: ...
+    def lossless(self) -> bool:
+        """Find whether the source waits while the pipeline is busy, so that nothing is lost."""
 
     async def run(self, sink: EventSink) -> None:
         """Give every event to `sink`, and return once none follows. Called once. Raises AuvMcmError."""

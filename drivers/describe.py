@@ -112,7 +112,7 @@ def interface_text(config: Config) -> str:
         lines = [line for port in ports for line in (*_port_lines(port), "")]
     else:
         lines = [
-            "No ports are configured; these are the links and devices there are.",
+            "No ports are configured; these links and devices are available.",
             "",
             *(f"  {link}" for link in EXAMPLES),
             "",
@@ -163,7 +163,7 @@ def _port_lines(port: PortSettings) -> list[str]:
             *lines,
             (
                 f"  out: {port.device}: contacts and health; commands only with vehicle.command and while the vehicle "
-                "lets us"
+                "grants control"
             ),
         ]
     if not port.commands:
@@ -182,7 +182,7 @@ def _device_lines(device: str) -> list[str]:
     lines = [f"device {device}: {first}", *(f"  {line}".rstrip() for line in rest)]
     for layout in language.layouts():
         doc = inspect.cleandoc(layout.record.__doc__ or "")
-        own = "" if doc.startswith(f"{layout.record.__name__}(") else doc.replace("\n", " ")
+        own = "" if doc.startswith(f"{layout.record.__name__}(") else " ".join(doc.split())
         lines.append(f"  {layout.key}: {layout.record.__name__}" + (f" - {own}" if own else ""))
         lines += [f"      {field}" for field in layout.fields]
     return lines

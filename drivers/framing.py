@@ -43,13 +43,20 @@ class Grammar(Protocol[M_co]):
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name the grammar, for counters."""
+
     @property
-    def head_bytes(self) -> int: ...
+    def head_bytes(self) -> int:
+        """Return how many bytes must be there before `find` can see a candidate."""
+
     @property
-    def max_message_bytes(self) -> int: ...
+    def max_message_bytes(self) -> int:
+        """Return the length of the longest message."""
+
     @property
-    def proven(self) -> bool: ...
+    def proven(self) -> bool:
+        """Find whether a message proves itself intact by its own bytes, as by a checksum."""
 
     def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
         """Find the first candidate in buffer[start:] that `read` may take or wait for; -1 if there is none.

@@ -67,7 +67,7 @@ class _Listener:
         if isinstance(self._port.address, TcpAddress) and await _is_connected(self._port.address):
             # A device that serves one connection at a time may drop the one that a running service has.
             return self._judged(
-                "warning", "another program on this computer is connected to it, so that it is left alone. " + _STOP_IT
+                "warning", "another program on this computer is connected to it, so it was not opened. " + _STOP_IT
             )
         link = open_link(self._port, self._hear, self._follow, self._clock)
         serving = asyncio.ensure_future(link.run())
@@ -118,7 +118,7 @@ class _Listener:
                 "FAILED", f"did not open within {_OPEN_S:g} s. Check the device's power, its cable and its address"
             )
         if self._is_for_commands:
-            return self._judged("ok", "takes a connection; nothing was sent")
+            return self._judged("ok", "accepts a connection; nothing was sent")
         if n_messages := self._n_messages():
             what = "pulses" if self._stream is None else f"messages of '{self._port.device}'"
             return self._judged("ok", f"{n_messages} {what} in {self._n_bytes} bytes")
@@ -129,19 +129,19 @@ class _Listener:
     def _silent(self, listen_s: float) -> Finding:
         waits = ""
         if self._port.vehicle is not None:
-            waits = "a vehicle may speak only when it is spoken to"
+            waits = "a vehicle may answer only when it is asked"
         elif self._port.commands:
             waits = "the sonar may wait for the commands that the service sends"
-        text = f"open, but nothing was heard for {listen_s:g} s"
+        text = f"open, but nothing was received for {listen_s:g} s"
         if waits:
             return self._judged(
-                "warning", f"{text}: {waits}, and nothing was sent. If it should speak, check power and cable"
+                "warning", f"{text}: {waits}, and nothing was sent. If it should send by itself, check power and cable"
             )
         baud = "" if self._port.baud is None else f", and that it sends at {self._port.baud} baud"
         return self._judged("FAILED", f"{text}. Check the device's power and its cable{baud}")
 
     def _unread(self) -> str:
-        text = f"{self._n_bytes} bytes, but not one message of '{self._port.device}'"
+        text = f"{self._n_bytes} bytes, but no message of '{self._port.device}'"
         others = [name for name in _others(self._port) if self._reads_as(name)]
         if others:
             return f"{text}: they are messages of '{others[0]}'. Set device: {others[0]}, or change the cables"

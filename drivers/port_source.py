@@ -55,11 +55,12 @@ def open_source(uri: SourceUri, config: Config, clock: Clock) -> PortSource:
     """Make the source of the configured ports. Raises UsageError for ports that cannot be, or if there are none."""
     if uri.path or uri.options:
         raise UsageError(
-            f"service.source '{uri.text}': what the ports are stands in the section 'ports'; write source: ports"
+            f"service.source '{uri.text}': ports are described in the section 'ports'; write source: ports"
         )
     if not config.ports:
         raise UsageError(
-            "service.source is ports, but there are none: add a section 'ports'; 'auv-mcm run --example' prints one"
+            "service.source is 'ports', but no port is configured: add a section 'ports'; 'auv-mcm run --example' "
+            "prints one"
         )
     return PortSource(config, clock)
 
@@ -120,6 +121,7 @@ class PortSource:
 
     @property
     def is_stopping(self) -> bool:
+        """Find whether a stop was requested."""
         return self._stopped.is_set()
 
     def health(self) -> str:
@@ -162,8 +164,8 @@ class PortSource:
             self._record(port, "in", stamp, data)
         if not self._backlog.add(Chunk(port, data, stamp)) and self._backlog.n_refused[port] == len(data):
             text = (
-                f"port '{port}' brings more than this computer can decode. What does not fit is recorded, counted as "
-                f"port.{port}.bytes_undecoded, and not decoded. Check what sends there, and that nobody else does."
+                f"port '{port}' receives more than this computer can decode. The excess is recorded, counted as "
+                f"port.{port}.bytes_undecoded, and not decoded. Check that only the configured device sends there."
             )
             self.raise_notice(Notice(code="port_flooded", text=text, place=port))
         self._work()
@@ -206,6 +208,7 @@ class PortSource:
             self._record(port, "out", self._now(), data)
 
     def raise_notice(self, notice: Notice) -> None:
+        """Raise a notice."""
         self._put([notice])
 
     async def _tick(self) -> None:
@@ -329,10 +332,10 @@ class _ServedPort:
         self._own["state_changes"] += 1
         log.info("port '%s' is %s: %s", self.name, state, reason)
         if state == "up" and self._port.ask_every_s is None:
-            self._send_commands()  # also when it is heard again: it may have started anew, with settings of its own
+            self._send_commands()  # also when it sends data again: it may have started anew, with settings of its own
         if self._own["state_changes"] <= _MAX_STATE_NOTICES:
             last = (
-                " More changes of this port are counted only."
+                " Further changes of this port are only counted."
                 if self._own["state_changes"] == _MAX_STATE_NOTICES
                 else ""
             )

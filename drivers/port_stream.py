@@ -255,7 +255,7 @@ class _SonarReader:
         return [
             Notice(
                 code="sonar_refused",
-                text=f"{text}. It pings as it was set before. More are counted.",
+                text=f"{text}. It keeps its earlier settings. Further refusals are only counted.",
                 place=self._port.name,
             )
         ]

@@ -74,9 +74,9 @@ def open_to_all(ports: Iterable[PortSettings]) -> list[Notice]:
     for port in ports:
         if isinstance(port.address, UdpAddress) and not port.address.peer_host:
             what = "move its position" if port.unit else "add or hide contacts"
-            can = "speak for the vehicle: grant control, revoke it, and say where it is" if port.vehicle else what
+            can = "pose as the vehicle: grant control, revoke it, and report a false position" if port.vehicle else what
             text = (
-                f"port '{port.name}' ({port.address.place}) hears every sender: whoever reaches it can {can}. "
+                f"port '{port.name}' ({port.address.place}) accepts every sender: anybody who can reach it can {can}. "
                 "Add peer=HOST:PORT of the device to its link, so that others are refused."
             )
             notices.append(Notice(code="port_open_to_all", text=text, place=port.name))
@@ -131,7 +131,7 @@ def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
 def _pulse(unit: PortSettings, link: str, key: str) -> PortSettings:
     address = parse_link_uri(link, key)
     if not isinstance(address, PulseAddress):
-        raise UsageError(f"{key} '{link}': that is not a source of pulses; give it a pps:// link, e.g. pps:///dev/pps0")
+        raise UsageError(f"{key} '{link}': a source of pulses needs a pps:// link, e.g. pps:///dev/pps0")
     return unit._replace(name=f"{unit.name}.{PULSE}", device=PULSE, address=address, baud=None, unit=None)
 
 
@@ -142,7 +142,7 @@ def _address(link: str, key: str, device: str) -> LinkAddress:
     needs_bus = device == CAN_PROTOCOL or (device_kind(device) == "vehicle" and vehicle_named(device).is_bus)
     if is_bus != needs_bus or isinstance(address, PulseAddress):
         needed = "a slcan:// or socketcan:// link" if needs_bus else "a serial://, tcp:// or udp:// link"
-        raise UsageError(f"{key} '{link}': a device '{device}' cannot be there; give it {needed}")
+        raise UsageError(f"{key} '{link}': a device '{device}' needs {needed}")
     return address
 
 
@@ -158,8 +158,7 @@ def _commands(
     if sonar.range_m is None:
         if device.asked_per_ping:
             raise UsageError(
-                f"{key}.sonar.range_m is empty, but a '{port.device}' pings only after it has been given a range: set "
-                "one"
+                f"{key}.sonar.range_m is empty, but a '{port.device}' does not ping before its range is set: give one"
             )
         return (), False
     settings = SonarSettings(

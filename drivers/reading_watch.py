@@ -52,12 +52,13 @@ class ReadingWatch:
         last = " Further changes of this port are not reported." if self._n_notices == _MAX_NOTICES else ""
         if self._is_readable:
             return Notice(
-                code="port_readable", text=f"port '{self._port}' is read again: messages come.{last}", place=self._port
+                code="port_readable",
+                text=f"port '{self._port}' can be read again: messages arrive.{last}",
+                place=self._port,
             )
         rate = "" if self._baud is None else f"that both ends are set to the same rate, here {self._baud} baud, "
         text = (
-            f"port '{self._port}' cannot be read: {heard_bytes} bytes in {elapsed_ns * 1e-9:.1f} s made not one "
-            "message of "
-            f"'{self._device}'. Check {rate}that such a device is at {self._place}, and its cable.{last}"
+            f"port '{self._port}' cannot be read: {heard_bytes} bytes in {elapsed_ns * 1e-9:.1f} s held no message "
+            f"of '{self._device}'. Check {rate}that such a device is at {self._place}, and its cable.{last}"
         )
         return Notice(code="port_unreadable", text=text, place=self._port)

@@ -94,7 +94,7 @@ class UtcReference:
         return [notice for notice in notices if notice is not None]
 
     def _agrees(self, offset_ns: int) -> bool:
-        """Before a reading goes into any clock, for one that is wrong would stay there."""
+        """Check a reading before it goes into any clock, for one that is wrong would stay there."""
         known = [known_ns for known_ns in (self._agreed_ns, self._before_ns) if known_ns is not None]
         self._before_ns = offset_ns
         if not any(abs(offset_ns - known_ns) <= _AGREE_NS for known_ns in known):
@@ -107,7 +107,7 @@ class UtcReference:
         self._is_taken, self._is_lost = True, False
         self.anchor.take_over(f"port '{unit.name}'", offset_ns, mono_ns)
         what = "ZDA and pulses" if self._has_pulse else "ZDA"
-        text = f"UTC is that of the {what} of '{unit.name}' from now on, {ahead_s:+.3f} s from this computer's own"
+        text = f"UTC now comes from the {what} of '{unit.name}', {ahead_s:+.3f} s from this computer's clock"
         return Notice(code="utc_taken", text=text, place=unit.name, for_the_record=True)
 
     def _back(self, unit: PortSettings) -> Notice | None:
@@ -118,8 +118,8 @@ class UtcReference:
 
     def _lost(self, unit: PortSettings) -> Notice:
         what = "ZDA that names a pulse" if self._has_pulse else "ZDA with its date"
-        goes_on = "goes on by this computer's crystal" if self._is_taken else "is this computer's own until it does"
+        goes_on = "is kept by this computer's clock" if self._is_taken else "is this computer's own until it does"
         advice = "that it is set to send ZDA each second"
-        advice += ", right after its pulse, and the pulse's wire" if self._has_pulse else ", and has had a fix"
+        advice += ", right after its pulse, and the pulse's wire" if self._has_pulse else ", and that it has a fix"
         text = f"'{unit.name}' gave no {what} for {_LOST_NS * 1e-9:g} s: UTC {goes_on}. Check {advice}."
         return Notice(code="utc_lost", text=text, place=unit.name)

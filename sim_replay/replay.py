@@ -158,7 +158,9 @@ def replay(
 
 
 class _Track:
-    """Positions along the track, NaN where it breaks, thinned so that a mission of any length leaves a few thousand."""
+    """Keep positions along the track, NaN where it breaks, thinned so that a mission of any length leaves a few
+    thousand.
+    """
 
     def __init__(self) -> None:
         self._points: list[NDArray[np.float64]] = []

@@ -20,7 +20,7 @@ TRUTH_NAME: Final = "truth.json"
 
 
 class Simulated(NamedTuple):
-    """Counts of what was written."""
+    """Count what was written."""
 
     log: Path
     truth: Path

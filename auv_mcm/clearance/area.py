@@ -50,6 +50,7 @@ class AreaState(NamedTuple):
 
     @property
     def is_reached(self) -> bool:
+        """Find whether the clearance is as required."""
         return self.p_detected >= self.required
 
     def words(self) -> str:

@@ -41,9 +41,12 @@ class LookModel(Protocol):
     """
 
     @property
-    def same_look_correlation(self) -> float: ...
+    def same_look_correlation(self) -> float:
+        """Return the part of a further view from within 15 degrees that adds nothing new."""
+
     @property
-    def other_look_correlation(self) -> float: ...
+    def other_look_correlation(self) -> float:
+        """Return the part of a further view from elsewhere that adds nothing new."""
 
     def p_look(
         self,
@@ -93,6 +96,7 @@ class Clearance(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def seen(self) -> NDArray[np.bool_]:
+        """Find the cells that were seen, bool of the map's shape."""
         return self.looks > 0
 
 

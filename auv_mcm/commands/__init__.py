@@ -35,6 +35,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]  # argparse overloads it; here it is called by argparse alone
         self, args: Sequence[str] | None = None, namespace: Namespace | None = None
     ) -> tuple[Namespace | argparse.Namespace, list[str]]:
+        """Parse arguments; report bad usage with exit code 2."""
         parsed, unknown = super().parse_known_args(args, namespace)
         if unknown:
             near = difflib.get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, n=1)
@@ -57,6 +58,7 @@ def command(commands: Commands, name: str, does: str, more: str, examples: Seque
 
 
 def add_config_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--config` to a command."""
     parser.add_argument(
         "--config", metavar="FILE", type=Path, help="configuration in YAML; see 'auv-mcm config --write'"
     )
@@ -111,7 +113,7 @@ def write_new(path: Path, text: str) -> None:
 
 
 class Progress:
-    """A bar on a terminal, a plain line every tenth elsewhere; both on standard error."""
+    """Show progress: a bar on a terminal, a plain line every tenth elsewhere; both on standard error."""
 
     def __init__(self, title: str) -> None:
         self._title = title
@@ -137,6 +139,7 @@ class Progress:
         self._close()
 
     def show(self, fraction: float) -> None:
+        """Show how much is done. fraction: 0 to 1."""
         self._update(fraction)
 
     def _print_tenths(self, fraction: float) -> None:

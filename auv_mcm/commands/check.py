@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm check` to the command line."""
     parser = command(
         commands,
         "check",
@@ -45,7 +46,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _check_logs(paths: Sequence[Path], config: Config) -> Iterator[Finding]:
-    """Whether each log, and the one that the configured source plays, holds pings that can be replayed."""
+    """Check that each log, and the one that the configured source plays, holds pings that can be replayed."""
     for path in [*paths, *_source_log(config)]:
         yield _check_log(path, config)
 

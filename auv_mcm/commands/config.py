@@ -10,6 +10,7 @@ from auv_mcm.commands import Commands, command, write_new
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm config` to the command line."""
     parser = command(
         commands,
         "config",

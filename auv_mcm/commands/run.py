@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm run` to the command line."""
     parser = command(
         commands,
         "run",

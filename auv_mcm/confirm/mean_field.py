@@ -46,10 +46,12 @@ class ClassMeans(NamedTuple):
 
     @property
     def has_shadow(self) -> bool:
+        """Find whether enough samples are shadow."""
         return self.n_shadow >= _ABSENT_BELOW
 
     @property
     def has_highlight(self) -> bool:
+        """Find whether enough samples are highlight."""
         return self.n_highlight >= _ABSENT_BELOW
 
 

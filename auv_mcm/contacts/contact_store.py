@@ -25,14 +25,14 @@ _ID: Final = "S12"  # numpy's kind for ids, with room for eleven digits
 
 
 class _Version(msgspec.Struct, frozen=True, array_like=True):
-    """A version of a contact: its head with its views' places or, in memory, with its views and no places."""
+    """Hold a version of a contact: its head with its views' places or, in memory, with its views and no places."""
 
     head: Contact
     views: tuple[RecordPlace, ...]
 
 
 class ContactStore:
-    """Contacts by the number in their id, each as it was when it last changed.
+    """Keep contacts by the number in their id, each as it was when it last changed.
 
     No method raises for a disk that is full or gone.
 

@@ -17,7 +17,7 @@ from auv_mcm.records import CoveragePatch
 
 
 class StoredPatch(NamedTuple):
-    """A patch that was written, or that the disk did not take.
+    """Hold a patch that was written, or that the disk did not take.
 
     order: in which it is exported, see `coverage_order`.
     """

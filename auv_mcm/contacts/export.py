@@ -73,6 +73,7 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
 
 
 def contacts_geojson_parts(contacts: Iterable[Contact]) -> Iterator[bytes]:
+    """Yield contacts.geojson in parts of bytes, a contact at a time."""
     return collection_parts(map(contact_feature, contacts))
 
 
@@ -82,10 +83,12 @@ def coverage_geojson_parts(patches: Iterable[CoveragePatch]) -> Iterator[bytes]:
 
 
 def contact_order(contact: Contact) -> str:
+    """Return the key that contacts are sorted by in files."""
     return contact.id
 
 
 def coverage_order(patch: CoveragePatch) -> tuple[int, str, float]:
+    """Return the key that patches of coverage are sorted by in files."""
     return patch.tile_index, patch.side, patch.start_s
 
 

@@ -39,10 +39,12 @@ def collection_parts(features: Iterable[Mapping[str, Json]]) -> Iterator[bytes]:
 
 
 def feature(geometry: Json, properties: dict[str, Json]) -> dict[str, Json]:
+    """Make a GeoJSON feature."""
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
 def one_or_multi(kind: str, parts: list[Json]) -> Json:
+    """Make a geometry of one part, or a Multi- of several; None without any."""
     if not parts:
         return None
     return (
@@ -51,11 +53,13 @@ def one_or_multi(kind: str, parts: list[Json]) -> Json:
 
 
 def geojson_point(longitude_deg: float, latitude_deg: float) -> Json:
+    """Make a GeoJSON point, rounded; None if a coordinate is not finite."""
     longitude, latitude = rounded_longitude(longitude_deg), rounded(latitude_deg, DEGREE_DIGITS)
     return None if longitude is None or latitude is None else {"type": "Point", "coordinates": [longitude, latitude]}
 
 
 def positions_of(points: NDArray[np.float64]) -> list[Json]:
+    """Make GeoJSON positions of (n, 2) points, longitude and latitude in degrees."""
     return [
         [round(longitude, DEGREE_DIGITS) + 0.0, round(latitude, DEGREE_DIGITS) + 0.0]
         for longitude, latitude in points.tolist()
@@ -63,6 +67,7 @@ def positions_of(points: NDArray[np.float64]) -> list[Json]:
 
 
 def rounded_longitude(longitude_deg: float) -> float | None:
+    """Round a longitude and wrap it into -180 to 180 degrees; None if it is not finite."""
     longitude = rounded(longitude_deg, DEGREE_DIGITS)
     return None if longitude is None else round(float(wrap_longitude_deg(longitude)), DEGREE_DIGITS) + 0.0
 

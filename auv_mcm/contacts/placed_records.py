@@ -22,7 +22,7 @@ _IN_MEMORY: Final = -2  # instead of a start in the file: not written yet
 
 
 class PlacedRecords(Generic[T]):
-    """The newest version of each record of one kind, by number."""
+    """Keep the newest version of each record of one kind, by number."""
 
     def __init__(self, file: RecordFile, kind: type[T]) -> None:
         self._file = file

@@ -20,7 +20,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 class RecordPlace(NamedTuple):
-    """The place of a record in its file, in bytes."""
+    """Hold the place of a record in its file, in bytes."""
 
     start: int
     size: int

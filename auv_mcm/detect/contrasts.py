@@ -56,7 +56,7 @@ Bounds = NDArray[np.float64]
 
 
 class Contrasts(NamedTuple):
-    """A tile's floor and its scores that reach the threshold.
+    """Hold a tile's floor and its scores that reach the threshold.
 
     background, known, thin, small, large, score: (n_rows, n_columns); variances of ln I over boxes of three sizes, in
     the rows scored, and the score where it is at least the threshold, -inf elsewhere. rows: [start, stop) of those

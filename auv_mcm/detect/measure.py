@@ -64,7 +64,7 @@ class Measurement(NamedTuple):
 
 
 class _Extent(NamedTuple):
-    """Rows [first, stop) of a part of the region, and what they imply about its length."""
+    """Hold rows [first, stop) of a part of the region, and what they imply about its length."""
 
     first: int
     stop: int

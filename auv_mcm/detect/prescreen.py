@@ -76,7 +76,7 @@ CONTEXT_M: Final = LOOKS_ROWS_M + FRAME_ROWS_M + 1.0
 
 
 class ScoreMaps(NamedTuple):
-    """Per pixel, each (n_rows, n_columns) float32.
+    """Hold what is known per pixel, each (n_rows, n_columns) float32.
 
     score: of the best pair of boxes, in standard deviations that one pair has on pure sea floor; -inf where it
     cannot be computed. highlight, shadow: deviates, a shadow counts positive. background: mean intensity.
@@ -94,14 +94,14 @@ class ScoreMaps(NamedTuple):
 
 
 class Floor(NamedTuple):
-    """The sea floor around one pixel: mean intensity, and variance of the logarithm of small box means."""
+    """Hold the sea floor around one pixel: mean intensity, and variance of the logarithm of small box means."""
 
     background: float
     log_variance: float
 
 
 class Peak(NamedTuple):
-    """A local maximum of the score: tile-local row and column, and the score there."""
+    """Hold a local maximum of the score: tile-local row and column, and the score there."""
 
     score: float
     row: int
@@ -109,7 +109,7 @@ class Peak(NamedTuple):
 
 
 class PixelGrid(NamedTuple):
-    """A tile's pixels: lengths in whole pixels, 1 at the minimum, and boxes as half-open offsets from a pixel."""
+    """Convert lengths to whole pixels of a tile, 1 at the minimum, and boxes to half-open offsets from a pixel."""
 
     row_m: float
     column_m: float
@@ -118,6 +118,7 @@ class PixelGrid(NamedTuple):
         return max(1, round(length_m / self.row_m))
 
     def columns(self, length_m: float) -> int:
+        """Convert a length across the track, m, to whole columns, 1 at the minimum."""
         return max(1, round(length_m / self.column_m))
 
     def centred(self, size_m: tuple[float, float]) -> tuple[tuple[int, int, int, int], int]:
@@ -330,6 +331,7 @@ def find_peaks(tile: Tile, maps: ScoreMaps, p_false_alarm: float, radius_m: floa
 
 
 def saturate(deviate: NDArray[np.float32], knee: float) -> NDArray[np.float32]:
+    """Bound deviates: linear up to the knee, less steep above."""
     bounded = np.maximum(deviate, np.float32(_LOWEST_DEVIATE))
     return np.asarray(np.minimum(bounded, np.float32(knee) + np.float32(_BEYOND_KNEE) * (bounded - np.float32(knee))))
 

@@ -30,8 +30,11 @@ _HOLD_FACTOR: Final = (
 
 
 class Timed(Protocol):
+    """Have a time."""
+
     @property
-    def time_s(self) -> float: ...
+    def time_s(self) -> float:
+        """Return UTC seconds since 1970."""
 
 
 F = TypeVar("F", bound=Timed)

@@ -346,7 +346,8 @@ class NavBuffer:
             text = (
                 f"{n_rejected} of the last {len(self._decided)} positions were rejected: they do not exist on Earth, "
                 "or the vehicle cannot "
-                "have moved there and back. Check the navigation unit, its antenna and its cable. More are counted."
+                "have moved there and back. Check the navigation unit, its antenna and its cable. Further ones are "
+                "only counted."
             )
             self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
 

@@ -33,7 +33,7 @@ _NO_MOVES: Final[Schedule] = ()
 
 
 class Course(NamedTuple):
-    """Schedules of `snake.move_pair`: coarse from each start, fine from the best, polish for a shadow alone."""
+    """Hold schedules of `snake.move_pair`: coarse from each start, fine from the best, polish for a shadow alone."""
 
     coarse: Schedule
     fine: Schedule
@@ -74,7 +74,7 @@ def descend(
 def descend_numpy(
     table: NDArray[np.float64], settings: Settings, course: Course, highlight: Nodes, shadow: Nodes, strip_px: float
 ) -> tuple[Moved, int]:
-    """descend as a sequence of `snake.move_pair`."""
+    """Run `descend` as a sequence of `snake.move_pair`."""
 
     def run(schedule: Schedule, highlight: Nodes, shadow: Nodes) -> Moved:
         return snake.move_pair(table, settings, np.array(schedule, dtype=np.float64).reshape(-1, 3), highlight, shadow)

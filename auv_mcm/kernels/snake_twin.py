@@ -189,6 +189,7 @@ def _beyond(excess_m: float, sigma_m: float) -> float:
 
 
 def shadow_cost(settings: Settings, sums: EdgeSums) -> float:
+    """Compute what a shadow costs that no object of a plausible height casts, nats."""
     height = height_m(settings, sums)
     cost = _beyond(height - settings.height_limit_m, settings.height_sigma_m)
     if height > settings.height_bound_m:

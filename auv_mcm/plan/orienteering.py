@@ -129,6 +129,7 @@ class Wanting:
         self._renewed = np.where(problem.cells.looked, self._seen_again, 1.0)
 
     def copy(self) -> Wanting:
+        """Copy the state, so that legs can be tried."""
         other = Wanting.__new__(Wanting)
         other.__dict__ = {
             name: value.copy() if isinstance(value, np.ndarray) else value for name, value in self.__dict__.items()
@@ -151,6 +152,7 @@ class Wanting:
         return part, -np.expm1(-added) * self._missed_m2[cell]
 
     def gain_m2(self, leg: int) -> float:
+        """Compute what a leg adds to what was taken, m² worth."""
         _, cell, added = self._added(leg)
         return float(self._problem.contact_m2[leg] - np.expm1(-added) @ self._missed_m2[cell])
 
@@ -165,6 +167,7 @@ class Wanting:
         return float(self._problem.contact_m2[leg] + gained.sum())
 
     def take_all(self, legs: Iterable[int]) -> float:
+        """Take legs in turn and sum what they add, m² worth."""
         return sum(map(self.take, legs))
 
 

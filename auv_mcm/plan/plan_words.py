@@ -27,6 +27,7 @@ def area_words(m2: float) -> str:
 
 
 def course_words(heading_rad: float) -> str:
+    """Write a heading as three digits of degrees."""
     return f"{round(math.degrees(heading_rad)) % 360:03d}°"
 
 

@@ -35,6 +35,8 @@ _TRACK_M2: Final = 0.02
 
 
 class SearchedRoute(NamedTuple):
+    """Hold a route and its worth."""
+
     problem: Problem  # with the legs that were cut for it
     route: list[int]
     worth_m2: float
@@ -75,6 +77,7 @@ def searched(problem: Problem, more_time: MoreTime) -> tuple[SearchedRoute, list
 
 
 def improved(problem: Problem, legs: list[int], more_time: MoreTime) -> SearchedRoute:
+    """Improve a choice of legs: shift, cut and order them, as long as there is time."""
     problem, legs = trimmed_legs(problem, shifted_legs(problem, legs, _SHIFTS, more_time), more_time)
     route = best_route(problem, legs, more_time)
     found = SearchedRoute(problem, route, _net_m2(problem, route))

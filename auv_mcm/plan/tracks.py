@@ -77,7 +77,8 @@ class Cells(NamedTuple):
 
 
 class Tracks(NamedTuple):
-    """Legs, n in all; what leg i sees are elements [first[i], last[i]) of the arrays below, in order along its way.
+    """Hold legs, n in all; what leg i sees are elements [first[i], last[i]) of the arrays below, in order along its
+    way.
 
     run: (n, 2, 3) poses of entry and exit, settling included. cell: index into `Cells`; exponent: what a first look
     adds to it; bit: of its direction, alike: of those that are nearly the same, uint64. line: number of the straight
@@ -97,10 +98,12 @@ class Tracks(NamedTuple):
 
     @property
     def n_legs(self) -> int:
+        """Count the legs."""
         return len(self.run)
 
     @property
     def length_m(self) -> Array:
+        """Compute the lengths of the legs, (n,) m."""
         return np.asarray(np.hypot(*(self.run[:, 1, :2] - self.run[:, 0, :2]).T))
 
 

@@ -178,7 +178,7 @@ class PortConfig(_Settings, frozen=True, kw_only=True):
         except UsageError as error:
             raise ValueError(f"port '{self.name}': {error}") from error
         if self.sonar is not None and kind != "sonar":
-            raise ValueError(f"port '{self.name}': a device '{self.device}' is no sonar and takes no section 'sonar'")
+            raise ValueError(f"port '{self.name}': section 'sonar' is for sonars, and '{self.device}' is not a sonar")
         unit = self.navigation
         if unit is not None and unit.gives_utc and self.device != "nmea0183":
             raise ValueError(

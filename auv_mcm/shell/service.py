@@ -375,7 +375,7 @@ class Service:
             self._early_journal.close()
 
     async def _on_disk(self, write: Callable[[], None]) -> None:
-        """A slow disk must not hold up the ports."""
+        """Run a write beside the event loop: a slow disk must not hold up the ports."""
         await asyncio.get_running_loop().run_in_executor(self._disk, write)
 
     def _say(self, line: str) -> None:

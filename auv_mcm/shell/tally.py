@@ -76,6 +76,7 @@ class Tally:
         self.latitude_deg, self.longitude_deg = sample.latitude_deg, sample.longitude_deg
 
     def totals(self) -> dict[str, Any]:
+        """Return what was counted, by name."""
         return {
             "pings": self.pings,
             "navigation_samples": self.navigation_samples,

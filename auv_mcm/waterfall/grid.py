@@ -56,6 +56,7 @@ class Swath(NamedTuple):
 
     @property
     def n_rows(self) -> int:
+        """Count the rows."""
         return int(self.along_m.shape[0])
 
 

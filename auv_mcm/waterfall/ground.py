@@ -31,6 +31,7 @@ class Traces(NamedTuple):
 
     @property
     def n_samples(self) -> int:
+        """Count the samples of a trace."""
         return int(self.sum_intensity.shape[1]) - 1
 
 

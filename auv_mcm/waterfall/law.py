@@ -64,6 +64,7 @@ class LawOdds(NamedTuple):
 
     @property
     def likeliest(self) -> Law:
+        """Return the most probable law."""
         return LAWS[max(range(len(LAWS)), key=self.probability.__getitem__)]
 
     def of(self, law: Law) -> float:

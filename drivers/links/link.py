@@ -35,10 +35,12 @@ class Wire(Protocol[T]):
     """
 
     @property
-    def note(self) -> str: ...
+    def note(self) -> str:
+        """Return what a person should know of how the wire opened, "" for nothing."""
 
     @property
-    def pause_s(self) -> float: ...
+    def pause_s(self) -> float:
+        """Return how long to let more come before the next read, s."""
 
     @property
     def has_unsent(self) -> bool:
@@ -231,7 +233,7 @@ class Link(Generic[T]):
         self._silent_due_s = now_s + self._silent_after_s
         self._heard = True
         if self.state == "silent":
-            self._report("up", f"{self.place} is heard again")
+            self._report("up", f"{self.place} sends data again")
         for item in items:
             self._call(self._on_data, item, stamp)
         return True

@@ -140,6 +140,7 @@ class SlcanPort:
 
     @property
     def pause_s(self) -> float:
+        """Return how long to let more come before the next read, s."""
         return self._stream.pause_s
 
     def read(self) -> list[CanFrame]:
@@ -164,8 +165,8 @@ class SlcanPort:
             )
         if refused:
             return (
-                "What arrives is neither a frame nor an answer: check that the adapter speaks slcan, and the rate of "
-                "its serial line."
+                "What arrives is neither a CAN frame nor an answer of the adapter: check that the adapter speaks "
+                "slcan, and the rate of its serial line."
             )
         return "The adapter does not answer either: check its power, and that it speaks slcan."
 

@@ -56,8 +56,7 @@ def _port(connection: socket.socket, place: str, counters: Counter[str]) -> Stre
 
     def on_silence() -> str:
         raise HardwareError(
-            f"{place}: nothing received, so the connection is taken for dead. Check that the device is running and "
-            "sends."
+            f"{place}: nothing received, so the connection counts as lost. Check that the device is running and sends."
         )
 
     return StreamPort(connection.fileno(), connection.close, lost, on_silence, GATHER_S, counters)

@@ -19,17 +19,23 @@ _SHARPEST_COSINE: Final = 1e-9  # keeps steps finite at a pole
 
 
 class Position(NamedTuple):
+    """Hold a position with its 1-sigma."""
+
     latitude_deg: float
     longitude_deg: float
     sigma_m: float
 
 
 class HeadingReading(NamedTuple):
+    """Hold a heading with its 1-sigma."""
+
     heading_rad: float
     sigma_rad: float
 
 
 class AttitudeReading(NamedTuple):
+    """Hold pitch and roll."""
+
     pitch_rad: float
     roll_rad: float
 

@@ -37,7 +37,7 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 class Pd6Attitude(NamedTuple):
-    """:SA"""
+    """Hold attitude (`:SA`)."""
 
     pitch_rad: float
     roll_rad: float
@@ -283,7 +283,7 @@ def _velocities(texts: Sequence[str], count: int) -> list[Any]:
 
 
 def _read_time(text: str) -> float:
-    """YYMMDDHHmmsshh"""
+    """Read a time as YYMMDDHHmmsshh."""
     if len(text) != 14 or not text.isdecimal():
         raise ValueError(f"not a time: {text}")
     year, month, day, hour, minute, second, hundredth = (int(text[at : at + 2]) for at in range(0, 14, 2))

@@ -22,12 +22,14 @@ class UnitHealth:
         self.has_failed = False
 
     def gave(self, now_s: float) -> None:
+        """Note that the unit gave a value."""
         if not self.is_healthy(now_s):
             self.has_failed = math.isfinite(self.last_s)
             self.since_s = now_s
         self.last_s = now_s
 
     def is_healthy(self, now_s: float) -> bool:
+        """Find whether the last value is recent enough."""
         return now_s - self.last_s <= self.valid_s
 
 

@@ -235,7 +235,7 @@ class NavMerge:
                 f"{name.rpartition('_')[0]} {getattr(fix, name):g} {_UNITS[name.rpartition('_')[2]]}"
                 for name in _FIELDS[quantity]
             )
-            text = f"'{fix.source}' sends an impossible {quantity} ({values}); it is not used. "
+            text = f"'{fix.source}' sends an impossible {quantity} ({values}); it is rejected. "
             text += "Check the unit's settings, sensor and wiring."
             events.append(Notice(code="nav_impossible", text=text))
         return events
@@ -246,8 +246,8 @@ class NavMerge:
             return []
         self._unknown.add(source)
         text = (
-            f"navigation unit '{source}' is heard, but has no settings: its data is not used. Give it some, or ignore "
-            "this."
+            f"navigation unit '{source}' sends data, but is not configured: its data is rejected. Configure "
+            "it, or ignore this notice."
         )
         return [Notice(code="nav_unit_unknown", text=text)]
 
@@ -376,7 +376,7 @@ class NavMerge:
         why = "which is better and has been healthy for a while"
         if not before.is_healthy(self._now_s):
             why = f"because '{before.source}' gave none for {before.valid_s:g} s. Check its cable and its power."
-        text = f"{quantity} is taken from '{now.source}' now, {why}"
+        text = f"{quantity} now comes from '{now.source}' now, {why}"
         return [Notice(code="nav_source_changed", text=text, for_the_record=before.is_healthy(self._now_s))]
 
     def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:
@@ -430,7 +430,7 @@ class NavMerge:
         if not self._reckoning:
             self._reckoning, self._position_lost = True, False
             self._n_steps_reported = sum(step_m <= position.sigma_m for step_m in _RECKONING_STEPS_M)
-            text = f"no unit gives a plausible position{self._doubts()}: continuing by heading and speed, "
+            text = f"no unit gives a plausible position{self._doubts()}: dead reckoning by heading and speed, "
             text += f"1-sigma {position.sigma_m:.1f} m and growing"
             events.append(Notice(code="nav_dead_reckoning", text=text))
         elif (
@@ -438,7 +438,7 @@ class NavMerge:
             and position.sigma_m >= _RECKONING_STEPS_M[self._n_steps_reported]
         ):
             self._n_steps_reported += 1
-            text = f"still continuing by heading and speed: 1-sigma of the position is {position.sigma_m:.0f} m"
+            text = f"still dead reckoning by heading and speed: 1-sigma of the position is {position.sigma_m:.0f} m"
             events.append(Notice(code="nav_dead_reckoning", text=text))
         return events
 

@@ -28,7 +28,10 @@ class N2kField(NamedTuple):
 
 
 class SystemTime(NamedTuple):
-    """source: 0 GPS, 1 GLONASS, 2 radio station, 3 caesium clock, 4 rubidium clock, 5 crystal clock."""
+    """Hold UTC of a source.
+
+    source: 0 GPS, 1 GLONASS, 2 radio station, 3 caesium clock, 4 rubidium clock, 5 crystal clock.
+    """
 
     sid: float
     source: float
@@ -37,7 +40,7 @@ class SystemTime(NamedTuple):
 
 
 class Heading(NamedTuple):
-    """reference: 0 true north, 1 magnetic north."""
+    """Hold a heading. reference: 0 true north, 1 magnetic north."""
 
     sid: float
     heading_rad: float
@@ -47,16 +50,22 @@ class Heading(NamedTuple):
 
 
 class RateOfTurn(NamedTuple):
+    """Hold the rate of turn (PGN 127251)."""
+
     sid: float
     rate_rad_s: float
 
 
 class Heave(NamedTuple):
+    """Hold heave (PGN 127252)."""
+
     sid: float
     heave_m: float
 
 
 class Attitude(NamedTuple):
+    """Hold yaw, pitch and roll (PGN 127257)."""
+
     sid: float
     yaw_rad: float
     pitch_rad: float
@@ -64,6 +73,8 @@ class Attitude(NamedTuple):
 
 
 class MagneticVariation(NamedTuple):
+    """Hold magnetic variation (PGN 127258)."""
+
     sid: float
     source: float
     date_days: float
@@ -71,6 +82,8 @@ class MagneticVariation(NamedTuple):
 
 
 class Speed(NamedTuple):
+    """Hold speed through the water and over ground (PGN 128259)."""
+
     sid: float
     water_mps: float
     ground_mps: float
@@ -78,7 +91,7 @@ class Speed(NamedTuple):
 
 
 class WaterDepth(NamedTuple):
-    """Depth below the transducer. offset_m: to the waterline if positive, to the keel if negative."""
+    """Hold depth below the transducer. offset_m: to the waterline if positive, to the keel if negative."""
 
     sid: float
     depth_m: float
@@ -87,12 +100,14 @@ class WaterDepth(NamedTuple):
 
 
 class RapidPosition(NamedTuple):
+    """Hold a position (PGN 129025)."""
+
     latitude_deg: float
     longitude_deg: float
 
 
 class RapidCourse(NamedTuple):
-    """reference: 0 true north, 1 magnetic north."""
+    """Hold course and speed over ground. reference: 0 true north, 1 magnetic north."""
 
     sid: float
     reference: float
@@ -101,7 +116,10 @@ class RapidCourse(NamedTuple):
 
 
 class GnssPosition(NamedTuple):
-    """method: 0 no fix, 1 GNSS, 2 differential, 3 precise, 4 and 5 RTK, 6 dead reckoning, 7 by hand, 8 simulated."""
+    """Hold a GNSS fix.
+
+    method: 0 no fix, 1 GNSS, 2 differential, 3 precise, 4 and 5 RTK, 6 dead reckoning, 7 by hand, 8 simulated.
+    """
 
     sid: float
     date_days: float
@@ -120,6 +138,8 @@ class GnssPosition(NamedTuple):
 
 
 class Temperature(NamedTuple):
+    """Hold a temperature (PGN 130312)."""
+
     sid: float
     instance: float
     source: float
@@ -127,6 +147,8 @@ class Temperature(NamedTuple):
 
 
 class Pressure(NamedTuple):
+    """Hold a pressure (PGN 130314)."""
+
     sid: float
     instance: float
     source: float
@@ -179,6 +201,7 @@ def identifier_of(can_id: int) -> Identifier:
 
 
 def can_id_of(identifier: Identifier) -> int:
+    """Compute the 29-bit CAN identifier of its parts."""
     priority, pgn, destination, source = identifier
     middle = destination if pgn >> 8 & 0xFF < 240 else 0
     return priority << 26 | (pgn | middle) << 8 | source

@@ -46,9 +46,11 @@ class Reckoner:
 
     @property
     def travelled(self) -> Travelled:
+        """Return how far the vehicle went on this leg."""
         return Travelled(self._leg, self._east_m, self._north_m)
 
     def turn(self, time_s: float, heading: HeadingReading) -> None:
+        """Turn to a heading at its time."""
         self._heading = time_s, heading
         self._go_to(time_s)
 

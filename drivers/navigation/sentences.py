@@ -35,7 +35,10 @@ class Codec(NamedTuple):
 
 
 class Gga(NamedTuple):
-    """quality: 0 none, 1 GNSS, 2 differential, 4 and 5 RTK, 6 dead reckoning, 7 by hand, 8 simulated."""
+    """Hold a GNSS fix (GGA).
+
+    quality: 0 none, 1 GNSS, 2 differential, 4 and 5 RTK, 6 dead reckoning, 7 by hand, 8 simulated.
+    """
 
     time_of_day_s: float
     latitude_deg: float
@@ -48,7 +51,10 @@ class Gga(NamedTuple):
 
 
 class Rmc(NamedTuple):
-    """status: A valid, V not. mode: A autonomous, D differential, E dead reckoning, M by hand, S simulated, N none."""
+    """Hold position, speed and date (RMC).
+
+    status: A valid, V not. mode: A autonomous, D differential, E dead reckoning, M by hand, S simulated, N none.
+    """
 
     time_of_day_s: float
     status: str
@@ -61,6 +67,8 @@ class Rmc(NamedTuple):
 
 
 class Gll(NamedTuple):
+    """Hold a position (GLL)."""
+
     latitude_deg: float
     longitude_deg: float
     time_of_day_s: float
@@ -69,22 +77,28 @@ class Gll(NamedTuple):
 
 
 class Hdt(NamedTuple):
+    """Hold a true heading (HDT)."""
+
     heading_rad: float
 
 
 class Vtg(NamedTuple):
+    """Hold course and speed over ground (VTG)."""
+
     course_rad: float
     speed_mps: float
     mode: str = ""
 
 
 class Zda(NamedTuple):
+    """Hold time and date (ZDA)."""
+
     time_of_day_s: float
     date_days: float
 
 
 class Dpt(NamedTuple):
-    """Depth below the transducer. offset_m: to the waterline if positive, to the keel if negative."""
+    """Hold depth below the transducer. offset_m: to the waterline if positive, to the keel if negative."""
 
     depth_m: float
     offset_m: float = NAN
@@ -92,10 +106,14 @@ class Dpt(NamedTuple):
 
 
 class Dbt(NamedTuple):
+    """Hold depth below the transducer (DBT)."""
+
     depth_m: float
 
 
 class Pashr(NamedTuple):
+    """Hold heading, roll, pitch and heave (PASHR)."""
+
     time_of_day_s: float
     heading_rad: float
     roll_rad: float
@@ -109,18 +127,22 @@ class Pashr(NamedTuple):
 
 
 class Prdid(NamedTuple):
+    """Hold pitch, roll and heading (PRDID)."""
+
     pitch_rad: float
     roll_rad: float
     heading_rad: float
 
 
 class PixseAttitude(NamedTuple):
+    """Hold roll and pitch (PIXSE,ATITUD)."""
+
     roll_rad: float
     pitch_rad: float
 
 
 class PixsePosition(NamedTuple):
-    """height_m: negative under water."""
+    """Hold an inertial unit's position. height_m: negative under water."""
 
     latitude_deg: float
     longitude_deg: float
@@ -128,34 +150,46 @@ class PixsePosition(NamedTuple):
 
 
 class PixseSpeed(NamedTuple):
+    """Hold velocity (PIXSE,SPEED_)."""
+
     east_mps: float
     north_mps: float
     up_mps: float
 
 
 class PixseHeave(NamedTuple):
+    """Hold surge, sway and heave (PIXSE,HEAVE_)."""
+
     surge_m: float
     sway_m: float
     heave_m: float
 
 
 class PixseTime(NamedTuple):
+    """Hold the time of day (PIXSE,TIME__)."""
+
     time_of_day_s: float
 
 
 class PixseAttitudeSigma(NamedTuple):
+    """Hold 1-sigma of the attitude (PIXSE,STDHRP)."""
+
     heading_rad: float
     roll_rad: float
     pitch_rad: float
 
 
 class PixsePositionSigma(NamedTuple):
+    """Hold 1-sigma of the position (PIXSE,STDPOS)."""
+
     latitude_m: float
     longitude_m: float
     height_m: float
 
 
 class PixseSpeedSigma(NamedTuple):
+    """Hold 1-sigma of the velocity (PIXSE,STDSPD)."""
+
     north_mps: float
     east_mps: float
     up_mps: float
@@ -315,7 +349,7 @@ def _degrees_and_minutes(n_degree_digits: int, hemispheres: str) -> Codec:
 
 
 def _clock(decimals: int) -> Codec:
-    """hhmmss.sss"""
+    """Make the codec of a time of day, hhmmss.sss."""
     scale = 10**decimals
 
     def read(fields: Sequence[str]) -> float:
@@ -339,7 +373,7 @@ def _clock(decimals: int) -> Codec:
 
 
 def _read_six_digit_date(fields: Sequence[str]) -> float:
-    """ddmmyy; years 80 to 99 are of the last century, since GPS began in 1980."""
+    """Read a date as ddmmyy; years 80 to 99 are of the last century, since GPS began in 1980."""
     text = fields[0]
     if not text:
         return NAN
@@ -350,7 +384,7 @@ def _read_six_digit_date(fields: Sequence[str]) -> float:
 
 
 def _read_three_field_date(fields: Sequence[str]) -> float:
-    """dd,mm,yyyy"""
+    """Read a date from three fields, dd,mm,yyyy."""
     if not all(fields):
         return NAN
     if not all(field.isdecimal() and len(field) <= 4 for field in fields):
@@ -372,7 +406,7 @@ def _write_three_field_date(days: float) -> Sequence[str]:
 
 
 def _read_depths(fields: Sequence[str]) -> float:
-    """feet,f,metres,M,fathoms,F: metres if they are there."""
+    """Read a depth from feet,f,metres,M,fathoms,F: metres if they are there."""
     if any(unit not in ("", expected) for unit, expected in zip(fields[1::2], "fMF", strict=True)):
         raise ValueError(f"units {fields[1::2]} where f, M, F belong")
     feet, metres, fathoms = (_read_number((text,)) for text in fields[::2])

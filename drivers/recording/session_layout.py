@@ -72,4 +72,5 @@ class Lost(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def file_name(number: int) -> str:
+    """Name a file of a session. number: from 0."""
     return f"session-{number:05d}.mcap"

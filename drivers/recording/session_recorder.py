@@ -167,9 +167,8 @@ class SessionRecorder:
         if not self._reported_slow:
             self._reported_slow = True
             text = (
-                f"the disk under {self._place} is too slow for what comes in: bytes are missing from the recording, "
-                "which says where. The "
-                "mission goes on. Record to a faster disk."
+                f"the disk under {self._place} is too slow for the data: bytes are missing from the recording, which "
+                "marks where. The mission goes on. Record to a faster disk."
             )
             self._raise_notice(Notice(code="session_bytes_lost", text=text, place=self._place))
 

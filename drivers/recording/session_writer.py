@@ -58,15 +58,18 @@ class DurableFile:
         return len(data)
 
     def write_some(self, data: memoryview) -> int:
+        """Write a part of the data; return how many bytes."""
         return os.write(self._descriptor, data)
 
     def tell(self) -> int:
+        """Return how many bytes were written."""
         return self._n_bytes
 
     def flush(self) -> None:
         """Do nothing: no data is held back here; `sync` makes it durable."""
 
     def sync(self) -> None:
+        """Wait until the disk holds what was written."""
         os.fsync(self._descriptor)
 
     def close(self) -> None:
@@ -194,5 +197,6 @@ class SessionWriter:
         if free < self._reserve_bytes + self._pending_bytes:
             raise OSError(
                 errno.ENOSPC,
-                f"only {free / 1e6:.1f} MB are free, {self._reserve_bytes / 1e6:.1f} MB are kept for others",
+                f"only {free / 1e6:.1f} MB are free, {self._reserve_bytes / 1e6:.1f} MB are reserved for results and "
+                "the system",
             )

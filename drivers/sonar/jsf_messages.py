@@ -58,6 +58,8 @@ class PositionUnits(IntEnum):
 
 
 class DataFormat(IntEnum):
+    """Name what samples are."""
+
     ENVELOPE = 0  # u16
     ANALYTIC = 1  # i16 real, imaginary
     RAW = 2  # i16 before the matched filter
@@ -144,10 +146,12 @@ class SideScanHeader(NamedTuple):
 
     @property
     def n_samples(self) -> int:
+        """Count the samples, from both of its fields."""
         return self.samples_low | (self.msb >> 8 & 0xF) << 16
 
     @property
     def sample_interval_s(self) -> float:
+        """Compute the time between samples, s."""
         return 1e-9 * (self.interval_ns + (self.lsb_1 & 0xFF) / 256.0)
 
     @property
@@ -223,6 +227,7 @@ def declared_data_bytes(buffer: bytearray, body_at: int) -> int:
 
 
 def values_per_sample(data_format: int) -> int:
+    """Return how many numbers a sample has: 2 if it is complex."""
     return 2 if data_format in _TWO_VALUES_PER_SAMPLE else 1
 
 

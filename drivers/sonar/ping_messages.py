@@ -42,19 +42,27 @@ class PingMessage(NamedTuple):
 
 
 class Ack(NamedTuple):
+    """Acknowledge a message."""
+
     acked_id: int
 
 
 class Nack(NamedTuple):
+    """Refuse a message, with the reason."""
+
     nacked_id: int
     text: str
 
 
 class AsciiText(NamedTuple):
+    """Carry a text."""
+
     text: str
 
 
 class DeviceInformation(NamedTuple):
+    """Describe the device and its firmware."""
+
     device_type: int
     device_revision: int
     firmware_major: int
@@ -64,6 +72,8 @@ class DeviceInformation(NamedTuple):
 
 
 class ProtocolVersion(NamedTuple):
+    """State the protocol's version."""
+
     major: int
     minor: int
     patch: int
@@ -83,6 +93,8 @@ class JsonWrapper(NamedTuple):
 
 
 class SetSpeedOfSound(NamedTuple):
+    """Set the sound speed, mm/s."""
+
     sound_speed_mmps: int
 
 

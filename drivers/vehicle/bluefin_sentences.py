@@ -36,7 +36,10 @@ from drivers.vehicle.dialect import ContactReport
 
 
 class BluefinAnswer(NamedTuple):
-    """`$BFACK`. status: 0 invalid, 1 failed, 2 done, 3 pending, of the sentence `name` with the time `of_s`."""
+    """Hold an answer, `$BFACK`.
+
+    status: 0 invalid, 1 failed, 2 done, 3 pending, of the sentence `name` with the time `of_s`.
+    """
 
     time_of_day_s: float
     name: str
@@ -46,7 +49,7 @@ class BluefinAnswer(NamedTuple):
 
 
 class BluefinPosition(NamedTuple):
-    """`$BFNVG`. quality: 1 by GNSS. computed_s: time of day that the position is for."""
+    """Hold a position, `$BFNVG`. quality: 1 by GNSS. computed_s: time of day that the position is for."""
 
     time_of_day_s: float
     latitude_deg: float
@@ -61,7 +64,7 @@ class BluefinPosition(NamedTuple):
 
 
 class BluefinVelocity(NamedTuple):
-    """`$BFNVR`, over ground; its rates are not read."""
+    """Hold velocities, `$BFNVR`, over ground; its rates are not read."""
 
     time_of_day_s: float
     east_mps: float
@@ -70,14 +73,14 @@ class BluefinVelocity(NamedTuple):
 
 
 class BluefinControl(NamedTuple):
-    """`$BFCTL`. control: 1 if the payload may command."""
+    """Hold who has control, `$BFCTL`. control: 1 if the payload may command."""
 
     time_of_day_s: float
     control: str
 
 
 class BluefinMission(NamedTuple):
-    """`$BFMIS`. status: holds `Running` while a mission runs."""
+    """Hold the mission's state, `$BFMIS`. status: holds `Running` while a mission runs."""
 
     time_of_day_s: float
     mission: str
@@ -85,41 +88,41 @@ class BluefinMission(NamedTuple):
 
 
 class BluefinCommand(NamedTuple):
-    """`$BFMSC`: what the mission has for the payload, in words agreed upon by both."""
+    """Hold a command of the mission, `$BFMSC`: what the mission has for the payload, in words agreed upon by both."""
 
     time_of_day_s: float
     text: str
 
 
 class BluefinShutdown(NamedTuple):
-    """`$BFSHT`: the payload is to shut down."""
+    """Announce a shutdown, `$BFSHT`: the payload is to shut down."""
 
     time_of_day_s: float
 
 
 class BluefinBegin(NamedTuple):
-    """`$BFMBS`: a behaviour begins."""
+    """Announce a behaviour, `$BFMBS`: a behaviour begins."""
 
     time_of_day_s: float
     behaviour: str
 
 
 class BluefinEnd(NamedTuple):
-    """`$BFMBE`: a behaviour ends."""
+    """End a behaviour, `$BFMBE`: a behaviour ends."""
 
     time_of_day_s: float
     behaviour: str
 
 
 class BluefinLog(NamedTuple):
-    """`$BPLOG`: send this from now on."""
+    """Request a sentence, `$BPLOG`: send this from now on."""
 
     name: str
     switch: str = "ON"
 
 
 class BluefinStatus(NamedTuple):
-    """`$BPSTS`. ok: 0 if nobody should count on the payload."""
+    """Report the payload's state, `$BPSTS`. ok: 0 if nobody should count on the payload."""
 
     time_of_day_s: float
     ok: str
@@ -127,7 +130,7 @@ class BluefinStatus(NamedTuple):
 
 
 class BluefinSteer(NamedTuple):
-    """`$BPRMB`.
+    """Command heading, depth and speed, `$BPRMB`.
 
     vertical_mode: 0 depth, 1 altitude, 2 pitch. speed_mode: 0 rpm, 1 m/s. heading_mode: 0 heading, 1 rudder.
     """
@@ -142,13 +145,15 @@ class BluefinSteer(NamedTuple):
 
 
 class BluefinCancel(NamedTuple):
-    """`$BPRCE`: end the current mission element, and with it what the payload made of it."""
+    """Cancel a command, `$BPRCE`: end the current mission element, and with it what the payload made of it."""
 
     time_of_day_s: float
     element: float = 0.0
 
 
 class BluefinContact(NamedTuple):
+    """Report a contact."""
+
     time_of_day_s: float
     report: ContactReport
 

@@ -71,6 +71,8 @@ ANSWERS: Final = ("taken", "not wanted", "no memory left", "not understood")
 
 
 class PayloadStatus(NamedTuple):
+    """Report what the payload does and requests."""
+
     health: int
     authority: int
     demand: int
@@ -79,6 +81,8 @@ class PayloadStatus(NamedTuple):
 
 
 class GoToMessage(NamedTuple):
+    """Command a place."""
+
     latitude_deg: float
     speed_mps: float
     longitude_deg: float
@@ -91,6 +95,8 @@ class GoToMessage(NamedTuple):
 
 
 class SteerMessage(NamedTuple):
+    """Command a heading."""
+
     vertical_m: float
     vertical_reference: int
     valid_s: float
@@ -101,6 +107,8 @@ class SteerMessage(NamedTuple):
 
 
 class ReportMessage(NamedTuple):
+    """Report a contact."""
+
     ticket: int
     number: int
     session: int
@@ -128,7 +136,7 @@ class ReportMessage(NamedTuple):
 
 
 class HealthText(NamedTuple):
-    """UTF-8, filled up with zeros, least significant byte of text_1 first."""
+    """Report health in words: UTF-8, filled up with zeros, least significant byte of text_1 first."""
 
     text_1: int
     text_2: int
@@ -141,6 +149,8 @@ class HealthText(NamedTuple):
 
 
 class VehicleStatus(NamedTuple):
+    """Grant or refuse control."""
+
     grant: int
     reason: int
     request_number: int
@@ -150,6 +160,8 @@ class VehicleStatus(NamedTuple):
 
 
 class StateMessage(NamedTuple):
+    """Report position, heading and speed of the vehicle."""
+
     latitude_deg: float
     heading_rad: float
     longitude_deg: float
@@ -161,6 +173,8 @@ class StateMessage(NamedTuple):
 
 
 class ReportAnswer(NamedTuple):
+    """Answer a report."""
+
     ticket: int
     report_crc: int
     answer: int
@@ -225,6 +239,7 @@ class CanMessage(NamedTuple):
 
     @property
     def is_transfer(self) -> bool:
+        """Find whether the message takes several frames."""
         return len(self.parts) > 1
 
     @property
@@ -238,6 +253,7 @@ class CanMessage(NamedTuple):
 
 
 def can_id_of(message: CanMessage, address: int) -> int:
+    """Compute the 29-bit CAN identifier of a message from an address."""
     return message.priority << 26 | (_PAGES_AND_FORMAT | message.number) << 8 | address
 
 
@@ -350,14 +366,14 @@ _VERTICAL: Final = Signal(
     "vertical_m", 4, 0.0, 12_000.0, "rounded to the shallower: altitudes up, depths down", 1e-3, "m"
 )
 _REFERENCE: Final = _code("vertical_reference", REFERENCES, "vertical_m is below the surface, or above the sea floor")
-_VALID: Final = Signal("valid_s", 1, 0.0, 25.0, "void so long after its last frame, unless given again", 0.1, "s")
+_VALID: Final = Signal("valid_s", 1, 0.0, 25.0, "expires this long after its last frame, unless repeated", 0.1, "s")
 _COMMAND_NUMBER: Final = _number(
     "command_number", 1, "goes on by 1 for a command unlike the one before, not for a repetition"
 )
 _REQUEST_NUMBER: Final = _number("request_number", 1, "of the request in whose grant it is given; refused in any other")
 _REASON: Final = Signal("reason", 1, 0, 255, "why the grant is what it is; readers take any number", names=REASONS)
 _COUNTER: Final = _number(
-    "counter", 1, "goes on by 1 with every frame; one that does not, or goes back, is no sign of life"
+    "counter", 1, "goes on by 1 with every frame; one that does not, or goes back, does not count as a sign of life"
 )
 
 MESSAGES: Final = (
@@ -368,15 +384,16 @@ MESSAGES: Final = (
         2,
         STATUS_PERIOD_S,
         PayloadStatus,
-        "Sign of life, health, and whether the payload wants control. Sent at once when it changes. A release is sent "
+        "Sign of life, health, and whether the payload requests control. Sent at once when it changes. A release is "
+        "sent "
         "three times; one "
         "that names the granted request, or none as after a restart, counts whatever its counter. "
         f"Without one for {PAYLOAD_SILENT_S:g} s the vehicle takes control back.",
         (
             (
-                _code("health", HEALTH_STATES, "fault: it works, with less. failure: do not count on it"),
+                _code("health", HEALTH_STATES, "fault: it works, degraded. failure: do not rely on it"),
                 _code("authority", AUTHORITY_STATES, "as the payload sees it"),
-                _code("demand", DEMANDS, "request holds for as long as it is said; release ends control at once"),
+                _code("demand", DEMANDS, "request: as long as it is repeated. release: ends control at once"),
                 _number("request_number", 1, "of the request that is made or was made last; 0: none yet"),
                 _COUNTER,
             ),
@@ -394,7 +411,10 @@ MESSAGES: Final = (
         "control back and flies its own plan. A sequence not newer than the last one's is refused and extends nothing.",
         (
             (_LATITUDE, _SPEED),
-            (_LONGITUDE, Signal("radius_m", 2, 0.0, 655.0, "as near counts as there", 0.01, "m")),
+            (
+                _LONGITUDE,
+                Signal("radius_m", 2, 0.0, 655.0, "within this distance the place counts as reached", 0.01, "m"),
+            ),
             (_VERTICAL, _REFERENCE, _VALID),
             (_COMMAND_NUMBER, _REQUEST_NUMBER),
         ),
@@ -422,7 +442,7 @@ MESSAGES: Final = (
         "Sizes, errors and depths too large are sent as the largest value.",
         (
             (
-                _number("ticket", 2, "to be named in the answer; 1 to 65535"),
+                _number("ticket", 2, "repeated in the answer; 1 to 65535"),
                 _number("number", 4, "of the contact in its session"),
             ),
             (
@@ -438,7 +458,7 @@ MESSAGES: Final = (
             (
                 _DEPTH._replace(comment="of the sea floor below the surface"),
                 _code("classification", CLASSES, "the likeliest class"),
-                _number("n_views", 1, "how often it was seen; 255 or more"),
+                _number("n_views", 1, "number of views; 255 stands for 255 or more"),
             ),
             tuple(_length(f"{axis}_m", "of the object") for axis in ("length", "width", "height")),
             tuple(_length(f"{axis}_sigma_m", "1-sigma") for axis in ("length", "width", "height")),

@@ -87,6 +87,7 @@ def report_message(report: ContactReport, ticket: int) -> ReportMessage:
 
 
 def report_from_can(message: ReportMessage) -> ContactReport:
+    """Turn a message into a contact's report."""
     shares = {name: float(getattr(message, f"belief_{name}")) for name in CLASSES}
     return ContactReport(
         session=message.session,
@@ -122,6 +123,7 @@ def text_message(text: str) -> HealthText:
 
 
 def text_of(message: HealthText) -> str:
+    """Read the text of a message."""
     data = b"".join(part.to_bytes(n_bytes, "little") for part, n_bytes in zip(message, _TEXT_PART_BYTES, strict=True))
     return data.rstrip(b"\0").decode("utf-8", "replace")
 

@@ -205,7 +205,8 @@ class VehicleDecoder(Protocol[Wntra]):
     @property
     def counters(self) -> Counter[str]: ...
     @property
-    def bus_counters(self) -> Counter[str]: ...
+    def bus_counters(self) -> Counter[str]:
+        """Count what came over the whole bus, not from the vehicle alone."""
 
     def feed(self, data: Wntra, stamp: Stamp) -> list[VehicleMessage]:
         """Return the messages that a chunk of bytes, or a frame, completes, in order; one for each message, understood
@@ -232,11 +233,17 @@ class Talker(Protocol[W]):
     """
 
     @property
-    def capabilities(self) -> Capability: ...
+    def capabilities(self) -> Capability:
+        """Return what this dialect can report and command."""
+
     @property
-    def silent_after_s(self) -> float: ...
+    def silent_after_s(self) -> float:
+        """Return after how long without a message the vehicle counts as silent, s."""
+
     @property
-    def command_period_s(self) -> float: ...
+    def command_period_s(self) -> float:
+        """Return how often a command is repeated, s."""
+
     @property
     def counters(self) -> Counter[str]: ...
 

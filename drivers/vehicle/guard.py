@@ -238,7 +238,7 @@ class Guard:
         min_clearance_m = min(self._config.fence_margin_m, fence.clearance_m(here, here))
         if not clearance_m >= max(min_clearance_m - _ROUNDING_M, _TOUCH_M):
             return Refusal(
-                "leads_out", f"the straight way leads out of the fence, or nearer to it than {min_clearance_m:.1f} m"
+                "leads_out", f"the straight line leaves the fence, or comes nearer to it than {min_clearance_m:.1f} m"
             )
         return None
 

@@ -67,10 +67,12 @@ class WaypointTrack:
 
     @property
     def finished(self) -> bool:
+        """Find whether all places were reached."""
         return self._index >= len(self._places_deg)
 
     @property
     def target_deg(self) -> tuple[float, float]:
+        """Return latitude and longitude of the next place, degrees."""
         return self._places_deg[self._index]
 
     def nearest(self, position_deg: tuple[float, float], first: int, last: int) -> int:

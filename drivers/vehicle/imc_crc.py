@@ -73,7 +73,7 @@ class RunningRemainder:
 
 
 def _powers(data: NDArray[np.uint8], phase: int) -> NDArray[np.uint16]:
-    """(n,) uint16: what each byte adds to the running remainder. phase: number of the first byte."""
+    """Compute what each byte adds to the running remainder, (n,) uint16. phase: number of the first byte."""
     low, high = _nibble_tables()
     rows = np.arange(phase % _PERIOD, phase % _PERIOD + len(data))
     if phase % _PERIOD + len(data) > _PERIOD:

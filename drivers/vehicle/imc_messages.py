@@ -137,7 +137,7 @@ class Abort(_Message, frozen=True):
 
 
 class EntityState(_Message, frozen=True):
-    """state: 0 boot, 1 normal, 2 fault, 3 error, 4 failure."""
+    """Hold the state of an entity. state: 0 boot, 1 normal, 2 fault, 3 error, 4 failure."""
 
     state: int
     flags: int = 0
@@ -145,8 +145,10 @@ class EntityState(_Message, frozen=True):
 
 
 class Announce(_Message, frozen=True):
-    """Who is there, every ten seconds. sys_type: 2 under water, 3 on the surface, others are no vehicles that carry
-    us."""
+    """Announce a system, every ten seconds.
+
+    sys_type: 2 under water, 3 on the surface, others are no vehicles that carry us.
+    """
 
     sys_name: str
     sys_type: int
@@ -158,7 +160,7 @@ class Announce(_Message, frozen=True):
 
 
 class EstimatedState(_Message, frozen=True):
-    """x north, y east, z down: offsets of the vehicle from lat, lon, height.
+    """Hold where the vehicle estimates itself: x north, y east, z down: offsets of the vehicle from lat, lon, height.
 
     vx north, vy east, vz down: over ground. Negative depth or alt: not known.
     """
@@ -186,7 +188,7 @@ class EstimatedState(_Message, frozen=True):
 
 
 class VehicleState(_Message, frozen=True):
-    """op_mode: 0 service, 1 calibration, 2 error, 3 manoeuvre, 4 external, 5 boot.
+    """Hold what the vehicle does. op_mode: 0 service, 1 calibration, 2 error, 3 manoeuvre, 4 external, 5 boot.
 
     maneuver_type: its message id, 65535 for none.
     """
@@ -204,21 +206,21 @@ class VehicleState(_Message, frozen=True):
 
 
 class DesiredZ(_Message, frozen=True):
-    """z_units: 1 depth, 2 altitude, 3 height."""
+    """Command a depth, altitude or height. z_units: 1 depth, 2 altitude, 3 height."""
 
     value: float
     z_units: int
 
 
 class DesiredSpeed(_Message, frozen=True):
-    """speed_units: 0 m/s, 1 rpm, 2 %."""
+    """Command a speed. speed_units: 0 m/s, 1 rpm, 2 %."""
 
     value: float
     speed_units: int = 0
 
 
 class FollowReference(_Message, frozen=True):
-    """Manoeuvre: go where control_src says, until it has been silent for `timeout` s.
+    """Follow references: a manoeuvre that goes where control_src says, until it has been silent for `timeout` s.
 
     control_ent: 255 for any entity of it.
     """
@@ -246,7 +248,7 @@ class Reference(_Message, frozen=True):
 
 
 class FollowRefState(_Message, frozen=True):
-    """state: 1 wait, 2 goto, 3 loiter, 4 hover, 5 elevator, 6 timeout.
+    """Hold how far the vehicle follows. state: 1 wait, 2 goto, 3 loiter, 4 hover, 5 elevator, 6 timeout.
 
     proximity: 1 far, 2 near in the plane, 4 near in depth, 8 and 16 out of reach.
     """
@@ -259,6 +261,8 @@ class FollowRefState(_Message, frozen=True):
 
 
 class PlanManeuver(_Message, frozen=True):
+    """Hold a manoeuvre of a plan."""
+
     maneuver_id: str
     data: FollowReference | None
     start_actions: tuple[ImcMessage, ...] = ()
@@ -266,6 +270,8 @@ class PlanManeuver(_Message, frozen=True):
 
 
 class PlanTransition(_Message, frozen=True):
+    """Hold what leads from one manoeuvre to the next."""
+
     source_man: str
     dest_man: str
     conditions: str = ""
@@ -273,6 +279,8 @@ class PlanTransition(_Message, frozen=True):
 
 
 class PlanSpecification(_Message, frozen=True):
+    """Hold a plan."""
+
     plan_id: str
     description: str = ""
     vnamespace: str = ""
@@ -285,7 +293,10 @@ class PlanSpecification(_Message, frozen=True):
 
 
 class PlanControl(_Message, frozen=True):
-    """type: 0 request, 1 success, 2 failure, 3 in progress. op: 0 start, 1 stop, 2 load, 3 get."""
+    """Request something of a plan, or answer.
+
+    type: 0 request, 1 success, 2 failure, 3 in progress. op: 0 start, 1 stop, 2 load, 3 get.
+    """
 
     type: int
     op: int
@@ -297,7 +308,7 @@ class PlanControl(_Message, frozen=True):
 
 
 class PlanControlState(_Message, frozen=True):
-    """state: 0 blocked, 1 ready, 2 initializing, 3 executing."""
+    """Hold what the plans do. state: 0 blocked, 1 ready, 2 initializing, 3 executing."""
 
     state: int
     plan_id: str = ""
@@ -310,7 +321,7 @@ class PlanControlState(_Message, frozen=True):
 
 
 class Target(_Message, frozen=True):
-    """Something seen at a place. z_units: 0 z says nothing, 1 depth. cog, sog: its course and speed."""
+    """Report something seen at a place. z_units: 0 z says nothing, 1 depth. cog, sog: its course and speed."""
 
     label: str
     lat: float
@@ -322,7 +333,7 @@ class Target(_Message, frozen=True):
 
 
 class MineContact(_Message, frozen=True):
-    """Our own: a contact in full.
+    """Report a contact in full; a message of our own.
 
     What is not known is NaN; masses of belief in the order of `classification`'s numbers.
 
@@ -357,7 +368,7 @@ class MineContact(_Message, frozen=True):
 
 
 class MineContactTaken(_Message, frozen=True):
-    """Our own: the vehicle's answer to every MineContact, also to a repeated one.
+    """Answer every MineContact, also a repeated one; a message of our own.
 
     taken: 1 it is, 0 it is refused, for this reason.
     """

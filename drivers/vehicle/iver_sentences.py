@@ -41,8 +41,10 @@ _COMPASS: Final = re.compile(r"C([\d.+-]+)P([\d.+-]+)R([\d.+-]+)T([\d.+-]+)D([\d
 
 
 class IverState(NamedTuple):
-    """`$OSI`. mode: its first letter is N normal, S stopped, P parking, M manual, m manual parking, A servo, W
-    mission."""
+    """Hold the vehicle's state, `$OSI`.
+
+    mode: its first letter is N normal, S stopped, P parking, M manual, m manual parking, A servo, W mission.
+    """
 
     mode: str
     latitude_deg: float
@@ -54,7 +56,10 @@ class IverState(NamedTuple):
 
 
 class IverCompass(NamedTuple):
-    """`$C`, such as `$C82.8P-3.89R-2.63T20.3D3.2*78`. heading_rad: by the compass, so not from true north."""
+    """Hold the compass, `$C`, such as `$C82.8P-3.89R-2.63T20.3D3.2*78`.
+
+    heading_rad: by the compass, so not from true north.
+    """
 
     heading_rad: float
     pitch_rad: float
@@ -64,11 +69,11 @@ class IverCompass(NamedTuple):
 
 
 class IverPoll(NamedTuple):
-    """`$OSD,G,C,S,P,,,,`: position, compass, state and power, once."""
+    """Request reports, `$OSD,G,C,S,P,,,,`: position, compass, state and power, once."""
 
 
 class IverSteer(NamedTuple):
-    """`$OMS`"""
+    """Command heading, depth and speed, `$OMS`."""
 
     heading_rad: float
     depth_m: float
@@ -78,10 +83,14 @@ class IverSteer(NamedTuple):
 
 
 class IverContact(NamedTuple):
+    """Report a contact."""
+
     report: ContactReport
 
 
 class IverHealth(NamedTuple):
+    """Report health in words."""
+
     text: str
 
 

@@ -54,7 +54,7 @@ _STEER_STEP_RAD: Final = math.radians(1.0)  # a heading that differs less waits 
 
 
 class _Plan(NamedTuple):
-    """proposed: as it was given; waypoints: as it is flown; track: its index counts in these.
+    """Hold a plan. proposed: as it was given; waypoints: as it is flown; track: its index counts in these.
 
     approved_s: when it was proposed last.
     """
@@ -272,7 +272,7 @@ class Pilot(Generic[W]):
         if self._plan.track.finished:
             self._plan = None
             self._own["vehicle.plans_flown"] += 1
-            self._do(self._authority.give_back("the plan is flown", now_s, pause=False), now_s)
+            self._do(self._authority.give_back("the plan is complete", now_s, pause=False), now_s)
         elif (refusal := self._guard.plan_age(now_s - self._plan.approved_s)) is not None:
             self._drop_plan(refusal, now_s)
 
@@ -365,7 +365,7 @@ class Pilot(Generic[W]):
         self._counted.add(refusal.code)
         self._own[f"vehicle.refused.{refusal.code}"] += 1
         self._raise_notice(
-            "vehicle_refused", f"the vehicle is not commanded: {refusal.text} [{refusal.code}]", logging.WARNING
+            "vehicle_refused", f"no command goes to the vehicle: {refusal.text} [{refusal.code}]", logging.WARNING
         )
 
     def _do(self, action: Action | None, now_s: float) -> None:
@@ -410,7 +410,9 @@ class Pilot(Generic[W]):
         self._own["vehicle.doubted"] += 1
         if self._own["vehicle.doubted"] == 1:
             self._raise_notice(
-                "vehicle_doubted", f"a message of the vehicle is rejected: {reason} More are counted.", logging.WARNING
+                "vehicle_doubted",
+                f"a message of the vehicle is rejected: {reason} Further ones are only counted.",
+                logging.WARNING,
             )
 
     def _raise_notice(self, code: str, text: str, level: int) -> None:

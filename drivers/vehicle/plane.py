@@ -70,6 +70,7 @@ class LocalPlane:
 
 
 def distance_m(a: Point, b: Point) -> float:
+    """Compute the distance between two points, m."""
     return math.hypot(b.east_m - a.east_m, b.north_m - a.north_m)
 
 

@@ -57,7 +57,7 @@ _PLACE: Final = re.compile(r"(\d{1,3})([NSEW])(\d{1,2}(?:\.\d*)?)")
 
 
 class ReconState(NamedTuple):
-    """`#S`.
+    """Hold the vehicle's state, `#S`.
 
     mode: bits 1 in mission, 2 suspended (both: over), 4 override enabled, 8 override active, 10h shore power, 20h
     returns to the closest point, 40h depth alone may be overridden, 80h override not allowed. altitude_m: 0 if not
@@ -83,28 +83,36 @@ class ReconState(NamedTuple):
 
 
 class ReconShutdown(NamedTuple):
-    """`#s,SHUTDOWN`: the payload is to shut down."""
+    """Announce a shutdown, `#s,SHUTDOWN`: the payload is to shut down."""
 
 
 class ReconEngage(NamedTuple):
-    """`#E`. engaged: 1 or 0."""
+    """Engage or end the override, `#E`. engaged: 1 or 0."""
 
     engaged: str
 
 
 class ReconHeading(NamedTuple):
+    """Command a heading."""
+
     heading_rad: float
 
 
 class ReconDepth(NamedTuple):
+    """Command a depth."""
+
     depth_m: float
 
 
 class ReconSpeed(NamedTuple):
+    """Command a speed."""
+
     speed_mps: float
 
 
 class ReconAlive(NamedTuple):
+    """Keep the connection alive, with health in words."""
+
     text: str
 
 
@@ -115,6 +123,8 @@ class ReconQuery(NamedTuple):
 
 
 class ReconContact(NamedTuple):
+    """Report a contact."""
+
     report: ContactReport
 
 
@@ -153,7 +163,9 @@ def frame(body: str) -> bytes:
 
 
 def _place(codec: Codec, n_digits: int) -> Codec:
-    """`39N30.5553` by the codec of ddmm.mmmm,N; written to a ten-thousandth of a minute, 0.2 m, as the vehicle does."""
+    """Write and read `39N30.5553` by the codec of ddmm.mmmm,N; written to a ten-thousandth of a minute, 0.2 m, as the
+    vehicle does.
+    """
 
     def read(fields: Sequence[str]) -> Any:
         match = _PLACE.fullmatch(fields[0])

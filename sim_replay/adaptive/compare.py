@@ -103,10 +103,12 @@ class Flights(NamedTuple):
 
 
 def fly_comparison(seed: int, order: Order, model: Performance) -> Flights:
-    """The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The
+    """Fly both ways over one square each.
+
+    The lawnmower is the shortest that is expected to do what is ordered were the worst sea floor everywhere. The
     replanned flight goes on until the order is met and its map is ABOVE what the lawnmower would come to on the same
-    sea floor, as the map has it by then. Maps and plans count the share MIN_ALIKE of a look from an earlier look's
-    side as nothing new.
+    sea floor, as the map has it by then. Maps and plans count the share MIN_ALIKE of a look from an earlier look's side
+    as nothing new.
 
     Raises UsageError where no lawnmower is expected to do what is ordered, so that there is nothing to compare with.
     """

@@ -29,7 +29,9 @@ _N_CRESTS: Final = 6  # directions of ripple crests averaged over half a turn
 
 
 class LawnmowerLegs(NamedTuple):
-    """legs: in order of flying, the first set of lines northwards and back, the second, if any, eastwards and back.
+    """Hold the legs of a lawnmower.
+
+    legs: in order of flying, the first set of lines northwards and back, the second, if any, eastwards and back.
 
     length_m: from the start to the end of the last leg. expected: mean p_detected on the assumed sea floor.
     """

@@ -61,6 +61,7 @@ class Stretch(NamedTuple):
 
     @property
     def n_pings(self) -> int:
+        """Count the pings."""
         return len(self.pings)
 
     def trace(self, ping: int, side: Side) -> EchoTrace | None:

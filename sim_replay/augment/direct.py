@@ -107,9 +107,9 @@ def multi_look(intensity: Array, valid: Bools) -> SmoothedImage:
 
 
 def _measured_looks(smooth: Array, valid: Bools, lag: int) -> float:
-    """Looks by the nugget of the logarithm's variogram across the track: what is left at lag 0 when the sea floor's own
-    share, quadratic in the lag, is taken off by help of twice the lag. The lower quartile over blocks, as all else adds
-    to it; 4 if nothing can be measured.
+    """Estimate looks by the nugget of the logarithm's variogram across the track: what is left at lag 0 when the sea
+    floor's own share, quadratic in the lag, is taken off by help of twice the lag. The lower quartile over blocks, as
+    all else adds to it; 4 if nothing can be measured.
     """
     level = np.log(np.where(valid & (smooth > 0.0), smooth, 1.0))
     usable = valid & (smooth > 0.0)

@@ -352,8 +352,9 @@ def _heard_anew(
 
 
 def _level(recorded: Floats, bare: Floats, line: SampleScatter, spacing_m: float) -> Floats:
-    """Recorded intensity of the floor per rendered, (n_samples,), over a few metres, without shadows, glints and
-    noise."""
+    """Estimate the recorded intensity of the floor per rendered, (n_samples,), over a few metres, without shadows,
+    glints and noise.
+    """
     lit = (bare > 0.0).astype(np.float64)
     width = max(3, round(_LEVEL_M / spacing_m))
 

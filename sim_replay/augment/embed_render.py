@@ -38,8 +38,8 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class Relief(NamedTuple):
-    """Recovered floor of a window: one side, on pings by ground-range columns, column j around (first_column + j +
-    0.5) * spacing.
+    """Hold the recovered floor of a window: one side, on pings by ground-range columns, column j around (first_column +
+    j + 0.5) * spacing.
 
     elevation_m, reflectivity: (n_pings, n_columns) float64, above the flat bottom, and relative; a reflectivity of 0
     hides but does not echo. along_m: (n_pings,) float64 from the reference ping, increasing. Beyond the window the
@@ -94,8 +94,9 @@ class PingWindow(NamedTuple):
 
 
 class Echoes(NamedTuple):
-    """Mean echoes of a window, (n_pings, n_samples) float64, all in one unit: of the floor alone, of the floor with the
-    objects there, of the objects, and of the objects if nothing but themselves hid them."""
+    """Hold mean echoes of a window, (n_pings, n_samples) float64, all in one unit: of the floor alone, of the floor
+    with the objects there, of the objects, and of the objects if nothing but themselves hid them.
+    """
 
     bare: Floats
     floor: Floats

@@ -112,8 +112,9 @@ def _boxes(intensity: Floats, spacing_m: float) -> Floats:
 
 
 def _floor_level(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Floats:
-    """Typical intensity over range: the median over all pings of small boxes, smoothed; before the floor begins, its
-    first value."""
+    """Estimate the typical intensity over range: the median over all pings of small boxes, smoothed; before the floor
+    begins, its first value.
+    """
     per_block = []
     for block in blocks:
         typical = np.median(_boxes(block.intensity, spacing_m), axis=0)
@@ -181,8 +182,8 @@ def _darkest(blocks: Sequence[_Block], range_m: Floats, spacing_m: float) -> Flo
 def _water_column(
     blocks: Sequence[_Block], range_m: Floats, blank_m: float, absorption_per_m: float
 ) -> tuple[Floats, list[Floats]]:
-    """Noise that the water column shows, ln N = a + b ln r + c r as a recorder's gain makes of it, and its samples
-    over their mean.
+    """Estimate the noise that the water column shows, ln N = a + b ln r + c r as a recorder's gain makes of it, and its
+    samples over their mean.
 
     A water column of a few metres does not determine c: it is the absorption where b is that of a gain that makes up
     for spreading.

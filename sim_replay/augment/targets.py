@@ -46,8 +46,8 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class EmbeddedTarget(_Section, frozen=True, kw_only=True):
-    """One object at a place: side, ground_range_m, and ping (its number in the log, from 0) or along_m (way from the
-    first ping).
+    """Place one object at a place: side, ground_range_m, and ping (its number in the log, from 0) or along_m (way from
+    the first ping).
 
     contrast_db: backscattering strength of its surface at normal incidence over that of the sea floor around it, as
     seen from there; specular_db: of the specular lobe on top of it. burial_m: pushed into the floor; tilt_deg: its end

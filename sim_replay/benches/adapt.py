@@ -33,6 +33,7 @@ FIRST_SEED: Final = 9430  # on seeds from here on nothing was ever tuned
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench adapt`."""
     parser.add_argument("--missions", type=count, default=30, help="worlds, each flown both ways (default 30)")
     parser.add_argument(
         "--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first world (default {FIRST_SEED})"

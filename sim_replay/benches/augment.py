@@ -50,7 +50,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class ChipStatistics(NamedTuple):
-    """Statistics (n_chips, n_features) float64 of chips, whether each is embedded, and the mission it is from."""
+    """Hold statistics (n_chips, n_features) float64 of chips, whether each is embedded, and the mission it is from."""
 
     features: Floats
     embedded: NDArray[np.bool_]
@@ -58,7 +58,7 @@ class ChipStatistics(NamedTuple):
 
 
 class ClassifierVerdict(NamedTuple):
-    """How well a classifier separates chips.
+    """Hold how well a classifier separates chips.
 
     accuracy: on missions it was not trained on; sigma: of the accuracy by chance.
 

@@ -87,7 +87,9 @@ Image = NDArray[np.float32]
 
 
 class TileRow(NamedTuple):
-    """Costs on one kind of tile. budget: None for none. plane_ms: codes and integral images; run_ms: the cascade.
+    """Hold the costs on one kind of tile.
+
+    budget: None for none. plane_ms: codes and integral images; run_ms: the cascade.
 
     same: numpy finds the same.
     """
@@ -101,7 +103,7 @@ class TileRow(NamedTuple):
 
 
 class ContrastRow(NamedTuple):
-    """Costs of contrasts on one kind of tile. everywhere_ms: all pixels scored; ms: only where it matters.
+    """Hold the costs of contrasts on one kind of tile. everywhere_ms: all pixels scored; ms: only where it matters.
 
     same: scores, floor and peaks alike.
     """
@@ -114,7 +116,7 @@ class ContrastRow(NamedTuple):
 
 
 class AgainstOpenCv(NamedTuple):
-    """Speed and agreement with OpenCV.
+    """Hold speed and agreement with OpenCV.
 
     Million windows per second, and how many windows one finds and the other does not, of those that both visit.
     """

@@ -39,12 +39,14 @@ _FRONT_END: Final = ("read", "intake", "waterfall")  # from stored samples to le
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench chain`."""
     parser.add_argument("--minutes", type=duration_min, default=30.0, help="length of the tiled version (default 30)")
     parser.add_argument("--beside", type=Path, metavar="LOG", help="another log, whose processor time to compare with")
     add_log(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Measure the chain on a log, or on a mission that is flown for it."""
     with given_or_flown(arguments.log) as (log, folder):
         _bench(log, folder, arguments.minutes, arguments.repeat)
         if arguments.beside is not None:
@@ -168,6 +170,7 @@ def tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
 
 
 def stored_sample_type(log: Path) -> Any:
+    """Find the type of the samples of a log."""
     ping = next(event for event in open_log(log, Config()) if isinstance(event, Ping))
     trace = ping.port or ping.starboard
     assert trace is not None

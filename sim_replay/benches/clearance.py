@@ -50,7 +50,7 @@ _HEADER = (
 
 
 class ClearanceTask(msgspec.Struct, frozen=True, kw_only=True):
-    """A mission over a named scene, with its mines or without."""
+    """Name a mission over a named scene, with its mines or without."""
 
     scene: str
     seed: int
@@ -58,7 +58,7 @@ class ClearanceTask(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
-    """One judged mission.
+    """Hold one judged mission.
 
     n_targets: seen on legs; n_found: near a contact called mine-like. by_tables: sum of p_detected where they lie.
 
@@ -74,6 +74,7 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def n_left(self) -> int:
+        """Count the targets that were not found."""
         return self.n_targets - self.n_found
 
     def expected(self, share: float = DOUBTFUL_SHARE) -> float:
@@ -87,6 +88,7 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench clearance`."""
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument(
         "--first-seed",

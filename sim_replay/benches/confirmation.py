@@ -50,6 +50,7 @@ EFFORTS: Final = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench confirmation`."""
     add_log(parser)
     parser.add_argument(
         "--efforts", action="store_true", help="measure how far p_mine moves with less search for solids"
@@ -57,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Measure confirmation on a log, or on a mission that is flown for it."""
     with given_or_flown(arguments.log) as (log, _):
         _bench(log, arguments.repeat, arguments.efforts)
     return 0

@@ -41,13 +41,16 @@ _HEADER: Final = (
 
 
 class MisreadMission(NamedTuple):
-    """One mission as read with decibels per count times each of FACTORS, and with those that the payload estimates."""
+    """Hold one mission as read with decibels per count times each of FACTORS, and with those that the payload
+    estimates.
+    """
 
     by_factor: tuple[ScoredMission, ...]
     estimated: ScoredMission
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench decibels`."""
     parser.add_argument(
         "--seeds", type=count, default=1, help=f"missions of each scene, from seed {FIRST_SEED} (default 1)"
     )

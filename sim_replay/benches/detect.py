@@ -25,10 +25,12 @@ from sim_replay.logs.open_log import open_log
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench detect`."""
     add_log(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Measure detection on a log, or on a mission that is flown for it."""
     with given_or_flown(arguments.log) as (log, _):
         _bench(log, arguments.repeat)
     return 0

@@ -61,7 +61,7 @@ _VEHICLE_CAN_ADDRESS: Final = 96  # on the bus
 
 
 class FramedWire(NamedTuple):
-    """One wire format under the fault campaign.
+    """Describe one wire format under the fault campaign.
 
     messages: n intact messages as bytes, no two alike. read: runs a new framer over the chunks, to the end of the
     stream, and gives an equal item for equal messages.
@@ -73,8 +73,10 @@ class FramedWire(NamedTuple):
 
 
 class Damaged(NamedTuple):
-    """A stream after faults. intact: which of the messages it was made of are still in it, unbroken. n_faults: by
-    kind."""
+    """Hold a stream after faults.
+
+    intact: which of the messages it was made of are still in it, unbroken. n_faults: by kind.
+    """
 
     stream: bytes
     intact: list[bool]
@@ -82,7 +84,7 @@ class Damaged(NamedTuple):
 
 
 class CampaignRow(NamedTuple):
-    """Messages of all streams of one wire. n_lost: intact ones that were not read.
+    """Count the messages of all streams of one wire. n_lost: intact ones that were not read.
 
     n_other: read from damaged or repeated bytes. n_false: of those, messages that nobody sent.
     """
@@ -547,7 +549,7 @@ def _brping(stream: bytes) -> Callable[[], object]:
 
 
 class JunkRow(NamedTuple):
-    """The junk that costs most on one wire, and its processor time per megabyte."""
+    """Hold the junk that costs most on one wire, and its processor time per megabyte."""
 
     name: str
     junk: str

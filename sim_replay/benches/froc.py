@@ -80,24 +80,26 @@ _ROCK_HEADER: Final = ("mine-sized rocks of the chain", "called", "share")
 
 
 class HeldOutSimulatedLine(NamedTuple):
-    """A named scene with a seed."""
+    """Name a named scene with a seed."""
 
     name: str
     seed: int
 
     @property
     def group(self) -> str:
+        """Name the group that the line is pooled in: its scene."""
         return self.name
 
 
 class HeldOutAugmentedLine(NamedTuple):
-    """A recorded log into which targets and rocks are embedded, drawn by a seed."""
+    """Name a recorded log into which targets and rocks are embedded, drawn by a seed."""
 
     log: Path
     seed: int
 
     @property
     def group(self) -> str:
+        """Name the group that the line is pooled in: its log."""
         return self.log.stem
 
 
@@ -105,14 +107,14 @@ Line: TypeAlias = HeldOutSimulatedLine | HeldOutAugmentedLine
 
 
 class Rock(NamedTuple):
-    """A rock with or without (n_views 0) a contact: whether it is called, and from how many views."""
+    """Hold a rock with or without (n_views 0) a contact: whether it is called, and from how many views."""
 
     n_views: int
     called: bool
 
 
 class FlownLine(NamedTuple):
-    """The contacts of every system of SYSTEMS on one line."""
+    """Hold the contacts of every system of SYSTEMS on one line."""
 
     group: str
     reported: dict[str, ScoredMission]
@@ -120,6 +122,7 @@ class FlownLine(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench froc`."""
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument(
         "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"

@@ -55,7 +55,7 @@ _LEVELS: Final[dict[tuple[Law, int], tuple[float, float, float]]] = {
 
 
 class Store(NamedTuple):
-    """How a recorder stores echoes; db_per_count is None unless its law is the logarithm."""
+    """Describe how a recorder stores echoes; db_per_count is None unless its law is the logarithm."""
 
     law: Law
     db_per_count: float | None
@@ -64,6 +64,7 @@ class Store(NamedTuple):
 
     @property
     def name(self) -> str:
+        """Name the law, with its decibels per count."""
         return self.law if self.db_per_count is None else f"{self.law} {self.db_per_count:g}"
 
 
@@ -82,7 +83,7 @@ STORES: Final = tuple(
 
 
 class JudgedLaw(NamedTuple):
-    """One mission. decided, ended: transfer after the first verdict, and after the last ping.
+    """Hold one judged mission. decided, ended: transfer after the first verdict, and after the last ping.
 
     db_interval: 5 to 95 % of decibels per count from all its pings, NaN without usable samples. doubts: codes of what
     was said against the law when it was configured rightly. cpu_s: processor time of watching it with nothing
@@ -178,6 +179,7 @@ def judged_missions(task: tuple[str, int, int]) -> list[JudgedLaw]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench law`."""
     parser.add_argument(
         "--seeds", type=count, default=4, help=f"floors of each scene, from seed {FIRST_SEED} (default 4)"
     )
@@ -214,6 +216,7 @@ def run(arguments: argparse.Namespace) -> int:
 def print_tables(
     missions: Sequence[JudgedLaw], laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 ) -> None:
+    """Print the tables of judged missions. laid_out: writes one table."""
     header = (
         "",
         "missions",

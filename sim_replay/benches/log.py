@@ -15,6 +15,7 @@ _SCENE: Final = "demo"
 
 
 def add_log(parser: argparse.ArgumentParser) -> None:
+    """Add the argument for a log and the options of what is flown without one."""
     parser.add_argument(
         "log",
         nargs="?",

@@ -65,6 +65,7 @@ class Mutant(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench mutants`."""
     parser.add_argument("logs", metavar="LOG", nargs="+", type=Path, help="XTF log to damage")
     parser.add_argument("--mutants", metavar="N", type=count, default=300, help="damaged logs in all (default 300)")
     parser.add_argument("--seed", metavar="N", type=count, default=1, help="seed of the damage (default 1)")

@@ -22,12 +22,13 @@ _NONSENSE: Final = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e-30, 1e30, 1e9, 
 
 
 class XtfPieces(NamedTuple):
-    """An XTF file in pieces: its header, and its packets in order."""
+    """Hold an XTF file in pieces: its header, and its packets in order."""
 
     header: bytearray
     packets: list[bytearray]
 
     def joined(self) -> bytes:
+        """Join the pieces to a file."""
         return bytes(self.header) + b"".join(self.packets)
 
 

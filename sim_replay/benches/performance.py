@@ -32,6 +32,7 @@ _DPI: Final = 110  # of the picture
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench performance`."""
     parser.add_argument("--seeds", type=count, default=12, help="missions (default 12)")
     parser.add_argument(
         "--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first mission (default {FIRST_SEED})"

@@ -79,7 +79,7 @@ Line = tuple[str, int]
 
 
 class Judged(NamedTuple):
-    """One mission, with the estimate from all of its contacts and that from those on no target."""
+    """Hold one mission, with the estimate from all of its contacts and that from those on no target."""
 
     mission: SortedContacts
     prior: BackgroundPrior
@@ -88,7 +88,7 @@ class Judged(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """Missions pooled at an operating point.
+    """Hold missions pooled at an operating point.
 
     n_on_objects: false alarms on objects of the truth, such as rocks. n_without_mines: false alarms where mines'
     contacts are taken out. n_inside: missions whose false alarms lie in the 95 % interval of the estimate, of n_judged
@@ -107,6 +107,7 @@ class Reached(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench point`."""
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument(
         "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"

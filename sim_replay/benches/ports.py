@@ -58,7 +58,7 @@ _WATCHED: Final = ("-m", "sim_replay.benches.ports_watched")
 
 
 class StartUp(NamedTuple):
-    """Seconds from the start of the process.
+    """Hold seconds from the start of the process.
 
     ready: perception is there; decoded, taken: the first ping, by the service, by perception.
     """
@@ -69,14 +69,14 @@ class StartUp(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """Processor time of a service's own process. share: of a core, all threads. wake_ups_hz: of its event loop."""
+    """Hold processor time of a service's own process. share: of a core, all threads. wake_ups_hz: of its event loop."""
 
     share: float
     wake_ups_hz: float
 
 
 class Latency(NamedTuple):
-    """From a ping's last byte at the port until it was queued for perception, ms at _SPIKES.
+    """Hold the time from a ping's last byte at the port until it was queued for perception, ms at _SPIKES.
 
     perception_share: of a core, meanwhile. waited_share: of the time, in which the service's event loop waited for a
     core, as it does where other programs run. n_lost: bytes, of a bench that was itself kept from running; pings next
@@ -91,7 +91,7 @@ class Latency(NamedTuple):
 
 
 class PacedLine:
-    """The far end of a serial line at a pseudo-terminal.
+    """Play the far end of a serial line at a pseudo-terminal.
 
     Messages leave at the line's rate, in packets, while it is entered.
 
@@ -155,6 +155,7 @@ class Served:
 
     @property
     def pid(self) -> int:
+        """Return the process id of the service."""
         return self._process.pid
 
     def said_s(self, text: str) -> float:
@@ -217,6 +218,7 @@ def served(line: PacedLine, folder: Path, baud: int, *, watched: bool = False) -
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench ports`."""
     parser.add_argument(
         "--only",
         nargs="+",

@@ -32,7 +32,7 @@ _N_SORTED: Final = 1 << 15  # numbers sorted at a time, to take processor time
 
 
 class WatchedPorts(PortSource):
-    """The live source.
+    """Watch the live source.
 
     queued_s: by number of ping, the instant of the monotonic clock at which the service had queued it.
     """
@@ -66,7 +66,7 @@ class _WatchedSink:
 
 
 class BusyPipeline:
-    """Perception that finds nothing and is never done."""
+    """Keep perception busy: it finds nothing and is never done."""
 
     def __init__(self, config: Config, kept: Contacts) -> None:
         self.counters: Counter[str] = Counter()
@@ -78,7 +78,7 @@ class BusyPipeline:
         return ()
 
     def leave_room(self, room: float) -> None:
-        """Work as much as ever."""
+        """Ignore the request for room: work as much as ever."""
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         end_s = time.thread_time() + _BUSY_S

@@ -72,7 +72,7 @@ _STEP_HEADER: Final = (
 
 
 class FlownMission(NamedTuple):
-    """One mission as all systems reported it.
+    """Hold one mission as all systems reported it.
 
     detector: contrasts alone, without confirmation. steps: the chain as far as that step.
 
@@ -93,6 +93,7 @@ class FlownMission(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench scenes`."""
     parser.add_argument("--seeds", type=int, default=3, help="missions per scene (default 3)")
     parser.add_argument(
         "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"

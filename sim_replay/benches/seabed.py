@@ -46,7 +46,7 @@ _QUALITY: Final = 62  # of JPEG, per cent
 
 
 class SeabedTask(NamedTuple):
-    """A mission over a named scene. model: JSON of the model that serves it."""
+    """Name a mission over a named scene. model: JSON of the model that serves it."""
 
     scene: str
     seed: int
@@ -64,6 +64,7 @@ class Scored(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench seabed`."""
     parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
     parser.add_argument(
         "--first-seed",

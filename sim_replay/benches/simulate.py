@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class RayTask(NamedTuple):
-    """All rays of one pass along the square, in blocks of pings, and what the renderer needs with them."""
+    """Hold all rays of one pass along the square, in blocks of pings, and what the renderer needs with them."""
 
     scene: Scene
     patches: Patches

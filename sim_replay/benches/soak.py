@@ -104,7 +104,7 @@ _EXPECTED: Final = {  # counters of a sound run between these devices
 
 
 class Memory(NamedTuple):
-    """Resident memory, at an instant of the run.
+    """Hold resident memory, at an instant of the run.
 
     n_contacts: known by then, clutter included, as the last health line had it.
     """
@@ -116,14 +116,16 @@ class Memory(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """Memory of a run until its stop was requested, and the maximum of either process while results are written."""
+    """Hold the memory of a run until its stop was requested, and the maximum of either process while results are
+    written.
+    """
 
     memory: list[Memory]
     ending: list[Memory]
 
 
 class KillOutcome(NamedTuple):
-    """What was left of a service that was killed.
+    """Hold what was left of a service that was killed.
 
     lost_s: from the last recorded byte to the kill. n_pings: in the recording; n_pings_reported: that the service had
     reported a second before the kill. n_holes: messages missing or damaged within the recording. n_contacts: announced
@@ -156,6 +158,7 @@ class KillOutcome(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench soak`."""
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--minutes", type=duration_min, default=5.0, help="length of the mission (default 5)")
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")

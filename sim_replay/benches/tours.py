@@ -44,6 +44,7 @@ class _Timed(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench tours`."""
     parser.add_argument("--worlds", type=count, default=12, help="worlds drawn per row (default 12)")
 
 

@@ -9,6 +9,7 @@ from auv_mcm.commands import Commands, Progress, add_config_option, command, rea
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm augment` to the command line."""
     parser = command(
         commands,
         "augment",

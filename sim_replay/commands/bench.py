@@ -46,6 +46,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm bench` to the command line."""
     parser = command(
         commands,
         "bench",

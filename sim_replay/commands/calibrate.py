@@ -28,6 +28,7 @@ _BUDGET: Final = (
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm calibrate` to the command line."""
     parser = command(
         commands,
         "calibrate",

@@ -11,6 +11,7 @@ from auv_mcm.errors import SelfCheckError, UsageError
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm hil` to the command line."""
     parser = command(
         commands,
         "hil",

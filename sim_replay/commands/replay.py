@@ -11,6 +11,7 @@ from auv_mcm.skips import ALL_SKIPS, SKIPS
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm replay` to the command line."""
     parser = command(
         commands,
         "replay",

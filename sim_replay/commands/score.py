@@ -10,6 +10,7 @@ from auv_mcm.errors import UsageError
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm score` to the command line."""
     parser = command(
         commands,
         "score",

@@ -11,6 +11,7 @@ from auv_mcm.errors import UsageError
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm simulate` to the command line."""
     parser = command(
         commands,
         "simulate",

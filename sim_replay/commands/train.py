@@ -13,6 +13,7 @@ _MAX_COUNT = 1_000_000  # a larger number is a slip: the training would run for 
 
 
 def add(commands: Commands) -> None:
+    """Add `auv-mcm train` to the command line."""
     parser = command(
         commands,
         "train",

@@ -32,6 +32,7 @@ _SETTLE_S: Final = 0.3  # for the host to open the port
 
 
 def main() -> int:
+    """Play a mission as one device on a port."""
     parser = Parser(prog="python -m sim_replay.fakes", description="Play a mission as one device on a port.")
     parser.add_argument(
         "job",

@@ -56,10 +56,12 @@ _FLOOD_BYTES: Final = 1400  # a datagram that fits an Ethernet frame
 
 
 class FakeDevice:
-    """One device of one run. events: its mission; a sonar plays its pings, every other device its navigation samples.
-    controller: of a vehicle, to which each sample is a tick; standing: where that is before the start. report(what,
-    details): what happens, as it happens. wait(late_s): lets the whole mission wait for a device that is late; None:
-    the device leaves out what is too late.
+    """Play one device of one run.
+
+    events: its mission; a sonar plays its pings, every other device its navigation samples. controller: of a vehicle,
+    to which each sample is a tick; standing: where that is before the start. report(what, details): what happens, as it
+    happens. wait(late_s): lets the whole mission wait for a device that is late; None: the device leaves out what is
+    too late.
 
     Reports: `ready` (uri, of its wire), `settings` (applied: what the host set a sonar to, when it changed), `fault`
     and `mended` (do), `reopened` (after_s: from the cable's return until the host had opened the wire), `done`.

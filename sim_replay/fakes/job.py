@@ -74,7 +74,7 @@ class Freeze(_Fault, frozen=True, kw_only=True, tag="freeze"):
 
 
 class Offset(_Fault, frozen=True, kw_only=True, tag="offset"):
-    """Offset the reported navigation by this much. Navigation only."""
+    """Add an offset to the reported navigation. Navigation only."""
 
     east_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
     north_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
@@ -149,10 +149,12 @@ class Device(_Record, frozen=True, kw_only=True):
 
     @property
     def is_sonar(self) -> bool:
+        """Find whether the device is a sonar."""
         return self.device in SONAR_NAMES
 
     @property
     def is_vehicle(self) -> bool:
+        """Find whether the device is a vehicle."""
         return self.device in VEHICLE_NAMES
 
 

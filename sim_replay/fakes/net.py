@@ -17,7 +17,7 @@ _RESET: Final = struct.pack("ii", 1, 0)  # SO_LINGER: discard and reset instead 
 
 
 class FakeTcpServer:
-    """A device that listens on `port` of this computer. Each send is a message of its own for `faults`.
+    """Serve a device that listens on `port` of this computer. Each send is a message of its own for `faults`.
 
     stalled: while set, what is sent or received is lost without a sign, as by a device that hangs. counters:
     tcp.connections, tcp.sent, tcp.received, tcp.cut (bytes).
@@ -34,6 +34,7 @@ class FakeTcpServer:
 
     @property
     def n_clients(self) -> int:
+        """Count the clients that are connected."""
         return len(self._clients)
 
     async def start(self) -> None:
@@ -85,8 +86,9 @@ class FakeTcpServer:
 
 
 class FakeUdpDevice:
-    """A device that sends datagrams to host:port of this computer, and hears what comes to its own `port`. Used in a
-    running event loop.
+    """Play a device that sends datagrams to host:port of this computer, and hears what comes to its own `port`.
+
+    Used in a running event loop.
 
     Delayed datagrams are overtaken by others. stalled: as for FakeTcpServer. counters: udp.sent, udp.received, udp.cut
     (datagrams).

@@ -26,7 +26,7 @@ _BAUD_OF: Final = {
 
 
 class FakePort:
-    """A device's serial port; the host opens `path`. Used in a running event loop.
+    """Play a device's serial port; the host opens `path`. Used in a running event loop.
 
     Bytes leave at `baud`, in slices of 2 ms. A host that does not keep up loses bytes as behind a UART: what the kernel
     does not take is gone. A pseudo-terminal takes 12 kB; once a host has set up the port, the rest of what a tty's
@@ -54,6 +54,7 @@ class FakePort:
 
     @property
     def plugged(self) -> bool:
+        """Find whether the port is there."""
         return self._master >= 0
 
     @property

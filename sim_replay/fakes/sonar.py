@@ -39,13 +39,14 @@ class DeviceTime(NamedTuple):
 
 
 class FakeSonar(Protocol):
-    """A sonar that a person can read the manual of.
+    """Play a sonar as its manual describes it.
 
     settings: the last command, for reports; "" before.
     """
 
     @property
-    def settings(self) -> str: ...
+    def settings(self) -> str:
+        """Describe how the sonar was set, "" if it was not."""
 
     def power_up(self) -> None:
         """Forget all settings."""
@@ -72,6 +73,7 @@ class PingProtocolSonar:
 
     @property
     def settings(self) -> str:
+        """Describe how the sonar was set, "" if it was not."""
         command = self._parameters
         if command is None:
             return ""
@@ -156,6 +158,7 @@ class JsfSonar:
 
     @property
     def settings(self) -> str:
+        """Describe how the sonar was set."""
         values = ", ".join(f"{name} {value}" for name, value in self._values.items())
         return f"{'on' if self._enabled else 'off'}, {values}" if values else ""
 
@@ -231,6 +234,7 @@ class SportScanSonar:
 
     @property
     def settings(self) -> str:
+        """Describe how the sonar was set, "" if it was not."""
         command = self._command
         return "" if command is None else f"{command.range_m} m, gain {command.gain_db} dB"
 

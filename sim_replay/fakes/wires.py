@@ -31,6 +31,7 @@ class Weather(Faults):
         self._clear = True
 
     def set_rates(self, rates: FaultRates | None) -> None:
+        """Set the rates of faults; None for a clear line."""
         self._clear = rates is None
         self._rates = rates or FaultRates()
 
@@ -68,7 +69,8 @@ class DeviceWire(Protocol):
 
     async def set_plugged(self, plugged: bool) -> None: ...
 
-    def set_stalled(self, stalled: bool) -> None: ...
+    def set_stalled(self, stalled: bool) -> None:
+        """Stall the line, or let it go on."""
 
     def set_baud(self, baud: int | None) -> None:
         """Set the device's rate; None: the right one."""
@@ -112,6 +114,7 @@ class SerialWire:
             self.port.unplug()
 
     def set_stalled(self, stalled: bool) -> None:
+        """Stall the line, or let it go on."""
         self.port.stalled = stalled
 
     def set_baud(self, baud: int | None) -> None:
@@ -182,6 +185,7 @@ class TcpWire:
             await self._server.stop(reset=True)
 
     def set_stalled(self, stalled: bool) -> None:
+        """Stall the line, or let it go on."""
         self._server.stalled = stalled
 
     def set_baud(self, baud: int | None) -> None:
@@ -223,6 +227,7 @@ class UdpWire:
         self._device.stalled = not plugged
 
     def set_stalled(self, stalled: bool) -> None:
+        """Stall the line, or let it go on."""
         self._device.stalled = stalled
 
     def set_baud(self, baud: int | None) -> None:

@@ -91,8 +91,8 @@ class _Seen(NamedTuple):
 
 
 def crowded(scene: Scene, times: int) -> Scene:
-    """The scene with so many times as many mines and rocks strewn over it, far enough apart for none to count among
-    another's neighbours; where there are more than usual they find their places after all else.
+    """Crowd the scene with so many times as many mines and rocks strewn over it, far enough apart for none to count
+    among another's neighbours; where there are more than usual they find their places after all else.
     """
     if times == 1:
         return scene
@@ -295,8 +295,7 @@ def _labelled(
 
 
 def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight: Array) -> Weights:
-    """Logistic regression on standardised features with a ridge, so that redundant features share their
-    weight."""
+    """Fit a logistic regression on standardised features, with a ridge so that redundant ones share their weight."""
     names = list(features[0])
     values = np.array([[item[name] for name in names] for item in features])
     mean = np.average(values, axis=0, weights=weight)

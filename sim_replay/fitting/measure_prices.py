@@ -53,7 +53,7 @@ Clock = Callable[[], float]
 
 
 class PriceList(NamedTuple):
-    """Prices, and how many units of work they were measured on."""
+    """Hold prices, and how many units of work they were measured on."""
 
     prices: BudgetConfig
     n_units: dict[str, int]

@@ -26,6 +26,7 @@ class SteppingClock:
         self._from_s = math.inf
 
     def step_at(self, mono_s: float) -> None:
+        """Step UTC from an instant of the monotonic clock on."""
         self._from_s = mono_s
 
     def monotonic_s(self) -> float:
@@ -45,6 +46,7 @@ def follow(clock: SteppingClock, lines: TextIO, at_s: float) -> None:
 
 
 def main(config: str, at_s: str, by_s: str) -> int:
+    """Run the service with a clock that steps."""
     clock = SteppingClock(SystemClock(), float(by_s))
     threading.Thread(target=follow, args=(clock, sys.stdin, float(at_s)), daemon=True).start()
     return run_service(read_config(Path(config)), clock)

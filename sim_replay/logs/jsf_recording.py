@@ -81,6 +81,7 @@ class JsfRecording:
 
     @property
     def bytes_read(self) -> int:
+        """Count the bytes read so far."""
         return self._file.bytes_read
 
     @property

@@ -33,7 +33,8 @@ class Log(Protocol):
         ...
 
     @property
-    def bytes_read(self) -> int: ...
+    def bytes_read(self) -> int:
+        """Count the bytes read so far."""
 
     @property
     def counters(self) -> Counter[str]:
@@ -120,6 +121,7 @@ class AddedLog:
 
     @property
     def bytes_read(self) -> int:
+        """Count the bytes read so far."""
         if self._file is None or self._file.closed:
             return 0
         return min(self._file.seek(0, os.SEEK_CUR), self._size_bytes)

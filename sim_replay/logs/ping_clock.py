@@ -18,11 +18,15 @@ _FALLBACK_INTERVAL_S: Final = 0.1  # s between pings of equal time, where nothin
 
 
 class TimedPing(Protocol):
-    @property
-    def time_s(self) -> float: ...
+    """Have a time and an interval to the ping before."""
 
     @property
-    def interval_s(self) -> float: ...
+    def time_s(self) -> float:
+        """Return UTC seconds since 1970."""
+
+    @property
+    def interval_s(self) -> float:
+        """Return the seconds since the ping before."""
 
 
 T = TypeVar("T", bound=TimedPing)

@@ -48,7 +48,8 @@ class PortRecording(Protocol):
         ...
 
     @property
-    def bytes_read(self) -> int: ...
+    def bytes_read(self) -> int:
+        """Count the bytes read so far."""
 
     @property
     def counters(self) -> Counter[str]: ...
@@ -85,6 +86,7 @@ class PortLog:
 
     @property
     def bytes_read(self) -> int:
+        """Count the bytes read so far."""
         return self._recording.bytes_read
 
     @property

@@ -35,6 +35,7 @@ class PortOrderEvidence(NamedTuple):
 
     @property
     def total(self) -> float:
+        """Sum the evidence, nats."""
         return self.water_column + self.ring_down + self.starboard
 
 

@@ -70,6 +70,7 @@ class SvlogRecording:
 
     @property
     def bytes_read(self) -> int:
+        """Count the bytes read so far."""
         return self._file.bytes_read
 
     @property

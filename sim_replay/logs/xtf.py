@@ -347,8 +347,9 @@ class XtfLog:
         return end if end <= len(data) else None
 
     def _extents(self, data: bytes) -> Iterator[tuple[Channel | None, int, int | None, _ChannelHeader]]:
-        """Per channel of a ping packet: its description, offset and length of its samples (None: beyond the packet),
-        its header."""
+        """Find, per channel of a ping packet: its description, offset and length of its samples (None: beyond the
+        packet), its header.
+        """
         if len(data) < _PING_HEADER:
             yield None, 0, None, _NO_HEADER
             return

@@ -73,6 +73,7 @@ def first_pair(side_scan: list[Channel]) -> tuple[Channel | None, Channel | None
 
 
 def name_channels(some: list[Channel]) -> str:
+    """Name channels for a message."""
     names = {0: "sub-bottom", PORT: "port", STARBOARD: "starboard", 3: "bathymetry"}
     return (
         ", ".join(f"{c.number} {names.get(c.kind, 'unknown')} {c.name}".rstrip() for c in some) or "no channels at all"

@@ -26,18 +26,22 @@ _COMPASS: Final = 44.0  # radius of its rose, drawing units
 
 
 class Share(NamedTuple):
+    """Hold the belief in one class."""
+
     name: str
     text: str
     percent: float
 
 
 class Reason(NamedTuple):
+    """Hold why a view from there is worth while."""
+
     bearing: Bearing
     text: str
 
 
 class ViewLine(NamedTuple):
-    """The evidence of one view. number: in order of time, from 1.
+    """Hold the evidence of one view. number: in order of time, from 1.
 
     beliefs, evidence, model: empty if it was not confirmed.
     """
@@ -52,7 +56,7 @@ class ViewLine(NamedTuple):
 
 
 class Arrow(NamedTuple):
-    """A view of the contact on the compass: from the rim to near the middle, and where its number stands."""
+    """Draw a view of the contact on the compass: from the rim to near the middle, and where its number stands."""
 
     path: str
     text: str
@@ -61,12 +65,16 @@ class Arrow(NamedTuple):
 
 
 class Compass(NamedTuple):
+    """Hold the drawing of a contact's views by direction."""
+
     label: str
     arrows: list[Arrow]
     next_look: str  # SVG path data
 
 
 class Card(NamedTuple):
+    """Hold the card of one contact."""
+
     contact: Contact
     mine_like: bool
     band: str

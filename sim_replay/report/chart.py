@@ -33,6 +33,8 @@ _MINUTE_STEPS: Final = [factor * 10.0**power for power in range(-4, 2) for facto
 
 
 class Marker(NamedTuple):
+    """Place a contact on the map."""
+
     contact: Contact
     right: float
     down: float
@@ -41,6 +43,8 @@ class Marker(NamedTuple):
 
 
 class LegLine(NamedTuple):
+    """Place a proposed leg on the map."""
+
     number: int
     contact_id: str
     why: str
@@ -52,13 +56,15 @@ class LegLine(NamedTuple):
 
 
 class Label(NamedTuple):
+    """Place a text on the map."""
+
     text: str
     right: float
     down: float
 
 
 class Chart(NamedTuple):
-    """Shapes of the map, in drawing units; paths are SVG path data."""
+    """Hold the shapes of the map, in drawing units; paths are SVG path data."""
 
     height: float
     track: str
@@ -74,7 +80,7 @@ class Chart(NamedTuple):
 
 
 class _Projection(NamedTuple):
-    """A plane tangent at the middle of the mission, and where it lies on the drawing."""
+    """Project places on a plane tangent at the middle of the mission, and from there on the drawing."""
 
     frame: LocalFrame
     west_m: float

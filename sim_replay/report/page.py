@@ -32,7 +32,7 @@ _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays vis
 
 
 class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """The facts of the mission as a whole.
+    """Hold the facts of the mission as a whole.
 
     start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none. track_latitude_deg,
     track_longitude_deg: (n,) float64, a few thousand positions at most, NaN where the track breaks. costs: seconds per
@@ -156,7 +156,7 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
 
 
 class ContactRow(NamedTuple):
-    """A contact in one line."""
+    """Hold a contact in one line."""
 
     contact: Contact
     place: str

@@ -25,7 +25,7 @@ _BARS_M: Final = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2)  # m: lengths of the scale bar
 
 
 class Stroke(NamedTuple):
-    """A line of a picture. style: class of the page's style. path: SVG path data. text: what it is."""
+    """Hold a line of a picture. style: class of the page's style. path: SVG path data. text: what it is."""
 
     style: str
     path: str
@@ -33,14 +33,14 @@ class Stroke(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """The sonar picture with strokes over it."""
+    """Hold the sonar picture with strokes over it."""
 
     title: str
     strokes: tuple[Stroke, ...]
 
 
 class ViewPicture(NamedTuple):
-    """One view, oriented as in the strips. width, height: drawing units, a hundred per metre.
+    """Hold one view, oriented as in the strips. width, height: drawing units, a hundred per metre.
 
     left, top: of the centroid, per cent. bar: length of the scale bar, per cent of the width.
     """

@@ -37,7 +37,8 @@ _QUALITIES: Final = (86, 74, 60, 48)
 
 
 class PictureStrip(NamedTuple):
-    """A stretch of the waterfall, port left, starboard right, later pings above: as seen from above, travelling up.
+    """Hold a stretch of the waterfall, port left, starboard right, later pings above: as seen from above, travelling
+    up.
 
     gaps_m: along-track stretches without data, metres from the mission's first grid row.
     """
@@ -52,11 +53,12 @@ class PictureStrip(NamedTuple):
     gaps_m: tuple[tuple[float, float], ...]
 
     def holds(self, row_m: float) -> bool:
+        """Find whether the strip holds a place along the track, m."""
         return self.start_m <= row_m < self.stop_m
 
 
 class _Piece(NamedTuple):
-    """One side of one tile's core. pixels: (rows, columns), column 0 at nadir."""
+    """Hold one side of one tile's core. pixels: (rows, columns), column 0 at nadir."""
 
     side: Side
     first_row: int

@@ -116,6 +116,8 @@ MEANINGS: Final = {
 
 
 class CounterLine(NamedTuple):
+    """Hold one counter with its meaning."""
+
     name: str
     number: str
     meaning: str
@@ -156,6 +158,7 @@ def _meaning(name: str) -> str:
 
 
 def utc(time_s: float, form: str = "%Y-%m-%d %H:%M:%S") -> str:
+    """Write UTC seconds since 1970 as date and time."""
     try:
         return (_EPOCH + timedelta(seconds=round(time_s))).strftime(form)
     except (OverflowError, ValueError):
@@ -163,6 +166,7 @@ def utc(time_s: float, form: str = "%Y-%m-%d %H:%M:%S") -> str:
 
 
 def duration(seconds: float) -> str:
+    """Write seconds in a unit that fits."""
     if not math.isfinite(seconds):
         return "unknown"
     if seconds < 10.0:
@@ -175,12 +179,14 @@ def duration(seconds: float) -> str:
 
 
 def distance(metres: float) -> str:
+    """Write metres in a unit that fits."""
     if not math.isfinite(metres):
         return "unknown"
     return f"{metres:.0f} m" if abs(metres) < 1000.0 else f"{metres / 1000.0:.2f} km"
 
 
 def area(square_metres: float) -> str:
+    """Write square metres in a unit that fits."""
     if not math.isfinite(square_metres):
         return "unknown"
     return (
@@ -189,6 +195,7 @@ def area(square_metres: float) -> str:
 
 
 def metres(value: float, digits: int = 2) -> str:
+    """Write metres; "unknown" if not finite."""
     return f"{value:.{digits}f} m" if math.isfinite(value) else "unknown"
 
 
@@ -198,6 +205,7 @@ def plus_minus(value_m: float, sigma_m: float) -> str:
 
 
 def decibels(level_db: float) -> str:
+    """Write decibels with their sign; "none" if not finite."""
     return f"{level_db:+.1f} dB".replace("-", "\u2212") if math.isfinite(level_db) else "none"
 
 
@@ -231,10 +239,12 @@ def agreement(conflict: float) -> str:
 
 
 def listed(parts: Sequence[str], last: str = "and") -> str:
+    """Join parts by commas, and the last by a word."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}" if parts else ""
 
 
 def class_name(name: str) -> str:
+    """Write the name of a class for people."""
     return name.replace("_", " ")
 
 

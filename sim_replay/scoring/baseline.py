@@ -45,7 +45,7 @@ Floats = NDArray[np.float32]
 
 
 class _Line(NamedTuple):
-    """Pings of a straight run: (n,) float64 reported poses in the plane, samples per side (n, n_samples) float32."""
+    """Hold pings of a straight run: (n,) float64 poses in the plane, samples per side (n, n_samples) float32."""
 
     east_m: NDArray[np.float64]
     north_m: NDArray[np.float64]

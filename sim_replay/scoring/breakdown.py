@@ -28,7 +28,7 @@ _CLASSES: Final = get_args(ContactClass)
 
 
 class KindRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Objects of one kind.
+    """Count the objects of one kind.
 
     `called`: those with a contact; detections for targets, mistakes for others.
     """
@@ -39,13 +39,15 @@ class KindRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Group(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold the rates of one group of objects and false alarms."""
+
     name: str
     pd: Proportion
     false_alarms: Density
 
 
 class ConfusionRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Contacts on objects of a kind, by the class they were given, in order of the matrix' columns."""
+    """Count the contacts on objects of a kind, by the class they were given, in order of the matrix' columns."""
 
     kind: str
     is_target: bool
@@ -53,7 +55,7 @@ class ConfusionRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Confusion(msgspec.Struct, frozen=True, kw_only=True):
-    """Truth's kinds against the classes given.
+    """Compare the truth's kinds against the classes given.
 
     The last column is objects without a contact; `nothing_there` are the false alarms that lie on no known object.
     """
@@ -64,7 +66,7 @@ class Confusion(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PositionSpread(msgspec.Struct, frozen=True, kw_only=True):
-    """The median of signed errors, and the size that 95 % of them stay below; None without any."""
+    """Hold the median of signed errors, and the size that 95 % of them stay below; None without any."""
 
     n: int
     median: float | None
@@ -72,7 +74,10 @@ class PositionSpread(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PositionErrors(msgspec.Struct, frozen=True, kw_only=True):
-    """Contact less truth of the detections. `in_sigmas` is the total error by the contact's own 1-sigma error."""
+    """Hold errors of position, contact less truth of the detections.
+
+    `in_sigmas` is the total error by the contact's own 1-sigma error.
+    """
 
     east_m: PositionSpread
     north_m: PositionSpread
@@ -81,7 +86,7 @@ class PositionErrors(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SizeErrors(msgspec.Struct, frozen=True, kw_only=True):
-    """Contact less truth of the detections; the true height is what stands above the sea floor."""
+    """Hold errors of size, contact less truth of the detections; the true height is what stands above the sea floor."""
 
     length_m: PositionSpread
     width_m: PositionSpread
@@ -89,7 +94,7 @@ class SizeErrors(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FoundObject(NamedTuple):
-    """An object that took part, and the contact on it."""
+    """Hold an object that took part, and the contact on it."""
 
     truth_object: TruthObject
     seabed: str
@@ -99,12 +104,15 @@ class FoundObject(NamedTuple):
 
 
 class FalseAlarm(NamedTuple):
+    """Hold a contact that is on no target."""
+
     contact: ReportedContact
     seabed: str
     on_clutter: bool
 
 
 def objects_of(layout: MissionLayout, state: State) -> Iterator[FoundObject]:
+    """Yield the objects of a mission, each with its contact."""
     holder = {
         truth_object: contact
         for contact, truth_object in enumerate(state.matched.tolist())
@@ -123,6 +131,7 @@ def objects_of(layout: MissionLayout, state: State) -> Iterator[FoundObject]:
 
 
 def false_alarms_of(layout: MissionLayout, state: State) -> Iterator[FalseAlarm]:
+    """Yield the contacts of a mission that are false alarms."""
     for index, outcome in enumerate(state.outcome.tolist()):
         if outcome in (Outcome.ON_CLUTTER, Outcome.ELSEWHERE):
             yield FalseAlarm(layout.contacts[index], layout.contact_seabed[index], outcome == Outcome.ON_CLUTTER)
@@ -140,6 +149,7 @@ def by_kind(found: Sequence[FoundObject]) -> tuple[KindRow, ...]:
 
 
 def rocks_called(found: Sequence[FoundObject]) -> Proportion:
+    """Compute the share of rocks seen that were called."""
     others = [item for item in found if item.is_seen and not item.truth_object.is_target]
     return proportion(sum(item.contact is not None for item in others), len(others))
 
@@ -193,6 +203,7 @@ def confusion(found: Sequence[FoundObject], false_alarms: Sequence[FalseAlarm]) 
 
 
 def position_errors(found: Sequence[FoundObject]) -> PositionErrors:
+    """Compute the errors of position over all detections."""
     hits = _detections(found)
     total_m = [math.hypot(*item.offset_m) for item, _ in hits]
     return PositionErrors(
@@ -210,6 +221,7 @@ def position_errors(found: Sequence[FoundObject]) -> PositionErrors:
 
 
 def size_errors(found: Sequence[FoundObject]) -> SizeErrors:
+    """Compute the errors of size over all detections."""
     hits = [(item.truth_object, contact) for item, contact in _detections(found)]
     return SizeErrors(
         length_m=_spread([contact.length_m - _known(truth_object.length_m) for truth_object, contact in hits]),

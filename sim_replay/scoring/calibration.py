@@ -37,7 +37,7 @@ def calibration_error(probability: ArrayLike, came_true: ArrayLike, n_bins: int 
 
 
 class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
-    """Contacts with p_mine in [low, high): their mean p_mine, and the share of them that lay on mines."""
+    """Hold the contacts with p_mine in [low, high): their mean p_mine, and the share of them that lay on mines."""
 
     low: float
     high: float
@@ -46,7 +46,7 @@ class ReliabilityBin(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True):
-    """How far p_mine holds over contacts. error: `calibration_error` in ten bins, None without contacts."""
+    """Measure how far p_mine holds over contacts. error: `calibration_error` in ten bins, None without contacts."""
 
     error: float | None
     bins: tuple[ReliabilityBin, ...]

@@ -19,7 +19,7 @@ _SUMMARY = "summary.json"
 
 
 class CalledPoint(msgspec.Struct, frozen=True, kw_only=True):
-    """The contacts that the payload calls mines, all missions together.
+    """Count the contacts that the payload calls mines, all missions together.
 
     asked_per_km2: false alarms per km² that the operator accepted; None if it is not known, or differs between
     missions.

@@ -22,7 +22,7 @@ _SEED: Final = 1  # of the bootstrap, fixed so that scores repeat
 
 
 class OperatingPoint(msgspec.Struct, frozen=True, kw_only=True):
-    """All contacts with p_mine of `threshold` or more.
+    """Count all contacts with p_mine of `threshold` or more.
 
     Those `on_known_clutter` are among the false alarms, duplicates are not.
     """
@@ -36,7 +36,7 @@ class OperatingPoint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Headline(msgspec.Struct, frozen=True, kw_only=True):
-    """The best Pd within `limit_per_km2` false alarms.
+    """Hold the best Pd within `limit_per_km2` false alarms.
 
     At `threshold`, None if every threshold gives more of them (Pd 0 then).
     """
@@ -48,12 +48,14 @@ class Headline(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Bounds(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold an interval."""
+
     low: float
     high: float
 
 
 class Bootstrap(msgspec.Struct, frozen=True, kw_only=True):
-    """The interval that holds 95 % of resampled missions.
+    """Hold the interval that holds 95 % of resampled missions.
 
     Targets and clutter of one mission may depend on each other.
 
@@ -69,7 +71,7 @@ class Bootstrap(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Curve(NamedTuple):
-    """Pooled missions over falling thresholds.
+    """Hold missions pooled, over falling thresholds.
 
     (n_missions, n_thresholds, n_outcomes) `counts`, and per mission targets and area.
     """
@@ -112,6 +114,7 @@ def trace(layouts: Sequence[MissionLayout], area_km2: Sequence[float], threshold
 
 
 def operating_points(curve: Curve) -> tuple[OperatingPoint, ...]:
+    """List all operating points of a curve, by falling threshold."""
     pooled, targets, area_km2 = curve.counts.sum(axis=0), int(curve.targets.sum()), float(curve.area_km2.sum())
     return tuple(
         _point(level, row, targets, area_km2) for level, row in zip(curve.thresholds.tolist(), pooled, strict=True)
@@ -126,6 +129,7 @@ def point_at(curve: Curve, threshold: float) -> OperatingPoint:
 
 
 def headlines(curve: Curve) -> tuple[Headline, ...]:
+    """Compute the best Pd at each of HEADLINE_PER_KM2."""
     detections, targets, area_km2 = curve.detections.sum(axis=0), int(curve.targets.sum()), float(curve.area_km2.sum())
     per_km2 = curve.false_alarms.sum(axis=0) / area_km2
     found = []

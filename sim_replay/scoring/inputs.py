@@ -32,7 +32,7 @@ _TRUTH_HINT: Final = "A truth file holds area_km2 above 0 and objects, each with
 
 
 class ReportedContact(NamedTuple):
-    """One contact as a mission reported it; NaN for what it does not state."""
+    """Hold one contact as a mission reported it; NaN for what it does not state."""
 
     latitude_deg: float
     longitude_deg: float
@@ -47,13 +47,13 @@ class ReportedContact(NamedTuple):
 
 
 class ObjectPass(msgspec.Struct, frozen=True, kw_only=True):
-    """A pass that saw an object, at this horizontal range across-track."""
+    """Hold a pass that saw an object, at this horizontal range across-track."""
 
     ground_range_m: Annotated[float, Meta(ge=0.0)]
 
 
 class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
-    """An object on the sea floor, `burial_m` of its height below it.
+    """Hold an object on the sea floor, `burial_m` of its height below it.
 
     `looks` is None if not stated, empty if the sonar never saw it.
 
@@ -78,12 +78,16 @@ class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold what lies in an area."""
+
     area_km2: Annotated[float, Meta(gt=0.0)]
     objects: tuple[TruthObject, ...]
     seabed_map: SeabedMap | None = None
 
 
 class ScoredMission(NamedTuple):
+    """Hold contacts and truth of one mission."""
+
     contacts: tuple[ReportedContact, ...]
     truth: Truth
     name: str = ""

@@ -13,7 +13,10 @@ CONFIDENCE: Final = 0.95  # of all intervals
 
 
 class Proportion(msgspec.Struct, frozen=True, kw_only=True):
-    """`count` of `of` trials, with Wilson's interval; `value` is None without trials, where the interval is 0..1."""
+    """Hold `count` of `of` trials, with Wilson's interval.
+
+    `value` is None without trials, where the interval is 0..1.
+    """
 
     count: int
     of: int
@@ -23,7 +26,7 @@ class Proportion(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Density(msgspec.Struct, frozen=True, kw_only=True):
-    """`count` events over an area, per square kilometre, with the exact Poisson interval.
+    """Hold `count` events over an area, per square kilometre, with the exact Poisson interval.
 
     None where the area is not known.
     """
@@ -68,11 +71,13 @@ def poisson_interval(
 
 
 def proportion(count: int, of: int) -> Proportion:
+    """Compute a proportion with Wilson's interval."""
     low, high = wilson_interval(count, of)
     return Proportion(count=count, of=of, value=count / of if of else None, low=float(low), high=float(high))
 
 
 def density(count: int, area_km2: float | None) -> Density:
+    """Compute a density with the exact Poisson interval; no value without an area."""
     if not area_km2:
         return Density(count=count, area_km2=area_km2, per_km2=None, low=None, high=None)
     low, high = poisson_interval(count)

@@ -18,7 +18,7 @@ UNKNOWN = "unknown"
 
 
 class Outcome(IntEnum):
-    """The outcome of one contact; `ON_CLUTTER` and `ELSEWHERE` are the false alarms."""
+    """Name the the outcome of one contact; `ON_CLUTTER` and `ELSEWHERE` are the false alarms."""
 
     NOT_CALLED = 0  # p_mine below the threshold
     DETECTION = 1
@@ -29,7 +29,7 @@ class Outcome(IntEnum):
 
 
 class MissionLayout(NamedTuple):
-    """The contacts and objects that take part.
+    """Hold the contacts and objects that take part.
 
     Arrays are (n_contacts, n_objects), or as long as what they describe.
 
@@ -52,7 +52,7 @@ class MissionLayout(NamedTuple):
 
 
 class State(NamedTuple):
-    """A mission at one threshold: per contact its object, -1 for none, and its `Outcome`."""
+    """Hold a mission at one threshold: per contact its object, -1 for none, and its `Outcome`."""
 
     threshold: float
     matched: NDArray[np.int64]

@@ -53,7 +53,7 @@ _LADDER: Final = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # threshold
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
-    """Counts of what no rate includes."""
+    """Count what no rate includes."""
 
     targets_never_seen: int
     other_objects_never_seen: int
@@ -62,13 +62,15 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MissionRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold the rates of one mission."""
+
     name: str
     pd: Proportion
     false_alarms: Density
 
 
 class Score(msgspec.Struct, frozen=True, kw_only=True):
-    """Missions pooled. All but `froc`, `ladder`, `headlines` and `partial_area` is at `threshold`.
+    """Hold missions pooled. All but `froc`, `ladder`, `headlines` and `partial_area` is at `threshold`.
 
     `false_alarms` of an operating point are all contacts on no target, those on known clutter among them;
     `rocks_called_mines` is the share of seen objects that are no targets but have a contact. `called` is what the
@@ -182,6 +184,7 @@ def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M,
 
 
 def score_json(score: Score) -> bytes:
+    """Write a score as JSON."""
     return msgspec.json.format(msgspec.json.encode(score), indent=2) + b"\n"
 
 

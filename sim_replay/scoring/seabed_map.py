@@ -27,7 +27,10 @@ _ROW: Final = re.compile(r"(?:[0-9]{1,9}[.a-z])*")
 
 
 class SeabedMap(msgspec.Struct, frozen=True, kw_only=True):
-    """`latitude_deg`, `longitude_deg` are the grid's south-west corner; `rows` from south to north."""
+    """Hold the sea floor's types on a grid.
+
+    `latitude_deg`, `longitude_deg` are the grid's south-west corner; `rows` from south to north.
+    """
 
     cell_m: Annotated[float, Meta(gt=0.0)]
     latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]

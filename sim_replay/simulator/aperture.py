@@ -218,8 +218,8 @@ class Aperture:
         return image
 
     def _seen(self, strip: Strip, first_line: int, ahead: Floats, angle_rad: float) -> Floats:
-        """Energy per metre of track that rays of one bearing bring back, moved to the lines it belongs to, (n_lines,
-        2, n_samples).
+        """Compute the energy per metre of track that rays of one bearing bring back, moved to the lines it belongs to,
+        (n_lines, 2, n_samples).
 
         ahead: (n_lines, n_samples) lines by which a ray that meets this line at this range started before it.
         """
@@ -237,8 +237,9 @@ class Aperture:
         return np.asarray(nearer * (1.0 - part) + farther * part)
 
     def _fan(self, strip: Strip, line: NDArray[np.int64], angle_rad: float) -> rays.Fan:
-        """Rays of both sides from lines, rows 2 i for port and 2 i + 1 for starboard of the i-th. Nodes lie at the same
-        across-track distances whatever the angle.
+        """Cast rays of both sides from lines, rows 2 i for port and 2 i + 1 for starboard of the i-th.
+
+        Nodes lie at the same across-track distances whatever the angle.
 
         Slant depth is depth over the cosine of the angle, which makes the ray's slant range that of closest approach
         over the cosine.

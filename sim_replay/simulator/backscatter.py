@@ -298,8 +298,10 @@ def _volume(sediment: Sediment, grazing_rad: Floats) -> Floats:
 
 
 def _refraction(sediment: Sediment, cosine: Floats) -> tuple[complex, Complexes]:
-    """Wave number in the sediment and its vertical component P, over the wave number in water. Im P > 0, as the loss
-    is positive."""
+    """Compute the wave number in the sediment and its vertical component P, over the wave number in water.
+
+    Im P > 0, as the loss is positive.
+    """
     kappa = complex(1.0, sediment.loss) / sediment.sound_speed_ratio
     return kappa, np.sqrt(kappa**2 - cosine**2)
 

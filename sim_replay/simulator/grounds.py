@@ -74,8 +74,8 @@ class Ground:
         return height
 
     def texture(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Factor on backscattered intensity, mean 1, on the cells' nodes from (row, column) on: (n_rows, n_columns)
-        float32; none if it is 1 everywhere.
+        """Compute the factor on backscattered intensity, mean 1, on the cells' nodes from (row, column) on: (n_rows,
+        n_columns) float32; none if it is 1 everywhere.
         """
         if self._texture is None:
             return None

@@ -135,8 +135,8 @@ class Partition:
         return weights
 
     def fringe(self, kind: int, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Factor on the weight of a kind that frays its boundaries below the nodes' spacing, on cells from (row,
-        column) on; none if nodes are cells. (n_rows, n_columns) float32.
+        """Compute the factor on the weight of a kind that frays its boundaries below the nodes' spacing, on cells from
+        (row, column) on; none if nodes are cells. (n_rows, n_columns) float32.
         """
         if self._fringes is None:
             return None

@@ -48,8 +48,10 @@ class Origin(_Section, frozen=True, kw_only=True):
 
 
 class Ripples(_Section, frozen=True, kw_only=True):
-    """Ripples or sand waves. `direction_deg`: in which the crests follow one another. `defects`: 0 for endless straight
-    crests, 1 for crests that bend and break within a few wavelengths. `skew`: 0 sinusoidal, 1 steep on the lee side.
+    """Describe ripples or sand waves.
+
+    `direction_deg`: in which the crests follow one another. `defects`: 0 for endless straight crests, 1 for crests that
+    bend and break within a few wavelengths. `skew`: 0 sinusoidal, 1 steep on the lee side.
     """
 
     wavelength_m: Annotated[float, Meta(ge=0.1, le=500.0)]
@@ -60,8 +62,9 @@ class Ripples(_Section, frozen=True, kw_only=True):
 
 
 class Seabed(_Section, frozen=True, kw_only=True):
-    """One kind of sea floor and its share of the area, in proportion to the other shares. A key left out keeps what is
-    usual for the type.
+    """Describe one kind of sea floor and its share of the area, in proportion to the other shares.
+
+    A key left out keeps what is usual for the type.
 
     texture_shape: of the Gamma-distributed texture whose patches of texture_m make echoes K-distributed; 0 for none.
     stones_per_ha: number of stones longer than stone_m per hectare; their number above a length d falls as d^-2.5.
@@ -80,9 +83,11 @@ class Seabed(_Section, frozen=True, kw_only=True):
 
 
 class World(_Section, frozen=True, kw_only=True):
-    """The sea floor. `depth_m`: of the datum plane. `patch_m`: size of the patches of different sea floor. `slope_deg`:
-    the floor rises by it towards `slope_towards_deg`. `relief_*`: large forms under all types, a power-law spectrum up
-    to relief_outer_m.
+    """Describe the sea floor.
+
+    `depth_m`: of the datum plane. `patch_m`: size of the patches of different sea floor. `slope_deg`: the floor rises
+    by it towards `slope_towards_deg`. `relief_*`: large forms under all types, a power-law spectrum up to
+    relief_outer_m.
     """
 
     depth_m: Annotated[float, Meta(gt=0.5, le=6000.0)] = 20.0
@@ -98,8 +103,8 @@ class World(_Section, frozen=True, kw_only=True):
 
 
 class SceneObject(_Section, frozen=True, kw_only=True):
-    """Something on or above the sea floor, at east_m and north_m, or at latitude_deg and longitude_deg, or at along_m
-    on the planned leg `leg` and across_m to starboard of it.
+    """Describe something on or above the sea floor, at east_m and north_m, or at latitude_deg and longitude_deg, or at
+    along_m on the planned leg `leg` and across_m to starboard of it.
 
     Sizes left out are usual ones of the kind. cylinder, pipe: length, width = diameter. sphere: width = diameter.
     truncated_cone: width = base diameter, top_m = top diameter, height. wedge, box, rock, debris: length, width,
@@ -135,8 +140,8 @@ class SceneObject(_Section, frozen=True, kw_only=True):
 
 
 class Scatter(_Section, frozen=True, kw_only=True):
-    """`count` objects of one kind put at random on the floor that the planned legs sweep, apart_m from each other and
-    everything else.
+    """Scatter `count` objects of one kind put at random on the floor that the planned legs sweep, apart_m from each
+    other and everything else.
 
     Ranges are [lowest, highest], drawn evenly; sizes by a power law with exponent -2.5 if `natural_sizes`.
     ground_range_m is of the leg that passes closest. Sizes left out are usual ones of the kind.
@@ -181,10 +186,12 @@ class SampleRecorder(_Section, frozen=True, kw_only=True):
 
 
 class SyntheticAperture(_Section, frozen=True, kw_only=True):
-    """Image lines instead of pings: resolution and pixel do not depend on range. Shadows are blurred by the integration
-    angle, wavelength over twice the along-track resolution, which `sub_apertures` parts of the spectrum share. `view`:
-    which of them is recorded, `full` for all together. Of the sonar n_samples, ping_rate_hz, range_resolution_m,
-    beam_width_deg, beam_lines and speckle_along_track_m do not count then.
+    """Make image lines instead of pings: resolution and pixel do not depend on range.
+
+    Shadows are blurred by the integration angle, wavelength over twice the along-track resolution, which
+    `sub_apertures` parts of the spectrum share. `view`: which of them is recorded, `full` for all together. Of the
+    sonar n_samples, ping_rate_hz, range_resolution_m, beam_width_deg, beam_lines and speckle_along_track_m do not count
+    then.
     """
 
     along_track_resolution_m: Annotated[float, Meta(ge=0.005, le=1.0)] = 0.05
@@ -195,8 +202,9 @@ class SyntheticAperture(_Section, frozen=True, kw_only=True):
 
 
 class Sonar(_Section, frozen=True, kw_only=True):
-    """The sonar and the water. Beam widths are two-way, at half power; `tilt_deg` is the depression of the vertical
-    beam's axis.
+    """Describe the sonar and the water.
+
+    Beam widths are two-way, at half power; `tilt_deg` is the depression of the vertical beam's axis.
 
     absorption_db_per_km: left out, from the frequency. noise_db: noise floor against the echo of a flat floor of the
     scene's first type midway between its first return and range_m. range_resolution_m: half power; its point-spread
@@ -230,7 +238,7 @@ class Sonar(_Section, frozen=True, kw_only=True):
 
 
 class Lawnmower(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="lawnmower"):
-    """Parallel legs to starboard of the first, there and back."""
+    """Fly parallel legs to starboard of the first, there and back."""
 
     heading_deg: Direction = 0.0
     n_legs: Annotated[int, Meta(ge=1, le=200)] = 2
@@ -241,7 +249,7 @@ class Lawnmower(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="l
 
 
 class Spiral(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="spiral"):
-    """Straight legs round a square, each pair `spacing_m` longer than the one before, turning to starboard."""
+    """Fly straight legs round a square, each pair `spacing_m` longer than the one before, turning to starboard."""
 
     heading_deg: Direction = 0.0
     n_legs: Annotated[int, Meta(ge=2, le=200)] = 8
@@ -252,7 +260,7 @@ class Spiral(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="spir
 
 
 class Waypoints(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="waypoints"):
-    """Straight legs through points (east_m, north_m)."""
+    """Fly straight legs through points (east_m, north_m)."""
 
     points_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=2, max_length=1000)]
 
@@ -288,8 +296,10 @@ STEADY: Final = Motion(
 
 
 class Track(_Section, frozen=True, kw_only=True):
-    """The plan and how it is flown, at speed_mps through the water. Without pings_in_turns the sonar is silent between
-    legs."""
+    """Describe the plan and how it is flown, at speed_mps through the water.
+
+    Without pings_in_turns the sonar is silent between legs.
+    """
 
     plan: Lawnmower | Spiral | Waypoints
     speed_mps: Annotated[float, Meta(gt=0.1, le=10.0)] = 1.8
@@ -328,10 +338,10 @@ EXACT: Final = NavigationError(
 
 
 class Fault(_Section, frozen=True, kw_only=True):
-    """Something goes wrong for `n_pings` from ping `at_ping`: every other ping is lost, that one first (drop), all are
-    (gap), the gain changes by gain_db (gain_step), one side repeats its last samples (stuck_channel) or is missing
-    (dead_channel), navigation stays away (navigation_loss). clock_step: clocks jump by step_s and stay there, whatever
-    n_pings.
+    """Inject a fault: something goes wrong for `n_pings` from ping `at_ping`: every other ping is lost, that one first
+    (drop), all are (gap), the gain changes by gain_db (gain_step), one side repeats its last samples (stuck_channel) or
+    is missing (dead_channel), navigation stays away (navigation_loss). clock_step: clocks jump by step_s and stay
+    there, whatever n_pings.
     """
 
     kind: Literal["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]
@@ -343,7 +353,7 @@ class Fault(_Section, frozen=True, kw_only=True):
 
 
 class Scene(_Section, frozen=True, kw_only=True):
-    """A simulated mission."""
+    """Describe a simulated mission."""
 
     name: Annotated[str, Meta(max_length=100)] = ""
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 1

@@ -170,8 +170,8 @@ def band_limited_rows(
     column_taps: Float32s,
     amplitude: Float32s | None = None,
 ) -> NDArray[np.complex64]:
-    """White field filtered along both axes; low_pass_taps give that of a synthetic-aperture image, gaussian_taps that
-    of a real beam.
+    """Draw a white field filtered along both axes; low_pass_taps give that of a synthetic-aperture image, gaussian_taps
+    that of a real beam.
 
     row_taps mix neighbouring rows (along-track), column_taps neighbouring columns (range); each as in speckle_rows, [1]
     for none. Rows and columns outside the block are drawn as well, so that blocks of any size join exactly.

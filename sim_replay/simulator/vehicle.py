@@ -160,8 +160,10 @@ class Vehicle:
         return self._pose()
 
     def poses(self, rate_hz: float) -> Iterator[SonarPose]:
-        """Poses from now until the plan is done, `rate_hz` per second. If the track has no pings in turns, only those
-        on legs, each leg after a turn beginning with a pose at its very start.
+        """Yield the poses from now until the plan is done, `rate_hz` per second.
+
+        If the track has no pings in turns, only those on legs, each leg after a turn beginning with a pose at its very
+        start.
         """
         silent = not self._track.pings_in_turns
         start_s, beat = self._now_s, 0

@@ -276,7 +276,7 @@ class SimulatedFloor:
         texture: FloatArray,
         seabed: Labels,
     ) -> None:
-        """Adds the relief of several kinds to `height`, each by its weight, and fills `seabed` with the kinds of
+        """Add the relief of several kinds to `height`, each by its weight, and fill `seabed` with the kinds of
         highest weight and `texture` with theirs. `weights`: (kinds, rows, columns) on the patch's coarse nodes, one
         more before and two behind.
         """

@@ -231,7 +231,7 @@ def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsy
             "port nav",
             "/dev/ttyNONE9: no such device",
         ),
-        ("service: {source: ports}", "configuration", "service.source is ports, but there are none"),
+        ("service: {source: ports}", "configuration", "service.source is 'ports', but no port is configured"),
         ("service: {source: 'replay:///no/such/mission.xtf'}", "configuration", "/no/such/mission.xtf does not exist"),
         ("service: {output_directory: /proc/self/status}", "output directory", "is not a directory"),
         (

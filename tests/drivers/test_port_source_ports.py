@@ -123,7 +123,7 @@ def test_a_wrong_rate_is_reported_once_and_its_end_too() -> None:
     assert reported_codes(events, "gnss") == ["port_unreadable", "port_readable"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "port_unreadable"]
     assert re.search(
-        r"\d+ bytes in 2\.\d s made not one message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0",
+        r"\d+ bytes in 2\.\d s held no message of 'nmea0183'.*same rate, here 115200 baud.*serial:///dev/ttyS0",
         text,
     )
     assert intake.counters["port.gnss.nmea.messages"] == 150
@@ -293,7 +293,7 @@ def test_ports_that_cannot_be_are_refused_with_the_key(port: str, message: str) 
         ("ports: [{name: A, link: x, device: jsf}]", "`ports[0].name`"),
         ("ports: [{name: a, link: x, device: jsf, sonar: {range: 3}}]", "unknown field `range` - at `ports[0].sonar`"),
         ("ports: [{name: a, link: x, device: pd6, navigation: {roll_sign: 0}}]", "`ports[0].navigation.roll_sign`"),
-        ("ports: [{name: a, link: x, device: pd6, sonar: {}}]", "is no sonar"),
+        ("ports: [{name: a, link: x, device: pd6, sonar: {}}]", "is not a sonar"),
         ("ports: [{name: a, link: x, device: pd6}, {name: a, link: y, device: pd6}]", "two ports are called 'a'"),
         ("ports: [{name: a, link: x, device: jsf}, {name: b, link: y, device: jsf}]", "several sonars"),
         ("ports: {name: a}", "`ports`"),

@@ -322,14 +322,14 @@ def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(
         ),
         (
             CAN.replace("slcan:///dev/ttyUSB0?bitrate=250000", "udp://h:1"),
-            "a device 'vehicle_can' cannot be there; give it a slcan:// or socketcan:// link",
+            "a device 'vehicle_can' needs a slcan:// or socketcan:// link",
         ),
         (
             IMC.replace("imc: {acknowledges: true}", "bluefin: {}"),
             "a section 'bluefin' is for a device 'bluefin', and this one is a 'imc'",
         ),
         (IMC.replace("acknowledges: true", "source_id: 1"), ">= 24576 - at `ports[0].imc.source_id`"),
-        (IMC.replace("imc: {acknowledges: true}", "sonar: {}"), "a device 'imc' is no sonar"),
+        (IMC.replace("imc: {acknowledges: true}", "sonar: {}"), "'imc' is not a sonar"),
         (
             "vehicle: {fence_deg: [[43, 5], [43.01, 5.01], [43.01, 5], [43, 5.01]]}\n" + IMC,
             "fence_deg encloses no area; give its corners in order",

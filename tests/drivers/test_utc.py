@@ -142,7 +142,7 @@ def test_pulses_that_zda_names_give_utc_to_the_microsecond() -> None:
     events, intake = taken_in(PPS, [pulse_at(s) for s in begins_s], [*gnss, depth])
     assert reported(events) == ["utc_taken"]
     (text,) = [event.text for event in events if isinstance(event, Notice) and event.code == "utc_taken"]
-    assert text == "UTC is that of the ZDA and pulses of 'gnss' from now on, +3600.250 s from this computer's own"
+    assert text == "UTC now comes from the ZDA and pulses of 'gnss', +3600.250 s from this computer's clock"
     (sample,) = [event for event in events if isinstance(event, NavSample)]
     assert is_close(sample.time_s, UTC_S + 36.5 + AHEAD_S - len(depth.data) * 10 / 9600.0, 2e-6)
     assert intake.counters["utc.readings"] == 37  # one pulse alone may be anything

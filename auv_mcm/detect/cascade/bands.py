@@ -33,7 +33,7 @@ _SNAP_PX: Final = 1e-6  # what rounding of metres to binary may take from a half
 
 
 class FeatureBox(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A box around a pixel's centre, the middle of the highlight looked for.
+    """Hold a box around a pixel's centre, the middle of the highlight looked for.
 
     Along track from top_m to bottom_m. Across track, away from the sonar positive, from near_m + near_shadow * shadow
     to far_m + far_shadow * shadow, where shadow is the band's shadow length in metres.

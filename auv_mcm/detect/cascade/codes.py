@@ -40,10 +40,12 @@ class CodePlane(NamedTuple):
 
     @property
     def n_rows(self) -> int:
+        """Count the rows of the tile."""
         return int(self.usable.shape[0])
 
     @property
     def n_columns(self) -> int:
+        """Count the columns of the tile."""
         return int(self.usable.shape[1])
 
 

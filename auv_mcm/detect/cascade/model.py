@@ -42,7 +42,7 @@ _Spacing: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 
 
 class Stump(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """One comparison of box means.
+    """Hold one comparison of box means.
 
     w: the third box of a contrast, None for a ratio. threshold: t, for a ratio a linear ratio above 0.
     """
@@ -57,7 +57,7 @@ class Stump(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Log-odds of a target at some final scores, nats, linear in between, constant beyond.
+    """Hold log-odds of a target at some final scores, nats, linear in between, constant beyond.
 
     score rises, log_odds does not fall.
     """
@@ -81,7 +81,7 @@ class ExpectedPd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class CascadeModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A trained cascade.
+    """Hold a trained cascade.
 
     kind: "soft" adds scores up over all groups, "stages" starts at 0 in each. groups: stumps; after group g windows
     that score less than reject[g] are dropped. row_spacing_m, column_spacing_m: from and to of pixel sizes it was

@@ -78,6 +78,7 @@ class LabDecoder:
 
 
 def frame_of(message: bytes, received: Stamp, n_bytes: int) -> SonarFrame:
+    """Turn one message into a frame: the echoes of both sides and when they were received."""
     _, number, time_ms, range_m, n_samples = HEADER.unpack_from(message)
     port, starboard = np.frombuffer(message[HEADER.size : -4], "<u2").reshape(2, n_samples)
     step_m = range_m / n_samples
@@ -113,6 +114,7 @@ def wire_bytes(ping: Ping) -> bytes:
 
 
 def main(log: Path) -> None:
+    """Send the pings of a log through the driver, in chunks that cut messages."""
     pings = [event for event in open_log(log, Config()) if isinstance(event, Ping)]
     wire = bytearray(b"".join(wire_bytes(ping) for ping in pings))
     wire[1000::100_000] = bytes(len(wire[1000::100_000]))  # noise on the line

@@ -104,6 +104,7 @@ def contacts_of(source: Iterable[SourceEvent]) -> int:
 
 
 def main(log: Path) -> None:
+    """Write a log in the own format and replay it."""
     with tempfile.TemporaryDirectory() as folder:
         archive = Path(folder) / "survey.npz"
         write_archive(log, archive)

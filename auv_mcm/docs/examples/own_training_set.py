@@ -42,6 +42,7 @@ track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 60}}
 
 
 def main(out: Path) -> None:
+    """Write a spec, render its training set, and train on it."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "small.yaml").write_text(SCENE)
     (out / "theatre.yaml").write_text(THEATRE)

@@ -18,6 +18,7 @@ from sim_replay.logs.session_reader import Session, recorded_config
 
 
 def main(path: Path) -> None:
+    """Print what a recorded session holds, port by port."""
     # First the bytes, as they came from each port ("in") and went to it ("out"), with the time at which they were read.
     session = Session(path)
     n_bytes: Counter[tuple[str, str]] = Counter()

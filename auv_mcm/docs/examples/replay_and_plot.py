@@ -25,6 +25,7 @@ from sim_replay.replay import replay
 
 
 def main(log: Path, out: Path) -> None:
+    """Replay a log and plot its contacts over the track."""
     # Every setting has a default. To use a file: auv_mcm.commands.read_config(Path("vehicle.yaml")).
     summary = replay([log], out, Config())
     print(f"{summary['pings']} pings, {summary['contacts']} contacts, {summary['covered_km2']:.4f} km² covered")

@@ -20,6 +20,7 @@ GATE_M = 2.0  # a contact farther from an object than this is no call of it
 
 
 def main(mission: Path, out: Path) -> None:
+    """Replay a simulated mission and score its contacts."""
     replay([mission / "mission.xtf"], out, Config())
 
     # Several missions pool: contacts, truth, contacts, truth ...

@@ -8,8 +8,10 @@ Verdict: TypeAlias = Literal["ok", "warning", "FAILED"]
 
 
 class Finding(NamedTuple):
-    """One line of the self-check. `warning`: it works, but less well, or could not be judged. detail: what, where and
-    what to do."""
+    """Hold one line of the self-check.
+
+    `warning`: it works, but less well, or could not be judged. detail: what, where and what to do.
+    """
 
     name: str
     verdict: Verdict

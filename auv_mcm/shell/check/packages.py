@@ -39,7 +39,7 @@ _COMPARE: Final[dict[str, Callable[[tuple[int, ...], tuple[int, ...]], bool]]] =
 
 
 class Requirement(NamedTuple):
-    """A package that the project declares. limits: of its version, as declared, e.g. `<3,>=2.0`."""
+    """Name a package that the project declares. limits: of its version, as declared, e.g. `<3,>=2.0`."""
 
     name: str
     limits: str

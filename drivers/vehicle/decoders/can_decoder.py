@@ -57,6 +57,7 @@ class CanDecoder:
 
     @property
     def bus_counters(self) -> Counter[str]:
+        """Count what came over the whole bus, not from the vehicle alone."""
         return self._bus.counters + self._not_extended
 
     def feed(self, data: CanFrame, stamp: Stamp) -> list[VehicleMessage]:

@@ -165,6 +165,7 @@ class PacedReports:
         self._waiting[report.number] = report
 
     def clear(self) -> None:
+        """Drop all reports that wait."""
         self._waiting.clear()
 
     def take(self, now_s: float) -> ContactReport | None:
@@ -185,6 +186,7 @@ class FloorBelow:
         self._heard: deque[tuple[float, float]] = deque()  # monotonic time, depth of the floor
 
     def clear(self) -> None:
+        """Forget all altitudes."""
         self._heard.clear()
 
     def heard(self, depth_m: float, altitude_m: float, now_s: float) -> None:

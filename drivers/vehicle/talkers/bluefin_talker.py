@@ -139,7 +139,7 @@ class BluefinTalker(AsciiTalker):
             case BluefinAnswer():
                 yield from self._answered(record, now_s)
             case BluefinShutdown():
-                yield from self._permit(False, "the vehicle shuts its payloads down")
+                yield from self._permit(False, "the vehicle shuts down its payloads")
             case BluefinControl(control="0"):
                 yield from self._permit(False, "the vehicle does not grant control (BFCTL 0)")
             case BluefinControl() if self._settings.granted_by == "BFCTL":
@@ -263,7 +263,7 @@ class BluefinTalker(AsciiTalker):
         name = self._table.body_of(item.record)[:5]
         self._own["bluefin.unanswered"] += 1
         self._later += self._withhold(
-            f"the vehicle did not answer {name}, sent {item.n_sent} times; if this lasts, connect anew"
+            f"the vehicle did not answer {name}, sent {item.n_sent} times; if this continues, reconnect"
         )
         self._sent = [other for other in self._sent if other is not item]
         if not isinstance(item.record, BluefinLog):
@@ -307,7 +307,7 @@ class BluefinTalker(AsciiTalker):
         name = self._table.body_of(item.record)[:5]
         self._own[f"bluefin.refused_{name}"] += 1
         reason = (
-            f"the vehicle {'calls this invalid' if answer.status == _INVALID else 'failed to do this'}: {name} "
+            f"the vehicle {'rejects this as invalid' if answer.status == _INVALID else 'failed to do this'}: {name} "
             f"{answer.text}"
         ).rstrip()
         if item.key == "RMB":

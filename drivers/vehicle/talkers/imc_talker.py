@@ -141,15 +141,18 @@ class ImcTalker:
 
     @property
     def capabilities(self) -> Capability:
+        """Return what is reported and commanded with these settings."""
         basic = Capability.NAVIGATION | Capability.WAYPOINT | Capability.CONTACT | Capability.HEALTH
         return basic | Capability.ACKNOWLEDGED if self._settings.acknowledges else basic
 
     @property
     def silent_after_s(self) -> float:
+        """Return after how long without a message the vehicle counts as silent, s."""
         return 5.0
 
     @property
     def command_period_s(self) -> float:
+        """Return how often a command is repeated, s."""
         return 0.5
 
     def connected(self, now_s: float) -> None:
@@ -258,7 +261,7 @@ class ImcTalker:
         follow = imc.FollowReference(self._settings.source_id, ANY_ENTITY, self._settings.control_timeout_s)
         plan = imc.PlanSpecification(
             PLAN_ID,
-            description="places that the payload wants to look at again",
+            description="places for a second view",
             start_man_id=_MANEUVER_ID,
             maneuvers=(imc.PlanManeuver(_MANEUVER_ID, follow),),
         )
@@ -378,7 +381,11 @@ class ImcTalker:
         ours = message.control_src == self._settings.source_id
         if not ours or message.state == RefState.TIMEOUT:
             self._followed_s = None
-            reason = "the vehicle missed our references" if ours else f"the vehicle follows 0x{message.control_src:04X}"
+            reason = (
+                "the vehicle received no reference in time"
+                if ours
+                else f"the vehicle follows 0x{message.control_src:04X}"
+            )
             return self._withheld(reason) if self._stage == "granted" else []
         self._followed_s = now_s
         if self._stage != "granted":

@@ -33,7 +33,7 @@ _SUSPENDED: Final = 0x02  # see _IN_MISSION
 _ENABLED: Final = 0x04  # see _IN_MISSION
 _ACTIVE: Final = 0x08  # see _IN_MISSION: the override is on
 _SHORE_POWER: Final = 0x10  # see _IN_MISSION
-_DEPTH_ONLY: Final = 0x40  # see _IN_MISSION: the mission lets depth alone be overridden
+_DEPTH_ONLY: Final = 0x40  # see _IN_MISSION: the mission allows an override of depth only
 _NOT_ALLOWED: Final = 0x80  # see _IN_MISSION
 
 _KEEP_ALIVE_S: Final = 1.0  # s between two messages, minimum, that keep the connection alive
@@ -74,7 +74,7 @@ class ReconTalker(AsciiTalker):
     def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
         now_s = 1e-9 * received.mono_ns
         if isinstance(record, ReconShutdown):
-            yield from self._end_of_control("the vehicle shuts its payloads down", now_s)
+            yield from self._end_of_control("the vehicle shuts down its payloads", now_s)
         elif isinstance(record, ReconState):
             yield from self._judge(record.mode, now_s)
         if state is not None:
@@ -150,7 +150,7 @@ def _why_not(mode: int) -> str:
     if mode & _NOT_ALLOWED:
         return "the vehicle does not allow an override"
     if mode & _DEPTH_ONLY:
-        return "the vehicle lets depth alone be overridden"
+        return "the vehicle allows an override of depth only"
     if not mode & _IN_MISSION or mode & _SUSPENDED:
         return "no mission is running"
     return ""

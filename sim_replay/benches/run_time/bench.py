@@ -45,6 +45,7 @@ _FAILED: Final = 5  # exit code of a check that fails
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench run_time`."""
     parser.add_argument(
         "--scenes", help=f"scenes by name, with commas between (default: {','.join(SCANNED)}; with --targets all ten)"
     )
@@ -225,7 +226,7 @@ def _missions(arguments: argparse.Namespace, names: Sequence[str], folder: Path)
 
 
 def _chosen(knobs: str | None, targets_alone: bool) -> list[ChainSetting]:
-    """The operating points to measure. Raises UsageError for a knob that is not there."""
+    """Choose the operating points to measure. Raises UsageError for a knob that is not there."""
     every = chain_settings()
     if targets_alone:
         return [point for point in every if point.name in (DEFAULT, PLAIN)]
@@ -240,7 +241,7 @@ def _chosen(knobs: str | None, targets_alone: bool) -> list[ChainSetting]:
 
 
 def _long_run(lines: Sequence[BenchMission], folder: Path, default: ChainSetting) -> MissionCost | None:
-    """The default operating point once over a long mission on flat sand, for its memory."""
+    """Run the default operating point once over a long mission on flat sand, for its memory."""
     flat = next((line for line in lines if line.group == FLAT and line.kind == "scene"), None)
     if flat is None:
         return None
@@ -269,7 +270,7 @@ def _print(results: RunTimeResults, laid_out: Callable[[Sequence[str], Sequence[
 
 
 def _write(option: str, path: Path | None, data: bytes) -> None:
-    """Raises UsageError where the file cannot be written."""
+    """Write a file; raise UsageError where it cannot be written."""
     if path is None:
         return
     try:

@@ -41,6 +41,7 @@ class Wait(NamedTuple):
 
     @property
     def is_in_time(self) -> bool:
+        """Find whether the announcement is within the target."""
         return self.track_m <= WITHIN_M or self.time_s <= WITHIN_S
 
 
@@ -61,7 +62,7 @@ class MissionLatency(NamedTuple):
 
 
 class _Track:
-    """Distance sailed at any time, from positions as the payload got them."""
+    """Measure the distance sailed at any time, from positions as the payload got them."""
 
     def __init__(self, samples: Sequence[NavSample]) -> None:
         fixes = [s for s in samples if math.isfinite(s.latitude_deg) and math.isfinite(s.longitude_deg)]

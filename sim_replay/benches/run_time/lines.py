@@ -32,7 +32,7 @@ _APART_M: Final = 5.0  # m between embedded objects, minimum
 
 
 class BenchMission(NamedTuple):
-    """A mission to measure on. group: the scene or the recorded log."""
+    """Name a mission to measure on. group: the scene or the recorded log."""
 
     name: str
     group: str
@@ -43,7 +43,7 @@ class BenchMission(NamedTuple):
 
 
 def with_short_legs(scene: Scene, seed: int, leg_share: float = LEG_SHARE) -> Scene:
-    """The scene with a seed and shorter legs; all its objects lie on them."""
+    """Shorten a scene's legs and set its seed; all its objects lie on them."""
     plan = scene.track.plan
     if isinstance(plan, Lawnmower):
         plan = msgspec.structs.replace(plan, leg_m=plan.leg_m * leg_share)
@@ -90,7 +90,7 @@ def repeated(line: BenchMission, duration_s: float, folder: Path) -> BenchMissio
 
 
 def crowded(scene: Scene, times: float) -> Scene:
-    """The scene with so many times its scattered objects, at least one of each kind."""
+    """Multiply a scene's scattered objects, at least one of each kind."""
     scatter: tuple[Scatter, ...] = tuple(
         msgspec.structs.replace(some, count=max(1, round(some.count * times)), apart_m=2.0) for some in scene.scatter
     )
@@ -112,7 +112,7 @@ def augment_logs(
 
 
 def scattered(seed: int) -> TargetSpec:
-    """Targets of all kinds and as many rocks, on the sea floor that the line shows."""
+    """Scatter targets of all kinds and as many rocks on the sea floor that the line shows."""
     targets = ScatteredTargets(
         kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"),
         count=_TARGETS_PER_LINE,

@@ -45,7 +45,7 @@ _PLAIN_SCRIPT: Final = (
 
 
 class MissionCost(msgspec.Struct, frozen=True, kw_only=True):
-    """One operating point on one mission.
+    """Hold what one operating point cost on one mission.
 
     process_s: user and system time of the whole process, one per repeat; elapsed_s: by the clock; chain_s: processor
     time of the chain alone, from file to contacts. stages_s: medians of that per stage. counters: of work and of what
@@ -69,7 +69,10 @@ class MissionCost(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SettingResult(msgspec.Struct, frozen=True, kw_only=True):
-    """One operating point over all missions. pd: at LIMITS_PER_KM2 of false alarms. contacts: per km² of swept area."""
+    """Hold the result of one operating point over all missions.
+
+    pd: at LIMITS_PER_KM2 of false alarms. contacts: per km² of swept area.
+    """
 
     name: str
     knob: str
@@ -79,12 +82,12 @@ class SettingResult(msgspec.Struct, frozen=True, kw_only=True):
     contacts: Density
 
     def process_s(self, names: Sequence[str] | None = None) -> list[float]:
-        """Processor time of whole processes summed over missions, s, one per repeat."""
+        """Sum the processor time of whole processes over missions, s, one per repeat."""
         some = list(self.runs.values()) if names is None else [self.runs[name] for name in names]
         return [sum(each) for each in zip(*(run.process_s for run in some), strict=True)]
 
     def stages_s(self) -> dict[str, float]:
-        """Processor time per stage summed over missions, s."""
+        """Sum the processor time per stage over missions, s."""
         total: dict[str, float] = defaultdict(float)
         for run in self.runs.values():
             for stage, cost_s in run.stages_s.items():
@@ -93,7 +96,10 @@ class SettingResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BenchMachine(msgspec.Struct, frozen=True, kw_only=True):
-    """What was measured on, and when. load: of the last minute before and after, in processes that wanted to run."""
+    """Hold what was measured on, and when.
+
+    load: of the last minute before and after, in processes that wanted to run.
+    """
 
     processor: str
     cores: int
@@ -184,7 +190,7 @@ def contacts_path(point: ChainSetting, line: BenchMission, folder: Path) -> Path
 
 
 def _timed(command: Sequence[str], what: str, errors: Path) -> tuple[str, float]:
-    """Output of a program, and its user and system time, s. Raises BadInputError if it fails."""
+    """Run a program for its output, and its user and system time, s. Raises BadInputError if it fails."""
     with (
         errors.open("wb+") as err,
         subprocess.Popen(command, env={**os.environ, **_ONE_THREAD}, stdout=subprocess.PIPE, stderr=err) as process,
@@ -256,17 +262,17 @@ def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> Mi
 
 
 def pd_at(score: Score, limit_per_km2: float) -> Proportion:
-    """The best Pd with at most so many false alarms per km²."""
+    """Find the best Pd with at most so many false alarms per km²."""
     allowed = [point.pd for point in score.froc if point.false_alarms.count <= limit_per_km2 * score.area_km2]
     return max(allowed, key=lambda pd: pd.count, default=proportion(0, score.n_targets))
 
 
 def median_ratio(result: SettingResult, other: SettingResult) -> tuple[float, float, float]:
-    """Processor time of one point over that of another, repeat by repeat: median, lowest, highest."""
+    """Divide the processor time of one point by that of another, repeat by repeat: median, lowest, highest."""
     ratios = [a / b for a, b in zip(result.process_s(), other.process_s(), strict=True)]
     return statistics.median(ratios), min(ratios), max(ratios)
 
 
 def times_real_time(run: MissionCost) -> float:
-    """Duration of the sonar's recording over processor time of the chain alone."""
+    """Divide the duration of the sonar's recording by the processor time of the chain alone."""
     return run.sonar_s / statistics.median(run.chain_s)

@@ -78,7 +78,7 @@ def run_chain(
 
 
 def _look_of(thoroughness: Thoroughness, config: Config) -> Callable[[Detection], Detection] | None:
-    """Confirmation that is so thorough; None for the pipeline's own."""
+    """Make a confirmation that is so thorough; None for the pipeline's own."""
     if thoroughness == Thoroughness():
         return None
     model, _ = fitting(configured_model(config), config)

@@ -37,7 +37,7 @@ _STYLE: Final = (
 
 
 def run_time_page(results: RunTimeResults) -> str:
-    """HTML that needs nothing but itself."""
+    """Write the page of the bench, HTML that needs nothing but itself."""
     machine = results.machine
     versions = ", ".join(f"{name} {version}" for name, version in machine.versions.items())
     load = " to ".join(f"{value:.1f}" for value in machine.load)
@@ -65,7 +65,7 @@ def run_time_page(results: RunTimeResults) -> str:
 
 
 def pareto_plot(results: RunTimeResults) -> str:
-    """SVG of Pd against processor time per minute of sonar, with the front that no point beats in both."""
+    """Draw Pd against processor time per minute of sonar as SVG, with the front that no point beats in both."""
     shown = [point for point in results.points if point.pd and point.pd[_PLOTTED].value is not None]
     if not shown:
         return ""

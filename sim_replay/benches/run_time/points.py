@@ -25,7 +25,7 @@ Configure = Callable[[Config, Path], Config]
 
 
 class ChainSetting(NamedTuple):
-    """One way to run the chain.
+    """Name one way to run the chain.
 
     knob: what is turned; value: to what. configure: makes its configuration from the mission's; what that names is
     written into the folder given. thoroughness: of each look. without_skips: those that are switched off.
@@ -71,7 +71,7 @@ def _pixels(row_m: float, column_m: float) -> ChainSetting:
 
 
 def _shallow(n_groups: int) -> ChainSetting:
-    """The shipped cascade without its last groups; the calibration stays that of the whole one."""
+    """Cut the last groups off the shipped cascade; the calibration stays that of the whole one."""
     model = shipped_model()
     n_stumps = sum(len(group) for group in itertools.islice(model.groups, n_groups))
 
@@ -105,7 +105,7 @@ _TWICE: Final = Effort(1024, 14, 22, 6, 4, 28, 8)
 
 
 def default_point() -> ChainSetting:
-    """The chain as the package ships it."""
+    """Return the chain as the package ships it."""
     return ChainSetting(DEFAULT, DEFAULT, "", _same)
 
 

@@ -24,7 +24,7 @@ _MEASURED_PER_KM2: Final = 40_000  # four times what flat sand with 1300 objects
 
 
 class WorkCheck(NamedTuple):
-    """Something that must hold, and what was found."""
+    """Hold something that must hold, and what was found."""
 
     name: str
     holds: bool
@@ -44,7 +44,7 @@ def quick_checks(folder: Path, progress: Callable[[str], None]) -> list[WorkChec
 
 
 def _small(scene: Scene) -> Scene:
-    """One leg of a scene, with some of its objects."""
+    """Shorten a scene to one leg, with some of its objects."""
     scene = crowded(with_short_legs(scene, FIRST_SEED), _OBJECTS)
     assert isinstance(scene.track.plan, Lawnmower)
     plan = msgspec.structs.replace(scene.track.plan, n_legs=1, leg_m=_LEG_M)

@@ -22,7 +22,7 @@ _MIN_CHANGE: Final = 0.03  # of a cost: runs of the same program differ by as mu
 
 
 class RunTimeResults(msgspec.Struct, frozen=True, kw_only=True):
-    """One run of the bench. missions: by name; sonar_s: how long they last together."""
+    """Hold one run of the bench. missions: by name; sonar_s: how long they last together."""
 
     format_version: int = FORMAT_VERSION
     machine: BenchMachine
@@ -45,7 +45,7 @@ POINT_HEADER: Final = (
 
 
 def point_rows(results: RunTimeResults) -> list[list[str]]:
-    """A row of text per operating point."""
+    """Write a row of text per operating point."""
     default, plain = results.point(DEFAULT), results.point(PLAIN)
     rows = []
     for point in results.points:
@@ -67,7 +67,9 @@ def point_rows(results: RunTimeResults) -> list[list[str]]:
 
 
 def reason_words(results: RunTimeResults) -> str:
-    """Why the default is the default, and which points did better in this run in time without being worse in error."""
+    """Explain why the default is the default, and which points did better in this run in time without being worse in
+    error.
+    """
     default = results.point(DEFAULT)
     if default is None or not default.pd:
         return REASON
@@ -83,7 +85,7 @@ def reason_words(results: RunTimeResults) -> str:
 
 
 def on_front(results: RunTimeResults) -> set[str]:
-    """Names of the points that no other beats in time and in Pd at 100 false alarms per km² at once."""
+    """Name the points that no other beats in time and in Pd at 100 false alarms per km² at once."""
     values = [
         (statistics.median(point.process_s()), point.pd[1].count, point.name) for point in results.points if point.pd
     ]

@@ -34,7 +34,7 @@ _LEG_M: Final = 120.0  # m
 
 
 class ScalingVariant(NamedTuple):
-    """One mission of a series. range_m: of the sonar to either side; leg_m: length of its only leg."""
+    """Describe one mission of a series. range_m: of the sonar to either side; leg_m: length of its only leg."""
 
     range_m: float = _RANGE_M
     ping_rate_hz: float = _PING_RATE_HZ
@@ -44,7 +44,7 @@ class ScalingVariant(NamedTuple):
 
 
 class ScalingStep(msgspec.Struct, frozen=True, kw_only=True):
-    """One value of a series, and medians of what it cost, s."""
+    """Hold one value of a series, and medians of what it cost, s."""
 
     value: float
     chain_s: float
@@ -52,7 +52,7 @@ class ScalingStep(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ScalingSeries(msgspec.Struct, frozen=True, kw_only=True):
-    """How cost grows with one quantity."""
+    """Hold how cost grows with one quantity."""
 
     against: str
     steps: tuple[ScalingStep, ...]
@@ -131,7 +131,7 @@ def fitted_exponent(values: Sequence[float], costs_s: Sequence[float]) -> tuple[
 
 
 def series_rows(found: Sequence[ScalingSeries]) -> list[list[str]]:
-    """A row of text per series."""
+    """Write a row of text per series."""
     rows = []
     for one in found:
         values = [step.value for step in one.steps]

@@ -33,7 +33,10 @@ _PROOFS: Final = {
 
 
 class SkipEffect(msgspec.Struct, frozen=True, kw_only=True):
-    """The default on one mission, and without one skip. count: of what was left out, None for all skips together."""
+    """Compare the default on one mission with itself without one skip.
+
+    count: of what was left out, None for all skips together.
+    """
 
     mission: str
     skip: str
@@ -68,7 +71,7 @@ def _points() -> Iterator[ChainSetting]:
 
 
 def skip_rows(effects: Sequence[SkipEffect]) -> list[list[str]]:
-    """A row of text per mission and skip that left something out there, and one for all skips together."""
+    """Write a row of text per mission and skip that left something out there, and one for all skips together."""
     rows = []
     for effect in effects:
         if effect.count == 0:
@@ -98,7 +101,7 @@ def skip_rows(effects: Sequence[SkipEffect]) -> list[list[str]]:
 
 
 def _without_counterpart(some: Sequence[Place], others: Sequence[Place]) -> int:
-    """How many places have none of the others within the gate of scoring."""
+    """Count the places that have none of the others within the gate of scoring."""
 
     def distance_m(a: Place, b: Place) -> float:
         return _DEGREE_M * math.hypot(a[0] - b[0], (a[1] - b[1]) * math.cos(math.radians(a[0])))
@@ -107,5 +110,5 @@ def _without_counterpart(some: Sequence[Place], others: Sequence[Place]) -> int:
 
 
 def register_rows() -> list[list[str]]:
-    """A row of text per registered skip."""
+    """Write a row of text per registered skip."""
     return [[skip.name, skip.leaves_out, skip.because, f"`{skip.counter}`", _PROOFS[skip.proof]] for skip in SKIPS]

@@ -20,8 +20,9 @@ _STAGES_SHOWN: Final = 6  # of a profile, the costliest
 
 
 class CostTarget(msgspec.Struct, frozen=True, kw_only=True):
-    """A figure beside its target. before: on 2026-11-20; aim: what would be better still; at_most: the lower the
-    better.
+    """Hold a figure beside its target.
+
+    before: on 2026-11-20; aim: what would be better still; at_most: the lower the better.
 
     measured: None where the missions for it were not flown. where: the mission that decided. profile: share of
     processor time per stage, of what missed the target.
@@ -38,7 +39,7 @@ class CostTarget(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is met; None where nothing was measured."""
+        """Find whether the target is met; None where nothing was measured."""
         if self.measured is None:
             return None
         return self.measured <= self.target if self.at_most else self.measured >= self.target
@@ -146,7 +147,7 @@ def profile_words(runs: Sequence[MissionCost]) -> str:
 
 
 def target_rows(found: Sequence[CostTarget]) -> list[list[str]]:
-    """A row of text per target."""
+    """Write a row of text per target."""
     return [
         [
             one.name,
@@ -167,7 +168,7 @@ TARGET_HEADER: Final = ("figure", "before", "target", "aim", "measured", "", "on
 def _cost_ratio(
     runs: dict[str, MissionCost], some: Sequence[str], others: Sequence[str], unit: Callable[[MissionCost], int]
 ) -> float | None:
-    """Processor time of the chain alone per unit, of some missions over others."""
+    """Divide the processor time of the chain alone per unit, of some missions over others."""
     if not some or not others:
         return None
 

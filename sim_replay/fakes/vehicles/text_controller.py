@@ -162,6 +162,7 @@ def nmea_fields(line: str) -> list[str]:
 
 
 def nmea_line(body: str) -> bytes:
+    """Write a sentence with its checksum."""
     return f"${body}*{_xor(body):02X}\r\n".encode("ascii")
 
 

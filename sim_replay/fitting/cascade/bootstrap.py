@@ -61,9 +61,11 @@ class Errand(NamedTuple):
 
 
 class Gleaned(NamedTuple):
-    """targets: (n_boxes, n_targets) float32 box means of each target's best window, in an order that is the same for
-    every errand to a shard. others: (n_boxes, n_others) float32, of the windows at `places` (n_others, 3) int32: tile
-    in shard, row, column. spacings_m: (n_tiles, 2) float64, of rows and columns.
+    """Hold what passes bring.
+
+    targets: (n_boxes, n_targets) float32 box means of each target's best window, in an order that is the same for every
+    errand to a shard. others: (n_boxes, n_others) float32, of the windows at `places` (n_others, 3) int32: tile in
+    shard, row, column. spacings_m: (n_tiles, 2) float64, of rows and columns.
     """
 
     targets: NDArray[np.float32]
@@ -134,8 +136,10 @@ def clear_of_targets(tile: LabelledTile) -> NDArray[np.bool_]:
 
 
 def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(n_windows,) int64 order of windows with scores (n_windows, n_groups) of `trace_plane`: the final score, or how
-    many stages they pass and then the score of the first that they do not, or else of the last.
+    """Order windows by their scores.
+
+    (n_windows,) int64 order of windows with scores (n_windows, n_groups) of `trace_plane`: the final score, or how many
+    stages they pass and then the score of the first that they do not, or else of the last.
     """
     if model.kind == "soft":
         return scores[:, -1].astype(np.int64)

@@ -195,7 +195,9 @@ def _shadows() -> list[FeatureBox]:
 
 
 def _floors() -> list[FeatureBox]:
-    """Sea floor around an object of up to 1.6 m and its shadow: before, behind, beside either end, and all of it."""
+    """List boxes of the sea floor around an object of up to 1.6 m and its shadow: before, behind, beside either end,
+    and all of it.
+    """
     before = [_shadow(0.0, along, -1.0, 0.0, stop, 0.0) for along, stop in product((0.6, 1.2, 2.0), (-0.3, -0.5))]
     behind = [_shadow(0.0, along, 0.5, start, 1.0, 1.2) for along, start in product((0.6, 1.2, 2.0), (0.8, 1.0))]
     beside = [

@@ -39,13 +39,14 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class SeedRange(_Section, frozen=True, kw_only=True):
-    """`count` seeds from `first` on; each makes one mission of every scene."""
+    """Name `count` seeds from `first` on; each makes one mission of every scene."""
 
     first: Annotated[int, Meta(ge=0, le=2**31)]
     count: Annotated[int, Meta(ge=1, le=10_000)]
 
     @property
     def seeds(self) -> range:
+        """Return the seeds."""
         return range(self.first, self.first + self.count)
 
 
@@ -70,8 +71,9 @@ class Kind(_Section, frozen=True, kw_only=True):
 
 
 class Targets(_Section, frozen=True, kw_only=True):
-    """The targets of each mission, apart_m from each other at least. Echo strengths and ranges are those that the scene
-    gives a kind.
+    """Describe the targets the targets of each mission, apart_m from each other at least.
+
+    Echo strengths and ranges are those that the scene gives a kind.
     """
 
     per_mission: Annotated[int, Meta(ge=1, le=2000)] = 80
@@ -82,8 +84,10 @@ class Targets(_Section, frozen=True, kw_only=True):
 
 
 class Rocks(_Section, frozen=True, kw_only=True):
-    """Rocks of about a mine's size, besides the stones that the sea floor itself has. Sizes left out are the
-    scene's."""
+    """Scatter rocks of about a mine's size, besides the stones that the sea floor itself has.
+
+    Sizes left out are the scene's.
+    """
 
     per_mission: Annotated[int, Meta(ge=0, le=2000)] = 80
     length_m: SizeRange | None = None
@@ -91,8 +95,8 @@ class Rocks(_Section, frozen=True, kw_only=True):
 
 
 class SonarVariant(_Section, frozen=True, kw_only=True):
-    """A sonar and the grid of the picture; what is left out is the scene's, and the default configuration's for the
-    grid.
+    """Describe a sonar and the grid of the picture; what is left out is the scene's, and the default configuration's
+    for the grid.
     """
 
     frequency_khz: float | None = None
@@ -106,15 +110,16 @@ class SonarVariant(_Section, frozen=True, kw_only=True):
 
 
 class AugmentedLog(_Section, frozen=True, kw_only=True):
-    """A folder that `auv-mcm augment` wrote, from the spec's own folder on, and which split its sea floor belongs
-    to."""
+    """Name a folder that `auv-mcm augment` wrote, from the spec's own folder on, and which split its sea floor belongs
+    to.
+    """
 
     folder: str
     split: Split
 
 
 class Spec(_Section, frozen=True, kw_only=True):
-    """A training set.
+    """Describe a training set.
 
     scenes: named ones, or files from the spec's own folder on. sonars: missions of a scene take them in turn.
     altitude_factor: a mission's altitude is the scene's times a number drawn evenly from here. seabed_factors: how much
@@ -133,7 +138,7 @@ class Spec(_Section, frozen=True, kw_only=True):
 
 
 class SimulatedLine(NamedTuple):
-    """A mission to fly: a complete scene, and the configuration that makes its picture."""
+    """Name a mission to fly: a complete scene, and the configuration that makes its picture."""
 
     scene: Scene
     config: Config
@@ -142,7 +147,7 @@ class SimulatedLine(NamedTuple):
 
 
 class AugmentedLine(NamedTuple):
-    """A recorded line with targets put into it, to be replayed."""
+    """Name a recorded line with targets put into it, to be replayed."""
 
     folder: Path
     config: Config
@@ -160,7 +165,7 @@ def read_training_spec(path: Path | None = None) -> tuple[Spec, Path]:
 
 
 def parse_training_spec(text: str, place: str) -> Spec:
-    """Spec from YAML text; `place` names it in messages.
+    """Parse a spec from YAML text; `place` names it in messages.
 
     Raises UsageError with the key's path for unknown and repeated keys, wrong types, values out of range, and
     contradictions.
@@ -284,7 +289,7 @@ def _within_swath(groups: tuple[Scatter, ...], scene: Scene) -> tuple[Scatter, .
 
 
 def _shared_out(total: int, shares: list[float]) -> list[int]:
-    """Whole numbers with a sum of total in proportion to shares, by largest remainders."""
+    """Share out whole numbers with a sum of total in proportion to shares, by largest remainders."""
     exact = [total * share / math.fsum(shares) for share in shares]
     counts = [math.floor(value) for value in exact]
     for index in sorted(range(len(exact)), key=lambda k: counts[k] - exact[k])[: total - sum(counts)]:

@@ -19,7 +19,7 @@ _MAX_STUMPS: Final = 200  # of a stage; bounds time
 
 
 class Stage(NamedTuple):
-    """Stumps, the score below which a window is dropped, and the shares of the samples judged on that pass."""
+    """Hold stumps, the score below which a window is dropped, and the shares of the samples judged on that pass."""
 
     stumps: tuple[BoostedStump, ...]
     reject: int
@@ -28,7 +28,7 @@ class Stage(NamedTuple):
 
 
 class StageSamples(NamedTuple):
-    """bins: (n_features, n_samples) uint8. is_target: (n_samples,) bool."""
+    """Hold samples of one stage. bins: (n_features, n_samples) uint8. is_target: (n_samples,) bool."""
 
     bins: Bins
     is_target: NDArray[np.bool_]

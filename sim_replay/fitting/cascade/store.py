@@ -33,7 +33,7 @@ _REMEDY: Final = "Render the training set anew"
 
 
 class Shard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One file of a training set.
+    """Name one file of a training set.
 
     n_targets, n_others: objects in the cores of tiles, once per look. by_seabed: those targets by the sea floor they
     lie on.
@@ -53,8 +53,10 @@ class Shard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A training set. made_from: the spec it was rendered from. sha256: of all shards' digests, in order: what a model
-    was trained on."""
+    """Describe a training set.
+
+    made_from: the spec it was rendered from. sha256: of all shards' digests, in order: what a model was trained on.
+    """
 
     format_version: int
     made_from: dict[str, Any]
@@ -63,7 +65,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Packed(NamedTuple):
-    """A shard and its bytes, on the way from whoever rendered it to whoever writes it."""
+    """Hold a shard and its bytes, on the way from whoever rendered it to whoever writes it."""
 
     shard: Shard
     data: bytes

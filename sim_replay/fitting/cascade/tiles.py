@@ -15,7 +15,7 @@ Origin: TypeAlias = Literal["simulated", "augmented"]
 
 
 class TileObject(msgspec.Struct, frozen=True, kw_only=True):
-    """One object as a tile shows it.
+    """Hold one object as a tile shows it.
 
     row, column: where the centre of its highlight is to be expected, fractional: pixel (i, j) covers [i, i + 1) and [j,
     j + 1), so the pixel that holds it is (floor(row), floor(column)). kind, seabed: as in truth.json, "unknown" if not
@@ -37,7 +37,7 @@ class TileObject(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LabelledTile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """A tile of one side as the detector is given it, with everything that lies in it.
+    """Hold a tile of one side as the detector is given it, with everything that lies in it.
 
     codes: (n_rows, n_columns) uint16, round(min(intensity, 16) * 1024) with the local mean of the sea floor at 1024,
     which is also what pixels get that are not valid. valid: (n_rows, n_columns) bool, an echo was measured. usable: the

@@ -142,8 +142,9 @@ def _soft(tiles: _Tiles, pool: Pool, progress: Progress, n_stumps: int) -> Casca
 def _boosted(
     tiles: _Tiles, pool: Pool, lesson: _Lesson, others: Floats, n_rounds: int, rng: np.random.Generator
 ) -> CascadeModel:
-    """A soft cascade with thresholds that nearly all targets pass that it learned from, and what is almost as good as
-    those."""
+    """Boost a soft cascade with thresholds that nearly all targets pass that it learned from, and what is almost as
+    good as those.
+    """
     edges = _edges(pool, lesson.targets, others)
     bins = quantise(pool, edges, np.concatenate((lesson.targets, others), axis=1))
     is_target = np.arange(bins.shape[1]) < lesson.targets.shape[1]

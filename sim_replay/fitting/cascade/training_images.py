@@ -160,6 +160,7 @@ def render_set(spec_path: Path | None, folder: Path, farm: Farm) -> Manifest:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the pictures of a training set."""
     parser = Parser(prog="python -m sim_replay.fitting.cascade.training_images", description=__doc__)
     parser.add_argument(
         "spec", nargs="?", type=Path, metavar="SPEC.yaml", help="what to render (default: the set that ships)"

@@ -32,8 +32,10 @@ _NEVER: Final = 1e30  # above every value: a question that parts nothing
 
 
 class GrownTree(NamedTuple):
-    """Question i asks whether feature[i] is above threshold[i]; no leads to question 2 i + 1, yes to 2 i + 2, the last
-    to leaves.
+    """Hold a tree.
+
+    Question i asks whether feature[i] is above threshold[i]; no leads to question 2 i + 1, yes to 2 i + 2, the last to
+    leaves.
 
     feature: (7,) int columns. threshold: (7,). nats: (8,), what each leaf adds to the log-odds.
     """

@@ -32,8 +32,9 @@ class Inspection(NamedTuple):
 
 
 class ValidationSighting(NamedTuple):
-    """A target of a validation shard: its sea floor and ground range, and (n_groups,) int32 scores of its best
-    window."""
+    """Hold a target of a validation shard: its sea floor and ground range, and (n_groups,) int32 scores of its best
+    window.
+    """
 
     seabed: str
     ground_range_m: float

@@ -24,6 +24,8 @@ _SWEEP_STEP_M: Final = 0.25  # m: step of the integral over range
 
 
 class Flight(NamedTuple):
+    """Name a mission by its seed and its number over the scene."""
+
     seed: int
     number: int
 
@@ -53,6 +55,7 @@ def performance_fit_words(seeds: range, flights: int, looks: Sequence[CellPass])
 
 
 def performance_json(performance: Performance) -> bytes:
+    """Write detection performance as JSON."""
     return msgspec.json.format(msgspec.json.encode(performance, order="deterministic"), indent=1) + b"\n"
 
 

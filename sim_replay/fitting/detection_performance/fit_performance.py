@@ -183,7 +183,9 @@ def _closed_forms() -> Array:
 
 
 def smooth_bands(n_found: Array, n_looks: Array, prior: Array, effect: float = 1.0) -> SmoothedBands:
-    """Posterior means of beta distributions, bands (n,) that would make a second hump pooled: what is found rises with
+    """Smooth shares over bands.
+
+    Posterior means of beta distributions, bands (n,) that would make a second hump pooled: what is found rises with
     range while shadows grow, and falls as echoes fade.
 
     The interval is that of the pooled beta distribution, no narrower than Jeffreys' (half a look found and half one
@@ -199,7 +201,9 @@ def smooth_bands(n_found: Array, n_looks: Array, prior: Array, effect: float = 1
 
 
 def one_hump(value: Array, weight: Array) -> Ints:
-    """(n,) number of the block that each value belongs to, such that block means rise up to one of them and fall from
+    """Pool bands to one hump.
+
+    (n,) number of the block that each value belongs to, such that block means rise up to one of them and fall from
     there on, with the minimum weighted squares (isotonic regression either side of the best mode).
     """
     best: tuple[float, Ints] | None = None
@@ -216,8 +220,10 @@ def one_hump(value: Array, weight: Array) -> Ints:
 
 
 def rising(value: Array, weight: Array) -> Ints:
-    """(n,) number of each value's block in the isotonic regression, by pooling adjacent violators (M. Ayer et al.,
-    Annals of Mathematical Statistics 26, 1955).
+    """Pool values until they rise.
+
+    (n,) number of each value's block in the isotonic regression, by pooling adjacent violators (M. Ayer et al., Annals
+    of Mathematical Statistics 26, 1955).
     """
     blocks: list[tuple[float, float, int]] = []  # mean, weight, length
     for v, w in zip(value.tolist(), weight.tolist(), strict=True):

@@ -37,6 +37,7 @@ class PerformanceShare(NamedTuple):
 
     @property
     def error(self) -> float:
+        """Compute how far the prediction is off."""
         return abs(self.realised - self.predicted)
 
 
@@ -50,7 +51,9 @@ class PerformancePlace(NamedTuple):
 
 
 class JudgedPredictions(NamedTuple):
-    """brier: mean square of probability less outcome; brier_constant: that of one and the same probability for all.
+    """Hold how well predictions hold.
+
+    brier: mean square of probability less outcome; brier_constant: that of one and the same probability for all.
     calibration_error: as in `scoring.calibration`. places: those with looks. bins: by rising prediction. same, other:
     pairs of looks at one target, from the same direction and from others, found by either; None without any.
     """
@@ -92,8 +95,10 @@ def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredict
 
 
 def share(p: Array, found: NDArray[np.bool_], mission: NDArray[np.int64]) -> PerformanceShare:
-    """Looks (n,), at least one, taken together. The deviation over missions is that of a ratio of sums over clusters
-    (W. Cochran, "Sampling Techniques", 1977, Sec. 6.3), and no less than by chance alone.
+    """Compare predicted with found shares.
+
+    Looks (n,), at least one, taken together. The deviation over missions is that of a ratio of sums over clusters (W.
+    Cochran, "Sampling Techniques", 1977, Sec. 6.3), and no less than by chance alone.
     """
     n, realised = len(p), float(found.mean())
     by_chance = math.sqrt(float((p * (1.0 - p)).sum())) / n

@@ -22,7 +22,7 @@ _EPSILON: Final = 1e-8
 
 
 class NetworkLayer(NamedTuple):
-    """One layer: weights (n_inputs, n_units) and constants (n_units,)."""
+    """Hold one layer: weights (n_inputs, n_units) and constants (n_units,)."""
 
     weights: Floats
     constants: Floats

@@ -25,8 +25,8 @@ _MIN_KNOWN: Final = 0.5  # of a cell's places that can be placed
 
 
 class SeabedSamples(NamedTuple):
-    """features (n, len(NAMES)) float32, all finite; cot_grazing (n,) float32, of the grazing angle; shares (n,
-    len(KINDS)) float32, of each kind in the cell, 1 in all.
+    """Hold samples: features (n, len(NAMES)) float32, all finite; cot_grazing (n,) float32, of the grazing angle;
+    shares (n, len(KINDS)) float32, of each kind in the cell, 1 in all.
     """
 
     features: NDArray[np.float32]

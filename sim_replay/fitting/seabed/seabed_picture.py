@@ -33,8 +33,10 @@ _WHITE: Final = 255  # of 8 bits
 
 
 def seabed_picture(logs: Sequence[Path], n_tiles: int, model: SeabedModel) -> Canvas:
-    """(rows, columns, 3) uint8: the first tiles of each log, a side each, track upwards and range to the right, and
-    each once more in the colours of the kinds.
+    """Draw sea floor with its types.
+
+    (rows, columns, 3) uint8: the first tiles of each log, a side each, track upwards and range to the right, and each
+    once more in the colours of the kinds.
 
     Raises BadInputError for a log that cannot be read or that has no tile.
     """

@@ -187,7 +187,7 @@ def test_a_built_in_name_stays_built_in(site: Path) -> None:
             ", options: {own_plan: true}",
             "a section 'options' is for a vehicle's dialect that another package adds, and 'imc' is not",
         ),
-        ("acme_vehicle", ", sonar: {range_m: 3}", "a device 'acme_vehicle' is no sonar"),
+        ("acme_vehicle", ", sonar: {range_m: 3}", "'acme_vehicle' is not a sonar"),
         (
             "acme_sonar",
             ", sonar: {range_m: 201}",

@@ -117,7 +117,10 @@ def test_bytes_that_are_no_frames_are_reported_as_such(tmp_path: Path) -> None:
             while link.state != "silent":
                 await port.send(b"\x00\xfc\x80\r")
                 await asyncio.sleep(0.01)
-            assert "What arrives is neither a frame nor an answer: check that the adapter speaks slcan" in watch.reason
+            assert (
+                "What arrives is neither a CAN frame nor an answer of the adapter: check that the adapter speaks slcan"
+                in watch.reason
+            )
         assert not watch.items
         port.unplug()
 

@@ -220,7 +220,7 @@ def test_a_better_unit_that_starts_soon_after_another_serves_at_once(first_s: fl
     samples, notices = run(merge(good=NavUnitSettings(priority=1), poor=NavUnitSettings(priority=2)), good + poor)
     changed_s = next(seconds(sample) for sample in samples if sample.heading_rad == 1.0)
     assert changed_s == pytest.approx(taken_s, abs=0.11)
-    reported = [notice for notice in notices if notice.text.startswith("heading is taken from 'good'")]
+    reported = [notice for notice in notices if notice.text.startswith("heading now comes from 'good'")]
     assert len(reported) == (taken_s > first_s), "that units start one after the other is no news"
     assert {
         sample.heading_rad

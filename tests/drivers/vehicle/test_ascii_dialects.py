@@ -127,7 +127,7 @@ def test_the_vehicle_flies_what_is_commanded_and_its_own_plan_after_release(name
     assert flown.vertical.value_m == pytest.approx(7.5, abs=0.05)
     assert flown.speed_mps == pytest.approx(1.5, abs=0.03)
     n_sent = len(loop.commands())
-    loop.dialect.release("the plan is flown", loop.now_s)
+    loop.dialect.release("the plan is complete", loop.now_s)
     loop.run(6.0)
     assert not loop.vehicle.in_control
     assert loop.vehicle.command is None

@@ -160,7 +160,7 @@ def test_a_plan_is_flown_and_control_returned(capabilities: Capability) -> None:
         sea.tick()
         track.append(sea.place_m)
     assert sea.pilot.authority == "listening"
-    assert sea.released() == ["the plan is flown"]
+    assert sea.released() == ["the plan is complete"]
     for point in TWO_LEGS[1:]:
         place_m = offset_m(HOME_DEG, (point.latitude_deg, point.longitude_deg))
         assert min(math.dist(place_m, place) for place in track) < 4.0

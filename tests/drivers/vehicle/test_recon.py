@@ -88,7 +88,7 @@ def test_the_end_of_an_override_is_sent_again_until_the_vehicle_shows_it() -> No
 def test_a_payload_that_is_to_shut_down_has_no_control() -> None:
     loop = in_control("recon")
     assert loop.dialect.hear(frame("s,SHUTDOWN"), stamp_at(loop.now_s)) == [
-        Withheld("the vehicle shuts its payloads down")
+        Withheld("the vehicle shuts down its payloads")
     ]
 
 

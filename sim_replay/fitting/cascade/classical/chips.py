@@ -36,7 +36,7 @@ _DARKEST: Final = 0.01  # -20 dB: darker than this is noise
 
 
 class ChipPicture(NamedTuple):
-    """A tile as chips are cut from it: sum of codes and number of valid pixels over all rows and columns before,
+    """Hold a tile as chips are cut from it: sum of codes and number of valid pixels over all rows and columns before,
     (n_rows + 1, n_columns + 1) int64. first_return_m: (n_rows,) float64.
     """
 
@@ -48,8 +48,10 @@ class ChipPicture(NamedTuple):
 
 
 class Chips(NamedTuple):
-    """contrast: (n, N_ROWS, N_COLUMNS) float64, ln of the mean of each cell over the median cell of its chip; 0 where
-    less than half of a cell is known. known: (n,) bool, chips of which enough is known to judge them.
+    """Hold chips cut from tiles.
+
+    contrast: (n, N_ROWS, N_COLUMNS) float64, ln of the mean of each cell over the median cell of its chip; 0 where less
+    than half of a cell is known. known: (n,) bool, chips of which enough is known to judge them.
     """
 
     contrast: Array

@@ -71,9 +71,11 @@ def pixels_of(detections: Sequence[Detection], tile: Tile) -> tuple[Pixels, Pixe
 
 
 class Labels(NamedTuple):
-    """object_index: (n,) intp, of the target in the tile's core that a candidate stands for, -1 for none. is_other:
-    (n,) bool, the candidate is certain to be no target. Candidates that are neither lie beside or behind a target, and
-    teach nothing.
+    """Hold what candidates stand for.
+
+    object_index: (n,) intp, of the target in the tile's core that a candidate stands for, -1 for none. is_other: (n,)
+    bool, the candidate is certain to be no target. Candidates that are neither lie beside or behind a target, and teach
+    nothing.
     """
 
     object_index: NDArray[np.intp]
@@ -81,8 +83,9 @@ class Labels(NamedTuple):
 
 
 def label(tile: LabelledTile, found: Candidates) -> Labels:
-    """For each target in the core the candidate nearest to it, at most a metre away; and what is clear of all targets
-    by 3 m and more."""
+    """Label candidates: for each target in the core the candidate nearest to it, at most a metre away; and what is
+    clear of all targets by 3 m and more.
+    """
     object_index = np.full(len(found.rows), -1, dtype=np.intp)
     is_other = np.ones(len(found.rows), dtype=np.bool_)
     for index, tile_object in enumerate(tile.objects):

@@ -41,6 +41,7 @@ class Zone(NamedTuple):
 
     @property
     def slices(self) -> tuple[slice, slice]:
+        """Return the rows and columns of the zone."""
         return slice(CENTRE_ROW - self.half_rows, CENTRE_ROW + self.half_rows + 1), slice(self.near, self.far)
 
 
@@ -155,8 +156,11 @@ def variances(contrast: Array) -> Array:
 
 
 def match_templates(contrast: Array, templates: Mapping[str, Array]) -> Array:
-    """Normalised correlation with each template (N_ROWS, N_COLUMNS): all of it, the object's columns, the shadow's; 0
-    without variance."""
+    """Correlate chips with templates.
+
+    Normalised correlation with each template (N_ROWS, N_COLUMNS): all of it, the object's columns, the shadow's; 0
+    without variance.
+    """
     features = []
     for template in templates.values():
         for columns in (slice(None), slice(None, N_OBJECT_COLUMNS), slice(N_OBJECT_COLUMNS, None)):
@@ -171,8 +175,9 @@ def match_templates(contrast: Array, templates: Mapping[str, Array]) -> Array:
 
 
 def histograms(contrast: Array) -> Array:
-    """Quantiles of ln intensity over the median, standard deviation, skewness and excess kurtosis, the last two
-    bounded."""
+    """Compute the quantiles of ln intensity over the median, standard deviation, skewness and excess kurtosis, the last
+    two bounded.
+    """
     flat = contrast.reshape(len(contrast), -1)
     centred = flat - flat.mean(axis=1, keepdims=True)
     variance = (centred**2).mean(axis=1)

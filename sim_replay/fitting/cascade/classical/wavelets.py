@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 
 
 class Subbands(NamedTuple):
-    """One level of images (..., n_rows, n_columns), even rows and columns being smooth: smooth both ways, detail across
-    columns, across rows, across both.
+    """Hold one level of images (..., n_rows, n_columns), even rows and columns being smooth: smooth both ways, detail
+    across columns, across rows, across both.
     """
 
     smooth: Array

@@ -215,7 +215,7 @@ def test_silence_ends_control() -> None:
     sea.run(2.0)
     sea.goal = None
     events = sea.run(6.0)
-    assert events == [Withheld("the vehicle missed our references")]
+    assert events == [Withheld("the vehicle received no reference in time")]
     assert not sea.fake.in_control
     assert sea.fake.counters["vehicle.commands_expired"] == 1
 
