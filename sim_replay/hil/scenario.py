@@ -31,7 +31,7 @@ _NEEDED: Final = {
     "devices": "devices: {sonar: {device: ping_protocol}}",
     "service": "service: {service: {source: ports}, ports: [{name: sonar, link: '{sonar}', device: ping_protocol}]}",
     "run_s": "run_s: 10",
-    "expectations": "expectations: [{test: it ends when requested to stop, expected: {is: exit_code}}]",
+    "expectations": "expectations: [{test: the service ends when requested to stop, expected: {is: exit_code}}]",
 }
 
 Window: TypeAlias = tuple[float, float]

@@ -30,7 +30,7 @@ service:
   ports:
     - {name: nav, link: '{nav}', device: pd6}
 expectations:
-  - {test: it ends when requested to stop, expected: {is: exit_code}}
+  - {test: the service ends when requested to stop, expected: {is: exit_code}}
   - {test: pings come from nowhere, expected: {is: summary, key: pings, at_least: 1}}
 """
 COMMAND = "import sys; from tests.hil import test_hil_runs as runs; sys.exit(runs.run(*sys.argv[1:]))"
