@@ -131,7 +131,7 @@ def _port(port: PortConfig, key: str, subsystem: int | None) -> PortSettings:
 def _pulse(unit: PortSettings, link: str, key: str) -> PortSettings:
     address = parse_link_uri(link, key)
     if not isinstance(address, PulseAddress):
-        raise UsageError(f"{key} '{link}': a source of pulses needs a pps:// link, e.g. pps:///dev/pps0")
+        raise UsageError(f"{key} '{link}': not a source of pulses; use a pps:// link, e.g. pps:///dev/pps0")
     return unit._replace(name=f"{unit.name}.{PULSE}", device=PULSE, address=address, baud=None, unit=None)
 
 

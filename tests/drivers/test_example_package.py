@@ -1,4 +1,4 @@
-"""The example package at work: its sonar, its vehicle and its logs, through the doors that its users take."""
+"""The example package at work: its sonar, inertial unit, vehicle and logs, through the doors that its users take."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig, parse_config
 from auv_mcm.shell.recovery import RECORDING
 from auv_mcm.shell.service import Service
+from drivers.navigation.nav_protocols import text_decoder
 from drivers.port_source import PortSource
 from drivers.sonar.sonar_decoder import SonarFrame
 from drivers.sonar.sonars import sonar_named
@@ -37,7 +38,6 @@ from sim_replay.simulator.scene import (
     Track,
     World,
 )
-from tests.drivers.port_traffic import fix
 from tests.plugin_packages import importable, install_example
 
 RANGE_M: Final = 20.0
@@ -49,7 +49,7 @@ navigation: {{max_speed_mps: 30}}
 vehicle: {{report_min_p_mine: 0.05}}
 ports:
   - {{name: sonar, link: "serial://{folder}/sonar?baud=4000000", device: acme_sonar, sonar: {{range_m: 20}}}}
-  - {{name: ins, link: "serial://{folder}/ins?baud=115200", device: nmea0183}}
+  - {{name: ins, link: "serial://{folder}/ins?baud=115200", device: acme_ins}}
   - {{name: vehicle, link: "serial://{folder}/vehicle?baud=115200", device: acme_vehicle, options: {{station: 7}}}}
 """
 
@@ -150,8 +150,23 @@ def test_its_decoder_finds_every_whole_ping_however_the_bytes_come(flown: list[S
         assert decoder.counters["acme_sonar.refused.checksum"] == 1
 
 
+def test_its_navigation_decoder_finds_every_whole_line_however_the_bytes_come() -> None:
+    from acme_survey.navigation import line_of
+
+    lines = [line_of(43.09 + 1e-5 * k, 5.92, 90.0, 1.0, -2.0, 12.5, 4.0, 1.8) for k in range(4)]
+    wire = b"noise\n" + lines[0] + lines[1].replace(b"1.8", b"1.9") + b"".join(lines[2:])
+    for n_bytes in (1, 7, 1000):
+        decoder = text_decoder("acme_ins", "ins")
+        chunks = (wire[start : start + n_bytes] for start in range(0, len(wire), n_bytes))
+        fixes = [fix for chunk in chunks for fix in decoder.feed(chunk, Stamp(0, 0))] + decoder.finish()
+        assert [round(1e5 * (fix.latitude_deg - 43.09)) for fix in fixes] == [0, 2, 3]
+        assert {fix.source for fix in fixes} == {"ins"}
+        assert fixes[0].heading_rad == pytest.approx(0.5 * math.pi)
+        assert decoder.counters == {"acme_ins.messages": 3, "acme_ins.refused.damaged": 2}
+
+
 class Devices(threading.Thread):
-    """Run a sonar, a compass and a vehicle at ports in a folder. vehicle_lines: what the vehicle was sent."""
+    """Run a sonar, an inertial unit and a vehicle at ports in a folder. vehicle_lines: what the vehicle was sent."""
 
     def __init__(self, folder: Path, messages: list[tuple[float, str, bytes]]) -> None:
         super().__init__(name="devices", daemon=True)
@@ -189,13 +204,16 @@ class Devices(threading.Thread):
 
 def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
     """List when each message is sent, s since the beginning, at which port."""
+    from acme_survey.navigation import line_of  # type: ignore[import-not-found]  # installed by the test
+
     start_s = next(event.time_s for event in events if isinstance(event, Ping))
     messages: list[tuple[float, str, bytes]] = []
     for event in events:
         if isinstance(event, NavSample):
             time_s = (event.time_s - start_s) / FASTER
-            place = event.latitude_deg, event.longitude_deg, event.heading_rad
-            messages.append((time_s, "ins", fix(time_s, *place, FASTER * event.speed_mps)))
+            place = event.latitude_deg, event.longitude_deg, math.degrees(event.heading_rad)
+            below = event.depth_m, event.altitude_m, FASTER * event.speed_mps
+            messages.append((time_s, "ins", line_of(*place, 0.0, 0.0, *below)))
             degrees = f"{event.latitude_deg} {event.longitude_deg} {math.degrees(event.heading_rad)}"
             messages.append(
                 (time_s, "vehicle", f"STATE {degrees} {event.depth_m} {event.altitude_m} {event.speed_mps}\n".encode())
@@ -224,7 +242,7 @@ async def served(config: Config, devices: Devices) -> Path:
         devices.end.set()
 
 
-def test_its_sonar_and_vehicle_are_served_live(flown: list[SourceEvent], tmp_path: Path) -> None:
+def test_its_sonar_inertial_unit_and_vehicle_are_served_live(flown: list[SourceEvent], tmp_path: Path) -> None:
     config = parse_config(CONFIG.format(folder=tmp_path), "vehicle.yaml")
     devices = Devices(tmp_path, messages_of(flown))
     devices.start()
@@ -235,6 +253,7 @@ def test_its_sonar_and_vehicle_are_served_live(flown: list[SourceEvent], tmp_pat
     n_pings = sum(isinstance(event, Ping) for event in flown)
     counters = json.loads((live / "summary.json").read_bytes())["counters"]
     assert counters["port.sonar.acme_sonar.messages"] == n_pings
+    assert counters["port.ins.acme_ins.messages"] == sum(isinstance(event, NavSample) for event in flown)
     assert counters["port.vehicle.acme_vehicle.messages"] > 0
     assert devices.received["sonar"].startswith(b"RANGE020")
     lines = devices.received["vehicle"].decode("ascii").splitlines()

@@ -115,7 +115,7 @@ def test_noise_as_of_a_wrong_rate_is_a_failure_that_names_the_rate(tmp_path: Pat
 
 def test_a_silent_unit_is_a_failure_and_a_sonar_that_waits_for_commands_a_warning(tmp_path: Path) -> None:
     unit = checked(tmp_path / "tty", list, serial(tmp_path / "tty", "nmea0183"))
-    assert (unit.verdict, "nothing was heard" in unit.detail) == ("FAILED", True)
+    assert (unit.verdict, "nothing was received" in unit.detail) == ("FAILED", True)
     heard: list[bytes] = []
 
     async def run() -> Finding:

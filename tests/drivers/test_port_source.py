@@ -260,7 +260,7 @@ def test_a_wire_that_comes_and_goes_is_reported_of_so_often_only(monkeypatch: py
     bench.run(bench.state_is("gnss", "up"), *flaps)
     reported = [event.text for event in bench.events if isinstance(event, Notice) and event.place == "gnss"]
     assert len(reported) == 3
-    assert reported[-1].endswith("counted only.")
+    assert reported[-1].endswith("only counted.")
     assert bench.source.counters()["port.gnss.state_changes"] >= 5
 
 
@@ -340,8 +340,8 @@ def test_what_is_known_before_the_source_runs_is_given_first() -> None:
     ("uri", "text", "message"),
     [
         ("ports", "", "'auv-mcm run --example'"),
-        ("ports:?speed=1", PORTS, "stands in the section 'ports'"),
-        ("ports:/dev/ttyS0", PORTS, "stands in the section 'ports'"),
+        ("ports:?speed=1", PORTS, "described in the section 'ports'"),
+        ("ports:/dev/ttyS0", PORTS, "described in the section 'ports'"),
     ],
 )
 def test_ports_that_are_not_configured_are_asked_for(uri: str, text: str, message: str) -> None:

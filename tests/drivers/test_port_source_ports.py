@@ -263,9 +263,9 @@ def test_units_on_a_bus_share_the_settings_of_its_port() -> None:
     [
         (
             "link: 'tcp://10.0.0.2:1', device: nmea2000",
-            "ports[0].link 'tcp://10.0.0.2:1': a device 'nmea2000' cannot be there",
+            "ports[0].link 'tcp://10.0.0.2:1': a device 'nmea2000' needs a slcan:",
         ),
-        ("link: 'socketcan://can0', device: jsf", "ports[0].link 'socketcan://can0': a device 'jsf' cannot be there"),
+        ("link: 'socketcan://can0', device: jsf", "ports[0].link 'socketcan://can0': a device 'jsf' needs a serial:"),
         (
             "link: 'serial:///dev/ttyS0?baud=9601', device: nmea0183",
             "ports[0].link 'serial:///dev/ttyS0?baud=9601': baud=9601",

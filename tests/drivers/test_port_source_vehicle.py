@@ -318,7 +318,7 @@ def test_a_pilot_that_fails_gives_control_back_for_good_and_the_mission_goes_on(
     [
         (
             IMC.replace("tcp://10.0.0.2:6002", "slcan:///dev/ttyUSB0?bitrate=250000"),
-            "ports[0].link 'slcan:///dev/ttyUSB0?bitrate=250000': a device 'imc' cannot be there",
+            "ports[0].link 'slcan:///dev/ttyUSB0?bitrate=250000': a device 'imc' needs a serial:",
         ),
         (
             CAN.replace("slcan:///dev/ttyUSB0?bitrate=250000", "udp://h:1"),

@@ -169,7 +169,7 @@ def test_a_pulse_has_a_port_of_its_own() -> None:
         ("device: nmea0183", "device: pd6", "navigation.gives_utc is for a device 'nmea0183'"),
         ("gives_utc: true, ", "", "add gives_utc: true"),
         ("pps:///dev/pps0", "serial:///dev/ttyS1?baud=9600", "ports[1].navigation.pulse_link .*not a source of pulses"),
-        ("serial:///dev/ttyS0?baud=9600", "pps:///dev/pps0", "ports[1].link .*a device 'nmea0183' cannot be there"),
+        ("serial:///dev/ttyS0?baud=9600", "pps:///dev/pps0", "ports[1].link .*a device 'nmea0183' needs a serial:"),
         (
             SONAR,
             "{name: b, link: 'tcp://10.0.0.2:1', device: nmea0183, navigation: {gives_utc: true}}",

@@ -134,7 +134,7 @@ def test_an_unknown_device_is_refused_with_those_of_other_packages(site: Path) -
     with pytest.raises(UsageError, match=re.escape(expected)) as caught:
         parse_config(PORT.format(device="acme_sonra", more=""), "f.yaml")
     assert (
-        "vehicle_can, acme_sonar, acme_vehicle). Correct it, or install the package that adds it - at `ports[0]`"
+        "vehicle_can, acme_ins, acme_sonar, acme_vehicle). Correct it, or install the package that adds it - at `ports[0]`"
         in str(caught.value)
     )
     assert "acme_log" not in str(caught.value)
@@ -285,6 +285,7 @@ def test_the_check_lists_what_other_packages_add(site: Path) -> None:
     found = [(finding.name, finding.verdict, finding.detail) for finding in plugin_findings()]
     assert found[1:] == [
         ("plug-in broken", "warning", next(detail for name, _, detail in found if name == "plug-in broken")),
+        ("plug-in acme_ins", "ok", "auv_mcm.navigation, acme-survey 1.2, acme_survey.navigation:NAVIGATION"),
         ("plug-in acme_sonar", "ok", "auv_mcm.sonar, acme-survey 1.2, acme_survey.sonar:SONAR"),
         ("plug-in acme_vehicle", "ok", "auv_mcm.vehicle, acme-survey 1.2, acme_survey.vehicle:VEHICLE"),
     ]

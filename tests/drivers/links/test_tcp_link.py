@@ -64,7 +64,7 @@ def test_a_connection_that_died_without_a_word_is_made_anew() -> None:
             server.stalled = True
             await server.send(b"lost")
             await until(lambda: server.counters["tcp.connections"] >= 3)
-            assert any("taken for dead" in reason for _, reason in watch.reports)
+            assert any("counts as lost" in reason for _, reason in watch.reports)
             server.stalled = False
             while not watch.items:
                 await server.send(b"heard")

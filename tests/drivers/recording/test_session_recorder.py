@@ -106,7 +106,7 @@ def test_a_reserve_of_the_disk_is_kept(tmp_path: Path) -> None:
         "session.bytes_lost": 5,
     }
     (notice,) = recorder.take_notices()
-    assert "kept for others" in notice.text
+    assert "reserved for results" in notice.text
 
 
 def test_a_disk_that_is_full_from_the_start_is_reported(tmp_path: Path) -> None:

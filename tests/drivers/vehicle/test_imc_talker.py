@@ -241,7 +241,7 @@ FLYING = imc.VehicleState(OpMode.MANEUVER, maneuver_type=478)
     ("last", "reason"),
     [
         (imc.PlanControl(PlanType.FAILURE, PlanOp.START, 1, PLAN_ID, info="low battery"), "low battery"),
-        (follow_state(state=RefState.TIMEOUT), "missed"),
+        (follow_state(state=RefState.TIMEOUT), "no reference in time"),
         (follow_state(of=OTHER), "0x002F"),
         (imc.PlanControlState(PlanState.EXECUTING, "go_home"), "go_home"),
         (imc.PlanControlState(PlanState.READY, PLAN_ID), "ended"),

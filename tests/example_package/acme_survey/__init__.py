@@ -1,1 +1,1 @@
-"""Connect the sonar, the vehicle and the logs of a maker called ACME to auv-mcm."""
+"""Connect the sonar, the inertial unit, the vehicle and the logs of a maker called ACME to auv-mcm."""
