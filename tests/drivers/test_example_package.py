@@ -151,7 +151,7 @@ def test_its_decoder_finds_every_whole_ping_however_the_bytes_come(flown: list[S
 
 
 def test_its_navigation_decoder_finds_every_whole_line_however_the_bytes_come() -> None:
-    from acme_survey.navigation import line_of
+    from acme_survey.navigation import line_of  # type: ignore[import-not-found]  # installed by the test
 
     lines = [line_of(43.09 + 1e-5 * k, 5.92, 90.0, 1.0, -2.0, 12.5, 4.0, 1.8) for k in range(4)]
     wire = b"noise\n" + lines[0] + lines[1].replace(b"1.8", b"1.9") + b"".join(lines[2:])
@@ -204,7 +204,7 @@ class Devices(threading.Thread):
 
 def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
     """List when each message is sent, s since the beginning, at which port."""
-    from acme_survey.navigation import line_of  # type: ignore[import-not-found]  # installed by the test
+    from acme_survey.navigation import line_of
 
     start_s = next(event.time_s for event in events if isinstance(event, Ping))
     messages: list[tuple[float, str, bytes]] = []

@@ -2,21 +2,16 @@
 
     python own_driver.py LOG
 
-The sonar is made up: each ping is `LS`, its number (u32), milliseconds since power-up (u32), range in m (f32), samples
-per side (u16), the amplitudes of port and starboard, near to far (u16 each), and a CRC-32, all little-endian. The pings
-of LOG are sent through the driver in small pieces, with bytes damaged on the way.
-
-To use a driver live, add it to your package's pyproject.toml; `device: lab_sonar` of a port then names it:
+The sonar is made up: a ping is `LS`, its number (u32), range in m (f32), samples per side (u16), amplitudes of port and
+starboard, near to far (u16 each), and a CRC-32, all little-endian. The pings of LOG go through the driver in small
+pieces, with bytes damaged on the way. In a package, one line of pyproject.toml makes `device: lab_sonar` name it:
 
     [project.entry-points."auv_mcm.sonar"]
     lab_sonar = "my_package.own_driver:SONAR"
 """
 
-from __future__ import annotations
-
 import struct
 import sys
-from collections import Counter
 from pathlib import Path
 from zlib import crc32
 
@@ -30,7 +25,7 @@ from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
 from drivers.sonar.sonars import SonarDevice
 from sim_replay.logs.open_log import open_log
 
-HEADER = struct.Struct("<2sIIfH")
+HEADER = struct.Struct("<2sIfH")
 MAX_SAMPLES = 20_000  # per side; a damaged header must not make the driver wait for more
 
 
@@ -48,13 +43,13 @@ class LabGrammar:
     def read(self, buffer: bytearray, at: int) -> tuple[bytes, int] | int | str:
         if len(buffer) < at + HEADER.size:
             return HEADER.size  # as many bytes are needed to go on
-        n_samples = int.from_bytes(buffer[at + HEADER.size - 2 : at + HEADER.size], "little")
+        n_samples: int = HEADER.unpack_from(buffer, at)[-1]
         n_bytes = HEADER.size + 4 * n_samples + 4
         if not 0 < n_samples <= MAX_SAMPLES:
-            return "header"  # why this is no ping
-        if len(buffer) < at + n_bytes:
-            return n_bytes
+            return "header"  # why this is not a ping
         message = bytes(buffer[at : at + n_bytes])
+        if len(message) < n_bytes:
+            return n_bytes
         return (message, n_bytes) if crc32(message[:-4]).to_bytes(4, "little") == message[-4:] else "checksum"
 
     def forget(self, n_bytes: int) -> None: ...
@@ -65,10 +60,7 @@ class LabDecoder:
 
     def __init__(self) -> None:
         self._framer = StampedFramer(LabGrammar())
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._framer.counters
+        self.counters = self._framer.counters
 
     def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
         return [frame_of(*framed) for framed in self._framer.feed(data, stamp)]
@@ -78,19 +70,13 @@ class LabDecoder:
 
 
 def frame_of(message: bytes, received: Stamp, n_bytes: int) -> SonarFrame:
-    """Turn one message into a frame: the echoes of both sides and when they were received."""
-    _, number, time_ms, range_m, n_samples = HEADER.unpack_from(message)
-    port, starboard = np.frombuffer(message[HEADER.size : -4], "<u2").reshape(2, n_samples)
+    """Turn a message into a frame. n_bytes: on the wire, whose time is taken off."""
+    _, number, range_m, n_samples = HEADER.unpack_from(message)
     step_m = range_m / n_samples
-    traces = [EchoTrace(samples=side, first_range_m=0.5 * step_m, spacing_m=step_m) for side in (port, starboard)]
+    sides = np.frombuffer(message[HEADER.size : -4], "<u2").reshape(2, n_samples)
+    port, starboard = (EchoTrace(samples=side, first_range_m=0.5 * step_m, spacing_m=step_m) for side in sides)
     return SonarFrame(
-        number=number,
-        port=traces[0],
-        starboard=traces[1],
-        transfer="amplitude",  # what the numbers are; None if the protocol does not define it
-        received=received,
-        n_bytes=n_bytes,  # on the wire: the time that they took is taken off
-        device_time_s=1e-3 * time_ms,
+        number=number, port=port, starboard=starboard, transfer="amplitude", received=received, n_bytes=n_bytes
     )
 
 
@@ -99,30 +85,23 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
     return (b"RANGE %.1f\n" % settings.range_m,) if settings.enabled else ()
 
 
-SONAR = SonarDevice(lambda sonar: LabDecoder(), commands, sets_gain=False, counter_period_s=2**32 / 1000.0)
-
-
-def wire_bytes(ping: Ping) -> bytes:
-    """Encode a ping as the sonar sends it."""
-    traces = [trace for trace in (ping.port, ping.starboard) if trace is not None]
-    n_samples = len(traces[0].samples)
-    header = HEADER.pack(
-        b"LS", ping.number, round(1e3 * ping.time_s) % 2**32, n_samples * traces[0].spacing_m, n_samples
-    )
-    message = header + b"".join(np.clip(trace.samples, 0, 65535).astype("<u2").tobytes() for trace in traces)
-    return message + crc32(message).to_bytes(4, "little")
+SONAR = SonarDevice(lambda sonar: LabDecoder(), commands, sets_gain=False)
 
 
 def main(log: Path) -> None:
     """Send the pings of a log through the driver, in chunks that cut messages."""
+    wire = bytearray()
     pings = [event for event in open_log(log, Config()) if isinstance(event, Ping)]
-    wire = bytearray(b"".join(wire_bytes(ping) for ping in pings))
+    for ping in pings:
+        sides = [trace for trace in (ping.port, ping.starboard) if trace is not None]
+        n_samples = len(sides[0].samples)
+        message = HEADER.pack(b"LS", ping.number, n_samples * sides[0].spacing_m, n_samples)
+        message += b"".join(np.clip(side.samples, 0, 65535).astype("<u2").tobytes() for side in sides)
+        wire += message + crc32(message).to_bytes(4, "little")
     wire[1000::100_000] = bytes(len(wire[1000::100_000]))  # noise on the line
     decoder = SONAR.decoder(SonarConfig())
-    n_frames = sum(
-        len(decoder.feed(bytes(wire[start : start + 512]), Stamp(0, 0))) for start in range(0, len(wire), 512)
-    )
-    n_frames += len(decoder.finish())
+    chunks = (bytes(wire[start : start + 512]) for start in range(0, len(wire), 512))
+    n_frames = sum(len(decoder.feed(chunk, Stamp(0, 0))) for chunk in chunks) + len(decoder.finish())
     print(f"{n_frames} of {len(pings)} pings decoded; counters: {dict(decoder.counters)}")
 
 

@@ -134,8 +134,8 @@ def test_an_unknown_device_is_refused_with_those_of_other_packages(site: Path) -
     with pytest.raises(UsageError, match=re.escape(expected)) as caught:
         parse_config(PORT.format(device="acme_sonra", more=""), "f.yaml")
     assert (
-        "vehicle_can, acme_ins, acme_sonar, acme_vehicle). Correct it, or install the package that adds it - at `ports[0]`"
-        in str(caught.value)
+        "vehicle_can, acme_ins, acme_sonar, acme_vehicle). Correct it, or install the package that adds it - at "
+        "`ports[0]`" in str(caught.value)
     )
     assert "acme_log" not in str(caught.value)
 
