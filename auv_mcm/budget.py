@@ -76,11 +76,18 @@ def look_price_us(prices: BudgetConfig) -> float:
 
 
 def tile_allowance(tile: Tile, n_samples: float, n_sides: int, budget: BudgetConfig, room: float = 1.0) -> Allowance:
-    """Give a tile its budget: the time that the vehicle took to sail past its core, times the duty, over the number of
-    sides.
+    """Give a tile its budget.
 
-    n_samples: stored samples that went into it. room: share of that time, 0 to 1, that a service which is behind has
-    left; 1 changes nothing. A tile whose times are unknown has no time: the cheapest pass is all that is done.
+    The time that the vehicle took to sail past its core, times the duty, over the number of sides.
+
+    A tile whose times are unknown has no time: the cheapest pass is all that is done.
+
+    Parameters
+    ----------
+    n_samples
+        Stored samples that went into it.
+    room
+        Share of that time, 0 to 1, that a service which is behind has left; 1 changes nothing.
     """
     n_pixels = (tile.core_stop - tile.core_start) * tile.mask.shape[1]
     cheapest_us = n_samples * budget.sample_us + n_pixels * budget.pixel_us
@@ -104,8 +111,9 @@ def tile_duration_s(tile: Tile) -> float:
 def pay_looks(
     result: TileDetections, allowance: Allowance, p_mine: Callable[[Detection], float], min_p_mine: float
 ) -> TileDetections:
-    """Let the likeliest detections of a tile have a close look, as many as are paid, and say what share of its coverage
-    is earned.
+    """Let the likeliest detections of a tile have a close look, as many as are paid.
+
+    Returns also what share of its coverage is earned.
 
     p_mine: of a detection before a close look, which may not depend on other tiles; the others beyond those paid, of at
     least min_p_mine, lose their surroundings, without which there is no look. No look is paid where windows were cut.

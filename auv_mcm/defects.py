@@ -45,7 +45,12 @@ def caught(stage: Callable[[], R]) -> R | Defect:
 def defect_notice(defect: Defect, what: str, consequence: str, place: str) -> Notice:
     """Word the notice of a defect in one piece, warning developers on the way.
 
-    what: the work that failed; consequence: what follows.
+    Parameters
+    ----------
+    what
+        The work that failed.
+    consequence
+        What follows.
     """
     try:
         warnings.warn(DefectWarning(f"{what} failed at {place}: {defect.text}"), stacklevel=2)

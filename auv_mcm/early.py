@@ -118,8 +118,14 @@ class EarlyLook:
     ) -> list[EarlyContact]:
         """Report what became of early contacts whose tile is finished.
 
-        settled: row of the mission grid, per side, before which all detections are final. final: those that became so,
-        with all confirmation. contacts: those reported because of them.
+        Parameters
+        ----------
+        settled
+            Row of the mission grid, per side, before which all detections are final.
+        final
+            Those that became so, with all confirmation.
+        contacts
+            Those reported because of them.
         """
         if not self._pending:
             return []

@@ -18,8 +18,16 @@ def read_model(
 ) -> Model:
     """Read the model that a configuration key names: `shipped`, or the path of a file.
 
-    key: for messages, e.g. detect.model. parse: bytes and the place for messages to a model. else_: for messages, other
-    names that the key takes. Raises BadInputError naming key and file where it cannot be read, and as parse does.
+    Raises BadInputError naming key and file where it cannot be read, and as parse does.
+
+    Parameters
+    ----------
+    key
+        For messages, e.g. detect.model.
+    parse
+        Bytes and the place for messages to a model.
+    else_
+        For messages, other names that the key takes.
     """
     if name == SHIPPED:
         return shipped()

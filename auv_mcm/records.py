@@ -342,8 +342,10 @@ def early_id(number: int) -> str:
 
 
 def report_number(name: str) -> int:
-    """Give the number that stands for a contact or an early contact on a wire. Raises ValueError for an id of
-    neither."""
+    """Give the number that stands for a contact or an early contact on a wire.
+
+    Raises ValueError for an id of neither.
+    """
     if name.startswith("E") and name[1:].isdecimal():
         return EARLY_NUMBERS + int(name[1:])
     return contact_number(name)

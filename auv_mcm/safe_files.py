@@ -51,8 +51,14 @@ def replacing(path: Path, *, directory: int | None = None, durable: bool = True)
 
     Raises OSError.
 
-    Until then it has a name that nobody can foresee. A link at `path` is replaced, not followed. directory: the
-    descriptor that `path` starts from, if not the working directory. durable: on disk when the block ends.
+    Until then it has a name that nobody can foresee. A link at `path` is replaced, not followed.
+
+    Parameters
+    ----------
+    directory
+        The descriptor that `path` starts from, if not the working directory.
+    durable
+        On disk when the block ends.
     """
     temporary = path.with_name(f".{secrets.token_hex(8)}.new")
     descriptor = os.open(temporary, _NEW, 0o666, dir_fd=directory)

@@ -84,10 +84,17 @@ class DeviceClock:
     ) -> HostTime:
         """Return the monotonic time at which the device's time was device_time_s.
 
-        device_time_s: seconds; where it is None, not finite or absurd, the arrival stands for it. received: of the
-        chunk that brought it, in order. delay_s: what surely passed between device_time_s and `received`:
-        `wire_delay_s`, and for a sonar the echo time 2 * range / sound speed. number: the device's own count of
-        messages; where both go back, the device started anew.
+        Parameters
+        ----------
+        device_time_s
+            Seconds; where it is None, not finite or absurd, the arrival stands for it.
+        received
+            Of the chunk that brought it, in order.
+        delay_s
+            What surely passed between device_time_s and `received`: `wire_delay_s`, and for a sonar the echo time 2 *
+            range / sound speed.
+        number
+            The device's own count of messages; where both go back, the device started anew.
         """
         now_ns = received.mono_ns
         arrival_ns = now_ns - round(delay_s * _NS)
@@ -193,8 +200,10 @@ class _Envelope:
 
 
 class UtcAnchor:
-    """Hold UTC minus monotonic time. Follow small differences slowly; a step anchors UTC anew, which `segment`
-    counts."""
+    """Hold UTC minus monotonic time.
+
+    Follow small differences slowly; a step anchors UTC anew, which `segment` counts.
+    """
 
     def __init__(self, source: str) -> None:
         """source: whose UTC is followed, for messages."""
@@ -250,7 +259,14 @@ def host_offset_ns(stamp: Stamp) -> int:
 def sentence_offset_ns(unit: DeviceClock, utc_s: float, received: Stamp, *, delay_s: float = 0.0) -> int:
     """Return UTC minus monotonic time by the UTC in a unit's sentences (ZDA), which it must send at that time.
 
-    unit: the clock of that unit alone. utc_s: finite. delay_s: as of `DeviceClock.host_time`.
+    Parameters
+    ----------
+    unit
+        The clock of that unit alone.
+    utc_s
+        Finite.
+    delay_s
+        As of `DeviceClock.host_time`.
     """
     return round(utc_s * _NS) - unit.host_time(utc_s, received, delay_s=delay_s).mono_ns
 
@@ -278,8 +294,10 @@ class PulseLabels:
         self._last_ns = mono_ns
 
     def offset_ns(self, utc_s: float, received: Stamp) -> int | None:
-        """Return UTC minus monotonic time; None if the sentence names no pulse. utc_s: the full second that it
-        names."""
+        """Return UTC minus monotonic time; None if the sentence names no pulse.
+
+        utc_s: the full second that it names.
+        """
         if not math.isfinite(utc_s) or utc_s != round(utc_s):
             self.counters["pulse.label_not_full_second"] += 1
             return None
@@ -303,8 +321,10 @@ class SourceTime(NamedTuple):
 
 
 class SourceClock:
-    """Convert one device's times to UTC. All devices share the anchor: it is followed once per chunk, before
-    decoding."""
+    """Convert one device's times to UTC.
+
+    All devices share the anchor: it is followed once per chunk, before decoding.
+    """
 
     def __init__(self, device: DeviceClock, utc: UtcAnchor) -> None:
         self._device = device

@@ -34,7 +34,12 @@ class ReadingWatch:
     def heard(self, n_bytes: int, mono_ns: int, count_messages: Callable[[], int]) -> Notice | None:
         """Check after a chunk was decoded.
 
-        mono_ns: when it was read. count_messages: messages so far; not called each time.
+        Parameters
+        ----------
+        mono_ns
+            When it was read.
+        count_messages
+            Messages so far; not called each time.
         """
         if self._began_ns is None:
             self._began_ns = mono_ns

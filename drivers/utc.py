@@ -51,8 +51,10 @@ class UtcReference:
         )
 
     def passed(self, stamp: Stamp) -> list[Notice]:
-        """Take the passing of time; called for every chunk before it is decoded. stamp: by this computer's own
-        clocks."""
+        """Take the passing of time; called for every chunk before it is decoded.
+
+        stamp: by this computer's own clocks.
+        """
         notices: list[Notice | None] = []
         if not self._is_taken:
             notices.append(self.anchor.follow(host_offset_ns(stamp), stamp.mono_ns))

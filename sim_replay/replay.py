@@ -62,9 +62,21 @@ def replay(
 
     Results of an earlier replay are replaced.
 
-    without_skips: those of `auv_mcm.skips` that are switched off. speed: times real time; inf does not wait. progress:
-    called with the fraction done, 0..1. Returns what summary.json holds. Raises UsageError for a folder that cannot be
-    written to, BadInputError if there is nothing to replay.
+    Returns what summary.json holds.
+
+    Parameters
+    ----------
+    without_skips
+        Those of `auv_mcm.skips` that are switched off.
+    speed
+        Times real time; inf does not wait.
+    progress
+        Called with the fraction done, 0..1.
+
+    Raises
+    ------
+    UsageError
+        For a folder that cannot be written to, BadInputError if there is nothing to replay.
     """
     clock = clock or SystemClock()
     mission = open_mission(logs, config, chunk_bytes)

@@ -1,4 +1,4 @@
-"""Every public function, class and method is described, by a verb and its object."""
+"""Every public function, class and method is described, by a verb and its object, and tools can read its parameters."""
 
 from __future__ import annotations
 
@@ -72,3 +72,41 @@ def test_a_docstring_begins_with_a_verb(part: str, described: dict[str, list[tup
     texts = [(place, ast.get_docstring(node) or "") for place, node, _ in described[part]]
     first_words = [(place, text.split()[0]) for place, text in texts if text]
     assert [f"{place}: {word}" for place, word in first_words if not VERB.fullmatch(word) or NO_VERB.match(word)] == []
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_first_line_of_a_docstring_stands_alone(
+    part: str, described: dict[str, list[tuple[str, Described, bool]]]
+) -> None:
+    texts = [(place, ast.get_docstring(node)) for place, node, _ in described[part]]
+    assert [place for place, text in texts if text and not text.splitlines()[0].endswith((".", ":"))] == []
+
+
+def parameters(node: Described) -> set[str]:
+    """Name the parameters of a function, without its own object."""
+    if isinstance(node, ast.ClassDef):
+        return set()
+    given = node.args
+    every = [*given.posonlyargs, *given.args, *given.kwonlyargs, *filter(None, (given.vararg, given.kwarg))]
+    return {each.arg for each in every} - {"self", "cls"}
+
+
+def in_sections(text: str) -> set[str]:
+    """Name the parameters that a numpydoc section explains."""
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=\n\n|\Z)", text, re.MULTILINE | re.DOTALL)
+    lines = section[1].splitlines() if section else []
+    return {name for line in lines if not line.startswith(" ") for name in line.split(", ")}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_two_parameters_or_more_are_explained_in_a_section(
+    part: str, described: dict[str, list[tuple[str, Described, bool]]]
+) -> None:
+    """The section names parameters that there are, and prose explains one at most."""
+    wrong = []
+    for place, node, _ in described[part]:
+        text, names = ast.get_docstring(node) or "", parameters(node)
+        in_prose = re.findall(rf"(?:^|[.;] )(?:{'|'.join(sorted(names))}): ", " ".join(text.split())) if names else []
+        if not in_sections(text) <= names or (len(in_prose) > 1):
+            wrong.append(place)
+    assert wrong == []

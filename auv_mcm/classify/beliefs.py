@@ -80,8 +80,9 @@ def vacuous() -> Array:
 
 
 def discount(mass: Array, reliability: ArrayLike) -> Array:
-    """Discount `mass` (..., 32) by a source's reliability (...), a probability: the rest goes to ignorance (Shafer
-    1976).
+    """Discount `mass` (..., 32) by a source's reliability (...), a probability.
+
+    The rest goes to ignorance (Shafer 1976).
     """
     share = np.asarray(reliability, dtype=np.float64)[..., np.newaxis]
     return share * mass + (1.0 - share) * vacuous()
@@ -128,8 +129,10 @@ def bounded_by(mass: Array, p_mine: float) -> Array:
 
 
 def likeliest_mine(mass: Array) -> ContactClass:
-    """Choose the kind of mine with the highest pignistic probability, given that it is a mine; "unknown" where kinds
-    tie."""
+    """Choose the kind of mine with the highest pignistic probability, given that it is a mine.
+
+    "unknown" where kinds tie.
+    """
     as_mine, _ = conjunctive(mass, _A_MINE)
     as_mine[0] = 0.0
     if not as_mine.sum() >= MIN_AGREEMENT:
@@ -140,8 +143,10 @@ def likeliest_mine(mass: Array) -> ContactClass:
 
 
 def nonspecificity(mass: Array) -> Array:
-    """Measure how little a mass function states, (...) bits: the mean log2 of its sets' sizes (Dubois and Prade
-    1985)."""
+    """Measure how little a mass function states, (...) bits.
+
+    The mean log2 of its sets' sizes (Dubois and Prade 1985).
+    """
     return np.asarray((mass * _LOG2_SIZE).sum(axis=-1))
 
 

@@ -211,9 +211,20 @@ def fit_shapes(
 ) -> ShapeFits:
     """Find the best solid of every class in a region.
 
-    contour_cost: of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost
-    of what it encloses plus the code length of its nodes. correlation_area: pixels over which speckle is correlated, at
-    least 1. Everything is the same in every run. Raises ValueError as image_row_sums does.
+    Everything is the same in every run.
+
+    Parameters
+    ----------
+    contour_cost
+        Of the best free contour of highlight and shadow, None if there is none to compare with: labels_cost of what it
+        encloses plus the code length of its nodes.
+    correlation_area
+        Pixels over which speckle is correlated, at least 1.
+
+    Raises
+    ------
+    ValueError
+        As image_row_sums does.
     """
     return fit_to(
         image_row_sums(region, correlation_area, looks=looks),

@@ -30,13 +30,20 @@ def surveyed_cells(
     seabed: SeabedCells | None = None,
     evaluated_fraction: float = 1.0,
 ) -> SurveyedCells | None:
-    """Gather the covered pixels of a tile's core into cells; cells of which less than a hundredth was seen are left
-    out.
+    """Gather the covered pixels of a tile's core into cells.
 
-    covered: (core rows, n_columns) bool, False where the row cannot be placed. frame: the mission's plane. Pixels are
-    placed in blocks of half a metre. evaluated_fraction: of the places to look at, those that the detector's budget
-    allowed for. None if nothing was covered. Memory grows with the number of blocks, not with the distance between
-    them.
+    Cells of which less than a hundredth was seen are left out.
+
+    None if nothing was covered. Memory grows with the number of blocks, not with the distance between them.
+
+    Parameters
+    ----------
+    covered
+        (core rows, n_columns) bool, False where the row cannot be placed.
+    frame
+        The mission's plane. Pixels are placed in blocks of half a metre.
+    evaluated_fraction
+        Of the places to look at, those that the detector's budget allowed for.
     """
     n_rows = max(1, round(_BLOCK_M / tile.row_spacing_m))
     n_columns = max(1, round(_BLOCK_M / tile.column_spacing_m))

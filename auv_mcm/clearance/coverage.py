@@ -44,8 +44,14 @@ def cover_tile(
     rest.
 
     The outlines follow the near and far end of the covered range in strips of five metres along track; they end where
-    rows that cover less than a fifth of the range lie for more than half a metre. grid: the cells to lay the same area
-    out in; seabed: what kind of sea floor it is.
+    rows that cover less than a fifth of the range lie for more than half a metre.
+
+    Parameters
+    ----------
+    grid
+        The cells to lay the same area out in.
+    seabed
+        What kind of sea floor it is.
     """
     core = slice(tile.core_start, tile.core_stop)
     mask = tile.mask[core]

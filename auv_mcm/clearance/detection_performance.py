@@ -95,8 +95,9 @@ class Performance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         look_rad: ArrayLike,
         ripple_rad: ArrayLike,
     ) -> Array:
-        """Compute the probability that one view of the whole of a cell finds a mine there; float64, arguments
-        broadcast.
+        """Compute the probability that one view of the whole of a cell finds a mine there.
+
+        float64, arguments broadcast.
 
         Arguments as in `SurveyedCells`. 0 where the grazing angle is beyond 70 degrees, farther than the last band, and
         where range or altitude is not known. An unknown floor is taken for the one with the minimum there, ripples of

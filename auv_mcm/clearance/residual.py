@@ -51,10 +51,20 @@ class Remaining(NamedTuple):
 def remaining_mines(p_doubtful: ArrayLike, p_detected: ArrayLike) -> Remaining:
     """Estimate mines that remain where was searched.
 
-    p_doubtful: p_mine of the contacts that are not called mine-like. p_detected: any shape, [0, 1], of every cell
-    searched; of mines that leave no contact at all half a one is expected, times the odds against its being found. The
-    number remaining is a Poisson count whose mean is Gamma distributed about the estimate: negative binomial. Raises
-    ValueError for a value outside 0 to 1.
+    The number remaining is a Poisson count whose mean is Gamma distributed about the estimate: negative binomial.
+
+    Parameters
+    ----------
+    p_doubtful
+        p_mine of the contacts that are not called mine-like.
+    p_detected
+        Any shape, [0, 1], of every cell searched; of mines that leave no contact at all half a one is expected, times
+        the odds against its being found.
+
+    Raises
+    ------
+    ValueError
+        For a value outside 0 to 1.
     """
     doubtful, p = np.asarray(p_doubtful, dtype=np.float64), np.asarray(p_detected, dtype=np.float64)
     for name, values in (("p_doubtful", doubtful), ("p_detected", p)):
@@ -79,8 +89,9 @@ def remaining_about(expected: float) -> Remaining:
 
 
 def sweep_width_m(ground_range_m: NDArray[np.float64], p_look: NDArray[np.float64]) -> float:
-    """Integrate P over range: the width of the path that a sure sonar would have to see to find as many mines as this
-    one on one side.
+    """Integrate P over range.
+
+    The width of the path that a sure sonar would have to see to find as many mines as this one on one side.
 
     ground_range_m: (n,) rising, p_look: (n,). Raises ValueError for ranges that do not rise.
     """

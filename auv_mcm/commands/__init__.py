@@ -46,7 +46,14 @@ class Parser(argparse.ArgumentParser):
 def command(commands: Commands, name: str, does: str, more: str, examples: Sequence[str]) -> argparse.ArgumentParser:
     """Add a subcommand; return its parser.
 
-    does: in a few words, more: in full; examples: command lines.
+    Parameters
+    ----------
+    does
+        What it does, in a few words.
+    more
+        The same in full.
+    examples
+        Command lines that work.
     """
     return commands.add_parser(
         name,

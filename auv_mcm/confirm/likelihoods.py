@@ -37,9 +37,15 @@ class BackgroundLaw(NamedTuple):
 def choose_background_law(log_variance: float, nominal_looks: float, n_independent: float) -> BackgroundLaw:
     """Choose the law of a sea floor whose log-intensity has this variance.
 
-    nominal_looks: what speckle alone gives. n_independent: number of independent samples the variance comes from. The
-    Gamma law of the nominal looks stands unless the variance differs by more than three times its own scatter: a larger
-    one means texture, a smaller one more looks.
+    The Gamma law of the nominal looks stands unless the variance differs by more than three times its own scatter: a
+    larger one means texture, a smaller one more looks.
+
+    Parameters
+    ----------
+    nominal_looks
+        What speckle alone gives.
+    n_independent
+        Number of independent samples the variance comes from.
     """
     nominal = trigamma(nominal_looks)
     # Variance of a sample variance: 2 trigamma^2 and the fourth cumulant, the polygamma of order 3, here to 20 % for
@@ -71,8 +77,9 @@ def gamma_cost(intensity: Plane, mean: float, looks: float) -> Plane:
 
 @functools.lru_cache(maxsize=8)
 def k_table(looks: float, nu: float) -> tuple[Plane, Plane]:
-    """Tabulate the logarithm of intensity over mean, and the cost there, for the K law with mean 1; (2048,) float64
-    each.
+    """Tabulate the logarithm of intensity over mean, and the cost there, for the K law with mean 1.
+
+    (2048,) float64 each.
     """
     from scipy.special import kve  # late: most regions never need it
 

@@ -89,9 +89,16 @@ def fit_means(
 ) -> tuple[ClassMeans, Plane]:
     """Fit means in three rounds from `start`; give them and each label's probability, (3, n_rows, n_columns).
 
-    intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64. weight: (4,), the
-    smoothness of the edges right, down-left, down, down-right. prior: cost (3, n_rows, n_columns) of each label given
-    labels (n_rows, n_columns). A class with hardly any samples keeps its start.
+    intensity, samples (independent ones per cell), information: (n_rows, n_columns) float64.
+
+    A class with hardly any samples keeps its start.
+
+    Parameters
+    ----------
+    weight
+        (4,), the smoothness of the edges right, down-left, down, down-right.
+    prior
+        Cost (3, n_rows, n_columns) of each label given labels (n_rows, n_columns).
     """
     means = start
     probability = softmin(data_costs(intensity, information, means, law))

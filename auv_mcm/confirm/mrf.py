@@ -90,11 +90,22 @@ def segment(
 ) -> Segmentation:
     """Label a region.
 
-    n_sweeps: maximum of TRW-S, 1 or more, in each of two rounds of the priors. smoothness: cost of an edge between
-    unlike blocks of one speckle grain, nats; without it what the shadow of the smallest mine survives. estimate_markov:
-    estimate it instead from the labels of the mean field (Derin and Elliott), which passes their errors on.
-    Pixels that are not valid, not finite or negative count as not measured. Raises ValueError as require_sound does, or
-    if n_sweeps is not positive.
+    Pixels that are not valid, not finite or negative count as not measured.
+
+    Parameters
+    ----------
+    n_sweeps
+        Maximum of TRW-S, 1 or more, in each of two rounds of the priors.
+    smoothness
+        Cost of an edge between unlike blocks of one speckle grain, nats; without it what the shadow of the smallest
+        mine survives.
+    estimate_markov
+        Estimate it instead from the labels of the mean field (Derin and Elliott), which passes their errors on.
+
+    Raises
+    ------
+    ValueError
+        As require_sound does, or if n_sweeps is not positive.
     """
     require_sound(region)
     usable = region.valid & np.isfinite(region.intensity) & (region.intensity >= 0.0)

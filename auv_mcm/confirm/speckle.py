@@ -36,8 +36,10 @@ class Correlation(NamedTuple):
 
     @property
     def spread_rows(self) -> float:
-        """Compute 1-sigma of the Gaussian point-spread function of intensity along rows, pixels; 0 without
-        correlation."""
+        """Compute 1-sigma of the Gaussian point-spread function of intensity along rows, pixels.
+
+        0 without correlation.
+        """
         return _spread(self.rows)
 
     @property
@@ -49,10 +51,15 @@ class Correlation(NamedTuple):
 def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Correlation:
     """Measure the grain size of the sea floor's speckle.
 
-    intensity: (n_rows, n_columns) float64, mean about 1. background: same shape bool, pixels to use; pairs with another
-    pixel are left out. From half the mean squared difference at each lag over that at lags no grain spans: what varies
-    slowly (texture, a gradient) differs little over one grain and so hardly counts as correlation. Too few pairs count
-    as uncorrelated.
+    From half the mean squared difference at each lag over that at lags no grain spans: what varies slowly (texture, a
+    gradient) differs little over one grain and so hardly counts as correlation. Too few pairs count as uncorrelated.
+
+    Parameters
+    ----------
+    intensity
+        (n_rows, n_columns) float64, mean about 1.
+    background
+        Same shape bool, pixels to use; pairs with another pixel are left out.
     """
     halves = half_differences(np.minimum(intensity, _CLIP), background, (*_NEAR_LAGS, *_PLATEAU_LAGS), _MIN_PAIRS)
     return Correlation(*(_grain(along) for along in halves.tolist()))
@@ -61,9 +68,13 @@ def measure_correlation(intensity: Plane, background: NDArray[np.bool_]) -> Corr
 def grain_area(intensity: Plane, usable: NDArray[np.bool_]) -> float:
     """Measure the pixels that one grain of speckle covers, 1 or more, where the sea floor is least correlated.
 
-    intensity, usable: (n_rows, n_columns), float64 with mean about 1 and bool. Ripples and objects are correlated too:
-    the second lowest of nine parts is taken, since grains are what all of them have in common. 1 where nothing can be
-    measured.
+    Ripples and objects are correlated too: the second lowest of nine parts is taken, since grains are what all of them
+    have in common. 1 where nothing can be measured.
+
+    Parameters
+    ----------
+    intensity, usable
+        (n_rows, n_columns), float64 with mean about 1 and bool.
     """
     rows, columns = (np.linspace(0, size, _PARTS + 1).astype(int).tolist() for size in intensity.shape)
     boxes = [
@@ -91,8 +102,13 @@ def nyquist_factors(correlation: Correlation, row_spacing_m: float, column_spaci
 def block_means(plane: Plane, usable: NDArray[np.bool_], factors: tuple[int, int]) -> tuple[Plane, Plane]:
     """Average the usable pixels of each block, 1 where there are none; give the fraction of a whole block they are.
 
-    plane, usable: (n_rows, n_columns). Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64;
-    the last blocks may reach over the edge.
+    Returns two (ceil(n_rows / factors[0]), ceil(n_columns / factors[1])) float64; the last blocks may reach over the
+    edge.
+
+    Parameters
+    ----------
+    plane, usable
+        (n_rows, n_columns).
     """
     number = _block_sums(usable.astype(np.float64), factors)
     total = _block_sums(np.where(usable, plane, 0.0), factors)

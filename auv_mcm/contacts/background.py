@@ -167,9 +167,19 @@ def estimate_background(
 ) -> Background:
     """Estimate the background of a mission from its contacts, mines among them.
 
-    counts: (N_BINS,) contacts per bin of log-odds, as `counted_log_odds` gives them. area_km2: searched for them,
-    overlap counted once. reported_from_nats: the lowest log-odds reported; lower bins carry no information. Raises
-    ValueError for counts or an area that cannot be.
+    Parameters
+    ----------
+    counts
+        (N_BINS,) contacts per bin of log-odds, as `counted_log_odds` gives them.
+    area_km2
+        Searched for them, overlap counted once.
+    reported_from_nats
+        The lowest log-odds reported; lower bins carry no information.
+
+    Raises
+    ------
+    ValueError
+        For counts or an area that cannot be.
     """
     n, observed_km2 = _observed(counts, area_km2, reported_from_nats)
     log_mines = math.log(MINES_PER_KM2) + MINES_SPREAD * _MINES_STEPS

@@ -33,8 +33,10 @@ def store_patch(file: RecordFile, patch: CoveragePatch) -> StoredPatch:
 
 
 class CoverageStore:
-    """Hold the patches of a mission, each at its place in a file or, where the disk did not take it, packed in
-    memory."""
+    """Hold the patches of a mission.
+
+    Each is at its place in a file or, where the disk did not take it, packed in memory.
+    """
 
     def __init__(self, file: RecordFile) -> None:
         self._patches = PlacedRecords(file, CoveragePatch)

@@ -126,8 +126,13 @@ class CallWatch:
 
         All by number.
 
-        read: gives contacts by number. is_last: nothing follows, so that the background is estimated from everything
-        and every call that differs from the last one announced is announced.
+        Parameters
+        ----------
+        read
+            Gives contacts by number.
+        is_last
+            Nothing follows, so that the background is estimated from everything and every call that differs from the
+            last one announced is announced.
         """
         for contact in changed:
             self._learn(contact_number(contact.id), odds_of(contact.p_mine))

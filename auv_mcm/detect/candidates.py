@@ -88,7 +88,10 @@ def by_contrast(
 ) -> TileCandidates:
     """Find peaks of the contrast of highlight and shadow against the sea floor around.
 
-    gate, min_p_mine: as for by_both.
+    Parameters
+    ----------
+    gate, min_p_mine
+        As for by_both.
     """
     contrast = contrasts(tile, config.p_false_alarm, bounded="contrast-bounds" not in without_skips)
     peaks = contrast.peaks(STEP_M)
@@ -116,10 +119,17 @@ def by_both(
     """Find the best windows that pass the trained cascade, and the peaks of contrast that it rejects.
 
     A cascade recognises only what it was trained on. What stands out clearly and is unlike that is still measured, with
-    odds to match. max_evaluations: the cascade's budget, None for none. The peaks are scored whatever it is, so that a
-    tile whose windows are all beyond it is served by contrasts; their cost comes out of it first. gate, min_p_mine:
-    what cannot become a contact of that p_mine is dropped, and of the contrast only clear peaks are searched for.
+    odds to match.
+
     Without a gate nothing is dropped.
+
+    Parameters
+    ----------
+    max_evaluations
+        The cascade's budget, None for none. The peaks are scored whatever it is, so that a tile whose windows are all
+        beyond it is served by contrasts; their cost comes out of it first.
+    gate, min_p_mine
+        What cannot become a contact of that p_mine is dropped, and of the contrast only clear peaks are searched for.
     """
     clear_alone = gate is not None and min_p_mine > 0.0 and "faint-contrasts" not in without_skips
     p_false_alarm = min(config.p_false_alarm, _CLEAR_PEAK_P) if clear_alone else config.p_false_alarm

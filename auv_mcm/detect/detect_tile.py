@@ -35,8 +35,9 @@ _DARKEST: Final = 1e-4  # an echo of nothing, which is not the same as no echo
 
 
 class TileDetections(NamedTuple):
-    """Hold what a tile gave: detections (best first), candidates beyond the budget, detections that could not be placed
-    on Earth.
+    """Hold what a tile gave.
+
+    Detections (best first), candidates beyond the budget, detections that could not be placed on Earth.
 
     faint: places that cannot become contacts and were not measured, on the mission grid.
     n_windows: places that the trained cascade looked at, n_evaluations: comparisons it made, n_cut: windows it left
@@ -75,12 +76,20 @@ def detect_tile(
     max_evaluations: int | None = None,
     without_skips: Skips = NO_SKIPS,
 ) -> TileDetections:
-    """Find the objects whose score peaks in the tile's core. Positions are NaN-free; detections without a known pose
-    are counted instead.
+    """Find the objects whose score peaks in the tile's core.
 
-    model: the trained cascade; contrasts serve without one. gate: drops what cannot become a contact that is reported,
-    before it is measured; without one everything is measured. max_evaluations: comparisons that the cascade may make,
-    best windows first, None for all. without_skips: those that are switched off.
+    Positions are NaN-free; detections without a known pose are counted instead.
+
+    Parameters
+    ----------
+    model
+        The trained cascade; contrasts serve without one.
+    gate
+        Drops what cannot become a contact that is reported, before it is measured; without one everything is measured.
+    max_evaluations
+        Comparisons that the cascade may make, best windows first, None for all.
+    without_skips
+        Those that are switched off.
     """
     min_p_mine = config.contacts.min_p_mine
     if model is None:

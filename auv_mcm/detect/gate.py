@@ -62,7 +62,12 @@ def place_features(
 ) -> dict[Feature, Values]:
     """Compute what a forecast is made of, (n,) each, from what is known of n places.
 
-    cascade: scores in units of half a log-odds. contrast: in standard deviations of the sea floor around.
+    Parameters
+    ----------
+    cascade
+        Scores in units of half a log-odds.
+    contrast
+        In standard deviations of the sea floor around.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         log_range = np.log(ground_range_m / altitude_m)

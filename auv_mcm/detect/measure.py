@@ -85,7 +85,12 @@ class _Roi(NamedTuple):
 def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Measurement:
     """Segment the surroundings of `peak` and measure the object; deterministic, no error on any tile content.
 
-    floor: the sea floor around the peak. beam_width_rad: two-way, at half power.
+    Parameters
+    ----------
+    floor
+        The sea floor around the peak.
+    beam_width_rad
+        Two-way, at half power.
     """
     n_rows, n_columns = tile.mask.shape
     row_m, column_m = tile.row_spacing_m, tile.column_spacing_m
@@ -326,12 +331,17 @@ def _length(extent: _Extent, row_m: float, footprint_m: float) -> float:
 def without_footprint(extent_m: float, footprint_m: float, level: float) -> float:
     """Compute the length along track, m, of an even object whose image through the beam is `extent_m` long at `level`.
 
-    footprint_m: the two-way beam at half power, taken as Gaussian. level: 0 < level < 1, contrast at the edges of the
-    image over contrast in its middle, both against the background; so it holds for highlights (intensity less
-    background) and shadows (background less intensity). The image of an object of length L at x from its middle is
-    erf((x + L/2) / (s sqrt 2)) - erf((x - L/2) / (s sqrt 2)) with s = footprint / sqrt(8 ln 2), and L is found by
-    halving, the image itself at the maximum. A point, whose image is footprint sqrt(log2(1 / level)) long, and anything
-    shorter keeps a tenth of its image.
+    The image of an object of length L at x from its middle is erf((x + L/2) / (s sqrt 2)) - erf((x - L/2) / (s sqrt 2))
+    with s = footprint / sqrt(8 ln 2), and L is found by halving, the image itself at the maximum. A point, whose image
+    is footprint sqrt(log2(1 / level)) long, and anything shorter keeps a tenth of its image.
+
+    Parameters
+    ----------
+    footprint_m
+        The two-way beam at half power, taken as Gaussian.
+    level
+        0 < level < 1, contrast at the edges of the image over contrast in its middle, both against the background; so
+        it holds for highlights (intensity less background) and shadows (background less intensity).
     """
     min_m = _KEPT_OF_POINT * extent_m
     per_m = 1.0 / max(math.sqrt(2.0) * _FOOTPRINTS_TO_SIGMA * footprint_m, 1e-9)

@@ -62,9 +62,13 @@ class Suppressor:
     ) -> list[Detection]:
         """Take a tile's detections; return those that are final now, in order of rows.
 
-        faint: places that are no detections but crowd them, on the mission grid. complete_to_row: mission grid row
-        before which no later tile has a score peak; the object a peak belongs to may have its centre up to ROWS_M
-        before it.
+        Parameters
+        ----------
+        faint
+            Places that are no detections but crowd them, on the mission grid.
+        complete_to_row
+            Mission grid row before which no later tile has a score peak; the object a peak belongs to may have its
+            centre up to ROWS_M before it.
         """
         self._waiting = sorted([*self._waiting, *detections], key=_order)
         self._faint = FaintPlaces(*(np.concatenate(pair) for pair in zip(self._faint, faint, strict=True)))

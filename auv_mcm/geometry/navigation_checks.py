@@ -34,8 +34,10 @@ class HeadingCheck:
         self._differences: deque[complex] = deque(maxlen=_N_CHORDS)
 
     def add(self, heading_rad: float, course_rad: float) -> float | None:
-        """Take one chord; return how far heading is off the course, radians in (-pi, pi], if that is a steady large
-        angle."""
+        """Take one chord, and find how far heading is steadily off the course.
+
+        Returns radians in (-pi, pi], None unless the angle is steady and large.
+        """
         self._differences.append(cmath.rect(1.0, heading_rad - course_rad))
         if len(self._differences) < _N_CHORDS:
             return None
@@ -57,8 +59,10 @@ class AltitudeCheck:
         self._n_beyond += n_beyond
 
     def is_beyond_range(self, *, at_end: bool) -> bool:
-        """Check whether most pings so far have an altitude beyond the range; not from few pings, unless no more will
-        come."""
+        """Check whether most pings so far have an altitude beyond the range.
+
+        Not from few pings, unless no more will come.
+        """
         return (
             self._n_pings >= (_MIN_PINGS_AT_END if at_end else _MIN_PINGS)
             and self._n_beyond > _MIN_SHARE_BEYOND * self._n_pings

@@ -117,10 +117,22 @@ def integral(
 ) -> NDArray[np.uint32]:
     """Compute the integral image modulo 2**32 of a plane that goes on as `beyond` in its margins.
 
-    values: (n_rows, n_columns) uint16, or bool. margins: rows either way, columns before, columns behind. out: where to
-    put it, as is worth while many times over since fresh memory costs as much as the sums. Returns (n_rows + 2 rows +
-    1, n_columns + before + behind + 1) uint32; element (i, j) is the sum over the padded plane's rows before i and
-    columns before j. Raises ValueError for other types and for an `out` of another shape, type or order.
+    Returns (n_rows + 2 rows + 1, n_columns + before + behind + 1) uint32; element (i, j) is the sum over the padded
+    plane's rows before i and columns before j.
+
+    Parameters
+    ----------
+    values
+        (n_rows, n_columns) uint16, or bool.
+    margins
+        Rows either way, columns before, columns behind.
+    out
+        Where to put it, as is worth while many times over since fresh memory costs as much as the sums.
+
+    Raises
+    ------
+    ValueError
+        For other types and for an `out` of another shape, type or order.
     """
     shape = integral_shape(values, margins)
     if out is None:

@@ -344,7 +344,12 @@ def dark_places_numpy(
 def shadow_columns(shadows: Shadows, k: int, row: NDArray[np.integer], column: NDArray[np.integer]) -> NDArray[np.intp]:
     """Compute lengths in columns of the shadows of height k that begin at pixels.
 
-    h y / (H - h) on a flat bottom. row, column: of one broadcast shape.
+    h y / (H - h) on a flat bottom.
+
+    Parameters
+    ----------
+    row, column
+        Of one broadcast shape.
     """
     ground_m = (column + 0.5) * shadows.column_m
     length_m = np.clip(shadows.height_m[k] * ground_m / shadows.clearance_m[k, row], *shadows.length_m)

@@ -21,8 +21,12 @@ Plane = NDArray[np.float64]
 def sweep(cost: Plane, weight: Plane, n_sweeps: int, probability: Plane) -> Plane:
     """Make n_sweeps sweeps from `probability`; returns the probabilities then, (3, n_rows, n_columns) float64.
 
-    cost, probability: (3, n_rows, n_columns) float64. weight: (4,) float64, of the edges right, down-left, down,
-    down-right; both diagonals count as the last one.
+    Parameters
+    ----------
+    cost, probability
+        (3, n_rows, n_columns) float64.
+    weight
+        (4,) float64, of the edges right, down-left, down, down-right; both diagonals count as the last one.
     """
     function = _function()
     if function is None:

@@ -18,8 +18,10 @@ def median(values: NDArray[np.float64]) -> float:
 
 
 def quantile(ordered: NDArray[Any], share: float) -> float:
-    """Take a quantile of numbers (n,) in rising order, n >= 1, linear in between; to the bit that of
-    `numpy.quantile`."""
+    """Take a quantile of numbers (n,) in rising order, n >= 1, linear in between.
+
+    To the bit that of `numpy.quantile`.
+    """
     place = share * (ordered.size - 1)
     before = math.floor(place)
     part = place - before

@@ -23,8 +23,7 @@ SHADOW, HIGHLIGHT = 1, 2  # labels, as auv_mcm.confirm.region numbers them
 
 
 class Lack(NamedTuple):
-    """Set the nats that a label costs without support, and the share of it that each pixel of the other label
-    removes."""
+    """Set what a label costs without support, nats. Each pixel of the other label removes a share of it."""
 
     whole: float
     share: float
@@ -35,8 +34,14 @@ def pair_costs(
 ) -> Plane:
     """Weigh labels by their neighbours in the rows of a field, (3, n_rows, n_columns) float64; 0 for background.
 
-    labels: (n_rows, n_columns) uint8. reach: (n_columns,) int64, columns before each in which highlights support a
-    shadow. attached: columns behind each in which shadows support a highlight.
+    Parameters
+    ----------
+    labels
+        (n_rows, n_columns) uint8.
+    reach
+        (n_columns,) int64, columns before each in which highlights support a shadow.
+    attached
+        Columns behind each in which shadows support a highlight.
     """
     function = _function()
     if function is None:

@@ -96,13 +96,24 @@ def move_pair(
 ) -> Moved:
     """Move the pair through all stages of the schedule.
 
-    table: of `window_row_sums`. schedule: (n_stages, 3) float64, each row the number of nodes to subdivide to, the
-    length of moves in pixels (whole multiples of 1/16) and how many sweeps at most; length 0 prunes nodes instead.
-    highlight, shadow: (n, 2) float64 nodes inside
-    the window, from the near upper corner over the far one on; (0, 2) for a polygon that does not exist. Nodes are
-    rounded to 2^-20 pixel. Raises ValueError if shapes do not fit, a polygon has 1, 2 or more than 64 nodes, lies
-    outside the window, holds no measured pixel or fewer than settings.min_area_px, or is not simple and crossed twice
-    by each row.
+    Nodes are rounded to 2^-20 pixel.
+
+    Parameters
+    ----------
+    table
+        Of `window_row_sums`.
+    schedule
+        (n_stages, 3) float64, each row the number of nodes to subdivide to, the length of moves in pixels (whole
+        multiples of 1/16) and how many sweeps at most; length 0 prunes nodes instead.
+    highlight, shadow
+        (n, 2) float64 nodes inside the window, from the near upper corner over the far one on; (0, 2) for a polygon
+        that does not exist.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, a polygon has 1, 2 or more than 64 nodes, lies outside the window, holds no measured pixel
+        or fewer than settings.min_area_px, or is not simple and crossed twice by each row.
     """
     table = np.ascontiguousarray(table, dtype=np.float64)
     schedule = np.ascontiguousarray(schedule, dtype=np.float64)
@@ -122,8 +133,10 @@ def checked(
     highlight: NDArray[np.float64],
     shadow: NDArray[np.float64],
 ) -> list[NDArray[np.float64]]:
-    """Round the nodes of both polygons to 2^-20 pixel. Raises ValueError as move_pair does, but for polygons that
-    cannot be moved."""
+    """Round the nodes of both polygons to 2^-20 pixel.
+
+    Raises ValueError as move_pair does, but for polygons that cannot be moved.
+    """
     parts = [
         np.rint(np.asarray(nodes, dtype=np.float64) * _NODES_PER_PX) / _NODES_PER_PX for nodes in (highlight, shadow)
     ]
@@ -134,8 +147,10 @@ def checked(
 
 
 def moved_of(nodes: NDArray[np.float64], n_nodes: list[int], out: list[float]) -> Moved:
-    """Take apart what C leaves: nodes (2, MAX_NODES, 2), their numbers, and criterion, moves, proposals and both
-    sums."""
+    """Take apart what C leaves.
+
+    Nodes (2, MAX_NODES, 2), their numbers, and criterion, moves, proposals and both sums.
+    """
     n_sums = len(EdgeSums._fields)
     return Moved(
         nodes[0, : n_nodes[0]].copy(),

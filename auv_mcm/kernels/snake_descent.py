@@ -45,8 +45,17 @@ def descend(
 ) -> tuple[Moved, int]:
     """Find the best pair from a start, and count the moves on the way to it.
 
-    table, settings, highlight, shadow: as `snake.move_pair` takes them. strip_px: width of the strip before a shadow.
-    Raises ValueError as move_pair does.
+    Parameters
+    ----------
+    table, settings, highlight, shadow
+        As `snake.move_pair` takes them.
+    strip_px
+        Width of the strip before a shadow.
+
+    Raises
+    ------
+    ValueError
+        As move_pair does.
     """
     function = _function()
     if function is None:
@@ -120,8 +129,10 @@ def row_intervals(
 
 
 def is_measured(table: NDArray[np.float64], nodes: Nodes) -> bool:
-    """Decide whether pixels inside a polygon were measured in some rows, or in all that it reaches if those are
-    fewer."""
+    """Decide whether enough pixels inside a polygon were measured.
+
+    That is in MIN_ROWS rows, or in all that it reaches if those are fewer.
+    """
     if len(nodes) == 0:
         return False
     rows, near, far = row_intervals(nodes, (table.shape[0], table.shape[1] - 1))

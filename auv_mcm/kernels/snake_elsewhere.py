@@ -31,13 +31,23 @@ _FAINTEST: Final = 1e-6  # times the region's mean: keeps the logarithm of an em
 
 
 def elsewhere(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, float]:
-    """Compare evidence of polygons shifted clear of themselves with that in place: the best, and what one shift in
-    twenty exceeds.
+    """Compare evidence of polygons shifted clear of themselves with that in place.
+
+    The best, and what one shift in twenty exceeds.
 
     Both over the evidence in place: 0 where there is no room to shift, infinite where there is no evidence in place.
-    table: of `snake.window_row_sums`. polygons: HIGHLIGHT or SHADOW with (n, 2) nodes in the window, (0, 2) for none;
-    at least one must have some.
-    Raises ValueError for nodes outside the window.
+
+    Parameters
+    ----------
+    table
+        Of `snake.window_row_sums`.
+    polygons
+        HIGHLIGHT or SHADOW with (n, 2) nodes in the window, (0, 2) for none; at least one must have some.
+
+    Raises
+    ------
+    ValueError
+        For nodes outside the window.
     """
     n_rows, n_columns = table.shape[0], table.shape[1] - 1
     nodes = np.concatenate([np.asarray(each, dtype=np.float64) for _, each in polygons])

@@ -132,8 +132,10 @@ def _edge_sums(table: NDArray[np.float64], bound: NDArray[np.float64], which: in
 
 
 def facing_side(other: Nodes, which: int, n_rows: int, n_columns: int) -> NDArray[np.float64]:
-    """Find per row the column where the polygon `other` faces polygon `which`, (n_rows,) float64; -1 where it does
-    not."""
+    """Find per row the column where the polygon `other` faces polygon `which`, (n_rows,) float64.
+
+    -1 where it does not.
+    """
     bound = np.full(n_rows, -1.0)
     for a, b in zip(other, np.roll(other, -1, axis=0), strict=True):
         if a[0] != b[0] and (b[0] > a[0]) == (which == SHADOW):

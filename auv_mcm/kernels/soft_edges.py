@@ -50,7 +50,10 @@ def point_spread(sigma: float) -> Plane:
 def smeared(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
     """Smear a plane (n_rows, n_columns) along both axes; beyond its edges it goes on as at the edge.
 
-    spread_rows, spread_columns: (n,) float64 with odd n, the share of each neighbour.
+    Parameters
+    ----------
+    spread_rows, spread_columns
+        (n,) float64 with odd n, the share of each neighbour.
     """
     function = _c_smear()
     if function is None or plane.size == 0:
@@ -99,10 +102,27 @@ def soft_edges(
 ) -> Labels:
     """Improve the labels in n_sweeps (>= 1) sweeps or fewer, until nothing changes; (n_rows, n_columns) uint8.
 
-    intensity: (n_rows, n_columns) float64, not negative; usable: same shape bool, False for no data. labels: same shape
-    uint8 of 0, 1, 2. level: (3,) float64 > 0, mean intensity of each label. spread_rows, spread_columns: point spread
-    along each axis, odd length. weight: (4,) right, down-left, down, down-right. information: independent samples per
-    pixel. Raises ValueError for shapes that do not fit, levels that are not positive, labels above 2.
+    Parameters
+    ----------
+    intensity
+        (n_rows, n_columns) float64, not negative.
+    usable
+        Same shape bool, False for no data.
+    labels
+        Same shape uint8 of 0, 1, 2.
+    level
+        (3,) float64 > 0, mean intensity of each label.
+    spread_rows, spread_columns
+        Point spread along each axis, odd length.
+    weight
+        (4,) right, down-left, down, down-right.
+    information
+        Independent samples per pixel.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, levels that are not positive, labels above 2.
     """
     start = _prepared(intensity, usable, labels, level, spread_rows, spread_columns, weight)
     function = _c_soft_edges()

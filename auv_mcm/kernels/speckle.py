@@ -21,8 +21,17 @@ Plane = NDArray[np.float64]
 def half_differences(plane: Plane, usable: NDArray[np.bool_], lags: Sequence[int], min_pairs: int) -> Plane:
     """Average along rows and along columns, (2, n_lags) float64; NaN where there are fewer than min_pairs pairs (>= 1).
 
-    plane: (n_rows, n_columns) float64, finite where usable, bool of the same shape. lags: pixels, 1 or more; the first
-    of the two is from one row to those after it. Raises ValueError if the shapes differ.
+    Parameters
+    ----------
+    plane
+        (n_rows, n_columns) float64, finite where usable, bool of the same shape.
+    lags
+        Pixels, 1 or more; the first of the two is from one row to those after it.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
     """
     return np.asarray(half_differences_in(plane, usable, [(0, 0, *plane.shape)], lags, min_pairs)[0], dtype=np.float64)
 

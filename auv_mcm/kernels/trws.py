@@ -61,10 +61,19 @@ def trws(
 ) -> Minimum:
     """Minimise the energy in at most n_sweeps (>= 1) sweeps, fewer once it is within `tolerance` (>= 0) of its bound.
 
-    unary: (n_rows, n_columns, 3) float64. weight: (4,) float64, right, down-left, down, down-right, not negative.
-    messages: of an earlier Minimum on a grid of the same shape; zeros without.
-    Raises ValueError for other shapes, for costs or weights that are not finite, for negative weights and for no
-    sweeps.
+    Parameters
+    ----------
+    unary
+        (n_rows, n_columns, 3) float64.
+    weight
+        (4,) float64, right, down-left, down, down-right, not negative.
+    messages
+        Of an earlier Minimum on a grid of the same shape; zeros without.
+
+    Raises
+    ------
+    ValueError
+        For other shapes, for costs or weights that are not finite, for negative weights and for no sweeps.
     """
     unary, weight = _checked(unary, weight, n_sweeps)
     n_rows, n_columns, _ = unary.shape
@@ -101,8 +110,9 @@ def trws_numpy(
 def icm(
     unary: NDArray[np.float64], weight: NDArray[np.float64], labels: NDArray[np.uint8], n_sweeps: int
 ) -> tuple[NDArray[np.uint8], int]:
-    """Lower the energy one cell at a time in raster order, from `labels`, until nothing changes or n_sweeps (>= 1) are
-    made.
+    """Lower the energy one cell at a time in raster order, from `labels`.
+
+    It ends when nothing changes or n_sweeps (>= 1) are made.
 
     unary and weight as for trws; labels: (n_rows, n_columns) uint8 of 0, 1, 2. Returns labels (same shape) and the
     sweeps made. Raises ValueError as trws does, and for labels of another shape or above 2.

@@ -34,10 +34,20 @@ def viterbi_forward(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Carry the search over the pings of one block, so that a long mission can be searched piece by piece.
 
-    previous_cost: (n_bins,) float64, the cost returned for the block before; zeros at the start of a mission.
-    score: (n_pings, n_bins) float64. Returns cost (n_bins,) float64 after the last ping, its maximum 0, and
-    back (n_pings, n_bins) int32: the best predecessor of each bin (in row 0: bins of the block before).
-    Raises ValueError as viterbi_path does, or if the shapes do not fit.
+    Returns cost (n_bins,) float64 after the last ping, its maximum 0, and back (n_pings, n_bins) int32: the best
+    predecessor of each bin (in row 0: bins of the block before).
+
+    Parameters
+    ----------
+    previous_cost
+        (n_bins,) float64, the cost returned for the block before; zeros at the start of a mission.
+    score
+        (n_pings, n_bins) float64.
+
+    Raises
+    ------
+    ValueError
+        As viterbi_path does, or if the shapes do not fit.
     """
     score = np.ascontiguousarray(score, dtype=np.float64)
     cost = np.array(previous_cost, dtype=np.float64, order="C")  # a copy: the kernel updates it in place

@@ -84,7 +84,12 @@ def sums_to_the_end_numpy(values: Plane | Flags) -> Values:
 def sums_of_counts(counts: NDArray[Any], intensity: Plane) -> Values:
     """Apply sums_to_the_end to intensity[counts].
 
-    counts: (n_rows, n_columns) uint8 or uint16; intensity: (256,) or (65536,) float32, of every count.
+    Parameters
+    ----------
+    counts
+        (n_rows, n_columns) uint8 or uint16.
+    intensity
+        (256,) or (65536,) float32, of every count.
     """
     function = _c(f"waterfall_sums_of_{'bytes' if counts.itemsize == 1 else 'words'}", _I, _I, _P, _P, _P)
     if function is None:
@@ -98,9 +103,15 @@ def sums_of_counts(counts: NDArray[Any], intensity: Plane) -> Values:
 def means(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Flags, Flags]:
     """Average intensity between neighbouring slant ranges.
 
-    edges_m: (n, n_edges), rising along rows; edge_row: (n_pings,) int64, the row each ping takes. Returns three planes
-    (n_pings, n_edges - 1): mean intensity, 0 where not valid; whether valid samples cover half; whether clipped samples
-    are a quarter of those.
+    Returns three planes (n_pings, n_edges - 1): mean intensity, 0 where not valid; whether valid samples cover half;
+    whether clipped samples are a quarter of those.
+
+    Parameters
+    ----------
+    edges_m
+        (n, n_edges), rising along rows.
+    edge_row
+        (n_pings,) int64, the row each ping takes.
     """
     function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _I, _D, _D, *[_P] * 8)
     if function is None or traces.intensity.shape[1] < 2:  # without samples there is no array to point at
@@ -154,7 +165,12 @@ def row_medians(values: Values, usable: Flags | None, minimum: int) -> Values:
 
     NaN where fewer than `minimum`, or none, are usable.
 
-    values: (n_rows, n_columns) finite; usable: the same shape, None where all are.
+    Parameters
+    ----------
+    values
+        (n_rows, n_columns) finite.
+    usable
+        The same shape, None where all are.
     """
     function = _c("waterfall_medians", _I, _I, _P, _P, _I, _P, _P)
     if function is None:
@@ -208,8 +224,9 @@ def scale_rows_numpy(values: Values, factor: Values, factor_row: Rows) -> Plane:
 def step_ratios(
     values: Values, valid: Flags, blank: int, window: int, min_step: float, twice_variance: float
 ) -> Values:
-    """Compute how much likelier a rise of the mean is at each bin than none, (n_pings, n_bins) float64; 0 where it
-    cannot be.
+    """Compute how much likelier a rise of the mean is at each bin than none, (n_pings, n_bins) float64.
+
+    0 where it cannot be.
 
     Means are over the valid values of `window` bins from the bin on, of as many before it, and of all from bin `blank`
     on up to it. The first must rise over the second, three of which are valid, and by min_step over the third.
@@ -289,9 +306,15 @@ def average_rows(
 
     Returns intensity float32 and mask uint8, (n_rows, n_columns) each.
 
-    intensity, mask: (n_pings, n_columns). source, overlap: (n_rows, n_steps), a ping's index and by how much a row
-    overlaps it. A pixel is valid where valid pings overlap it by `min_overlap` together; it takes over all other flags,
-    if it is not valid all but SATURATED.
+    A pixel is valid where valid pings overlap it by `min_overlap` together; it takes over all other flags, if it is not
+    valid all but SATURATED.
+
+    Parameters
+    ----------
+    intensity, mask
+        (n_pings, n_columns).
+    source, overlap
+        (n_rows, n_steps), a ping's index and by how much a row overlaps it.
     """
     n_rows, n_steps = source.shape
     n_columns = mask.shape[1]
@@ -381,8 +404,9 @@ class Levelled(NamedTuple):
 
 
 def box_level(level: Plane, usable: Flags, half: tuple[int, int], min_share: float) -> tuple[Values, Flags]:
-    """Average the usable pixels within `half` rows and columns of each pixel, float64, and give where the mean is
-    known.
+    """Average the usable pixels within `half` rows and columns of each pixel, float64.
+
+    Gives also where the mean is known.
 
     Of the box, clipped at the image's edge, min_share and one pixel at least must be usable, and the mean above 0.
     level: 0 where not usable.
@@ -417,7 +441,10 @@ def divide_by_level(
 ) -> Levelled:
     """Divide an image by the box_level around each pixel, which is written out for some `columns` only.
 
-    intensity, mask, level, usable: (n_rows, n_columns).
+    Parameters
+    ----------
+    intensity, mask, level, usable
+        (n_rows, n_columns).
     """
     function = _level_function()
     if function is None:
@@ -470,8 +497,16 @@ def ping_masks(
     """Join what is known of each pixel to its mask, (n_pings, n_columns) uint8.
 
     TURN where spacing over its straight-line value, 1 + pitch + yaw y, is more than max_ratio either way or the ping
-    turns too fast. ground_m: (n_columns,) ground range y, rising. coarse: (n, n_columns), LOW_RESOLUTION or 0;
-    coarse_row: (n_pings,) the row each ping takes.
+    turns too fast.
+
+    Parameters
+    ----------
+    ground_m
+        (n_columns,) ground range y, rising.
+    coarse
+        (n, n_columns), LOW_RESOLUTION or 0.
+    coarse_row
+        (n_pings,) the row each ping takes.
     """
     function = _c("waterfall_masks", _I, _I, *[_P] * 8, _D, _P)
     if function is None:
@@ -509,8 +544,16 @@ def angle_sums(
 ) -> tuple[NDArray[np.int64], Values]:
     """Count and sum the usable values in each of n_bins bins of angle, (n_bins,) each; the last takes all beyond.
 
-    angle: (n, n_columns); angle_row: (n_pings,) int64, the row each ping takes. values, usable: (n_pings, n_columns).
-    centre: (n_bins,), taken off the values before they are clipped to +-clip; None for the values themselves.
+    Parameters
+    ----------
+    angle
+        (n, n_columns).
+    angle_row
+        (n_pings,) int64, the row each ping takes.
+    values, usable
+        (n_pings, n_columns).
+    centre
+        (n_bins,), taken off the values before they are clipped to +-clip; None for the values themselves.
     """
     function = _c("waterfall_angle_sums", *[_I] * 3, *[_P] * 5, _D, *[_P] * 3)
     if function is None:

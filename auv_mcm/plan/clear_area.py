@@ -53,8 +53,10 @@ class _Flown(NamedTuple):
 
 
 class ClearArea:
-    """Plan the clearing of an area, in the perception process, from pings and patches in the order in which they
-    come."""
+    """Plan the clearing of an area, in the perception process.
+
+    Pings and patches are taken in the order in which they come.
+    """
 
     def __init__(self, config: Config, model: LookModel) -> None:
         self._config = config
@@ -87,7 +89,12 @@ class ClearArea:
     ) -> Proposal:
         """State how the search of the area stands and, where the payload may command at all, plan from here.
 
-        clearance: of everything seen. more_time: as for `replan`.
+        Parameters
+        ----------
+        clearance
+            Of everything seen.
+        more_time
+            As for `replan`.
         """
         plan = self._config.plan
         area = over_area(clearance, plan.area_deg, plan.cell_m)

@@ -61,9 +61,15 @@ def dubins_path(
 ) -> DubinsPath:
     """Find the shortest path; of equally short ones always the same.
 
-    leave, arrive: as for `dubins_lengths`, (2,).
+    Parameters
+    ----------
+    leave, arrive
+        As for `dubins_lengths`, (2,).
 
-    Raises ValueError if the radius is not positive, a pose is not finite or no allowed path exists.
+    Raises
+    ------
+    ValueError
+        If the radius is not positive, a pose is not finite or no allowed path exists.
     """
     if not (turn_radius_m > 0.0 and all(map(math.isfinite, (*start, *end, turn_radius_m)))):
         raise ValueError(
@@ -82,7 +88,12 @@ def dubins_paths(
 ) -> list[DubinsPath | None]:
     """Apply `dubins_path` to each of (n, 2, 3) starts and ends, all finite.
 
-    None where no allowed path exists. leave, arrive: (n, 2).
+    None where no allowed path exists.
+
+    Parameters
+    ----------
+    leave, arrive
+        (n, 2).
     """
     parts = _allowed_parts(ends[:, 0], ends[:, 1], turn_radius_m, leave, arrive)
     word = np.argmin(parts.sum(axis=-1), axis=0)
@@ -105,9 +116,14 @@ def dubins_lengths(
 ) -> Array:
     """Compute lengths in metres of shortest paths between (..., 3) poses [east, north, heading] that broadcast.
 
-    leave, arrive: (..., 2), whether the circles to the left and right of the starts and of the ends may be sailed; None
-    for no limits. With limits only two arcs with a straight between come into question, for they stay in the hull of
-    the two circles; infinite where there is none.
+    With limits only two arcs with a straight between come into question, for they stay in the hull of the two circles;
+    infinite where there is none.
+
+    Parameters
+    ----------
+    leave, arrive
+        (..., 2), whether the circles to the left and right of the starts and of the ends may be sailed; None for no
+        limits.
     """
     parts = _allowed_parts(
         np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64), turn_radius_m, leave, arrive

@@ -181,7 +181,12 @@ class LookAgain:
     def request(self, pose: tuple[float, float, float], time_s: float, now_s: float) -> PlanRequest | None:
         """Request a plan if one is due.
 
-        pose: latitude, longitude (degrees), heading (radians); time_s: mission time of the pose.
+        Parameters
+        ----------
+        pose
+            Latitude, longitude (degrees), heading (radians).
+        time_s
+            Mission time of the pose.
         """
         left_out = frozenset(contact_id for contact_id, looks in self._looks.items() if looks.is_left_out(now_s))
         due = (

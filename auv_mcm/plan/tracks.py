@@ -77,8 +77,9 @@ class Cells(NamedTuple):
 
 
 class Tracks(NamedTuple):
-    """Hold legs, n in all; what leg i sees are elements [first[i], last[i]) of the arrays below, in order along its
-    way.
+    """Hold legs, n in all.
+
+    What leg i sees are elements [first[i], last[i]) of the arrays below, in order along its way.
 
     run: (n, 2, 3) poses of entry and exit, settling included. cell: index into `Cells`; exponent: what a first look
     adds to it; bit: of its direction, alike: of those that are nearly the same, uint64. line: number of the straight

@@ -155,8 +155,10 @@ def parse_seabed_model(data: bytes, place: str) -> SeabedModel:
 
 
 def configured_seabed_model(config: Config) -> SeabedModel:
-    """Read the model that `detect.seabed_model` names. Raises BadInputError for a file that cannot be read or is not a
-    model."""
+    """Read the model that `detect.seabed_model` names.
+
+    Raises BadInputError for a file that cannot be read or is not a model.
+    """
     return read_model("detect.seabed_model", config.detect.seabed_model, parse_seabed_model, shipped_seabed_model)
 
 

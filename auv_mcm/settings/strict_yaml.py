@@ -50,8 +50,9 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
 
 
 def explain_validation_error(error: msgspec.ValidationError, kind: type) -> str:
-    """Explain a validation error with the key's path as it stands in the file, the valid values of a choice, and the
-    nearest known key.
+    """Explain a validation error with the key's path as it stands in the file.
+
+    Names the valid values of a choice, and the nearest known key.
 
     kind: the type that the file was converted to.
     """

@@ -36,8 +36,9 @@ def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch
 
 
 def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
-    """State the operating point: what was asked, from which p_mine on that calls, and the background of the mission
-    behind it.
+    """State the operating point.
+
+    What was asked, from which p_mine on that calls, and the background of the mission behind it.
 
     called_from_p_mine: None where no p_mine is high enough. expected_per_km2: false alarms among what is called, with
     the 95 % interval. background_per_km2: non-mines that reach a p_mine.

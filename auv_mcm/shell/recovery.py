@@ -30,8 +30,7 @@ _MIN_BALLAST_BYTES: Final = 1 << 16  # bytes; where less than this can be had, n
 
 
 class Ballast:
-    """Hold disk space until the results are written, so that pictures, recording and other programs leave some for
-    them.
+    """Hold disk space until the results are written. Pictures, recording and other programs thus leave some for them.
 
     n_bytes: what is held, 0 where the disk is full or cannot set space aside.
     """
@@ -58,8 +57,10 @@ class Ballast:
 
 
 def unfinished_session(parent: Path) -> Notice | None:
-    """Report that the session to which `latest` points has a recording but no results: it was killed, or the power was
-    cut."""
+    """Report that the session to which `latest` points has a recording but no results.
+
+    It was killed, or the power was cut.
+    """
     try:
         last = parent / os.readlink(parent / "latest")
         if (last / SUMMARY).exists() or not any((last / RECORDING).iterdir()) or Journal.is_in_use(last / JOURNAL):

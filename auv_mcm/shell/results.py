@@ -51,8 +51,10 @@ def write_results(
 ) -> None:
     """Write contacts, coverage and way-points in `folder`, each file whole or not at all.
 
-    contacts, coverage: gone through several times; one at a time where they come in the order in which they are
-    written.
+    Parameters
+    ----------
+    contacts, coverage
+        Gone through several times; one at a time where they come in the order in which they are written.
     """
     for write in result_writers(folder, contacts, coverage, waypoints, mission).values():
         write()

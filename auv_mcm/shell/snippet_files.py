@@ -19,8 +19,9 @@ _SNIPPET_NAME: Final = re.compile(r"C[0-9]+\.png")
 
 
 def write_snippets(folder: Path, pictures: Mapping[str, bytes]) -> None:
-    """Write `snippets/<id>.png` for each contact id in `pictures`; contacts' pictures of an earlier replay go, other
-    files stay.
+    """Write `snippets/<id>.png` for each contact id in `pictures`.
+
+    Contacts' pictures of an earlier replay go, other files stay.
 
     Raises OSError, also for a link in the place of `snippets`.
     """
@@ -59,8 +60,10 @@ def _write_snippet(snippets: int, contact_id: str, picture: bytes) -> None:
 
 
 def make_results_directory(path: Path) -> Path:
-    """Make the directory of a replay's results, with `snippets/` in it. Raises UsageError if one of them cannot be
-    written to."""
+    """Make the directory of a replay's results, with `snippets/` in it.
+
+    Raises UsageError if one of them cannot be written to.
+    """
     make_directory(path)
     snippets = path / _SNIPPETS
     try:

@@ -30,12 +30,17 @@ class _Incidence(NamedTuple):
 def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range: Array, altitude: Array) -> Slice:
     """Compute the slice of a convex polyhedron above the floor.
 
-    vertices: (..., n_vertices, 3) along-track and across-track from the object's place, and height. faces: indices of
-    their vertices in circular order. offset, ground_range, altitude: arrays that broadcast against the leading axes of
-    the vertices.
-
     A side of the polygon lies in a face and joins the crossings of two of its edges. All pairs of edges of a face are
     taken: those that are not sides lie within the polygon and change neither the farthest nor the nearest point.
+
+    Parameters
+    ----------
+    vertices
+        (..., n_vertices, 3) along-track and across-track from the object's place, and height.
+    faces
+        Indices of their vertices in circular order.
+    offset, ground_range, altitude
+        Arrays that broadcast against the leading axes of the vertices.
     """
     incidence = _incidence(faces)
     shape = np.broadcast_shapes(vertices.shape[:-2], offset.shape, ground_range.shape, altitude.shape)

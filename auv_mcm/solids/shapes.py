@@ -147,14 +147,26 @@ def view_shape(
 ) -> SolidView:
     """Compute the view of a solid by pings.
 
-    along_track_offset_m: of the ping from the object's place, positive after it has passed. ground_range_m: of that
-    place from the track. altitude_m: of the sonar over the floor vertically below it. All broadcast; NaN in any of them
-    gives NaN. slope_rad: of the floor within the slice, positive if it rises away from the track; the solid stands
-    perpendicular to it. squint_rad: by which the slices are turned forward from broadside, as in parts of a synthetic
-    aperture. Ground ranges of the result are then along the squinted slice.
+    Ground ranges of the result are then along the squinted slice.
 
-    Raises ValueError if an altitude is not positive, a slope is vertical, or a slice of the solid reaches back to the
-    point of the floor nearest to the sonar: beyond it, sonar and shadow would be on different sides.
+    Parameters
+    ----------
+    along_track_offset_m
+        Of the ping from the object's place, positive after it has passed.
+    ground_range_m
+        Of that place from the track.
+    altitude_m
+        Of the sonar over the floor vertically below it. All broadcast; NaN in any of them gives NaN.
+    slope_rad
+        Of the floor within the slice, positive if it rises away from the track; the solid stands perpendicular to it.
+    squint_rad
+        By which the slices are turned forward from broadside, as in parts of a synthetic aperture.
+
+    Raises
+    ------
+    ValueError
+        If an altitude is not positive, a slope is vertical, or a slice of the solid reaches back to the point of the
+        floor nearest to the sonar: beyond it, sonar and shadow would be on different sides.
     """
     offset, ground_range, altitude, slope, squint = (
         np.asarray(value, dtype=np.float64)

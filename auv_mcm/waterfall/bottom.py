@@ -96,8 +96,12 @@ class BottomTracker:
     ) -> BottomTrack | None:
         """Score a block; return the path of the block before it, None for the first.
 
-        sides: cumulative sums per side, None for a side without data. altitude_m: (n_pings,) float64 prior, NaN where
-        unknown.
+        Parameters
+        ----------
+        sides
+            Cumulative sums per side, None for a side without data.
+        altitude_m
+            (n_pings,) float64 prior, NaN where unknown.
         """
         score = self._score(sides, altitude_m, max_range_m)
         n_bins = score.shape[1]

@@ -47,7 +47,14 @@ _TEXTURE_SKEWNESS_SIGMA: Final = 0.1  # of the skewness, per texture's share of 
 def relative_shape(cumulants: Floats, mean: Floats, place: NDArray[np.int64]) -> Shape | None:
     """Measure samples over their local mean in the most even regions; None where there are too few regions.
 
-    cumulants: (n_strides, n, 2, 2) by half of the windows. mean: (n,) counts. place: (n,).
+    Parameters
+    ----------
+    cumulants
+        (n_strides, n, 2, 2) by half of the windows.
+    mean
+        (n,) counts.
+    place
+        (n,).
     """
     if len(mean) < _MIN_REGIONS:
         return None

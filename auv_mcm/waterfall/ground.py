@@ -51,8 +51,10 @@ def make_traces(
 
 
 def sum_of_clipped(saturated: NDArray[np.bool_]) -> NDArray[np.float64] | None:
-    """Add up clipping as far out as there is any: ring-down clips the first few samples of most pings, and no
-    others."""
+    """Add up clipping as far out as there is any.
+
+    Ring-down clips the first few samples of most pings, and no others.
+    """
     clipped = np.flatnonzero(saturated.any(axis=0))
     return sums_to_the_end(saturated[:, : clipped[-1] + 1].astype(np.float32)) if clipped.size else None
 

@@ -70,8 +70,10 @@ class LawWatch:
         self._in_doubt = False
 
     def add(self, ping: Ping) -> LawVerdict | None:
-        """Take a ping; a verdict where one is due. The first verdict always names a transfer; no ping can be read
-        before."""
+        """Take a ping; a verdict where one is due.
+
+        The first verdict always names a transfer; no ping can be read before.
+        """
         self._note_time(ping)
         self._collect(ping)
         if self._transfer is None:

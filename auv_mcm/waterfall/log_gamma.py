@@ -28,8 +28,10 @@ _X_STEP_NATS: Final = 0.02  # nats: step of the integrals over ln I
 
 
 def ln_gamma(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute ln Gamma of positive values (n,), few enough for the standard library: scipy.special takes 0.2 s to
-    load."""
+    """Compute ln Gamma of positive values (n,), few enough for the standard library.
+
+    Scipy.special takes 0.2 s to load.
+    """
     return np.array([math.lgamma(value) for value in values.tolist()])
 
 

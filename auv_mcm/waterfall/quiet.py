@@ -37,9 +37,16 @@ def quiet_shapes(
 ) -> tuple[Shape, ...]:
     """Measure groups of quiet cells, in the order of their level; none where a record has no such cells.
 
-    joined: the tables of all blocks. cumulants: (n_strides, n, n_cells, 2), those of the table over both halves, less
-    what rounding adds. min_variance: counts squared, below which a cell shows nothing. is_cut: the recorder stores
-    nothing below zero.
+    Parameters
+    ----------
+    joined
+        The tables of all blocks.
+    cumulants
+        (n_strides, n, n_cells, 2), those of the table over both halves, less what rounding adds.
+    min_variance
+        Counts squared, below which a cell shows nothing.
+    is_cut
+        The recorder stores nothing below zero.
     """
     places, n_blocks = np.unique(joined.place, return_counts=True)
     rows = np.isin(joined.place, places[n_blocks == len(blocks)])

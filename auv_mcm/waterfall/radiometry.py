@@ -63,8 +63,15 @@ class AngleCurve:
         """Learn from a block of pings; return the curve at each row of `tangent`, the same shape, float64, nats.
 
         That is the curve as it was before this block, for angles already known, so that a shadow does not brighten
-        itself. log_intensity, usable: (n_pings, n_columns), which pixels to learn from. tangent: of the grazing angle,
-        the same shape; or (n, n_columns) with tangent_row: (n_pings,) int64, the row each ping takes.
+        itself.
+
+        Parameters
+        ----------
+        log_intensity, usable
+            (n_pings, n_columns), which pixels to learn from.
+        tangent
+            Of the grazing angle, the same shape; or (n, n_columns) with tangent_row: (n_pings,) int64, the row each
+            ping takes.
         """
         if tangent_row is None:
             tangent_row = np.arange(len(log_intensity))
@@ -110,8 +117,11 @@ class GainStepFilter:
     ) -> tuple[NDArray[np.float64], int]:
         """Compute the correction in nats to subtract from ln I per ping, (n_pings,) float64, and count gain steps.
 
-        seabed_level, water_level: (n_pings,) float64 median ln I of sea floor and of the water column as recorded, NaN
-        where there are too few samples.
+        Parameters
+        ----------
+        seabed_level, water_level
+            (n_pings,) float64 median ln I of sea floor and of the water column as recorded, NaN where there are too few
+            samples.
         """
         n_pings = seabed_level.shape[0]
         if self._is_steady(seabed_level):
@@ -182,10 +192,14 @@ def local_mean(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Average over the 7.5 m x 7.5 m around each pixel, masked: (n_rows, n_columns) float64, and where known, bool.
 
-    intensity, usable: (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable. Pixels
-    above six times the mean that single-look speckle of the local geometric mean would have count as that much: one
-    glint must not darken everything around it. A box that leaves the image is clipped there. Known where at least a
+    Pixels above six times the mean that single-look speckle of the local geometric mean would have count as that much:
+    one glint must not darken everything around it. A box that leaves the image is clipped there. Known where at least a
     quarter of the box is usable and not all of it is zero.
+
+    Parameters
+    ----------
+    intensity, usable
+        (n_rows, n_columns); intensity has the angle curve taken off and is 0 where not usable.
     """
     half = _half_box(row_spacing_m, column_spacing_m)
     level = np.array(intensity, dtype=np.float32, order="C")
@@ -202,7 +216,12 @@ def level_out(
 ) -> Levelled:
     """Divide an image by the local mean of its usable pixels, which are VALID and not SATURATED; see `local_mean`.
 
-    intensity, mask: (n_rows, n_columns). columns: those whose mean is returned as well.
+    Parameters
+    ----------
+    intensity, mask
+        (n_rows, n_columns).
+    columns
+        Those whose mean is returned as well.
     """
     half = _half_box(row_spacing_m, column_spacing_m)
     usable = (mask & (VALID | SATURATED)) == VALID

@@ -69,8 +69,14 @@ class SpeckleVariance(NamedTuple):
 def speckle_variance(even: Floats, uneven: Floats | None, log_sigma: float) -> SpeckleVariance:
     """Solve for the variance of speckle.
 
-    even: (n_strides,) variance of windows in even places. uneven: the same in less even ones, None where there are too
-    few. log_sigma: of the variances' logarithm.
+    Parameters
+    ----------
+    even
+        (n_strides,) variance of windows in even places.
+    uneven
+        The same in less even ones, None where there are too few.
+    log_sigma
+        Of the variances' logarithm.
     """
     ratio = np.array([_first_ratio(even, uneven), _HALF])
     shorter, longer = even[:-1], even[1:]

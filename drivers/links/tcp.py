@@ -65,8 +65,10 @@ def _port(connection: socket.socket, place: str, counters: Counter[str]) -> Stre
 async def addresses_of(
     host: str, port: int, kind: socket.SocketKind, place: str, family: int = 0
 ) -> list[tuple[int, tuple[Any, ...]]]:
-    """Return address family and socket address for each address of a host. Raises HardwareError for one that has
-    none."""
+    """Return address family and socket address for each address of a host.
+
+    Raises HardwareError for one that has none.
+    """
     try:
         found = await asyncio.get_running_loop().getaddrinfo(host, port, type=kind, family=family)
     except (OSError, UnicodeError) as error:

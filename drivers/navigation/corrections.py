@@ -41,8 +41,10 @@ class AttitudeReading(NamedTuple):
 
 
 class SpeedReading(NamedTuple):
-    """Hold a velocity. course_rad: over ground, NaN if not reported; drift_rad: against the bow, NaN if not
-    reported."""
+    """Hold a velocity.
+
+    course_rad: over ground, NaN if not reported; drift_rad: against the bow, NaN if not reported.
+    """
 
     speed_mps: float
     course_rad: float

@@ -36,7 +36,12 @@ class GnssWatch:
     def doubt(self, time_s: float, position: Position, depth_m: float | None, travelled: Travelled) -> Doubt | None:
         """Return why a position is rejected; None if it is accepted.
 
-        depth_m: None if not known. travelled: run by reckoning.
+        Parameters
+        ----------
+        depth_m
+            None if not known.
+        travelled
+            Run by reckoning.
         """
         seen = _Seen(time_s, position, travelled)
         doubt = self._judge(seen, depth_m)

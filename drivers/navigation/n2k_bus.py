@@ -64,7 +64,15 @@ class N2kBus:
         return {talker.label: talker.name for talker in self._talkers.values()}
 
     def feed(self, can_id: int, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """Return the fixes that a frame completes. can_id: 29 bits. stamp: when it was read."""
+        """Return the fixes that a frame completes.
+
+        Parameters
+        ----------
+        can_id
+            29 bits.
+        stamp
+            When it was read.
+        """
         _, pgn, _, source = identifier_of(can_id)
         if pgn in FAST_PACKET_GROUPS:
             whole = self._packets.add(pgn, source, data)

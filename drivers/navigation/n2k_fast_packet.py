@@ -64,8 +64,10 @@ class FastPackets:
 
 
 def frames_of(data: bytes, sequence: int) -> list[bytes]:
-    """Split a message into frames, the last one filled up with ones. Raises ValueError for more than 223 bytes or
-    none."""
+    """Split a message into frames, the last one filled up with ones.
+
+    Raises ValueError for more than 223 bytes or none.
+    """
     if not 0 < len(data) <= MAX_MESSAGE_BYTES:
         raise ValueError(f"a fast packet has 1 to {MAX_MESSAGE_BYTES} bytes, not {len(data)}")
     head = (sequence & 7) << 5

@@ -208,8 +208,10 @@ def can_id_of(identifier: Identifier) -> int:
 
 
 def decode(pgn: int, data: bytes) -> Record | None:
-    """Decode a message's bytes to its record; None for an unknown group. Raises ValueError for one that is too
-    short."""
+    """Decode a message's bytes to its record; None for an unknown group.
+
+    Raises ValueError for one that is too short.
+    """
     message = MESSAGES.get(pgn)
     if message is None:
         return None

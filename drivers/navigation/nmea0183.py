@@ -83,15 +83,19 @@ class NmeaGrammar(Grammar[str]):
 
 
 def sentence(body: str) -> bytes:
-    """Encode a body such as `GPHDT,123.4,T` as a whole line, with CR LF. Raises UnicodeEncodeError unless it is
-    ASCII."""
+    """Encode a body such as `GPHDT,123.4,T` as a whole line, with CR LF.
+
+    Raises UnicodeEncodeError unless it is ASCII.
+    """
     data = body.encode("ascii")
     return b"$%b*%02X\r\n" % (data, xor_of(data))
 
 
 def xor_of(data: bytes) -> int:
-    """Return the XOR of at most 256 bytes; more than a few are folded in halves, several times faster than one by
-    one."""
+    """Return the XOR of at most 256 bytes.
+
+    More than a few are folded in halves, several times faster than one by one.
+    """
     if len(data) <= _FEW_BYTES:
         return reduce(xor, data, 0)
     folded = int.from_bytes(data, "big")

@@ -63,8 +63,10 @@ class Reckoner:
         self._anchor = _Anchor(time_s, position, self.travelled, self._distance_m)
 
     def position(self) -> tuple[float, Position] | None:
-        """Return time and place by reckoning; None if the distance run since the last measured position is not
-        known."""
+        """Return time and place by reckoning.
+
+        None if the distance run since the last measured position is not known.
+        """
         anchor = self._anchor
         if (
             anchor is None

@@ -83,8 +83,10 @@ def free_bytes(folder: Path) -> int:
 
 
 class SessionWriter:
-    """Write the files of one session. After an OSError nothing more can be written; `abandon` then lets go of the
-    file."""
+    """Write the files of one session.
+
+    After an OSError nothing more can be written; `abandon` then lets go of the file.
+    """
 
     def __init__(
         self,

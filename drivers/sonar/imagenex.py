@@ -192,8 +192,10 @@ class SportScanDecoder:
 
 
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
-    """Return the command to send for every ping; none while not enabled. Raises UsageError for what the head cannot
-    do."""
+    """Return the command to send for every ping; none while not enabled.
+
+    Raises UsageError for what the head cannot do.
+    """
     check_settings(settings, "sportscan", max_range_m=float(RANGES_M[-1]), max_gain=MAX_GAIN)
     if settings.range_m not in RANGES_M:
         known = ", ".join(map(str, RANGES_M))

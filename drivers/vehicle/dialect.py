@@ -209,8 +209,9 @@ class VehicleDecoder(Protocol[Wntra]):
         """Count what came over the whole bus, not from the vehicle alone."""
 
     def feed(self, data: Wntra, stamp: Stamp) -> list[VehicleMessage]:
-        """Return the messages that a chunk of bytes, or a frame, completes, in order; one for each message, understood
-        or not.
+        """Return the messages that a chunk of bytes, or a frame, completes, in order.
+
+        One for each message, understood or not.
 
         stamp: when it was read.
         """

@@ -64,8 +64,10 @@ class Fence:
         return Point(here.east_m + reach_m * step.east_m, here.north_m + reach_m * step.north_m)
 
     def clearance_m(self, start: Point, end: Point) -> float:
-        """Return the minimum distance of a straight leg to the fence, in m; -inf if it leaves the fence or the
-        chart."""
+        """Return the minimum distance of a straight leg to the fence, in m.
+
+        -inf if it leaves the fence or the chart.
+        """
         if not (self.inside(start) and self.inside(end)):
             return -math.inf
         if any(_cross(start, end, *edge) for edge in self._edges):

@@ -168,7 +168,13 @@ class CurrentEstimate:
         return self._east_mps * ahead.north_m - self._north_mps * ahead.east_m
 
     def observe(self, position_deg: tuple[float, float], heading_rad: float, speed_mps: float, time_s: float) -> None:
-        """Take a new position. heading_rad, speed_mps: through the water."""
+        """Take a new position.
+
+        Parameters
+        ----------
+        heading_rad, speed_mps
+            Through the water.
+        """
         if not math.hypot(*self._chart.point(*position_deg)) <= _CHART_M:
             self._move_chart(position_deg)
         here = self._chart.point(*position_deg)
@@ -235,7 +241,12 @@ class LineOfSight:
     ) -> float:
         """Return the true heading to command, [0, 2 pi).
 
-        position_s: when the position was reported. heading_rad: of the vehicle.
+        Parameters
+        ----------
+        position_s
+            When the position was reported.
+        heading_rad
+            Of the vehicle.
         """
         if position_s > self._position_s:
             self._current.observe(position_deg, heading_rad, self._speed_mps, position_s)

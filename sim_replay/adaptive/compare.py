@@ -35,8 +35,9 @@ GATE_M: Final = 2.0  # m between contact and target, maximum, as in scoring
 
 
 class AreaMine(msgspec.Struct, frozen=True, kw_only=True):
-    """Describe a mine in the area: its probability of being found by the clearance map, and whether a mine-like contact
-    lies within 2 m.
+    """Describe a mine in the area.
+
+    Its probability of being found by the clearance map, and whether a mine-like contact lies within 2 m.
     """
 
     p_detected: float
@@ -53,8 +54,9 @@ class Counts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Arm(msgspec.Struct, frozen=True, kw_only=True):
-    """Describe one flight. reached_m: track after which the map showed the order as met, None if never. at_end: by
-    all its contacts.
+    """Describe one flight.
+
+    reached_m: track after which the map showed the order as met, None if never. at_end: by all its contacts.
     """
 
     track_m: float

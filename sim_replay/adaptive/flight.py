@@ -50,8 +50,10 @@ class Situation(NamedTuple):
 
 
 class LegDecision(NamedTuple):
-    """Decide on legs. legs: in the plane of the situation's ground, each from where it is to be straight; none to end
-    here. verdict, why: in words.
+    """Decide on legs.
+
+    legs: in the plane of the situation's ground, each from where it is to be straight; none to end here. verdict, why:
+    in words.
     """
 
     legs: tuple[Leg, ...]
@@ -72,8 +74,9 @@ class ReportedPd(NamedTuple):
 
 
 class AdaptiveFlight(NamedTuple):
-    """Describe a mission's course. track: (n, 2) east and north in the scene's plane. ground: the ordered area at the
-    end, every ping counted.
+    """Describe a mission's course.
+
+    track: (n, 2) east and north in the scene's plane. ground: the ordered area at the end, every ping counted.
 
     reached_m: track after which the ordered clearance was known to be reached, infinite if it never was. reported: the
     mean p_detected known after each stretch. reasons: of each decision.

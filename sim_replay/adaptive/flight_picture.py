@@ -26,8 +26,9 @@ _TRACK: Final = (30, 30, 200)  # blue, green, red
 
 
 def mission_png(scene: Scene, order: Order, flights: dict[str, AdaptiveFlight]) -> bytes:
-    """Return a PNG with a row per flight, by title: track over the true sea floor, then clearance and sea floor as
-    mapped.
+    """Return a PNG with a row per flight, by title.
+
+    Track over the true sea floor, then clearance and sea floor as mapped.
     """
     floor = _floor(scene, order)
     return encoded(np.vstack([_row(title, floor, order, flight) for title, flight in flights.items()]), ".png", [])

@@ -46,8 +46,9 @@ class LawnmowerLegs(NamedTuple):
 def shortest_lawnmower(
     side_m: float, required: float, assumed: dict[SeabedType, float], model: LookModel, limits: Limits, start: PlanePose
 ) -> LawnmowerLegs | None:
-    """Return the shortest of all lawnmowers with up to MAX_LINES lines each way that is expected to clear a square as
-    required; None if none is.
+    """Find the shortest lawnmower that is expected to clear a square as required.
+
+    It has up to MAX_LINES lines each way; None if none is expected to.
 
     assumed: shares of the kinds of sea floor, of which the ripples may run in any direction.
     """

@@ -44,8 +44,9 @@ _MINE_KINDS: Final[tuple[ObjectKind, ...]] = ("cylinder", "sphere", "truncated_c
 
 
 class Order(NamedTuple):
-    """Clear the square from 0 to side_m east and north of the scene's origin until mines in it are found with
-    probability `required`.
+    """Order a square to be cleared until mines in it are found with probability `required`.
+
+    It reaches from 0 to side_m east and north of the scene's origin.
 
     budget_m: length of track at most. fence: (n, 2) corners, east and north, which the vehicle never leaves.
     """

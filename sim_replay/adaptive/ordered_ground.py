@@ -29,10 +29,16 @@ _ALONG_M: Final = 1.0  # m: step of the sum along a leg
 def clearance_over_order(
     clearance: Clearance | None, order: Order, origin: LocalFrame, plane: LocalFrame, cell_m: float
 ) -> Clearance:
-    """Return the clearance of cells whose middles lie in the ordered area, and of no others; nothing where nothing was
-    seen.
+    """Return the clearance of cells whose middles lie in the ordered area, and of no others.
 
-    origin: the plane that the order is in. plane: that of the clearance, and of the cells.
+    Nothing where nothing was seen.
+
+    Parameters
+    ----------
+    origin
+        The plane that the order is in.
+    plane
+        That of the clearance, and of the cells.
     """
     known = clearance or unsearched(plane.latitude_deg, plane.longitude_deg, cell_m)
     corner = plane.to_enu(origin.latitude_deg, origin.longitude_deg, 0.0)[:2]

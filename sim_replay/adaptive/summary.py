@@ -33,9 +33,10 @@ class Paired(NamedTuple):
 
 
 def paired(adaptive: Array, fixed: Array, of: Array) -> Paired:
-    """Compare sums of (n,) values of both ways over the sum of `of`; the interval from missions drawn anew with
-    replacement, both ways of a mission together (B. Efron and R. Tibshirani, "An Introduction to the Bootstrap", 1993,
-    percentile method).
+    """Compare sums of (n,) values of both ways over the sum of `of`.
+
+    The interval from missions drawn anew with replacement, both ways of a mission together (B. Efron and R. Tibshirani,
+    "An Introduction to the Bootstrap", 1993, percentile method).
     """
     drawn = np.random.Generator(np.random.PCG64(_SEED)).integers(0, len(of), (_RESAMPLES, len(of)))
     differences = (adaptive - fixed)[drawn].sum(axis=1) / np.maximum(of[drawn].sum(axis=1), 1e-12)

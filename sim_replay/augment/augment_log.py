@@ -38,8 +38,9 @@ def augment(
     seabed: str | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Written:
-    """Write the log with the spec's objects in it, under its own name, and truth.json into `out`, made if it is not
-    there.
+    """Write the log with the spec's objects in it, and truth.json, into `out`.
+
+    The log keeps its name; `out` is made if it is not there.
 
     Everything but the samples that the objects change is the log's own bytes. Equal logs, specs and configurations give
     equal bytes. progress: called with the fraction done, 0..1. Raises UsageError for a directory that cannot be written

@@ -21,10 +21,16 @@ _STEP_M: Final = 0.5 * CELL_M
 def augmented_truth_of(
     objects: Sequence[Embedded], track: PingTrack, background: str, seed: int, seabed: str | None = None
 ) -> dict[str, Any]:
-    """Return the area seen and every object. background: name of the log, by which training and test data are kept
-    apart.
+    """Return the area seen and every object.
 
-    seabed: of the whole log, where it is known. What other objects the log shows is not in it.
+    What other objects the log shows is not in it.
+
+    Parameters
+    ----------
+    background
+        Name of the log, by which training and test data are kept apart.
+    seabed
+        Of the whole log, where it is known.
     """
     return {
         "version": 1,

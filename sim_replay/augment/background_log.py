@@ -70,8 +70,9 @@ class Stretch(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """Hold a log with the geometry of its pings. full_scale: stored number at which each side clips, None if it does
-    not.
+    """Hold a log with the geometry of its pings.
+
+    full_scale: stored number at which each side clips, None if it does not.
 
     absorption_per_m: of sea water at the frequency that the log states, two-way, nepers of power; 0 if it states none.
     """
@@ -222,8 +223,9 @@ def window_intensity(
 
 
 def to_samples(intensity: Floats, transfer: Transfer, full_scale: float | None, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Convert linear intensities to stored numbers, clipped at full scale: the inverse of
-    `auv_mcm.waterfall.transfer.to_intensity`.
+    """Convert linear intensities to stored numbers, clipped at full scale.
+
+    The inverse of `auv_mcm.waterfall.transfer.to_intensity`.
     """
     if transfer.kind == "amplitude":
         counts = np.sqrt(intensity)

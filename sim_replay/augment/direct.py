@@ -66,10 +66,17 @@ class SmoothedImage(NamedTuple):
 def invert(intensity: Array, valid: Bools, altitude_m: Array, along_m: Array, column_spacing_m: float) -> SeafloorScene:
     """Recover the scene that one side of a line shows; rendered, it gives the image without speckle.
 
-    intensity, valid: (n_pings, n_columns), linear, of any gain; what is not valid does not count. altitude_m:
-    (n_pings,) float64, slant range of the first bottom return. along_m: (n_pings,) float64, increasing. Column j is
-    around (j + 0.5) * column_spacing_m. Heights are relative: waves longer than 11 m or so are not seen, and shorter
-    ones come out lower the weaker they are against speckle.
+    Column j is around (j + 0.5) * column_spacing_m. Heights are relative: waves longer than 11 m or so are not seen,
+    and shorter ones come out lower the weaker they are against speckle.
+
+    Parameters
+    ----------
+    intensity, valid
+        (n_pings, n_columns), linear, of any gain; what is not valid does not count.
+    altitude_m
+        (n_pings,) float64, slant range of the first bottom return.
+    along_m
+        (n_pings,) float64, increasing.
     """
     level = float(intensity[valid].mean()) if valid.any() else 0.0
     if not level > 0.0:

@@ -63,8 +63,10 @@ class EmbeddedPicture(NamedTuple):
 
 
 class EmbeddedView(NamedTuple):
-    """Describe what one pass shows of an embedded object. visible_fraction: of its echo, 0 to 1; contrast_db: its
-    highlight over the floor's level, NaN if nothing of either is heard. n_samples: that were changed.
+    """Describe what one pass shows of an embedded object.
+
+    visible_fraction: of its echo, 0 to 1; contrast_db: its highlight over the floor's level, NaN if nothing of either
+    is heard. n_samples: that were changed.
     """
 
     ping: int

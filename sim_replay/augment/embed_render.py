@@ -38,8 +38,9 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 class Relief(NamedTuple):
-    """Hold the recovered floor of a window: one side, on pings by ground-range columns, column j around (first_column +
-    j + 0.5) * spacing.
+    """Hold the recovered floor of a window.
+
+    One side, on pings by ground-range columns, column j around (first_column + j + 0.5) * spacing.
 
     elevation_m, reflectivity: (n_pings, n_columns) float64, above the flat bottom, and relative; a reflectivity of 0
     hides but does not echo. along_m: (n_pings,) float64 from the reference ping, increasing. Beyond the window the
@@ -94,8 +95,10 @@ class PingWindow(NamedTuple):
 
 
 class Echoes(NamedTuple):
-    """Hold mean echoes of a window, (n_pings, n_samples) float64, all in one unit: of the floor alone, of the floor
-    with the objects there, of the objects, and of the objects if nothing but themselves hid them.
+    """Hold mean echoes of a window, (n_pings, n_samples) float64, all in one unit.
+
+    Of the floor alone, of the floor with the objects there, of the objects, and of the objects if nothing but
+    themselves hid them.
     """
 
     bare: Floats
@@ -118,9 +121,16 @@ def echoes(
 ) -> Echoes:
     """Render mean echoes without and with an object.
 
-    relief: the floor as it hides and echoes. stands_on: the floor as the object stands on it, without what only hides.
-    scene_object: in the window's plane, its strength_db above an echo of 1 at grazing angles whose cosine of incidence
-    is 1. farthest_m: ground range up to which the object can change anything.
+    Parameters
+    ----------
+    relief
+        The floor as it hides and echoes.
+    stands_on
+        The floor as the object stands on it, without what only hides.
+    scene_object
+        In the window's plane, its strength_db above an echo of 1 at grazing angles whose cosine of incidence is 1.
+    farthest_m
+        Ground range up to which the object can change anything.
     """
     lines, n_nodes = _lines(view, farthest_m)
     bodies = pack(floor_bodies(scene_object, stands_on, view.side))

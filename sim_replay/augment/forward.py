@@ -61,8 +61,9 @@ class SeafloorScene(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Rendering(NamedTuple):
-    """Hold intensity: (n_pings, n_columns) float64, without speckle or noise, 0 in shadow. shadow: the same shape,
-    bool.
+    """Hold intensity: (n_pings, n_columns) float64, without speckle or noise, 0 in shadow.
+
+    shadow: the same shape, bool.
     """
 
     intensity: NDArray[np.float64]
@@ -99,8 +100,10 @@ def beam_gain(
 
 
 def across_slope(elevation_m: NDArray[np.float64], column_spacing_m: float) -> NDArray[np.float64]:
-    """Rise per metre away from the sonar over the facet that ends at each column; the first column has the slope of
-    the second."""
+    """Rise per metre away from the sonar over the facet that ends at each column.
+
+    The first column has the slope of the second.
+    """
     slope = np.empty_like(elevation_m)
     if elevation_m.shape[1] < 2:
         slope[:] = 0.0
@@ -128,8 +131,9 @@ def cos_incidence(
     along_m: NDArray[np.float64],
     column_spacing_m: float,
 ) -> NDArray[np.float64]:
-    """Return the cosine between the line of sight and each facet's normal (-dZ/dy, -dZ/dx, 1), 0 for facets turned
-    away.
+    """Compute the cosine between the line of sight and each facet's normal (-dZ/dy, -dZ/dx, 1).
+
+    It is 0 for facets turned away.
     """
     across, along = across_slope(elevation_m, column_spacing_m), along_slope(elevation_m, along_m)
     ground_m, depth_m = ground_range_m(elevation_m.shape[1], column_spacing_m), altitude_m[:, None] - elevation_m
@@ -140,8 +144,9 @@ def cos_incidence(
 def cast_shadow(
     elevation_m: NDArray[np.float64], altitude_m: NDArray[np.float64], column_spacing_m: float
 ) -> NDArray[np.bool_]:
-    """Mask pixels where a nearer pixel of the same ping rises above the line of sight, (n_pings, n_columns) bool: O(n)
-    by a running maximum.
+    """Mask pixels where a nearer pixel of the same ping rises above the line of sight, (n_pings, n_columns) bool.
+
+    O(n) by a running maximum.
     """
     tangent = (elevation_m - altitude_m[:, None]) / ground_range_m(elevation_m.shape[1], column_spacing_m)
     return np.asarray(tangent < np.maximum.accumulate(tangent, axis=1))

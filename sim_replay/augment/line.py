@@ -305,8 +305,12 @@ def mixed(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the intensity with the change made, and a mask of the change; elsewhere the recorded value is restored.
 
-    recorded: (n_pings, n_samples) linear intensity. noise: (n_samples,) of these samples. seed and stream (below 2^56)
-    choose the speckle.
+    Parameters
+    ----------
+    recorded
+        (n_pings, n_samples) linear intensity.
+    noise
+        (n_samples,) of these samples. seed and stream (below 2^56) choose the speckle.
     """
     changed = (change.kept != 1.0) | (spread_over_taps(change.added, line.range_taps) > 0.0)
     n_pings, n_samples = recorded.shape

@@ -40,10 +40,21 @@ def integrate_slope(
 ) -> Array:
     """Return heights, m, (n_pings, n_columns) float64, whose slopes across fit best.
 
-    slope: (n_pings, n_columns) float64, rise per metre over the facet that ends at each column; column 0, where none
-    ends, does not count. weight: the same shape, 0 to 1, None for 1 everywhere. start: heights near the solution, of
-    use with weights alone, for which the residual is brought below 1e-4 of the right side unless 60 iterations are
-    spent. Raises ValueError unless screen_per_m2 is above 0.
+    Parameters
+    ----------
+    slope
+        (n_pings, n_columns) float64, rise per metre over the facet that ends at each column; column 0, where none ends,
+        does not count.
+    weight
+        The same shape, 0 to 1, None for 1 everywhere.
+    start
+        Heights near the solution, of use with weights alone, for which the residual is brought below 1e-4 of the right
+        side unless 60 iterations are spent.
+
+    Raises
+    ------
+    ValueError
+        Unless screen_per_m2 is above 0.
     """
     if not stiffness.screen_per_m2 > 0.0:
         raise ValueError(f"screen_per_m2 is {stiffness.screen_per_m2}; flat images need one above 0")

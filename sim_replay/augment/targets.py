@@ -46,8 +46,9 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class EmbeddedTarget(_Section, frozen=True, kw_only=True):
-    """Place one object at a place: side, ground_range_m, and ping (its number in the log, from 0) or along_m (way from
-    the first ping).
+    """Place one object at a place.
+
+    Side, ground_range_m, and ping (its number in the log, from 0) or along_m (way from the first ping).
 
     contrast_db: backscattering strength of its surface at normal incidence over that of the sea floor around it, as
     seen from there; specular_db: of the specular lobe on top of it. burial_m: pushed into the floor; tilt_deg: its end
@@ -72,8 +73,9 @@ class EmbeddedTarget(_Section, frozen=True, kw_only=True):
 
 
 class ScatteredTargets(_Section, frozen=True, kw_only=True):
-    """Scatter `count` objects of the kinds: even over the sea floor seen, in azimuth, and within each range of [lowest,
-    highest].
+    """Scatter `count` objects of the kinds.
+
+    Even over the sea floor seen, in azimuth, and within each range of [lowest, highest].
 
     contrast_db: [mean, standard deviation] of a normal distribution. apart_m: from each other, other objects and
     `keep_clear` places.

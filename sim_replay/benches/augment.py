@@ -106,8 +106,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def mission_chips(scene: Scene, seed: int, n_targets: int, folder: Path, number: int) -> tuple[ChipStatistics, float]:
-    """Cut chips of both kinds from one mission over a scene's floor; return them with the time that embedding took,
-    s."""
+    """Cut chips of both kinds from one mission over a scene's floor.
+
+    Return them with the time that embedding took, s.
+    """
     plan = Lawnmower(heading_deg=20.0, n_legs=1, leg_m=_LEG_M)
     floor = replace(
         scene,

@@ -145,8 +145,10 @@ def _chain(log: Path, exhaustive: bool) -> dict[str, Any]:
 
 
 def tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
-    """Repeat the log end to end until `duration_s` is reached, each copy later in time and farther along its own
-    line."""
+    """Repeat the log end to end until `duration_s` is reached.
+
+    Each copy is later in time and farther along its own line.
+    """
     events = [event for event in open_log(log, Config()) if isinstance(event, NavSample | Ping)]
     times = [event.time_s for event in events if isinstance(event, Ping)]
     period_s = times[-1] - times[0] + statistics.median(np.diff(times).tolist())

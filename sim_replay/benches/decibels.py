@@ -41,8 +41,9 @@ _HEADER: Final = (
 
 
 class MisreadMission(NamedTuple):
-    """Hold one mission as read with decibels per count times each of FACTORS, and with those that the payload
-    estimates.
+    """Hold one mission as read with right and wrong decibels per count.
+
+    They are times each of FACTORS, and those that the payload estimates.
     """
 
     by_factor: tuple[ScoredMission, ...]

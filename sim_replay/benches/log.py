@@ -27,8 +27,10 @@ def add_log(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def given_or_flown(log: Path | None) -> Iterator[tuple[Path, Path]]:
-    """Return the log given, or one of a simulated mission, and a folder for further files that is removed
-    afterwards."""
+    """Return the log given, or one of a simulated mission.
+
+    Comes with a folder for further files that is removed afterwards.
+    """
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
         yield log or _flown(Path(folder)), Path(folder)
 

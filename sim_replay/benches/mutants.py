@@ -166,8 +166,10 @@ def _replay(path: Path, out: Path, console: Path, usage: Path) -> None:
 
 
 def wrong_results(out: Path, log: Path) -> list[str]:
-    """List impossible results: numbers that are not finite, failed tiles, contacts far from every position of the
-    log."""
+    """List impossible results.
+
+    Numbers that are not finite, failed tiles, contacts far from every position of the log.
+    """
     read: dict[str, Any] = {}
     for name in ("contacts.geojson", "coverage.geojson", "waypoints.geojson", "clearance.geojson", "summary.json"):
         try:

@@ -159,8 +159,10 @@ class Served:
         return self._process.pid
 
     def said_s(self, text: str) -> float:
-        """Return the instant of the monotonic clock at which a line was printed. Raises HardwareError if it never
-        was."""
+        """Return the instant of the monotonic clock at which a line was printed.
+
+        Raises HardwareError if it never was.
+        """
         deadline_s = time.monotonic() + _READY_S
         while time.monotonic() < deadline_s:
             running = self._process.poll() is None
@@ -201,8 +203,10 @@ class Served:
 
 @contextmanager
 def served(line: PacedLine, folder: Path, baud: int, *, watched: bool = False) -> Iterator[Served]:
-    """Start a new service at a line. watched: perception is busy, and `queued.json` is written, as of
-    `ports_watched`."""
+    """Start a new service at a line.
+
+    watched: perception is busy, and `queued.json` is written, as of `ports_watched`.
+    """
     folder.mkdir()
     config = folder / "service.yaml"
     settings = {

@@ -116,8 +116,9 @@ class Memory(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """Hold the memory of a run until its stop was requested, and the maximum of either process while results are
-    written.
+    """Hold the memory of a run until its stop was requested.
+
+    Holds also the maximum of either process while results are written.
     """
 
     memory: list[Memory]

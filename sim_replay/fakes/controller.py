@@ -25,8 +25,10 @@ _STREAM: Final = 0x4E4F4E53  # keeps these random numbers apart from others of t
 
 
 class ReportingController:
-    """Report a controller's actions: `granted`, `released` (by: `payload`, `vehicle`, or `time-out`), `command` (flown
-    from now on), `refused` (n_commands), `contact` (as it was reported), `health` (text).
+    """Report a controller's actions.
+
+    `granted`, `released` (by: `payload`, `vehicle`, or `time-out`), `command` (flown from now on), `refused`
+    (n_commands), `contact` (as it was reported), `health` (text).
 
     is_talking_nonsense: every message is repeated, corrupted. granted_once: set when control is granted for the first
     time.

@@ -13,8 +13,9 @@ Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 class FaultRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Set probabilities. Per byte: flip (one bit), drop, repeat. Per message: lose, double, truncate, delay (to
-    delay_s).
+    """Set probabilities.
+
+    Per byte: flip (one bit), drop, repeat. Per message: lose, double, truncate, delay (to delay_s).
     """
 
     flip_byte: Probability = 0.0
@@ -39,8 +40,9 @@ class Faults:
         self._random = np.random.Generator(np.random.PCG64(seed))
 
     def passed(self, message: bytes) -> list[tuple[float, bytes]]:
-        """Return the surviving copies of a message: none, one or two, each with its delay in seconds and its own
-        damage.
+        """Return the surviving copies of a message.
+
+        None, one or two, each with its delay in seconds and its own damage.
         """
         if self._happens(self._rates.lose, "lost"):
             return []

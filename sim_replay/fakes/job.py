@@ -159,8 +159,9 @@ class Device(_Record, frozen=True, kw_only=True):
 
 
 class Job(_Record, frozen=True, kw_only=True):
-    """Describe one device of one run. folder: where its port appears; log or scene: the mission; speed: times real
-    time.
+    """Describe one device of one run.
+
+    folder: where its port appears; log or scene: the mission; speed: times real time.
     """
 
     name: DeviceName

@@ -92,8 +92,10 @@ class FakePd6Unit:
 
 
 class FakeWaterLinkedUnit:
-    """Simulate a Water Linked DVL: velocity, altitude, attitude, and its own dead reckoning, which stays at its
-    start."""
+    """Simulate a Water Linked DVL.
+
+    Velocity, altitude, attitude, and its own dead reckoning, which stays at its start.
+    """
 
     def measured(self, sample: NavSample, utc_s: float) -> list[Message]:
         good = math.isfinite(sample.speed_mps)

@@ -59,8 +59,10 @@ class FakePort:
 
     @property
     def host_baud(self) -> int:
-        """Return the rate the host has set, 0 for one that Linux has no name for. Raises RuntimeError while
-        unplugged."""
+        """Return the rate the host has set, 0 for one that Linux has no name for.
+
+        Raises RuntimeError while unplugged.
+        """
         if not self.plugged:
             raise RuntimeError(f"{self.path}: no rate is set while the port is unplugged; plug it first")
         return _BAUD_OF.get(termios.tcgetattr(self._master)[5], 0)

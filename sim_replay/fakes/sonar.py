@@ -223,8 +223,9 @@ class JsfSonar:
 
 
 class SportScanSonar:
-    """Simulate an Imagenex SportScan: each switch command returns both sides of the newest ping, 200 bytes of 0 to 127
-    each.
+    """Simulate an Imagenex SportScan.
+
+    Each switch command returns both sides of the newest ping, 200 bytes of 0 to 127 each.
 
     The mean echo of the first ping is its unit of loudness: it is sent as 25 at 20 dB of gain.
     """

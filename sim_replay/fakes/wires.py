@@ -244,7 +244,15 @@ async def opened(wire: DeviceWire) -> None:
 
 
 def make_wire(device: Device, path: Path, weather: Weather, hear: Heard | None) -> DeviceWire:
-    """Make the wire of a device; path: where a serial port appears. hear: receives the host's bytes."""
+    """Make the wire of a device.
+
+    Parameters
+    ----------
+    path
+        Where a serial port appears.
+    hear
+        Receives the host's bytes.
+    """
     match device.link:
         case "serial":
             return SerialWire(device, path, weather, hear)

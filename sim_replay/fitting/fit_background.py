@@ -187,8 +187,17 @@ def calibrate_background(
 ) -> BackgroundModel:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the model.
 
-    n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError
-    as fit_prior does.
+    Parameters
+    ----------
+    n_workers
+        Missions flown at once.
+    show
+        Takes the missions flown so far, and how many there are.
+
+    Raises
+    ------
+    UsageError
+        As fit_prior does.
     """
     tasks = background_tasks(seeds)
     missions = list(run_tasks(flown, tasks, Farm(n_workers), lambda done: show(done, len(tasks))))
@@ -196,8 +205,9 @@ def calibrate_background(
 
 
 def background_tasks(seeds: Sequence[int]) -> list[Task]:
-    """List the missions to fly: every named scene that is not held out, by the cascade with all seeds and by contrasts
-    with the first.
+    """List the missions to fly.
+
+    Every named scene that is not held out, by the cascade with all seeds and by contrasts with the first.
     """
     of_detector: tuple[tuple[Detector, Sequence[int]], ...] = (("cascade", seeds), ("contrast", seeds[:1]))
     return [

@@ -84,8 +84,17 @@ def calibrate_gate(
 ) -> Gate:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the gate.
 
-    n_workers: missions flown at once. show: takes the missions flown so far, and how many there are. Raises UsageError
-    as fit_gate does.
+    Parameters
+    ----------
+    n_workers
+        Missions flown at once.
+    show
+        Takes the missions flown so far, and how many there are.
+
+    Raises
+    ------
+    UsageError
+        As fit_gate does.
     """
     scenes = [name for name in SCENES if name not in HELD_OUT]
     detectors: tuple[Detector, ...] = get_args(Detector)

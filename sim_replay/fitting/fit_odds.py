@@ -66,9 +66,10 @@ _NO_TREES: Final[Mapping[LookStep, int]] = dict.fromkeys(N_TREES, 0)
 
 
 class Example(NamedTuple):
-    """Hold a detection with the measurements of every step, and its label. details: what only trees weigh. weight: how
-    many it stands for. seed: of its mission. usual: of one with as many objects as its scene has, so that it shows how
-    rare mines are.
+    """Hold a detection with the measurements of every step, and its label.
+
+    details: what only trees weigh. weight: how many it stands for. seed: of its mission. usual: of one with as many
+    objects as its scene has, so that it shows how rare mines are.
     """
 
     scene: str
@@ -91,8 +92,10 @@ class _Seen(NamedTuple):
 
 
 def crowded(scene: Scene, times: int) -> Scene:
-    """Crowd the scene with so many times as many mines and rocks strewn over it, far enough apart for none to count
-    among another's neighbours; where there are more than usual they find their places after all else.
+    """Crowd the scene with `times` as many mines and rocks.
+
+    They lie far enough apart for none to count among another's neighbours; where there are more than usual they find
+    their places after all else.
     """
     if times == 1:
         return scene
@@ -169,15 +172,27 @@ def fit_from_missions(
     n_workers: int,
     show: Callable[[int, int], None] = lambda done, of: None,
 ) -> None:
-    """Fly missions, fit the weights to what became of their detections, write them to `out`, JSON, and print how they
-    do.
+    """Fly missions, fit the weights to what became of their detections, and write them to `out`, JSON.
 
-    detector: whose detections to weigh. n_seeds: missions per scene, from `first_seed` on; n_crowded: further ones with
-    CROWD times as many mines and rocks. n_workers: missions flown at once. show: takes the missions flown so far, and
-    how many there are.
+    Prints how they do.
 
-    Raises UsageError for an `out` that cannot be written, before any work, and if there are no targets among the
-    detections.
+    Parameters
+    ----------
+    detector
+        Whose detections to weigh.
+    n_seeds
+        Missions per scene, from `first_seed` on.
+    n_crowded
+        Further ones with CROWD times as many mines and rocks.
+    n_workers
+        Missions flown at once.
+    show
+        Takes the missions flown so far, and how many there are.
+
+    Raises
+    ------
+    UsageError
+        For an `out` that cannot be written, before any work, and if there are no targets among the detections.
     """
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")

@@ -60,8 +60,9 @@ class PriceList(NamedTuple):
 
 
 def measure_prices(config: Config, clock: Clock = time.thread_time) -> PriceList:
-    """Fly a short mission over rough ground through the chain of this configuration, and divide the time of each stage
-    by its work.
+    """Fly a short mission over rough ground, and divide the time of each stage by its work.
+
+    The chain is that of this configuration.
 
     clock: processor time, s.
     """

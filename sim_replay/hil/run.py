@@ -267,8 +267,9 @@ class _Run:
 
 
 class MissionTime:
-    """Measure times of a run, s after its start, by a clock that stands still while the computer is too slow for the
-    mission.
+    """Measure times of a run, s after its start.
+
+    The clock stands still while the computer is too slow for the mission.
     """
 
     def __init__(self, start_s: float, holds: Sequence[tuple[float, float]]) -> None:

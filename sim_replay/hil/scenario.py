@@ -69,8 +69,9 @@ class AnswersStop(_Rule, frozen=True, kw_only=True, tag="answers_stop"):
 
 
 class CounterRule(_Count, frozen=True, kw_only=True, tag="counter"):
-    """Bound a counter of summary.json, 0 where it is missing. name: whole, or with * for any characters: then their
-    sum.
+    """Bound a counter of summary.json, 0 where it is missing.
+
+    name: whole, or with * for any characters: then their sum.
     """
 
     name: str
@@ -126,8 +127,10 @@ class Reopened(_Rule, frozen=True, kw_only=True, tag="reopened"):
 
 
 class TargetsFound(_Count, frozen=True, kw_only=True, tag="targets_found"):
-    """Count targets of the scene's truth that have a contact of their own this near, with this probability of a
-    mine."""
+    """Count targets of the scene's truth that are found.
+
+    Each has a contact of its own this near, with this probability of a mine.
+    """
 
     within_m: float
     min_p_mine: float
@@ -151,8 +154,9 @@ class ReportRule(_Count, frozen=True, kw_only=True, tag="reported"):
 
 
 class ReportedInTime(_Rule, frozen=True, kw_only=True, tag="told_in_time"):
-    """Expect every contact announced with min_p_mine or more to reach a vehicle this soon, as it is or has become by
-    then.
+    """Expect every contact announced with min_p_mine or more to reach a vehicle this soon.
+
+    It is reported as it is or has become by then.
 
     There must be one or more.
     """
@@ -196,8 +200,10 @@ class OwnPlanAtEnd(_Rule, frozen=True, kw_only=True, tag="own_plan_at_end"):
 
 
 class Silence(_Rule, frozen=True, kw_only=True, tag="own_plan_after_kill"):
-    """Expect a vehicle to leave the last command this soon after the service's kill and fly its own plan until the
-    end."""
+    """Expect a vehicle to leave the last command this soon after the service's kill.
+
+    It flies its own plan until the end.
+    """
 
     device: str
     within_s: float
@@ -252,8 +258,9 @@ class EndsAfter(_Record, frozen=True, kw_only=True):
 
 
 class Scenario(_Record, frozen=True, kw_only=True):
-    """Define one run. about: what it shows. scene or log: the mission, a path beside the scenario or a shipped scene's
-    name.
+    """Define one run.
+
+    about: what it shows. scene or log: the mission, a path beside the scenario or a shipped scene's name.
 
     With a vehicle's controller among the devices all of them are aboard one vehicle, which flies in the scene as
     commanded.

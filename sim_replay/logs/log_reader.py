@@ -24,8 +24,10 @@ log = logging.getLogger(__name__)
 
 
 class Log(Protocol):
-    """Read one recorded log. Iterate for its events in order of time; every iteration starts anew, with new
-    counters."""
+    """Read one recorded log.
+
+    Iterate for its events in order of time; every iteration starts anew, with new counters.
+    """
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:

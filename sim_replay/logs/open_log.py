@@ -43,7 +43,9 @@ _UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from 
 
 
 def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
-    """Open an XTF, JSF or svlog file, a recorded session (its folder, or one .mcap file of it), or a file of a format
+    """Open a recorded log of any known format.
+
+    It is an XTF, JSF or svlog file, a recorded session (its folder, or one .mcap file of it), or a file of a format
     that another package reads.
 
     Ports are decoded as `config` states, a session's as they were recorded where it is silent. `chunk_bytes` sizes the

@@ -44,8 +44,15 @@ def port_order_evidence(
 ) -> PortOrderEvidence:
     """Return evidence from some pings.
 
-    port, starboard: (n_pings, n_samples) as stored, any real dtype; starboard may be None or have another number of
-    samples (its cue is 0). spacing_m: slant range between samples. blank_m: slant range of ring-down.
+    Parameters
+    ----------
+    port, starboard
+        (n_pings, n_samples) as stored, any real dtype; starboard may be None or have another number of samples (its cue
+        is 0).
+    spacing_m
+        Slant range between samples.
+    blank_m
+        Slant range of ring-down.
     """
     stored = _rank(np.median(port, axis=0))
     turned = stored[::-1]

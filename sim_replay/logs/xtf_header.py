@@ -22,8 +22,10 @@ _DTYPE_OF_WIDTH: Final = {1: "u1", 2: "<u2", 4: "<u4"}
 
 
 class Channel(NamedTuple):
-    """Describe one channel by the file header. legacy_samples: samples per ping where pings do not carry it
-    themselves."""
+    """Describe one channel by the file header.
+
+    legacy_samples: samples per ping where pings do not carry it themselves.
+    """
 
     number: int
     kind: int
@@ -34,8 +36,9 @@ class Channel(NamedTuple):
 
 
 def header_channel(header: Any, data: bytes, number: int) -> Any:
-    """Return channel description `number` of a file header (pyxtf.XTFChanInfo); those beyond six follow in further
-    blocks.
+    """Return channel description `number` of a file header (pyxtf.XTFChanInfo).
+
+    Those beyond six follow in further blocks.
     """
     if number < len(header.ChanInfo):
         return header.ChanInfo[number]

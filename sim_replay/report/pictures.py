@@ -37,8 +37,9 @@ _QUALITIES: Final = (86, 74, 60, 48)
 
 
 class PictureStrip(NamedTuple):
-    """Hold a stretch of the waterfall, port left, starboard right, later pings above: as seen from above, travelling
-    up.
+    """Hold a stretch of the waterfall, port left, starboard right, later pings above.
+
+    As seen from above, travelling up.
 
     gaps_m: along-track stretches without data, metres from the mission's first grid row.
     """

@@ -20,8 +20,19 @@ def calibration_error(probability: ArrayLike, came_true: ArrayLike, n_bins: int 
 
     Bins are weighted by their counts.
 
-    probability: (n,) float64. came_true: (n,) bool. After M. Naeini, G. Cooper and M. Hauskrecht, AAAI 2015. Raises
-    ValueError if there are none, not as many of one as of the other, or a probability is not in [0, 1].
+    After M. Naeini, G. Cooper and M. Hauskrecht, AAAI 2015.
+
+    Parameters
+    ----------
+    probability
+        (n,) float64.
+    came_true
+        (n,) bool.
+
+    Raises
+    ------
+    ValueError
+        If there are none, not as many of one as of the other, or a probability is not in [0, 1].
     """
     p, true = np.asarray(probability, dtype=np.float64), np.asarray(came_true, dtype=np.bool_)
     if p.ndim != 1 or p.shape != true.shape or not p.size:
@@ -53,11 +64,21 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def calibration(p_mine: ArrayLike, on_mine: ArrayLike) -> Calibration:
-    """Compare predictions with what came true. p_mine: (n,) float64. on_mine: (n,) bool.
+    """Compare predictions with what came true.
 
-    Raises ValueError as calibration_error does.
+    Parameters
+    ----------
+    p_mine
+        (n,) float64.
+    on_mine
+        (n,) bool.
 
-    Raises ValueError as calibration_error does.
+    Raises
+    ------
+    ValueError
+        As calibration_error does.
+    ValueError
+        As calibration_error does.
     """
     p, true = np.asarray(p_mine, dtype=np.float64), np.asarray(on_mine, dtype=np.bool_)
     if not p.size:

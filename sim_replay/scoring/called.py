@@ -32,8 +32,10 @@ class CalledPoint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def called_point(missions: Sequence[ScoredMission], gate_m: float) -> CalledPoint | None:
-    """Match the called contacts with the truth; None where contacts of a mission do not state whether they are
-    called."""
+    """Match the called contacts with the truth.
+
+    None where contacts of a mission do not state whether they are called.
+    """
     if not missions or any(contact.called is None for mission in missions for contact in mission.contacts):
         return None
     if not any(mission.contacts for mission in missions):

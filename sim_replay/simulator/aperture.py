@@ -176,8 +176,10 @@ class Aperture:
         )
 
     def intensity(self, strip: Strip, first_line: int, n_lines: int, view: View) -> Float32s:
-        """Return the speckled image with noise, (n_lines, 2, n_samples) float32, port first, in units of
-        `reference`."""
+        """Return the speckled image with noise, (n_lines, 2, n_samples) float32, port first.
+
+        It is in units of `reference`.
+        """
         sonar, seed = self.sea.sonar, self.sea.scene.seed
         line_taps, range_taps = self._line_taps["full" if view == "full" else "part"], self._range_taps
         around, beside = line_taps.size // 2, range_taps.size // 2
@@ -203,8 +205,10 @@ class Aperture:
         return image
 
     def mean_intensity(self, strip: Strip, first_line: int, n_lines: int, view: View) -> Floats:
-        """Return the mean image before the point-spread function, without noise, (n_lines, 2, n_samples), in the sea's
-        units."""
+        """Return the mean image before the point-spread function, without noise.
+
+        It is (n_lines, 2, n_samples), in the sea's units.
+        """
         angles = [angle for part in self._angles for angle in part] if view == "full" else self._angles[view]
         floor = self._floor_m(strip, first_line, n_lines)
         altitude = self.sea.scene.world.depth_m - strip.depth_m - floor

@@ -36,10 +36,8 @@ class RippleTrain:
     A wave with crests across one direction is multiplied by a complex field of low wavenumbers, as in speckle: its
     phase bends the crests, its zeros are where crests end or fork, and around them ripples are low.
 
-    Args:
-        ripples: their shape.
-        seed, name: which of all ripples.
-        cell_m: distance between nodes.
+    Parameters
+    ----------
     """
 
     def __init__(self, ripples: Ripples, seed: int, name: str, *, cell_m: float) -> None:
@@ -123,11 +121,8 @@ def _phase(first: int, n_nodes: int, turns_per_cell: float) -> FloatArray:
 class Ledges:
     """Shape broken edges of tilted strata: a fractal surface, cut into steps along parallel planes.
 
-    Args:
-        rms_m, outer_m: of the surface.
-        seed, name: which of all outcrops; the strata's strike and dip come from them.
-        cell_m: distance between nodes.
-        step: cells between the nodes of the uncut surface.
+    Parameters
+    ----------
     """
 
     def __init__(self, rms_m: float, outer_m: float, seed: int, name: str, *, cell_m: float, step: int) -> None:
@@ -148,8 +143,10 @@ class Ledges:
         )
 
     def on_cells(self, row: int, column: int, grain: FloatArray) -> FloatArray:
-        """Return heights in m on nodes from (row, column) on: float32 of `grain`'s shape; grain roughens edges and
-        faces."""
+        """Return heights in m on nodes from (row, column) on: float32 of `grain`'s shape.
+
+        Grain roughens edges and faces.
+        """
         n_rows, n_columns = grain.shape
         height = self._surface.on_cells(row, column, n_rows, n_columns)
         height += np.float32(1.0)
@@ -181,12 +178,8 @@ class Ledges:
 class Canopy:
     """Grow clumps of seagrass with gaps between: log-normal heights that a full-grown plant limits.
 
-    Args:
-        rms_m: of the heights.
-        outer_m: size of clumps and gaps.
-        seed, name: which of all meadows.
-        cell_m: size of a cell.
-        step: cells between nodes.
+    Parameters
+    ----------
     """
 
     def __init__(self, rms_m: float, outer_m: float, seed: int, name: str, *, cell_m: float, step: int) -> None:

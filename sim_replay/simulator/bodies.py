@@ -22,8 +22,10 @@ Planes: TypeAlias = tuple[tuple[float, float, float], ...]
 
 
 class Body(NamedTuple):
-    """Describe one body. `kind` and `sizes` are as the builders below make them; `planes`: a polyhedron's sides, then
-    tops."""
+    """Describe one body.
+
+    `kind` and `sizes` are as the builders below make them; `planes`: a polyhedron's sides, then tops.
+    """
 
     kind: int
     east_m: float
@@ -38,8 +40,10 @@ class Body(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Pack bodies for the renderer. table: (n_bodies, 20) float64, columns as in render.c. planes: (n_planes, 3)
-    float64."""
+    """Pack bodies for the renderer.
+
+    table: (n_bodies, 20) float64, columns as in render.c. planes: (n_planes, 3) float64.
+    """
 
     table: Floats
     planes: Floats

@@ -30,8 +30,10 @@ _LAMBERT_GRAZING_RAD: Final = math.radians(20.0)
 
 
 def absorption_db_per_km(sonar: Sonar, depth_m: float) -> float:
-    """Return the scene's absorption, or sea water's at 10 degrees C, 35 PSU, pH 8 (Ainslie and McColm, JASA 103,
-    1998)."""
+    """Return the scene's absorption, or sea water's.
+
+    The latter is at 10 degrees C, 35 PSU, pH 8 (Ainslie and McColm, JASA 103, 1998).
+    """
     if sonar.absorption_db_per_km is not None:
         return sonar.absorption_db_per_km
     f, temperature, salinity, depth_km = sonar.frequency_khz, 10.0, 35.0, 1e-3 * depth_m

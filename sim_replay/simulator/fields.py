@@ -59,16 +59,21 @@ def periodic_field(
 ) -> FloatArray:
     """Shape white noise by `spectrum`, mean 0 and root mean square 1.
 
-    Args:
-        random: where the noise comes from.
-        period: nodes per side.
-        spacing_m: between nodes.
-        spectrum: power against wavenumber in rad/m; above the grid's limit pi / spacing_m it is cut.
-        splined: gives the coefficients of the cubic B-spline through the field instead of the field, and fades from
-        half the limit.
+    Returns (period, period) float32; the last row continues in the first, and so do columns.
 
-    Returns:
-        (period, period) float32; the last row continues in the first, and so do columns.
+    Parameters
+    ----------
+    random
+        Where the noise comes from.
+    period
+        Nodes per side.
+    spacing_m
+        Between nodes.
+    spectrum
+        Power against wavenumber in rad/m; above the grid's limit pi / spacing_m it is cut.
+    splined
+        Gives the coefficients of the cubic B-spline through the field instead of the field, and fades from half the
+        limit.
     """
     rows = scipy.fft.fftfreq(period, d=1.0 / (2.0 * math.pi))[:, None]
     columns = scipy.fft.rfftfreq(period, d=1.0 / (2.0 * math.pi))[None, :]
@@ -93,13 +98,8 @@ def periodic_field(
 class Noise:
     """Generate a field of mean 0 and root mean square 1 on nodes every `step` cells.
 
-    Args:
-        seed, name: which of all fields.
-        step: cells between nodes.
-        cell_m: size of a cell.
-        spectrum: power against wavenumber in rad/m.
-        periods: of the two summed fields, in nodes, without common divisor.
-        splined: makes the nodes coefficients of the cubic B-spline through the field, for `refine`.
+    Parameters
+    ----------
     """
 
     def __init__(
@@ -125,8 +125,7 @@ class Noise:
     def window(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
         """Return the nodes from (row, column) on; both may be negative.
 
-        Returns:
-            (n_rows, n_columns) float32, the caller's own.
+        Returns (n_rows, n_columns) float32, the caller's own.
         """
         if max(n_rows, n_columns) > self._padding:
             # Fields continued past their ends make every window one plain slice.
@@ -143,8 +142,10 @@ class Noise:
         return out
 
     def on_cells(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
-        """Return the B-spline surface of a splined field on cell nodes from (row, column) on: (n_rows, n_columns)
-        float32."""
+        """Return the B-spline surface of a splined field on cell nodes from (row, column) on.
+
+        (n_rows, n_columns) float32.
+        """
         return refined_window(self.window, self.step, row, column, n_rows, n_columns)
 
 
@@ -158,13 +159,16 @@ def refined_window(
 ) -> FloatArray:
     """Apply `refine` to a window that may start anywhere.
 
-    Args:
-        coefficients: gives those of a window, as `Noise.window` does.
-        factor: nodes of the result per coefficient.
-        row, column, n_rows, n_columns: the window in nodes of the result.
+    Returns (..., n_rows, n_columns) float32.
 
-    Returns:
-        (..., n_rows, n_columns) float32.
+    Parameters
+    ----------
+    coefficients
+        Gives those of a window, as `Noise.window` does.
+    factor
+        Nodes of the result per coefficient.
+    row, column, n_rows, n_columns
+        The window in nodes of the result.
     """
     first_row, first_column = row // factor, column // factor
     skip_row, skip_column = row - first_row * factor, column - first_column * factor
@@ -185,14 +189,17 @@ def _spline_weights(factor: int) -> FloatArray:
 def refine(coefficients: FloatArray, factor: int, n_rows: int, n_columns: int) -> FloatArray:
     """Draw the cubic B-spline surface of `coefficients` (de Boor, "A Practical Guide to Splines") `factor` times finer.
 
-    Args:
-        coefficients: (..., rows, columns) float32.
-        factor: nodes of the result per coefficient.
-        n_rows, n_columns: of the result, at most factor * (rows - 3) and factor * (columns - 3).
+    Returns (..., n_rows, n_columns) float32. Element (0, 0) lies on coefficient (1, 1). A node's value depends on the
+    coefficients around it alone, to the last bit, however the call is cut.
 
-    Returns:
-        (..., n_rows, n_columns) float32. Element (0, 0) lies on coefficient (1, 1). A node's value depends on the
-        coefficients around it alone, to the last bit, however the call is cut.
+    Parameters
+    ----------
+    coefficients
+        (..., rows, columns) float32.
+    factor
+        Nodes of the result per coefficient.
+    n_rows, n_columns
+        Of the result, at most factor * (rows - 3) and factor * (columns - 3).
     """
     weights = _spline_weights(factor)[:, :, None]
     groups = -(-n_columns // factor)

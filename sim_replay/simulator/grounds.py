@@ -21,11 +21,8 @@ _ROUGHENED: Final[Mapping[SeabedType, tuple[float, float]]] = {"rock_outcrop": (
 class Ground:
     """Compute the relief and texture of one cover.
 
-    Args:
-        cover: which.
-        seed, name: of its random fields.
-        cell_m: distance between nodes.
-        step: cells between the coarse nodes of `canopy`.
+    Parameters
+    ----------
     """
 
     def __init__(self, cover: Cover, seed: int, name: str, *, cell_m: float, step: int) -> None:
@@ -56,8 +53,10 @@ class Ground:
             self._texture_law = GammaLaw(cover.texture_shape)
 
     def canopy(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Return the height in m that is smooth at coarse nodes, on those from (row, column) on: (n_rows, n_columns)
-        float32."""
+        """Return the height in m that is smooth at coarse nodes, on those from (row, column) on.
+
+        (n_rows, n_columns) float32.
+        """
         return None if self._canopy is None else self._canopy.heights(row, column, n_rows, n_columns)
 
     def relief(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray:
@@ -74,8 +73,9 @@ class Ground:
         return height
 
     def texture(self, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Compute the factor on backscattered intensity, mean 1, on the cells' nodes from (row, column) on: (n_rows,
-        n_columns) float32; none if it is 1 everywhere.
+        """Compute the factor on backscattered intensity, mean 1, on the cells' nodes from (row, column) on.
+
+        (n_rows, n_columns) float32; none if it is 1 everywhere.
         """
         if self._texture is None:
             return None

@@ -43,12 +43,8 @@ def _rms_below(patch_m: float, longest_m: float) -> float:
 class Partition:
     """Compute the fields of all kinds on nodes every `step` cells.
 
-    Args:
-        shares: of the area, relative to each other.
-        patch_m: size of the patches.
-        seed: of the scene.
-        step: cells between nodes.
-        cell_m: size of a cell.
+    Parameters
+    ----------
     """
 
     def __init__(self, shares: tuple[float, ...], patch_m: float, *, seed: int, step: int, cell_m: float) -> None:
@@ -118,11 +114,12 @@ class Partition:
     def weights(self, fields: FloatArray) -> FloatArray:
         """Return each kind's weight at nodes: 1 and 0 but at boundaries, where it changes within about a node.
 
-        Args:
-            fields: (kinds, rows, columns) as from `fields`.
+        Returns The same shape, float32; the sum over kinds is 1.
 
-        Returns:
-            The same shape, float32; the sum over kinds is 1.
+        Parameters
+        ----------
+        fields
+            (kinds, rows, columns) as from `fields`.
         """
         first = fields.max(axis=0)
         second = np.where(fields == first, -np.inf, fields).max(axis=0)
@@ -135,8 +132,10 @@ class Partition:
         return weights
 
     def fringe(self, kind: int, row: int, column: int, n_rows: int, n_columns: int) -> FloatArray | None:
-        """Compute the factor on the weight of a kind that frays its boundaries below the nodes' spacing, on cells from
-        (row, column) on; none if nodes are cells. (n_rows, n_columns) float32.
+        """Compute the factor on the weight of a kind that frays its boundaries.
+
+        It works below the nodes' spacing, on cells from (row, column) on; none if nodes are cells. (n_rows, n_columns)
+        float32.
         """
         if self._fringes is None:
             return None

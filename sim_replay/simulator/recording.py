@@ -52,7 +52,14 @@ def record(
 ) -> list[EchoTrace]:
     """Convert intensity (n_rows, n_bins) times gain (n_bins,) to samples; the unit is the mean echo of the plain floor.
 
-    The first n_ringing bins clip. recorder: complete. bin_m: slant range per bin that the recorder believes in.
+    The first n_ringing bins clip.
+
+    Parameters
+    ----------
+    recorder
+        Complete.
+    bin_m
+        Slant range per bin that the recorder believes in.
     """
     counts, full = recorder.seabed_counts or 0.0, float(recorder.full_scale or 0)
     stored = intensity * gain.astype(np.float32)

@@ -83,9 +83,14 @@ def render_pings(
 ) -> Rendered:
     """Render energy per slant-range bin of every ping.
 
-    tables: (n_materials, 4096) float32 of sigma over the sine of grazing, those of the sea floor first. beam: (4096,)
-    float32, the two-way power pattern over the sine of the angle off the axis from -1 to 1. Every cell that the rays
-    cross must be in `patches`.
+    Every cell that the rays cross must be in `patches`.
+
+    Parameters
+    ----------
+    tables
+        (n_materials, 4096) float32 of sigma over the sine of grazing, those of the sea floor first.
+    beam
+        (4096,) float32, the two-way power pattern over the sine of the angle off the axis from -1 to 1.
     """
     library = backend.library()
     if library is None:

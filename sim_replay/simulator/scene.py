@@ -103,8 +103,10 @@ class World(_Section, frozen=True, kw_only=True):
 
 
 class SceneObject(_Section, frozen=True, kw_only=True):
-    """Describe something on or above the sea floor, at east_m and north_m, or at latitude_deg and longitude_deg, or at
-    along_m on the planned leg `leg` and across_m to starboard of it.
+    """Describe something on or above the sea floor.
+
+    It lies at east_m and north_m, or at latitude_deg and longitude_deg, or at along_m on the planned leg `leg` and
+    across_m to starboard of it.
 
     Sizes left out are usual ones of the kind. cylinder, pipe: length, width = diameter. sphere: width = diameter.
     truncated_cone: width = base diameter, top_m = top diameter, height. wedge, box, rock, debris: length, width,
@@ -140,8 +142,9 @@ class SceneObject(_Section, frozen=True, kw_only=True):
 
 
 class Scatter(_Section, frozen=True, kw_only=True):
-    """Scatter `count` objects of one kind put at random on the floor that the planned legs sweep, apart_m from each
-    other and everything else.
+    """Scatter `count` objects of one kind at random on the floor that the planned legs sweep.
+
+    They lie apart_m from each other and everything else.
 
     Ranges are [lowest, highest], drawn evenly; sizes by a power law with exponent -2.5 if `natural_sizes`.
     ground_range_m is of the leg that passes closest. Sizes left out are usual ones of the kind.
@@ -163,8 +166,10 @@ class Scatter(_Section, frozen=True, kw_only=True):
 
 
 class TimeVariedGain(_Section, frozen=True, kw_only=True):
-    """Set what the recorder compensates: spreading_db * log10(range) and absorption. Left out, absorption is the
-    water's own; 30 dB and the water's own level out a floor that scatters alike at all angles.
+    """Set what the recorder compensates: spreading_db * log10(range) and absorption.
+
+    Left out, absorption is the water's own; 30 dB and the water's own level out a floor that scatters alike at all
+    angles.
     """
 
     spreading_db: Annotated[float, Meta(ge=0.0, le=60.0)] = 30.0
@@ -172,9 +177,10 @@ class TimeVariedGain(_Section, frozen=True, kw_only=True):
 
 
 class SampleRecorder(_Section, frozen=True, kw_only=True):
-    """Set how echoes become stored numbers. A flat floor of the scene's first type is stored as `seabed_counts` (root
-    mean square) midway between its first return and range_m; for logarithms that is the count of its mean intensity.
-    Above `full_scale` it clips.
+    """Set how echoes become stored numbers.
+
+    A flat floor of the scene's first type is stored as `seabed_counts` (root mean square) midway between its first
+    return and range_m; for logarithms that is the count of its mean intensity. Above `full_scale` it clips.
     """
 
     samples: Literal["amplitude_uint8", "amplitude_uint16", "amplitude_float32", "log_uint8", "log_uint16"] = (
@@ -266,9 +272,11 @@ class Waypoints(_Section, frozen=True, kw_only=True, tag_field="pattern", tag="w
 
 
 class Motion(_Section, frozen=True, kw_only=True):
-    """Set the vehicle's true motion. Angles wander with the standard deviations given, over `attitude_period_s`. The
-    current pushes it towards `current_towards_deg`, so it crabs. Altitude is held behind by `altitude_lag_s`, with an
-    error that wanders by `altitude_sigma_m`.
+    """Set the vehicle's true motion.
+
+    Angles wander with the standard deviations given, over `attitude_period_s`. The current pushes it towards
+    `current_towards_deg`, so it crabs. Altitude is held behind by `altitude_lag_s`, with an error that wanders by
+    `altitude_sigma_m`.
     """
 
     roll_sigma_deg: Annotated[float, Meta(ge=0.0, le=20.0)] = 1.0
@@ -311,9 +319,10 @@ class Track(_Section, frozen=True, kw_only=True):
 
 
 class NavigationError(_Section, frozen=True, kw_only=True):
-    """Set the error of the reported navigation. Position: a slowly wandering error of
-    `position_sigma_m` plus a drift of `drift_percent` of the way. Biases are drawn once per mission with the standard
-    deviations given.
+    """Set the error of the reported navigation.
+
+    Position: a slowly wandering error of `position_sigma_m` plus a drift of `drift_percent` of the way. Biases are
+    drawn once per mission with the standard deviations given.
     """
 
     position_sigma_m: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.4
@@ -338,10 +347,11 @@ EXACT: Final = NavigationError(
 
 
 class Fault(_Section, frozen=True, kw_only=True):
-    """Inject a fault: something goes wrong for `n_pings` from ping `at_ping`: every other ping is lost, that one first
-    (drop), all are (gap), the gain changes by gain_db (gain_step), one side repeats its last samples (stuck_channel) or
-    is missing (dead_channel), navigation stays away (navigation_loss). clock_step: clocks jump by step_s and stay
-    there, whatever n_pings.
+    """Inject a fault for `n_pings` from ping `at_ping`.
+
+    Every other ping is lost, that one first (drop), all are (gap), the gain changes by gain_db (gain_step), one side
+    repeats its last samples (stuck_channel) or is missing (dead_channel), navigation stays away (navigation_loss).
+    clock_step: clocks jump by step_s and stay there, whatever n_pings.
     """
 
     kind: Literal["drop", "gap", "gain_step", "stuck_channel", "dead_channel", "clock_step", "navigation_loss"]

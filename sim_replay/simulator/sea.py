@@ -101,8 +101,10 @@ class Sea:
         return intensity
 
     def energy(self, fan: rays.Fan, n_rows: int, bin_m: float) -> Floats:
-        """Return the energy that rays bring back from floor and bodies, (n_rows, n_samples), before spreading and
-        absorption."""
+        """Return the energy that rays bring back from floor and bodies, (n_rows, n_samples).
+
+        Spreading and absorption are not in it.
+        """
         cell_m, n_bins = self.world.cell_m, self.sonar.n_samples
         needed, first_row, first_column = rays.crossed(fan, cell_m)
         patches = self.world.patches(needed, first_row, first_column)
@@ -137,8 +139,9 @@ class Sea:
     def sound(
         self, poses: Sequence[SonarPose], first_number: int, altitudes_m: Sequence[float] | None = None
     ) -> list[Ping]:
-        """Yield pings numbered from `first_number`, one per pose. altitudes_m: by the sonar's altimeter, unknown if
-        omitted.
+        """Yield pings numbered from `first_number`, one per pose.
+
+        altitudes_m: by the sonar's altimeter, unknown if omitted.
 
         Raises UsageError where the floor leaves the sonar no water to be in.
         """
@@ -163,8 +166,10 @@ class Sea:
         first_number: int,
         altitudes_m: Sequence[float] | None = None,
     ) -> list[Ping]:
-        """Record pings of received intensity, (n_poses, 2, n_samples) in units of `reference`; the rest as in
-        `sound`."""
+        """Record pings of received intensity, (n_poses, 2, n_samples) in units of `reference`.
+
+        The rest as in `sound`.
+        """
         sonar = self.sonar
         reported_mps = sonar.sound_speed_mps + self.scene.navigation_error.sound_speed_bias_mps
         reported_bin_m = sonar.range_m / sonar.n_samples * reported_mps / sonar.sound_speed_mps

@@ -92,10 +92,22 @@ def normal_table() -> Float32s:
 def speckle_rows(energy: NDArray[np.float64], keys: Keys, taps: Float32s = WHITE) -> Float32s:
     """Return speckled intensity of side-scan rows, its mean over `keys.shape[0]` looks.
 
-    energy: (n_rows, n_columns) float64, mean intensity per bin, from 0 to MAX_ENERGY; beyond either end the last bin's
-    value goes on. keys: (n_looks, n_rows) uint64 from row_keys. taps: (n_taps,) float32, n_taps odd and at most
-    MAX_TAPS, the sum of squares 1, as gaussian_taps makes them. Returns (n_rows, n_columns) float32. Raises ValueError
-    if any of this does not hold.
+    Returns (n_rows, n_columns) float32.
+
+    Parameters
+    ----------
+    energy
+        (n_rows, n_columns) float64, mean intensity per bin, from 0 to MAX_ENERGY; beyond either end the last bin's
+        value goes on.
+    keys
+        (n_looks, n_rows) uint64 from row_keys.
+    taps
+        (n_taps,) float32, n_taps odd and at most MAX_TAPS, the sum of squares 1, as gaussian_taps makes them.
+
+    Raises
+    ------
+    ValueError
+        If any of this does not hold.
     """
     energy = np.ascontiguousarray(energy, dtype=np.float64)
     keys = np.ascontiguousarray(keys)
@@ -170,8 +182,9 @@ def band_limited_rows(
     column_taps: Float32s,
     amplitude: Float32s | None = None,
 ) -> NDArray[np.complex64]:
-    """Draw a white field filtered along both axes; low_pass_taps give that of a synthetic-aperture image, gaussian_taps
-    that of a real beam.
+    """Draw a white field filtered along both axes.
+
+    low_pass_taps give that of a synthetic-aperture image, gaussian_taps that of a real beam.
 
     row_taps mix neighbouring rows (along-track), column_taps neighbouring columns (range); each as in speckle_rows, [1]
     for none. Rows and columns outside the block are drawn as well, so that blocks of any size join exactly.
@@ -213,8 +226,7 @@ def gaussian_taps(width: float) -> Float32s:
 
 
 def low_pass_taps(resolution: float) -> Float32s:
-    """Return a low-pass filter (Hann-windowed sinc) of a complex image with this resolution, samples per resolution
-    cell.
+    """Design a low-pass filter (Hann-windowed sinc) of a complex image. resolution: samples per resolution cell.
 
     The band is 1 / resolution wide: down by 3 dB at +-1 / (2 resolution) cycles per sample. From a resolution of one
     sample down the band fills the spectrum and the samples are independent. Returns (n_taps,) float32, sum of squares

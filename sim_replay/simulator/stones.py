@@ -67,14 +67,16 @@ class Stones:
         return self.reach_m > 0.0
 
     def within(self, east_min: float, east_max: float, north_min: float, north_max: float, label_at: LabelAt) -> Array:
-        """Return stones whose middles lie in an area (m, lower bounds included), in an order that is the same for
-        every area.
+        """Return stones whose middles lie in an area (m, lower bounds included).
 
-        Args:
-            label_at: gives the kind of sea floor at places (east, north).
+        Their order is the same for every area.
 
-        Returns:
-            (n, 6) float64: east, north, length, width, height above the floor (m), azimuth of the length (rad).
+        Returns (n, 6) float64: east, north, length, width, height above the floor (m), azimuth of the length (rad).
+
+        Parameters
+        ----------
+        label_at
+            Gives the kind of sea floor at places (east, north).
         """
         # As a square's stones are drawn for the stoniest kind, others keep their part of them.
         rows = np.arange(math.floor(north_min / _SQUARE_M), math.floor(north_max / _SQUARE_M) + 1)
@@ -112,11 +114,16 @@ class Stones:
 def raise_stones(layer: FloatArray, stones: Array, first_row: int, first_column: int, cell_m: float) -> None:
     """Raise half-buried irregular ellipsoids out of a layer of heights; where stones overlap, the higher counts.
 
-    Args:
-        layer: (rows, columns) float32 heights in m, changed in place; its element (0, 0) is node (first_row,
-        first_column). stones: (n, 6) as `Stones.within` gives them.
-        first_row, first_column: of the layer.
-        cell_m: distance between nodes.
+    Parameters
+    ----------
+    layer
+        (rows, columns) float32 heights in m, changed in place; its element (0, 0) is node (first_row, first_column).
+    stones
+        (n, 6) as `Stones.within` gives them.
+    first_row, first_column
+        Of the layer.
+    cell_m
+        Distance between nodes.
     """
     half = np.ceil(0.5 * _OUTLINE_RADII * stones[:, LENGTH] / cell_m).astype(np.int64) + 1
     # Stones of about one size are drawn together: the sizes' power law makes nearly all of them small.

@@ -81,8 +81,10 @@ class TruthLog:
         )
 
     def swept(self) -> tuple[Codes, Codes, NDArray[np.uint8]]:
-        """Return rows and columns of swept cells, counted north and east from the origin, and the kind of floor
-        there."""
+        """Return rows and columns of swept cells, and the kind of floor there.
+
+        Both count north and east from the origin.
+        """
         if not self._cells:
             return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint8)
         codes, first = np.unique(np.concatenate(self._cells), return_index=True)

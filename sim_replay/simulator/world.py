@@ -54,10 +54,8 @@ class Patches(NamedTuple):
 class SimulatedFloor:
     """Compute the sea floor of a scene.
 
-    Args:
-        world: what it is like.
-        seed: of the scene.
-        max_patches: kept in memory, 0.6 MB each. A request for more than that makes the pool larger.
+    Parameters
+    ----------
     """
 
     def __init__(self, world: scene.World, seed: int, *, max_patches: int = 384) -> None:
@@ -103,8 +101,9 @@ class SimulatedFloor:
         self._seabed = np.empty((n_slots, NODES, NODES), dtype=np.uint8)
 
     def patches(self, needed: NDArray[np.bool_], first_patch_row: int, first_patch_column: int) -> Patches:
-        """Compute each patch that is True in `needed`, (n_patch_rows, n_patch_columns); the first is (first_patch_row,
-        first_patch_column).
+        """Compute each patch that is True in `needed`, (n_patch_rows, n_patch_columns).
+
+        The first is (first_patch_row, first_patch_column).
         """
         wanted = [(first_patch_row + row, first_patch_column + column) for row, column in np.argwhere(needed).tolist()]
         if len(wanted) > len(self._elevation):
@@ -183,8 +182,8 @@ class SimulatedFloor:
     def stones(self, east_min: float, east_max: float, north_min: float, north_max: float) -> NDArray[np.float64]:
         """Return stones whose middles lie in an area (m, lower bounds included).
 
-        Returns:
-            (n, 6) float64: east, north, length, width, height above the floor around (m), azimuth of the length (rad).
+        Returns (n, 6) float64: east, north, length, width, height above the floor around (m), azimuth of the length
+        (rad).
         """
         size_m = PATCH * self.cell_m
         found = [np.empty((0, 6))]

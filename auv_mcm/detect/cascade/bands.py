@@ -84,7 +84,15 @@ def band_edges(
 
 
 def bands_at(edges: NDArray[np.int32], rows: NDArray[np.integer], columns: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Find the band of each pixel, (n,) int32. edges: of band_edges. rows, columns: (n,) int."""
+    """Find the band of each pixel, (n,) int32.
+
+    Parameters
+    ----------
+    edges
+        Of band_edges.
+    rows, columns
+        (n,) int.
+    """
     return np.asarray((edges[rows, 1:-1] <= columns[:, np.newaxis]).sum(axis=1), dtype=np.int32)
 
 

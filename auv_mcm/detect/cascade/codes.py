@@ -100,8 +100,13 @@ def box_sums(
 ) -> NDArray[np.int32]:
     """Sum codes over boxes around pixels, int32.
 
-    rows, columns: (...) int. boxes_px: (..., 4) of bands.pixel_boxes, broadcast against them; e.g. rows[:, None] and
-    pixel_boxes(...)[bands] give (n_windows, n_boxes).
+    Parameters
+    ----------
+    rows, columns
+        (...) int.
+    boxes_px
+        (..., 4) of bands.pixel_boxes, broadcast against them; e.g. rows[:, None] and pixel_boxes(...)[bands] give
+        (n_windows, n_boxes).
     """
     return _box_sums(plane.sums, rows + plane.margin_rows, columns + plane.margin_near, boxes_px).view(np.int32)
 

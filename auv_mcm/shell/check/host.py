@@ -33,8 +33,16 @@ class Discipline(NamedTuple):
 def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, unit_gives_utc: bool) -> Finding:
     """Judge the system's clock.
 
-    utc_s: what it shows. discipline: what the kernel reports of it, None if that is not known. package: folder of files
-    that cannot be from the future. unit_gives_utc: a navigation unit gives UTC, so that times are not this computer's.
+    Parameters
+    ----------
+    utc_s
+        What it shows.
+    discipline
+        What the kernel reports of it, None if that is not known.
+    package
+        Folder of files that cannot be from the future.
+    unit_gives_utc
+        A navigation unit gives UTC, so that times are not this computer's.
     """
     shown = (
         datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -12,8 +12,10 @@ from auv_mcm.shell.registry import PLUGIN_LOADERS, load
 
 
 def plugin_findings() -> Iterator[Finding]:
-    """Import every plug-in that is installed, and list it; one that cannot be used is a warning, for it may not be
-    needed."""
+    """Import every plug-in that is installed, and list it.
+
+    One that cannot be used is a warning, for it may not be needed.
+    """
     plugins = find_plugins()
     if not plugins:
         yield Finding("plug-ins", "ok", "none installed")

@@ -156,8 +156,10 @@ def measure_settings(
 
 
 def run_once(point: ChainSetting, line: BenchMission, folder: Path, threads: int = 1) -> dict[str, Any]:
-    """Run one point on one mission in a process of its own; its costs and counts, and process_s, its user and system
-    time."""
+    """Run one point on one mission in a process of its own.
+
+    Its costs and counts, and process_s, its user and system time.
+    """
     contacts = contacts_path(point, line, folder)
     if point.is_plain_script:
         script = Path(__file__).with_name("plain_script.py")

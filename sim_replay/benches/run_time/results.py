@@ -67,8 +67,9 @@ def point_rows(results: RunTimeResults) -> list[list[str]]:
 
 
 def reason_words(results: RunTimeResults) -> str:
-    """Explain why the default is the default, and which points did better in this run in time without being worse in
-    error.
+    """Explain why the default is the default.
+
+    Names which points did better in this run in time without being worse in error.
     """
     default = results.point(DEFAULT)
     if default is None or not default.pd:
@@ -100,8 +101,10 @@ def on_front(results: RunTimeResults) -> set[str]:
 
 
 def read_results(path: Path) -> RunTimeResults:
-    """Read an older run. Raises UsageError for a file that cannot be read, BadInputError for one that is no such
-    run."""
+    """Read an older run.
+
+    Raises UsageError for a file that cannot be read, BadInputError for one that is no such run.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -48,8 +48,10 @@ class CostTarget(msgspec.Struct, frozen=True, kw_only=True):
 def cost_targets(
     chain: SettingResult, plain: SettingResult, lines: Sequence[BenchMission], long: MissionCost | None
 ) -> list[CostTarget]:
-    """Compute every figure from the default operating point and the plain script over the same missions; long: of
-    LONG_S, for memory."""
+    """Compute every figure from the default operating point and the plain script over the same missions.
+
+    Long: of LONG_S, for memory.
+    """
     runs = chain.runs
 
     def named(kind: MissionKind, *groups: str) -> list[str]:

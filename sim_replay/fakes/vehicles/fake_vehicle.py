@@ -60,8 +60,9 @@ class FakeController(Protocol[W]):
         ...
 
     def tick(self, pose: NavSample, arrived: bool, now_s: float) -> list[W]:
-        """Return messages due when the vehicle is at `pose` (time_s: UTC; speed over ground); called ten times a
-        second.
+        """Return messages due when the vehicle is at `pose` (time_s: UTC.
+
+        Speed over ground); called ten times a second.
 
         arrived: at the place of `command`.
         """

@@ -51,8 +51,9 @@ _CPU_USAGE: Final = ImcPacket(7, b"\x21", ADDRESS)  # of the many messages that 
 
 
 class FakeImc:
-    """Simulate IMC as `FakeController[bytes]`. counters, besides the protocol's: vehicle.targets (Target messages
-    taken).
+    """Simulate IMC as `FakeController[bytes]`.
+
+    counters, besides the protocol's: vehicle.targets (Target messages taken).
     """
 
     def __init__(self) -> None:

@@ -61,11 +61,23 @@ class Split(NamedTuple):
 def gentle_stumps(
     bins: Bins, is_target: NDArray[np.bool_], n_rounds: int, asymmetry: float, rng: np.random.Generator
 ) -> Iterator[BoostedStump]:
-    """Yield up to `n_rounds` stumps of GentleBoost, each leaf the weighted mean of the labels +-1 in it; fewer if no
-    feature splits the samples.
+    """Yield up to `n_rounds` stumps of GentleBoost, each leaf the weighted mean of the labels +-1 in it.
 
-    bins: (n_features, n_samples) uint8. is_target: (n_samples,) bool. asymmetry: what a miss costs, in false alarms.
-    Raises ValueError if either class is empty.
+    Fewer if no feature splits the samples.
+
+    Parameters
+    ----------
+    bins
+        (n_features, n_samples) uint8.
+    is_target
+        (n_samples,) bool.
+    asymmetry
+        What a miss costs, in false alarms.
+
+    Raises
+    ------
+    ValueError
+        If either class is empty.
     """
     return _stumps(bins, is_target, n_rounds, asymmetry, rng, gentle_split)
 
@@ -80,9 +92,13 @@ def ada_stumps(
 def gentle_split(target: Weights, other: Weights) -> Split | None:
     """Find the split with the minimum weighted squared error of the labels, or None if no feature splits the samples.
 
-    target, other: (n_features, 256) weight of either class in each bin. Equal splits: the lowest feature, then the
-    lowest bin, wins. The gain of a side is S**2 / (W + r) with S the sum of weight times label, W the sum of weight, r
-    the ridge; its leaf S / (W + r).
+    Equal splits: the lowest feature, then the lowest bin, wins. The gain of a side is S**2 / (W + r) with S the sum of
+    weight times label, W the sum of weight, r the ridge; its leaf S / (W + r).
+
+    Parameters
+    ----------
+    target, other
+        (n_features, 256) weight of either class in each bin.
     """
     signed, weight = _below(target - other), _below(target + other)
     total_signed, total = signed[:, -1:], weight[:, -1:]

@@ -35,8 +35,10 @@ _MIN_SHARE: Final = 0.6  # of a window that must be valid, as where a cascade ru
 
 
 class Bags(NamedTuple):
-    """Hold windows of a tile's targets. targets: whose core rows hold them and of which there is any window. bag: (n,)
-    intp, its number among `targets`, ascending; rows, columns: (n,) intp.
+    """Hold windows of a tile's targets.
+
+    targets: whose core rows hold them and of which there is any window. bag: (n,) intp, its number among `targets`,
+    ascending; rows, columns: (n,) intp.
     """
 
     targets: tuple[TileObject, ...]
@@ -150,8 +152,10 @@ def merit_of(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.int64
 
 
 def well_apart(tile: LabelledTile, found: CascadeResult, n_max: int) -> NDArray[np.intp]:
-    """Return indices of up to `n_max` windows that passed a cascade, best first, none within a metre of a better
-    one."""
+    """Return indices of up to `n_max` windows that passed a cascade, best first.
+
+    None lies within a metre of a better one.
+    """
     half_rows, half_columns = _APART_M / tile.row_spacing_m, _APART_M / tile.column_spacing_m
     return spaced_apart(found.rows, found.columns, found.scores, half_rows, half_columns, n_max)
 

@@ -40,8 +40,9 @@ _SOURCES: Final = frozenset({".py", ".c", ".json", ".yaml"})
 
 
 class Farm(NamedTuple):
-    """Choose where tasks run: in `workers` processes of this computer, in this very one if 1; or on the cluster of a
-    dask `scheduler`.
+    """Choose where tasks run: in `workers` processes of this computer, in this very one if 1.
+
+    Or on the cluster of a dask `scheduler`.
     """
 
     workers: int = 1

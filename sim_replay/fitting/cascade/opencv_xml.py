@@ -24,8 +24,9 @@ from auv_mcm.detect.cascade.model import CascadeModel, Stump
 
 
 class OpenCvCascade(NamedTuple):
-    """Hold xml for cv2.CascadeClassifier. A window has n_rows times n_columns pixels and is centred on (centre_row,
-    centre_column) in it.
+    """Hold xml for cv2.CascadeClassifier.
+
+    A window has n_rows times n_columns pixels and is centred on (centre_row, centre_column) in it.
     """
 
     xml: str

@@ -157,8 +157,9 @@ def _column(
 
 
 def near_side_m(target: PlacedTarget, look_rad: float) -> float:
-    """Return how far the side turned to the sonar stands before the object's middle; 0 for groups and where sizes are
-    not known.
+    """Return how far the side turned to the sonar stands before the object's middle.
+
+    0 for groups and where sizes are not known.
     """
     half_length, half_width = 0.5 * target.length_m, 0.5 * target.width_m
     if target.kind in _WIDESPREAD or not (half_length > 0.0 and half_width > 0.0):

@@ -66,8 +66,12 @@ def feature_pool() -> Pool:
 def pool_box_means(
     plane: CodePlane, boxes: Sequence[FeatureBox], rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> NDArray[np.float32]:
-    """Return (n_boxes, n_windows) float32 mean code of every box around the given pixels of a plane; rows, columns:
-    (n_windows,) intp.
+    """Return (n_boxes, n_windows) float32 mean code of every box around the given pixels of a plane.
+
+    Parameters
+    ----------
+    rows, columns
+        (n_windows,) intp.
     """
     by_band = pixel_boxes(boxes, plane.row_spacing_m, plane.column_spacing_m)
     area = areas(by_band).astype(np.float32)
@@ -119,8 +123,10 @@ def bin_edges(pool: Pool, means: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def quantise(pool: Pool, edges: NDArray[np.float32], means: NDArray[np.float32]) -> Bins:
-    """Quantise features to (n_features, n_windows) uint8: a value is below edge k if and only if its bin is k or
-    less."""
+    """Quantise features to (n_features, n_windows) uint8.
+
+    A value is below edge k if and only if its bin is k or less.
+    """
     bins = np.empty((len(pool.features), means.shape[1]), dtype=np.uint8)
     for start in range(0, means.shape[1], _CHUNK):
         windows = slice(start, start + _CHUNK)

@@ -18,8 +18,13 @@ from numpy.typing import NDArray
 def best_windows(merit: NDArray[Any], bag: NDArray[np.intp]) -> NDArray[np.intp]:
     """Find the window with the highest merit of each bag, (n_bags,), the first of equal ones, by ascending bag.
 
-    merit: (n_windows,) of numbers, e.g. the final score. bag: (n_windows,) intp, the target a window belongs to; every
-    window of a target centres on it, as near as its highlight is known.
+    Parameters
+    ----------
+    merit
+        (n_windows,) of numbers, e.g. the final score.
+    bag
+        (n_windows,) intp, the target a window belongs to; every window of a target centres on it, as near as its
+        highlight is known.
     """
     order = np.lexsort((np.arange(bag.size), -merit.astype(np.float64), bag))
     first = np.ones(order.size, dtype=np.bool_)
@@ -30,12 +35,20 @@ def best_windows(merit: NDArray[Any], bag: NDArray[np.intp]) -> NDArray[np.intp]
 def reject_thresholds(trace: NDArray[np.int32], bag: NDArray[np.intp], detection: float) -> tuple[int, ...]:
     """Score below which windows are dropped after each group, n_groups numbers.
 
-    trace: (n_windows, n_groups) int32, the score of each window of each target after every group. detection: share of
-    the targets, 0..1 exclusive of 0, to keep. The last threshold is the lowest best score of the targets kept; the
-    others are the lowest score after that group of their best windows. So every target kept passes with its best
-    window, and with no score changed.
+    The last threshold is the lowest best score of the targets kept; the others are the lowest score after that group of
+    their best windows. So every target kept passes with its best window, and with no score changed.
 
-    Raises ValueError if there is no window or `detection` is out of range.
+    Parameters
+    ----------
+    trace
+        (n_windows, n_groups) int32, the score of each window of each target after every group.
+    detection
+        Share of the targets, 0..1 exclusive of 0, to keep.
+
+    Raises
+    ------
+    ValueError
+        If there is no window or `detection` is out of range.
     """
     if not len(trace) or not 0.0 < detection <= 1.0:
         raise ValueError(

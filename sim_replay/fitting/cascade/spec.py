@@ -59,8 +59,9 @@ class Seeds(_Section, frozen=True, kw_only=True):
 
 
 class Kind(_Section, frozen=True, kw_only=True):
-    """Set how many of the targets are of a kind, in proportion to the other shares, and how large they are; what is
-    left out is the scene's.
+    """Set how many of the targets are of a kind, in proportion to the other shares, and how large they are.
+
+    What is left out is the scene's.
     """
 
     share: Annotated[float, Meta(gt=0.0, le=1000.0)] = 1.0
@@ -95,8 +96,9 @@ class Rocks(_Section, frozen=True, kw_only=True):
 
 
 class SonarVariant(_Section, frozen=True, kw_only=True):
-    """Describe a sonar and the grid of the picture; what is left out is the scene's, and the default configuration's
-    for the grid.
+    """Describe a sonar and the grid of the picture.
+
+    What is left out is the scene's, and the default configuration's for the grid.
     """
 
     frequency_khz: float | None = None
@@ -110,8 +112,9 @@ class SonarVariant(_Section, frozen=True, kw_only=True):
 
 
 class AugmentedLog(_Section, frozen=True, kw_only=True):
-    """Name a folder that `auv-mcm augment` wrote, from the spec's own folder on, and which split its sea floor belongs
-    to.
+    """Name a folder that `auv-mcm augment` wrote, and which split its sea floor belongs to.
+
+    The path begins at the spec's own folder.
     """
 
     folder: str

@@ -37,10 +37,21 @@ def train_model(
 ) -> None:
     """Train a cascade and write it to `out`, JSON.
 
-    spec: YAML file of what to render, the set that ships if None. tiles: folder that keeps the rendered tiles; those
-    that it holds of the same spec are used as they are. n_stumps: of a soft cascade. say: takes lines on progress.
+    Parameters
+    ----------
+    spec
+        YAML file of what to render, the set that ships if None.
+    tiles
+        Folder that keeps the rendered tiles; those that it holds of the same spec are used as they are.
+    n_stumps
+        Of a soft cascade.
+    say
+        Takes lines on progress.
 
-    Raises UsageError for an `out` that cannot be written, before any work, and for a spec that cannot be read.
+    Raises
+    ------
+    UsageError
+        For an `out` that cannot be written, before any work, and for a spec that cannot be read.
     """
     if not out.parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}. Make it first")

@@ -92,8 +92,17 @@ class _Lesson(NamedTuple):
 def train(folder: Path, kind: Kind, farm: Farm, progress: Progress, n_stumps: int = N_STUMPS) -> CascadeModel:
     """Train on the "train" shards of a folder, settle thresholds and calibration on its "validate" shards.
 
-    progress: takes lines about progress. n_stumps: of a soft cascade, at most; stages have as many as they need.
-    Raises BadInputError for a folder that holds no training set, UsageError for one that lacks targets.
+    Parameters
+    ----------
+    progress
+        Takes lines about progress.
+    n_stumps
+        Of a soft cascade, at most; stages have as many as they need.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that holds no training set, UsageError for one that lacks targets.
     """
     tiles = _Tiles(folder, read_manifest(folder), farm)
     splits: tuple[Split, Split] = ("train", "validate")

@@ -46,8 +46,9 @@ class GrownTree(NamedTuple):
 
 
 def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Array, n_trees: int) -> list[GrownTree]:
-    """Grow trees on features `values` (n, k) that add up to the correction of the log-odds `start` (n,). weight: (n,),
-    how many each example stands for.
+    """Grow trees on features `values` (n, k) that add up to the correction of the log-odds `start` (n,).
+
+    weight: (n,), how many each example stands for.
 
     The same examples in the same order give the same trees.
     """

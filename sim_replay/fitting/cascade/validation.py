@@ -32,8 +32,9 @@ class Inspection(NamedTuple):
 
 
 class ValidationSighting(NamedTuple):
-    """Hold a target of a validation shard: its sea floor and ground range, and (n_groups,) int32 scores of its best
-    window.
+    """Hold a target of a validation shard.
+
+    Its sea floor and ground range, and (n_groups,) int32 scores of its best window.
     """
 
     seabed: str
@@ -97,8 +98,9 @@ def passes(model: CascadeModel, scores: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def expected_pd(model: CascadeModel, seen: Sequence[ValidationSighting]) -> tuple[ExpectedPd, ...]:
-    """Return the share of the targets of each sea floor and band of ground range that pass; bands without targets are
-    left out.
+    """Return the share of the targets of each sea floor and band of ground range that pass.
+
+    Bands without targets are left out.
     """
     cells: dict[tuple[str, int], list[bool]] = defaultdict(list)
     if not seen:

@@ -38,8 +38,9 @@ def fly_scene(flight: Flight) -> list[CellPass]:
 def fly_all(
     seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]
 ) -> list[list[CellPass]]:
-    """Return looks by mission, `flights` of each seed, in that order. progress: called with missions done and all there
-    are.
+    """Return looks by mission, `flights` of each seed, in that order.
+
+    progress: called with missions done and all there are.
     """
     tasks = [Flight(seed, number) for seed in seeds for number in range(flights)]
     return list(run_tasks(fly_scene, tasks, farm, lambda done: progress(done, len(tasks))))

@@ -264,8 +264,9 @@ def with_correlations(performance: Performance, seen: Outcomes) -> Performance:
 
 
 def pairs(seen: Outcomes) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
-    """Return indices of earlier and later looks at one target: from within 15 degrees of each other, and from
-    elsewhere.
+    """Return indices of earlier and later looks at one target.
+
+    From within 15 degrees of each other, and from elsewhere.
     """
     of_target: dict[tuple[int, int], list[int]] = defaultdict(list)
     for index in np.argsort(seen.time_s, kind="stable").tolist():

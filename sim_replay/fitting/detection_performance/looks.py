@@ -103,8 +103,10 @@ def looks_of(scene: Scene) -> list[CellPass]:
 
 
 def seen_parts(at_m: NDArray[np.float64], patches: Sequence[CoveragePatch], frame: LocalFrame) -> list[list[Part]]:
-    """Return, per place (n, 2) east and north in `frame`, each patch's view of the cell it lies in, in order of
-    time."""
+    """List each patch's view of the cell that a place lies in, in order of time.
+
+    One list per place (n, 2) east and north in `frame`.
+    """
     found: list[list[Part]] = [[] for _ in at_m]
     latitude, longitude, height = frame.to_geodetic(np.column_stack([at_m, np.zeros(len(at_m))]))
     for patch in sorted(patches, key=lambda patch: patch.start_s):

@@ -49,8 +49,10 @@ _SPHERE_M: Final = (0.6, 1.0)  # m of diameter, from and to
 
 
 def target_scene(seed: int, flight: int = 0) -> Scene:
-    """Build a scene with all kinds of sea floor in patches and targets everywhere. flight: each has a world of its
-    own."""
+    """Build a scene with all kinds of sea floor in patches and targets everywhere.
+
+    flight: each has a world of its own.
+    """
     sequence = np.random.SeedSequence([seed, flight, _STREAM])
     rng = np.random.Generator(np.random.PCG64(sequence))
     range_m = float(rng.choice([40.0, 50.0, 60.0, 75.0]))

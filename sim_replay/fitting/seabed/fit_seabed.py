@@ -29,8 +29,9 @@ _MIN_SHARE: Final = 0.01  # of all cells that each kind must be
 
 
 def fit_seabed_model(samples: SeabedSamples, fitted_on: str) -> SeabedModel:
-    """Fit the model to samples, in which all kinds weigh the same. Raises BadInputError if there are too few, or none
-    of a kind.
+    """Fit the model to samples, in which all kinds weigh the same.
+
+    Raises BadInputError if there are too few, or none of a kind.
     """
     of_kind = samples.shares.mean(axis=0, dtype=np.float64)
     if missing := [kind for kind, share in zip(KINDS, of_kind.tolist(), strict=True) if not share >= _MIN_SHARE]:

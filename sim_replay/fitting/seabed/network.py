@@ -38,7 +38,14 @@ def fitted_network(
 ) -> list[NetworkLayer]:
     """Minimise the weighted cross-entropy of shares (n, n_kinds) by inputs (n, n_inputs).
 
-    weight: (n,). n_hidden: units of each hidden layer. The same seed makes the same network on one computer.
+    The same seed makes the same network on one computer.
+
+    Parameters
+    ----------
+    weight
+        (n,).
+    n_hidden
+        Units of each hidden layer.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     sizes = [x.shape[1], *n_hidden, shares.shape[1]]

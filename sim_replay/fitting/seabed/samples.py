@@ -25,8 +25,9 @@ _MIN_KNOWN: Final = 0.5  # of a cell's places that can be placed
 
 
 class SeabedSamples(NamedTuple):
-    """Hold samples: features (n, len(NAMES)) float32, all finite; cot_grazing (n,) float32, of the grazing angle;
-    shares (n, len(KINDS)) float32, of each kind in the cell, 1 in all.
+    """Hold samples: features (n, len(NAMES)) float32, all finite.
+
+    cot_grazing (n,) float32, of the grazing angle; shares (n, len(KINDS)) float32, of each kind in the cell, 1 in all.
     """
 
     features: NDArray[np.float32]
@@ -65,8 +66,9 @@ def pooled(samples: list[SeabedSamples]) -> SeabedSamples:
 
 
 def true_shares(tile: Tile, texture: Texture, mission: Mission, sonar: SonarConfig) -> NDArray[np.float64]:
-    """Look up the share of each kind in cells (n_along, n_across, len(KINDS)), by where the payload believes them to
-    lie.
+    """Look up the share of each kind in cells, (n_along, n_across, len(KINDS)).
+
+    Cells are where the payload believes them to lie.
 
     Shares of a cell of which part cannot be placed add up to less than 1.
     """

@@ -31,8 +31,9 @@ class Shares(NamedTuple):
 
 
 def confusion_m2(clearance: Clearance, truth: SeabedMap) -> Array:
-    """Measure how much of each true kind the map takes for what, (n_types, n_types) m², truth down, both as in
-    SEABED_TYPES.
+    """Measure how much of each true kind the map takes for what, (n_types, n_types) m².
+
+    Truth runs down, both as in SEABED_TYPES.
 
     Every cell of the truth counts that the survey swept and the map has seen, at borders between kinds as well. Raises
     BadInputError for a truth whose rows are damaged.

@@ -36,8 +36,10 @@ _DARKEST: Final = 0.01  # -20 dB: darker than this is noise
 
 
 class ChipPicture(NamedTuple):
-    """Hold a tile as chips are cut from it: sum of codes and number of valid pixels over all rows and columns before,
-    (n_rows + 1, n_columns + 1) int64. first_return_m: (n_rows,) float64.
+    """Hold a tile as chips are cut from it.
+
+    Sum of codes and number of valid pixels over all rows and columns before, (n_rows + 1, n_columns + 1) int64.
+    first_return_m: (n_rows,) float64.
     """
 
     total: NDArray[np.int64]
@@ -77,16 +79,18 @@ def picture(
 
 
 def reference_shadow_m(ground_range_m: Array, first_return_m: Array) -> Array:
-    """Return the shadow's length of an object of the reference height, at least 0.4 and at most 6 m. A first return
-    less than 0.3 m above that height, or NaN, counts as that.
+    """Return the shadow's length of an object of the reference height, at least 0.4 and at most 6 m.
+
+    A first return less than 0.3 m above that height, or NaN, counts as that.
     """
     height_m = np.fmax(first_return_m, REFERENCE_HEIGHT_M + _MIN_CLEARANCE_M)
     return np.clip(REFERENCE_HEIGHT_M * ground_range_m / (height_m - REFERENCE_HEIGHT_M), *SHADOW_LIMITS_M)
 
 
 def cut_chips(source: ChipPicture, rows: Pixels, columns: Pixels) -> Chips:
-    """Cut chips centred on the pixels (rows, columns), (n,) each, inside the tile. What lies beyond the tile is not
-    known.
+    """Cut chips centred on the pixels (rows, columns), (n,) each, inside the tile.
+
+    What lies beyond the tile is not known.
     """
     shadow_m = reference_shadow_m(
         (columns.astype(np.float64) + 0.5) * source.column_spacing_m, source.first_return_m[rows]

@@ -83,8 +83,9 @@ class Labels(NamedTuple):
 
 
 def label(tile: LabelledTile, found: Candidates) -> Labels:
-    """Label candidates: for each target in the core the candidate nearest to it, at most a metre away; and what is
-    clear of all targets by 3 m and more.
+    """Label candidates: for each target in the core the candidate nearest to it, at most a metre away.
+
+    And what is clear of all targets by 3 m and more.
     """
     object_index = np.full(len(found.rows), -1, dtype=np.intp)
     is_other = np.ones(len(found.rows), dtype=np.bool_)

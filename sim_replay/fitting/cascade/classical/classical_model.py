@@ -65,8 +65,9 @@ def format_model(model: ClassicalModel) -> bytes:
 
 
 def score_windows(model: ClassicalModel, tile: LabelledTile, rows: Pixels, columns: Pixels) -> Array:
-    """Return (n,) float64 log-odds of a target centred on pixels (rows, columns), (n,) each; -inf where less than 0.6
-    of a chip is known.
+    """Return (n,) float64 log-odds of a target centred on pixels (rows, columns), (n,) each.
+
+    -inf where less than 0.6 of a chip is known.
     """
     return score_picture(model, picture_of(tile), rows, columns)
 

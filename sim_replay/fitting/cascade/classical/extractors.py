@@ -121,8 +121,9 @@ def central(contrast: Array) -> Array:
 
 
 def wavelets(contrast: Array) -> Array:
-    """Return ln of the mean power in each detail subband of three levels, over the object's columns and over the
-    shadow's.
+    """Compute ln of the mean power in each detail subband of three levels.
+
+    It is taken over the object's columns and over the shadow's.
     """
     features: list[Array] = []
     smooth, n_object = contrast, N_OBJECT_COLUMNS
@@ -137,8 +138,10 @@ def wavelets(contrast: Array) -> Array:
 
 
 def thresholds(contrast: Array) -> Array:
-    """Return shares of the cells of each zone that are above 2, 4 and 8 times the floor, or below as many parts of
-    it."""
+    """Compute shares of the cells of each zone that are far above or below the floor.
+
+    That is above 2, 4 and 8 times the floor, or below as many parts of it.
+    """
     features: list[Array] = []
     for zone, times in product(_ZONES.values(), _TIMES):
         part = contrast[:, *zone.slices]
@@ -147,8 +150,9 @@ def thresholds(contrast: Array) -> Array:
 
 
 def variances(contrast: Array) -> Array:
-    """Return ln of the variance in blocks: before the object, of the object, of the near and the far shadow; rows of
-    the object and others.
+    """Return ln of the variance in blocks: before the object, of the object, of the near and the far shadow.
+
+    Rows of the object and others.
     """
     outer = np.concatenate([contrast[:, : _INNER.start], contrast[:, _INNER.stop :]], axis=1)
     parts = [rows[:, :, near:far] for (near, far) in _BLOCKS for rows in (contrast[:, _INNER], outer)]
@@ -175,8 +179,9 @@ def match_templates(contrast: Array, templates: Mapping[str, Array]) -> Array:
 
 
 def histograms(contrast: Array) -> Array:
-    """Compute the quantiles of ln intensity over the median, standard deviation, skewness and excess kurtosis, the last
-    two bounded.
+    """Compute quantiles and moments of ln intensity over the median.
+
+    The moments are standard deviation, skewness and excess kurtosis, the last two bounded.
     """
     flat = contrast.reshape(len(contrast), -1)
     centred = flat - flat.mean(axis=1, keepdims=True)

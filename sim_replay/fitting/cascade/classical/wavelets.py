@@ -13,8 +13,9 @@ Array = NDArray[np.float64]
 
 
 class Subbands(NamedTuple):
-    """Hold one level of images (..., n_rows, n_columns), even rows and columns being smooth: smooth both ways, detail
-    across columns, across rows, across both.
+    """Hold one level of images (..., n_rows, n_columns), even rows and columns being smooth.
+
+    Smooth both ways, detail across columns, across rows, across both.
     """
 
     smooth: Array
@@ -24,8 +25,9 @@ class Subbands(NamedTuple):
 
 
 def analyse(images: Array) -> Subbands:
-    """Compute one level. Images of 2 rows and columns or more; they go on beyond their edges as in a mirror that stands
-    on the last pixel.
+    """Compute one level.
+
+    Images of 2 rows and columns or more; they go on beyond their edges as in a mirror that stands on the last pixel.
     """
     smooth, detail = _lift(images)
     low, columns = (np.swapaxes(part, -1, -2) for part in _lift(np.swapaxes(smooth, -1, -2)))
