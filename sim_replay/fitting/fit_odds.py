@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -29,7 +29,7 @@ from auv_mcm.confirmation import examine, region_of
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, Detector, LookStep
+from auv_mcm.records import Detection, Detector, LookStep, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fitting.cascade import trees
@@ -111,7 +111,25 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
     With `crowd` times as many mines and rocks.
     """
     scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
-    config = _looking_at_everything(served_by(detector, config_for(scene)))
+    mission = Mission(scene)
+    config = served_by(detector, config_for(scene))
+    return examples_along(name, seed, config, mission.events(), lambda: mission.truth()["objects"], usual=crowd == 1)
+
+
+def examples_along(
+    name: str,
+    seed: int,
+    config: Config,
+    events: Iterable[SourceEvent],
+    objects: Callable[[], Sequence[dict[str, Any]]],
+    *,
+    usual: bool,
+) -> list[Example]:
+    """Collect all detections along a line whose truth is known once it has been passed.
+
+    name, seed: of the line. objects: returns the truth's objects. usual: see Example.
+    """
+    config = _looking_at_everything(config)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     seen: list[_Seen] = []
     not_confirmed: list[Detection] = []
@@ -126,12 +144,11 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
         seen.append(_Seen(detection, weight, found.contour_features, found.features, found.details))
         return detection
 
-    mission = Mission(scene)
     pipeline = Pipeline(config, look=look)
-    for event in mission.events():
+    for event in events:
         pipeline.feed(event)
     pipeline.finish()
-    return _labelled(name, seed, crowd == 1, seen, not_confirmed, mission.truth()["objects"])
+    return _labelled(name, seed, usual, seen, not_confirmed, objects())
 
 
 def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
