@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
 from auv_mcm.detect.belief import probability
 from auv_mcm.errors import UsageError
-from auv_mcm.settings.config import Config
 from sim_replay.arguments import count
-from sim_replay.benches.point import Judged, counted_missions, fly_augmented, judged
+from sim_replay.benches.point import Judged, check_lines, counted_missions, fly_augmented, judged
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SortedContacts, flown_scene
-from sim_replay.logs.open_log import open_log
 from sim_replay.missions import FIRST_SEED, SCENES
 from sim_replay.scoring.calibration import Calibration, calibration
 from sim_replay.scoring.intervals import density, proportion
@@ -113,13 +111,12 @@ def run(arguments: argparse.Namespace) -> int:
     names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
-    for log in arguments.log:
-        open_log(log, Config())  # one that cannot be read is rejected before any mission is flown
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     recorders = [] if arguments.no_recorders else list(RECORDERS)
     tasks = [Domain(name, seed) for name in names for seed in seeds]
     tasks += [Domain(name, seed, recorder) for recorder in recorders for name in RECORDED_SCENES for seed in seeds]
     log_seeds = range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
+    check_lines(arguments.log, log_seeds)
     tasks += [Domain(str(log), seed) for log in arguments.log for seed in log_seeds]
     missions = list(counted_missions(run_tasks(fly_domain, tasks, Farm(arguments.workers)), len(tasks)))
     groups = grouped(missions)

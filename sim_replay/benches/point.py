@@ -33,6 +33,9 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config
 from sim_replay.arguments import count
 from sim_replay.augment.augment_log import augment
+from sim_replay.augment.background_log import read_survey
+from sim_replay.augment.targets import place_targets
+from sim_replay.augment.track import track_of
 from sim_replay.benches.froc import scattered
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
@@ -120,10 +123,9 @@ def run(arguments: argparse.Namespace) -> int:
     names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
-    for log in arguments.log:
-        open_log(log, Config())  # one that cannot be read is rejected before any mission is flown
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     log_seeds = range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
+    check_lines(arguments.log, log_seeds)
     lines: list[Line] = [(name, seed) for name in names for seed in seeds]
     lines += [(str(log), seed) for log in arguments.log for seed in log_seeds]
     missions = list(counted_missions(run_tasks(fly, lines, Farm(arguments.workers)), len(lines)))
@@ -135,6 +137,18 @@ def fly(line: Line) -> SortedContacts:
     """Fly one mission, simulated or recorded with embedded targets, and sort its contacts."""
     name, seed = line
     return flown((name, seed, "cascade")) if name in named_scenes() else fly_augmented(Path(name), seed)
+
+
+def check_lines(logs: Sequence[Path], seeds: Sequence[int]) -> None:
+    """Reject recorded lines that cannot be read or have no room for the objects of a seed, before any mission is flown.
+
+    Raises BadInputError or UsageError, as augment does.
+    """
+    for log in logs:
+        open_log(log, Config())
+        track = track_of(read_survey(log, Config()), Config())
+        for seed in seeds:
+            place_targets(scattered(seed), track)
 
 
 def fly_augmented(log: Path, seed: int) -> SortedContacts:
