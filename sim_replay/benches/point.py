@@ -21,8 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.contacts.background import (
-    BIN_NATS,
-    LEVELS_NATS,
     Background,
     BackgroundModel,
     BackgroundPrior,
@@ -30,26 +28,26 @@ from auv_mcm.contacts.background import (
     estimate_background,
     shipped_background,
 )
-from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config
 from sim_replay.arguments import count
 from sim_replay.augment.augment_log import augment
+from sim_replay.augment.background_log import read_survey
+from sim_replay.augment.targets import place_targets
+from sim_replay.augment.track import track_of
 from sim_replay.benches.froc import scattered
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
 from sim_replay.logs.open_log import open_log
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import FIRST_SEED, SCENES
-from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.inputs import parse_truth
 from sim_replay.scoring.intervals import density, proportion
 from sim_replay.simulator.scene_file import named_scenes
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
 ASKED_PER_KM2: Final = (30.0, 100.0, 300.0)  # false alarms per km² that the operating point is set to
-FIXED_P_MINE: Final = 0.2  # threshold compared with, as in classify.beliefs
 _HEADER: Final = (
     "domain",
     "targets",
@@ -64,16 +62,6 @@ _HEADER: Final = (
     "Pd",
     "best Pd at as many FA",
 )
-_FIXED_HEADER: Final = (
-    "domain",
-    f"FA/km² at p_mine {FIXED_P_MINE:g}",
-    "Pd",
-    "calibration error",
-    "within the mission",
-    "log loss",
-    "within the mission",
-)
-
 Line = tuple[str, int]
 """A named scene or the path of a recorded line, and a seed."""
 
@@ -136,13 +124,12 @@ def run(arguments: argparse.Namespace) -> int:
     names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
     if unknown := [name for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
-    for log in arguments.log:
-        open_log(log, Config())  # one that cannot be read is rejected before any mission is flown
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     log_seeds = range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
+    check_lines(arguments.log, log_seeds)
     lines: list[Line] = [(name, seed) for name in names for seed in seeds]
     lines += [(str(log), seed) for log in arguments.log for seed in log_seeds]
-    missions = list(_counted(run_tasks(fly, lines, Farm(arguments.workers)), len(lines)))
+    missions = list(counted_missions(run_tasks(fly, lines, Farm(arguments.workers)), len(lines)))
     print(report(missions, shipped_background(), in_markdown=arguments.markdown))
     return 0
 
@@ -150,16 +137,31 @@ def run(arguments: argparse.Namespace) -> int:
 def fly(line: Line) -> SortedContacts:
     """Fly one mission, simulated or recorded with embedded targets, and sort its contacts."""
     name, seed = line
-    if name in named_scenes():
-        return flown((name, seed, "cascade"))
+    return flown((name, seed, "cascade")) if name in named_scenes() else fly_augmented(Path(name), seed)
+
+
+def check_lines(logs: Sequence[Path], seeds: Sequence[int]) -> None:
+    """Reject recorded lines that cannot be read or have no room for the objects of a seed, before any mission is flown.
+
+    Raises BadInputError or UsageError, as augment does.
+    """
+    for log in logs:
+        open_log(log, Config())
+        track = track_of(read_survey(log, Config()), Config())
+        for seed in seeds:
+            place_targets(scattered(seed), track)
+
+
+def fly_augmented(log: Path, seed: int) -> SortedContacts:
+    """Embed targets and rocks drawn by a seed in a recorded line, replay it, and sort its contacts."""
     with tempfile.TemporaryDirectory() as folder:
-        written = augment(Path(name), scattered(seed), Path(folder), Config())
+        written = augment(log, scattered(seed), Path(folder), Config())
         pipeline, seen = Pipeline(Config()), SeenMission()
         for event in RecordedMission([written.log], Config()).events():
             seen.take(pipeline.feed(event))
         seen.take(pipeline.finish())
-        truth = parse_truth(json.loads(written.truth.read_bytes()), name)
-        return sorted_contacts(Path(name).stem, pipeline.contacts, truth, seen.area.km2)
+        truth = parse_truth(json.loads(written.truth.read_bytes()), log.name)
+        return sorted_contacts(log.stem, pipeline.contacts, truth, seen.area.km2)
 
 
 def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
@@ -192,27 +194,6 @@ def reached(missions: Sequence[Judged], asked_per_km2: float) -> Reached:
     return Reached(n_asked, n_false_alarms, n_on_objects, n_without_mines, n_inside, n_judged, n_called, best)
 
 
-def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Compute p_mine as it is, and as the mission's own mines and background would have it.
-
-    Returns both, (n,) each, and what is a mine.
-    """
-    log_odds = np.concatenate([one.mission.background, one.mission.mines])
-    reaching = np.exp(one.background.middle)
-    background = np.maximum(reaching - np.append(reaching[1:], 0.0), 1e-300)
-    off = (LEVELS_NATS + 0.5 * BIN_NATS - one.prior.mine_mean_nats) / one.prior.mine_sd_nats
-    mines = (
-        one.background.mines_per_km2
-        * np.exp(-0.5 * off**2)
-        / (np.sqrt(2.0 * np.pi) * one.prior.mine_sd_nats)
-        * BIN_NATS
-    )
-    share = mines / (mines + background)
-    number = np.clip(np.searchsorted(LEVELS_NATS, log_odds, side="right") - 1, 0, len(LEVELS_NATS) - 1)
-    is_mine = np.arange(len(log_odds)) >= len(one.mission.background)
-    return np.array([probability(value) for value in log_odds]), share[number], is_mine
-
-
 def report(missions: Sequence[SortedContacts], model: BackgroundModel, *, in_markdown: bool = False) -> str:
     """Lay out every domain, and all simulated and all recorded ones together."""
     laid_out = markdown if in_markdown else columns
@@ -226,8 +207,7 @@ def report(missions: Sequence[SortedContacts], model: BackgroundModel, *, in_mar
         if len({one.mission.scene for one in pooled}) > 1:
             groups[title] = pooled
     rows = [_row(name, of, asked) for asked in ASKED_PER_KM2 for name, of in groups.items()]
-    fixed = [_fixed_row(name, of) for name, of in groups.items()]
-    return laid_out(_HEADER, rows) + "\n\n" + laid_out(_FIXED_HEADER, fixed)
+    return laid_out(_HEADER, rows)
 
 
 def _row(name: str, missions: Sequence[Judged], asked_per_km2: float) -> list[str]:
@@ -250,24 +230,6 @@ def _row(name: str, missions: Sequence[Judged], asked_per_km2: float) -> list[st
     ]
 
 
-def _fixed_row(name: str, missions: Sequence[Judged]) -> list[str]:
-    level = odds_of(FIXED_P_MINE)
-    n_false_alarms, n_called = (
-        sum(_reaching(part, level) for part in parts)
-        for parts in ([one.mission.background for one in missions], [one.mission.mines for one in missions])
-    )
-    plain, within, is_mine = (np.concatenate(parts) for parts in zip(*map(within_mission, missions), strict=True))
-    errors = [f"{calibration_error(p, is_mine):.3f}" if len(p) else "-" for p in (plain, within)]
-    losses = [f"{_log_loss(p, is_mine):.3f}" if len(p) else "-" for p in (plain, within)]
-    return [
-        name,
-        density_cell(density(n_false_alarms, sum(one.mission.truth_km2 for one in missions))),
-        share_cell(proportion(n_called, sum(one.mission.n_targets for one in missions))),
-        *errors,
-        *losses,
-    ]
-
-
 def _reaching(log_odds: NDArray[np.float64], level: float) -> int:
     return int(np.count_nonzero(log_odds >= level))
 
@@ -283,12 +245,8 @@ def _is_inside(n: int, one: Judged, level: float) -> bool:
     return not too_many and pdtr(n, low) >= 0.025
 
 
-def _log_loss(p: NDArray[np.float64], is_mine: NDArray[np.bool_]) -> float:
-    bounded = np.clip(p, 1e-6, 1.0 - 1e-6)
-    return float(-np.where(is_mine, np.log(bounded), np.log1p(-bounded)).mean())
-
-
-def _counted(results: Iterator[SortedContacts], total: int) -> Iterator[SortedContacts]:
+def counted_missions(results: Iterator[SortedContacts], total: int) -> Iterator[SortedContacts]:
+    """Print how many missions have been flown."""
     for done, result in enumerate(results, 1):
         print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
         yield result

@@ -38,6 +38,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
         "benches.point",
         "false alarms at the operating point against those requested, and Pd, on domains left out",
     ),
+    "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),

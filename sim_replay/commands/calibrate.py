@@ -173,6 +173,12 @@ def _add_odds(kinds: Commands) -> None:
         help="further missions per scene with 3 times as many mines and rocks (default none)",
     )
     parser.add_argument(
+        "--drawn",
+        metavar="N",
+        type=count,
+        help="further missions with sonar, recorder, sea floor and objects drawn at random (default none)",
+    )
+    parser.add_argument(
         "--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)"
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
@@ -275,6 +281,7 @@ def _run_odds(arguments: argparse.Namespace) -> int:
         detector=arguments.detector,
         n_seeds=arguments.seeds,
         n_crowded=arguments.crowded or 0,
+        n_drawn=arguments.drawn or 0,
         first_seed=arguments.first_seed,
         n_workers=arguments.workers,
         show=_show,

@@ -40,6 +40,7 @@ from sim_replay.scoring.inputs import ScoredMission, Truth, parse_contacts, pars
 from sim_replay.scoring.layout import Outcome, lay_out, states
 from sim_replay.scoring.score import GATE_M
 from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import read_scene
 
 Array = NDArray[np.float64]
@@ -116,7 +117,11 @@ def log_odds_of(p_mine: Sequence[float]) -> Array:
 def flown(task: Task) -> SortedContacts:
     """Fly one mission through a named scene, with a seed and a detector, and sort its contacts."""
     name, seed, detector = task
-    scene = msgspec.structs.replace(read_scene(name), seed=seed)
+    return flown_scene(name, msgspec.structs.replace(read_scene(name), seed=seed), detector)
+
+
+def flown_scene(name: str, scene: Scene, detector: Detector) -> SortedContacts:
+    """Fly a mission of a domain and sort its contacts."""
     mission = Mission(scene)
     pipeline = Pipeline(served_by(detector, config_for(scene)))
     seen = SeenMission()

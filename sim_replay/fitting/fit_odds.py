@@ -3,17 +3,19 @@
 Simulated missions over the named scenes, with seeds that nothing is scored on, give detections whose truth is known.
 Each detector has weights of its own, those of the trained cascade without the scenes that are held out from its
 training. With --crowded the scenes are flown again, over other floors, with more mines and stones, since these are
-hardest to separate; the usual scenes give the rarity of mines. Every step of the look is taken for all
-detections, whatever the odds. A target is the most mine-like detection within the gate of one, per side and passage;
-further detections of it count for nothing, and all others are the clutter to separate mines from.
+hardest to separate; the usual scenes give the rarity of mines. With --drawn missions of the wide world join them. Every
+step of the look is taken for all detections, whatever the odds. A target is the most mine-like detection within the
+gate of one, per side and passage; further detections of it count for nothing, and all others are the clutter to
+separate mines from.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args
@@ -29,10 +31,11 @@ from auv_mcm.confirmation import examine, region_of
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, Detector, LookStep
+from auv_mcm.records import Detection, Detector, LookStep, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fitting.cascade import trees
+from sim_replay.fitting.wide_world import wide_scene
 from sim_replay.missions import HELD_OUT, SCENES, config_for, reporting_everything, served_by
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
@@ -48,13 +51,12 @@ CROWD: Final = 3
 _CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
 _CROWD_APART_M: Final = 9.0  # m between objects of crowded missions, minimum
 _CROWD_SEEDS: Final = 50  # after the first: other floors than those of the scenes as they are
+_DRAWN_SEEDS: Final = 10_000  # after the first: missions are known by their seeds in the report
 _GATE_M: Final = 2.0  # m between detection and object, maximum, as in scoring
 _CLEAR_M: Final = 3.0  # m around objects where a detection counts as neither
 _PASSAGE_S: Final = 60.0  # s: detections of an object nearer in time are of one pass
-_FAINT_P, _FAINT_KEPT = (
-    0.03,
-    4,
-)  # of detections that the detector gives less than this, one in so many is kept, and counts as many
+# Of detections that the detector gives less than this p_mine, one in so many is kept, and counts as many.
+_FAINT_P, _FAINT_KEPT = 0.03, 4
 _RIDGE: Final = 2.0  # of the logistic regression, per feature of unit variance
 _DIGITS: Final = 5  # decimals in the file
 _MAX_SHIFT: Final = 50.0  # nats
@@ -114,7 +116,44 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
     With `crowd` times as many mines and rocks.
     """
     scene = crowded(msgspec.structs.replace(read_scene(name), seed=seed), crowd)
-    config = _looking_at_everything(served_by(detector, config_for(scene)))
+    mission = Mission(scene)
+    config = served_by(detector, config_for(scene))
+    return examples_along(name, seed, config, mission.events(), lambda: mission.truth()["objects"], usual=crowd == 1)
+
+
+def examples_of_drawn(seed: int, detector: Detector) -> list[Example]:
+    """Collect all detections of one mission of the wide world by one of the detectors."""
+    scene = wide_scene(seed)
+    mission = Mission(scene)
+    config = served_by(detector, config_for(scene))
+    return examples_along(scene.name, seed, config, mission.events(), lambda: mission.truth()["objects"], usual=False)
+
+
+def examples_along(
+    name: str,
+    seed: int,
+    config: Config,
+    events: Iterable[SourceEvent],
+    objects: Callable[[], Sequence[dict[str, Any]]],
+    *,
+    usual: bool,
+) -> list[Example]:
+    """Collect all detections along a line whose truth is known once it has been passed.
+
+    Parameters
+    ----------
+    name, seed
+        Of the line.
+    config
+        Of the payload; every place is measured whatever it says.
+    events
+        Pings and navigation of the line.
+    objects
+        Returns the truth's objects, after the last event.
+    usual
+        See Example.
+    """
+    config = _looking_at_everything(config)
     beam_width_rad = math.radians(config.sonar.beam_width_deg)
     seen: list[_Seen] = []
     not_confirmed: list[Detection] = []
@@ -129,12 +168,11 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
         seen.append(_Seen(detection, weight, found.contour_features, found.features, found.details))
         return detection
 
-    mission = Mission(scene)
     pipeline = Pipeline(config, look=look)
-    for event in mission.events():
+    for event in events:
         pipeline.feed(event)
     pipeline.finish()
-    return _labelled(name, seed, crowd == 1, seen, not_confirmed, mission.truth()["objects"])
+    return _labelled(name, seed, usual, seen, not_confirmed, objects())
 
 
 def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
@@ -168,6 +206,7 @@ def fit_from_missions(
     detector: Detector,
     n_seeds: int,
     n_crowded: int,
+    n_drawn: int,
     first_seed: int,
     n_workers: int,
     show: Callable[[int, int], None] = lambda done, of: None,
@@ -184,6 +223,8 @@ def fit_from_missions(
         Missions per scene, from `first_seed` on.
     n_crowded
         Further ones with CROWD times as many mines and rocks.
+    n_drawn
+        Missions of the wide world beside those.
     n_workers
         Missions flown at once.
     show
@@ -209,14 +250,19 @@ def fit_from_missions(
         for seed in chunk
         for name in scenes
     ]
+    first_drawn = first_seed + _DRAWN_SEEDS
+    drawn = range(first_drawn, first_drawn + n_drawn)
+    n_missions = len(tasks) + n_drawn
     examples: list[Example] = []
-    with ProcessPoolExecutor(min(n_workers, len(tasks)), mp_context=get_context("spawn")) as pool:
-        for done, found in enumerate(pool.map(examples_of, *zip(*tasks, strict=True)), 1):
+    with ProcessPoolExecutor(min(n_workers, n_missions), mp_context=get_context("spawn")) as pool:
+        of_scenes = pool.map(examples_of, *zip(*tasks, strict=True))
+        of_drawn = pool.map(examples_of_drawn, drawn, [detector] * n_drawn)
+        for done, found in enumerate(chain(of_scenes, of_drawn), 1):
             examples += found
-            show(done, len(tasks))
+            show(done, n_missions)
     # Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones do worse than sums.
     n_trees = N_TREES if detector == "cascade" else _NO_TREES
-    odds = fit_odds(examples, odds_fit_words(len(examples), scenes, seeds, crowds), n_trees)
+    odds = fit_odds(examples, odds_fit_words(len(examples), scenes, seeds, crowds, n_drawn), n_trees)
     try:
         write_file(out, written(odds))
     except OSError as error:
@@ -224,10 +270,12 @@ def fit_from_missions(
     _report(examples, n_trees)
 
 
-def odds_fit_words(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range) -> str:
+def odds_fit_words(n_examples: int, scenes: Sequence[str], seeds: range, crowds: range, n_drawn: int) -> str:
     """Describe the missions that weights were fitted on."""
     words = f"{n_examples} detections of simulated missions: {', '.join(scenes)}; seeds {seeds[0]} to {seeds[-1]}"
-    return f"{words}, and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks" if crowds else words
+    if crowds:
+        words += f", and {crowds[0]} to {crowds[-1]} with {CROWD} times as many mines and rocks"
+    return f"{words}; {n_drawn} drawn from the wide world" if n_drawn else words
 
 
 def written(odds: MineOdds) -> bytes:

@@ -11,7 +11,7 @@ import pytest
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.errors import BadInputError
 from sim_replay.benches import point
-from sim_replay.benches.point import judged, reached, report, within_mission
+from sim_replay.benches.point import judged, reached, report
 from tests.sim_replay.fitting.test_background_fit import drawn_mission
 
 
@@ -44,14 +44,6 @@ def test_false_alarms_and_targets_are_counted_at_each_missions_own_level() -> No
     assert found.best == sum(np.count_nonzero(one.mission.mines > above) for one in some)
 
 
-def test_the_share_of_mines_is_a_probability_that_rises_at_first() -> None:
-    plain, within, is_mine = within_mission(judged(drawn_mission(3), shipped_background()))
-    assert len(plain) == len(within) == len(is_mine)
-    assert is_mine.sum() == 20
-    assert ((within > 0.0) & (within < 1.0)).all()
-    assert np.corrcoef(plain, within)[0, 1] > 0.7
-
-
 def test_the_report_has_a_row_per_domain_and_density_asked() -> None:
     missions = [
         drawn_mission(1, "flat"),
@@ -60,7 +52,7 @@ def test_the_report_has_a_row_per_domain_and_density_asked() -> None:
         drawn_mission(4, "river"),
     ]
     lines = report(missions, shipped_background(), in_markdown=True).splitlines()
-    for name, n_tables in (("flat", 4), ("reef", 4), ("all simulated", 4), ("all recorded", 4)):
+    for name, n_tables in (("flat", 3), ("reef", 3), ("all simulated", 3), ("all recorded", 3)):
         assert sum(line.startswith(f"| {name} |") for line in lines) == n_tables
 
 

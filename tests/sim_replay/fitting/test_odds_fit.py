@@ -458,6 +458,24 @@ def test_crowded_scenes_are_flown_over_other_floors_and_reported(flown: Flown, t
     )
 
 
+def test_drawn_missions_are_flown_besides_and_teach_no_rarity(
+    flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seeds: list[int] = []
+
+    def of_drawn(seed: int, detector: Detector) -> list[Example]:
+        seeds.append(seed)
+        return [item._replace(usual=False) for item in flown("flat", seed, detector, 1)]
+
+    monkeypatch.setattr(calibrate, "examples_of_drawn", of_drawn)
+    plain, out = tmp_path / "plain.json", tmp_path / "odds.json"
+    main(["calibrate", "odds", "--seeds", "1", "--first-seed", "7", "--out", str(plain)])
+    assert main(["calibrate", "odds", "--seeds", "1", "--drawn", "3", "--first-seed", "7", "--out", str(out)]) == 0
+    assert seeds == [10007, 10008, 10009]
+    assert written(out).fitted_on.endswith("seeds 7 to 7; 3 drawn from the wide world")
+    assert written(out).prior == written(plain).prior
+
+
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in HELD_OUT])
 def test_a_crowded_scene_has_more_mines_and_rocks_on_the_same_floor(name: str) -> None:
     scene = read_scene(name)

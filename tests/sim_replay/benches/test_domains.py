@@ -1,0 +1,82 @@
+"""p_mine on whole domains: counts at given false alarms, calibration, and the tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from auv_mcm.contacts.background import shipped_background
+from auv_mcm.errors import UsageError
+from sim_replay.benches.domains import (
+    RECORDED_SCENES,
+    RECORDERS,
+    grouped,
+    pd_at,
+    recorded_by,
+    reliability,
+    report,
+    save_diagrams,
+    within_mission,
+)
+from sim_replay.benches.point import judged
+from sim_replay.simulator.scene_file import check_scene, read_scene
+from tests.sim_replay.fitting.test_background_fit import drawn_mission
+
+
+def test_the_share_of_mines_is_a_probability_that_rises_at_first() -> None:
+    plain, within, is_mine = within_mission(judged(drawn_mission(3), shipped_background()))
+    assert len(plain) == len(within) == len(is_mine)
+    assert is_mine.sum() == 20
+    assert ((within > 0.0) & (within < 1.0)).all()
+    assert np.corrcoef(plain, within)[0, 1] > 0.7
+
+
+def test_targets_are_counted_above_the_threshold_that_lets_so_many_false_alarms_pass() -> None:
+    missions = [drawn_mission(1), drawn_mission(2)]
+    background = np.concatenate([one.background for one in missions])
+    mines = np.concatenate([one.mines for one in missions])
+    area_km2 = sum(one.truth_km2 for one in missions)
+    for limit in (0.0, 30.0, 300.0, 1e9):
+        best = max(
+            (np.count_nonzero(mines >= at) for at in mines if np.count_nonzero(background >= at) <= limit * area_km2),
+            default=0,
+        )
+        assert pd_at(missions, limit) == best
+
+
+def test_reliability_counts_every_contact_once() -> None:
+    missions = [drawn_mission(1), drawn_mission(2)]
+    found = reliability(missions)
+    assert sum(one.on_mines.of for one in found.bins) == sum(len(one.background) + len(one.mines) for one in missions)
+    assert sum(one.on_mines.count for one in found.bins) == sum(len(one.mines) for one in missions)
+
+
+def test_domains_are_pooled_by_kind() -> None:
+    recorder = next(iter(RECORDERS))
+    names = ("flat", "rough", recorder, "reef", "river")
+    groups = grouped([drawn_mission(number, name) for number, name in enumerate(names, 1)])
+    assert [len(groups[name]) for name in ("all scenes", "all recorded lines")] == [2, 2]
+    assert "all recorders" not in groups
+    lines = report(groups, in_markdown=True).splitlines()
+    assert all(any(line.startswith(f"| {name} |") for line in lines) for name in groups)
+
+
+@pytest.mark.parametrize("name", RECORDED_SCENES)
+@pytest.mark.parametrize("recorder", list(RECORDERS))
+def test_a_scene_with_another_recorder_is_valid_and_else_the_same(name: str, recorder: str) -> None:
+    scene = read_scene(name)
+    other = recorded_by(scene, RECORDERS[recorder])
+    check_scene(other)
+    assert other.sonar != scene.sonar
+    assert msgspec.structs.replace(other, sonar=scene.sonar) == scene
+
+
+def test_reliability_is_drawn_into_a_file_and_a_format_that_is_not_one_is_rejected(tmp_path: Path) -> None:
+    groups = grouped([drawn_mission(1, "flat"), drawn_mission(2, "rough")])
+    save_diagrams(groups, tmp_path / "reliability.png")
+    assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(UsageError, match="picture format"):
+        save_diagrams(groups, tmp_path / "reliability.txt")
