@@ -4,8 +4,8 @@ auv-mcm bench domains                             flies, judges and prints
 auv-mcm bench domains --log LINE.xtf              a recorded line with embedded targets as a further domain
 auv-mcm bench domains --plot FILE                 draws the reliability of every domain as well
 
-The weights of p_mine are fitted on drawn missions, which share neither a scene nor a line with these; recorders are
-domains of their own since most of the drawn ones store amplitude. Pd is at the threshold that gives the false alarms.
+The weights that ship were fitted on the named scenes but seagrass, with other seeds; no recorded line taught them, and
+of the recorders only 16-bit amplitude of one look. Pd is at the threshold that gives the false alarms.
 """
 
 from __future__ import annotations
