@@ -58,6 +58,7 @@ from auv_mcm.shell.recovery import (
     unfinished_session,
 )
 from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
+from auv_mcm.shell.service_manager import feed_watchdog, report
 from auv_mcm.shell.snippet_files import Snippets
 from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
 from auv_mcm.shell.tally import Tally
@@ -154,7 +155,9 @@ class Service:
                 gc.collect()
                 gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
                 log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
+                report("READY=1", f"STATUS=results in {self._folder}")
                 health = [
+                    tasks.create_task(feed_watchdog()),
                     tasks.create_task(self._watch_lag()),
                     tasks.create_task(self._report_health(queue, perception)),
                 ]
@@ -178,6 +181,7 @@ class Service:
 
     def _close(self, perception: Perception, journal: Journal) -> HardwareError | None:
         """Write everything that is known. Returns an error that names what the disk did not take."""
+        report("STOPPING=1", "STATUS=writing results", "WATCHDOG=1")  # the event loop stands still meanwhile
         perception.close()
         if self._recorder is not None:
             self._recorder.close()
@@ -426,7 +430,9 @@ class Service:
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
             self._report_recording()
-            log.info("health %s", self._health(queue, perception))
+            health = self._health(queue, perception)
+            log.info("health %s", health)
+            report(f"STATUS={health}")
             # A lossless source, such as a recorded mission, waits on purpose while perception works.
             if not self._source.lossless and self._tally.pings == pings and perception.in_flight and queue.pings:
                 log.warning(
