@@ -1,14 +1,15 @@
 #!/bin/sh
 # Install auv-mcm on a vehicle, from a folder that deploy/wheelhouse.sh made, without a network: as root
-#     sh deploy/install.sh [--root DIR] [--keep-days N]    install this version, or upgrade to it
-#     sh deploy/install.sh --rollback [--root DIR]         go back to the version before
-# --root: install below DIR instead, as for an image; then nothing is started and no user is made. --keep-days: remove
-# sessions that were neither written nor read for N days. PYTHON names the interpreter, default python3.
+#     sh deploy/install.sh [--root DIR] [--with PACKAGE] [--keep-days N]    install this version, or upgrade to it
+#     sh deploy/install.sh --rollback [--root DIR]                          go back to the version before
+# --root: install below DIR instead, as for an image; then nothing is started and no user is made. --with: install a
+# package with a driver too, whose wheel lies in wheels/; more than once for several. --keep-days: remove sessions that
+# were neither written nor read for N days. PYTHON names the interpreter, default python3.
 # Each version gets a folder of its own below /opt/auv-mcm; 'current' points to the one that runs, 'previous' to the one
 # before. Configuration, results and changed rules of udev are left as they are.
 set -eu
 here=$(cd "$(dirname "$0")/.." && pwd)
-root= keep_days= rollback=
+root= keep_days= rollback= with=
 
 fail() {
     echo "install: $*" >&2
@@ -18,12 +19,16 @@ fail() {
 while [ $# -gt 0 ]; do
     case $1 in
     --rollback) rollback=yes ;;
-    --root | --keep-days)
+    --root | --with | --keep-days)
         [ $# -gt 1 ] || fail "$1 wants a value"
-        if [ "$1" = --root ]; then root=$2; else keep_days=$2; fi
+        case $1 in
+        --root) root=$2 ;;
+        --with) with="$with $2" ;;
+        --keep-days) keep_days=$2 ;;
+        esac
         shift
         ;;
-    *) fail "$1 is not an option: --root DIR, --keep-days N, --rollback" ;;
+    *) fail "$1 is not an option: --root DIR, --with PACKAGE, --keep-days N, --rollback" ;;
     esac
     shift
 done
@@ -60,10 +65,11 @@ python=${PYTHON:-python3}
 "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     fail "$python cannot make virtual environments. On Debian or Ubuntu: apt-get install python3-venv"
 set -- "$here"/wheels/auv_mcm-*.whl
-[ -f "$1" ] || fail "$here/wheels holds no wheel of auv-mcm: sh deploy/wheelhouse.sh makes such a folder, where there is a network"
+[ -f "$1" ] ||
+    fail "$here/wheels holds no wheel of auv-mcm: where there is a network, sh deploy/wheelhouse.sh makes such a folder"
 number=$(basename "$1" | cut -d - -f 2)
-# Two builds of one version number are two versions.
-version=$number-$(cksum <"$1" | cut -d ' ' -f 1)
+# Two builds of one version number are two versions, as are two sets of packages.
+version=$number-$({ cat "$1" && ls "$here/wheels" && echo "$with"; } | cksum | cut -d ' ' -f 1)
 place=$prefix/versions/$version
 if [ "$(readlink "$prefix/current" || true)" = "versions/$version" ]; then
     echo "install: $version is installed already"
@@ -73,18 +79,22 @@ else
     mkdir -p "$prefix/versions"
     "$python" -m venv "$place"
     "$place/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-index \
-        --find-links "$here/wheels" auv-mcm || fail "packages are missing or are for another Python or computer than this one" \
+        --find-links "$here/wheels" auv-mcm $with ||
+        fail "packages are missing or are for another Python or computer than this one" \
         "($("$python" -c 'import platform; print(platform.python_version(), platform.machine())'))"
     kernels=$("$place/bin/python" -c 'from auv_mcm import kernels; print(kernels.backend(), kernels.loaded().reason)')
     case $kernels in
     c*) ;;
     *) echo "install: WARNING: numpy does the work of the kernels, many times slower: $kernels" >&2 ;;
     esac
-    # Two fifths of the disk that all this takes serve no vehicle: tests of packages, pip, and bytecode of what is never
-    # imported. What is imported needs its bytecode now: the service may not write here.
+    # A fifth of what packages take serves no vehicle: their tests, pip, what compilers and type checkers read, the
+    # second of two backends of zstandard, and bytecode of what is never imported. What is imported needs its bytecode
+    # now: the service may not write here.
     "$place/bin/python" -m pip uninstall --quiet --yes setuptools pip 2>/dev/null || true
     packages=$("$place/bin/python" -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
     find "$packages" -type d -name tests -prune -exec rm -rf {} +
+    find "$packages" -type f \( -name '*.pyi' -o -name '*.pxd' -o -name '*.h' -o -name '*.a' \) -exec rm -f {} +
+    rm -f "$packages"/zstandard/_cffi.*
     "$place/bin/python" -m compileall -q -x '/scipy/' "$packages" || true
     "$place/bin/python" -c 'import scipy.optimize, scipy.special, numpy, cv2'
     before=$(readlink "$prefix/current" || true)

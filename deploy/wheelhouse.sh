@@ -13,7 +13,8 @@ fail() {
     exit 1
 }
 
-"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || fail "$python is not Python 3.11 or later"
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null ||
+    fail "$python is not Python 3.11 or later"
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 "$python" -m venv "$work/venv" || fail "no virtual environment: sudo apt-get install python3-venv"
@@ -24,7 +25,8 @@ cp -R pyproject.toml setup.py README.md LICENSE auv_mcm drivers sim_replay "$wor
 find "$work/source" \( -name __pycache__ -o -name '*.so' \) -prune -exec rm -rf {} +
 echo "wheelhouse: fetching and building wheels"
 "$work/venv/bin/python" -m pip wheel --quiet --disable-pip-version-check --wheel-dir "$work/wheels" "$work/source"
-"$work/venv/bin/python" -m zipfile --list "$work"/wheels/auv_mcm-*.whl | grep -q 'auv_mcm/kernels/_kernels.*\.so' ||
+"$work/venv/bin/python" -m zipfile --list "$work"/wheels/auv_mcm-*.whl |
+    grep 'auv_mcm/kernels/_kernels.*\.so' >/dev/null ||
     fail "the kernels were not compiled: install a C compiler, e.g. sudo apt-get install gcc python3-dev." \
         "On the vehicle numpy would do their work, many times slower"
 

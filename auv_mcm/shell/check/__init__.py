@@ -55,7 +55,7 @@ def run_checks(
 def _findings(
     read_config: Callable[[], Config], check_logs: Callable[[Config], Iterable[Finding]]
 ) -> Iterator[Finding]:
-    yield Finding("auv-mcm", "ok", f"{__version__} in {Path(__file__).parents[1]}")
+    yield Finding("auv-mcm", "ok", f"{__version__} in {Path(__file__).parents[2]}")
     yield Finding(
         "python",
         "ok" if sys.version_info >= (3, 11) else "FAILED",
@@ -89,7 +89,7 @@ def _as_configured(config: Config | None) -> Iterator[Finding]:
     yield from _looked_at("detector", partial(_detector, config))
     yield from _looked_at("models", partial(_models, config))
     gives_utc = any(port.navigation is not None and port.navigation.gives_utc for port in config.ports)
-    yield clock_finding(time.time(), clock_discipline(), Path(__file__).parents[1], gives_utc)
+    yield clock_finding(time.time(), clock_discipline(), Path(__file__).parents[2], gives_utc)
     yield output_finding(Path(config.service.output_directory))
     if config.ports and config.service.source in ("", "ports"):
         yield from _looked_at("ports", lambda: load(PORT_CHECK)(config))
