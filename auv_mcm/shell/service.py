@@ -146,6 +146,8 @@ class Service:
         try:
             if unfinished is not None:
                 self._announce(unfinished)
+            if kernels.backend() == "numpy":
+                self._announce(_no_kernels())
             async with asyncio.TaskGroup() as tasks:
                 starting = tasks.create_task(perception.start())
                 await asyncio.to_thread(self._start_recording)
@@ -447,6 +449,7 @@ class Service:
             f"in_flight={perception.in_flight} "
             f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} "
             f"lag_ms={self._lag_s * 1e3:.1f}"
+            + (" kernels=NUMPY" if kernels.backend() == "numpy" else "")
             + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
             + (f" {self._vehicle_link.health()}" if self._vehicle_link is not None else "")
         )
@@ -539,6 +542,14 @@ def _work_shed(n_waiting: int) -> Notice:
         "which then earn less coverage. Set budget.duty to what this computer affords, which 'auv-mcm calibrate "
         "budget' measures, or use "
         "coarser pixels. Pings with less work are counted.",
+    )
+
+
+def _no_kernels() -> Notice:
+    return Notice(
+        code="service.no_kernels",
+        text="numpy does the work of the C kernels, which takes some twelve times the processor time: pings may be "
+        f"lost. {kernels.loaded().reason}. Install the wheel with compiled kernels that deploy/wheelhouse.sh makes.",
     )
 
 
