@@ -121,6 +121,8 @@ fi
 mkdir -p "$root/etc/auv-mcm"
 if [ -n "$live" ]; then
     systemd-sysusers auv-mcm.conf
+    # As the unit's StateDirectory makes it, so that a check before the first start finds it.
+    install -d -m 0750 -o auvmcm -g auvmcm /var/lib/auv-mcm
     udevadm control --reload && udevadm trigger --subsystem-match=tty --subsystem-match=pps
     systemctl daemon-reload
 fi
@@ -133,7 +135,7 @@ for old in "$prefix/versions"/*; do
     *) rm -rf "$old" ;;
     esac
 done
-echo "install: $version is current, $(du -smL "$prefix/current" | cut -f 1) MB"
+echo "install: $version is current, $(du -sm "$place" | cut -f 1) MB"
 [ -e "$root/etc/auv-mcm/vehicle.yaml" ] ||
     echo "install: next, write /etc/auv-mcm/vehicle.yaml, as deploy/examples shows, and run" \
         "/opt/auv-mcm/current/bin/auv-mcm check --config /etc/auv-mcm/vehicle.yaml"

@@ -43,6 +43,16 @@ def test_systemd_finds_nothing_wrong_in_the_unit(unit: Path) -> None:
     assert (found.returncode, about_it) == (0, [])
 
 
+def test_systemd_finds_nothing_wrong_in_the_unit_of_a_serial_can_adapter(tmp_path: Path) -> None:
+    text = (SYSTEMD.parent / "can" / "auv-mcm-slcan@.service").read_text()
+    for program in ("/usr/bin/slcand", "/usr/sbin/ip"):  # systemd looks whether they are there
+        text = text.replace(program, sys.executable)
+    path = tmp_path / "auv-mcm-slcan@ttyACM0.service"
+    path.write_text(text)
+    found = run(tool("systemd-analyze"), "verify", path)
+    assert (found.returncode, [line for line in found.stderr.splitlines() if "slcan" in line]) == (0, [])
+
+
 def test_the_unit_exposes_the_vehicle_little(unit: Path) -> None:
     threshold = str(round(LARGEST_EXPOSURE * 10.0))
     found = run(tool("systemd-analyze"), "security", "--offline=true", f"--threshold={threshold}", unit)
