@@ -279,13 +279,34 @@ def test_check_finds_a_base_package_that_cannot_be_imported(module: str) -> None
     assert any("cannot be imported" in line and "python -m pip install auv-mcm" in line for line in failed)
 
 
-def test_the_check_of_the_payload_does_not_import_the_simulator() -> None:
-    code = (
-        "import sys, auv_mcm.shell.check as check; check.has_extra = lambda extra: False\n"
-        "from auv_mcm.cli import main; main(['check']); print([name for name in sys.modules if "
-        "name.startswith('sim_replay.simulator')])"
-    )
-    assert run(code=code).stdout.splitlines()[-1] == "[]"
+BASE_ALONE = """
+import sys
+from importlib import metadata
+from auv_mcm.cli import main
+
+version, bench = metadata.version, ("pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed")
+
+def of_base(name):
+    if name in bench:
+        raise metadata.PackageNotFoundError(name)
+    return version(name)
+
+metadata.version = of_base
+sys.modules |= dict.fromkeys((*bench, "sim_replay"))
+code = main(["check"])
+try:
+    main(["run", "--help"])
+except SystemExit as ended:
+    sys.exit(code or ended.code)
+"""
+
+
+def test_the_base_checks_itself_and_runs_without_the_bench_and_its_packages() -> None:
+    done = run(code=BASE_ALONE)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (extra,) = [line for line in done.stdout.splitlines() if "extra bench" in line]
+    assert extra.startswith("warning")
+    assert "usage: auv-mcm run" in done.stdout
 
 
 def test_check_notices_kernels_that_disagree(
