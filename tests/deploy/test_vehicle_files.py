@@ -10,6 +10,8 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.commands import read_config
+from auv_mcm.shell.registry import SOURCES
+from auv_mcm.shell.sources import parse_source_uri
 from drivers.ports import read_ports
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -23,6 +25,7 @@ def test_an_example_is_valid_and_its_ports_are_what_drivers_speak(
     path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = read_config(path)
+    assert parse_source_uri(config.service.source).scheme in SOURCES
     ports = read_ports(config) if config.ports else []
     assert (config.service.source == "ports") == bool(ports), "a source without ports, or ports without a source"
     assert main(["run", "--interface", "--config", str(path)]) == 0
