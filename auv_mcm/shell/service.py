@@ -58,6 +58,7 @@ from auv_mcm.shell.recovery import (
     unfinished_session,
 )
 from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
+from auv_mcm.shell.service_manager import feed_watchdog, report
 from auv_mcm.shell.snippet_files import Snippets
 from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
 from auv_mcm.shell.tally import Tally
@@ -145,6 +146,8 @@ class Service:
         try:
             if unfinished is not None:
                 self._announce(unfinished)
+            if kernels.backend() == "numpy":
+                self._announce(_no_kernels())
             async with asyncio.TaskGroup() as tasks:
                 starting = tasks.create_task(perception.start())
                 await asyncio.to_thread(self._start_recording)
@@ -154,7 +157,9 @@ class Service:
                 gc.collect()
                 gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
                 log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
+                report("READY=1", f"STATUS=results in {self._folder}")
                 health = [
+                    tasks.create_task(feed_watchdog()),
                     tasks.create_task(self._watch_lag()),
                     tasks.create_task(self._report_health(queue, perception)),
                 ]
@@ -178,6 +183,7 @@ class Service:
 
     def _close(self, perception: Perception, journal: Journal) -> HardwareError | None:
         """Write everything that is known. Returns an error that names what the disk did not take."""
+        report("STOPPING=1", "STATUS=writing results", "WATCHDOG=1")  # the event loop stands still meanwhile
         perception.close()
         if self._recorder is not None:
             self._recorder.close()
@@ -426,7 +432,9 @@ class Service:
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
             self._report_recording()
-            log.info("health %s", self._health(queue, perception))
+            health = self._health(queue, perception)
+            log.info("health %s", health)
+            report(f"STATUS={health}")
             # A lossless source, such as a recorded mission, waits on purpose while perception works.
             if not self._source.lossless and self._tally.pings == pings and perception.in_flight and queue.pings:
                 log.warning(
@@ -441,6 +449,7 @@ class Service:
             f"in_flight={perception.in_flight} "
             f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} "
             f"lag_ms={self._lag_s * 1e3:.1f}"
+            + (" kernels=NUMPY" if kernels.backend() == "numpy" else "")
             + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
             + (f" {self._vehicle_link.health()}" if self._vehicle_link is not None else "")
         )
@@ -533,6 +542,14 @@ def _work_shed(n_waiting: int) -> Notice:
         "which then earn less coverage. Set budget.duty to what this computer affords, which 'auv-mcm calibrate "
         "budget' measures, or use "
         "coarser pixels. Pings with less work are counted.",
+    )
+
+
+def _no_kernels() -> Notice:
+    return Notice(
+        code="service.no_kernels",
+        text="numpy does the work of the C kernels, which takes some twelve times the processor time: pings may be "
+        f"lost. {kernels.loaded().reason}. Install the wheel with compiled kernels that deploy/wheelhouse.sh makes.",
     )
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from auv_mcm import __version__
 from auv_mcm.cli import main
+from auv_mcm.kernels import Loaded
 from auv_mcm.settings.config import Config, parse_config
 
 ROOT = Path(__file__).parents[2]
@@ -239,11 +240,28 @@ def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsy
             "models",
             "detect.performance /no/such/tables.json: No such file",
         ),
+        (
+            "detect: {model: damaged.json}",
+            "detector",
+            "damaged.json: Input data was truncated. Train the model anew or take",
+        ),
+        (
+            "detect: {model: /no/such/model.json}",
+            "detector",
+            "No such file or directory. Name a model file, or 'shipped'",
+        ),
     ],
 )
 def test_check_of_what_a_mission_would_fail_by_is_exit_code_5(
-    config: str, name: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    config: str,
+    name: str,
+    says: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "damaged.json").write_text('{"format_version": 1')
     (tmp_path / "c.yaml").write_text(config)
     assert main(["check", "--config", str(tmp_path / "c.yaml")]) == 5
     failed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("FAILED")]
@@ -261,13 +279,34 @@ def test_check_finds_a_base_package_that_cannot_be_imported(module: str) -> None
     assert any("cannot be imported" in line and "python -m pip install auv-mcm" in line for line in failed)
 
 
-def test_the_check_of_the_payload_does_not_import_the_simulator() -> None:
-    code = (
-        "import sys, auv_mcm.shell.check as check; check.has_extra = lambda extra: False\n"
-        "from auv_mcm.cli import main; main(['check']); print([name for name in sys.modules if "
-        "name.startswith('sim_replay.simulator')])"
-    )
-    assert run(code=code).stdout.splitlines()[-1] == "[]"
+BASE_ALONE = """
+import sys
+from importlib import metadata
+from auv_mcm.cli import main
+
+version, bench = metadata.version, ("pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed")
+
+def of_base(name):
+    if name in bench:
+        raise metadata.PackageNotFoundError(name)
+    return version(name)
+
+metadata.version = of_base
+sys.modules |= dict.fromkeys((*bench, "sim_replay"))
+code = main(["check"])
+try:
+    main(["run", "--help"])
+except SystemExit as ended:
+    sys.exit(code or ended.code)
+"""
+
+
+def test_the_base_checks_itself_and_runs_without_the_bench_and_its_packages() -> None:
+    done = run(code=BASE_ALONE)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (extra,) = [line for line in done.stdout.splitlines() if "extra bench" in line]
+    assert extra.startswith("warning")
+    assert "usage: auv-mcm run" in done.stdout
 
 
 def test_check_notices_kernels_that_disagree(
@@ -282,6 +321,17 @@ def test_check_notices_kernels_that_disagree(
     monkeypatch.setattr(viterbi, "viterbi_forward_numpy", lambda *a: (right(*a)[0] + 1e-9, right(*a)[1]))
     assert main(["check"]) == 5
     assert "NOT EQUAL" in capsys.readouterr().out
+
+
+def test_check_says_loudly_that_numpy_does_the_work_of_the_kernels(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("auv_mcm.kernels.loaded", lambda: Loaded(None, "not built: install a C compiler"))
+    main(["check"])
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "C kernels" in line]
+    assert line.startswith("warning")
+    assert "NUMPY DOES THEIR WORK" in line
+    assert "not built: install a C compiler" in line
 
 
 def test_ctrl_c_is_one_line_and_exit_code_130(

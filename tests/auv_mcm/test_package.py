@@ -12,9 +12,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm import __version__
-from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.registry import SOURCES
-from auv_mcm.shell.sources import parse_source_uri
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
@@ -60,12 +58,6 @@ def test_ci_runs_the_test_command_of_the_readme() -> None:
     readme = (ROOT / "README.md").read_text("utf-8")
     assert "sh deploy/test.sh" in readme
     assert "sh deploy/demo.sh" in readme
-
-
-@pytest.mark.parametrize("example", sorted(path.name for path in (ROOT / "deploy").glob("*.example.yaml")))
-def test_example_configurations_are_valid(example: str) -> None:
-    config = parse_config((ROOT / "deploy" / example).read_text("utf-8"), example)
-    assert parse_source_uri(config.service.source).scheme in SOURCES
 
 
 @pytest.mark.parametrize(

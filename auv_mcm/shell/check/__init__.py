@@ -5,6 +5,7 @@ Only the standard library is imported before the packages have been checked, so 
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 import time
@@ -17,7 +18,7 @@ from auv_mcm import __version__
 from auv_mcm.clean_text import clean_lines
 from auv_mcm.errors import AuvMcmError, SelfCheckError
 from auv_mcm.shell.check.finding import Finding
-from auv_mcm.shell.check.host import clock_discipline, clock_finding, output_finding
+from auv_mcm.shell.check.host import clock_discipline, clock_finding, output_finding, user_findings
 from auv_mcm.shell.check.packages import has_extra, package_findings
 from auv_mcm.shell.registry import BENCH_CHECK, PORT_CHECK, load
 
@@ -55,12 +56,13 @@ def run_checks(
 def _findings(
     read_config: Callable[[], Config], check_logs: Callable[[Config], Iterable[Finding]]
 ) -> Iterator[Finding]:
-    yield Finding("auv-mcm", "ok", f"{__version__} in {Path(__file__).parents[1]}")
+    yield Finding("auv-mcm", "ok", f"{__version__} in {Path(__file__).parents[2]}")
     yield Finding(
         "python",
         "ok" if sys.version_info >= (3, 11) else "FAILED",
         f"{platform.python_version()} on {platform.machine()}",
     )
+    yield from user_findings(os.geteuid())
     yield from package_findings()
     yield from _looked_at("C kernels", _kernels)
     if has_extra("bench"):
@@ -89,7 +91,7 @@ def _as_configured(config: Config | None) -> Iterator[Finding]:
     yield from _looked_at("detector", partial(_detector, config))
     yield from _looked_at("models", partial(_models, config))
     gives_utc = any(port.navigation is not None and port.navigation.gives_utc for port in config.ports)
-    yield clock_finding(time.time(), clock_discipline(), Path(__file__).parents[1], gives_utc)
+    yield clock_finding(time.time(), clock_discipline(), Path(__file__).parents[2], gives_utc)
     yield output_finding(Path(config.service.output_directory))
     if config.ports and config.service.source in ("", "ports"):
         yield from _looked_at("ports", lambda: load(PORT_CHECK)(config))
@@ -150,7 +152,11 @@ def _kernels() -> Iterator[Finding]:
     from auv_mcm.kernels.viterbi import viterbi_forward, viterbi_forward_numpy
 
     if kernels.backend() == "numpy":
-        yield Finding("C kernels", "warning", f"numpy does their work, more slowly: {kernels.loaded().reason}")
+        text = (
+            "NUMPY DOES THEIR WORK, which takes some twelve times the processor time: a vehicle may lose pings. "
+            f"{kernels.loaded().reason}"
+        )
+        yield Finding("C kernels", "warning", text)
         return
     random = np.random.default_rng(0)
     score = random.normal(size=(64, 257))

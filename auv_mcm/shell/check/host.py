@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -19,6 +21,14 @@ _NEEDED_BYTES: Final = 64 << 20
 _DAY_S: Final = 86_400.0  # times of files out of archives are local ones, whose zone is not known
 _FIRST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # there was no version of this package before
 
+_REMEDIES: Final = {
+    errno.ENOSPC: "Free space on this disk",
+    errno.EDQUOT: "Free space, or raise this user's quota",
+    errno.EROFS: "Mount it for writing, or in a systemd unit add it to ReadWritePaths",
+    errno.EIO: "Check the disk",
+}
+"""What to do about a directory that cannot be written to, by the reason."""
+
 _UNSYNCHRONISED: Final = 0x40  # STA_UNSYNC of linux/timex.h
 _TIME_ERROR: Final = 5  # TIME_ERROR, what adjtimex returns for a clock that is not disciplined
 
@@ -28,6 +38,16 @@ class Discipline(NamedTuple):
 
     is_synchronised: bool
     max_error_s: float
+
+
+def user_findings(user_id: int) -> Iterator[Finding]:
+    """Warn of root, which may open every port and write everywhere, so that the rights of another user are not seen."""
+    if user_id == 0:
+        text = (
+            "root may do everything, so that rights of the service's user are not checked. Check as that user: "
+            "runuser -u auvmcm -- auv-mcm check ..."
+        )
+        yield Finding("user", "warning", text)
 
 
 def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, unit_gives_utc: bool) -> Finding:
@@ -99,10 +119,11 @@ def output_finding(folder: Path) -> Finding:
             probe.flush()
         free_bytes = shutil.disk_usage(existing).free
     except OSError as error:
+        remedy = _REMEDIES.get(error.errno or 0, "Change its owner")
         return Finding(
             name,
             "FAILED",
-            f"{existing} cannot be written to: {error.strerror}. Change its owner, or name another one ({key})",
+            f"{existing} cannot be written to: {error.strerror}. {remedy}, or name another one ({key})",
         )
     room = f"{folder.absolute()}, {free_bytes / 1e9:.2g} GB free"
     if free_bytes < _NEEDED_BYTES:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import tempfile
 import time
 from collections.abc import Callable
 from importlib import metadata
@@ -9,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.shell.check.host import Discipline, clock_discipline, clock_finding, output_finding
+from auv_mcm.shell.check.host import Discipline, clock_discipline, clock_finding, output_finding, user_findings
 from auv_mcm.shell.check.packages import Requirement, package_findings, parse_requirements
 
 PACKAGE = Path(__file__).parents[3] / "auv_mcm"
@@ -137,6 +140,32 @@ def test_an_output_directory_below_a_file_or_behind_a_dead_link_fails(tmp_path: 
         found = output_finding(tmp_path / name / "out")
         assert found.verdict == "FAILED"
         assert "is not a directory. Name another one (service.output_directory)" in found.detail
+
+
+@pytest.mark.parametrize(
+    ("reason", "remedy"),
+    [
+        (errno.EACCES, "Permission denied. Change its owner, or name another one (service.output_directory)"),
+        (errno.EROFS, "Read-only file system. Mount it for writing, or in a systemd unit add it to ReadWritePaths"),
+        (errno.ENOSPC, "No space left on device. Free space on this disk, or name another one"),
+    ],
+)
+def test_an_output_directory_that_takes_no_file_names_the_reason_and_its_remedy(
+    reason: int, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(**_: object) -> None:  # root, as in a test, is refused nothing
+        raise OSError(reason, os.strerror(reason))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
+    found = output_finding(tmp_path / "results")
+    assert found.verdict == "FAILED"
+    assert f"{tmp_path} cannot be written to: {remedy}" in found.detail
+
+
+def test_root_is_sent_to_check_as_the_user_of_the_service() -> None:
+    (found,) = user_findings(0)
+    assert (found.verdict, "runuser -u auvmcm" in found.detail) == ("warning", True)
+    assert list(user_findings(1000)) == []
 
 
 @pytest.mark.parametrize(("free_bytes", "verdict"), [(10 << 20, "FAILED"), (500 << 20, "warning"), (5 << 30, "ok")])

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import shlex
 import shutil
@@ -23,6 +24,7 @@ import pytest
 
 from auv_mcm.clock import Stamp
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
+from auv_mcm.kernels import Loaded
 from auv_mcm.records import Notice, SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
@@ -203,6 +205,19 @@ def test_a_console_that_went_away_costs_no_result(tmp_path: Path) -> None:
     results = serve(tmp_path, Events(mission(30)), console=gone)
     assert journal(results) == ids(results) != []
     assert summary(results)["counters"]["service.console_failed"] > 1
+
+
+def test_that_numpy_does_the_work_of_the_kernels_is_announced_and_in_every_health_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("auv_mcm.kernels.loaded", lambda: Loaded(None, "not built"))
+    lines: list[str] = []
+    with caplog.at_level(logging.INFO):
+        serve(tmp_path, Events(mission(1)), console=lines.append)
+    assert [line for line in lines if line.startswith("notice service.no_kernels: numpy does the work")]
+    health = [record.message for record in caplog.records if record.message.startswith("health")]
+    assert health
+    assert [line for line in health if "kernels=NUMPY" not in line] == []
 
 
 def test_clutter_is_kept_but_not_announced(tmp_path: Path) -> None:

@@ -1,0 +1,62 @@
+"""Example configurations are valid by the strict reader, and files for udev and networkd have the form those read."""
+
+from __future__ import annotations
+
+import re
+from configparser import RawConfigParser
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.cli import main
+from auv_mcm.commands import read_config
+from auv_mcm.shell.registry import SOURCES
+from auv_mcm.shell.sources import parse_source_uri
+from drivers.ports import read_ports
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+EXAMPLES = sorted((DEPLOY / "examples").iterdir())
+RULES = DEPLOY / "udev" / "99-auv-mcm.rules"
+RULE = re.compile(r'[A-Z]+(\{\w+\})?(==|!=|=|\+=)"[^"]*"(, [A-Z]+(\{\w+\})?(==|!=|=|\+=)"[^"]*")*')
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
+def test_an_example_is_valid_and_its_ports_are_what_drivers_speak(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = read_config(path)
+    assert parse_source_uri(config.service.source).scheme in SOURCES
+    ports = read_ports(config) if config.ports else []
+    assert (config.service.source == "ports") == bool(ports), "a source without ports, or ports without a source"
+    assert main(["run", "--interface", "--config", str(path)]) == 0
+    described = capsys.readouterr().out
+    assert [port.name for port in ports if port.name not in described] == []
+    assert config.service.output_directory.startswith("/var/lib/auv-mcm/"), "where the unit may write"
+    assert not config.vehicle.command, "an example that is run as it stands must not ask for a vehicle"
+
+
+def test_every_vehicle_dialect_and_sonar_has_an_example() -> None:
+    devices = {port.device for path in EXAMPLES for port in read_config(path).ports}
+    assert devices >= {"imc", "bluefin", "iver", "recon", "vehicle_can", "ping_protocol", "jsf", "sportscan"}
+    assert devices >= {"nmea0183", "nmea2000", "pixse", "water_linked"}
+
+
+def test_rules_of_udev_have_their_form_those_to_be_filled_in_as_well() -> None:
+    lines = [
+        line.removeprefix("#") for line in RULES.read_text().splitlines() if line.startswith(("SUB", "ACT", "#SUB"))
+    ]
+    assert len(lines) == len([line for line in RULES.read_text().splitlines() if line and not line.startswith("# ")])
+    assert [line for line in lines if RULE.fullmatch(line) is None] == []
+
+
+def test_names_of_ports_in_the_examples_are_those_that_the_rules_give() -> None:
+    given = set(re.findall(r'SYMLINK\+="([^"]+)"', RULES.read_text()))
+    used = {name for path in EXAMPLES for name in re.findall(r"serial:///dev/([^?]+)", path.read_text())}
+    assert used == given
+
+
+@pytest.mark.parametrize("name", ["80-auv-mcm-can.network", "80-auv-mcm-can.link"])
+def test_files_of_networkd_match_can_interfaces(name: str) -> None:
+    file = RawConfigParser()
+    file.read(DEPLOY / "can" / name)
+    assert file["Match"]["Type"] == "can"
