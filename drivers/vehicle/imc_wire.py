@@ -107,8 +107,9 @@ class ImcGrammar(Grammar[ImcPacket]):
         if first is not None and n_there - first.start() >= _FRAME_BYTES:
             plain = self._remainder.plain(buffer)
             swapped: Sequence[int] = ()
-            at = first.start()
-            for at in map(_START_OF, islice(_PLAUSIBLE.finditer(buffer, at), _FEW)):
+            last = first.start()
+            for at in map(_START_OF, islice(_PLAUSIBLE.finditer(buffer, last), _FEW)):
+                last = at
                 if buffer[at] == _LITTLE[0]:
                     number, n_payload = _LITTLE_LENGTH(buffer, at + 2)
                     end = at + _FRAME_BYTES + n_payload
@@ -125,10 +126,10 @@ class ImcGrammar(Grammar[ImcPacket]):
                 low, high = _LIMITS.get(number, _OTHER_LIMITS)
                 if low <= n_payload <= high:
                     n_checksum += 1
-            at, n_more = self._first_of_many(buffer, at + 1)
+            found, n_more = self._first_of_many(buffer, last + 1)
             n_checksum += n_more
-            if at >= 0:
-                return at, n_checksum
+            if found >= 0:
+                return found, n_checksum
         elif first is not None:
             return first.start(), 0
         begun = _BEGUN.search(buffer, max(start, n_there - _BEGINNING_BYTES + 1))
