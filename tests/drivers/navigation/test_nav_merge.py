@@ -401,7 +401,9 @@ def test_half_of_all_fixes_wrong_live_shows_in_the_sigma_as_it_does_replayed(per
     for sample in samples:
         live.add(sample)
     for t, position in enumerate(positions):
-        replayed.add(NavSample(time_s=T0.utc_ns * 1e-9 + t / per_s, **position))
+        latitude_deg, longitude_deg = position.values()
+        time_s = T0.utc_ns * 1e-9 + t / per_s
+        replayed.add(NavSample(time_s=time_s, latitude_deg=latitude_deg, longitude_deg=longitude_deg))
     times = T0.utc_ns * 1e-9 + np.arange(10.0, 90.0, 0.3)
     assert (live.interpolate(times).position_sigma_m > 1000.0).mean() > 0.9
     assert (replayed.interpolate(times).position_sigma_m > 1000.0).mean() > 0.9
