@@ -69,7 +69,11 @@ class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class NavSample(msgspec.Struct, frozen=True, kw_only=True):
-    """Hold what a navigation source knew at `time_s`. Any quantity it did not measure anew is NaN."""
+    """Hold what a navigation source knew at `time_s`. Any quantity it did not measure anew is NaN.
+
+    position_leaps: the vehicle cannot have got there from the positions before. Perception judges which are right;
+    nobody else may use this one.
+    """
 
     time_s: float
     latitude_deg: float = NAN
@@ -80,6 +84,7 @@ class NavSample(msgspec.Struct, frozen=True, kw_only=True):
     depth_m: float = NAN
     altitude_m: float = NAN
     speed_mps: float = NAN
+    position_leaps: bool = False
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):

@@ -60,7 +60,8 @@ class Tally:
         if math.isfinite(sample.heading_rad):
             self.heading_rad = sample.heading_rad
         if (
-            not (math.isfinite(sample.latitude_deg) and math.isfinite(sample.longitude_deg))
+            sample.position_leaps
+            or not (math.isfinite(sample.latitude_deg) and math.isfinite(sample.longitude_deg))
             or sample.latitude_deg == sample.longitude_deg == 0
             or abs(sample.latitude_deg) > 90.0
             or not -180.0 <= sample.longitude_deg <= 360.0

@@ -66,7 +66,7 @@ class VehicleLink:
             return
         if math.isfinite(event.heading_rad):
             self._heading_rad = event.heading_rad
-        if math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg):
+        if math.isfinite(event.latitude_deg) and math.isfinite(event.longitude_deg) and not event.position_leaps:
             self._position_deg, self._position_s = (event.latitude_deg, event.longitude_deg), self._clock.monotonic_s()
             self._time_s = event.time_s
 

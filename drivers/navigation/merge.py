@@ -16,6 +16,7 @@ from msgspec import structs
 
 from auv_mcm.clock import Stamp
 from auv_mcm.geometry.fix_agreement import FixAgreement
+from auv_mcm.geometry.navigation import JUMP_SLACK_M, MAX_SPEED_MPS
 from auv_mcm.records import NAN, NavSample, Notice
 from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity
 from drivers.clocks import DeviceClock, wire_delay_s
@@ -41,7 +42,6 @@ Event: TypeAlias = NavSample | Notice
 _QUEUE_SLACK_S: Final = 0.25  # beyond the longest latency, for links of unequal speed
 _RECKONING_PERIOD_S: Final = 0.1  # s between reckoned positions
 _RECKONING_STEPS_M: Final = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # 1-sigma at which a person should know
-_JUMP_SLACK_M: Final = 3.0  # receivers scatter and round
 _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or reckoned
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a notice is raised; as many that agree end it
@@ -156,6 +156,7 @@ class NavMerge:
             if reading is not None and quantity in unit.delivers
         }
         served: dict[Quantity, Any] = {}
+        leap: Position | None = None
         # Positions last: they are judged and moved by the others.
         for quantity in sorted(delivered, key=lambda name: name == "position"):
             reading: Any = delivered[quantity]
@@ -163,7 +164,10 @@ class NavMerge:
             if self._repeats(channel, fix, quantity):
                 continue
             if quantity == "position":
-                reading = self._believed(channel, time_s, self._without_arm(reading, unit))
+                measured = self._without_arm(reading, unit)
+                reading = self._believed(channel, time_s, measured)
+                if reading is None and self._is_for_perception(channel, time_s, measured):
+                    leap = measured
             elif quantity == "speed" and unit.surface_only and self._submerged(fix.source):
                 reading = None
             elif quantity == "depth" or quantity == "altitude":
@@ -179,7 +183,9 @@ class NavMerge:
                 events += self._compare(quantity, channel)
             if quantity in served:
                 self._reckon_with(quantity, time_s, reading)
-        if served:
+        if leap is not None:
+            self._put(time_s, _sample(utc_s, {**served, "position": leap}, position_leaps=True))
+        elif served:
             self._put(time_s, _sample(utc_s, served))
         if "position" in served:
             self._position_s, self.position_sigma_m = time_s, served["position"].sigma_m
@@ -333,6 +339,18 @@ class NavMerge:
         self.counters[f"nav.refix.{source}"] += 1  # reported by perception, once it follows
         return position
 
+    def _is_for_perception(self, channel: _Channel, time_s: float, position: Position) -> bool:
+        """Check whether perception has to see a position that was not believed, as it sees it in a recorded log.
+
+        Only with it can perception find that two places alternate, and that neither is known to be right. What it would
+        take for a motion stays out, and so does what a satellite receiver under water cannot have.
+        """
+        serving, last = self._fallbacks["position"].serving, channel.agreement.last
+        if channel.doubt is not None or last is None or serving not in (None, channel.health):
+            return False
+        reach_m = JUMP_SLACK_M + MAX_SPEED_MPS * abs(time_s - last.time_s)
+        return _apart_m(last, _Given(time_s, position)) > reach_m
+
     def _submerged(self, source: str) -> bool:
         """Return whether a satellite receiver is under water, or sends positions as if it were."""
         depth_m = self._fresh("depth")
@@ -342,7 +360,7 @@ class NavMerge:
         )
 
     def _reach_m(self, before: _Given, after: _Given) -> float:
-        slack_m = _JUMP_SLACK_M + _N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
+        slack_m = JUMP_SLACK_M + _N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
         return slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
 
     def _choose(self, quantity: Quantity) -> list[Event]:
@@ -491,7 +509,7 @@ def _apart_m(before: _Given, after: _Given) -> float:
     return math.hypot(*offset_m(before.value[:2], after.value[:2]))
 
 
-def _sample(utc_s: float, served: dict[Quantity, Any]) -> NavSample:
+def _sample(utc_s: float, served: dict[Quantity, Any], position_leaps: bool = False) -> NavSample:
     reported: dict[str, float] = {}
     for quantity, reading in served.items():
         match reading:
@@ -505,7 +523,7 @@ def _sample(utc_s: float, served: dict[Quantity, Any]) -> NavSample:
                 reported["speed_mps"] = reading.speed_mps
             case _:
                 reported[f"{quantity}_m"] = reading
-    return NavSample(time_s=utc_s, **reported)
+    return NavSample(time_s=utc_s, position_leaps=position_leaps, **reported)
 
 
 def _difference(quantity: Quantity, given: _Given, reference: _Given, max_speed_mps: float) -> float:

@@ -56,7 +56,7 @@ class NmeaGrammar(Grammar[str]):
         if match is None:
             return self._incomplete(buffer, at)
         body, checksum = match.groups()
-        if xor_of(body) != _BYTE_OF_HEX[checksum]:
+        if xor_of(body) != BYTE_OF_HEX[checksum]:
             return "checksum"
         return body.decode("ascii"), match.end() - at
 
@@ -105,7 +105,7 @@ def xor_of(data: bytes) -> int:
 
 
 _HEX_DIGITS: Final = b"0123456789abcdefABCDEF"
-_BYTE_OF_HEX: Final = {bytes((high, low)): int(bytes((high, low)), 16) for high in _HEX_DIGITS for low in _HEX_DIGITS}
+BYTE_OF_HEX: Final = {bytes((high, low)): int(bytes((high, low)), 16) for high in _HEX_DIGITS for low in _HEX_DIGITS}
 _FEW_BYTES: Final = 16  # up to which folding is slower
 
 

@@ -7,8 +7,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import cache
+from itertools import islice
 from struct import Struct
 from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.framing import Grammar, Refused
 from drivers.vehicle.imc_crc import RunningRemainder, crc16_arc
@@ -38,6 +43,7 @@ _PLAUSIBLE: Final = re.compile(
 )
 _BEGUN: Final = re.compile(rb"(?:\x54\xfe|\xfe\x54).{0,3}\Z", re.DOTALL)
 _START_OF: Final = re.Match.start
+_FEW: Final = 16  # candidates looked at one by one, 0.7 us each; the others at once, which takes 60 us for 4 KiB
 
 
 class ImcPacket(NamedTuple):
@@ -101,7 +107,9 @@ class ImcGrammar(Grammar[ImcPacket]):
         if first is not None and n_there - first.start() >= _FRAME_BYTES:
             plain = self._remainder.plain(buffer)
             swapped: Sequence[int] = ()
-            for at in map(_START_OF, _PLAUSIBLE.finditer(buffer, first.start())):
+            last = first.start()
+            for at in map(_START_OF, islice(_PLAUSIBLE.finditer(buffer, last), _FEW)):
+                last = at
                 if buffer[at] == _LITTLE[0]:
                     number, n_payload = _LITTLE_LENGTH(buffer, at + 2)
                     end = at + _FRAME_BYTES + n_payload
@@ -118,10 +126,45 @@ class ImcGrammar(Grammar[ImcPacket]):
                 low, high = _LIMITS.get(number, _OTHER_LIMITS)
                 if low <= n_payload <= high:
                     n_checksum += 1
+            found, n_more = self._first_of_many(buffer, last + 1)
+            n_checksum += n_more
+            if found >= 0:
+                return found, n_checksum
         elif first is not None:
             return first.start(), 0
         begun = _BEGUN.search(buffer, max(start, n_there - _BEGINNING_BYTES + 1))
         return -1 if begun is None else begun.start(), n_checksum
+
+    def _first_of_many(self, buffer: bytearray, start: int) -> tuple[int, int]:
+        """Do as `_first_alive` for candidates with a whole beginning, all at once."""
+        n_there = len(buffer)
+        if n_there - start < _BEGINNING_BYTES:
+            return -1, 0
+        data = np.frombuffer(buffer, np.uint8)[start:]
+        first, second, fifth, sixth = data[:-5], data[1:-4], data[4:-1], data[5:]
+        highest = _MAX_PAYLOAD >> 8
+        is_little = (first == _LITTLE[0]) & (second == _LITTLE[1]) & (sixth <= highest)
+        at = np.flatnonzero(is_little | ((first == _BIG[0]) & (second == _BIG[1]) & (fifth <= highest)))
+        if not len(at):
+            return -1, 0
+        is_little = is_little[at]
+        words = data[at[:, np.newaxis] + np.where(is_little[:, np.newaxis], [3, 2, 5, 4], [2, 3, 4, 5])].astype(np.intp)
+        number, n_payload = 256 * words[:, 0] + words[:, 1], 256 * words[:, 2] + words[:, 3]
+        at += start
+        end = at + _FRAME_BYTES + n_payload
+        is_alive = end > n_there
+        whole = np.flatnonzero(~is_alive)
+        is_whole_little, to = is_little[whole], end[whole]
+        plain = np.array(self._remainder.plain(buffer), np.uint16)
+        expected = plain[to]
+        if not is_whole_little.all():
+            swapped = np.array(self._remainder.swapped(buffer), np.uint16)
+            expected = np.where(is_whole_little, expected, swapped[to - CHECKSUM_BYTES])
+        is_alive[whole] = plain[at[whole]] == expected
+        n_dead = int(is_alive.argmax()) if is_alive.any() else len(at)
+        low, high = _limits_of_all()
+        is_long_enough = (low[number] <= n_payload) & (n_payload <= high[number])
+        return int(at[n_dead]) if n_dead < len(at) else -1, int(np.count_nonzero(is_long_enough[:n_dead]))
 
     def read(self, buffer: bytearray, at: int) -> tuple[ImcPacket, int] | int | str:
         n_there = len(buffer) - at
@@ -148,3 +191,12 @@ class ImcGrammar(Grammar[ImcPacket]):
 
     def forget(self, n_bytes: int) -> None:
         self._remainder.forget(n_bytes)
+
+
+@cache
+def _limits_of_all() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return the lowest and highest plausible size by message id, each (65536,) int32."""
+    low, high = np.full(0x10000, _OTHER_LIMITS[0], np.int32), np.full(0x10000, _OTHER_LIMITS[1], np.int32)
+    for number, limits in _LIMITS.items():
+        low[number], high[number] = limits
+    return low, high

@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 from auv_mcm.settings.vehicle_settings import ReconSettings
 from drivers.framing import Grammar
 from drivers.message_candidates import MessageCandidates
-from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES
+from drivers.navigation.nmea0183 import BYTE_OF_HEX, MAX_SENTENCE_BYTES
 from drivers.navigation.sentences import Codec, Sentence
 from drivers.vehicle.ascii_fields import (
     CLOCK,
@@ -43,7 +43,7 @@ from drivers.vehicle.ascii_fields import (
 from drivers.vehicle.dialect import ContactReport
 
 _BODY: Final = rb"[\x20-\x22\x24-\x29\x2b-\x7e]"
-_FRAME: Final = re.compile(rb"#([A-Za-z](?:,%b{0,%d})?),\*([0-9A-F]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 9))
+_FRAME: Final = re.compile(rb"(#[A-Za-z](?:,%b{0,%d})?,\*)([0-9A-F]{2})\r?\n?" % (_BODY, MAX_SENTENCE_BYTES - 9))
 _BEGUN: Final = re.compile(rb"#%b*(?:\*[0-9A-F]?)?" % _BODY)
 _CANDIDATES: Final = MessageCandidates(
     (b"#",),
@@ -140,10 +140,10 @@ class ReconGrammar(Grammar[str]):
     def read(self, buffer: bytearray, at: int) -> tuple[str, int] | int | str:
         match = _FRAME.match(buffer, at)
         if match is not None:
-            body, checksum = match.groups()
-            if sum_of(buffer[at : match.end(1) + 2]) != int(checksum, 16):
+            summed, checksum = match.groups()
+            if sum(summed) & 0xFF != BYTE_OF_HEX[checksum]:
                 return "checksum"
-            return body.decode("ascii"), match.end() - at
+            return summed[1:-2].decode("ascii"), match.end() - at
         begun = _BEGUN.match(buffer, at)
         assert begun is not None  # `find` saw its first character
         if begun.end() - at >= MAX_SENTENCE_BYTES:

@@ -18,6 +18,7 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 import numpy as np
 
 from auv_mcm.clock import Stamp
+from auv_mcm.errors import SelfCheckError
 from auv_mcm.settings.vehicle_settings import BluefinSettings, IverSettings, ReconSettings
 from drivers.framing import Framer, Grammar
 from drivers.links.can_frame import CanFrame
@@ -660,11 +661,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Print the tables; returns the exit code.
 
-    It is 1 if an intact message was lost or junk takes more processor time than is allowed.
+    Raises SelfCheckError if an intact message was lost or junk takes more processor time than is allowed.
     """
     print("\n".join([*speed_lines(chosen.pings), ""]))
     junk = [junk_row(wire, chosen.junk) for wire in FEEDS]
     print("\n".join([*junk_lines(junk), ""]), flush=True)
     rows = [campaign(wire, chosen.faults, chosen.seed) for wire in WIRES]
     print("\n".join(campaign_lines(rows)))
-    return int(any(row.n_lost for row in rows) or any(row.s_per_mb > MAX_S_PER_MB for row in junk))
+    lost, slow = [row.name for row in rows if row.n_lost], [row.name for row in junk if row.s_per_mb > MAX_S_PER_MB]
+    if lost:
+        raise SelfCheckError(f"intact messages were lost by {', '.join(lost)}")
+    if slow:
+        raise SelfCheckError(f"junk takes more processor time than is allowed in {', '.join(slow)}")
+    return 0

@@ -26,9 +26,10 @@ from typing import Any, Final, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.errors import AuvMcmError, SelfCheckError
+from auv_mcm.errors import AuvMcmError, BadInputError, SelfCheckError
 from auv_mcm.geometry.geodesy import geodetic_to_ecef
 from auv_mcm.records import NavSample
+from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.arguments import count
 from sim_replay.benches.mutations import CHANGES, JUMPS, mutated, split
@@ -80,9 +81,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay all mutants and print; returns the exit code. Raises SelfCheckError if a mutant fails."""
+    """Replay all mutants and print; returns the exit code.
+
+    Raises BadInputError for a log that cannot be read, and SelfCheckError if a mutant fails.
+    """
     mutants: list[Mutant] = []
-    logs = {path: path.read_bytes() for path in arguments.logs}
+    logs = {path: _bytes_of(path) for path in arguments.logs}
     with tempfile.TemporaryDirectory(prefix="auv-mcm-mutants-") as scratch:
         for number in range(arguments.mutants):
             random = np.random.default_rng((arguments.seed, number))
@@ -100,6 +104,14 @@ def run(arguments: argparse.Namespace) -> int:
     if failed:
         raise SelfCheckError(f"{failed} of {len(mutants)} damaged logs did not pass")
     return 0
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        with open_regular(path) as file:
+            return file.read()
+    except OSError as error:
+        raise BadInputError(f"{path}: {error.strerror}") from error
 
 
 def kinds_of(number: int) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ from sim_replay.fitting.seabed.seabed_score import Shares, confusion_m2, shares
 from sim_replay.missions import SCENES, config_for
 from sim_replay.scoring.seabed_map import SeabedMap
 from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import NOTHING, columns, markdown
 
@@ -131,7 +132,11 @@ def run(arguments: argparse.Namespace) -> int:
 def scored(task: SeabedTask) -> Scored:
     """Fly a mission over a named scene and compare its map with the truth."""
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
-    model = parse_seabed_model(task.model, "model")
+    return scored_scene(scene, parse_seabed_model(task.model, "model"))
+
+
+def scored_scene(scene: Scene, model: SeabedModel) -> Scored:
+    """Fly a mission over a scene, without a detector, and compare its map with the truth."""
     stage_s: list[float] = []
 
     def timed(tile: Tile) -> SeabedCells:

@@ -57,6 +57,7 @@ WORST_BYTES: Final[Mapping[str, Mapping[str, bytes]]] = MappingProxyType(
             "nested headers": b"BR" + struct.pack("<HH", 4096, 7),
             "nested profiles": _PROFILE + bytes(2),
             "longest": struct.pack("<2sHHBB", b"BR", 4096, 7, 0, 0) + bytes(2000),
+            "shortest with a right checksum": struct.pack("<2sHHBBH", b"BR", 0, 7, 0, 0, 0x9B),
         },
         "jsf": {
             "syncs": b"\x01\x16",
@@ -79,6 +80,7 @@ WORST_BYTES: Final[Mapping[str, Mapping[str, bytes]]] = MappingProxyType(
             **{name: b"w" + rest for name, rest in _TEXT.items()},
             "beginnings, ended in three ways": b"wrz\r" + b"wrz\x80" + b"wrz*",
             "shortest with a wrong checksum": b"wrz,*00",
+            "shortest with a right checksum": b"wrz,*05",
             "longest": b"w" + b"a" * 380,
             "too long": b"w" + b"a" * 381,
         },
@@ -93,6 +95,7 @@ WORST_BYTES: Final[Mapping[str, Mapping[str, bytes]]] = MappingProxyType(
             **{name: b"#" + rest for name, rest in _TEXT.items()},
             "beginnings, ended in three ways": b"#S\r" + b"#S\x80" + b"#S,*0",
             "shortest with a wrong checksum": b"#S,*00",
+            "shortest with a right checksum": b"#S,*CC",
             "longest": b"#S," + b"1" * 246 + b",*00",
             "too long": b"#S," + b"1" * 260,
         },
@@ -104,6 +107,7 @@ WORST_BYTES: Final[Mapping[str, Mapping[str, bytes]]] = MappingProxyType(
             "headers in the other byte order": b"\xfe\x54\x00\x00\x0f",
             "longest": b"\x54\xfe" + struct.pack("<HH", 60_000, MAX_PAYLOAD_BYTES) + bytes(300),
             "shortest with a wrong checksum": b"\x54\xfe" + struct.pack("<HH", 60_000, 0) + bytes(16),
+            "shortest with a right checksum": b"\xfe\x54" + struct.pack(">HH", 60_000, 0) + bytes(14) + b"\xc4\x21",
         },
         "slcan": {
             "ends": b"\r",

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import tracemalloc
 from collections.abc import Iterable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -37,7 +38,7 @@ def here(
 ) -> NavSample:
     """A full sample `seconds` after the start at a local position."""
     latitude, longitude, _ = frame.to_geodetic(np.array([east, north, 0.0]))
-    known = {
+    known: dict[str, Any] = {
         "heading_rad": 0.0,
         "pitch_rad": 0.0,
         "roll_rad": 0.0,
@@ -53,7 +54,7 @@ def without(sample: NavSample, *names: str) -> NavSample:
     return msgspec.structs.replace(sample, **dict.fromkeys(names, NAN))
 
 
-def only(seconds: float, **values: float) -> NavSample:
+def only(seconds: float, **values: Any) -> NavSample:
     return NavSample(time_s=START_S + seconds, **values)
 
 

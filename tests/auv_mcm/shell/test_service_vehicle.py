@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from auv_mcm.errors import AuvMcmError
@@ -66,6 +67,7 @@ class Ports:
     def __init__(self, vehicle: Vehicle | None = None) -> None:
         self.vehicle = vehicle or Vehicle()
         self.wrong: list[str] = []
+        self.position_leaps = False
         self.is_served = False
         self._stopped = False
 
@@ -93,7 +95,7 @@ class Ports:
     async def run(self, sink: EventSink) -> None:
         number = 0
         while not self._stopped:
-            sink.push(fake.navigation(number % 10))
+            sink.push(msgspec.structs.replace(fake.navigation(number % 10), position_leaps=self.position_leaps))
             sink.push(fake.ping(number))
             number += 1
             await asyncio.sleep(0.01)
@@ -163,6 +165,14 @@ def test_what_is_wrong_is_reported_and_that_it_is_well_again(tmp_path: Path) -> 
 
     serve(tmp_path, ports, until)
     assert healths()[:3] == [("normal", ""), ("fault", "port sonar is down"), ("normal", "")]
+
+
+def test_a_position_that_leaps_is_none_to_plan_from(tmp_path: Path) -> None:
+    ports = Ports()
+    ports.position_leaps = True
+    serve(tmp_path, ports, lambda: "fault" in ports.vehicle.words(), fake.Undecided)
+    assert ("fault", "there is no position") in ports.vehicle.reports
+    assert "plan" not in ports.vehicle.words()
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,8 @@ def test_distance_is_the_sum_of_steps_without_jumps_holes_and_absent_positions()
     assert sailed(fix(0, 10), fix(500, 60), fix(501, 62)).distance_m == pytest.approx(2.0, rel=0.01), "a hole"
     gap = NavSample(time_s=1.0)
     zero = NavSample(time_s=1.0, latitude_deg=0.0, longitude_deg=0.0)
-    assert sailed(fix(0, 10), gap, zero, fix(2, 12)).distance_m == pytest.approx(2.0, rel=0.01)
+    leap = NavSample(time_s=1.0, latitude_deg=30.0 * METRE_DEG, longitude_deg=179.9999, position_leaps=True)
+    assert sailed(fix(0, 10), gap, zero, leap, fix(2, 12)).distance_m == pytest.approx(2.0, rel=0.01)
 
 
 def test_direction_is_the_heading_or_else_the_course() -> None:

@@ -119,9 +119,11 @@ def test_one_unit_goes_through_as_it_is() -> None:
     samples, notices = run(merged, fixes)
     assert notices == []
     assert not merged.counters
-    assert [structs.astuple(sample)[1:] for sample in samples] == [
-        tuple(pytest.approx(getattr(one, name)) for name in NavSample.__struct_fields__[1:]) for one in fixes
+    measured = [name for name in NavSample.__struct_fields__ if name not in ("time_s", "position_leaps")]
+    assert [[getattr(sample, name) for name in measured] for sample in samples] == [
+        [pytest.approx(getattr(one, name)) for name in measured] for one in fixes
     ]
+    assert not any(sample.position_leaps for sample in samples)
     assert [seconds(sample) for sample in samples] == pytest.approx([t for t, *_ in survey(20)], abs=1e-5)
     buffer = NavBuffer(NavigationConfig())
     for sample in samples:
@@ -359,15 +361,20 @@ def test_speed_of_a_submerged_receiver_is_not_believed_either() -> None:
     assert values(samples, "speed_mps") == []
 
 
-def test_a_single_leap_is_dropped_and_a_new_place_is_believed_the_third_time() -> None:
+def test_a_single_leap_is_not_believed_and_a_new_place_is_the_third_time() -> None:
     positions = [(0.0, 1.5 * t) for t in range(40)]
     positions[10] = (500.0, 0.0)
     positions[30:] = [(300.0, north) for _, north in positions[30:]]
     merged = merge(ins=NavUnitSettings())
     samples, notices = run(merged, [fix("ins", float(t), **place(*position)) for t, position in enumerate(positions)])
     assert merged.counters == {"nav.jump.ins": 4, "nav.refix.ins": 1}
-    east = [round(east) for _, east, _ in track(samples)]
-    assert east == [0] * 29 + [300] * 8
+    believed = [round(east) for _, east, _ in track([sample for sample in samples if not sample.position_leaps])]
+    assert believed == [0] * 29 + [300] * 8
+    assert [round(east) for _, east, _ in track([sample for sample in samples if sample.position_leaps])] == [
+        500,
+        300,
+        300,
+    ]
     assert notices == [], "perception reports it when it follows, in the same words live and replayed"
 
 
@@ -376,10 +383,41 @@ def test_a_wrong_first_position_and_two_places_in_turn_do_not_silence_a_unit() -
     positions = [(90_000.0, 0.0)] + [(1100.0 * (t % 2), 1.5 * t) for t in range(1, 40)]
     merged = merge(ins=NavUnitSettings())
     samples, _ = run(merged, [fix("ins", float(t), **place(*position)) for t, position in enumerate(positions)])
-    east = {round(east) for _, east, _ in track(samples)[1:]}
-    assert len(track(samples)) >= 16
+    believed = track([sample for sample in samples if not sample.position_leaps])
+    east = {round(east) for _, east, _ in believed[1:]}
+    assert len(believed) >= 16
     assert len(east) == 1
     assert east <= {0, 1100}
+
+
+@pytest.mark.parametrize("per_s", [1.0, 2.0, 10.0])
+def test_half_of_all_fixes_wrong_live_shows_in_the_sigma_as_it_does_replayed(per_s: float) -> None:
+    """The merge kept one place at a time from perception, so that at 2 Hz half of all poses looked sure."""
+    wrong = np.random.default_rng(0).random(int(100 * per_s)) < 0.5
+    merged = merge(gps=NavUnitSettings())
+    positions = [place(t / per_s, 1100.0 * wrong[t]) for t in range(len(wrong))]
+    samples, _ = run(merged, [fix("gps", t / per_s, **position) for t, position in enumerate(positions)])
+    live, replayed = NavBuffer(NavigationConfig()), NavBuffer(NavigationConfig())
+    for sample in samples:
+        live.add(sample)
+    for t, position in enumerate(positions):
+        latitude_deg, longitude_deg = position.values()
+        time_s = T0.utc_ns * 1e-9 + t / per_s
+        replayed.add(NavSample(time_s=time_s, latitude_deg=latitude_deg, longitude_deg=longitude_deg))
+    times = T0.utc_ns * 1e-9 + np.arange(10.0, 90.0, 0.3)
+    assert (live.interpolate(times).position_sigma_m > 1000.0).mean() > 0.9
+    assert (replayed.interpolate(times).position_sigma_m > 1000.0).mean() > 0.9
+    codes = {notice.code for notice in live.take_notices()}
+    assert codes == {notice.code for notice in replayed.take_notices()}
+    assert {"navigation.position_disputed", "navigation.positions_rejected"} <= codes
+
+
+def test_a_leap_within_the_reach_of_perception_stays_out() -> None:
+    """At a fix per second 20 m are below 30 m/s, where perception begins to doubt; the merge doubts from 6 m/s on."""
+    fixes = [fix("ins", float(t), position_sigma_m=0.1, **place(20.0 * (t == 10), 1.5 * t)) for t in range(20)]
+    samples, _ = run(merge(ins=NavUnitSettings()), fixes)
+    assert [round(east) for _, east, _ in track(samples)] == [0] * 19
+    assert not any(sample.position_leaps for sample in samples)
 
 
 def test_the_sigma_of_reckoned_positions_grows_and_steps_are_reported() -> None:

@@ -9,8 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.cli import main
+from auv_mcm.errors import SelfCheckError
 from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
 from drivers.sonar.sonars import SONARS
+from sim_replay.benches import framers
 from sim_replay.benches.framers import (
     FAULT_KINDS,
     FEEDS,
@@ -152,3 +155,14 @@ def test_every_wire_has_its_worst_bytes_and_a_verdict() -> None:
     slow = JunkRow("imc", "syncs", 2.0 * MAX_S_PER_MB)
     assert junk_lines([slow._replace(s_per_mb=MAX_S_PER_MB)])[-1].endswith("held by all")
     assert "FAILED by imc" in junk_lines([slow])[-1]
+
+
+@pytest.mark.parametrize(("allowed_s", "code"), [(1e9, 0), (0.0, SelfCheckError.exit_code)])
+def test_the_command_ends_with_5_where_junk_takes_more_than_is_allowed(
+    allowed_s: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(framers, "MAX_S_PER_MB", allowed_s)
+    monkeypatch.setattr(framers, "FEEDS", {"imc": FEEDS["imc"]})
+    monkeypatch.setattr(framers, "WIRES", [wire for wire in WIRES if wire.name == "imc"])
+    assert main(["bench", "framers", "--faults", "1", "--pings", "1", "--junk", "100"]) == code
+    assert ("in imc" in capsys.readouterr().err) == (code != 0)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from auv_mcm.cli import main
-from auv_mcm.errors import SelfCheckError
+from auv_mcm.errors import BadInputError, SelfCheckError
 from auv_mcm.settings.config import Config
 from sim_replay.benches import mutants
 from sim_replay.benches.mutants import judge_mutant, kinds_of, table, wrong_results
@@ -121,6 +122,15 @@ def test_the_command_names_what_failed_keeps_it_and_ends_with_5(
     assert "FAILED 0 of short.xtf" in said.out
     assert "1 of 1 damaged logs did not pass" in said.err
     assert (tmp_path / "kept" / "mutant-0.xtf").exists()
+
+
+def test_a_log_that_is_a_pipe_or_missing_is_refused_without_waiting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(tmp_path / "pipe.xtf")
+    for name, said in (("pipe.xtf", "is not a regular file"), ("none.xtf", "No such file")):
+        assert main(["bench", "mutants", str(tmp_path / name), "--mutants", "1"]) == BadInputError.exit_code
+        assert said in capsys.readouterr().err
 
 
 def test_the_table_has_a_line_per_kind_and_one_for_all() -> None:
