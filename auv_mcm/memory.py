@@ -7,8 +7,8 @@ from typing import Final
 
 _M_MMAP_THRESHOLD: Final = -3  # of glibc's malloc.h
 _LARGE_BYTES: Final = 12 << 20
-"""Arrays of this size go back to the system when they are freed. On the named scene `deep` the peak falls from 202 to 207 MB
-to 196 to 198 MB at no processor time that could be measured; with 6 MB it is 195 MB."""
+"""Arrays of this size go back to the system when they are freed. On the named scene `deep` the peak falls from 202 to
+207 MB to 196 to 198 MB at no processor time that could be measured; with 6 MB it is 195 MB."""
 
 
 def return_large_arrays() -> None:
