@@ -21,6 +21,7 @@ from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.clock import Clock, SystemClock
 from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.contact_picture import snippet_png
+from auv_mcm.memory import return_large_arrays
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
@@ -80,6 +81,7 @@ def replay(
     """
     clock = clock or SystemClock()
     mission = open_mission(logs, config, chunk_bytes)
+    return_large_arrays()
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
     tally, gathered, pace = Tally(), _Gathered(config), Pace(speed, clock)
     make_results_directory(folder)

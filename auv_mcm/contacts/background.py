@@ -262,9 +262,9 @@ _MIN_AREA_KM2: Final = 1e-4  # a hundredth of a hectare: a few pings
 
 def _mine_shares(prior: BackgroundPrior) -> Array:
     """Compute the share of mines' contacts in each bin; what falls below the lowest level is in none."""
-    from scipy.special import ndtr
-
-    reached = ndtr(-(LEVELS_NATS - prior.mine_mean_nats) / prior.mine_sd_nats)
+    # The standard library's error function: scipy.special takes 0.2 s to load.
+    deviates = (LEVELS_NATS - prior.mine_mean_nats) / (prior.mine_sd_nats * math.sqrt(2.0))
+    reached = np.array([0.5 * math.erfc(deviate) for deviate in deviates.tolist()])
     return np.asarray(reached - np.append(reached[1:], 0.0))
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.dimensions import Dimensions, dimensions
 from auv_mcm.classify.fusion import fuse
+from auv_mcm.contacts.assignment import cheapest_columns
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, ContactClass, Detection, contact_id, contact_number
 from auv_mcm.settings.config import ContactsConfig
@@ -202,16 +203,13 @@ class Ledger:
             for at, contact_column in np.argwhere(in_reach).tolist():
                 matches[at] = numbers[possible[contact_column]]
             return matches
-        # late: takes 0.4 s to load, and seldom do detections compete for a contact
-        from scipy.optimize import linear_sum_assignment
-
         # A new contact costs as much as the worst match allowed, so that no good match is given up for two bad ones.
-        opening = np.full((len(detections), len(detections)), self._config.gate_chi2)
-        for row, column in zip(
-            *linear_sum_assignment(np.concatenate([cost[:, possible], opening], axis=1)), strict=True
-        ):
+        competing = np.flatnonzero(in_reach.any(axis=1))
+        opening = np.full((competing.size, competing.size), self._config.gate_chi2)
+        chosen = cheapest_columns(np.concatenate([cost[np.ix_(competing, possible)], opening], axis=1))
+        for row, column in zip(competing.tolist(), chosen.tolist(), strict=True):
             if column < possible.size:
-                matches[int(row)] = numbers[possible[column]]
+                matches[row] = numbers[possible[column]]
         return matches
 
 

@@ -139,6 +139,7 @@ def by_both(
     max_scored = _max_candidates(config, without_skips)
     peak_scores, n_spent = _scores_of(plane, model, peaks, max_scored)
     passed = run_plane(plane, model, None if max_evaluations is None else max(max_evaluations - n_spent, 0))
+    del plane  # 16 MB of a wide tile
     half_rows, half_columns = STEP_M / tile.row_spacing_m, STEP_M / tile.column_spacing_m
     # Where nothing around echoes, no comparison holds, and a cascade passes all windows or none.
     heard = contrast.background[passed.rows, passed.columns] > NO_ECHO

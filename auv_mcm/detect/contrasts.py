@@ -142,11 +142,13 @@ def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Cont
     outer, hollow, area = grid.frame()
     frame = Frame(_box(outer), _box(hollow), prescreen.MIN_BACKGROUND * area)
     level, known = background(sums, tile.mask, frame, prescreen.NO_ECHO)
+    sums = sums.without_floor()
     boxes = [grid.centred(size_m)[0] for size_m in (prescreen.THIN_BOX_M, prescreen.SMALL_BOX_M, prescreen.LARGE_BOX_M)]
     logarithms = ratios(sums, level, np.array(boxes, dtype=np.int32), 1e-3)
     np.log(logarithms, out=logarithms)
     half = grid.rows(prescreen.LOOKS_ROWS_M), grid.columns(prescreen.LOOKS_COLUMNS_M)
     thin, small, large = local_variances(logarithms, known, rows, half, prescreen.LOG_CLIP, prescreen.MIN_LOG_VARIANCE)
+    del logarithms  # 13 MB of a wide tile, which would be held while scores are computed
     score = np.full(tile.mask.shape, -np.inf, dtype=np.float32)
     found = Contrasts(tile, grid, rows, _shadows(tile, grid), sums, level, known, thin, small, large, score)
     threshold = np.float32(-NormalDist().inv_cdf(p_false_alarm))

@@ -47,6 +47,10 @@ class TileSums(NamedTuple):
         """Give (n_rows, n_columns) of the tile."""
         return self.total.shape[0] - 1, self.total.shape[1] - 1
 
+    def without_floor(self) -> TileSums:
+        """Let go of the sea floor's, half of the memory, once the background is known."""
+        return self._replace(floor_total=np.empty((0, 0)), n_floor=np.empty((0, 0), dtype=np.int32))
+
 
 class Frame(NamedTuple):
     """Define the background of a pixel: a box (4,) int32 without its hollow (4,) int32.

@@ -100,8 +100,10 @@ MakePipeline: TypeAlias = "Callable[[Config, Contacts], Perceiving]"
 
 def standard_pipeline(config: Config, kept: Contacts) -> Perceiving:
     """Make the standard pipeline, imported only in the process that runs it."""
+    from auv_mcm.memory import return_large_arrays
     from auv_mcm.pipeline import Pipeline
 
+    return_large_arrays()
     return Pipeline(config, kept=kept, early=True)
 
 

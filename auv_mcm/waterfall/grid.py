@@ -84,6 +84,17 @@ def slice_swath(swath: Swath, rows: slice) -> Swath:
     )
 
 
+def with_own_image(swath: Swath) -> Swath:
+    """Copy the image of a part of a swath, so that the part does not keep the whole in memory."""
+    sides: dict[Side, SideImage] = {
+        side: SideImage(
+            image.intensity.copy(), image.mask.copy(), None if image.offset is None else image.offset.copy()
+        )
+        for side, image in swath.sides.items()
+    }
+    return swath._replace(sides=sides)
+
+
 def concatenate_swaths(swaths: list[Swath]) -> Swath:
     """Join swaths one after another.
 

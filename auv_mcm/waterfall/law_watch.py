@@ -40,6 +40,7 @@ _DOUBT_RATIO: Final = (
 _GAP_S: Final = 2.0
 _GAP_STEPS: Final = 3.0  # of the time between pings: those of a long-range sonar come seconds apart
 _RECENT_BLOCKS: Final = 32  # 512 pings
+_WATCHED: Final = 2  # of so many blocks after the decision one is measured, at half the processor time
 _SPREAD_BLOCKS: Final = 32
 
 
@@ -50,12 +51,19 @@ class LawVerdict(NamedTuple):
     notices: tuple[Notice, ...]
 
 
+class _Measured(NamedTuple):
+    """Hold a block's regions and its number since the start, or since a hole in time."""
+
+    number: int
+    regions: Regions
+
+
 class LawWatch:
     """Watch every ping of a mission once, in order, and decide what its samples are and when they change."""
 
     def __init__(self, sonar: SonarConfig) -> None:
         self._sonar = sonar
-        self._blocks: deque[Regions] = deque(maxlen=_RECENT_BLOCKS)
+        self._blocks: deque[_Measured] = deque()  # of the newest _RECENT_BLOCKS those that were measured
         self._open: list[Ping] = []  # of the block being filled
         self._n_pings = 0  # since the start, or since a hole in time
         self._n_blocks = 0
@@ -105,9 +113,21 @@ class LawWatch:
             self._open = []
         self._open.append(ping)
         if len(self._open) == BLOCK_PINGS:
-            self._blocks.append(measure_block(self._open))
+            if self._is_measured_next():
+                self._blocks.append(_Measured(self._n_blocks, measure_block(self._open)))
             self._n_blocks += 1
             self._open = []
+            self._forget(_RECENT_BLOCKS)
+
+    def _is_measured_next(self) -> bool:
+        """Whether the block that is complete counts: all until the law is known, and at first after a hole in time."""
+        is_new = self._transfer is None or self._n_blocks < DECIDE_PINGS // BLOCK_PINGS
+        return is_new or self._n_blocks % _WATCHED == 0
+
+    def _forget(self, n_blocks: int) -> None:
+        """Keep only what was measured of the newest n_blocks."""
+        while self._blocks and self._blocks[0].number < self._n_blocks - n_blocks:
+            self._blocks.popleft()
 
     def _is_time_to_decide(self, ping: Ping) -> bool:
         sonar = self._sonar
@@ -131,7 +151,7 @@ class LawWatch:
         return self._sonar.db_per_count is not None or math.log(high / low) <= _NARROW_NATS
 
     def _odds(self) -> LawOdds:
-        return weigh_laws(summarise(self._blocks))
+        return weigh_laws(summarise([block.regions for block in self._blocks]))
 
     def _decide(self, stated: TransferKind | None) -> LawVerdict:
         known = stated if self._sonar.transfer == "auto" else self._sonar.transfer
@@ -171,8 +191,7 @@ class LawWatch:
         else:
             self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
         # Older blocks may come from another recorder.
-        while len(self._blocks) > DECIDE_PINGS // BLOCK_PINGS:
-            self._blocks.popleft()
+        self._forget(DECIDE_PINGS // BLOCK_PINGS)
         return LawVerdict(self._transfer, (_turned(held, self._transfer, odds, place),))
 
     def _decibels_turned(self, odds: LawOdds) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import SIDES, Side, Tile
 from auv_mcm.settings.config import WaterfallConfig
-from auv_mcm.waterfall.grid import LEVEL_COLUMNS, Swath, concatenate_swaths, slice_swath
+from auv_mcm.waterfall.grid import LEVEL_COLUMNS, Swath, concatenate_swaths, slice_swath, with_own_image
 from auv_mcm.waterfall.radiometry import level_out
 
 
@@ -93,17 +93,17 @@ class TileCutter:
         start = max(self._core_row - self._overlap, self._first_row)
         stop = min(core_stop + self._overlap, self._stop_row)
         piece = slice_swath(rows, slice(start - self._first_row, stop - self._first_row))
-        index = (self._core_row - self._origin) // self._config.tile_rows
-        tiles = [
-            self._tile(side, index, start, self._core_row - start, core_stop - start, piece)
+        index, core_row = (self._core_row - self._origin) // self._config.tile_rows, self._core_row
+        keep = max(core_stop - self._overlap, self._first_row)
+        # Before tiles are levelled: the pieces take as much memory as the rows.
+        self._pieces = [with_own_image(slice_swath(rows, slice(keep - self._first_row, None)))]
+        self._core_row, self._n_rows, self._first_row = core_stop, self._pieces[0].n_rows, keep
+        del rows
+        return [
+            self._tile(side, index, start, core_row - start, core_stop - start, piece)
             for side in SIDES
             if side in piece.sides
         ]
-        self._core_row = core_stop
-        keep = max(core_stop - self._overlap, self._first_row)
-        self._pieces = [slice_swath(rows, slice(keep - self._first_row, None))]
-        self._n_rows, self._first_row = self._pieces[0].n_rows, keep
-        return tiles
 
     def _tile(self, side: Side, index: int, first_row: int, core_start: int, core_stop: int, piece: Swath) -> Tile:
         image = piece.sides[side]

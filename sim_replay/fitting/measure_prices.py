@@ -42,6 +42,7 @@ SCENE: Final = "rough"
 _SEED: Final = 600  # of the missions timed
 _LEG_M: Final = 120.0  # m of track timed
 _MAX_LOOKS: Final = 60  # confirmations timed
+_N_RUNS: Final = 3  # of which the least price counts
 _WAY_TO_TILES: Final = ("intake", "law", "waterfall")
 _OF_PIXELS: Final = ("seabed", "coverage")
 _OF_CONTOURS: Final[tuple[ExaminationStep, ...]] = ("first contours", "second contours")
@@ -59,13 +60,28 @@ class PriceList(NamedTuple):
     n_units: dict[str, int]
 
 
-def measure_prices(config: Config, clock: Clock = time.thread_time) -> PriceList:
+def measure_prices(config: Config, clock: Clock = time.thread_time, n_runs: int = _N_RUNS) -> PriceList:
     """Fly a short mission over rough ground, and divide the time of each stage by its work.
 
     The chain is that of this configuration.
 
-    clock: processor time, s.
+    Parameters
+    ----------
+    config
+        Of the payload.
+    clock
+        Returns processor time, s.
+    n_runs
+        Runs of which the least price counts, each by itself: what else runs on a computer only ever adds to processor
+        time, by half and more where caches are shared.
     """
+    runs = [_measured_once(config, clock) for _ in range(n_runs)]
+    prices = [msgspec.structs.asdict(run.prices) for run in runs]
+    least = {name: min(each[name] for each in prices) for name in prices[0] if name != "duty"}
+    return runs[0]._replace(prices=BudgetConfig(**least))
+
+
+def _measured_once(config: Config, clock: Clock) -> PriceList:
     scene = _short(read_scene(SCENE))
     config = msgspec.structs.replace(config_for(scene), detect=config.detect, waterfall=config.waterfall)
     model, _ = fitting(configured_model(config), config)

@@ -23,6 +23,7 @@ from auv_mcm.commands import Parser
 from auv_mcm.confirmation import Thoroughness, confirm_detection
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.detect.cascade.choose import configured_model, fitting
+from auv_mcm.memory import return_large_arrays
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Detection, Ping, PipelineEvent
 from auv_mcm.settings.config import Config, parse_config
@@ -45,6 +46,7 @@ def run_chain(
 ) -> dict[str, object]:
     """Run the chain and write its contacts; returns costs and counts of work."""
     look = _look_of(thoroughness, config)
+    return_large_arrays()
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=time.process_time, look=look)
     n_pings, n_samples, first_s, last_s, covered_m2, read_s = 0, 0, math.nan, math.nan, 0.0, 0.0
     mark = start = time.process_time()

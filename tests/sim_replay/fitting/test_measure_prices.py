@@ -26,7 +26,7 @@ def test_each_stage_is_priced_by_the_work_it_did(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(prices, "_MAX_LOOKS", 5)
     monkeypatch.setattr(prices, "measure_speed", lambda *_: 5e8)
     monkeypatch.setattr(prices, "read_scene", lambda name: _sparse(read_scene(name)))
-    found = prices.measure_prices(Config(), lambda: 1e-3 * next(ticks))
+    found = prices.measure_prices(Config(), lambda: 1e-3 * next(ticks), n_runs=1)
     assert found.prices.duty is None
     assert found.prices.comparison_us == pytest.approx(0.002)
     assert found.n_units["looks"] == 5
@@ -34,6 +34,13 @@ def test_each_stage_is_priced_by_the_work_it_did(monkeypatch: pytest.MonkeyPatch
     # Reading the clock is all that a look's steps cost: one step of the clock for solids, per look that got so far.
     assert found.prices.hypothesis_us <= 5 * 1e3 / found.n_units["hypotheses"] * 1.01
     assert all(getattr(found.prices, name) > 0.0 for name in found.prices.__struct_fields__ if name != "duty")
+
+
+def test_of_several_runs_the_least_price_of_each_unit_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = iter([BudgetConfig(peak_us=900.0, field_us=5000.0), BudgetConfig(peak_us=1200.0, field_us=4000.0)])
+    monkeypatch.setattr(prices, "_measured_once", lambda *_: PriceList(next(runs), {"peaks": 3}))
+    found = prices.measure_prices(Config(), n_runs=2)
+    assert found == PriceList(BudgetConfig(peak_us=900.0, field_us=4000.0), {"peaks": 3})
 
 
 def _sparse(scene: Scene) -> Scene:
