@@ -394,7 +394,7 @@ class NavMerge:
         why = "which is better and has been healthy for a while"
         if not before.is_healthy(self._now_s):
             why = f"because '{before.source}' gave none for {before.valid_s:g} s. Check its cable and its power."
-        text = f"{quantity} now comes from '{now.source}' now, {why}"
+        text = f"{quantity} now comes from '{now.source}', {why}"
         return [Notice(code="nav_source_changed", text=text, for_the_record=before.is_healthy(self._now_s))]
 
     def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:
