@@ -77,8 +77,6 @@ def calibration(p_mine: ArrayLike, on_mine: ArrayLike) -> Calibration:
     ------
     ValueError
         As calibration_error does.
-    ValueError
-        As calibration_error does.
     """
     p, true = np.asarray(p_mine, dtype=np.float64), np.asarray(on_mine, dtype=np.bool_)
     if not p.size:
