@@ -168,4 +168,4 @@ def test_equal_seeds_report_the_same_and_other_seeds_differ() -> None:
         reported(NavigationError(), poses), reported(NavigationError(), poses, seed=2), strict=True
     ):
         shared = {name for name in NavSample.__struct_fields__ if getattr(first, name) == getattr(other, name)}
-        assert shared == {"time_s", "depth_m"}
+        assert shared == {"time_s", "depth_m", "position_leaps"}
