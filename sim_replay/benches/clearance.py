@@ -24,14 +24,14 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.arguments import count
+from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.detection_performance.looks import GATE_M
-from sim_replay.missions import SCENES, config_for
+from sim_replay.missions import config_for
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import TARGET_KINDS
-from sim_replay.simulator.scene_file import named_scenes, read_scene
+from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import columns, markdown
 
 FIRST_SEED: Final = 91001  # of missions that nothing was fitted on
@@ -89,19 +89,8 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench clearance`."""
-    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument(
-        "--first-seed",
-        type=count,
-        default=FIRST_SEED,
-        help=f"seed of each scene's first mission (default {FIRST_SEED})",
-    )
-    parser.add_argument(
-        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
-    )
+    add_scene_options(parser, FIRST_SEED)
     parser.add_argument("--without-mines", action="store_true", help="take the mines out of the scenes")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write what was judged to FILE")
 
 
@@ -110,10 +99,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises UsageError for unknown scenes and a file that cannot be written.
     """
-    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
-    if unknown := [name for name in names if name not in named_scenes()]:
-        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    names = chosen_scenes(arguments.scenes)
+    seeds = chosen_seeds(arguments)
     tasks = [
         ClearanceTask(scene=name, seed=seed, with_targets=not arguments.without_mines)
         for name in names

@@ -22,11 +22,17 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
 from auv_mcm.detect.belief import probability
 from auv_mcm.errors import UsageError
-from sim_replay.arguments import count
+from sim_replay.benches.mission_options import (
+    add_line_options,
+    add_scene_options,
+    chosen_draws,
+    chosen_scenes,
+    chosen_seeds,
+)
 from sim_replay.benches.point import Judged, check_lines, counted_missions, fly_augmented, judged
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SortedContacts, flown_scene
-from sim_replay.missions import FIRST_SEED, SCENES
+from sim_replay.missions import FIRST_SEED
 from sim_replay.scoring.calibration import Calibration, calibration
 from sim_replay.scoring.intervals import density, proportion
 from sim_replay.simulator.scene import SampleRecorder, Scene
@@ -85,23 +91,9 @@ class Domain(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench domains`."""
-    parser.add_argument("--seeds", type=count, default=2, help="missions per scene and recorder (default 2)")
-    parser.add_argument(
-        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"
-    )
-    parser.add_argument("--scenes", help="scenes by name, with commas between (default: the ten)")
+    add_scene_options(parser, FIRST_SEED)
     parser.add_argument("--no-recorders", action="store_true", help="leave out the recorders")
-    parser.add_argument(
-        "--log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="a recorded line to augment, XTF; repeatable",
-    )
-    parser.add_argument("--log-seeds", type=count, default=8, help="draws of targets per recorded line (default 8)")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
+    add_line_options(parser, 8)
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw reliability diagrams (.png, .svg, .pdf)")
 
 
@@ -110,14 +102,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises UsageError for unknown scenes, BadInputError for an unreadable log.
     """
-    names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
-    if unknown := [name for name in names if name not in named_scenes()]:
-        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    names = chosen_scenes(arguments.scenes)
+    seeds = chosen_seeds(arguments)
     recorders = [] if arguments.no_recorders else list(RECORDERS)
     tasks = [Domain(name, seed) for name in names for seed in seeds]
     tasks += [Domain(name, seed, recorder) for recorder in recorders for name in RECORDED_SCENES for seed in seeds]
-    log_seeds = range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
+    log_seeds = chosen_draws(arguments)
     check_lines(arguments.log, log_seeds)
     tasks += [Domain(str(log), seed) for log in arguments.log for seed in log_seeds]
     missions = list(counted_missions(run_tasks(fly_domain, tasks, Farm(arguments.workers)), len(tasks)))

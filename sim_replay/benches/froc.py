@@ -33,9 +33,15 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.arguments import count
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.targets import ScatteredTargets, TargetSpec
+from sim_replay.benches.mission_options import (
+    add_line_options,
+    add_scene_options,
+    chosen_draws,
+    chosen_scenes,
+    chosen_seeds,
+)
 from sim_replay.benches.scenes import as_after
 from sim_replay.fitting.cascade.classical.classical_model import parse_classical_model
 from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
@@ -123,44 +129,21 @@ class FlownLine(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench froc`."""
-    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument(
-        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"
-    )
-    parser.add_argument(
-        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
-    )
-    parser.add_argument(
-        "--log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="a recorded line to augment, XTF; repeatable",
-    )
-    parser.add_argument("--log-seeds", type=count, default=4, help="draws of targets per recorded line (default 4)")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once on this computer (default 2)")
+    add_scene_options(parser, FIRST_SEED)
+    add_line_options(parser, 4)
     parser.add_argument(
         "--scheduler", metavar="tcp://HOST:PORT", help="fly on the cluster of this dask scheduler instead"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
-    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly, score and print; returns the exit code. Raises UsageError for scenes that are not there."""
-    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
-    for name in names:
-        read_scene(name)
+    names, seeds = chosen_scenes(arguments.scenes), chosen_seeds(arguments)
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
-    first = arguments.first_seed
-    lines: list[Line] = [
-        HeldOutSimulatedLine(name, seed) for name in names for seed in range(first, first + arguments.seeds)
-    ]
-    lines += [
-        HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in range(first, first + arguments.log_seeds)
-    ]
+    lines: list[Line] = [HeldOutSimulatedLine(name, seed) for name in names for seed in seeds]
+    lines += [HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in chosen_draws(arguments)]
 
     def progress(done: int) -> None:
         print(f"\r{done} of {len(lines)} missions flown", end="", file=sys.stderr, flush=True)
@@ -173,7 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
         for system in SYSTEMS
     }
     print(
-        f"{arguments.seeds} missions per scene, seeds {first} to {first + arguments.seeds - 1}; intervals are 95 %: "
+        f"{arguments.seeds} missions per scene, seeds {seeds.start} to {seeds[-1]}; intervals are 95 %: "
         "Wilson's for Pd, exact"
     )
     print("Poisson for FA\n")

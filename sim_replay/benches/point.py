@@ -28,20 +28,25 @@ from auv_mcm.contacts.background import (
     estimate_background,
     shipped_background,
 )
-from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config
-from sim_replay.arguments import count
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.background_log import read_survey
 from sim_replay.augment.targets import place_targets
 from sim_replay.augment.track import track_of
 from sim_replay.benches.froc import scattered
+from sim_replay.benches.mission_options import (
+    add_line_options,
+    add_scene_options,
+    chosen_draws,
+    chosen_scenes,
+    chosen_seeds,
+)
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
 from sim_replay.logs.open_log import open_log
 from sim_replay.logs.recorded import RecordedMission
-from sim_replay.missions import FIRST_SEED, SCENES
+from sim_replay.missions import FIRST_SEED
 from sim_replay.scoring.inputs import parse_truth
 from sim_replay.scoring.intervals import density, proportion
 from sim_replay.simulator.scene_file import named_scenes
@@ -96,24 +101,8 @@ class Reached(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench point`."""
-    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument(
-        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"
-    )
-    parser.add_argument(
-        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
-    )
-    parser.add_argument(
-        "--log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="a recorded line to augment, XTF; repeatable",
-    )
-    parser.add_argument("--log-seeds", type=count, default=3, help="draws of targets per recorded line (default 3)")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
+    add_scene_options(parser, FIRST_SEED)
+    add_line_options(parser, 3)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -121,11 +110,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises UsageError for unknown scenes, BadInputError for an unreadable log.
     """
-    names = SCENES if arguments.scenes is None else tuple(name for name in arguments.scenes.split(",") if name)
-    if unknown := [name for name in names if name not in named_scenes()]:
-        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    log_seeds = range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
+    names = chosen_scenes(arguments.scenes)
+    seeds = chosen_seeds(arguments)
+    log_seeds = chosen_draws(arguments)
     check_lines(arguments.log, log_seeds)
     lines: list[Line] = [(name, seed) for name in names for seed in seeds]
     lines += [(str(log), seed) for log in arguments.log for seed in log_seeds]

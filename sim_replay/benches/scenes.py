@@ -25,12 +25,13 @@ from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.missions import FIRST_SEED, SCENES, config_for, served_by, untrained_alone
+from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
+from sim_replay.missions import FIRST_SEED, config_for, served_by, untrained_alone
 from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
 from sim_replay.scoring.baseline import baseline_contacts
 from sim_replay.scoring.intervals import density
 from sim_replay.simulator import mission as simulated
-from sim_replay.simulator.scene_file import named_scenes, read_scene
+from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import NOTHING, columns, density_cell, markdown, share_cell
 
 _LIMIT_PER_KM2: Final = 100.0  # false alarms per km² at which Pd is printed
@@ -94,14 +95,7 @@ class FlownMission(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench scenes`."""
-    parser.add_argument("--seeds", type=int, default=3, help="missions per scene (default 3)")
-    parser.add_argument(
-        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
-    )
-    parser.add_argument(
-        "--first-seed", type=int, default=FIRST_SEED, help=f"seed of each scene's first mission (default {FIRST_SEED})"
-    )
-    parser.add_argument("--workers", type=int, default=2, help="missions flown at once (default 2)")
+    add_scene_options(parser, FIRST_SEED, n_seeds=3)
     parser.add_argument(
         "--detector",
         choices=get_args(Detector),
@@ -111,23 +105,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default cascade)",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
-    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly, score and print; returns the exit code. Raises UsageError for unknown scenes or counts below 1."""
-    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
-    unknown = [name for name in names if name not in named_scenes()]
-    if unknown or len(set(names)) < len(names):
-        raise UsageError(f"--scenes {arguments.scenes}: give each of {', '.join(named_scenes())} once at most")
-    for option, value in (("--seeds", arguments.seeds), ("--workers", arguments.workers)):
-        if value < 1:
-            raise UsageError(f"{option} {value}: at least 1")
-    if arguments.first_seed < 0:
-        raise UsageError(f"--first-seed {arguments.first_seed}: at least 0")
+    """Fly, score and print; returns the exit code. Raises UsageError for unknown scenes."""
+    names = chosen_scenes(arguments.scenes)
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    seeds = chosen_seeds(arguments)
     flown: dict[str, list[FlownMission]] = {name: [] for name in names}
     for done, (name, mission) in enumerate(_fly_all(names, seeds, arguments.workers, arguments.detector), 1):
         flown[name].append(mission)

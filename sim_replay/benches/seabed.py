@@ -30,14 +30,15 @@ from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped_seabed_model
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
+from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.seabed.seabed_picture import seabed_picture
 from sim_replay.fitting.seabed.seabed_score import Shares, confusion_m2, shares
-from sim_replay.missions import SCENES, config_for
+from sim_replay.missions import config_for
 from sim_replay.scoring.seabed_map import SeabedMap
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
-from sim_replay.simulator.scene_file import named_scenes, read_scene
+from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import NOTHING, columns, markdown
 
 Array = NDArray[np.float64]
@@ -66,19 +67,8 @@ class Scored(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench seabed`."""
-    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument(
-        "--first-seed",
-        type=count,
-        default=FIRST_SEED,
-        help=f"seed of each scene's first mission (default {FIRST_SEED})",
-    )
-    parser.add_argument(
-        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
-    )
+    add_scene_options(parser, FIRST_SEED)
     parser.add_argument("--model", type=Path, metavar="FILE", help="model to score (default: the one that ships)")
-    parser.add_argument("--workers", type=count, default=2, help="processes (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the areas to FILE")
     parser.add_argument(
         "--picture", type=Path, metavar="FILE", help="draw recorded lines into FILE, .png or .jpg, and score nothing"
@@ -99,10 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
     data = _model_bytes(arguments.model)
     if arguments.picture is not None:
         return _draw(arguments.log, arguments.tiles, arguments.picture, parse_seabed_model(data, str(arguments.model)))
-    names = SCENES if arguments.scenes is None else tuple(arguments.scenes.split(","))
-    if unknown := [name for name in names if name not in named_scenes()]:
-        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    names = chosen_scenes(arguments.scenes)
+    seeds = chosen_seeds(arguments)
     tasks = [SeabedTask(name, seed, data) for name in names for seed in seeds]
     missions = list(_counted(run_tasks(scored, tasks, Farm(arguments.workers)), len(tasks)))
     by_scene = {

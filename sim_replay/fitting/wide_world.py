@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Final, get_args
 
 import numpy as np
+from msgspec import structs
 
 from sim_replay.simulator.plan import swath_m
 from sim_replay.simulator.scene import (
@@ -104,9 +105,7 @@ def wide_scene(seed: int) -> Scene:
 
 
 def _checked(scene: Scene, scatter: tuple[Scatter, ...]) -> Scene:
-    import msgspec
-
-    whole = msgspec.structs.replace(scene, scatter=scatter)
+    whole = structs.replace(scene, scatter=scatter)
     check_scene(whole, whole.name)
     return whole
 

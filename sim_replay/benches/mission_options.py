@@ -1,0 +1,70 @@
+"""Add the options that choose which missions a bench flies, and read them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from auv_mcm.errors import UsageError
+from sim_replay.arguments import count
+from sim_replay.missions import SCENES
+from sim_replay.simulator.scene_file import named_scenes
+
+
+def add_scene_options(parser: argparse.ArgumentParser, first_seed: int, n_seeds: int = 2) -> None:
+    """Add which scenes are flown with which seeds, and how many at once, with these defaults."""
+    parser.add_argument("--seeds", type=count, default=n_seeds, help=f"missions per scene (default {n_seeds})")
+    parser.add_argument(
+        "--first-seed",
+        type=count,
+        default=first_seed,
+        help=f"seed of each scene's first mission (default {first_seed})",
+    )
+    parser.add_argument(
+        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
+    )
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
+
+
+def add_line_options(parser: argparse.ArgumentParser, n_draws: int) -> None:
+    """Add which recorded lines targets are embedded in, and how often by default."""
+    parser.add_argument(
+        "--log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a recorded line to augment, XTF; repeatable",
+    )
+    parser.add_argument(
+        "--log-seeds",
+        type=count,
+        default=n_draws,
+        help=f"draws of targets per recorded line (default {n_draws})",
+    )
+
+
+def chosen_scenes(text: str | None) -> tuple[str, ...]:
+    """Return the scenes that `--scenes` names; without it the ten that rates are taken on.
+
+    Raises UsageError for a scene that is not there, or that is named twice.
+    """
+    if text is None:
+        return SCENES
+    names = tuple(text.split(","))
+    if unknown := [repr(name) for name in names if name not in named_scenes()]:
+        raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")
+    if len(set(names)) < len(names):
+        raise UsageError(f"--scenes {text}: a scene is named twice. Name each once")
+    return names
+
+
+def chosen_seeds(arguments: argparse.Namespace) -> range:
+    """Return the seeds of each scene's missions."""
+    return range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+
+
+def chosen_draws(arguments: argparse.Namespace) -> range:
+    """Return the seeds by which targets of each recorded line are drawn."""
+    return range(arguments.first_seed, arguments.first_seed + arguments.log_seeds)
