@@ -392,7 +392,7 @@ def test_what_waited_when_the_wire_was_lost_grants_nothing_on_the_next_connectio
     # Each chunk takes more than a turn, so that the second waits.
     source = PortSource(config_of(VEHICLE + IMC), SystemClock(), open_link, cpu_s=lambda: next(readings) // 2 * 1.0)
     (served,) = source._ports
-    served.vehicle = Ears()  # type: ignore[assignment]
+    served.vehicle = Ears()  # type: ignore[assignment]  # hears alone
     heartbeat = bytes.fromhex("54fe9600000000001040fc54d9411e00ffff00ff")
     heartbeat += crc16_arc(heartbeat).to_bytes(2, "little")
     stamp = Stamp(SystemClock().monotonic_s().__trunc__() * 10**9, 0)

@@ -40,7 +40,8 @@ def confusion_m2(clearance: Clearance, truth: SeabedMap) -> Array:
     """
     cells = decode(truth)
     row, column = np.nonzero(cells != NOT_SWEPT)
-    kind_of_type = np.array([SEABED_TYPES.index(KIND_OF[name]) for name in truth.types], dtype=np.int64)  # type: ignore[index]
+    kinds = [KIND_OF[name] for name in truth.types]  # type: ignore[index]  # names of types
+    kind_of_type = np.array([SEABED_TYPES.index(kind) for kind in kinds], dtype=np.int64)
     here = LocalFrame(latitude_deg=truth.latitude_deg, longitude_deg=truth.longitude_deg)
     there = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
     place = np.column_stack([(column + 0.5) * truth.cell_m, (row + 0.5) * truth.cell_m, np.zeros(len(row))])

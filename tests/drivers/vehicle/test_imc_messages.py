@@ -125,8 +125,7 @@ def reported_by_imcpy(message: ImcMessage) -> Any:
             for inner in value:
                 getattr(other, name).append(reported_by_imcpy(inner))
         elif isinstance(value, msgspec.Struct):
-            # Of a message, only messages are inside.
-            setattr(other, name, reported_by_imcpy(value))  # type: ignore[arg-type]
+            setattr(other, name, reported_by_imcpy(value))  # type: ignore[arg-type]  # only messages are inside one
         elif value is not None:
             setattr(other, name, value)
     return other

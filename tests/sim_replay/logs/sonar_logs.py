@@ -82,7 +82,8 @@ ports:
     for event in mission():
         at_s = round(event.time_s - start_s, 3)
         if isinstance(event, NavSample):
-            data = b"".join(bytes(message) for message in unit.measured(event, UTC_S + at_s))  # type: ignore[arg-type]
+            measured = unit.measured(event, UTC_S + at_s)
+            data = b"".join(bytes(message) for message in measured)  # type: ignore[arg-type]  # no frame of a bus
             arrivals.append((at_s + ECHO_S + random.uniform(0.0, late_s), "compass", data))
             continue
         arrival_s = at_s + 2.0 * RANGE_M / event.sound_speed_mps + random.uniform(0.0, late_s)
