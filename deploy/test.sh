@@ -10,35 +10,42 @@ say() {
     echo "test: $*"
 }
 
+as_a_user() {
+    say "documentation, warnings are errors"
+    sh deploy/site.sh
+    say "auv-mcm check"
+    .venv/bin/auv-mcm check
+    log=../shared/data/sidescan/scotsman-iver2.xtf
+    if [ -f "$log" ]; then
+        say "replay of $log"
+        .venv/bin/auv-mcm replay "$log" --out out-test
+    else
+        say "$log is not there: no replay of recorded data"
+    fi
+}
+
+found() { # NAME PROCESS: waits for what runs beside the tests, shows what it said, and ends if it failed
+    say "$1: result"
+    wait "$2" || { cat "$beside/$1"; exit 1; }
+    cat "$beside/$1"
+}
+
 say "ruff"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 beside=$(mktemp -d)
-mypy= hil=
-trap 'kill $mypy $hil 2>/dev/null || true; rm -rf "$beside"' EXIT
-say "mypy and hardware in the loop, beside the other tests: scenarios mostly wait"
-.venv/bin/mypy >"$beside/mypy" 2>&1 &
-mypy=$!
-.venv/bin/python -m pytest tests/hil --numprocesses 2 --dist load --maxschedchunk 1 >"$beside/hil" 2>&1 &
-hil=$!
+types= loop= user=
+trap 'kill $types $loop $user 2>/dev/null || true; rm -rf "$beside"' EXIT
+say "types, hardware in the loop, documentation and a replay, beside the other tests: scenarios mostly wait"
+.venv/bin/mypy >"$beside/types" 2>&1 &
+types=$!
+.venv/bin/python -m pytest tests/hil --numprocesses 2 --dist load --maxschedchunk 1 >"$beside/loop" 2>&1 &
+loop=$!
+as_a_user >"$beside/user" 2>&1 &
+user=$!
 say "pytest, three files at a time: two cores, and tests that wait for a port"
 .venv/bin/python -m pytest tests --ignore tests/hil --ignore tests/studies --numprocesses 3 --dist loadfile
-say "mypy has found"
-wait "$mypy" || { cat "$beside/mypy"; exit 1; }
-cat "$beside/mypy"
-say "hardware in the loop has found"
-wait "$hil" || { cat "$beside/hil"; exit 1; }
-cat "$beside/hil"
-say "documentation, warnings are errors"
-sh deploy/site.sh
-say "auv-mcm check"
-.venv/bin/auv-mcm check
-
-log=../shared/data/sidescan/scotsman-iver2.xtf
-if [ -f "$log" ]; then
-    say "replay of $log"
-    .venv/bin/auv-mcm replay "$log" --out out-test
-else
-    say "$log is not there: no replay of recorded data"
-fi
+found types "$types"
+found loop "$loop"
+found user "$user"
 say "all passed"

@@ -46,7 +46,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_site_is_built_by_the_test_command_with_warnings_as_errors() -> None:
     assert "mkdocs build --strict" in (ROOT / "deploy" / "site.sh").read_text("utf-8")
-    assert "\nsh deploy/site.sh\n" in (ROOT / "deploy" / "test.sh").read_text("utf-8")
+    assert "\n    sh deploy/site.sh\n" in (ROOT / "deploy" / "test.sh").read_text("utf-8")
 
 
 def test_every_key_of_the_configuration_is_on_its_page(capsys: pytest.CaptureFixture[str]) -> None:
