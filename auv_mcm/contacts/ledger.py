@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.dimensions import Dimensions, dimensions
 from auv_mcm.classify.fusion import fuse
-from auv_mcm.contacts.assignment import cheapest_columns
+from auv_mcm.contacts.pairing import IMPOSSIBLE, MIN_COVARIANCE_M2, pair_off, squared_deviation, unlikeness
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, ContactClass, Detection, contact_id, contact_number
 from auv_mcm.settings.config import ContactsConfig
@@ -29,11 +29,6 @@ from auv_mcm.settings.config import ContactsConfig
 # s within which one pass may show an object twice, in tiles that overlap; chosen, not measured
 _SAME_LOOK_S: Final = 30.0
 _SAME_LOOK_RAD: Final = math.radians(45.0)
-_IMPOSSIBLE: Final = 1e6  # squared deviations: more than any gate allows, so that such a pair is never assigned
-# probability, however much two views differ: one of them may be of the end that shows nothing
-_MIN_SAME_KIND: Final = 1e-3
-# no centroid is known better than to a centimetre, whatever the errors configured
-_MIN_COVARIANCE_M2: Final = 1e-4 * np.eye(2)
 _SEARCH_M: Final = 1e-3  # beyond the gate, so that rounding leaves nothing out
 
 
@@ -178,39 +173,21 @@ class Ledger:
         self, detections: list[Detection], places_m: NDArray[np.float64], near: dict[int, Contact]
     ) -> list[int | None]:
         """Assign each detection the contact it belongs to, one of those near, or None for a new one."""
-        matches: list[int | None] = [None] * len(detections)
         numbers = list(near)
-        cost = np.full((len(detections), len(near)), _IMPOSSIBLE)
-        unlike = np.full(cost.shape, _IMPOSSIBLE)
+        cost = np.full((len(detections), len(near)), IMPOSSIBLE)
+        unlike = np.full(cost.shape, IMPOSSIBLE)
         for row, (detection, place) in enumerate(zip(detections, places_m, strict=True)):
             offset = self._positions_m[numbers] - place
             for column in np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= self._config.max_gate_m):
                 contact = near[numbers[column]]
                 if any(_same_look(detection, view) for view in contact.views):
                     continue
-                spread = detection.covariance_m2 + contact.covariance_m2 + _MIN_COVARIANCE_M2
-                distance2 = float(offset[column] @ np.linalg.solve(spread, offset[column]))
+                distance2 = squared_deviation(offset[column], detection.covariance_m2, contact.covariance_m2)
                 if distance2 <= self._config.gate_chi2:
                     cost[row, column] = distance2
-                    unlike[row, column] = _unlike(detection.p_mine, contact.p_mine)
-        possible = np.flatnonzero((cost < _IMPOSSIBLE).any(axis=0))
-        if possible.size == 0:
-            return matches
-        # Beside the likest in reach, so that a detection joins an unlike one where there is no other.
-        cost = np.where(unlike < _IMPOSSIBLE, cost + unlike - unlike.min(axis=1, keepdims=True), _IMPOSSIBLE)
-        in_reach = cost[:, possible] < _IMPOSSIBLE
-        if in_reach.sum(axis=0).max() <= 1 and in_reach.sum(axis=1).max() <= 1:
-            for at, contact_column in np.argwhere(in_reach).tolist():
-                matches[at] = numbers[possible[contact_column]]
-            return matches
-        # A new contact costs as much as the worst match allowed, so that no good match is given up for two bad ones.
-        competing = np.flatnonzero(in_reach.any(axis=1))
-        opening = np.full((competing.size, competing.size), self._config.gate_chi2)
-        chosen = cheapest_columns(np.concatenate([cost[np.ix_(competing, possible)], opening], axis=1))
-        for row, column in zip(competing.tolist(), chosen.tolist(), strict=True):
-            if column < possible.size:
-                matches[row] = numbers[possible[column]]
-        return matches
+                    unlike[row, column] = unlikeness(detection.p_mine, contact.p_mine)
+        chosen = pair_off(cost, unlike, self._config.gate_chi2)
+        return [None if column is None else numbers[column] for column in chosen]
 
 
 def _with_room(column: NDArray[np.float64], n: int) -> NDArray[np.float64]:
@@ -218,14 +195,6 @@ def _with_room(column: NDArray[np.float64], n: int) -> NDArray[np.float64]:
     if n <= len(column):
         return column
     return np.concatenate([column, np.empty((2 * n - len(column), *column.shape[1:]))])
-
-
-def _unlike(p: float, q: float) -> float:
-    """Compute the cost of joining two views beside their distance.
-
-    It is twice the negative logarithm of the probability that both are a mine or neither.
-    """
-    return -2.0 * math.log(max(p * q + (1.0 - p) * (1.0 - q), _MIN_SAME_KIND))
 
 
 def _passages(detections: list[Detection]) -> list[list[Detection]]:
@@ -298,7 +267,7 @@ def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
     positions = np.array([frame.to_enu(v.latitude_deg, v.longitude_deg, 0.0)[:2] for v in views])
-    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]) + _MIN_COVARIANCE_M2)
+    information = np.linalg.inv(np.array([v.covariance_m2 for v in views]) + MIN_COVARIANCE_M2)
     covariance = np.linalg.inv(information.sum(axis=0))
     east_north = covariance @ np.einsum("nij,nj->i", information, positions)
     latitude, longitude, _ = frame.to_geodetic(np.array([east_north[0], east_north[1], 0.0]))
