@@ -32,6 +32,7 @@ PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
 
 COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",
+    "batch": "sim_replay.commands.batch:add",
     "run": "auv_mcm.commands.run:add",
     "simulate": "sim_replay.commands.simulate:add",
     "augment": "sim_replay.commands.augment:add",

@@ -161,9 +161,11 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = (folder / "my-scenario.yaml").read_text().replace("../scenes/lane.yaml", "my-scene.yaml")
     (folder / "my-scenario.yaml").write_text(text)
     assert main(["simulate", str(folder / "my-scene.yaml"), "--out", str(folder / "sim")]) == 0
-    for name in ("mission.xtf", "leg1.xtf", "augmented/mission.xtf", "out-demo/sim/mission.xtf"):
+    copies = ("mission.xtf", "leg1.xtf", "augmented/mission.xtf", "out-demo/sim/mission.xtf")
+    for name in (*copies, "surveys/day1.xtf", "surveys/day2.xtf"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(folder / "sim" / "mission.xtf", folder / name)
+    (folder / "logs.txt").write_text("surveys/day1.xtf\nsurveys/day2.xtf\n")
     write_jsf(run_of("jsf"), folder / "survey.jsf")
     later = parse_scene(SCENE.replace("{altitude_m: 5", "{altitude_m: 5, start_time_s: 1800000000"), "later")
     shutil.copy(simulate(later, folder / "later").log, folder / "leg2.xtf")
@@ -214,6 +216,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.fitting.cascade.train_cascade.render_set",
         "sim_replay.fitting.detection_performance.calibrate_performance.fly_all",
         "sim_replay.fitting.cascade.farm.run_tasks",
+        "sim_replay.batch.missions.run_tasks",
         "sim_replay.hil.run.run_scenario",
         "sim_replay.fitting.fit_background.run_tasks",
         "sim_replay.fitting.fit_gate.run_tasks",
@@ -263,7 +266,7 @@ def run_command(arguments: Sequence[str]) -> None:
     try:
         code = main(arguments)
     except Reached:
-        assert arguments[0] in ("train", "calibrate", "hil", "bench"), "only what takes long may stop at its first step"
+        assert arguments[0] in ("batch", "train", "calibrate", "hil", "bench"), "only what takes long may stop there"
     except SystemExit as ended:
         if ended.code != 0:
             assert not any(word.startswith("-") or "." in word for word in arguments), (

@@ -31,7 +31,8 @@ from auv_mcm.errors import HardwareError, UsageError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-_AHEAD: Final = 2  # tasks under way per worker, so that none waits for whoever takes the results
+AHEAD: Final = 2
+"""Tasks under way per worker, so that none waits for whoever takes the results."""
 _CONNECT_S: Final = 10.0  # s for the scheduler to answer
 _POLL_S: Final = 1.0  # s between looks at a task
 _ALONE_S: Final = 30.0  # how long a cluster may be without any worker
@@ -87,7 +88,7 @@ def _in_processes(
     waiting = iter(tasks)
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
     try:
-        ahead = deque(pool.submit(function, task) for task in islice(waiting, _AHEAD * workers))
+        ahead = deque(pool.submit(function, task) for task in islice(waiting, AHEAD * workers))
         while ahead:
             result = ahead.popleft().result()
             ahead += [pool.submit(function, task) for task in islice(waiting, 1)]
@@ -116,7 +117,7 @@ def _on_cluster(
             ]
 
         try:
-            ahead = deque(begin(_AHEAD * workers))
+            ahead = deque(begin(AHEAD * workers))
             while ahead:
                 result = _result(client, ahead.popleft(), scheduler)
                 ahead += begin(1)

@@ -3,15 +3,11 @@ plain words if not."""
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from operator import neg
 from pathlib import Path
 
@@ -19,50 +15,13 @@ import pytest
 
 from auv_mcm.errors import HardwareError, UsageError
 from sim_replay.fitting.cascade.farm import Farm, fingerprint, run_tasks
-
-ROOT = Path(__file__).resolve().parents[4]
-PATIENCE_S = 60.0
-
-
-class Cluster:
-    """A dask scheduler on loopback, and workers as they are started."""
-
-    def __init__(self, folder: Path, stack: ExitStack) -> None:
-        self._folder, self._stack = folder, stack
-        self._file = folder / "scheduler.json"
-        self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(self._file)
-        )
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not self._file.exists():
-            assert time.monotonic() < deadline_s
-            assert self.scheduler.poll() is None
-            time.sleep(0.05)
-        self.address: str = json.loads(self._file.read_text())["address"]
-
-    def worker(self, sources: Path = ROOT) -> subprocess.Popen[bytes]:
-        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
-        return self._start("worker", *options, self.address, sources=sources)
-
-    def _start(self, *words: str, sources: Path = ROOT) -> subprocess.Popen[bytes]:
-        environment = os.environ | {"PYTHONPATH": str(sources), "PYTHONWARNINGS": "default"}
-        process = subprocess.Popen(
-            [sys.executable, "-m", "dask", *words],
-            cwd=self._folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        self._stack.callback(process.wait)
-        self._stack.callback(process.kill)
-        return process
+from tests.dask_cluster import ROOT, Cluster, dask_cluster
 
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    pytest.importorskip("distributed", reason="distributed, which runs clusters, is not installed")
-    with ExitStack() as stack:
-        yield Cluster(tmp_path, stack)
+    with dask_cluster(tmp_path) as started:
+        yield started
 
 
 def test_results_in_processes_are_those_of_one_core_in_order() -> None:

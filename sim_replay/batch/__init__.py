@@ -1,0 +1,1 @@
+"""Replay whole archives: a mission per log, then the objects that several missions saw."""

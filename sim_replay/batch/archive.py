@@ -1,0 +1,67 @@
+"""Find the logs of an archive, and give each a folder for its results."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from auv_mcm.errors import BadInputError, UsageError
+from sim_replay.logs.open_log import is_session
+
+LOG_SUFFIXES: Final = frozenset({".xtf", ".jsf", ".svlog", ".mcap"})
+"""Of files that are taken for logs in a folder; their format is recognised by content. A list may name any file."""
+RECORDING: Final = "recording"  # folder of a session recorded by `auv-mcm run`, a mission as a whole
+
+
+class ArchivedLog(NamedTuple):
+    """Name a log and, relative to the archive, the folder of its results."""
+
+    path: Path
+    name: str
+
+
+def logs_of(source: Path, out: Path) -> list[ArchivedLog]:
+    """List the logs in a folder and in all below it, or those that a text file lists, a path a line.
+
+    Sorted by name. Results below `out` are left out. Paths in a list are relative to its folder; empty lines and those
+    that begin with # are left out. Raises UsageError for a source that is not there or cannot be read, a list that
+    names a log twice, and BadInputError where there is no log.
+    """
+    try:
+        paths = _below(source, out.resolve()) if source.is_dir() else _listed(source)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
+        raise UsageError(
+            f"{source} cannot be read: {reason}. Give a folder, or a text file with a path a line"
+        ) from error
+    if not paths:
+        kinds = ", ".join(sorted(LOG_SUFFIXES))
+        raise BadInputError(f"{source} holds no log ({kinds}). Give the folder of the logs, or a list of their paths")
+    root = source if source.is_dir() else Path(os.path.commonpath([path.parent for path in paths]))
+    return sorted((ArchivedLog(path, path.relative_to(root).as_posix()) for path in paths), key=lambda log: log.name)
+
+
+def _below(folder: Path, out: Path) -> list[Path]:
+    found: list[Path] = []
+    for parent, folders, files in os.walk(folder, onerror=_raise):
+        here = Path(parent)
+        if here.name == RECORDING and is_session(here):
+            found.append(here)
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if (here / name).resolve() != out]
+        found += [here / name for name in files if Path(name).suffix.lower() in LOG_SUFFIXES]
+    return found
+
+
+def _raise(error: OSError) -> None:
+    raise error
+
+
+def _listed(file: Path) -> list[Path]:
+    lines = [line.strip() for line in file.read_text("utf-8").splitlines()]
+    paths = [Path(os.path.normpath(file.parent.absolute() / line)) for line in lines if line and line[0] != "#"]
+    if twice := sorted({str(path) for path in paths if paths.count(path) > 1}):
+        raise UsageError(f"{file} names {twice[0]} twice. Name each log once")
+    return paths

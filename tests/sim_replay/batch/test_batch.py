@@ -1,0 +1,188 @@
+"""An archive of small simulated logs, some damaged: interrupted, killed, on a cluster, and the index of it."""
+
+from __future__ import annotations
+
+import html.parser
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from auv_mcm.cli import main
+from auv_mcm.errors import BadInputError, HardwareError, UsageError
+from auv_mcm.settings.config import Config, ContactsConfig
+from sim_replay.batch import missions as batch_missions
+from sim_replay.batch.archive import logs_of
+from sim_replay.batch.missions import MISSIONS, MissionTask, is_replayed, locked, replay_missions
+from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.logs.xtf_writer import write_xtf
+from sim_replay.replay import replay
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
+from tests.dask_cluster import dask_cluster
+
+SPHERE = SceneObject(kind="sphere", leg=0, along_m=6.0, across_m=10.0)
+CYLINDER = SceneObject(
+    kind="cylinder", leg=0, along_m=11.0, across_m=-12.0, azimuth_deg=10.0, length_m=1.8, width_m=0.5
+)
+DAYS = {"day1/a.xtf": (SPHERE,), "day2/b <i>.xtf": (SPHERE, CYLINDER), "day3/c.xtf": (CYLINDER,)}
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three days over the same ground: a cylinder appears and a sphere goes. Two logs are damaged."""
+    folder = tmp_path_factory.mktemp("archive")
+    for day, (name, objects) in enumerate(DAYS.items()):
+        scene = Scene(
+            seed=day + 1,
+            sonar=Sonar(range_m=30.0, ping_rate_hz=15.0, beam_lines=3),
+            track=Track(plan=Lawnmower(n_legs=1, leg_m=16.0), altitude_m=5.0, start_time_s=1.7e9 + 86_400.0 * day),
+            objects=objects,
+        )
+        (folder / name).parent.mkdir()
+        write_xtf(folder / name, Mission(scene).events())
+    (folder / "day1" / "cut.xtf").write_bytes((folder / "day1" / "a.xtf").read_bytes()[:5000])
+    (folder / "day3" / "not-a-log.jsf").write_bytes(b"nonsense" * 100)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def undisturbed(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("undisturbed")
+    assert main(["batch", str(archive), "--out", str(out)]) == BadInputError.exit_code
+    return out
+
+
+def content(out: Path) -> dict[str, bytes]:
+    """Every file but those with the time that the replay took."""
+    return {
+        str(path.relative_to(out)): path.read_bytes()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.name not in ("summary.json", "report.html", ".lock")
+    }
+
+
+def tasks_of(archive: Path, out: Path) -> list[MissionTask]:
+    return [MissionTask(log, out / MISSIONS / log.name, None) for log in logs_of(archive, out)]
+
+
+def features(out: Path, kind: str) -> list[dict[str, Any]]:
+    found = json.loads((out / "index.geojson").read_bytes())["features"]
+    return [one["properties"] for one in found if one["properties"]["kind"] == kind]
+
+
+def test_every_log_has_the_bytes_of_a_replay_by_itself(archive: Path, undisturbed: Path, tmp_path: Path) -> None:
+    for name in DAYS:
+        replay([archive / name], tmp_path / name, Config())
+        own = content(tmp_path / name)
+        assert own == content(undisturbed / MISSIONS / name)
+        assert "contacts.geojson" in own
+
+
+def test_the_index_says_what_is_new_gone_and_seen_again_and_why_a_log_failed(undisturbed: Path) -> None:
+    called = {one["class"]: one for one in features(undisturbed, "object") if one["called"]}
+    assert called["sphere"]["change"] == "gone"
+    assert [one["mission"] for one in called["sphere"]["history"]] == list(DAYS)
+    assert called["sphere"]["history"][-1]["contact"] is None
+    assert called["cylinder"]["change"] == "seen again"
+    missions = {one["name"]: one["failure"] for one in features(undisturbed, "mission")}
+    assert [name for name, failure in missions.items() if failure is None] == list(DAYS)
+    assert "no usable side-scan ping" in missions["day1/cut.xtf"]
+    assert "is not a readable log" in missions["day3/not-a-log.jsf"]
+
+
+def test_the_page_links_to_every_report_and_shows_names_as_they_are(undisturbed: Path) -> None:
+    links: list[str] = []
+
+    class Links(html.parser.HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            links.extend(value for name, value in attrs if tag == "a" and name == "href" and value)
+
+    page = (undisturbed / "index.html").read_text("utf-8")
+    Links().feed(page)
+    assert f"{MISSIONS}/day2/b%20%3Ci%3E.xtf/report.html" in links
+    assert "b &lt;i&gt;.xtf" in page
+    assert "<i>" not in page
+
+
+def test_a_run_that_was_stopped_half_way_ends_with_the_same_bytes(
+    archive: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = tasks_of(archive, tmp_path)
+    replay([tasks[0].log.path], tasks[0].folder, Config())
+    (tasks[0].folder / "summary.json").unlink()  # killed before its end
+    (tasks[0].folder / "contacts.geojson").write_bytes(b"{")
+    replay([tasks[2].log.path], tasks[2].folder, Config())
+    kept = (tasks[2].folder / "summary.json").read_bytes()
+    monkeypatch.setattr(batch_missions, "_alone", batch_missions.replay_mission)  # no process per log: faster
+    assert main(["batch", str(archive), "--out", str(tmp_path), "--workers", "1"]) == BadInputError.exit_code
+    assert content(tmp_path) == content(undisturbed)
+    assert (tasks[2].folder / "summary.json").read_bytes() == kept
+
+
+def test_results_of_another_configuration_or_of_a_log_that_changed_are_made_anew(
+    archive: Path, undisturbed: Path, tmp_path: Path
+) -> None:
+    folder = undisturbed / MISSIONS / "day1/a.xtf"
+    assert is_replayed(folder, Config())
+    assert not is_replayed(folder, Config(contacts=ContactsConfig(min_p_mine=0.5)))
+    assert not is_replayed(tmp_path, Config())
+    log = archive / "day1" / "a.xtf"
+    times = os.stat(log).st_atime_ns, os.stat(log).st_mtime_ns
+    try:
+        os.utime(log)
+        assert not is_replayed(folder, Config())
+    finally:
+        os.utime(log, ns=times)
+
+
+def end_process(task: MissionTask) -> None:
+    os._exit(1)
+
+
+def test_a_log_that_kills_its_process_fails_and_the_others_are_replayed(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def alone(task: MissionTask) -> batch_missions.MissionOutcome:
+        return replayed_alone(task) if task.log.name == "day1/a.xtf" else batch_missions.MissionOutcome(*task[:2])
+
+    replayed_alone: Callable[[MissionTask], batch_missions.MissionOutcome] = batch_missions._alone
+    monkeypatch.setattr(batch_missions, "replay_mission", end_process)
+    monkeypatch.setattr(batch_missions, "_alone", alone)
+    outcomes = list(replay_missions(tasks_of(archive, tmp_path), Farm(workers=2)))
+    assert [outcome.log.name for outcome in outcomes if outcome.failure] == ["day1/a.xtf"]
+    assert "its process died" in outcomes[0].failure
+    assert outcomes[0].exit_code == HardwareError.exit_code
+    assert len(outcomes) == len(DAYS) + 2
+
+
+def test_a_defect_in_one_log_is_reported_as_such(
+    archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("of a test")
+
+    monkeypatch.setattr(batch_missions, "replay", fail)
+    outcome = batch_missions.replay_mission(tasks_of(archive, tmp_path)[0])
+    assert outcome.failure == "defect: ZeroDivisionError: of a test"
+    assert outcome.exit_code == 1
+
+
+def test_two_runs_into_one_folder_are_kept_apart(tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(UsageError, match="another run writes"), locked(tmp_path):
+        pass
+    with locked(tmp_path):
+        pass
+
+
+def test_a_cluster_of_two_gives_the_same_bytes(archive: Path, undisturbed: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with dask_cluster(tmp_path) as cluster:
+        for _ in range(2):
+            cluster.worker()
+        arguments = ["batch", str(archive), "--out", str(out), "--scheduler", cluster.address]
+        assert main(arguments) == BadInputError.exit_code
+    assert content(out) == content(undisturbed)
