@@ -5,8 +5,8 @@
 # --arch: the vehicle's architecture, x86_64 or aarch64, default this computer's; for the other one a cross compiler has
 # to be here (Debian: gcc-aarch64-linux-gnu or gcc-x86-64-linux-gnu). --python: its Python, default this computer's; the
 # wheel of this checkout serves every one from 3.11 on, those of other packages do not. PYTHON names the interpreter
-# that builds, default python3. Needs a network and a C compiler here, and neither on the vehicle, which needs glibc 2.28
-# or later (Debian 10, Ubuntu 20.04).
+# that builds, default python3. Needs a network and a C compiler here, and neither on the vehicle, which needs glibc
+# 2.28 or later (Debian 10, Ubuntu 20.04).
 set -eu
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
@@ -70,7 +70,7 @@ done
 
 echo "wheelhouse: fetching packages for Python $release on $arch"
 platforms="--platform linux_$arch"
-for minor in 28 27 26 25 24 23 22 21 20 19 18 17; do # the first that fits is taken
+for minor in 28 27 26 25 24 23 22 21 20 19 18 17; do # of several wheels the first that fits is taken
     platforms="$platforms --platform manylinux_2_${minor}_$arch"
 done
 platforms="$platforms --platform manylinux2014_$arch"
@@ -82,5 +82,5 @@ rm -rf "$out"
 mkdir -p "$out/deploy"
 mv "$work/wheels" "$out/wheels"
 cp -R deploy/install.sh deploy/systemd deploy/udev deploy/can deploy/examples deploy/auv_mcm.dbc "$out/deploy"
-echo "wheelhouse: $out for Python $release on $arch, $(du -sm "$out" | cut -f 1) MB. Copy it to the vehicle; there, as" \
-    "root: sh deploy/install.sh"
+echo "wheelhouse: $out for Python $release on $arch, $(du -sm "$out" | cut -f 1) MB. Copy it to the vehicle; there," \
+    "as root: sh deploy/install.sh"

@@ -33,6 +33,7 @@ PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
 COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",
     "run": "auv_mcm.commands.run:add",
+    "status": "auv_mcm.commands.status:add",
     "simulate": "sim_replay.commands.simulate:add",
     "augment": "sim_replay.commands.augment:add",
     "score": "sim_replay.commands.score:add",

@@ -14,10 +14,10 @@ from typing import Final, NamedTuple
 
 from auv_mcm.shell.check.finding import Finding
 
-# A full serial line of 921600 baud records 0.33 GB an hour: three hours of it.
-_PLENTY_BYTES: Final = 1 << 30
-# The results of a mission of 40 min take some 45 MB: with less, they cannot all be written.
-_NEEDED_BYTES: Final = 64 << 20
+PLENTY_BYTES: Final = 1 << 30
+"""Free space for a day: a full serial line of 921600 baud records 0.33 GB an hour, three hours of it."""
+NEEDED_BYTES: Final = 64 << 20
+"""Free space without which not all results can be written: those of a mission of 40 min take some 45 MB."""
 _DAY_S: Final = 86_400.0  # times of files out of archives are local ones, whose zone is not known
 _FIRST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # there was no version of this package before
 
@@ -126,11 +126,11 @@ def output_finding(folder: Path) -> Finding:
             f"{existing} cannot be written to: {error.strerror}. {remedy}, or name another one ({key})",
         )
     room = f"{folder.absolute()}, {free_bytes / 1e9:.2g} GB free"
-    if free_bytes < _NEEDED_BYTES:
+    if free_bytes < NEEDED_BYTES:
         return Finding(
             name, "FAILED", f"{room}: too little for the results of a mission. Free space, or name another one ({key})"
         )
-    if free_bytes < _PLENTY_BYTES:
+    if free_bytes < PLENTY_BYTES:
         return Finding(
             name, "warning", f"{room}: recordings of a day may fill it. Free space, or name another one ({key})"
         )
