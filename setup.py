@@ -1,8 +1,8 @@
 """Only the optional C extensions; everything else is in pyproject.toml.
 
-The libraries have no Python.h and no init function: they are loaded through ctypes. Without a compiler the installation
-goes on and numpy does the same work. No -march=native (one build serves every machine of an architecture) and no
--ffast-math; no fused multiply-adds, so that C and numpy round alike.
+The libraries have no Python.h and no init function: they are loaded through ctypes, so that one wheel serves every
+Python. Without a compiler the installation goes on and numpy does the same work. No -march=native (one build serves
+every machine of an architecture) and no -ffast-math; no fused multiply-adds, so that C and numpy round alike.
 """
 
 from glob import glob
@@ -21,7 +21,10 @@ _HEADERS = sorted(glob("auv_mcm/kernels/*.h"))
 
 setup(
     ext_modules=[
-        Extension(name, sources=sources, depends=_HEADERS, extra_compile_args=_FLAGS, optional=True)
+        Extension(
+            name, sources=sources, depends=_HEADERS, extra_compile_args=_FLAGS, optional=True, py_limited_api=True
+        )
         for name, sources in _SOURCES.items()
-    ]
+    ],
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -49,6 +49,34 @@ class VehiclePilot(Protocol):
         """Give control back, for good."""
 
 
+class PortState(NamedTuple):
+    """Describe a port. discarded_bytes: received and not decoded. age_s: since the last byte; infinite if none came."""
+
+    name: str
+    state: Literal["up", "silent", "down"]
+    received_bytes: int
+    discarded_bytes: int
+    age_s: float
+
+
+class QuantityState(NamedTuple):
+    """Describe a quantity of navigation that some unit has given.
+
+    served_by: the unit, "" while it is lost. age_s: of the newest value.
+    """
+
+    name: str
+    served_by: str
+    age_s: float
+
+
+class SourceHealth(NamedTuple):
+    """Describe a live source: every port, and every quantity that was ever given; position always."""
+
+    ports: tuple[PortState, ...]
+    quantities: tuple[QuantityState, ...]
+
+
 class EventSink(Protocol):
     """Take the events of a source: the service's queue."""
 
@@ -90,8 +118,8 @@ class LiveSource(Source, Protocol):
     def stop(self) -> None:
         """Close the ports; `run` then gives what was held back, and returns."""
 
-    def health(self) -> str:
-        """Describe how each port is, for the health line."""
+    def health(self) -> SourceHealth:
+        """Describe each port and each quantity of navigation as they are now."""
 
     def faults(self) -> list[str]:
         """List what is wrong with ports, in a few words each."""

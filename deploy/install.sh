@@ -64,6 +64,13 @@ python=${PYTHON:-python3}
     fail "$python is not Python 3.11 or later. On Debian or Ubuntu: apt-get install python3 python3-venv"
 "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     fail "$python cannot make virtual environments. On Debian or Ubuntu: apt-get install python3-venv"
+interpreter=$("$python" -c 'import os, sys; print(os.path.realpath(sys.executable))')
+case $interpreter in
+/home/* | /root/* | /run/user/*)
+    fail "$interpreter lies in a home folder, which the unit hides from the service:" \
+        "PYTHON=/usr/bin/python3 sh deploy/install.sh takes the system's"
+    ;;
+esac
 set -- "$here"/wheels/auv_mcm-*.whl
 [ -f "$1" ] ||
     fail "$here/wheels holds no wheel of auv-mcm: where there is a network, sh deploy/wheelhouse.sh makes such a folder"
@@ -95,8 +102,7 @@ else
     find "$packages" -type d -name tests -prune -exec rm -rf {} +
     find "$packages" -type f \( -name '*.pyi' -o -name '*.pxd' -o -name '*.h' -o -name '*.a' \) -exec rm -f {} +
     rm -f "$packages"/zstandard/_cffi.*
-    "$place/bin/python" -m compileall -q -x '/scipy/' "$packages" || true
-    "$place/bin/python" -c 'import scipy.optimize, scipy.special, numpy, cv2'
+    "$place/bin/python" -m compileall -q "$packages" || true
     before=$(readlink "$prefix/current" || true)
     [ -z "$before" ] || point previous "$(basename "$before")"
     point current "$version"

@@ -4,6 +4,7 @@ clock."""
 from __future__ import annotations
 
 import logging
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVarTuple
@@ -11,6 +12,7 @@ from typing import Final, TypeVarTuple
 from auv_mcm.clock import Stamp
 from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
+from auv_mcm.source import QuantityState
 from drivers.heads import HeadPairer
 from drivers.navigation.merge import NavMerge
 from drivers.navigation.nav_decoder import NavFix
@@ -84,6 +86,14 @@ class PortIntake:
     def decode(self, port: str, data: bytes, stamp: Stamp) -> None:
         """Take bytes of a vehicle after `finish`, for `heard` alone."""
         self._streams[port].feed(data, stamp)
+
+    def quantities(self) -> tuple[QuantityState, ...]:
+        """Describe position, and every other quantity of navigation that was ever given, as of the newest bytes."""
+        return tuple(
+            QuantityState(quantity, health.serving or "", min(health.age_s.values(), default=math.inf))
+            for quantity, health in self._merge.health().items()
+            if health.age_s or quantity == "position"
+        )
 
     def finish(self) -> list[SourceEvent]:
         """End the stream: no bytes that count follow."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import secrets
 import time
 from collections import Counter
@@ -18,7 +19,7 @@ from auv_mcm.clock import Clock, Stamp
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Notice, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.source import EventSink, Record, SourceUri
+from auv_mcm.source import EventSink, PortState, Record, SourceHealth, SourceUri
 from drivers.backlog import Backlog, Chunk
 from drivers.links.can_frame import CanFrame
 from drivers.links.link import Link, LinkState
@@ -124,8 +125,19 @@ class PortSource:
         """Find whether a stop was requested."""
         return self._stopped.is_set()
 
-    def health(self) -> str:
-        return "ports=" + ",".join(f"{port.name}:{port.state}" for port in self._ports)
+    def health(self) -> SourceHealth:
+        now_ns = self._now().mono_ns
+        ports = tuple(
+            PortState(
+                name=port.name,
+                state=port.state,
+                received_bytes=port.received_bytes,
+                discarded_bytes=self._backlog.n_refused[port.name],
+                age_s=(now_ns - port.received_ns) * 1e-9 if port.received_bytes else math.inf,
+            )
+            for port in self._ports
+        )
+        return SourceHealth(ports, self._intake.quantities())
 
     def faults(self) -> list[str]:
         return [f"port {port.name} is {port.state}" for port in self._ports if port.state != "up"]
@@ -252,6 +264,8 @@ class _ServedPort:
         self._link = self._make_link()
         self._own: Counter[str] = Counter()
         self._links_before: Counter[str] = Counter()  # of links that failed
+        self.received_bytes = 0
+        self.received_ns = 0  # monotonic, of the newest
         self._is_open = False
         self._changed_ns = 0  # when the wire was opened or lost last
         self.vehicle: PortPilot | None = None
@@ -318,6 +332,8 @@ class _ServedPort:
                 self._send_commands()
 
     def _on_bytes(self, data: bytes, stamp: Stamp) -> None:
+        self.received_bytes += len(data)
+        self.received_ns = stamp.mono_ns
         self._source.take(self.name, data, stamp)
 
     def _on_state(self, state: LinkState, reason: str) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ast
+import sys
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+
+from auv_mcm.shell.check.packages import IMPORTED_AS, parse_requirements
 
 ROOT = Path(__file__).resolve().parents[1]
 TOPS = ("auv_mcm", "drivers", "sim_replay")
@@ -103,6 +107,24 @@ def test_drivers_do_not_import_the_bench() -> None:
 def test_nobody_imports_benches_or_studies(package: str) -> None:
     importers = [edge for top in TOPS for edge in edges(top, package)]
     assert importers == [edge for edge in importers if edge[0].startswith("sim_replay.studies")]
+
+
+def test_payload_and_drivers_import_packages_of_the_base_alone() -> None:
+    declared = parse_requirements(
+        tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
+    )
+    base = {IMPORTED_AS.get(package.name, package.name) for package in declared[""]}
+    optional = {"rich"}  # a progress bar, where it is installed
+    imported = {
+        (str(path.relative_to(ROOT)), name.partition(".")[0])
+        for top in ("auv_mcm", "drivers")
+        for path in (ROOT / top).rglob("*.py")
+        if "docs" not in path.parts
+        for name in names_of(path)
+    }
+    assert base <= {name for _, name in imported}, "a package that nothing imports"
+    known = {*sys.stdlib_module_names, *TOPS, *base, *optional}
+    assert [(path, name) for path, name in sorted(imported) if name not in known] == []
 
 
 def test_kernels_import_no_stage() -> None:

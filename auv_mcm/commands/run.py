@@ -66,10 +66,14 @@ def run_service(config: Config, clock: Clock | None = None) -> int:
     import logging
 
     from auv_mcm.clean_text import CleanFormatter
+    from auv_mcm.shell.journal_stream import JournalFormatter, is_journal
     from auv_mcm.shell.service import serve
 
-    formatter = CleanFormatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
-    formatter.converter = time.gmtime
+    if is_journal(sys.stderr):
+        formatter: CleanFormatter = JournalFormatter()
+    else:
+        formatter = CleanFormatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
+        formatter.converter = time.gmtime
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(formatter)
     logging.basicConfig(level=logging.INFO, handlers=[handler])

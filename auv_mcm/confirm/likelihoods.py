@@ -24,6 +24,8 @@ _MAX_LOOKS: Final = 50.0  # looks beyond which speckle no longer matters to a la
 _SIGMAS: Final = 3.0  # of the log-variance's scatter: threshold for a texture or more looks
 _MORE_LOOKS: Final = 0.25  # of the nominal variance; the nominal looks themselves are measured
 _TABLE_BINS: Final = 2048  # entries of the table over the logarithm of intensity; bounds the error of interpolation
+_TAIL: Final = 40.0  # natural logarithm of what the integral of a Bessel function may leave out: below float64's 2e-16
+_BESSEL_STEPS: Final = 120  # of the trapezoidal rule; half as many are 3e-9 off, a third 5e-6
 _TABLE_LOG_RANGE: Final = (math.log(1e-7), math.log(1e7))
 
 
@@ -81,13 +83,31 @@ def k_table(looks: float, nu: float) -> tuple[Plane, Plane]:
 
     (2048,) float64 each.
     """
-    from scipy.special import kve  # late: most regions never need it
-
     log_ratio = np.linspace(*_TABLE_LOG_RANGE, _TABLE_BINS)
-    argument = 2.0 * np.sqrt(looks * nu * np.exp(log_ratio))
-    log_bessel = np.log(kve(nu - looks, argument)) - argument
+    log_bessel = log_bessel_k(nu - looks, 2.0 * np.sqrt(looks * nu * np.exp(log_ratio)))
     cost = 0.5 * (looks - nu) * log_ratio - log_bessel - math.log(2.0) + math.lgamma(nu)
     return log_ratio, cost - 0.5 * (looks + nu) * math.log(looks * nu) + looks * math.log(looks)
+
+
+def log_bessel_k(order: float, x: Plane) -> Plane:
+    """Compute ln K, of the modified Bessel function of the second kind and this real order, at x > 0, any shape.
+
+    Half the integral of exp(order t - x cosh t) over all t (DLMF 10.32.9) by the trapezoidal rule, which converges
+    exponentially here. Against scipy.special.kve, for orders up to 50 and x from 3e-4 to 3e5, it differs by no more
+    than 2e-13 and one rounding of ln K.
+    """
+    order = abs(order)
+    peak, at_peak = np.arcsinh(order / x), np.hypot(x, order)
+    # Beyond these the integrand is below exp(-40) of its peak: it falls as exp(-at_peak (cosh s - 1)) or faster on the
+    # right; on the left no slower than exp(-at_peak (s - 1)), and to less than on the right at the place mirrored at 0.
+    right = np.arccosh(1.0 + _TAIL / at_peak)
+    left = np.minimum(2.0 * peak + right, 1.0 + _TAIL / at_peak)
+    step = (left + right) / _BESSEL_STEPS
+    total = np.zeros(np.shape(x))
+    for k in range(_BESSEL_STEPS + 1):
+        s = k * step - left
+        total += np.exp(order * s - 2.0 * x * np.sinh(peak + 0.5 * s) * np.sinh(0.5 * s))
+    return np.asarray(np.log(0.5 * step * total) + order * peak - at_peak)
 
 
 def trigamma(x: float) -> float:

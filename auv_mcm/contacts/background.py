@@ -262,7 +262,7 @@ _MIN_AREA_KM2: Final = 1e-4  # a hundredth of a hectare: a few pings
 
 def _mine_shares(prior: BackgroundPrior) -> Array:
     """Compute the share of mines' contacts in each bin; what falls below the lowest level is in none."""
-    # The standard library's error function: scipy.special takes 0.2 s to load.
+    # The standard library's error function: scipy is no package of the payload.
     deviates = (LEVELS_NATS - prior.mine_mean_nats) / (prior.mine_sd_nats * math.sqrt(2.0))
     reached = np.array([0.5 * math.erfc(deviate) for deviate in deviates.tolist()])
     return np.asarray(reached - np.append(reached[1:], 0.0))

@@ -10,7 +10,6 @@ import ctypes
 import functools
 import os
 from collections.abc import Callable
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -42,11 +41,11 @@ def load_library(folder: Path, name: str, version: int, declare: Callable[[ctype
     """
     if os.environ.get("AUV_MCM_KERNELS", "") == "numpy":
         return Loaded(None, "AUV_MCM_KERNELS=numpy is set")
-    found = [path for suffix in EXTENSION_SUFFIXES if (path := folder / f"{name}{suffix}").is_file()]
-    if not found:
+    path = folder / f"{name}.abi3.so"
+    if not path.is_file():
         return Loaded(None, "not built: install a C compiler and reinstall the package")
     try:
-        library = ctypes.CDLL(str(found[0]))
+        library = ctypes.CDLL(str(path))
         ask = getattr(library, f"auv_mcm{name}_version")
         ask.argtypes = []
         ask.restype = ctypes.c_int32
@@ -54,13 +53,12 @@ def load_library(folder: Path, name: str, version: int, declare: Callable[[ctype
         if reported != version:
             return Loaded(
                 None,
-                f"{found[0].name} is of another version of this package ({reported}, not {version}): reinstall the "
-                "package",
+                f"{path.name} is of another version of this package ({reported}, not {version}): reinstall the package",
             )
         declare(library)
     except (OSError, AttributeError) as error:
-        return Loaded(None, f"{found[0].name} cannot be loaded ({error}): reinstall the package")
-    return Loaded(library, found[0].name)
+        return Loaded(None, f"{path.name} cannot be loaded ({error}): reinstall the package")
+    return Loaded(library, path.name)
 
 
 def c_function(name: str, *argument_types: Any) -> Callable[..., None] | None:

@@ -329,6 +329,14 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
         int, Meta(ge=1, le=100_000, description="maximum number of pings waiting for perception")
     ] = 512
     health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
+    health_port: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=65535,
+            description="port at 127.0.0.1 for monitors of this computer: /metrics for Prometheus, /health; 0: none",
+        ),
+    ] = 0
     source: Annotated[
         str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")
     ] = ""

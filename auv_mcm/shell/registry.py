@@ -34,6 +34,7 @@ COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",
     "batch": "sim_replay.commands.batch:add",
     "run": "auv_mcm.commands.run:add",
+    "status": "auv_mcm.commands.status:add",
     "simulate": "sim_replay.commands.simulate:add",
     "augment": "sim_replay.commands.augment:add",
     "score": "sim_replay.commands.score:add",

@@ -36,7 +36,14 @@ from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
+from auv_mcm.shell.health.endpoint import HealthEndpoint
+from auv_mcm.shell.health.files import HealthFiles
+from auv_mcm.shell.health.judge import Measured, judge
+from auv_mcm.shell.health.measure import measure_computer, measure_process, perception_process
+from auv_mcm.shell.health.record import Health
+from auv_mcm.shell.health.text import health_line
 from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.journal_stream import is_journal, journal_console
 from auv_mcm.shell.mission_totals import (
     area_totals,
     clearance_notices,
@@ -109,6 +116,9 @@ class Service:
         self._stop = asyncio.Event()
         self._source_failure: AuvMcmError | None = None
         self._lag_s = 0.0
+        self._is_ready = False
+        self._measured: Measured | None = None
+        self._newest_health: Health | None = None
         self._is_finished = False
         self._pipeline_counters: Counter[str] = Counter()
         self._places: dict[str, Any] = {}
@@ -135,12 +145,16 @@ class Service:
         self._folder = _session_folder(parent, self._clock)
         self._started_s = self._clock.monotonic_s()
         journal = Journal(self._folder / JOURNAL)
+        self._health_files = HealthFiles(self._folder)
+        self._health_on_disk: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._health_on_disk.set_result(None)  # nothing is being written
         self._snippets = Snippets(self._folder)
         self._records = temporary_record_file(self._folder)
         self._contacts, self._coverage = ContactStore(self._records), CoverageStore(self._records)
         self._ballast = await asyncio.to_thread(Ballast, self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._counters, self._see)
         perception = Perception(self._config, self._make_pipeline, records=self._records)
+        endpoint = HealthEndpoint(self._config.service.health_port, lambda: self._newest_health)
         failure: AuvMcmError | None = None
         missing: HardwareError | None = None
         try:
@@ -148,6 +162,8 @@ class Service:
                 self._announce(unfinished)
             if kernels.backend() == "numpy":
                 self._announce(_no_kernels())
+            await self._open(endpoint)
+            await self._show_health(queue, perception)
             async with asyncio.TaskGroup() as tasks:
                 starting = tasks.create_task(perception.start())
                 await asyncio.to_thread(self._start_recording)
@@ -157,6 +173,7 @@ class Service:
                 gc.collect()
                 gc.freeze()  # a collection would otherwise walk through every imported module and hold up the ports
                 log.info("ready: source %s, results in %s", self._config.service.source or "given", self._folder)
+                self._is_ready = True
                 report("READY=1", f"STATUS=results in {self._folder}")
                 health = [
                     tasks.create_task(feed_watchdog()),
@@ -169,10 +186,14 @@ class Service:
                 await tasks.create_task(self._publish(perception, journal))
                 for task in health:
                     task.cancel()
-                log.info("health %s", self._health(queue, perception))  # as it ended, however short it was
+                await self._health_on_disk
+                log.info("health %s", await self._show_health(queue, perception))  # as it ended, however short it was
+                await self._health_on_disk
         except* AuvMcmError as group:
             failure = _first(group)
         finally:
+            endpoint.close()
+            self._health_files.close()
             try:
                 await self._part_from_vehicle(failure or self._source_failure)
             finally:
@@ -427,31 +448,63 @@ class Service:
             await asyncio.sleep(_LAG_PROBE_S)
             self._lag_s = max(self._lag_s, self._clock.monotonic_s() - requested_s - _LAG_PROBE_S)
 
+    async def _open(self, endpoint: HealthEndpoint) -> None:
+        if not self._config.service.health_port:
+            return
+        try:
+            await endpoint.open()
+        except HardwareError as error:  # the mission does not need it
+            self._announce(Notice(code="service.health_port", text=f"no health over HTTP: {error}"))
+
     async def _report_health(self, queue: EventQueue, perception: Perception) -> None:
-        pings = 0
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
             self._report_recording()
-            health = self._health(queue, perception)
-            log.info("health %s", health)
-            report(f"STATUS={health}")
-            # A lossless source, such as a recorded mission, waits on purpose while perception works.
-            if not self._source.lossless and self._tally.pings == pings and perception.in_flight and queue.pings:
-                log.warning(
-                    "perception has taken no ping for %g s although pings wait", self._config.service.health_period_s
-                )
-            pings, self._lag_s = self._tally.pings, 0.0
+            line = await self._show_health(queue, perception)
+            log.info("health %s", line)
+            report(f"STATUS={line}")
 
-    def _health(self, queue: EventQueue, perception: Perception) -> str:
-        contacts, clutter = self._announced_as.count(_NO_CLUTTER), self._announced_as.count(_CLUTTER)
-        return (
-            f"pings={self._tally.pings} queue={queue.pings}/{self._config.service.queue_pings} "
-            f"in_flight={perception.in_flight} "
-            f"dropped={self._counters['service.ping_dropped']} contacts={contacts} clutter={clutter} "
-            f"lag_ms={self._lag_s * 1e3:.1f}"
-            + (" kernels=NUMPY" if kernels.backend() == "numpy" else "")
-            + (f" {self._source.health()}" if isinstance(self._source, LiveSource) else "")
-            + (f" {self._vehicle_link.health()}" if self._vehicle_link is not None else "")
+    async def _show_health(self, queue: EventQueue, perception: Perception) -> str:
+        """Measure and judge how the payload is, and hand that to monitors. Returns the health line."""
+        measured = await self._measure(queue, perception)
+        before, self._measured, self._lag_s = self._measured or measured, measured, 0.0
+        self._newest_health = health = Health(
+            version=__version__,
+            session=str(self._folder),
+            utc_s=self._clock.utc_s(),
+            period_s=self._config.service.health_period_s,
+            parts=judge(measured, before),
+        )
+        if self._health_on_disk.done():  # a disk that hangs holds up no health line
+            write = partial(self._health_files.write, health, measured.now_s)
+            self._health_on_disk = asyncio.get_running_loop().run_in_executor(None, write)
+        if "perception:perception_stalled" in health.reasons:
+            log.warning("perception has taken no ping for %g s although pings wait", measured.now_s - before.now_s)
+        return health_line(health)
+
+    async def _measure(self, queue: EventQueue, perception: Perception) -> Measured:
+        now_s = self._clock.monotonic_s()
+        link = self._vehicle_link
+        return Measured(
+            now_s=now_s,
+            uptime_s=now_s - self._started_s,
+            is_ready=self._is_ready,
+            has_kernels=kernels.backend() == "c",
+            late_s=self._lag_s,
+            pings=self._tally.pings,
+            queue_pings=queue.pings,
+            queue_limit=self._config.service.queue_pings,
+            in_flight=perception.in_flight,
+            waits_on_purpose=self._source.lossless,
+            contacts=self._announced_as.count(_NO_CLUTTER),
+            clutter=self._announced_as.count(_CLUTTER),
+            counters=self._counters + (Counter() if self._recorder is None else self._recorder.counters),
+            source=self._source.health() if isinstance(self._source, LiveSource) else None,
+            is_recording=self._recorder is not None,
+            vehicle=None if link is None else link.health(),
+            service=measure_process(os.getpid()),
+            perception=measure_process(perception_process()),
+            computer=await asyncio.to_thread(measure_computer, self._folder),
         )
 
     def _write(self) -> HardwareError | None:
@@ -509,7 +562,8 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
     source = open_source(parse_source_uri(config.service.source), config, clock)
 
     async def main() -> Path:
-        service = Service(config, source, clock=clock, make_pipeline=make_pipeline)
+        console = journal_console(print) if is_journal(sys.stdout) else print
+        service = Service(config, source, clock=clock, console=console, make_pipeline=make_pipeline)
         loop = asyncio.get_running_loop()
         serving = asyncio.ensure_future(service.run())
         signals = 0

@@ -1,4 +1,4 @@
-"""Write the pages of the site that are made from the code: configuration, commands, notices, counters, wires,
+"""Write the pages of the site that are made from the code: configuration, commands, notices, counters, health, wires,
 examples."""
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import Final
 from auv_mcm.cli import _parser
 from auv_mcm.commands import Parser
 from auv_mcm.settings.config import Config, config_yaml, port_keys
+from auv_mcm.shell.health.record import REASONS, STATES, VALUES
+from auv_mcm.shell.health.text import metric_name
 from auv_mcm.skips import SKIPS
 from deploy.site.raised import ROOT, counted_names, notices_by_code, raised_notices
 from drivers.describe import example_text, interface_text
@@ -41,6 +43,7 @@ def reference_pages() -> dict[str, str]:
         "reference/commands.md": commands_page(),
         "reference/notices.md": notices_page(),
         "reference/counters.md": counters_page(),
+        "reference/health.md": health_page(),
         "reference/wire-interfaces.md": wire_interfaces_page(),
         "benchmarks.md": benchmarks_page(),
     }
@@ -175,6 +178,27 @@ def counters_page() -> str:
     ]
     for name, modules in _counters().items():
         lines.append(_row(f"`{name}`", _meaning(name), ", ".join(f"`{module}`" for module in modules)))
+    return "\n".join(lines) + "\n"
+
+
+def health_page() -> str:
+    """List every reason and every value of a record of health with its meaning."""
+    lines = [
+        *(f"{_MADE}# Health", ""),
+        "`health.json` is one JSON object on one line: `state` of the whole, that of its worst part; `version`,",
+        "`session`, `utc_s`, `period_s` until the next record; and `parts`, each with `name`, `state`, `reasons`,",
+        "`words` for people and `values`. In the order of their gravity, states are "
+        + ", ".join(f"`{state}`" for state in STATES)
+        + ".",
+        "`/metrics` has the same for Prometheus. [How to watch it](../how-to/watch-the-payload.md).",
+        *("", "## Parts", ""),
+        "`service`, `perception`, `port.NAME`, `navigation.QUANTITY`, `recording`, `vehicle`, `disk`, `computer`;",
+        "those that a configuration has no use for are absent.",
+        *("", "## Reasons", "", "| reason | meaning, and what to do |", "|---|---|"),
+        *(_row(f"`{reason}`", meaning) for reason, meaning in REASONS.items()),
+        *("", "## Values", "", "| value | for Prometheus | meaning |", "|---|---|---|"),
+        *(_row(f"`{name}`", f"`auv_mcm_{metric_name(name)}`", meaning) for name, meaning in VALUES.items()),
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -14,6 +14,7 @@ import re
 import shlex
 import shutil
 import sys
+import time
 import tomllib
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -27,6 +28,7 @@ from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.budget_settings import BudgetConfig
 from auv_mcm.settings.config import config_yaml, parse_config
+from auv_mcm.shell.health.record import Health
 from drivers.recording.start_recording import start_recording
 from drivers.sonar.ping_protocol import commands as ping_commands
 from drivers.sonar.sonar_decoder import SonarSettings
@@ -179,6 +181,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("auv-mcm-out/latest/recording", "out-demo/hil/clean/results/latest/recording"):
         (folder / name).parent.mkdir(parents=True)
         record(folder / name)
+    health = Health(version="1", session="here", utc_s=time.time(), period_s=600.0, parts=())
+    (folder / "auv-mcm-out" / "latest" / "health.json").write_bytes(health.to_json())
     return folder
 
 
@@ -213,6 +217,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         raise Reached
 
     for place in (
+        "auv_mcm.commands.status._watch",
         "sim_replay.fitting.cascade.train_cascade.render_set",
         "sim_replay.fitting.detection_performance.calibrate_performance.fly_all",
         "sim_replay.fitting.cascade.farm.run_tasks",
@@ -266,7 +271,8 @@ def run_command(arguments: Sequence[str]) -> None:
     try:
         code = main(arguments)
     except Reached:
-        assert arguments[0] in ("batch", "train", "calibrate", "hil", "bench"), "only what takes long may stop there"
+        long = ("batch", "status", "train", "calibrate", "hil", "bench")
+        assert arguments[0] in long, "only what takes long may stop at its first step"
     except SystemExit as ended:
         if ended.code != 0:
             assert not any(word.startswith("-") or "." in word for word in arguments), (

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.health import endpoint
+
 ROOT = Path(__file__).resolve().parents[2]
 ON_THE_VEHICLE = sorted(
     path for package in ("auv_mcm", "drivers") for path in (ROOT / package).rglob("*.py") if "docs" not in path.parts
@@ -16,7 +19,6 @@ ON_THE_VEHICLE = sorted(
 @pytest.mark.parametrize(
     ("claim", "against"),
     [
-        ("no TCP port is listened on", r"\.listen\(|start_server|create_server|start_unix_server"),
         (
             "nothing that is read is executed or unpickled",
             r"\beval\(|\bexec\(|\bpickle\b|\bmarshal\b|allow_pickle=True|unsafe_load|FullLoader",
@@ -37,6 +39,15 @@ def test_only_one_module_opens_files_for_writing() -> None:
     # A file that a person names on the command line is made there, by `write_new`; the recorder appends to files of its
     # own folder.
     assert names == ["auv_mcm/commands/__init__.py", "auv_mcm/safe_files.py", "drivers/recording/session_writer.py"]
+
+
+def test_the_one_tcp_port_that_is_listened_on_is_for_monitors_of_this_computer() -> None:
+    listening = re.compile(r"\.listen\(|start_server|create_server|start_unix_server")
+    (path,) = [path for path in ON_THE_VEHICLE if listening.search(path.read_text("utf-8"))]
+    assert path.relative_to(ROOT).as_posix() == "auv_mcm/shell/health/endpoint.py"
+    assert "start_server(self._serve, _HOST," in path.read_text("utf-8")
+    assert endpoint._HOST == "127.0.0.1"
+    assert Config().service.health_port == 0, "and only where a configuration asks for it"
 
 
 def test_what_is_opened_at_the_end_of_a_wire_is_only_what_the_page_lists() -> None:

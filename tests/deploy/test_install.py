@@ -128,6 +128,14 @@ def test_what_cannot_be_done_is_refused_with_the_reason(options: list[str], said
     assert (done.returncode, said in done.stderr) == (1, True)
 
 
+def test_a_python_in_a_home_folder_is_refused_because_the_service_cannot_see_it(bundle: Path) -> None:
+    stand_in = bundle.parent / "python"
+    stand_in.write_text(PYTHON.replace("esac", '*"os.path.realpath"*) echo /home/pilot/.pyenv/bin/python3 ;;\nesac'))
+    done = install(bundle)
+    assert (done.returncode, done.stderr.count("PYTHON=/usr/bin/python3 sh deploy/install.sh")) == (1, 1)
+    assert not (bundle.parent / "root").exists()
+
+
 def test_a_folder_without_wheels_names_what_makes_one(bundle: Path) -> None:
     shutil.rmtree(bundle / "wheels")
     assert "sh deploy/wheelhouse.sh makes such a folder" in install(bundle).stderr

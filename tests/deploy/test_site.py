@@ -14,6 +14,7 @@ import pytest
 
 from auv_mcm import __version__
 from auv_mcm.cli import main
+from auv_mcm.shell.health.record import REASONS, VALUES
 from auv_mcm.shell.registry import COMMANDS
 from deploy.site.pages import (
     HISTORY,
@@ -21,6 +22,7 @@ from deploy.site.pages import (
     commands_page,
     configuration_page,
     counters_page,
+    health_page,
     notices_page,
     project_pages,
 )
@@ -130,6 +132,12 @@ def test_the_page_of_files_names_what_a_simulation_writes(results: Path) -> None
     truth = json.loads((results.parent / "sim" / "truth.json").read_bytes())
     assert table_keys("truth.json") == set(truth)
     assert table_keys("truth.json", "| key of an object |") == set(truth["objects"][0])
+
+
+def test_every_reason_and_value_of_health_is_on_its_page() -> None:
+    page = health_page()
+    for name in (*REASONS, *VALUES):
+        assert f"| `{name}` | " in page
 
 
 def test_the_benchmark_history_has_this_version_and_every_file_of_it_can_be_compared() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter, deque
 from collections.abc import Callable
 from itertools import count
@@ -16,7 +17,7 @@ from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.sources import parse_source_uri
-from auv_mcm.source import LiveSource
+from auv_mcm.source import LiveSource, QuantityState
 from drivers.links.link import Link
 from drivers.links.pulse import pack_edge
 from drivers.navigation.nmea0183 import sentence
@@ -113,7 +114,10 @@ class Bench:
         await self.source.run(sink)
 
     def state_is(self, name: str, state: str) -> Callable[[], bool]:
-        return lambda: f"{name}:{state}" in self.source.health()
+        return lambda: (name, state) in self.states()
+
+    def states(self) -> list[tuple[str, str]]:
+        return [(port.name, port.state) for port in self.source.health().ports]
 
     def codes(self) -> list[str]:
         return [event.code for event in self.events if isinstance(event, Notice)]
@@ -229,7 +233,7 @@ def test_a_sonar_that_pings_when_asked_is_asked_without_end() -> None:
 
 def test_states_are_reported_and_shown() -> None:
     bench = Bench(silent_s=0.1)
-    assert bench.source.health() == "ports=sonar:down,gnss:down"
+    assert bench.states() == [("sonar", "down"), ("gnss", "down")]
     bench.run(
         bench.state_is("sonar", "silent"),
         lambda: bench.wires["sonar"].send(profile(1, 0, 0.0)),
@@ -243,6 +247,26 @@ def test_states_are_reported_and_shown() -> None:
         "a port that opens asks nothing of anybody"
     )
     assert "the wire was pulled; plug it in again" in reported[3].text
+
+
+def test_health_has_what_each_port_received_and_who_serves_position() -> None:
+    bench = Bench()
+    before = bench.source.health()
+    assert [(port.received_bytes, port.age_s) for port in before.ports] == [(0, math.inf)] * 2
+    assert before.quantities == (QuantityState("position", "", math.inf),)
+    data = fix(0.0, 43.0, 5.0)
+
+    def position() -> QuantityState:
+        return next(quantity for quantity in bench.source.health().quantities if quantity.name == "position")
+
+    bench.run(
+        bench.state_is("gnss", "up"),
+        lambda: bench.wires["gnss"].send(data),
+        lambda: position().served_by == "gnss" and 0.0 <= position().age_s < GENEROUS_S,
+    )
+    sonar, gnss = bench.source.health().ports
+    assert (sonar.received_bytes, gnss.received_bytes, gnss.discarded_bytes) == (0, len(data), 0)
+    assert 0.0 <= gnss.age_s < GENEROUS_S
 
 
 def test_a_wire_that_comes_and_goes_is_reported_of_so_often_only(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -219,7 +219,7 @@ async def served(config: Config, devices: Devices) -> Path:
     service = Service(config, source, clock=devices.clock, console=lambda line: None)
     serving = asyncio.ensure_future(service.run())
     try:
-        while not (source.health() == "ports=sonar:up,ins:up" or serving.done()):
+        while not (all(port.state == "up" for port in source.health().ports) or serving.done()):
             await asyncio.sleep(0.01)
         devices.begin.set()
         while not (devices.done.is_set() or serving.done()):

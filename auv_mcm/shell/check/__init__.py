@@ -18,7 +18,7 @@ from auv_mcm import __version__
 from auv_mcm.clean_text import clean_lines
 from auv_mcm.errors import AuvMcmError, SelfCheckError
 from auv_mcm.shell.check.finding import Finding
-from auv_mcm.shell.check.host import clock_discipline, clock_finding, output_finding, user_findings
+from auv_mcm.shell.check.host import clock_discipline, clock_finding, output_finding, reach_findings, user_findings
 from auv_mcm.shell.check.packages import has_extra, package_findings
 from auv_mcm.shell.registry import BENCH_CHECK, PORT_CHECK, load
 
@@ -63,6 +63,7 @@ def _findings(
         f"{platform.python_version()} on {platform.machine()}",
     )
     yield from user_findings(os.geteuid())
+    yield from reach_findings(os.geteuid(), [Path(sys.executable).resolve(), Path(__file__).resolve()])
     yield from package_findings()
     yield from _looked_at("C kernels", _kernels)
     if has_extra("bench"):

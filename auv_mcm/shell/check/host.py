@@ -5,19 +5,24 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import pwd
 import shutil
+import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from auv_mcm.shell.check.finding import Finding
 
-# A full serial line of 921600 baud records 0.33 GB an hour: three hours of it.
-_PLENTY_BYTES: Final = 1 << 30
-# The results of a mission of 40 min take some 45 MB: with less, they cannot all be written.
-_NEEDED_BYTES: Final = 64 << 20
+PLENTY_BYTES: Final = 1 << 30
+"""Free space for a day: a full serial line of 921600 baud records 0.33 GB an hour, three hours of it."""
+NEEDED_BYTES: Final = 64 << 20
+"""Free space without which not all results can be written: those of a mission of 40 min take some 45 MB."""
+SERVICE_USER: Final = "auvmcm"
+"""The user that deploy/systemd/auv-mcm.service runs as."""
+_HIDDEN: Final = (Path("/home"), Path("/root"), Path("/run/user"))  # by ProtectHome= of systemd.exec(5)
 _DAY_S: Final = 86_400.0  # times of files out of archives are local ones, whose zone is not known
 _FIRST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # there was no version of this package before
 
@@ -48,6 +53,47 @@ def user_findings(user_id: int) -> Iterator[Finding]:
             "runuser -u auvmcm -- auv-mcm check ..."
         )
         yield Finding("user", "warning", text)
+
+
+def reach_findings(user_id: int, places: Iterable[Path], user: str = SERVICE_USER) -> Iterator[Finding]:
+    """Warn where root may read an installation that the service's user may not.
+
+    Parameters
+    ----------
+    user_id
+        Who checks. Another user than root who can check can read it.
+    places
+        Interpreter and packages, without links.
+    user
+        Whom the service runs as; where there is no such user, somebody without any rights of their own.
+    """
+    if user_id != 0:
+        return
+    for place in places:
+        hidden = next((folder for folder in _HIDDEN if place.is_relative_to(folder)), None)
+        closed = None if hidden else next((one for one in reversed(place.parents) if not _may_enter(one, user)), None)
+        if hidden or closed:
+            why = (
+                f"below {hidden}, which the unit hides from the service (ProtectHome)"
+                if hidden
+                else f"below {closed}, which {user} may not enter"
+            )
+            remedy = "Install below /opt with a Python of the system: PYTHON=/usr/bin/python3 sh deploy/install.sh"
+            open_it = "" if hidden else f", or allow it: chmod a+x {closed}"
+            yield Finding("installation", "warning", f"{place} is {why}: systemd cannot start it. {remedy}{open_it}")
+            return
+
+
+def _may_enter(folder: Path, user: str) -> bool:
+    found = folder.stat()
+    try:
+        account = pwd.getpwnam(user)
+        groups = os.getgrouplist(user, account.pw_gid)
+    except KeyError:
+        return bool(found.st_mode & stat.S_IXOTH)
+    if found.st_uid == account.pw_uid:
+        return bool(found.st_mode & stat.S_IXUSR)
+    return bool(found.st_mode & (stat.S_IXGRP if found.st_gid in groups else stat.S_IXOTH))
 
 
 def clock_finding(utc_s: float, discipline: Discipline | None, package: Path, unit_gives_utc: bool) -> Finding:
@@ -126,11 +172,11 @@ def output_finding(folder: Path) -> Finding:
             f"{existing} cannot be written to: {error.strerror}. {remedy}, or name another one ({key})",
         )
     room = f"{folder.absolute()}, {free_bytes / 1e9:.2g} GB free"
-    if free_bytes < _NEEDED_BYTES:
+    if free_bytes < NEEDED_BYTES:
         return Finding(
             name, "FAILED", f"{room}: too little for the results of a mission. Free space, or name another one ({key})"
         )
-    if free_bytes < _PLENTY_BYTES:
+    if free_bytes < PLENTY_BYTES:
         return Finding(
             name, "warning", f"{room}: recordings of a day may fill it. Free space, or name another one ({key})"
         )

@@ -16,7 +16,7 @@ from auv_mcm.shell.check.finding import Finding
 DISTRIBUTION: Final = "auv-mcm"
 _BASE: Final = ""
 _MAKERS: Final = ("dev", "docs")  # extras for those who change the code: the payload does not run them
-_IMPORTED_AS: Final = {
+IMPORTED_AS: Final = {
     "opencv-contrib-python-headless": "cv2",
     "pyserial": "serial",
     "python-can": "can",
@@ -107,7 +107,7 @@ def _finding(requirement: Requirement, install: str) -> Finding:
         return Finding(name, "FAILED", f"not installed, but needed ({requirement.limits or 'any version'}): {install}")
     if not requirement.allows(version):
         return Finding(name, "FAILED", f"version {version} is not one of {requirement.limits}: {install}")
-    module = _IMPORTED_AS.get(name.lower(), name.replace("-", "_"))
+    module = IMPORTED_AS.get(name.lower(), name.replace("-", "_"))
     try:
         importlib.import_module(module)
     except Exception as error:  # a broken package raises whatever it likes

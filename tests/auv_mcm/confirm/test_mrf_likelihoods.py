@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.special import gammaln, polygamma
+from scipy.special import gammaln, kve, polygamma
 
 from auv_mcm.confirm.likelihoods import (
     BackgroundLaw,
@@ -16,6 +16,7 @@ from auv_mcm.confirm.likelihoods import (
     gamma_cost,
     inverse_trigamma,
     k_table,
+    log_bessel_k,
     trigamma,
 )
 
@@ -62,6 +63,13 @@ def test_k_law_with_hardly_any_texture_is_gamma() -> None:
 def test_k_table_is_finite_everywhere(looks: float, nu: float) -> None:
     _, cost = k_table(looks, nu)
     assert np.isfinite(cost).all()
+
+
+@pytest.mark.parametrize("order", [0.0, 0.1, -0.5, 1.0, -2.3, 19.7, -50.0])
+def test_the_bessel_function_is_scipys(order: float) -> None:
+    x = np.exp(np.linspace(math.log(3e-4), math.log(3e5), 501))
+    expected = np.log(kve(order, x)) - x
+    np.testing.assert_allclose(log_bessel_k(order, x), expected, rtol=2.3e-16, atol=2e-13)
 
 
 @pytest.mark.parametrize("x", [0.05, 0.3, 1.0, 2.5, 7.9, 8.1, 300.0])

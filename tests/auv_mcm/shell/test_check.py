@@ -12,7 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.shell.check.host import Discipline, clock_discipline, clock_finding, output_finding, user_findings
+from auv_mcm.shell.check.host import (
+    Discipline,
+    clock_discipline,
+    clock_finding,
+    output_finding,
+    reach_findings,
+    user_findings,
+)
 from auv_mcm.shell.check.packages import Requirement, package_findings, parse_requirements
 
 PACKAGE = Path(__file__).parents[3] / "auv_mcm"
@@ -166,6 +173,29 @@ def test_root_is_sent_to_check_as_the_user_of_the_service() -> None:
     (found,) = user_findings(0)
     assert (found.verdict, "runuser -u auvmcm" in found.detail) == ("warning", True)
     assert list(user_findings(1000)) == []
+
+
+def test_an_installation_in_a_folder_that_the_service_may_not_enter_is_named(tmp_path: Path) -> None:
+    place = tmp_path / "closed" / "venv" / "bin" / "python"
+    place.parent.mkdir(parents=True)
+    outside = next((folder for folder in reversed(tmp_path.parents) if not folder.stat().st_mode & 0o001), None)
+    (tmp_path / "closed").chmod(0o700)
+    (found,) = reach_findings(0, [place], "nobody at all")
+    named = outside or tmp_path / "closed"  # the folder of tests may be closed itself
+    assert (found.verdict, found.detail.partition(":")[0]) == (
+        "warning",
+        f"{place} is below {named}, which nobody at all may not enter",
+    )
+    assert "Install below /opt with a Python of the system" in found.detail
+    assert f"or allow it: chmod a+x {named}" in found.detail
+    assert list(reach_findings(1000, [place], "nobody at all")) == []
+    assert list(reach_findings(0, [Path("/usr/bin/python3")], "nobody at all")) == []
+
+
+@pytest.mark.parametrize("place", ["/root/.pyenv/versions/3.12.1/bin/python3.12", "/home/pilot/venv/bin/python"])
+def test_an_installation_that_the_unit_hides_is_named(place: str) -> None:
+    (found,) = reach_findings(0, [Path(place)])
+    assert "which the unit hides from the service (ProtectHome): systemd cannot start it. Install below" in found.detail
 
 
 @pytest.mark.parametrize(("free_bytes", "verdict"), [(10 << 20, "FAILED"), (500 << 20, "warning"), (5 << 30, "ok")])

@@ -11,6 +11,7 @@ import os
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -27,12 +28,13 @@ from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
 from auv_mcm.kernels import Loaded
 from auv_mcm.records import Notice, SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.health.files import read_health
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.perception import MakePipeline, PerceptionError
 from auv_mcm.shell.recovery import BALLAST_BYTES, RECORDING, Ballast
 from auv_mcm.shell.service import Service
 from auv_mcm.shell.sources import parse_source_uri
-from auv_mcm.source import EventSink, Record, VehiclePilot
+from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth, VehiclePilot
 from drivers.recording.session_recorder import SessionRecorder
 from sim_replay.logs.session_reader import Session
 from tests.auv_mcm.shell import fake_pipelines as fake
@@ -82,8 +84,8 @@ class Ports(Events):
     def stop(self) -> None:
         self._stopped.set()
 
-    def health(self) -> str:
-        return "ports=one:up"
+    def health(self) -> SourceHealth:
+        return SourceHealth((PortState("one", "up", 1, 0, 0.0),), (QuantityState("position", "one", 0.0),))
 
     def faults(self) -> list[str]:
         return []
@@ -163,6 +165,7 @@ def test_a_mission_leaves_every_result(tmp_path: Path) -> None:
     assert {path.name for path in results.iterdir()} == {
         *("contacts.geojson", "contacts.csv", "contacts.kml", "contacts.jsonl"),
         *("coverage.geojson", "clearance.geojson", "waypoints.geojson", "summary.json", "snippets"),
+        *("health.json", "health.jsonl"),
     }
     content = summary(results)
     assert (content["pings"], content["contacts"], content["covered_km2"]) == (30, 11, 0.001)
@@ -218,6 +221,46 @@ def test_that_numpy_does_the_work_of_the_kernels_is_announced_and_in_every_healt
     health = [record.message for record in caplog.records if record.message.startswith("health")]
     assert health
     assert [line for line in health if "kernels=NUMPY" not in line] == []
+
+
+def test_the_last_record_of_health_is_as_the_mission_ended(tmp_path: Path) -> None:
+    results = serve_ports(tmp_path, Ports(mission(30)))
+    health = read_health(results / "health.json")
+    parts = {part.name: part for part in health.parts}
+    assert (health.session, health.state) == (str(results), "normal")
+    assert {"service", "perception", "port.one", "navigation.position", "recording", "disk"} <= set(parts)
+    assert parts["perception"].values["pings_total"] == summary(results)["pings"] == 30
+    history = (results / "health.jsonl").read_text().splitlines()
+    assert '"state":"boot"' in history[0]
+
+
+def test_a_port_for_monitors_that_is_taken_costs_no_mission(tmp_path: Path) -> None:
+    lines: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        service = ServiceConfig(output_directory=str(tmp_path), health_port=taken.getsockname()[1])
+        source = Events(mission(30))
+        results = asyncio.run(
+            Service(Config(service=service), source, console=lines.append, make_pipeline=fake.Base).run()
+        )
+    assert len(ids(results)) == 11
+    assert [line for line in lines if line.startswith("notice service.health_port: no health over HTTP: ")]
+
+
+def test_monitors_are_answered_while_the_mission_goes_on(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    monitors: list[socket.socket] = []
+
+    def ask(line: str) -> None:
+        if not monitors:
+            monitors.append(socket.create_connection(("127.0.0.1", port)))
+            monitors[0].sendall(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")
+
+    config = Config(service=ServiceConfig(output_directory=str(tmp_path), health_port=port))
+    asyncio.run(Service(config, Events(mission(30)), console=ask, make_pipeline=fake.Base).run())
+    with monitors[0] as monitor:
+        monitor.settimeout(10.0)
+        assert monitor.recv(1 << 16).startswith(b"HTTP/1.1 200 OK\r\n")
 
 
 def test_clutter_is_kept_but_not_announced(tmp_path: Path) -> None:
@@ -283,6 +326,7 @@ def test_the_session_holds_what_was_found_and_no_other_file(
     assert files <= {
         *("contacts.geojson", "contacts.csv", "contacts.kml", "contacts.jsonl"),
         *("coverage.geojson", "clearance.geojson", "waypoints.geojson", "summary.json", "snippets"),
+        *("health.json", "health.jsonl"),
     }
 
 
@@ -497,13 +541,13 @@ def test_space_is_held_for_the_results_and_pictures_come_after_them(
     def replace(new: Path, old: Path, replace: Callable[..., None] = os.replace, **folders: int) -> None:
         if old.suffix == ".png" and not any(entry.startswith("release") for entry in done):
             raise OSError(28, "No space left on device")
-        done.append(old.name)
+        if old.name not in ("latest", "health.json"):
+            done.append(old.name)
         replace(new, old, **folders)
 
     monkeypatch.setattr("auv_mcm.shell.service.Ballast", Watched)
     monkeypatch.setattr("auv_mcm.safe_files.os.replace", replace)
     serve(tmp_path, Events(mission(30)), fake.Seeing)
-    done.remove("latest")
     assert done[:3] == [f"release {BALLAST_BYTES}", "contacts.geojson", "contacts.csv"]
     assert done[-1] == "C00001.png"
 
@@ -619,7 +663,9 @@ def test_killing_all_processes_at_once_leaves_no_shared_memory_and_no_other_file
         )  # as a supervisor that kills a control group does, and a shortage of memory
         output, _ = process.communicate(timeout=60)
     assert [path for path in shared if path.exists()] == []
-    assert {path.name for path in (tmp_path / "latest").iterdir()} <= {"contacts.jsonl", "snippets"}
+    assert {path.name for path in (tmp_path / "latest").iterdir()} <= {
+        *("contacts.jsonl", "snippets", "health.json", "health.jsonl")
+    }
     assert "leaked" not in output
 
 

@@ -21,7 +21,7 @@ from auv_mcm.settings.config import Config, PlanConfig, ServiceConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from auv_mcm.shell.perception import MakePipeline
 from auv_mcm.shell.service import Service
-from auv_mcm.source import EventSink, Record
+from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 FENCED = VehicleConfig(command=True, fence_deg=((42.99, 4.99), (42.99, 5.01), (43.01, 5.01), (43.01, 4.99)))
@@ -76,8 +76,8 @@ class Ports:
     def stop(self) -> None:
         self._stopped = True
 
-    def health(self) -> str:
-        return "ports=one:up"
+    def health(self) -> SourceHealth:
+        return SourceHealth((PortState("one", "up", 1, 0, 0.0),), (QuantityState("position", "one", 0.0),))
 
     def faults(self) -> list[str]:
         return list(self.wrong)

@@ -1,0 +1,75 @@
+"""Keep the newest record of health in a file that any monitor can read, and a history of what changed."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+from pathlib import Path
+from typing import Final
+
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.safe_files import open_for_append, open_regular, replacing
+from auv_mcm.shell.health.record import Health, parse_health
+
+log = logging.getLogger(__name__)
+
+HEALTH: Final = "health.json"
+"""The file of the newest record: in the session, and in the folder that RUNTIME_DIRECTORY names, as systemd sets it."""
+HISTORY: Final = "health.jsonl"
+"""The file, in the session, of records: one a minute, and one whenever a state or a reason changed."""
+
+_HISTORY_S: Final = 60.0  # s between two records of the history: 360 of some 2 kB in a mission of 6 h
+_MAX_BYTES: Final = 1 << 20  # of a record that is read; one takes some 2 kB
+
+
+class HealthFiles:
+    """Write each record for monitors. A disk that does not take one costs a warning alone."""
+
+    def __init__(self, session: Path) -> None:
+        runtime = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+        self._paths = [session / HEALTH, *([Path(runtime) / HEALTH] if runtime else [])]
+        self._history = session / HISTORY
+        self._written_s = -math.inf
+        self._was: tuple[tuple[str, ...], str] | None = None
+        self._has_failed = False
+
+    def write(self, health: Health, now_s: float) -> None:
+        """Replace the newest record, and add it to the history if it is due. now_s: monotonic."""
+        data = health.to_json() + b"\n"
+        try:
+            for path in self._paths:
+                # Not durable: after a power cut nobody asks how the payload was a second before.
+                with replacing(path, durable=False) as file:
+                    file.write(data)
+            for path in self._paths[1:]:
+                path.chmod(0o644)  # it holds no position of a contact
+            judged = health.reasons, health.state
+            if judged != self._was or now_s - self._written_s >= _HISTORY_S:
+                with open_for_append(self._history) as history:
+                    history.write(data)
+                self._was, self._written_s = judged, now_s
+        except OSError as error:
+            if not self._has_failed:
+                log.warning("health is not on disk: %s: %s. Free space on the disk.", error.filename, error.strerror)
+            self._has_failed = True
+        else:
+            self._has_failed = False
+
+    def close(self) -> None:
+        """Remove the record outside of the session: the service ends, and nobody keeps it up to date."""
+        for path in self._paths[1:]:
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def read_health(path: Path) -> Health:
+    """Read a record. Raises UsageError if there is none, BadInputError for a file that holds none."""
+    try:
+        with open_regular(path) as file:
+            return parse_health(file.read(_MAX_BYTES))
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}. Name a session's folder, or start the service") from error
+    except ValueError as error:
+        raise BadInputError(f"{path} holds no record of health: {error}") from error
