@@ -35,6 +35,14 @@ class PlacedRecords(Generic[T]):
         """Count the records that the disk did not take."""
         return len(self._in_memory)
 
+    def state(self) -> tuple[array[int], array[int], dict[int, bytes]]:
+        """Give starts and sizes in the file, by number, and what is in memory."""
+        return self._starts, self._sizes, self._in_memory
+
+    def restore(self, state: tuple[array[int], array[int], dict[int, bytes]]) -> None:
+        """Take the state of records of the same kind in the same file."""
+        self._starts, self._sizes, self._in_memory = state
+
     def numbers(self) -> NDArray[np.int64]:
         """List the numbers known, ascending: (n,)."""
         return np.flatnonzero(np.array(self._starts) != _UNKNOWN)
@@ -50,6 +58,9 @@ class PlacedRecords(Generic[T]):
         else:
             self._starts[number] = _IN_MEMORY
             self._in_memory[number] = packed(record)
+
+    def __contains__(self, number: int) -> bool:
+        return number < len(self._starts) and self._starts[number] != _UNKNOWN
 
     def place(self, number: int) -> RecordPlace | None:
         """Return where a record lies; None for one that is in memory or not known."""

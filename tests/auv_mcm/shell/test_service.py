@@ -619,7 +619,7 @@ def test_killing_all_processes_at_once_leaves_no_shared_memory_and_no_other_file
         )  # as a supervisor that kills a control group does, and a shortage of memory
         output, _ = process.communicate(timeout=60)
     assert [path for path in shared if path.exists()] == []
-    assert {path.name for path in (tmp_path / "latest").iterdir()} <= {"contacts.jsonl", "snippets"}
+    assert {path.name for path in (tmp_path / "latest").iterdir()} <= {"contacts.jsonl", "snippets", "state"}
     assert "leaked" not in output
 
 

@@ -42,6 +42,10 @@ class Vehicle:
     def take_notices(self) -> list[Notice]:
         return []
 
+    def go_on(self, session: int, n_starts: int) -> None:
+        if n_starts:
+            self.reports.append(("go on", n_starts))
+
     def report(self, contact: Contact) -> None:
         self.reports.append(("contact", contact.id))
         self.on_contact(contact)
