@@ -11,7 +11,7 @@ file that is of no more use, are a tenth or so of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -53,9 +53,9 @@ class ContactStore:
         """Give what it knows of where contacts lie."""
         return self._versions.state()
 
-    def restore(self, state: Any) -> None:
-        """Take the state of a store of the same file."""
-        self._versions.restore(state)
+    def restore(self, state: Any, numbers: Container[int] | None = None) -> None:
+        """Take the state of a store of the same file. numbers: of the contacts to know, None for all."""
+        self._versions.restore(state, numbers)
 
     def add(self, contact: Contact) -> None:
         """Write a contact with all its views. Raises ValueError for an id that is not C and a number."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from auv_mcm.safe_files import replacing
+from auv_mcm.safe_files import replacing, sync_directory
 
 _MAGIC: Final = b"auv-mcm checkpoint 1\n"
 _CHECKSUM_BYTES: Final = 4
@@ -17,13 +18,22 @@ _N_KEPT: Final = 2  # the one before serves where the newest is damaged
 
 
 def write_checkpoint(folder: Path, number: int, state: bytes) -> None:
-    """Write the state after event `number`, on disk when it returns, and remove all but the one before.
+    """Write the state after event `number`, on disk when it returns; it does not count before it is committed.
 
     Raises OSError.
     """
-    with replacing(folder / f"checkpoint-{number:012d}.bin") as file:
+    with replacing(_pending(folder, number)) as file:
         file.writelines((_MAGIC, zlib.crc32(state).to_bytes(_CHECKSUM_BYTES, "little"), state))
-    for path in _newest_first(folder)[_N_KEPT:]:
+
+
+def commit_checkpoint(folder: Path, number: int) -> None:
+    """Have a checkpoint count from here on: what came of the events in it was announced.
+
+    All but the one before are removed. Raises OSError.
+    """
+    os.replace(_pending(folder, number), folder / f"checkpoint-{number:012d}.bin")
+    sync_directory(folder)
+    for path in [*_newest_first(folder)[_N_KEPT:], *folder.glob("pending-*.bin")]:
         path.unlink(missing_ok=True)
 
 
@@ -35,6 +45,15 @@ def read_checkpoints(folder: Path) -> Iterator[tuple[int, bytes]]:
             head, state = data[: len(_MAGIC) + _CHECKSUM_BYTES], data[len(_MAGIC) + _CHECKSUM_BYTES :]
             if head == _MAGIC + zlib.crc32(state).to_bytes(_CHECKSUM_BYTES, "little"):
                 yield _number(path), state
+
+
+def newest_checkpoint(folder: Path) -> int:
+    """Give the number of the last event in the newest checkpoint, sound or not; 0 without one."""
+    return max(map(_number, _newest_first(folder)), default=0)
+
+
+def _pending(folder: Path, number: int) -> Path:
+    return folder / f"pending-{number:012d}.bin"
 
 
 def _newest_first(folder: Path) -> list[Path]:

@@ -61,12 +61,12 @@ class EventSpool:
     in `n_lost`. It is tried again with the next file, after `forget`.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Go on behind what the folder holds; its events keep their numbers."""
+    def __init__(self, folder: Path, after: int = 0) -> None:
+        """Go on behind what the folder holds, and behind event `after`; those before keep their numbers."""
         self.n_lost = 0
         self._folder = folder
         self._last_in_file = {path: _last_number(path) for path in _files(folder)}  # numbers of events
-        self.last = max(self._last_in_file.values(), default=0)
+        self.last = max([after, *self._last_in_file.values()])
         """Number of the newest event."""
         self._state = threading.Condition()
         self._waiting: list[bytes] = []
@@ -121,17 +121,7 @@ class EventSpool:
 
     def read(self, after: int, until: int) -> Iterator[Spooled]:
         """Read the events with numbers in (after, until] that were not dropped, in order; see `flush`."""
-        rooms: dict[int, float] = {}
-        dropped: set[int] = set()
-        for entry in _entries(self._folder):
-            if entry.kind == _ROOM_KIND and entry.number > after:
-                rooms[entry.number] = _ROOM.unpack(entry.body)[0]
-            elif entry.kind == _DROPPED_KIND:
-                dropped.update(range(max(entry.number, after + 1), _NUMBER.unpack(entry.body)[0]))
-        for entry in _entries(self._folder):
-            if entry.kind in _DECODERS and after < entry.number <= until and entry.number not in dropped:
-                event = _DECODERS[entry.kind].decode(entry.body)
-                yield Spooled(entry.number, event, rooms.get(entry.number, 1.0))
+        return read_events(self._folder, after, until)
 
     def close(self) -> None:
         """Write what waits, and end."""
@@ -219,6 +209,31 @@ class EventSpool:
             if path != except_for and last <= number:
                 path.unlink(missing_ok=True)
                 del self._last_in_file[path]
+
+
+def read_events(folder: Path, after: int = 0, until: int | None = None) -> Iterator[Spooled]:
+    """Read the events of a folder with numbers in (after, until] that were not dropped, in order."""
+    rooms: dict[int, float] = {}
+    dropped: set[int] = set()
+    for entry in _entries(folder):
+        if entry.kind == _ROOM_KIND and entry.number > after:
+            rooms[entry.number] = _ROOM.unpack(entry.body)[0]
+        elif entry.kind == _DROPPED_KIND:
+            dropped.update(range(max(entry.number, after + 1), _NUMBER.unpack(entry.body)[0]))
+    for entry in _entries(folder):
+        is_wanted = entry.number > after and (until is None or entry.number <= until) and entry.number not in dropped
+        if entry.kind in _DECODERS and is_wanted:
+            event = _DECODERS[entry.kind].decode(entry.body)
+            yield Spooled(entry.number, event, rooms.get(entry.number, 1.0))
+
+
+def entry_ends(path: Path) -> list[tuple[int, int]]:
+    """List the whole entries of a file: number of the event, and the byte where the entry ends. Raises OSError."""
+    ends, end = [], 0
+    for entry in _entries_of(path):
+        end += _HEAD.size + len(entry.body)
+        ends.append((entry.number, end))
+    return ends
 
 
 class _Entry(NamedTuple):

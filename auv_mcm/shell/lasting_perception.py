@@ -25,10 +25,12 @@ from auv_mcm.errors import AuvMcmError
 from auv_mcm.plan.look_again import PlanRequest
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.checkpoint import commit_checkpoint
 from auv_mcm.shell.event_queue import Queued
 from auv_mcm.shell.event_spool import EventSpool, Spooled
 from auv_mcm.shell.perception import (
     RING_BYTES,
+    Checkpointed,
     Fed,
     Finished,
     Keeping,
@@ -80,6 +82,7 @@ class LastingPerception:
         """
         self.counters: Counter[str] = Counter()
         self._spool = spool
+        self._keeping = keeping
         self._checkpoints: deque[int] = deque([0, 0], 2)  # numbers of the two newest
         self._make: Callable[[], Perception] = partial(
             Perception,
@@ -87,7 +90,6 @@ class LastingPerception:
             make_pipeline,
             records=records,
             keeping=keeping,
-            on_checkpoint=self._forget,
             ring_bytes=ring_bytes,
         )
         self._perception = self._make()
@@ -127,10 +129,17 @@ class LastingPerception:
         self._spool.mark_reserved(self._given + 1, n_contacts)
         self._reservations[self._given + 1] = n_contacts
 
-    async def feed(self, queued: Queued, room: float = 1.0) -> None:
-        """Hand one event of the spool to the process, waiting for space; it need not wait where it is fed later.
+    async def feed(self, queued: Queued, room: float = 1.0, *, is_patient: bool = False) -> None:
+        """Hand one event of the spool to the process, waiting for space.
 
-        room: with a ping, share of the time that the work on tiles may take from it on.
+        Where the process is being replaced it is fed from the spool, later.
+
+        Parameters
+        ----------
+        room
+            With a ping: share of the time that the work on tiles may take from it on.
+        is_patient
+            Wait for that as well: the source can, and the spool must not take all of it at once.
 
         Raises ValueError for a ping larger than the ring.
         """
@@ -141,6 +150,8 @@ class LastingPerception:
         self._given = queued.number
         if not self._is_behind:
             await self._hand(self._perception, Spooled(queued.number, queued.event, room))
+        while is_patient and self._is_behind:
+            await asyncio.sleep(_WATCH_S)
 
     def ask(self, request: PlanRequest) -> bool:
         """Request a plan from the contacts known by then. False: none will come."""
@@ -166,6 +177,9 @@ class LastingPerception:
                 answer = await self._perception.answer()
             except PerceptionError as error:
                 await self._replace(error)
+                continue
+            if isinstance(answer, Checkpointed):
+                await self._commit(answer.number)
                 continue
             if isinstance(answer, Planned):
                 self._asked.popleft()
@@ -248,8 +262,12 @@ class LastingPerception:
         if self._is_finishing:
             await self._finish(perception)
 
-    def _forget(self, number: int) -> None:
-        """Let go of what the two newest checkpoints hold."""
+    async def _commit(self, number: int) -> None:
+        """Have a checkpoint count, and let go of what it and the one before hold. All before it was announced."""
+        try:
+            await asyncio.to_thread(commit_checkpoint, self._keeping.folder, number)
+        except OSError:
+            return  # those before it serve
         self._checkpoints.append(number)
         self._spool.forget(self._checkpoints[0])
 

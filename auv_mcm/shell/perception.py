@@ -71,7 +71,7 @@ _ALIGNMENT: Final = 64  # bytes: a cache line, so that arrays in shared memory b
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
 _PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
 _MAX_PLANNING_S: Final = 1.0  # while pings wait
-_CHECKPOINT_S: Final = 10.0
+CHECKPOINT_S: Final = 10.0
 """s between two checkpoints after tiles, minimum: bounds what is written, 4 to 9 MB each time, and what is replayed."""
 _LONGEST_S: Final = 60.0  # s between two where no tile comes, as with navigation alone
 _PR_SET_PDEATHSIG: Final = 1  # prctl(2)
@@ -155,13 +155,22 @@ class Started(NamedTuple):
 
 
 class Keeping(NamedTuple):
-    """State where checkpoints go, and what they belong to: one of another kind is not gone on from."""
+    """State where checkpoints go, and what they belong to: one of another kind is not gone on from.
+
+    every_s: between two after tiles, minimum.
+    """
 
     folder: Path
     kind: str
+    every_s: float = CHECKPOINT_S
 
 
-class _Checkpointed(NamedTuple):
+class Checkpointed(NamedTuple):
+    """Report that a checkpoint was written after event `number`.
+
+    It is to be committed once the answers before this one were announced.
+    """
+
     number: int
 
 
@@ -256,24 +265,21 @@ class Perception:
         ring_bytes: int = RING_BYTES,
         records: RecordFile | None = None,
         keeping: Keeping | None = None,
-        on_checkpoint: Callable[[int], None] = lambda number: None,
     ) -> None:
         """records: for contacts and coverage; the worker appends to it. Without it contacts stay in memory.
 
-        keeping: where the worker goes on from, and leaves checkpoints; None for neither. on_checkpoint: is given the
-        number of the last event in each.
+        keeping: where the worker goes on from, and leaves checkpoints; None for neither.
         """
         self._config = config
         self._make_pipeline = make_pipeline
         self._records = records or RecordFile(None)
         self._keeping = keeping
-        self._on_checkpoint = on_checkpoint
         self._n_owed = 0  # answers that have not come
         self._n_answered = 0
         self._ring = Ring(ring_bytes)
         self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
         self._room = asyncio.Event()
-        self._answers: asyncio.Queue[Started | Fed | Planned | Finished | Exception] = asyncio.Queue()
+        self._answers: asyncio.Queue[Started | Fed | Planned | Checkpointed | Finished | Exception] = asyncio.Queue()
         self._dead: Exception | None = None
         self._finishing = False
         self._to_undo = contextlib.ExitStack()
@@ -363,8 +369,10 @@ class Perception:
         self._n_owed += 2
         self._send(None)
 
-    async def answer(self) -> Fed | Planned | Finished:
+    async def answer(self) -> Fed | Planned | Checkpointed | Finished:
         """Receive the next answer: Fed for each event and for `finish`, Planned for each `ask`, then Finished.
+
+        Checkpointed comes of itself, after the answer to its event.
 
         Raises PerceptionError if the worker failed or died.
         """
@@ -372,6 +380,8 @@ class Perception:
         if isinstance(answer, Exception):
             raise answer
         assert not isinstance(answer, Started)
+        if isinstance(answer, Checkpointed):
+            return answer
         if self._in_flight and self._in_flight.popleft():
             self._ring.give_back()
         self._room.set()
@@ -427,10 +437,8 @@ class Perception:
             return
         if isinstance(answer, _Failure):
             self._set_dead(answer.error())
-        elif isinstance(answer, _Checkpointed):
-            self._on_checkpoint(answer.number)
         else:
-            self._n_owed -= not isinstance(answer, Started)
+            self._n_owed -= not isinstance(answer, Started | Checkpointed)
             self._n_answered += 1
             self._answers.put_nowait(answer)
 
@@ -541,7 +549,7 @@ def _work(
             for patch in answer.patches:
                 chain.coverage.keep(patch)
             if chain.is_checkpoint_due(bool(answer.patches)) and chain.checkpoint(number):
-                connection.send(_Checkpointed(number))
+                connection.send(Checkpointed(number))
         events = chain.pipeline.finish()
         _note_coverage(events, chain.searched, chain.area)
         connection.send(_answer(events, store, records))
@@ -606,7 +614,7 @@ class _Chain:
     def is_checkpoint_due(self, is_after_tile: bool) -> bool:
         """Decide whether to write one. Least waits in the chain after a tile."""
         age_s = time.monotonic() - self._kept_s
-        return self._keeping is not None and age_s >= (_CHECKPOINT_S if is_after_tile else _LONGEST_S)
+        return self._keeping is not None and age_s >= (self._keeping.every_s if is_after_tile else _LONGEST_S)
 
     def checkpoint(self, number: int) -> bool:
         """Write one. False if the disk does not take it: those before then have to serve."""

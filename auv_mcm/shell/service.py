@@ -37,6 +37,7 @@ from auv_mcm.contacts.record_file import open_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.checkpoint import newest_checkpoint
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.event_spool import EventSpool
 from auv_mcm.shell.journal import Journal
@@ -49,7 +50,7 @@ from auv_mcm.shell.mission_totals import (
     point_totals,
     search_totals,
 )
-from auv_mcm.shell.perception import Finished, Keeping, MakePipeline, Planned, standard_pipeline
+from auv_mcm.shell.perception import CHECKPOINT_S, Finished, Keeping, MakePipeline, Planned, standard_pipeline
 from auv_mcm.shell.recovery import (
     EARLY_JOURNAL,
     JOURNAL,
@@ -114,7 +115,9 @@ class Service:
         clock: Clock | None = None,
         console: Callable[[str], None] = print,
         make_pipeline: MakePipeline = standard_pipeline,
+        checkpoint_every_s: float = CHECKPOINT_S,
     ) -> None:
+        self._checkpoint_every_s = checkpoint_every_s
         self._config = config
         self._source = source
         self._clock: Clock = clock or SystemClock()
@@ -156,24 +159,25 @@ class Service:
         """
         parent = Path(self._config.service.output_directory)
         begun = self._begin_session(parent)
+        kept = self._folder / STATE
+        with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
+            kept.mkdir(exist_ok=True)
+            write_memory(self._folder, self._memory)
         self._started_s = self._clock.monotonic_s()
         journal = Journal(self._folder / JOURNAL)
         self._snippets = Snippets(self._folder)
-        kept = self._folder / STATE
-        with contextlib.suppress(OSError):
-            kept.mkdir()
         self._records = open_record_file(kept / RECORDS)
         self._contacts, self._coverage = ContactStore(self._records), CoverageStore(self._records)
         self._ballast = await asyncio.to_thread(Ballast, self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._counters, self._see)
-        self._spool = EventSpool(kept)
+        self._spool = EventSpool(kept, newest_checkpoint(kept))
         self._fed_again_to = self._spool.last
         perception = LastingPerception(
             self._config,
             self._make_pipeline,
             self._records,
             self._spool,
-            Keeping(kept, session_kind(self._config)),
+            Keeping(kept, self._memory.kind, self._checkpoint_every_s),
             self._add_up,
         )
         if self._announced_before.is_clutter:
@@ -250,7 +254,8 @@ class Service:
         """Start perception, and know what it knows."""
         started = await perception.start()
         if started.tally is not None:
-            self._contacts.restore(started.contacts)
+            announced = frozenset(map(contact_number, self._announced_before.is_clutter))
+            self._contacts.restore(started.contacts, announced)  # perception has others, which were never likely mines
             self._coverage.restore(started.coverage)
             vars(self._tally).update(vars(started.tally))
 
@@ -344,8 +349,8 @@ class Service:
     def _start_recording(self) -> None:
         if not isinstance(self._source, LiveSource) or not self._config.service.record:
             return
-        n_starts = self._memory.n_starts
-        folder = self._folder / (RECORDING if n_starts == 1 else f"{RECORDING}-{n_starts}")
+        names = (RECORDING, *(f"{RECORDING}-{number}" for number in range(2, 10_000)))  # one per start
+        folder = next(self._folder / name for name in names if not (self._folder / name).exists())
         self._recorder = start_recording(folder, self._config, self._clock)
         self._source.record_with(self._recorder.record)
 
@@ -400,7 +405,8 @@ class Service:
         try:
             while (queued := await queue.get()) is not None:
                 try:
-                    await perception.feed(queued, self._room(queue) if isinstance(queued.event, Ping) else 1.0)
+                    room = self._room(queue) if isinstance(queued.event, Ping) else 1.0
+                    await perception.feed(queued, room, is_patient=self._source.lossless)
                 except ValueError as error:
                     self._counters["service.ping_too_large"] += 1
                     log.error("ping skipped: %s", error)
