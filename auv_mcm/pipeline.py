@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -60,6 +60,25 @@ from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.waterfall.law_watch import LawVerdict, LawWatch
 from auv_mcm.waterfall.sample_checks import SampleCheck
 from auv_mcm.waterfall.waterfall import Waterfall
+
+_STATE: Final = (
+    "_counts",
+    "_intake",
+    "_samples",
+    "_law",
+    "_undecided",
+    "_waterfall",
+    "_suppressors",
+    "_room",
+    "_n_new_samples",
+    "_ledger",
+    "_calls",
+    "_places",
+    "_early",
+    "_grid",
+    "_finished",
+)
+"""Attributes that the events change."""
 
 
 class Pipeline:
@@ -130,6 +149,14 @@ class Pipeline:
             shipped_background().prior("contrast" if model is None else "cascade") if config.confirm.enabled else None
         )
         self._calls = CallWatch(config.contacts, background)
+        self.constants: dict[str, object] = {
+            "config": config,
+            "model": model,
+            "gate": gate,
+            "odds": self._odds,
+            "background": background,
+        }
+        """What the state holds and never changes, by name; see `auv_mcm.frozen_state`."""
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped
         # one measures.
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
@@ -175,6 +202,22 @@ class Pipeline:
         bounds the work. Below 1 there are no early looks.
         """
         self._room = room
+
+    def state(self) -> dict[str, Any]:
+        """Give everything that the events so far have left behind, but for `constants` and the contacts kept.
+
+        To be frozen at once: feeding goes on changing it.
+        """
+        return {name: getattr(self, name) for name in _STATE}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where a pipeline of the same configuration was; what it kept of contacts has to be there too."""
+        for name in _STATE:
+            setattr(self, name, state[name])
+
+    def reserve(self, n_contacts: int) -> None:
+        """Number contacts to come from n_contacts + 1 on at the lowest: those before were announced and are lost."""
+        self._ledger.reserve(n_contacts)
 
     def feed(self, event: SourceEvent) -> list[PipelineEvent]:
         """Take one event; return what became final because of it."""

@@ -37,6 +37,9 @@ class VehiclePilot(Protocol):
 
     def take_notices(self) -> list[Notice]: ...
 
+    def go_on(self, session: int, n_starts: int) -> None:
+        """Report contacts under the numbers of a session that n_starts runs before this one began."""
+
     def report(self, contact: Contact) -> None:
         """Report a contact that is new or has changed."""
 

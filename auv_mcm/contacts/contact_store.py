@@ -11,8 +11,8 @@ file that is of no more use, are a tenth or so of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Final
+from collections.abc import Container, Iterable, Sequence
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -49,6 +49,14 @@ class ContactStore:
         """Count the contacts that the disk did not take."""
         return self._versions.n_in_memory
 
+    def state(self) -> Any:
+        """Give what it knows of where contacts lie."""
+        return self._versions.state()
+
+    def restore(self, state: Any, numbers: Container[int] | None = None) -> None:
+        """Take the state of a store of the same file. numbers: of the contacts to know, None for all."""
+        self._versions.restore(state, numbers)
+
     def add(self, contact: Contact) -> None:
         """Write a contact with all its views. Raises ValueError for an id that is not C and a number."""
         self._write(contact, [None] * len(contact.views))
@@ -73,6 +81,9 @@ class ContactStore:
         Raises ValueError for an id that is not C and a number.
         """
         self._versions.keep(contact_number(contact.id), _Version(contact, ()) if place is None else place)
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._versions
 
     def place(self, number: int) -> RecordPlace | None:
         """Return where the newest version of a contact lies; None for one that is in memory or not known."""

@@ -6,7 +6,7 @@ The map of the search has taken the cells up.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -46,6 +46,15 @@ class CoverageStore:
     def n_in_memory(self) -> int:
         """Count the patches that the disk did not take."""
         return self._patches.n_in_memory
+
+    def state(self) -> Any:
+        """Give what it knows of where patches lie."""
+        return self._patches.state(), self._orders
+
+    def restore(self, state: Any) -> None:
+        """Take the state of a store of the same file."""
+        patches, self._orders = state
+        self._patches.restore(patches)
 
     def keep(self, stored: StoredPatch) -> None:
         """Take a further patch."""

@@ -94,6 +94,15 @@ class Ledger:
         """List likely mines for which a further view from a known direction would help."""
         return tuple(self._read(np.flatnonzero(self._asking_p[: self._n_contacts] >= min_p_mine).tolist()).values())
 
+    def reserve(self, n_contacts: int) -> None:
+        """Leave out numbers up to n_contacts that are not in use. No detection joins what they stand for."""
+        n_before, self._n_contacts = self._n_contacts, max(self._n_contacts, n_contacts)
+        self._positions_m = _with_room(self._positions_m, self._n_contacts)
+        self._positions_m[n_before : self._n_contacts] = math.nan
+        self._asking_p = _with_room(self._asking_p, self._n_contacts)
+        self._asking_p[n_before : self._n_contacts] = math.nan
+        self._reported.extend(bytes(self._n_contacts - len(self._reported)))
+
     def add(self, detections: list[Detection]) -> list[Contact]:
         """Take the detections that became final together, in any order; return the contacts to report, by id.
 

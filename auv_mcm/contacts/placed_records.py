@@ -6,7 +6,7 @@ A record far away and long ago costs the twelve bytes of its place.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from typing import Final, Generic, TypeVar
 
 import msgspec
@@ -35,6 +35,21 @@ class PlacedRecords(Generic[T]):
         """Count the records that the disk did not take."""
         return len(self._in_memory)
 
+    def state(self) -> tuple[array[int], array[int], dict[int, bytes]]:
+        """Give starts and sizes in the file, by number, and what is in memory."""
+        return self._starts, self._sizes, self._in_memory
+
+    def restore(
+        self, state: tuple[array[int], array[int], dict[int, bytes]], numbers: Container[int] | None = None
+    ) -> None:
+        """Take the state of records of the same kind in the same file. numbers: of those to know, None for all."""
+        self._starts, self._sizes, self._in_memory = state
+        if numbers is not None:
+            for number in range(len(self._starts)):
+                if number not in numbers:
+                    self._starts[number] = _UNKNOWN
+                    self._in_memory.pop(number, None)
+
     def numbers(self) -> NDArray[np.int64]:
         """List the numbers known, ascending: (n,)."""
         return np.flatnonzero(np.array(self._starts) != _UNKNOWN)
@@ -50,6 +65,9 @@ class PlacedRecords(Generic[T]):
         else:
             self._starts[number] = _IN_MEMORY
             self._in_memory[number] = packed(record)
+
+    def __contains__(self, number: int) -> bool:
+        return number < len(self._starts) and self._starts[number] != _UNKNOWN
 
     def place(self, number: int) -> RecordPlace | None:
         """Return where a record lies; None for one that is in memory or not known."""

@@ -1,4 +1,4 @@
-"""Append records to a file without a name, which goes with the processes that hold it, however they end.
+"""Append records to a file: without a name, to go with the processes that hold it, or with one, to outlive them.
 
 One process appends. A process that is spawned with the file inherits it; either end reads any record whose place it
 knows, at any time, for nothing that has a place is overwritten.
@@ -54,6 +54,16 @@ class RecordFile:
         self.end += len(data)
         return place
 
+    def go_on(self) -> None:
+        """Append behind all that the file holds: what a process before has written keeps its place. Raises OSError."""
+        if self._file is not None:
+            self.end = os.fstat(self._file.fileno()).st_size
+
+    def sync(self) -> None:
+        """Wait until the disk holds what was appended. Raises OSError."""
+        if self._file is not None:
+            os.fsync(self._file.fileno())
+
     def take_back(self, end: int) -> None:
         """Free the space from byte `end` on, where nothing lies that has been given a place to keep."""
         self.end = end
@@ -92,6 +102,17 @@ def temporary_record_file(folder: Path | None = None) -> RecordFile:
     """
     with contextlib.suppress(OSError):
         return RecordFile(tempfile.TemporaryFile(dir=folder, buffering=0))
+    return RecordFile(None)
+
+
+def open_record_file(path: Path) -> RecordFile:
+    """Open a record file that outlives its processes, made if it is not there; what it holds stays.
+
+    Where it cannot be opened it takes nothing.
+    """
+    with contextlib.suppress(OSError):
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+        return RecordFile(open(descriptor, "r+b", buffering=0))
     return RecordFile(None)
 
 

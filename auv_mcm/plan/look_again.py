@@ -108,6 +108,19 @@ class _Looks:
         return self.n_vain >= MAX_VAIN_LOOKS or self.n_flown >= MAX_LOOKS
 
 
+class LooksSoFar(NamedTuple):
+    """Hold what a plan after a restart has to know of those before.
+
+    looks: by contact, its views, the legs flown for it, and those since its last new view. raised: what was reported
+    once.
+    """
+
+    sailed_m: float = 0.0
+    looks: tuple[tuple[str, int, int, int], ...] = ()
+    flown: tuple[Run, ...] = ()
+    raised: tuple[str, ...] = ()
+
+
 class LookAgain:
     """Decide when plans are made and requested. Times are monotonic seconds.
 
@@ -140,6 +153,18 @@ class LookAgain:
         """Take the notices raised since the last call."""
         notices, self._notices = self._notices, []
         return notices
+
+    def so_far(self) -> LooksSoFar:
+        """Give what is to outlast a restart."""
+        looks = tuple((name, looks.n_views, looks.n_flown, looks.n_vain) for name, looks in self._looks.items())
+        return LooksSoFar(self._sailed_m, looks, tuple(self._flown), tuple(sorted(self._raised)))
+
+    def go_on(self, so_far: LooksSoFar) -> None:
+        """Go on after a restart; called first."""
+        self._sailed_m, self._flown, self._raised = so_far.sailed_m, list(so_far.flown), set(so_far.raised)
+        for name, n_views, n_flown, n_vain in so_far.looks:
+            looks = self._looks[name] = _Looks()
+            looks.n_views, looks.n_flown, looks.n_vain = n_views, n_flown, n_vain
 
     def learn(self, contact: Contact) -> None:
         """Take a contact, new or changed."""

@@ -343,6 +343,24 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
     record: Annotated[
         bool, Meta(description="ports only: record every byte, both ways, beside the results, to be replayed")
     ] = True
+    resume_within_h: Annotated[
+        float,
+        Meta(
+            ge=0.0,
+            le=1000.0,
+            description="ports only: hours for which a session that was cut off is gone on with at the next start; 0 "
+            "begins a new one",
+        ),
+    ] = 12.0
+    stop_within_s: Annotated[
+        float,
+        Meta(
+            ge=3.0,
+            le=600.0,
+            description="ports only: seconds from a signal to the end; work that takes longer stays on disk, for the "
+            "next start",
+        ),
+    ] = 5.0
     output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = (
         "auv-mcm-out"
     )

@@ -5,11 +5,18 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 from auv_mcm.records import Ping, SourceEvent
 
 _OTHERS_PER_PING: Final = 16  # room in the queue for navigation samples and notices, per ping
+
+
+class Queued(NamedTuple):
+    """Hold an event that waits, and its number."""
+
+    number: int
+    event: SourceEvent
 
 
 class EventQueue:
@@ -21,14 +28,14 @@ class EventQueue:
     """
 
     def __init__(
-        self, max_pings: int, counters: Counter[str], see: Callable[[SourceEvent], None] = lambda event: None
+        self, max_pings: int, counters: Counter[str], see: Callable[[SourceEvent], int] = lambda event: 0
     ) -> None:
-        """see: is given every event as it comes, before it waits or is dropped."""
+        """see: is given every event as it comes, before it waits or is dropped, and returns its number."""
         self._max_pings = max_pings
         self._max_events = max_pings * (1 + _OTHERS_PER_PING)
         self._counters = counters
         self._see = see
-        self._events: deque[SourceEvent] = deque()
+        self._events: deque[Queued] = deque()
         self._pings = 0
         self._closed = False
         self._filled = asyncio.Event()
@@ -41,47 +48,47 @@ class EventQueue:
 
     async def put(self, event: SourceEvent) -> None:
         """Append an event once there is room."""
-        self._see(event)
+        queued = Queued(self._see(event), event)
         while self._is_full(isinstance(event, Ping)):
             self._emptied.clear()
             await self._emptied.wait()
-        self._append(event)
+        self._append(queued)
 
     def push(self, event: SourceEvent) -> None:
         """Append an event at once; drop the oldest of its kind if there is no room."""
-        self._see(event)
+        queued = Queued(self._see(event), event)
         if self._is_full(isinstance(event, Ping)):
             self._drop(isinstance(event, Ping))
-        self._append(event)
+        self._append(queued)
 
-    async def get(self) -> SourceEvent | None:
+    async def get(self) -> Queued | None:
         """Take the next event; None once the queue is closed and empty."""
         while not self._events:
             if self._closed:
                 return None
             self._filled.clear()
             await self._filled.wait()
-        event = self._events.popleft()
-        self._pings -= isinstance(event, Ping)
+        queued = self._events.popleft()
+        self._pings -= isinstance(queued.event, Ping)
         self._emptied.set()
-        return event
+        return queued
 
     def close(self) -> None:
         """Declare that no event follows."""
         self._closed = True
         self._filled.set()
 
-    def _append(self, event: SourceEvent) -> None:
-        self._events.append(event)
-        self._pings += isinstance(event, Ping)
+    def _append(self, queued: Queued) -> None:
+        self._events.append(queued)
+        self._pings += isinstance(queued.event, Ping)
         self._filled.set()
 
     def _is_full(self, is_ping: bool) -> bool:
         return len(self._events) >= self._max_events or (is_ping and self._pings >= self._max_pings)
 
     def _drop(self, is_ping: bool) -> None:
-        oldest = next((i for i, event in enumerate(self._events) if isinstance(event, Ping) == is_ping), 0)
-        dropped_ping = isinstance(self._events[oldest], Ping)
+        oldest = next((i for i, queued in enumerate(self._events) if isinstance(queued.event, Ping) == is_ping), 0)
+        dropped_ping = isinstance(self._events[oldest].event, Ping)
         self._counters["service.ping_dropped" if dropped_ping else "service.event_dropped"] += 1
         self._pings -= dropped_ping
         del self._events[oldest]

@@ -40,6 +40,13 @@ class Journal:
                 return False
         return False
 
+    @staticmethod
+    def cut_torn_line(path: Path) -> None:
+        """Cut off what a kill or a power cut left of a last line, which was never announced. Raises OSError."""
+        with contextlib.suppress(FileNotFoundError), open(path, "r+b") as file:
+            whole_bytes = file.read().rfind(b"\n") + 1
+            file.truncate(whole_bytes)
+
     def append(self, records: Iterable[Any]) -> None:
         """Append records. Raises OSError, as on a full disk.
 

@@ -17,6 +17,7 @@ import asyncio
 import contextlib
 import ctypes
 import gc
+import math
 import multiprocessing
 import os
 import signal
@@ -26,6 +27,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 import msgspec
@@ -38,9 +40,10 @@ from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
 from auv_mcm.clearance.detection_performance import Performance, configured_performance
 from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.contact_store import ContactStore
-from auv_mcm.contacts.coverage_store import StoredPatch, store_patch
+from auv_mcm.contacts.coverage_store import CoverageStore, StoredPatch, store_patch
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.contacts.record_file import RecordFile, RecordPlace
+from auv_mcm.frozen_state import StateError, freeze, thaw
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.records import (
     Contact,
@@ -55,6 +58,8 @@ from auv_mcm.records import (
     contact_number,
 )
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.checkpoint import read_checkpoints, write_checkpoint
+from auv_mcm.shell.tally import Tally
 
 if TYPE_CHECKING:
     from auv_mcm.contacts.ledger import Contacts
@@ -66,6 +71,12 @@ _ALIGNMENT: Final = 64  # bytes: a cache line, so that arrays in shared memory b
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
 _PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
 _MAX_PLANNING_S: Final = 1.0  # while pings wait
+CHECKPOINT_S: Final = 10.0
+"""s between two checkpoints after tiles, minimum: bounds what is written, 4 to 9 MB each time, and what is replayed."""
+_LONGEST_S: Final = 60.0  # s between two where no tile comes, as with navigation alone
+_PR_SET_PDEATHSIG: Final = 1  # prctl(2)
+_USER_TICKS: Final = 10  # place of utime in the line, from the field after the state on
+_WAITING_STATES: Final = "STt"  # sleeping, stopped, traced; R runs or wants to, D waits for the disk
 _NO_PICTURE: Final = np.empty((0, 0), dtype=np.uint8)
 _NO_OUTLINE: Final = np.empty((0, 2))
 
@@ -86,6 +97,15 @@ class Perceiving(Protocol):
     def operating_point(self) -> OperatingPoint | None: ...
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
+
+    @property
+    def constants(self) -> dict[str, object]: ...
+
+    def state(self) -> dict[str, Any]: ...
+
+    def restore(self, state: dict[str, Any]) -> None: ...
+
+    def reserve(self, n_contacts: int) -> None: ...
 
     def leave_room(self, room: float) -> None: ...
 
@@ -112,13 +132,55 @@ class Fed(NamedTuple):
 
     events: contacts, early ones among them, without what their pictures are made of, and notices. snippets: a PNG
     picture per contact id. places: in the file of records, of the contacts by number, without those that the disk did
-    not take. patches: coverage, in that file too.
+    not take. patches: coverage, in that file too. number: of the event.
     """
 
     events: tuple[Contact | EarlyContact | Notice, ...]
     snippets: dict[str, bytes]
     places: dict[int, RecordPlace]
     patches: tuple[StoredPatch, ...]
+    number: int = 0
+
+
+class Started(NamedTuple):
+    """Announce a worker that is ready, with the number of the last event in the checkpoint that it goes on from.
+
+    contacts, coverage: the states of their stores then; tally: what had been fed. Number 0: it starts with nothing.
+    """
+
+    number: int
+    contacts: Any = None
+    coverage: Any = None
+    tally: Tally | None = None
+
+
+class Keeping(NamedTuple):
+    """State where checkpoints go, and what they belong to: one of another kind is not gone on from.
+
+    every_s: between two after tiles, minimum.
+    """
+
+    folder: Path
+    kind: str
+    every_s: float = CHECKPOINT_S
+
+
+class Checkpointed(NamedTuple):
+    """Report that a checkpoint was written after event `number`.
+
+    It is to be committed once the answers before this one were announced.
+    """
+
+    number: int
+
+
+class _Reserve(NamedTuple):
+    n_contacts: int
+
+
+class _Numbered(NamedTuple):
+    number: int
+    event: Any
 
 
 class Planned(NamedTuple):
@@ -135,6 +197,28 @@ class Finished(NamedTuple):
     operating_point: OperatingPoint | None
     clearance: Clearance | None
     clearance_png: bytes  # its picture, empty without one
+
+
+class WorkDone(NamedTuple):
+    """Hold what a process has done so far.
+
+    n_answered: answers so far. cpu_s: processor time used. waits: it has nothing to compute and does not wait
+    for the disk.
+    """
+
+    n_answered: int
+    cpu_s: float
+    waits: bool
+
+
+def _work_done(pid: int, n_answered: int) -> WorkDone | None:
+    """Read proc_pid_stat(5); None where there is none."""
+    try:
+        state, *fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except (OSError, ValueError):
+        return None
+    user_ticks, system_ticks = map(int, fields[_USER_TICKS : _USER_TICKS + 2])
+    return WorkDone(n_answered, (user_ticks + system_ticks) / os.sysconf("SC_CLK_TCK"), state in _WAITING_STATES)
 
 
 class PerceptionError(errors.HardwareError):
@@ -180,15 +264,22 @@ class Perception:
         make_pipeline: MakePipeline = standard_pipeline,
         ring_bytes: int = RING_BYTES,
         records: RecordFile | None = None,
+        keeping: Keeping | None = None,
     ) -> None:
-        """records: empty, for contacts and coverage; the worker appends to it. Without it contacts stay in memory."""
+        """records: for contacts and coverage; the worker appends to it. Without it contacts stay in memory.
+
+        keeping: where the worker goes on from, and leaves checkpoints; None for neither.
+        """
         self._config = config
         self._make_pipeline = make_pipeline
         self._records = records or RecordFile(None)
+        self._keeping = keeping
+        self._n_owed = 0  # answers that have not come
+        self._n_answered = 0
         self._ring = Ring(ring_bytes)
         self._in_flight: deque[bool] = deque()  # per unanswered message: does it hold ring space?
         self._room = asyncio.Event()
-        self._answers: asyncio.Queue[Fed | Planned | Finished | Exception] = asyncio.Queue()
+        self._answers: asyncio.Queue[Started | Fed | Planned | Checkpointed | Finished | Exception] = asyncio.Queue()
         self._dead: Exception | None = None
         self._finishing = False
         self._to_undo = contextlib.ExitStack()
@@ -198,7 +289,7 @@ class Perception:
         """Count messages the worker has not answered yet."""
         return len(self._in_flight)
 
-    async def start(self) -> None:
+    async def start(self) -> Started:
         """Spawn the process and wait until it is ready. Raises PerceptionError if it cannot start."""
         context = multiprocessing.get_context("spawn")
         shared = context.RawArray(ctypes.c_ubyte, self._ring.n_bytes)
@@ -206,7 +297,7 @@ class Perception:
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
             target=_work,
-            args=(theirs, shared, self._config, self._make_pipeline, self._records),
+            args=(theirs, shared, self._config, self._make_pipeline, self._records, self._keeping),
             name="perception",
             daemon=True,
         )
@@ -223,12 +314,17 @@ class Perception:
         self._to_undo.callback(self._connection.close)
         asyncio.get_running_loop().add_reader(self._connection.fileno(), self._receive)
         self._to_undo.callback(asyncio.get_running_loop().remove_reader, self._connection.fileno())
-        await self.answer()
+        started = await self._answers.get()
+        if isinstance(started, Exception):
+            raise started
+        assert isinstance(started, Started)
+        return started
 
-    async def feed(self, event: SourceEvent, room: float = 1.0) -> None:
+    async def feed(self, event: SourceEvent, room: float = 1.0, number: int = 0) -> None:
         """Hand one event to the worker, waiting for space in the ring.
 
-        room: with a ping, share of the time that the work on tiles may take from it on; see Pipeline.leave_room.
+        number: of the event, for checkpoints. room: with a ping, share of the time that the work on tiles may take from
+        it on; see Pipeline.leave_room.
 
         Raises PerceptionError, or ValueError for a ping larger than the ring.
         """
@@ -245,7 +341,13 @@ class Perception:
             self._room.clear()
             await self._room.wait()
         self._in_flight.append(bool(n_bytes))
-        self._send(self._in_ring(event, offset, room) if isinstance(event, Ping) else event)
+        self._n_owed += 1
+        self._send(_Numbered(number, self._in_ring(event, offset, room) if isinstance(event, Ping) else event))
+
+    def reserve(self, n_contacts: int) -> None:
+        """Have contacts to come numbered behind those announced before."""
+        with contextlib.suppress(errors.AuvMcmError):  # the reader of the answers gets the error
+            self._send(_Reserve(n_contacts))
 
     def ask(self, request: PlanRequest) -> bool:
         """Request a plan from the contacts known by then.
@@ -255,6 +357,7 @@ class Perception:
         if self._finishing or self._dead is not None:
             return False
         self._in_flight.append(False)
+        self._n_owed += 1
         with contextlib.suppress(errors.AuvMcmError):  # the reader of the answers gets the error
             self._send(request)
         return True
@@ -263,16 +366,22 @@ class Perception:
         """Signal the worker that no event follows; its last answer is Finished."""
         self._finishing = True
         self._in_flight += [False, False]  # what was still in the chain comes first, the end of it after
+        self._n_owed += 2
         self._send(None)
 
-    async def answer(self) -> Fed | Planned | Finished:
+    async def answer(self) -> Fed | Planned | Checkpointed | Finished:
         """Receive the next answer: Fed for each event and for `finish`, Planned for each `ask`, then Finished.
+
+        Checkpointed comes of itself, after the answer to its event.
 
         Raises PerceptionError if the worker failed or died.
         """
         answer = await self._answers.get()
         if isinstance(answer, Exception):
             raise answer
+        assert not isinstance(answer, Started)
+        if isinstance(answer, Checkpointed):
+            return answer
         if self._in_flight and self._in_flight.popleft():
             self._ring.give_back()
         self._room.set()
@@ -281,6 +390,16 @@ class Perception:
     def close(self) -> None:
         """End the process if it still runs. May be called at any time."""
         self._to_undo.close()
+
+    def kill(self) -> None:
+        """End a process that hangs; the reader of the answers then gets the error."""
+        self._process.kill()
+
+    def work_done(self) -> WorkDone | None:
+        """Return what the process is doing; None if it owes no answer, or where the system does not say."""
+        if not self._n_owed or self._dead is not None:
+            return None
+        return _work_done(self._process.pid or 0, self._n_answered)
 
     def _end_process(self) -> None:
         self._process.kill()  # no effect on one that has ended
@@ -319,6 +438,8 @@ class Perception:
         if isinstance(answer, _Failure):
             self._set_dead(answer.error())
         else:
+            self._n_owed -= not isinstance(answer, Started | Checkpointed)
+            self._n_answered += 1
             self._answers.put_nowait(answer)
 
     def _die(self) -> None:
@@ -380,49 +501,64 @@ def _traces(event: SourceEvent) -> list[EchoTrace]:
 
 
 def _work(
-    connection: Connection, shared: _Shared, config: Config, make_pipeline: MakePipeline, records: RecordFile
+    connection: Connection,
+    shared: _Shared,
+    config: Config,
+    make_pipeline: MakePipeline,
+    records: RecordFile,
+    keeping: Keeping | None,
 ) -> None:
     """Run the worker process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    _end_with_parent()
     os.nice(_NICENESS)
     memory = np.frombuffer(memoryview(shared), np.uint8)
     place = "at its start"
     store = ContactStore(records)
     try:
-        pipeline = make_pipeline(config, store)
-        model = configured_performance(config)
-        searched = ClearanceMap(model)
-        area = _clear_area(config, model)
+        chain = _Chain(config, make_pipeline, records, store, keeping)
         gc.collect()
         gc.freeze()
-        connection.send(Fed((), {}, {}, ()))
-        is_disk_sound, room = True, 1.0
+        connection.send(chain.started)
+        is_disk_sound, room = True, math.nan if chain.started.number else 1.0
         while (message := connection.recv()) is not None:
             if isinstance(message, PlanRequest):
-                connection.send(Planned(_proposal(pipeline, searched, area, message, config)))
+                connection.send(Planned(_proposal(chain.pipeline, chain.searched, chain.area, message, config)))
                 continue
-            if isinstance(message, _RingPing) and message.room != room:
-                room = message.room
-                pipeline.leave_room(room)
-            event = _out_of_ring(message, memory) if isinstance(message, _RingPing) else message
+            if isinstance(message, _Reserve):
+                chain.pipeline.reserve(message.n_contacts)
+                continue
+            number, event = message
+            if isinstance(event, _RingPing):
+                if event.room != room:
+                    room = event.room
+                    chain.pipeline.leave_room(room)
+                event = _out_of_ring(event, memory)
             place = getattr(event, "place", "") or place
-            if area is not None and isinstance(event, Ping):
-                area.see(event)
-            events = pipeline.feed(event)
+            chain.tally.add(event)
+            if chain.area is not None and isinstance(event, Ping):
+                chain.area.see(event)
+            events = chain.pipeline.feed(event)
             if is_disk_sound and store.n_in_memory:
                 is_disk_sound = False
                 events.append(_disk_full())
-            _note_coverage(events, searched, area)
-            connection.send(_answer(events, store, records))
-        events = pipeline.finish()
-        _note_coverage(events, searched, area)
+            _note_coverage(events, chain.searched, chain.area)
+            answer = _answer(events, store, records)
+            connection.send(answer)
+            for patch in answer.patches:
+                chain.coverage.keep(patch)
+            if chain.is_checkpoint_due(bool(answer.patches)) and chain.checkpoint(number):
+                connection.send(Checkpointed(number))
+        events = chain.pipeline.finish()
+        _note_coverage(events, chain.searched, chain.area)
         connection.send(_answer(events, store, records))
-        clearance = searched.snapshot()
+        clearance = chain.searched.snapshot()
         of_disk = Counter(
             {"perception.kept_in_memory": store.n_in_memory, "perception.unreadable": records.n_unreadable}
         )
         png = b"" if clearance is None else _clearance_png(clearance)
+        pipeline = chain.pipeline
         connection.send(
             Finished(pipeline.counters + of_disk, pipeline.places, pipeline.operating_point, clearance, png)
         )
@@ -441,6 +577,88 @@ def _work(
         )
     finally:
         records.close()
+
+
+def _end_with_parent() -> None:
+    """Have the system end this process with the service: a new service goes on with the same files at once."""
+    with contextlib.suppress(OSError, AttributeError):  # Linux alone has it
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+class _Chain:
+    """Hold all that the events so far have left behind in this process, and write and read it as checkpoints.
+
+    started: what it begins with: the newest sound checkpoint of the folder, or nothing.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        make_pipeline: MakePipeline,
+        records: RecordFile,
+        store: ContactStore,
+        keeping: Keeping | None,
+    ) -> None:
+        self._records = records
+        self._store = store
+        self._keeping = keeping
+        self._performance = configured_performance(config)
+        self.pipeline = make_pipeline(config, store)
+        self.searched = ClearanceMap(self._performance)
+        self.area = _clear_area(config, self._performance)
+        self.coverage = CoverageStore(records)
+        self.tally = Tally()
+        self.started = self._restored() or Started(0)
+        self._kept_s = time.monotonic()
+
+    def is_checkpoint_due(self, is_after_tile: bool) -> bool:
+        """Decide whether to write one. Least waits in the chain after a tile."""
+        age_s = time.monotonic() - self._kept_s
+        return self._keeping is not None and age_s >= (self._keeping.every_s if is_after_tile else _LONGEST_S)
+
+    def checkpoint(self, number: int) -> bool:
+        """Write one. False if the disk does not take it: those before then have to serve."""
+        assert self._keeping is not None
+        state = freeze(
+            {
+                "kind": self._keeping.kind,
+                "records_end": self._records.end,
+                "pipeline": self.pipeline.state(),
+                "searched": self.searched,
+                "area": self.area,
+                "contacts": self._store.state(),
+                "coverage": self.coverage.state(),
+                "tally": vars(self.tally),
+            },
+            self._constants(),
+        )
+        self._kept_s = time.monotonic()
+        try:
+            self._records.sync()
+            write_checkpoint(self._keeping.folder, number, state)
+        except OSError:
+            return False
+        return True
+
+    def _restored(self) -> Started | None:
+        if self._keeping is None:
+            return None
+        self._records.go_on()
+        for number, data in read_checkpoints(self._keeping.folder):
+            with contextlib.suppress(StateError):
+                state = thaw(data, self._constants())
+                if state["kind"] != self._keeping.kind or state["records_end"] > self._records.end:
+                    continue
+                self.pipeline.restore(state["pipeline"])
+                self.searched, self.area = state["searched"], state["area"]
+                self._store.restore(state["contacts"])
+                self.coverage.restore(state["coverage"])
+                vars(self.tally).update(state["tally"])
+                return Started(number, state["contacts"], state["coverage"], self.tally)
+        return None
+
+    def _constants(self) -> dict[str, object]:
+        return {**self.pipeline.constants, "kept": self._store, "performance": self._performance}
 
 
 def _disk_full() -> Notice:

@@ -4,16 +4,24 @@ it."""
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import shlex
+import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
+import msgspec
+
+from auv_mcm import __version__, kernels
 from auv_mcm.errors import AuvMcmError
+from auv_mcm.plan.look_again import LooksSoFar
 from auv_mcm.records import Notice
+from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.whole_files import write_file
 
 RECORDING: Final = "recording"
 """The folder, among the results, for what live ports received and were sent."""
@@ -22,10 +30,16 @@ JOURNAL: Final = "contacts.jsonl"
 EARLY_JOURNAL: Final = "early.jsonl"
 """The file of early contacts as they were announced, and of what became of them; there is none without early
 contacts."""
+STATE: Final = "state"
+"""The folder, among the results, of what a restart goes on from; it goes when the session comes to its end."""
+_MEMORY: Final = "service.json"
+RECORDS: Final = "records.bin"
+"""The file in it of contacts and coverage."""
 SUMMARY: Final = "summary.json"
 """The file that is written last: its presence shows that the session came to its end."""
 
 BALLAST_BYTES: Final = 16 << 20  # contacts.geojson takes about 1 kB a contact, contacts.csv 0.2 kB
+_MAX_NAMED: Final = 20  # contacts in one notice
 _MIN_BALLAST_BYTES: Final = 1 << 16  # bytes; where less than this can be had, none is held
 
 
@@ -70,10 +84,140 @@ def unfinished_session(parent: Path) -> Notice | None:
     return in_recording(last, f"the session before, in {last}, was cut off")
 
 
-def in_recording(folder: Path, why: str) -> Notice:
-    """Report that contacts which were not announced are in the recording of a session alone."""
-    text = f"{why}: contacts that were not announced yet are in the recording alone. {_replay_advice(folder)}"
+class SessionMemory(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold what the service itself goes on from after a restart; perception has its checkpoints.
+
+    kind: see `session_kind`. started_s: UTC of the first start. n_starts: how often it was started. elapsed_s: time
+    that it ran. counters: of all but perception. looks: what planning knows.
+    """
+
+    kind: str
+    started_s: float
+    n_starts: int
+    elapsed_s: float
+    notices: tuple[Notice, ...] = ()
+    counters: dict[str, int] = {}
+    looks: LooksSoFar = LooksSoFar()
+
+
+class Announced(NamedTuple):
+    """Hold what was announced before a restart, by number of the event, id and state of an early contact."""
+
+    known: frozenset[tuple[int, str, str]]
+    is_clutter: dict[str, bool]  # of contacts, as announced last
+
+
+class Unfinished(NamedTuple):
+    """Hold a session that is gone on with."""
+
+    folder: Path
+    memory: SessionMemory
+
+
+def write_memory(folder: Path, memory: SessionMemory) -> None:
+    """Write the service's own memory among the state. Raises OSError."""
+    write_file(folder / STATE / _MEMORY, msgspec.json.encode(memory))
+
+
+def resumable_session(parent: Path, kind: str, now_s: float, within_h: float) -> Unfinished | Notice | None:
+    """Find the session to go on with: the last one, if it was cut off less than within_h before.
+
+    A notice states why one that was cut off is not gone on with; None where there is none.
+
+    now_s: UTC. A clock that is behind, as after a power cut without a battery, does not make a session too old.
+    """
+    try:
+        last = parent / os.readlink(parent / "latest")
+        if last.parent != parent or not (last / STATE).is_dir() or (last / STATE).is_symlink():
+            return None
+        if Journal.is_in_use(last / JOURNAL):
+            return None
+        age_h = (now_s - max(path.stat().st_mtime for path in (last / STATE).iterdir())) / 3600.0
+        memory = msgspec.json.decode((last / STATE / _MEMORY).read_bytes(), type=SessionMemory)
+    except (OSError, AuvMcmError, ValueError):  # there is none, or a power cut came before anything was in it
+        return None
+    if memory.kind != kind:
+        return _not_resumed(last, "the program or its configuration is another one")
+    if age_h > within_h:
+        return _not_resumed(last, f"it is {age_h:.0f} h old, more than service.resume_within_h")
+    return Unfinished(last, memory)
+
+
+def _not_resumed(folder: Path, why: str) -> Notice:
+    text = f"the session before, in {folder}, was cut off and is not gone on with: {why}. {_replay_advice(folder)}"
+    return Notice(code="session_not_resumed", text=text)
+
+
+class _Properties(msgspec.Struct):
+    id: str
+    classification: str = msgspec.field(name="class", default="")
+
+
+class _Feature(msgspec.Struct):
+    properties: _Properties
+
+
+class _Line(msgspec.Struct):
+    contact: _Feature
+    event: int = 0
+    state: str = ""
+
+
+def read_announced(folder: Path) -> Announced:
+    """Read from the journals what was announced; of a last line that was cut off nothing was. Raises OSError."""
+    known: set[tuple[int, str, str]] = set()
+    is_clutter: dict[str, bool] = {}
+    decoder = msgspec.json.Decoder(_Line)
+    for name in (JOURNAL, EARLY_JOURNAL):
+        path = folder / name
+        Journal.cut_torn_line(path)
+        if not path.exists():
+            continue
+        with path.open("rb") as file:
+            for text in file:
+                with contextlib.suppress(msgspec.MsgspecError):
+                    line = decoder.decode(text)
+                    properties = line.contact.properties
+                    known.add((line.event, properties.id, line.state))
+                    if name == JOURNAL:
+                        is_clutter[properties.id] = properties.classification == "clutter"
+    return Announced(frozenset(known), is_clutter)
+
+
+def session_kind(config: Config) -> str:
+    """Name what a state fits: this version, these kernels, and this configuration but for queues and folders."""
+    of_chain = msgspec.structs.replace(config, service=ServiceConfig())
+    digest = hashlib.sha256(msgspec.json.encode(of_chain, order="deterministic")).hexdigest()
+    return f"{__version__} {kernels.backend()} {digest}"
+
+
+def remove_state(folder: Path) -> None:
+    """Remove what a restart would go on from. What cannot be removed stays."""
+    state = folder / STATE
+    with contextlib.suppress(OSError):
+        if not state.is_symlink():
+            shutil.rmtree(state)
+
+
+def in_recording(folder: Path, why: str, *, is_gone_on_with: bool = False) -> Notice:
+    """Report that contacts which were not announced are in the recording of a session alone.
+
+    is_gone_on_with: at the next start.
+    """
+    advice = "The next start goes on with the session. " if is_gone_on_with else ""
+    text = f"{why}: contacts that were not announced yet are in the recording alone. {advice}{_replay_advice(folder)}"
     return Notice(code="contacts_in_recording", text=text)
+
+
+def in_journal(folder: Path, names: Sequence[str]) -> Notice:
+    """Report that contacts which a run before has announced are in the journal alone: a power cut took the rest."""
+    first = ", ".join(names[:_MAX_NAMED]) + (f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else "")
+    text = (
+        f"{first} were announced before the session was cut off, and the disk did not keep what they were seen in. "
+        f"They are in {JOURNAL} of {folder} and in no other result; no other contact has their numbers. "
+        f"{_replay_advice(folder)}"
+    )
+    return Notice(code="contacts_in_journal", text=text)
 
 
 def all_written(writers: Mapping[str, Callable[[], None]]) -> dict[str, OSError]:
@@ -99,7 +243,8 @@ def results_missing(folder: Path, errors: Mapping[str, OSError]) -> Notice:
 
 
 def _replay_advice(folder: Path) -> str:
+    recordings = sorted(folder.glob(f"{RECORDING}*")) or [folder / RECORDING]
     return (
-        f"To get them run: auv-mcm replay {shlex.quote(str(folder / RECORDING))} --out "
+        f"To get them run: auv-mcm replay {' '.join(shlex.quote(str(path)) for path in recordings)} --out "
         f"{shlex.quote(str(folder / 'replayed'))}"
     )

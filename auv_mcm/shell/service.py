@@ -24,6 +24,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
 from auv_mcm import __version__, kernels
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clock import Clock, SystemClock
@@ -31,11 +33,13 @@ from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import CoverageStore
 from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.operating_point import MarkedContacts, OperatingPoint
-from auv_mcm.contacts.record_file import temporary_record_file
+from auv_mcm.contacts.record_file import open_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.checkpoint import newest_checkpoint
 from auv_mcm.shell.event_queue import EventQueue
+from auv_mcm.shell.event_spool import EventSpool
 from auv_mcm.shell.health.endpoint import HealthEndpoint
 from auv_mcm.shell.health.files import HealthFiles
 from auv_mcm.shell.health.judge import Measured, judge
@@ -44,6 +48,7 @@ from auv_mcm.shell.health.record import Health
 from auv_mcm.shell.health.text import health_line
 from auv_mcm.shell.journal import Journal
 from auv_mcm.shell.journal_stream import is_journal, journal_console
+from auv_mcm.shell.lasting_perception import LastingPerception
 from auv_mcm.shell.mission_totals import (
     area_totals,
     clearance_notices,
@@ -52,17 +57,28 @@ from auv_mcm.shell.mission_totals import (
     point_totals,
     search_totals,
 )
-from auv_mcm.shell.perception import Finished, MakePipeline, Perception, Planned, standard_pipeline
+from auv_mcm.shell.perception import CHECKPOINT_S, Finished, Keeping, MakePipeline, Planned, standard_pipeline
 from auv_mcm.shell.recovery import (
     EARLY_JOURNAL,
     JOURNAL,
     RECORDING,
+    RECORDS,
+    STATE,
     SUMMARY,
+    Announced,
     Ballast,
+    SessionMemory,
+    Unfinished,
     all_written,
+    in_journal,
     in_recording,
+    read_announced,
+    remove_state,
     results_missing,
+    resumable_session,
+    session_kind,
     unfinished_session,
+    write_memory,
 )
 from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
 from auv_mcm.shell.service_manager import feed_watchdog, report
@@ -76,6 +92,9 @@ from auv_mcm.source import LiveSource, Recorder, Source
 log = logging.getLogger(__name__)
 
 
+_NO_END: Final = "perception did not come to its end"
+_REMEMBER_S: Final = 2.0  # s between two looks at what a restart has to know
+_CLOSE_S: Final = 2.0  # s of a stop for the vehicle's last word and for the results
 _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25  # s between two measurements of how late the event loop wakes
 _ATTEND_S: Final = 0.5  # s between two updates of the vehicle
@@ -103,7 +122,9 @@ class Service:
         clock: Clock | None = None,
         console: Callable[[str], None] = print,
         make_pipeline: MakePipeline = standard_pipeline,
+        checkpoint_every_s: float = CHECKPOINT_S,
     ) -> None:
+        self._checkpoint_every_s = checkpoint_every_s
         self._config = config
         self._source = source
         self._clock: Clock = clock or SystemClock()
@@ -129,6 +150,12 @@ class Service:
         self._vehicle_link: VehicleLink | None = None
         self._n_dropped_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
+        self._announced_before = Announced(frozenset(), {})  # by runs of this session before this one
+        self._notices_before: Counter[Notice] = Counter()
+        self._fed_again_to = 0  # number of the newest event of a run before
+        self._publishing: asyncio.Task[None] | None = None
+        self._is_cut_short = False
+        self._is_late = False  # the time to stop is over
         self._early_journal: Journal | None = None  # begins with the first early contact
 
     def stop(self) -> None:
@@ -141,31 +168,45 @@ class Service:
         Raises AuvMcmError; a failure of the source or of perception only after what is known has been written.
         """
         parent = Path(self._config.service.output_directory)
-        unfinished = unfinished_session(parent)
-        self._folder = _session_folder(parent, self._clock)
+        begun = self._begin_session(parent)
+        kept = self._folder / STATE
+        with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
+            kept.mkdir(exist_ok=True)
+            write_memory(self._folder, self._memory)
         self._started_s = self._clock.monotonic_s()
         journal = Journal(self._folder / JOURNAL)
         self._health_files = HealthFiles(self._folder)
         self._health_on_disk: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._health_on_disk.set_result(None)  # nothing is being written
         self._snippets = Snippets(self._folder)
-        self._records = temporary_record_file(self._folder)
+        self._records = open_record_file(kept / RECORDS)
         self._contacts, self._coverage = ContactStore(self._records), CoverageStore(self._records)
         self._ballast = await asyncio.to_thread(Ballast, self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._counters, self._see)
-        perception = Perception(self._config, self._make_pipeline, records=self._records)
+        self._spool = EventSpool(kept, newest_checkpoint(kept))
+        self._fed_again_to = self._spool.last
+        perception = LastingPerception(
+            self._config,
+            self._make_pipeline,
+            self._records,
+            self._spool,
+            Keeping(kept, self._memory.kind, self._checkpoint_every_s),
+            self._add_up,
+        )
+        if self._announced_before.is_clutter:
+            perception.reserve(max(map(contact_number, self._announced_before.is_clutter)))
         endpoint = HealthEndpoint(self._config.service.health_port, lambda: self._newest_health)
         failure: AuvMcmError | None = None
         missing: HardwareError | None = None
         try:
-            if unfinished is not None:
-                self._announce(unfinished)
+            for notice in begun:
+                self._announce(notice)
             if kernels.backend() == "numpy":
                 self._announce(_no_kernels())
             await self._open(endpoint)
             await self._show_health(queue, perception)
             async with asyncio.TaskGroup() as tasks:
-                starting = tasks.create_task(perception.start())
+                starting = tasks.create_task(self._start(perception))
                 await asyncio.to_thread(self._start_recording)
                 self._start_vehicle_link()
                 tasks.create_task(self._take_in(queue))  # events that come in while perception starts are not lost
@@ -179,11 +220,16 @@ class Service:
                     tasks.create_task(feed_watchdog()),
                     tasks.create_task(self._watch_lag()),
                     tasks.create_task(self._report_health(queue, perception)),
+                    tasks.create_task(self._remember()),
                 ]
                 if self._vehicle_link is not None:
                     health.append(tasks.create_task(self._attend_vehicle(self._vehicle_link, queue, perception)))
-                tasks.create_task(self._feed(queue, perception))
-                await tasks.create_task(self._publish(perception, journal))
+                    health.append(tasks.create_task(self._report_known(self._vehicle_link)))
+                health.append(tasks.create_task(self._feed(queue, perception)))
+                self._publishing = tasks.create_task(self._publish(perception, journal))
+                if self._is_late:  # before perception had started
+                    self._end_publishing()
+                await asyncio.wait({self._publishing})
                 for task in health:
                     task.cancel()
                 await self._health_on_disk
@@ -198,23 +244,84 @@ class Service:
                 await self._part_from_vehicle(failure or self._source_failure)
             finally:
                 missing = self._close(perception, journal)
+                # What cannot go on as it was is not tried again; what was cut short is.
+                if failure or (self._is_finished and not missing and not self._source_failure):
+                    remove_state(self._folder)
         if failure := failure or self._source_failure or missing:
             raise failure
         return self._folder
 
-    def _close(self, perception: Perception, journal: Journal) -> HardwareError | None:
+    def _begin_session(self, parent: Path) -> list[Notice]:
+        """Choose the session to go on with, or begin one; return what is to be announced about it."""
+        kind, now_s = session_kind(self._config), self._clock.utc_s()
+        within_h = self._config.service.resume_within_h if isinstance(self._source, LiveSource) else 0.0
+        found = resumable_session(parent, kind, now_s, within_h) if within_h > 0.0 else None
+        if isinstance(found, Unfinished):
+            self._folder = found.folder
+            self._memory = msgspec.structs.replace(found.memory, n_starts=found.memory.n_starts + 1)
+            self._notices += found.memory.notices
+            self._notices_before.update(found.memory.notices)
+            self._counters.update(found.memory.counters)
+            self._announced_before = read_announced(self._folder)
+            for name, is_clutter in self._announced_before.is_clutter.items():
+                self._note_announced(contact_number(name), _CLUTTER if is_clutter else _NO_CLUTTER)
+            return [_resumed(self._folder, self._memory.n_starts)]
+        unfinished = found or unfinished_session(parent)
+        self._folder = _session_folder(parent, self._clock)
+        self._memory = SessionMemory(kind=kind, started_s=now_s, n_starts=1, elapsed_s=0.0)
+        return [] if unfinished is None else [unfinished]
+
+    async def _start(self, perception: LastingPerception) -> None:
+        """Start perception, and know what it knows."""
+        started = await perception.start()
+        if started.tally is not None:
+            announced = frozenset(map(contact_number, self._announced_before.is_clutter))
+            self._contacts.restore(started.contacts, announced)  # perception has others, which were never likely mines
+            self._coverage.restore(started.coverage)
+            vars(self._tally).update(vars(started.tally))
+
+    async def _report_known(self, vehicle_link: VehicleLink) -> None:
+        """Report to the vehicle what a run before has found; what it does not have for certain comes again."""
+        if self._memory.n_starts == 1:
+            return
+        for contact in self._contacts.in_order():
+            vehicle_link.report([contact])
+            await asyncio.sleep(0.0)
+
+    async def _remember(self) -> None:
+        """Keep on disk what a restart has to know of this process."""
+        while True:
+            with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
+                await self._on_disk(partial(write_memory, self._folder, self._so_far()))
+            await asyncio.sleep(_REMEMBER_S)
+
+    def _so_far(self) -> SessionMemory:
+        return msgspec.structs.replace(
+            self._memory,
+            elapsed_s=self._memory.elapsed_s + self._clock.monotonic_s() - self._started_s,
+            notices=tuple(self._notices),
+            counters=dict(self._own_counters()),
+            looks=self._memory.looks if self._vehicle_link is None else self._vehicle_link.so_far(),
+        )
+
+    def _close(self, perception: LastingPerception, journal: Journal) -> HardwareError | None:
         """Write everything that is known. Returns an error that names what the disk did not take."""
         report("STOPPING=1", "STATUS=writing results", "WATCHDOG=1")  # the event loop stands still meanwhile
         perception.close()
+        self._spool.close()
+        self._counters += perception.counters
         if self._recorder is not None:
             self._recorder.close()
             self._report_recording()
             if not self._is_finished and self._recorder.counters["session.bytes_recorded"]:
-                self._announce(in_recording(self._folder, "perception did not come to its end"))
+                why = "the stop came before all was worked off" if self._is_cut_short else _NO_END
+                self._announce(in_recording(self._folder, why, is_gone_on_with=self._is_cut_short))
         self._disk.shutdown()
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)  # it may have been removed
         self._ballast.release()
+        if lost := [name for name in self._announced_before.is_clutter if contact_number(name) not in self._contacts]:
+            self._announce(in_journal(self._folder, lost))
         try:
             missing = self._write()
         finally:
@@ -233,9 +340,13 @@ class Service:
     def _start_vehicle_link(self) -> None:
         if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
             self._vehicle_link = VehicleLink(self._config, self._source.vehicle, self._clock)
+            session = int(self._memory.started_s) & 0xFFFFFFFF
+            self._vehicle_link.go_on(session, self._memory.n_starts - 1, self._memory.looks)
             self._vehicle_link.start(self._source.serve_vehicle())
 
-    async def _attend_vehicle(self, vehicle_link: VehicleLink, queue: EventQueue, perception: Perception) -> None:
+    async def _attend_vehicle(
+        self, vehicle_link: VehicleLink, queue: EventQueue, perception: LastingPerception
+    ) -> None:
         while True:
             for notice in vehicle_link.attend(self._faults(queue), perception.ask):
                 self._announce(notice)
@@ -259,7 +370,9 @@ class Service:
     def _start_recording(self) -> None:
         if not isinstance(self._source, LiveSource) or not self._config.service.record:
             return
-        self._recorder = start_recording(self._folder / RECORDING, self._config, self._clock)
+        names = (RECORDING, *(f"{RECORDING}-{number}" for number in range(2, 10_000)))  # one per start
+        folder = next(self._folder / name for name in names if not (self._folder / name).exists())
+        self._recorder = start_recording(folder, self._config, self._clock)
         self._source.record_with(self._recorder.record)
 
     def _report_recording(self) -> None:
@@ -278,6 +391,9 @@ class Service:
                 if self._vehicle_link is not None:
                     self._vehicle_link.release("the service is being stopped")
                 if isinstance(self._source, LiveSource):
+                    asyncio.get_running_loop().call_later(
+                        self._config.service.stop_within_s - _CLOSE_S, self._end_publishing
+                    )
                     self._source.stop()
                     await asyncio.wait({reading}, timeout=_STOP_S)
                 reading.cancel()
@@ -293,26 +409,37 @@ class Service:
             stopping.cancel()
             queue.close()
 
-    def _see(self, event: SourceEvent) -> None:
-        """Show an event to the vehicle link as it comes, however long it waits for perception."""
+    def _end_publishing(self) -> None:
+        """End the mission before all is worked off; what is left stays on disk."""
+        self._is_late = True
+        if self._publishing is not None and not self._publishing.done():
+            self._is_cut_short = True
+            self._publishing.cancel()
+
+    def _see(self, event: SourceEvent) -> int:
+        """Keep an event and show it to the vehicle link as it comes, however long it waits for perception."""
         if self._vehicle_link is not None:
             self._vehicle_link.see(event)
+        return self._spool.append(event)
 
-    async def _feed(self, queue: EventQueue, perception: Perception) -> None:
+    async def _feed(self, queue: EventQueue, perception: LastingPerception) -> None:
         try:
-            while (event := await queue.get()) is not None:
+            while (queued := await queue.get()) is not None:
                 try:
-                    await perception.feed(event, self._room(queue) if isinstance(event, Ping) else 1.0)
+                    room = self._room(queue) if isinstance(queued.event, Ping) else 1.0
+                    await perception.feed(queued, room, is_patient=self._source.lossless)
                 except ValueError as error:
                     self._counters["service.ping_too_large"] += 1
                     log.error("ping skipped: %s", error)
-                    continue
-                self._tally.add(event)
-                if self._tally.pings == 1 and isinstance(event, Ping):
-                    log.info("first ping: %s", event.place or event.number)
             await perception.finish()
         except AuvMcmError:
             return  # what perception answered before it failed comes first; _publish meets the failure in its turn
+
+    def _add_up(self, event: SourceEvent) -> None:
+        """Take an event that perception has."""
+        self._tally.add(event)
+        if self._tally.pings == 1 and isinstance(event, Ping):
+            log.info("first ping: %s", event.place or event.number)
 
     def _room(self, queue: EventQueue) -> float:
         """Give the share of the time that work on tiles may take, 0 to 1: less than 1 while perception is behind.
@@ -327,7 +454,7 @@ class Service:
             self._announce(_work_shed(queue.pings))
         return max((_SHED_ALL - filled) / (_SHED_ALL - _SHED_FROM), 0.0)
 
-    async def _publish(self, perception: Perception, journal: Journal) -> None:
+    async def _publish(self, perception: LastingPerception, journal: Journal) -> None:
         """Write answers of perception to the journal, then to the console."""
         while not isinstance(answer := await perception.answer(), Finished):
             if isinstance(answer, Planned):
@@ -335,20 +462,25 @@ class Service:
                     self._vehicle_link.take(answer.proposal)
                 continue
             contacts = [event for event in answer.events if isinstance(event, Contact)]
+            early = [event for event in answer.events if isinstance(event, EarlyContact)]
+            news = [event for event in answer.events if not self._is_known(answer.number, event)]
+            if contacts or early:
+                await asyncio.to_thread(self._spool.flush)  # a restart comes to the same contacts
             if contacts:
-                await self._make_durable(contacts, answer.snippets, journal)
+                new = [event for event in news if isinstance(event, Contact)]
+                await self._make_durable(new, answer.number, answer.snippets, journal)
                 for contact in contacts:
                     self._contacts.keep(contact, answer.places.get(contact_number(contact.id)))
                 if self._vehicle_link is not None:
                     self._vehicle_link.report(contacts)
-            early = [event for event in answer.events if isinstance(event, EarlyContact)]
             if early:
-                await self._make_early_durable(early)
+                new_early = [event for event in news if isinstance(event, EarlyContact)]
+                await self._make_early_durable(new_early, answer.number)
                 if self._vehicle_link is not None:
                     self._vehicle_link.report_early(early)
             for patch in answer.patches:
                 self._coverage.keep(patch)
-            for event in answer.events:
+            for event in news:
                 self._announce(event)
         self._is_finished = True
         self._pipeline_counters, self._places = answer.counters, answer.places
@@ -357,9 +489,25 @@ class Service:
         for notice in clearance_notices(self._clearance):
             self._announce(notice)
 
-    async def _make_durable(self, contacts: list[Contact], snippets: dict[str, bytes], journal: Journal) -> None:
+    def _is_known(self, number: int, event: PipelineEvent) -> bool:
+        """Check whether a run before has announced what came of an event that is fed again."""
+        known = self._announced_before.known
+        match event:
+            case Contact():
+                return (number, event.id, "") in known
+            case EarlyContact():
+                return (number, event.contact.id, event.state) in known
+            case Notice() if number <= self._fed_again_to and self._notices_before[event]:
+                self._notices_before[event] -= 1
+                return True
+        return False
+
+    async def _make_durable(
+        self, contacts: list[Contact], number: int, snippets: dict[str, bytes], journal: Journal
+    ) -> None:
+        """Write contacts that came of an event to the journal, and pictures to their files."""
         now = iso_time(self._clock.utc_s())
-        records = [{"time": now, "contact": contact_feature(contact)} for contact in contacts]
+        records = [{"time": now, "event": number, "contact": contact_feature(contact)} for contact in contacts]
         try:
             await self._on_disk(partial(journal.append, records))
         except OSError as error:
@@ -378,10 +526,16 @@ class Service:
                 "pictures of contacts stay in memory: %s: %s. Free space on the disk.", self._folder, error.strerror
             )
 
-    async def _make_early_durable(self, contacts: list[EarlyContact]) -> None:
+    async def _make_early_durable(self, contacts: list[EarlyContact], number: int) -> None:
         now = iso_time(self._clock.utc_s())
         records = [
-            {"time": now, "state": early.state, "became": early.became, "contact": contact_feature(early.contact)}
+            {
+                "time": now,
+                "event": number,
+                "state": early.state,
+                "became": early.became,
+                "contact": contact_feature(early.contact),
+            }
             for early in contacts
         ]
         try:
@@ -417,9 +571,8 @@ class Service:
     def _announce(self, event: PipelineEvent) -> None:
         match event:
             case Contact():
-                number, now = contact_number(event.id), _CLUTTER if event.classification == "clutter" else _NO_CLUTTER
-                self._announced_as.extend(bytes(max(number + 1 - len(self._announced_as), 0)))
-                before, self._announced_as[number] = self._announced_as[number], now
+                now = _CLUTTER if event.classification == "clutter" else _NO_CLUTTER
+                before = self._note_announced(contact_number(event.id), now)
                 if _NO_CLUTTER not in (before, now):
                     return  # in the journal and the results; a person watching needs the others
                 word = "updated" if before else "new"
@@ -441,6 +594,12 @@ class Service:
                     return
                 self._say(f"notice {event.code}: {event.text}" + (f" ({event.place})" if event.place else ""))
 
+    def _note_announced(self, number: int, as_what: int) -> int:
+        """Note what a contact is announced as; return as what it was before, 0 for a new one."""
+        self._announced_as.extend(bytes(max(number + 1 - len(self._announced_as), 0)))
+        before, self._announced_as[number] = self._announced_as[number], as_what
+        return before
+
     async def _watch_lag(self) -> None:
         """Measure how late the loop wakes up: what a byte at a port waits."""
         while True:
@@ -456,7 +615,7 @@ class Service:
         except HardwareError as error:  # the mission does not need it
             self._announce(Notice(code="service.health_port", text=f"no health over HTTP: {error}"))
 
-    async def _report_health(self, queue: EventQueue, perception: Perception) -> None:
+    async def _report_health(self, queue: EventQueue, perception: LastingPerception) -> None:
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
             self._report_recording()
@@ -464,7 +623,7 @@ class Service:
             log.info("health %s", line)
             report(f"STATUS={line}")
 
-    async def _show_health(self, queue: EventQueue, perception: Perception) -> str:
+    async def _show_health(self, queue: EventQueue, perception: LastingPerception) -> str:
         """Measure and judge how the payload is, and hand that to monitors. Returns the health line."""
         measured = await self._measure(queue, perception)
         before, self._measured, self._lag_s = self._measured or measured, measured, 0.0
@@ -482,7 +641,7 @@ class Service:
             log.warning("perception has taken no ping for %g s although pings wait", measured.now_s - before.now_s)
         return health_line(health)
 
-    async def _measure(self, queue: EventQueue, perception: Perception) -> Measured:
+    async def _measure(self, queue: EventQueue, perception: LastingPerception) -> Measured:
         now_s = self._clock.monotonic_s()
         link = self._vehicle_link
         return Measured(
@@ -498,7 +657,9 @@ class Service:
             waits_on_purpose=self._source.lossless,
             contacts=self._announced_as.count(_NO_CLUTTER),
             clutter=self._announced_as.count(_CLUTTER),
-            counters=self._counters + (Counter() if self._recorder is None else self._recorder.counters),
+            counters=self._counters
+            + perception.counters
+            + (Counter() if self._recorder is None else self._recorder.counters),
             source=self._source.health() if isinstance(self._source, LiveSource) else None,
             is_recording=self._recorder is not None,
             vehicle=None if link is None else link.health(),
@@ -535,7 +696,7 @@ class Service:
             ),
             "waypoints": len(waypoints),
             **({} if self._vehicle_link is None else {"vehicle": self._vehicle_link.health()}),
-            "elapsed_s": round(self._clock.monotonic_s() - self._started_s, 3),
+            "elapsed_s": round(self._so_far().elapsed_s, 3),
             "counters": dict(sorted(self._all_counters().items())),
             "places": self._places,
             **notice_lists(self._notices),
@@ -546,7 +707,11 @@ class Service:
     def _all_counters(self) -> Counter[str]:
         n_in_memory = self._contacts.n_in_memory + self._coverage.n_in_memory
         of_disk = Counter({"service.kept_in_memory": n_in_memory, "service.unreadable": self._records.n_unreadable})
-        counters = self._counters + self._source.counters() + self._pipeline_counters + of_disk
+        return self._own_counters() + self._pipeline_counters + of_disk
+
+    def _own_counters(self) -> Counter[str]:
+        """Count everything but what perception counts."""
+        counters = self._counters + self._source.counters() + Counter({"service.not_spooled": self._spool.n_lost})
         return counters if self._recorder is None else counters + self._recorder.counters
 
 
@@ -586,6 +751,14 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
             raise KeyboardInterrupt from None
 
     return asyncio.run(main())
+
+
+def _resumed(folder: Path, n_starts: int) -> Notice:
+    text = (
+        f"the session in {folder} was cut off and goes on: start {n_starts} of it. Contacts keep their numbers; what "
+        "was recorded and not worked off is worked off first."
+    )
+    return Notice(code="session_resumed", text=text, for_the_record=True)
 
 
 def _work_shed(n_waiting: int) -> Notice:

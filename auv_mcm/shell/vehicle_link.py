@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from auv_mcm.clean_text import clean
 from auv_mcm.clock import Clock
-from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
+from auv_mcm.plan.look_again import LookAgain, LooksSoFar, PlanRequest, Proposal
 from auv_mcm.records import NAN, Contact, EarlyContact, NavSample, Notice, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.source import Health, VehiclePilot
@@ -59,6 +59,15 @@ class VehicleLink:
         """Start the link. serve: talks to the vehicle until cancelled."""
         self._serving = asyncio.ensure_future(serve)
         self._report_health("starting", "the payload starts")
+
+    def so_far(self) -> LooksSoFar:
+        """Give what planning has to know after a restart."""
+        return self._look_again.so_far()
+
+    def go_on(self, session: int, n_starts: int, so_far: LooksSoFar) -> None:
+        """Go on with a session that n_starts runs before this one began; called first. Control is requested anew."""
+        self.vehicle.go_on(session, n_starts)
+        self._look_again.go_on(so_far)
 
     def see(self, event: SourceEvent) -> None:
         """Take any event of the source, as it comes."""

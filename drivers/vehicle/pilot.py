@@ -217,6 +217,10 @@ class Pilot(Generic[W]):
         self._notice_authority()
         return self._talker.take_outgoing(now_s) if self._wire_open else []
 
+    def go_on(self, session: int, n_starts: int) -> None:
+        """Report contacts under the numbers of a session that n_starts runs before this one began."""
+        self._report_queue.go_on(session, n_starts)
+
     def report(self, contact: Contact) -> None:
         """Queue the report of a contact that is new or has changed.
 

@@ -57,6 +57,10 @@ class PortPilot:
         """Take messages of the vehicle, if any. stamp: when the last of its bytes were read."""
         self._have(lambda now_s: self._pilot.hear(messages, stamp))
 
+    def go_on(self, session: int, n_starts: int) -> None:
+        """Report contacts under the numbers of a session that n_starts runs before this one began."""
+        self._pilot.go_on(session, n_starts)
+
     def report(self, contact: Contact) -> None:
         self._have(lambda now_s: self._pilot.report(contact))
 

@@ -28,19 +28,22 @@ _MAX_AT_ONCE: Final = (
 _REPEAT_S: Final = (
     30.0  # without an answer on a link that stays up: the dialect's own repetitions have ended, or the answer was lost
 )
+_REVISIONS_PER_START: Final = 256
+"""Revisions that one run of a session may send of a contact before the next run's begin; 16 bits hold those of 256
+runs."""
 _MAX_TICKET: Final = 65_535  # 16 bits on the bus; 0 stands for none
 
 
 class _QueuedContact:
     """Hold what is known and what was sent of one contact.
 
-    latest: as it is known. revision: sent last, 0 for none; sent: that report, at sent_s. ticket: of the
-    acknowledgement that it awaits.
+    latest: as it is known. revision: sent last; sent: that report, at sent_s. ticket: of the acknowledgement that it
+    awaits.
     """
 
-    def __init__(self, latest: ContactReport) -> None:
+    def __init__(self, latest: ContactReport, revision: int) -> None:
         self.latest = latest
-        self.revision = 0
+        self.revision = revision
         self.sent: ContactReport | None = None
         self.ticket: int | None = None
         self.sent_s = -math.inf
@@ -76,6 +79,21 @@ class ReportQueue:
         self._repeats: dict[int, None] = {}  # contact numbers whose last report is to be sent again, in order
         self._unacknowledged: dict[int, int] = {}  # contact numbers by ticket
         self._last_ticket = 0
+        self._first_revision = 0  # less one
+
+    def go_on(self, session: int, n_starts: int) -> None:
+        """Go on with a session that other runs began; called before the first contact.
+
+        What they sent is not known for certain. So each contact comes again under its number, with a revision above all
+        that they can have sent.
+
+        Parameters
+        ----------
+        n_starts
+            Runs of the session before this one.
+        """
+        self._session = session
+        self._first_revision = n_starts * _REVISIONS_PER_START
 
     @property
     def n_pending(self) -> int:
@@ -95,7 +113,7 @@ class ReportQueue:
             if len(self._contacts) >= MAX_CONTACTS:
                 self.counters["vehicle.reports_not_kept"] += 1
                 return
-            queued = self._contacts[report.number] = _QueuedContact(report)
+            queued = self._contacts[report.number] = _QueuedContact(report, self._first_revision)
         queued.latest = report
         if queued.sent is None and not report.p_mine >= self._min_p_mine:
             del self._contacts[report.number]

@@ -13,7 +13,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -73,6 +73,17 @@ class BusyPipeline:
         self.places: dict[str, Any] = {}
         self.operating_point: OperatingPoint | None = None
         self._values = np.random.Generator(np.random.PCG64(1)).random(_N_SORTED)
+
+    constants: ClassVar[dict[str, object]] = {}
+
+    def state(self) -> dict[str, Any]:
+        return {}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take nothing: it remembers nothing."""
+
+    def reserve(self, n_contacts: int) -> None:
+        """Leave out no number: it finds nothing."""
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         return ()

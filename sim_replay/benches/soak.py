@@ -3,6 +3,8 @@
 auv-mcm bench soak [--minutes MIN] [--speed X]   the real service between fake devices: memory, counters, tasks
 auv-mcm bench soak --kills N [--seed N]          killed N times: at most a second of the recording and no announced
                                                  contact may be lost
+auv-mcm bench soak --restarts N [--seed N]       cut off N times in every way and started again: the same contacts in
+                                                 the end, each announced once
 
 Service, perception and devices are processes of their own on virtual ports, as of auv-mcm hil. Exit code 5 if anything
 has died or is lost.
@@ -34,6 +36,7 @@ import numpy as np
 from auv_mcm.errors import HardwareError, SelfCheckError
 from auv_mcm.records import Ping
 from sim_replay.arguments import count, duration_min
+from sim_replay.benches.restarts import WAYS, Cut, cut_off, keep_mission
 from sim_replay.fakes.job import Device
 from sim_replay.hil.run import RESULTS, SERVICE_LOG, run_scenario
 from sim_replay.hil.scenario import ExitCode, Expectation, Read, Scenario
@@ -51,6 +54,8 @@ _LONGEST_LEG_M: Final = 300.0  # m of a leg
 _TARGET_EVERY_M: Final = 15.0  # m of a leg between targets
 _KILL_LEG_M: Final = 180.0  # contacts come half-way, so that devices still send when the service is killed
 _KILL_SPEED: Final = 4.0  # times real time, of missions that end in a kill
+_RESTARTED_S, _RESTARTED_MPS = 200.0, 3.0  # mission of sessions that are cut off: 600 m
+_CUTS_PER_SESSION: Final = 20
 _AFTER_CONTACT_S: Final = 1.0  # s from an announced contact to the kill, maximum
 _SETTLE_S: Final = 0.5  # between `ready` and the first bytes
 _POLL_S: Final = 0.02  # s between looks at the service's output
@@ -162,6 +167,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench soak`."""
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--minutes", type=duration_min, default=5.0, help="length of the mission (default 5)")
+    what.add_argument("--restarts", type=count, help="cut the service off so often and start it again")
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")
     parser.add_argument(
         "--speed", type=int, choices=range(3, 13), default=6, help="speed of the mission, times real time (default 6)"
@@ -175,7 +181,9 @@ def run(arguments: argparse.Namespace) -> int:
     Raises SelfCheckError for a task that died, or more lost than may be.
     """
     with tempfile.TemporaryDirectory(prefix="auv-mcm-soak-") as name:
-        if arguments.kills is not None:
+        if arguments.restarts is not None:
+            _bench_restarts(arguments.restarts, arguments.seed, Path(name))
+        elif arguments.kills is not None:
             _bench_kills(arguments.kills, arguments.seed, Path(name))
         else:
             _bench_soak(arguments.minutes, float(arguments.speed), Path(name))
@@ -239,6 +247,38 @@ def _bench_kills(n_kills: int, seed: int, folder: Path) -> None:
     )
     if n_bad:
         raise SelfCheckError(f"{n_bad} of {n_kills} kills cost more than they may; the table says what")
+
+
+def _bench_restarts(n_cuts: int, seed: int, folder: Path) -> None:
+    """Cut sessions off, some twenty times each, and print what each way cost."""
+    log, _ = _mission(folder, _RESTARTED_S, _RESTARTED_MPS)
+    mission = folder / "mission"
+    n_events = keep_mission(log, mission)
+    n_sessions = math.ceil(n_cuts / _CUTS_PER_SESSION)
+    cuts: list[Cut] = []
+    problems: list[str] = []
+    for index in range(n_sessions):
+        n_here = n_cuts // n_sessions + (index < n_cuts % n_sessions)
+        session = cut_off(mission, n_events, n_here, seed + index, folder / f"session-{index}")
+        print(
+            f"session {index + 1} of {n_sessions}: {len(session.cuts)} cuts, {session.n_contacts} contacts, "
+            f"{'; '.join(session.problems) or 'as undisturbed'}",
+            flush=True,
+        )
+        cuts += session.cuts
+        problems += session.problems
+    print(f"\n{'way':<12}{'cuts':>6}{'ready s, median':>17}{'max':>7}{'events lost, max':>18}{'s, max':>8}")
+    for way in WAYS:
+        of_way = [cut for cut in cuts if cut.way == way]
+        ready_s = np.array([cut.ready_s for cut in of_way])
+        n_lost = max((cut.n_lost for cut in of_way), default=0)
+        known = ready_s[np.isfinite(ready_s)]
+        middle, most = (float(np.median(known)), float(known.max())) if known.size else (math.nan, math.nan)
+        lost_s = max((cut.lost_s for cut in of_way), default=0.0)
+        print(f"{way:<12}{len(of_way):>6}{middle:>17.2f}{most:>7.2f}{n_lost:>18}{lost_s:>8.2f}")
+    print(f"\nload of this computer: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+    if problems:
+        raise SelfCheckError(f"sessions that were cut off are not as undisturbed: {'; '.join(problems)}")
 
 
 def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> KillOutcome:

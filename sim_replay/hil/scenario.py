@@ -342,7 +342,9 @@ def parse_scenario(text: str, place: str) -> Scenario:
 def service_yaml(scenario: Scenario, uris: Mapping[str, str], results: Path) -> str:
     """Write the service's configuration, with the addresses of the devices' wires and the folder for its results."""
     filled = _filled(scenario.service, uris)
-    filled["service"] = {**(filled.get("service") or {}), _SET_BY_US: str(results)}
+    # However busy the computer is, what was sent is to be worked off.
+    patience = {"stop_within_s": scenario.stop_within_s}
+    filled["service"] = {**patience, **(filled.get("service") or {}), _SET_BY_US: str(results)}
     return yaml.safe_dump(filled, sort_keys=False, allow_unicode=True)
 
 

@@ -333,8 +333,8 @@ def test_what_nobody_takes_waits_in_the_queue_of_the_service_alone() -> None:
         await running
         queue.close()
         events = []
-        while (event := await queue.get()) is not None:
-            events.append(event)
+        while (queued := await queue.get()) is not None:
+            events.append(queued.event)
         assert not any("dropped" in name for name in source.counters())
         return events
 

@@ -63,7 +63,8 @@ SPEED_MPS: Final = 1.8
 FULL_SCALE_DB: Final = 80.0
 CONFIG: Final = """
 mission: over serial ports
-service: {{source: ports, output_directory: "{folder}/out", health_period_s: 0.5, queue_pings: 4096}}
+service:
+  {{source: ports, output_directory: "{folder}/out", health_period_s: 0.5, queue_pings: 4096, stop_within_s: 600}}
 ports:
   - name: sonar
     link: "serial://{folder}/sonar?baud=4000000"

@@ -92,7 +92,7 @@ def _service(now: Measured, before: Measured, span_s: float) -> Part:
 
 
 def _perception(now: Measured, before: Measured, span_s: float) -> Part:
-    dropped, shed = "service.ping_dropped", "service.work_shed"
+    dropped, shed, restarted = "service.ping_dropped", "service.work_shed", "perception.restarted"
     faults, flaws = [], []
     # A lossless source, such as a recorded mission, waits on purpose while perception works.
     if not now.waits_on_purpose:
@@ -102,6 +102,8 @@ def _perception(now: Measured, before: Measured, span_s: float) -> Part:
             faults.append("perception_stalled")
     if now.counters[shed] > before.counters[shed]:
         flaws.append("work_shed")
+    if now.counters[restarted] > before.counters[restarted]:
+        flaws.append("perception_restarted")
     if not now.has_kernels:
         flaws.append("no_kernels")
     rate_hz = (now.pings - before.pings) / span_s if span_s > 0.0 else math.nan

@@ -19,6 +19,7 @@ REASONS: Final = {
     "journal_failed": "announced contacts are not on disk: free space, or check the disk",
     "perception_behind": "pings are dropped, or half of the queue waits: set budget.duty, or use coarser pixels",
     "perception_stalled": "pings wait and perception has taken none: it is restarted, or the service with it",
+    "perception_restarted": "perception ended and goes on from its checkpoint: check memory and the system log",
     "work_shed": "work on the least likely places is left out: set budget.duty, or use coarser pixels",
     "port_down": "the port cannot be opened: check device, address and cable; 'auv-mcm check' names the cause",
     "port_silent": "the port is open and nothing comes: check supply, cable, rate and what the device is set to send",

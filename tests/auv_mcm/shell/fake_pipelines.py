@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import signal
 import time
 from collections import Counter
-from typing import Any
+from typing import Any, ClassVar
 from unittest import mock
 
 import msgspec
@@ -85,6 +86,17 @@ class Base:
         self.counters: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
         self.operating_point: OperatingPoint | None = None
+
+    constants: ClassVar[dict[str, object]] = {}
+
+    def state(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "kept"}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    def reserve(self, n_contacts: int) -> None:
+        self.counters["fake.reserved"] = n_contacts
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
         return self.undecided
@@ -235,6 +247,16 @@ class Pondering(Base):
         return super().feed(event)
 
 
+class BusyAtItsEnd(Base):
+    """Computes at its end for longer than any stop may take."""
+
+    def finish(self) -> list[PipelineEvent]:
+        end_s = time.thread_time() + 10.0
+        while time.thread_time() < end_s:
+            sum(range(10_000))
+        return super().finish()
+
+
 class Stuck(Base):
     """Never ends its work."""
 
@@ -317,3 +339,40 @@ class Early(Base):
             return [*events, *(EarlyContact(contact=each, state="found") for each in (first, second))]
         became = EarlyContact(contact=first, state="became", became="C0003")
         return [*events, became, EarlyContact(contact=second, state="withdrawn")]
+
+
+class _Once(Base):
+    """Gets a signal at ping 5, once per file that FAILED_ONCE names."""
+
+    number = signal.SIGKILL
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        if isinstance(event, Ping) and event.number == 5:
+            self.fail()
+        return super().feed(event)
+
+    def fail(self) -> None:
+        with contextlib.suppress(FileExistsError):
+            os.close(os.open(os.environ["FAILED_ONCE"], os.O_CREAT | os.O_EXCL))
+            os.kill(os.getpid(), self.number)
+
+
+class DyingOnce(_Once):
+    """Is killed once."""
+
+
+class HangingOnce(_Once):
+    """Stops for good, once."""
+
+    number = signal.SIGSTOP
+
+
+class DyingAtItsEndOnce(_Once):
+    """Is killed once at the end of the mission."""
+
+    def feed(self, event: SourceEvent) -> list[PipelineEvent]:
+        return Base.feed(self, event)
+
+    def finish(self) -> list[PipelineEvent]:
+        self.fail()
+        return super().finish()

@@ -7,14 +7,14 @@ import asyncio
 from collections import Counter
 
 from auv_mcm.records import NavSample, Ping, SourceEvent
-from auv_mcm.shell.event_queue import EventQueue
+from auv_mcm.shell.event_queue import EventQueue, Queued
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 
 async def rest_of(queue: EventQueue) -> list[SourceEvent]:
     events = []
-    while (event := await queue.get()) is not None:
-        events.append(event)
+    while (queued := await queue.get()) is not None:
+        events.append(queued.event)
     return events
 
 
@@ -23,7 +23,12 @@ def test_the_oldest_ping_is_dropped_and_everything_else_is_bounded_too() -> None
 
     async def run() -> tuple[list[SourceEvent], Counter[str]]:
         counters: Counter[str] = Counter()
-        queue = EventQueue(3, counters, seen.append)
+
+        def see(event: SourceEvent) -> int:
+            seen.append(event)
+            return len(seen)
+
+        queue = EventQueue(3, counters, see)
         for number in range(5):
             queue.push(fake.navigation(number))
             queue.push(fake.ping(number))
@@ -53,9 +58,9 @@ def test_a_source_that_can_wait_is_held_back_and_loses_nothing() -> None:
 
         bringing = asyncio.ensure_future(bring())
         events = []
-        while (event := await queue.get()) is not None:
+        while (queued := await queue.get()) is not None:
             waiting.append(queue.pings)
-            events.append(event)
+            events.append(queued.event)
             await asyncio.sleep(0)
         await bringing
         return events, counters, waiting
@@ -67,7 +72,7 @@ def test_a_source_that_can_wait_is_held_back_and_loses_nothing() -> None:
 
 
 def test_an_empty_queue_is_waited_for_until_it_is_closed() -> None:
-    async def run() -> tuple[SourceEvent | None, SourceEvent | None]:
+    async def run() -> tuple[Queued | None, Queued | None]:
         queue = EventQueue(3, Counter())
         taking = asyncio.ensure_future(queue.get())
         await asyncio.sleep(0)
@@ -80,5 +85,6 @@ def test_an_empty_queue_is_waited_for_until_it_is_closed() -> None:
         return first, await taking
 
     first, after = asyncio.run(run())
-    assert isinstance(first, Ping)
+    assert first is not None
+    assert isinstance(first.event, Ping)
     assert after is None

@@ -25,6 +25,7 @@ TROUBLES: list[tuple[Measured, str, State, str]] = [
     (LATER._replace(queue_pings=257), "perception", "fault", "perception_behind"),
     (LATER._replace(pings=100), "perception", "fault", "perception_stalled"),
     (LATER._replace(counters=Counter({"service.work_shed": 1})), "perception", "degraded", "work_shed"),
+    (LATER._replace(counters=Counter({"perception.restarted": 1})), "perception", "degraded", "perception_restarted"),
     (LATER._replace(has_kernels=False), "perception", "degraded", "no_kernels"),
     (LATER._replace(source=ports(state="down")), "port.sonar", "fault", "port_down"),
     (LATER._replace(source=ports(state="silent")), "port.sonar", "fault", "port_silent"),

@@ -1,0 +1,166 @@
+"""A session that was cut off goes on at the next start: the same contacts, each announced once under its number."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from auv_mcm.records import SourceEvent
+from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.shell.perception import MakePipeline
+from auv_mcm.shell.service import Service
+from tests.auv_mcm.shell import fake_pipelines as fake
+from tests.auv_mcm.shell.test_service import Ports, ids, journal, summary
+
+
+class Run(NamedTuple):
+    folder: Path
+    said: list[str]
+
+
+def events(first: int, stop: int) -> list[SourceEvent]:
+    return [event for number in range(first, stop) for event in (fake.navigation(number), fake.ping(number))]
+
+
+def serve(folder: Path, given: Sequence[SourceEvent], *, mission: str = "") -> Run:
+    """Serve given events and end in order once they are with perception."""
+    said: list[str] = []
+
+    async def run() -> Path:
+        source = Ports(given)
+        config = Config(mission=mission, service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
+        service = Service(config, source, console=said.append, make_pipeline=fake.Base)
+        asyncio.get_running_loop().call_later(0.3, service.stop)
+        return await service.run()
+
+    return Run(asyncio.run(run()), said)
+
+
+PROGRAM = """
+import asyncio, os, signal, sys
+from pathlib import Path
+from tests.auv_mcm.shell import fake_pipelines as fake, test_resume
+
+def say(line):
+    print(line, flush=True)
+    if sys.argv[2] in line:
+        os.killpg(0, signal.SIGKILL)
+
+if __name__ == "__main__":
+    test_resume.killed_in(Path(sys.argv[1]), say)
+"""
+
+
+def killed_in(folder: Path, say: Callable[[str], None]) -> None:
+    """Serve 20 pings, until `say` kills all processes."""
+    config = Config(service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
+    asyncio.run(Service(config, Ports(events(0, 20)), console=say, make_pipeline=fake.Base).run())
+
+
+def kill(folder: Path, at_line: str) -> list[str]:
+    """Run a service and kill it, and its perception, as it says a line; return what it said."""
+    process = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(folder), at_line],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        check=False,
+    )
+    assert process.returncode == -signal.SIGKILL
+    return process.stdout.splitlines()
+
+
+def test_a_session_killed_on_the_way_goes_on_and_announces_each_contact_once(tmp_path: Path) -> None:
+    before = kill(tmp_path, "C0009")
+    after = serve(tmp_path, events(20, 40))
+    assert len(list(tmp_path.glob("session-*"))) == 1
+    expected = [f"C{number:04d}" for number in (*range(0, 40, 3), 9999)]
+    assert ids(after.folder) == journal(after.folder) == expected
+    lines = [line.split()[1] for line in (*before, *after.said) if line.startswith("contact")]
+    assert lines == expected
+    assert summary(after.folder)["pings"] == 40
+    assert len(json.loads((after.folder / "coverage.geojson").read_bytes())["features"]) == 14
+    assert not (after.folder / "state").exists()
+    assert (after.folder / "recording-2").is_dir()
+
+
+def cut_off(folder: Path, given: Sequence[SourceEvent], at_line: str, make: MakePipeline = fake.Base) -> Path:
+    """Serve events and end at once, as after a second signal, when a line comes; return the session's folder."""
+
+    async def run() -> None:
+        def say(line: str) -> None:
+            if at_line in line:
+                running.cancel()
+
+        config = Config(service=ServiceConfig(output_directory=str(folder), stop_within_s=60.0))
+        running = asyncio.ensure_future(Service(config, Ports(given), console=say, make_pipeline=make).run())
+        await asyncio.wait({running})
+        assert running.cancelled()
+
+    asyncio.run(run())
+    return (folder / "latest").resolve()
+
+
+EXPECTED = [f"C{number:04d}" for number in (*range(0, 24, 3), 9999)]
+
+
+def test_what_a_power_cut_left_of_the_files_is_gone_on_with(tmp_path: Path) -> None:
+    folder = cut_off(tmp_path, events(0, 12), "C0006")
+    with (folder / "contacts.jsonl").open("ab") as file:
+        file.write(b'{"time":"2026-')
+    for name in ("events-000001.bin", "records.bin"):
+        with (folder / "state" / name).open("ab") as file:
+            file.write(b"\x07" * 100)
+    after = serve(tmp_path, events(12, 24))
+    assert (after.folder.resolve(), ids(after.folder), journal(after.folder)) == (folder, EXPECTED, EXPECTED)
+
+
+def test_contacts_whose_events_are_lost_keep_their_numbers_to_themselves(tmp_path: Path) -> None:
+    folder = cut_off(tmp_path, events(0, 12), "C0006")
+    (folder / "state" / "events-000001.bin").write_bytes(b"")
+    after = serve(tmp_path, events(12, 24))
+    assert summary(after.folder)["counters"]["fake.reserved"] == 6
+    assert [notice["code"] for notice in summary(after.folder)["notices"]] == ["contacts_in_journal"]
+    assert "C0000, C0003, C0006" in summary(after.folder)["notices"][0]["text"]
+
+
+@pytest.mark.parametrize("why", ["it is 13 h old", "its configuration is another one"])
+def test_a_session_that_cannot_go_on_is_left_and_that_is_said(why: str, tmp_path: Path) -> None:
+    folder = cut_off(tmp_path, events(0, 9), "C0006")
+    if why.startswith("it is"):
+        for path in (folder / "state").iterdir():
+            os.utime(path, (path.stat().st_mtime - 13 * 3600 - 60,) * 2)
+    after = serve(tmp_path, events(12, 24), mission="another" if "configuration" in why else "")
+    assert after.folder.resolve() != folder
+    said = " ".join(after.said)
+    assert why in said
+    assert "auv-mcm replay" in said
+
+
+def test_a_stop_that_comes_before_all_is_worked_off_leaves_the_rest_to_the_next_start(tmp_path: Path) -> None:
+    """Perception has much to do at its end, so that the stop cannot wait for it."""
+    said: list[str] = []
+
+    async def run() -> Path:
+        def say(line: str) -> None:
+            said.append(line)
+            if "C0009" in line:
+                service.stop()
+
+        config = Config(service=ServiceConfig(output_directory=str(tmp_path), stop_within_s=3.0))
+        service = Service(config, Ports(events(0, 12)), console=say, make_pipeline=fake.BusyAtItsEnd)
+        return await service.run()
+
+    folder = asyncio.run(run())
+    assert ids(folder) == journal(folder) == EXPECTED[:4]
+    assert "The next start goes on with the session" in said[-1]
+    assert ids(serve(tmp_path, events(12, 24)).folder) == EXPECTED
