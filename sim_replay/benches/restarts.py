@@ -40,8 +40,8 @@ WAYS: Final[tuple[Way, ...]] = get_args(Way)
 READY_S: Final = 3.0
 """s from the start of a service that goes on to `ready`, on a computer that has nothing else to do."""
 MAX_LOST_S: Final = 0.5
-"""s of real time of which events may be lost by a kill. They wait in memory for a tenth of it; the rest is for a computer
-that has much else to do."""
+"""s of real time of which events may be lost by a kill. They wait in memory for a tenth of it; the rest is for a
+computer that has much else to do."""
 MAX_LOST_IN_CUT_S: Final = 1.5
 """The same of a power cut: they are synced after half a second."""
 _GOES_ON: Final[tuple[Way, ...]] = ("perception", "hang")  # ways that the service outlives
@@ -58,7 +58,7 @@ _CONTACT: Final = re.compile(r"^contact (\S+) (new|updated)")
 class Cut(NamedTuple):
     """Hold what one cut cost. ready_s: from the start to `ready` of the run that went on, NaN where none had to.
 
-    n_lost: events that were given and are gone; lost_s: real time in which they came, at most.
+    n_lost: events that were given and are gone; lost_s: real time in which they came.
     """
 
     way: Way
@@ -177,8 +177,8 @@ class _Run:
         return n_given
 
     def since(self, n_given: int) -> float:
-        """Give the time between the moment when so many events had been given and the strike, s, at most."""
-        return self._struck_s - max((at_s for at_s, n in self._history if n <= n_given), default=0.0)
+        """Give the time before the strike in which more events than so many were given, s."""
+        return self._struck_s - min((at_s for at_s, n in self._history if n > n_given), default=self._struck_s)
 
     @property
     def has_ended(self) -> bool:
