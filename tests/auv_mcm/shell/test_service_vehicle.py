@@ -117,7 +117,7 @@ def serve(
     """Serve until something is so, then stop."""
 
     async def main() -> Path:
-        service_config = ServiceConfig(output_directory=str(folder), record=False)
+        service_config = ServiceConfig(output_directory=str(folder), record=False, stop_within_s=60.0)
         config = Config(service=service_config, vehicle=vehicle, plan=plan or PlanConfig())
         service = Service(config, ports, console=lambda line: None, make_pipeline=make)
         serving = asyncio.ensure_future(service.run())
@@ -271,3 +271,16 @@ def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_thei
     ]
     assert reported.index(("C0003", 0.25)) < reported.index(("E00001", 0.0))
     assert "plan" not in ports.vehicle.words()
+
+
+def test_after_a_restart_the_vehicle_gets_all_contacts_again_under_their_numbers(tmp_path: Path) -> None:
+    before, after = Ports(), Ports()
+    with pytest.raises(asyncio.CancelledError):
+        serve(tmp_path, before, lambda: before.vehicle.words().count("contact") >= 3, cancel=True)
+    results = serve(tmp_path, after, lambda: after.vehicle.words().count("contact") >= 4)
+    assert after.vehicle.reports[:2] == [("go on", 1), ("starting", "the payload starts")]
+    known = {number for word, number in before.vehicle.reports if word == "contact"}
+    assert known <= {number for word, number in after.vehicle.reports if word == "contact"}
+    journal = [json.loads(line) for line in (results / "contacts.jsonl").read_text().splitlines()]
+    announced = [(line["event"], line["contact"]["properties"]["id"]) for line in journal]
+    assert len(announced) == len(set(announced)), "what was announced is not announced again"
