@@ -46,7 +46,7 @@ MAX_LOST_IN_CUT_S: Final = 1.5
 """The same of a power cut: they are synced after half a second."""
 _GOES_ON: Final[tuple[Way, ...]] = ("perception", "hang")  # ways that the service outlives
 _SKIPPED_EVENTS: Final = 60  # that come while nothing runs, maximum
-_SOON_EVENTS: Final = 500
+_SOON_EVENTS: Final = 500  # given, for which a contact or a file is waited for: a tile's
 _QUEUE_PINGS: Final = 32  # so that what was given is not far ahead of what perception has
 _POLL_S: Final = 0.002  # s between two looks at how far a run is
 _PATIENCE_S: Final = 300.0  # s for a run to come to its next kill, on a computer that has much else to do
