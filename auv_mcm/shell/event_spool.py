@@ -227,15 +227,6 @@ def read_events(folder: Path, after: int = 0, until: int | None = None) -> Itera
             yield Spooled(entry.number, event, rooms.get(entry.number, 1.0))
 
 
-def entry_ends(path: Path) -> list[tuple[int, int]]:
-    """List the whole entries of a file: number of the event, and the byte where the entry ends. Raises OSError."""
-    ends, end = [], 0
-    for entry in _entries_of(path):
-        end += _HEAD.size + len(entry.body)
-        ends.append((entry.number, end))
-    return ends
-
-
 class _Entry(NamedTuple):
     number: int
     kind: int

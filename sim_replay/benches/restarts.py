@@ -30,9 +30,9 @@ import numpy as np
 from auv_mcm.errors import HardwareError
 from auv_mcm.settings.config import Config, ServiceConfig, config_yaml
 from auv_mcm.shell.checkpoint import newest_checkpoint
-from auv_mcm.shell.event_spool import EventSpool, entry_ends, read_events
+from auv_mcm.shell.event_spool import EventSpool, read_events
 from auv_mcm.shell.recovery import JOURNAL, STATE
-from sim_replay.fakes.kept_mission import COUNT
+from sim_replay.fakes.kept_mission import COUNT, SYNCED
 from sim_replay.logs.open_log import open_log
 
 Way: TypeAlias = Literal["all", "service", "perception", "hang", "contact", "checkpoint", "power"]
@@ -51,7 +51,6 @@ _QUEUE_PINGS: Final = 32  # so that what was given is not far ahead of what perc
 _POLL_S: Final = 0.002  # s between two looks at how far a run is
 _PATIENCE_S: Final = 300.0  # s for a run to come to its next kill, on a computer that has much else to do
 _CHECKPOINT_S: Final = 0.5  # s, so that there are some between two kills
-_LARGEST_TEAR_BYTES: Final = 1 << 16  # as much as half a second of most sonars
 _CONTACT: Final = re.compile(r"^contact (\S+) (new|updated)")
 
 
@@ -116,7 +115,7 @@ def cut_off(mission: Path, n_events: int, n_cuts: int, seed: int, folder: Path) 
             said += run.lines
             state = run.session / STATE
             if way == "power":
-                _tear(run.session, random)
+                _tear(run.session, *run.synced, random)
             n_kept = max([newest_checkpoint(state), *(spooled.number for spooled in read_events(state))]) - n_before
             fed.append((run.first, run.first + n_kept))
             lost_s = run.since(n_kept)
@@ -181,6 +180,13 @@ class _Run:
         return self._struck_s - min((at_s for at_s, n in self._history if n > n_given), default=self._struck_s)
 
     @property
+    def synced(self) -> tuple[str, int]:
+        """Return the name of the file of events that was synced last, and its bytes then."""
+        noted = self._given.with_name("given.synced").read_bytes()
+        name, n_bytes = SYNCED.unpack(noted) if noted else (b"", 0)
+        return name.rstrip(b"\0").decode(), n_bytes
+
+    @property
     def has_ended(self) -> bool:
         return self._process.poll() is not None
 
@@ -242,15 +248,12 @@ class _Run:
         return [pid for pid in map(int, children) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-def _tear(session: Path, random: np.random.Generator) -> None:
+def _tear(session: Path, synced_name: str, synced_bytes: int, random: np.random.Generator) -> None:
     """Leave of the files what a power cut may: what was not synced ends anywhere."""
-    journal = session / JOURNAL
-    last = max((json.loads(line)["event"] for line in journal.read_bytes().splitlines() if line), default=0)
     path = max((session / STATE).glob("events-*.bin"))
-    synced = max((end for number, end in entry_ends(path) if number <= last), default=0)
-    size = path.stat().st_size
-    os.truncate(path, int(random.integers(max(synced, size - _LARGEST_TEAR_BYTES), size + 1)))
-    with journal.open("ab") as file:
+    first_byte = synced_bytes if path.name == synced_name else 0
+    os.truncate(path, int(random.integers(first_byte, path.stat().st_size + 1)))
+    with (session / JOURNAL).open("ab") as file:
         file.write(b'{"time":"2026-01-01T00:00:00Z","event":12,"cont'[: int(random.integers(0, 40))])
     (session / STATE / ".torn.new").write_bytes(bytes(100))
 

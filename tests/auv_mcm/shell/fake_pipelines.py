@@ -375,3 +375,11 @@ class DyingAtItsEndOnce(_Once):
     def finish(self) -> list[PipelineEvent]:
         self.fail()
         return super().finish()
+
+
+class DyingOverAPlanOnce(Undecided, _Once):
+    """Is killed once, when a plan is requested or at ping 5."""
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
+        self.fail()
+        return super().asking(min_p_mine)

@@ -10,7 +10,7 @@ import pytest
 
 from auv_mcm.records import Notice, SourceEvent
 from auv_mcm.shell.checkpoint import commit_checkpoint, newest_checkpoint, read_checkpoints, write_checkpoint
-from auv_mcm.shell.event_spool import EventSpool, entry_ends, read_events
+from auv_mcm.shell.event_spool import EventSpool, read_events
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 EVENTS: list[SourceEvent] = [
@@ -25,6 +25,18 @@ def spooled(folder: Path, events: list[SourceEvent]) -> EventSpool:
         spool.append(event)
     spool.flush()
     return spool
+
+
+def ends_of_entries(folder: Path, n_events: int) -> list[int]:
+    """Spool events; give the size of the file after each."""
+    spool = EventSpool(folder)
+    ends = []
+    for event in EVENTS[:n_events]:
+        spool.append(event)
+        spool.flush()
+        ends.append((folder / "events-000001.bin").stat().st_size)
+    spool.close()
+    return ends
 
 
 def read(folder: Path, after: int = 0, until: int | None = None) -> list[tuple[int, str]]:
@@ -53,15 +65,14 @@ def test_how_events_were_fed_comes_back_too(tmp_path: Path) -> None:
 
 
 def test_what_a_tear_leaves_is_read_and_what_follows_is_numbered_behind_it(tmp_path: Path) -> None:
-    spooled(tmp_path, EVENTS[:30]).close()
-    (path,) = tmp_path.glob("events-*.bin")
-    whole, ends = path.read_bytes(), entry_ends(path)
+    path, ends = tmp_path / "events-000001.bin", ends_of_entries(tmp_path, 30)
+    whole = path.read_bytes()
     for size in random.Random(1).sample(range(len(whole)), 20):
         os.truncate(path, size)
-        n_left = sum(end <= size for _, end in ends)
+        n_left = sum(end <= size for end in ends)
         assert read(tmp_path) == expected(range(1, n_left + 1))
         path.write_bytes(whole)
-    os.truncate(path, ends[11][1] + 3)
+    os.truncate(path, ends[11] + 3)
     spool = EventSpool(tmp_path)
     assert spool.append(EVENTS[12]) == 13
     spool.close()
@@ -69,10 +80,9 @@ def test_what_a_tear_leaves_is_read_and_what_follows_is_numbered_behind_it(tmp_p
 
 
 def test_a_flipped_bit_ends_a_file(tmp_path: Path) -> None:
-    spooled(tmp_path, EVENTS[:10]).close()
-    (path,) = tmp_path.glob("events-*.bin")
+    path, ends = tmp_path / "events-000001.bin", ends_of_entries(tmp_path, 10)
     data = bytearray(path.read_bytes())
-    data[entry_ends(path)[3][1] + 30] ^= 4
+    data[ends[3] + 30] ^= 4
     path.write_bytes(data)
     assert read(tmp_path) == expected(range(1, 5))
 

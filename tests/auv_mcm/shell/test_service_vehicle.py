@@ -284,3 +284,14 @@ def test_after_a_restart_the_vehicle_gets_all_contacts_again_under_their_numbers
     journal = [json.loads(line) for line in (results / "contacts.jsonl").read_text().splitlines()]
     announced = [(line["event"], line["contact"]["properties"]["id"]) for line in journal]
     assert len(announced) == len(set(announced)), "what was announced is not announced again"
+
+
+def test_a_plan_requested_from_a_perception_that_dies_comes_from_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
+    ports = Ports()
+    serve(tmp_path, ports, lambda: "plan" in ports.vehicle.words(), make=fake.DyingOverAPlanOnce)
+    assert (tmp_path / "failed").exists()
+    plan = next(plan for word, plan in ports.vehicle.reports if word == "plan")
+    assert {waypoint.contact_id for waypoint in plan if waypoint.contact_id} == {"C0000"}
