@@ -509,7 +509,7 @@ def test_space_is_held_for_the_results_and_pictures_come_after_them(
     monkeypatch.setattr("auv_mcm.shell.service.Ballast", Watched)
     monkeypatch.setattr("auv_mcm.safe_files.os.replace", replace)
     serve(tmp_path, Events(mission(30)), fake.Seeing)
-    done.remove("latest")
+    done = [what for what in done if what not in ("latest", "service.json")]
     assert done[:3] == [f"release {BALLAST_BYTES}", "contacts.geojson", "contacts.csv"]
     assert done[-1] == "C00001.png"
 
