@@ -1,7 +1,7 @@
 """Turn the state of a chain into bytes and back, so that another process goes on exactly where this one was.
 
-The bytes are a pickle in which large things that do not change, such as models, stand by name. What is read back may be
-made of this package's own stages and of a few plain types alone, so that a file that somebody else wrote cannot have
+The bytes are a pickle in which what is large and does not change, such as models, stands by name. What is read back may
+be made of this package's own stages and of a few plain types alone, so that a file that somebody else wrote cannot have
 other code run.
 """
 
@@ -41,7 +41,7 @@ def freeze(state: Any, constants: Mapping[str, object]) -> bytes:
     Parameters
     ----------
     constants
-        Things within the state that stand in the bytes by their name, compared by identity.
+        Objects within the state that stand in the bytes by their name, compared by identity.
     """
     out = io.BytesIO()
     _Freezer(out, constants).dump(state)

@@ -28,7 +28,9 @@ def add(commands: Commands) -> None:
         "of\n"
         "a new session directory below service.output_directory; clutter stays off the console. Health lines go to\n"
         "standard error.\n"
-        "A signal stops the source, works off what is queued and writes all results; a second one ends at once.",
+        "A signal stops the source, works off what is queued and writes all results; a second one ends at once.\n"
+        "A live session that was cut off goes on at the next start (service.resume_within_h): contacts keep their\n"
+        "numbers.",
         [
             "auv-mcm run --config vehicle.yaml",
             "auv-mcm run --example > vehicle.yaml                   begin with ports",

@@ -12,7 +12,7 @@ from typing import Final
 from auv_mcm.safe_files import replacing, sync_directory
 
 _MAGIC: Final = b"auv-mcm checkpoint 1\n"
-_CHECKSUM_BYTES: Final = 4
+_CHECKSUM_BYTES: Final = 4  # of a CRC-32
 _PATTERN: Final = "checkpoint-????????????.bin"
 _N_KEPT: Final = 2  # the one before serves where the newest is damaged
 

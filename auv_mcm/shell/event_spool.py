@@ -41,9 +41,9 @@ _PATIENCE_S: Final = 10.0  # s for the disk to answer, as of the recording; a de
 _MAX_BODY_BYTES: Final = 64 << 20  # far more than a ping has: a damaged length does not claim memory
 
 _KINDS: Final[dict[type, int]] = {Ping: 1, NavSample: 2, Notice: 3}
-_ROOM_KIND: Final = 4
-_DROPPED_KIND: Final = 5
-_RESERVED_KIND: Final = 6
+_ROOM_KIND: Final = 4  # an entry that is no event, by number behind those that are
+_DROPPED_KIND: Final = 5  # as above
+_RESERVED_KIND: Final = 6  # as above
 
 
 class Spooled(NamedTuple):
@@ -225,15 +225,6 @@ def read_events(folder: Path, after: int = 0, until: int | None = None) -> Itera
         if entry.kind in _DECODERS and is_wanted:
             event = _DECODERS[entry.kind].decode(entry.body)
             yield Spooled(entry.number, event, rooms.get(entry.number, 1.0))
-
-
-def entry_ends(path: Path) -> list[tuple[int, int]]:
-    """List the whole entries of a file: number of the event, and the byte where the entry ends. Raises OSError."""
-    ends, end = [], 0
-    for entry in _entries_of(path):
-        end += _HEAD.size + len(entry.body)
-        ends.append((entry.number, end))
-    return ends
 
 
 class _Entry(NamedTuple):

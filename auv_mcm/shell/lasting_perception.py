@@ -158,7 +158,8 @@ class LastingPerception:
         if self._is_finishing:
             return False
         self._asked.append(request)
-        self._perception.ask(request)  # a process that is dead is asked again when it is replaced
+        if not self._is_behind:
+            self._perception.ask(request)  # a process that is dead is replaced, and that one asked again
         return True
 
     async def finish(self) -> None:
@@ -241,10 +242,9 @@ class LastingPerception:
         started = await self._perception.start()
         log.info("perception runs again: it is fed anew from event %d of %d", started.number + 1, self._given)
         self._go_on(started)
-        for request in self._asked:
-            self._perception.ask(request)
 
     def _go_on(self, started: Started) -> None:
+        """Feed the process what is behind its checkpoint, and then what comes."""
         self._is_behind, self._handed = True, started.number
         self._refeeding = asyncio.create_task(self._refeed(self._perception))
 
@@ -259,6 +259,8 @@ class LastingPerception:
                         await self._hand(perception, spooled)
             self._handed = until
         self._is_behind = False
+        for request in self._asked:  # not before: it would not know yet what the plan is for
+            perception.ask(request)
         if self._is_finishing:
             await self._finish(perception)
 

@@ -98,8 +98,7 @@ class Perceiving(Protocol):
 
     def asking(self, min_p_mine: float) -> tuple[Contact, ...]: ...
 
-    @property
-    def constants(self) -> dict[str, object]: ...
+    constants: dict[str, object]
 
     def state(self) -> dict[str, Any]: ...
 
@@ -323,8 +322,12 @@ class Perception:
     async def feed(self, event: SourceEvent, room: float = 1.0, number: int = 0) -> None:
         """Hand one event to the worker, waiting for space in the ring.
 
-        number: of the event, for checkpoints. room: with a ping, share of the time that the work on tiles may take from
-        it on; see Pipeline.leave_room.
+        Parameters
+        ----------
+        room
+            With a ping: share of the time that the work on tiles may take from it on; see Pipeline.leave_room.
+        number
+            Of the event, for checkpoints.
 
         Raises PerceptionError, or ValueError for a ping larger than the ring.
         """

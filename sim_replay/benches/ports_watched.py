@@ -13,7 +13,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -69,12 +69,11 @@ class BusyPipeline:
     """Keep perception busy: it finds nothing and is never done."""
 
     def __init__(self, config: Config, kept: Contacts) -> None:
+        self.constants: dict[str, object] = {}
         self.counters: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
         self.operating_point: OperatingPoint | None = None
         self._values = np.random.Generator(np.random.PCG64(1)).random(_N_SORTED)
-
-    constants: ClassVar[dict[str, object]] = {}
 
     def state(self) -> dict[str, Any]:
         return {}

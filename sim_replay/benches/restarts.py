@@ -30,9 +30,9 @@ import numpy as np
 from auv_mcm.errors import HardwareError
 from auv_mcm.settings.config import Config, ServiceConfig, config_yaml
 from auv_mcm.shell.checkpoint import newest_checkpoint
-from auv_mcm.shell.event_spool import EventSpool, entry_ends, read_events
+from auv_mcm.shell.event_spool import EventSpool, read_events
 from auv_mcm.shell.recovery import JOURNAL, STATE
-from sim_replay.fakes.kept_mission import COUNT
+from sim_replay.fakes.kept_mission import COUNT, SYNCED
 from sim_replay.logs.open_log import open_log
 
 Way: TypeAlias = Literal["all", "service", "perception", "hang", "contact", "checkpoint", "power"]
@@ -46,19 +46,18 @@ MAX_LOST_IN_CUT_S: Final = 1.5
 """The same of a power cut: they are synced after half a second."""
 _GOES_ON: Final[tuple[Way, ...]] = ("perception", "hang")  # ways that the service outlives
 _SKIPPED_EVENTS: Final = 60  # that come while nothing runs, maximum
-_SOON_EVENTS: Final = 500
+_SOON_EVENTS: Final = 500  # given, for which a contact or a file is waited for: a tile's
 _QUEUE_PINGS: Final = 32  # so that what was given is not far ahead of what perception has
 _POLL_S: Final = 0.002  # s between two looks at how far a run is
 _PATIENCE_S: Final = 300.0  # s for a run to come to its next kill, on a computer that has much else to do
 _CHECKPOINT_S: Final = 0.5  # s, so that there are some between two kills
-_LARGEST_TEAR_BYTES: Final = 1 << 16  # as much as half a second of most sonars
 _CONTACT: Final = re.compile(r"^contact (\S+) (new|updated)")
 
 
 class Cut(NamedTuple):
     """Hold what one cut cost. ready_s: from the start to `ready` of the run that went on, NaN where none had to.
 
-    n_lost: events that were given and are gone; lost_s: real time in which they came, at most.
+    n_lost: events that were given and are gone; lost_s: real time in which they came.
     """
 
     way: Way
@@ -116,7 +115,7 @@ def cut_off(mission: Path, n_events: int, n_cuts: int, seed: int, folder: Path) 
             said += run.lines
             state = run.session / STATE
             if way == "power":
-                _tear(run.session, random)
+                _tear(run.session, *run.synced, random)
             n_kept = max([newest_checkpoint(state), *(spooled.number for spooled in read_events(state))]) - n_before
             fed.append((run.first, run.first + n_kept))
             lost_s = run.since(n_kept)
@@ -177,8 +176,15 @@ class _Run:
         return n_given
 
     def since(self, n_given: int) -> float:
-        """Give the time between the moment when so many events had been given and the strike, s, at most."""
-        return self._struck_s - max((at_s for at_s, n in self._history if n <= n_given), default=0.0)
+        """Give the time before the strike in which more events than so many were given, s."""
+        return self._struck_s - min((at_s for at_s, n in self._history if n > n_given), default=self._struck_s)
+
+    @property
+    def synced(self) -> tuple[str, int]:
+        """Return the name of the file of events that was synced last, and its bytes then."""
+        noted = self._given.with_name("given.synced").read_bytes()
+        name, n_bytes = SYNCED.unpack(noted) if noted else (b"", 0)
+        return name.rstrip(b"\0").decode(), n_bytes
 
     @property
     def has_ended(self) -> bool:
@@ -242,15 +248,12 @@ class _Run:
         return [pid for pid in map(int, children) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-def _tear(session: Path, random: np.random.Generator) -> None:
+def _tear(session: Path, synced_name: str, synced_bytes: int, random: np.random.Generator) -> None:
     """Leave of the files what a power cut may: what was not synced ends anywhere."""
-    journal = session / JOURNAL
-    last = max((json.loads(line)["event"] for line in journal.read_bytes().splitlines() if line), default=0)
     path = max((session / STATE).glob("events-*.bin"))
-    synced = max((end for number, end in entry_ends(path) if number <= last), default=0)
-    size = path.stat().st_size
-    os.truncate(path, int(random.integers(max(synced, size - _LARGEST_TEAR_BYTES), size + 1)))
-    with journal.open("ab") as file:
+    first_byte = synced_bytes if path.name == synced_name else 0
+    os.truncate(path, int(random.integers(first_byte, path.stat().st_size + 1)))
+    with (session / JOURNAL).open("ab") as file:
         file.write(b'{"time":"2026-01-01T00:00:00Z","event":12,"cont'[: int(random.integers(0, 40))])
     (session / STATE / ".torn.new").write_bytes(bytes(100))
 

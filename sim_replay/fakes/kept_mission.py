@@ -3,7 +3,8 @@
 python -m sim_replay.fakes.kept_mission CONFIG MISSION FIRST GIVEN CHECKPOINT_S
 
 MISSION is a folder that an EventSpool wrote. Events behind FIRST are given as fast as perception takes them; the file
-GIVEN holds, as 8 bytes, how many were.
+GIVEN holds, as 8 bytes, how many were. GIVEN.synced names the file of events that was synced last, and how many bytes
+it had: what a power cut leaves for certain.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 COUNT: Final = struct.Struct("<Q")
 """What the file of the events given holds."""
+SYNCED: Final = struct.Struct("<32sQ")
+"""What the file of syncs holds: name and bytes."""
 _EVENTS_PER_TURN: Final = 8  # of the event loop, which the service shares
 
 
@@ -69,10 +72,25 @@ class KeptMission:
         """Return at once: there is no vehicle."""
 
 
+def note_syncs(path: Path) -> None:
+    """Write down the name and size of each file of events that this process syncs."""
+    sync, noted = os.fsync, os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+
+    def noting(descriptor: int) -> None:
+        n_bytes = os.fstat(descriptor).st_size
+        sync(descriptor)
+        name = Path(os.readlink(f"/proc/self/fd/{descriptor}")).name
+        if name.startswith("events-"):
+            os.pwrite(noted, SYNCED.pack(name.encode(), n_bytes), 0)
+
+    os.fsync = noting  # type: ignore[assignment]
+
+
 def main(arguments: list[str]) -> None:
     """Serve the mission to its end."""
     logging.basicConfig(level=logging.INFO, stream=sys.stdout, format="%(message)s", force=True)
     config, mission, first, given, checkpoint_s = arguments
+    note_syncs(Path(given + ".synced"))
     source = KeptMission(Path(mission), int(first), Path(given))
     service = Service(
         parse_config(Path(config).read_text(), config),

@@ -91,6 +91,18 @@ def test_detections_of_one_passage_never_join_even_at_one_place() -> None:
     assert len(book.contacts) == 3
 
 
+def test_numbers_that_are_reserved_are_given_to_no_contact() -> None:
+    kept = ledger()
+    kept.add([view(0.0, 0.0, 0.0)])
+    kept.reserve(5)
+    kept.reserve(2)
+    (opened,) = kept.add([view(500.0, 0.0, 400.0)])
+    (joined,) = kept.add([view(0.5, 0.0, 800.0)])
+    assert (opened.id, joined.id, len(joined.views)) == ("C00006", "C00001", 2)
+    assert [contact.id for contact in kept.contacts] == ["C00001", "C00006"]
+    assert kept.asking(0.0) == tuple(contact for contact in kept.contacts if contact.next_look_deg)
+
+
 def test_port_and_starboard_of_one_passage_never_join() -> None:
     book = ledger()
     book.add([view(0.0, 0.0, 100.0, side="port"), view(0.3, 0.0, 100.0, side="starboard")])

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.plan.look_again import MAX_LOOKS, MAX_VAIN_LOOKS, WAIT_FOR_VIEW_S, LookAgain, PlanRequest
+from auv_mcm.plan.look_again import MAX_LOOKS, MAX_VAIN_LOOKS, WAIT_FOR_VIEW_S, LookAgain, LooksSoFar, PlanRequest
 from auv_mcm.plan.propose import propose
 from auv_mcm.records import Contact, Waypoint, contact_id
 from auv_mcm.settings.config import Config
@@ -149,6 +149,25 @@ def test_a_contact_that_two_legs_show_nothing_new_of_is_given_up() -> None:
     assert not any(mission.plan(100.0) for _ in range(20))
     (notice,) = mission.look_again.take_notices()
     assert (notice.code, notice.for_the_record) == ("look_given_up", True)
+
+
+def test_what_was_given_up_before_a_restart_is_not_requested_after_it() -> None:
+    before, after = Mission([contact(1, 40.0, 40.0)]), Mission([])
+    before.be_at(0.0, 0.0)
+    for _ in range(MAX_VAIN_LOOKS):
+        ((entry, leaving),) = legs(before.plan(10.0))
+        before.fly(entry, leaving)
+        before.plan(10.0)
+        before.now_s += WAIT_FOR_VIEW_S
+    so_far = msgspec.json.decode(msgspec.json.encode(before.look_again.so_far()), type=LooksSoFar)
+    assert so_far == before.look_again.so_far()
+    assert so_far.sailed_m > 50.0
+    after.look_again.go_on(so_far)
+    after.contacts = before.contacts
+    after.look_again.learn(before.contacts["C00001"])
+    assert not any(after.plan(100.0) for _ in range(5))
+    after.see_again("C00001")
+    assert after.plan(100.0)
 
 
 @pytest.mark.parametrize(("upto", "counts"), [(0.4, False), (0.7, True)])

@@ -185,7 +185,10 @@ def test_any_text_is_a_configuration_or_refused_with_its_place(text: str) -> Non
             "ports: [{name: a, link: x, device: imc, imc: {own_plam: true}}]",
             "at `ports[0].imc` (did you mean `own_plan`?)",
         ),
-        ("service: {zzz: 1}", "(known there: queue_pings, health_period_s, source, record, output_directory)"),
+        (
+            "service: {zzz: 1}",
+            "known there: queue_pings, health_period_s, source, record, resume_within_h, stop_within_s, ",
+        ),
     ],
 )
 def test_a_misspelt_key_is_refused_with_the_one_that_was_meant(text: str, hint: str) -> None:

@@ -8,7 +8,7 @@ import os
 import signal
 import time
 from collections import Counter
-from typing import Any, ClassVar
+from typing import Any
 from unittest import mock
 
 import msgspec
@@ -83,11 +83,10 @@ class Base:
     def __init__(self, config: Config, kept: Contacts) -> None:
         self.kept = kept
         self.undecided: tuple[Contact, ...] = ()
+        self.constants: dict[str, object] = {}
         self.counters: Counter[str] = Counter()
         self.places: dict[str, Any] = {}
         self.operating_point: OperatingPoint | None = None
-
-    constants: ClassVar[dict[str, object]] = {}
 
     def state(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "kept"}
@@ -376,3 +375,11 @@ class DyingAtItsEndOnce(_Once):
     def finish(self) -> list[PipelineEvent]:
         self.fail()
         return super().finish()
+
+
+class DyingOverAPlanOnce(Undecided, _Once):
+    """Is killed once, when a plan is requested or at ping 5."""
+
+    def asking(self, min_p_mine: float) -> tuple[Contact, ...]:
+        self.fail()
+        return super().asking(min_p_mine)

@@ -117,7 +117,11 @@ def serve(
     console: Callable[[str], None] = lambda line: None,
     queue_pings: int = 512,
 ) -> Path:
-    config = Config(service=ServiceConfig(output_directory=str(folder), queue_pings=queue_pings, health_period_s=0.05))
+    config = Config(
+        service=ServiceConfig(
+            output_directory=str(folder), queue_pings=queue_pings, health_period_s=0.05, stop_within_s=60.0
+        )
+    )
     return asyncio.run(Service(config, source, console=console, make_pipeline=make).run())
 
 
@@ -132,7 +136,9 @@ def serve_ports(
             if "C0009" in line:
                 service.stop()
 
-        config = Config(service=ServiceConfig(output_directory=str(folder), record=record, health_period_s=0.05))
+        config = Config(
+            service=ServiceConfig(output_directory=str(folder), record=record, health_period_s=0.05, stop_within_s=60.0)
+        )
         service = Service(config, source, console=stop_at_nine, make_pipeline=fake.Base)
         return await service.run()
 

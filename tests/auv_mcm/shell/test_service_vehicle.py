@@ -117,11 +117,16 @@ def serve(
     """Serve until something is so, then stop."""
 
     async def main() -> Path:
-        service_config = ServiceConfig(output_directory=str(folder), record=False)
+        service_config = ServiceConfig(
+            output_directory=str(folder),
+            record=False,
+            queue_pings=100_000,  # pings come by this computer's clock, while perception starts as soon as it can
+            stop_within_s=60.0,
+        )
         config = Config(service=service_config, vehicle=vehicle, plan=plan or PlanConfig())
         service = Service(config, ports, console=lambda line: None, make_pipeline=make)
         serving = asyncio.ensure_future(service.run())
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(120.0):
             while not until() and not serving.done():
                 await asyncio.sleep(0.01)
         if cancel:
@@ -276,3 +281,27 @@ def test_early_contacts_reach_the_vehicle_once_on_disk_are_taken_back_after_thei
     ]
     assert reported.index(("C0003", 0.25)) < reported.index(("E00001", 0.0))
     assert "plan" not in ports.vehicle.words()
+
+
+def test_after_a_restart_the_vehicle_gets_all_contacts_again_under_their_numbers(tmp_path: Path) -> None:
+    before, after = Ports(), Ports()
+    with pytest.raises(asyncio.CancelledError):
+        serve(tmp_path, before, lambda: before.vehicle.words().count("contact") >= 3, cancel=True)
+    results = serve(tmp_path, after, lambda: after.vehicle.words().count("contact") >= 4)
+    assert after.vehicle.reports[:2] == [("go on", 1), ("starting", "the payload starts")]
+    known = {number for word, number in before.vehicle.reports if word == "contact"}
+    assert known <= {number for word, number in after.vehicle.reports if word == "contact"}
+    journal = [json.loads(line) for line in (results / "contacts.jsonl").read_text().splitlines()]
+    announced = [(line["event"], line["contact"]["properties"]["id"]) for line in journal]
+    assert len(announced) == len(set(announced)), "what was announced is not announced again"
+
+
+def test_a_plan_requested_from_a_perception_that_dies_comes_from_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
+    ports = Ports()
+    serve(tmp_path, ports, lambda: "plan" in ports.vehicle.words(), make=fake.DyingOverAPlanOnce)
+    assert (tmp_path / "failed").exists()
+    plan = next(plan for word, plan in ports.vehicle.reports if word == "plan")
+    assert {waypoint.contact_id for waypoint in plan if waypoint.contact_id} == {"C0000"}

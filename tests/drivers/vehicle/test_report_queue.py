@@ -273,3 +273,14 @@ def test_an_early_contact_has_a_number_of_its_own_and_is_taken_back_by_a_revisio
     (due,) = queue.take_due(0.1)
     assert (due.report.number, due.report.revision, due.report.p_mine, due.report.n_views) == (1_000_003, 2, 0.0, 0)
     assert due.report.classification == "unknown"
+
+
+def test_after_a_restart_revisions_are_above_all_that_a_run_before_can_have_sent() -> None:
+    queue = empty_queue()
+    queue.go_on(session=3, n_starts=2)
+    queue.add(contact(1, 0.5))
+    queue.add(contact(2, 0.6))
+    assert revisions(queue.take_due(0.0)) == [(1, 513), (2, 513)]
+    queue.add(contact(1, 0.7))
+    (due,) = queue.take_due(0.1)
+    assert (due.report.session, due.report.number, due.report.revision) == (3, 1, 514)

@@ -3,8 +3,14 @@ cause."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from auv_mcm.cli import main
+from auv_mcm.errors import SelfCheckError
+from sim_replay.benches import soak
+from sim_replay.benches.restarts import Cut, Session
 from sim_replay.benches.soak import found_dead, print_counters
 from sim_replay.hil.evidence import Line, Report
 from sim_replay.hil.verdict import Evidence
@@ -58,3 +64,24 @@ def test_what_died_is_reported_with_its_cause() -> None:
         'ZeroDivisionError: division by zero (File "a.py", line 1, in f)',
         "at the end these ports were not up: sonar:down",
     ]
+
+
+@pytest.mark.parametrize("problem", ["", "contacts.geojson differs"])
+def test_sessions_that_were_cut_off_are_summed_up_by_way(
+    problem: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def cut_off(mission: Path, n_events: int, n_cuts: int, seed: int, folder: Path) -> Session:
+        cuts = [Cut("all", 100, 1.5 + seed, 3, 0.02), Cut("hang", 200, float("nan"), 0, 0.0)]
+        return Session(cuts, 12, (problem,) if problem and seed == 8 else ())
+
+    monkeypatch.setattr(soak, "_mission", lambda folder, duration_s, vehicle_mps: (folder / "log", 200.0))
+    monkeypatch.setattr(soak, "keep_mission", lambda log, folder: 6000)
+    monkeypatch.setattr(soak, "cut_off", cut_off)
+    exit_code = main(["bench", "soak", "--restarts", "40", "--seed", "7"])
+    out = capsys.readouterr().out
+    assert exit_code == (SelfCheckError.exit_code if problem else 0)
+    assert [line.split() for line in out.splitlines() if line.startswith(("all", "hang"))] == [
+        ["all", "2", "9.00", "9.50", "3", "0.02"],
+        ["hang", "2", "nan", "nan", "0", "0.00"],
+    ]
+    assert (problem in out) if problem else ("session 2 of 2: 2 cuts, 12 contacts, as undisturbed" in out)
