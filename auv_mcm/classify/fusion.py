@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple, cast
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from auv_mcm.classify.beliefs import (
     bounded_by,
     combine,
     likeliest_mine,
+    most_believed,
     next_look_aspects,
     singleton_belief,
     vacuous,
@@ -39,11 +40,12 @@ _LOOKS: Final = 2  # directions proposed
 class FusedViews(NamedTuple):
     """Hold what is known of a contact; the fields are those of `Contact`.
 
-    reasons: codes beyond those of the views.
+    mine_kind: the likeliest kind if it is a mine. reasons: codes beyond those of the views.
     """
 
     p_mine: float
     classification: ContactClass
+    mine_kind: ContactClass
     belief: dict[str, float]
     conflict: float
     next_look_deg: tuple[float, ...]
@@ -117,13 +119,10 @@ def _verdict(
     known = bounded_by(with_ratio(mass, prior), p_mine)
     belief = singleton_belief(known)
     # Whether it is a mine goes by p_mine, of which kind by belief.
-    classification = (
-        likeliest_mine(known)
-        if p_mine >= MINE_LIKE_P
-        else cast(ContactClass, max(belief, key=lambda name: belief[name]))
-    )
+    mine_kind = likeliest_mine(known)
+    classification = mine_kind if p_mine >= MINE_LIKE_P else most_believed(belief)
     next_look_deg: tuple[float, ...] = ()
     aspects_rad = np.radians([view.aspect_deg for view in views])
     if abs(odds_of(p_mine) - odds_of(MINE_LIKE_P)) < _ONE_LOOK and np.isfinite(aspects_rad).all():
         next_look_deg = tuple(np.degrees(next_look_aspects(aspects_rad)[:_LOOKS]).tolist())
-    return FusedViews(p_mine, classification, belief, conflict, next_look_deg, reasons)
+    return FusedViews(p_mine, classification, mine_kind, belief, conflict, next_look_deg, reasons)
