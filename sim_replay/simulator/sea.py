@@ -179,13 +179,16 @@ class Sea:
 
     def mean_received(self, poses: Sequence[SonarPose]) -> Floats:
         """Return the mean of `received` over all speckle, (n_poses, 2, n_samples)."""
-        energy = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
+        energy: Floats = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
         if self.scene.sonar.speckle_along_track_m > 0.0:  # such speckle is laid over the energy as it is
             return energy
         power = self._taps.astype(np.float64) ** 2
         half = len(power) // 2
         padded = np.pad(energy, ((0, 0), (0, 0), (half, half)), mode="edge")
-        return np.asarray(sum(share * padded[..., t : t + energy.shape[-1]] for t, share in enumerate(power.tolist())))
+        blurred: Floats = np.zeros_like(energy)
+        for t, share in enumerate(power.tolist()):
+            blurred += share * padded[..., t : t + energy.shape[-1]]
+        return blurred
 
     @property
     def samples_per_look(self) -> float:
