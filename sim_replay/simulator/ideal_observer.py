@@ -42,8 +42,7 @@ _FIRST_SEED: Final = 1_000_000  # of the library's rocks: no scene draws one of 
 
 
 class Passage(NamedTuple):
-    """Hold the pings of one passage that may show a place: their poses, the first one's number, and the side (0
-    port)."""
+    """Hold the pings of one passage that may show a place: poses, the first one's number, and the side, 0 for port."""
 
     poses: tuple[SonarPose, ...]
     first_number: int
