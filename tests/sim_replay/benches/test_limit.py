@@ -175,7 +175,13 @@ def test_the_report_has_a_row_for_everyone_who_looked_and_one_per_rule() -> None
         for name in ("flat", "rough")
     ]
     lines = report(flown, in_markdown=True).splitlines()
-    for words, n in (("| flat | ", 6), ("| all | ", 6), ("observer who knows no rocks", 1), (SHIPPED, 1), (DEPENDENT, 1)):
+    for words, n in (
+        ("| flat | ", 6),
+        ("| all | ", 6),
+        ("observer who knows no rocks", 1),
+        (SHIPPED, 1),
+        (DEPENDENT, 1),
+    ):
         assert sum(words in line for line in lines) == n, words
     assert not any("observer" in line for line in report([flight(contact(0, 1.0))]).splitlines())
 
