@@ -297,7 +297,8 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     a further view would hardly change the decision. false_alarms_per_km2: density of non-mines at least as mine-like
     that is to be expected in this mission, NaN where it is not known; false_alarms_95_per_km2: its 95 % interval.
     called:
-    whether that is no more than the operator accepts; None before it was decided.
+    whether that is no more than the operator accepts; None before it was decided. mine_kind: the likeliest kind if it
+    is a mine, which is its class once it is called.
     """
 
     id: str
@@ -322,6 +323,7 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     false_alarms_per_km2: float = NAN
     false_alarms_95_per_km2: tuple[float, float] = (NAN, NAN)
     called: bool | None = None
+    mine_kind: ContactClass = "unknown"
 
 
 def contact_id(number: int) -> str:

@@ -14,9 +14,9 @@ Intelligence 66, 1994.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias, cast
 
 import msgspec
 import numpy as np
@@ -110,6 +110,11 @@ def singleton_belief(mass: Array) -> dict[str, float]:
     beliefs: dict[str, float] = {name: float(mass[1 << i]) for i, name in enumerate(FRAME)}
     beliefs["unknown"] = max(1.0 - sum(beliefs.values()), 0.0)
     return beliefs
+
+
+def most_believed(beliefs: Mapping[str, float]) -> ContactClass:
+    """Choose the class, or "unknown", with the highest belief, the first of equal ones."""
+    return cast(ContactClass, max(beliefs, key=lambda name: beliefs[name]))
 
 
 def bounded_by(mass: Array, p_mine: float) -> Array:

@@ -20,7 +20,7 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import singleton_belief
+from auv_mcm.classify.beliefs import bounded_by, singleton_belief
 from auv_mcm.clean_text import clean
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.contact import best_view, call_words, error_ellipse_ring_m, is_mine_like, sigma_m, view_reasons
@@ -66,8 +66,9 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
     `sigma_m` is the semi-major axis of the 1-sigma error ellipse; `covariance_m2` is [[east-east, east-north],
     [east-north, north-north]]. `side`, `ground_range_m`, `score` and the snippet are those of the view with the
     greatest score. `views` are in order of time; `log_ratio` and `belief` of one that was not confirmed are
-    null. `false_alarms_per_km2` is the density of non-mines at least as mine-like that the mission's own background
-    makes expected, with its 95 % interval; `called` says that the operator accepts as many.
+    null. No belief contradicts the p_mine beside it. `false_alarms_per_km2` is the density of non-mines at least as
+    mine-like that the mission's own background makes expected, with its 95 % interval; `called` says that the operator
+    accepts as many.
     """
     return b"".join(contacts_geojson_parts(sorted(contacts, key=contact_order)))
 
@@ -225,7 +226,7 @@ def _view(view: Detection) -> dict[str, Json]:
         "ground_range_m": rounded(view.ground_range_m, METRE_DIGITS),
         "p_mine": rounded(view.p_mine, PROBABILITY_DIGITS),
         "log_ratio": rounded(close.log_ratio, METRE_DIGITS) if close else None,
-        "belief": _belief(singleton_belief(close.mass)) if close else None,
+        "belief": _belief(singleton_belief(bounded_by(close.mass, view.p_mine))) if close else None,
         "reasons": list(view_reasons(view)),
     }
 

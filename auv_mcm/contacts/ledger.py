@@ -254,6 +254,7 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
         covariance_m2=covariance,
         p_mine=verdict.p_mine,
         classification=verdict.classification,
+        mine_kind=verdict.mine_kind,
         belief=verdict.belief,
         length_m=size.length_m,
         width_m=size.width_m,

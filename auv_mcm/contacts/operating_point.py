@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 
-from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.classify.beliefs import MINE_LIKE_P, most_believed
 from auv_mcm.contacts.background import (
     BIN_NATS,
     LEVELS_NATS,
@@ -62,17 +62,22 @@ class OperatingPoint(NamedTuple):
         return odds_of(contact.p_mine) >= self.level_nats
 
     def marked(self, contact: Contact) -> Contact:
-        """Copy a contact with the density of false alarms as mine-like as it, and its call."""
-        if self.background is None:
-            return msgspec.structs.replace(
-                contact, false_alarms_per_km2=NAN, false_alarms_95_per_km2=(NAN, NAN), called=self.calls(contact)
-            )
-        expected = self.background.false_alarms(odds_of(contact.p_mine))
+        """Copy a contact with the density of false alarms as mine-like as it, and its call.
+
+        One that is called is of the likeliest kind of mine, whatever its p_mine: a mine is no clutter.
+        """
+        called = self.calls(contact)
+        is_mine = called or contact.p_mine >= MINE_LIKE_P
+        density, interval = NAN, (NAN, NAN)
+        if self.background is not None:
+            expected = self.background.false_alarms(odds_of(contact.p_mine))
+            density, interval = expected.per_km2, (expected.low, expected.high)
         return msgspec.structs.replace(
             contact,
-            false_alarms_per_km2=expected.per_km2,
-            false_alarms_95_per_km2=(expected.low, expected.high),
-            called=self.calls(contact),
+            classification=contact.mine_kind if is_mine else most_believed(contact.belief),
+            false_alarms_per_km2=density,
+            false_alarms_95_per_km2=interval,
+            called=called,
         )
 
 

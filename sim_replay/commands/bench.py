@@ -38,6 +38,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
         "benches.point",
         "false alarms at the operating point against those requested, and Pd, on domains left out",
     ),
+    "limit": ("benches.limit", "how far from the limit: an ideal observer beside the chain, and one view beside two"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),

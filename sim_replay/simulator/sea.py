@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -57,20 +58,9 @@ class Sea:
         self.scene: Final = scene
         self.sonar: Final = sonar
         self.world: Final = SimulatedFloor(scene.world, scene.seed)
-        self.objects: Final[tuple[PlacedObject, ...]] = place_objects(scene)
         self.recorder: Final = complete(sonar.recorder)
-        materials: list[Material] = []
-        bodies: list[Body] = []
-        points: list[tuple[float, float, float, float]] = []
-        for scene_object in self.objects:
-            material = material_of(scene_object)
-            if material not in materials:
-                materials.append(material)
-            bodies += bodies_of(scene_object, self.world.floor_m, len(self.world.covers) + materials.index(material))
-            points += points_of(scene_object, self.world.floor_m)
-        self._bodies = pack(bodies)
-        self.points: Final = np.array(points).reshape(-1, 4)
-        self._tables = np.concatenate([floor_tables(scene, self.world.covers), material_tables(materials)])
+        self._floor_tables = floor_tables(scene, self.world.covers)
+        self._put(place_objects(scene))
         self._beam = beam_table(sonar.vertical_beam_width_deg)
         self._range_m = bin_ranges_m(sonar)
         self._absorption = absorption_db_per_km(sonar, scene.world.depth_m)
@@ -78,12 +68,33 @@ class Sea:
         self.spreading: Final = width_m * propagation(self._range_m, self._absorption)
         reference_m = np.array([0.5 * (scene.track.altitude_m + sonar.range_m)])
         self.reference: Final = float(
-            flat_floor_intensity(reference_m, scene.track.altitude_m, self._tables[0], sonar, self._absorption)[0]
+            flat_floor_intensity(reference_m, scene.track.altitude_m, self._floor_tables[0], sonar, self._absorption)[0]
         )
         self.noise: Final = self.reference * 10.0 ** (0.1 * sonar.noise_db)
         self._gain = recorder_gain(self._range_m, sonar, self._absorption, float(reference_m[0]))
         self._taps = gaussian_taps(sonar.range_resolution_m / (sonar.range_m / sonar.n_samples))
         self._threads = threads
+
+    def with_objects(self, objects: Sequence[PlacedObject]) -> Sea:
+        """Return the same sea with these objects instead of its own; both share the floor."""
+        other = copy.copy(self)
+        other._put(objects)
+        return other
+
+    def _put(self, objects: Sequence[PlacedObject]) -> None:
+        materials: list[Material] = []
+        bodies: list[Body] = []
+        points: list[tuple[float, float, float, float]] = []
+        for scene_object in objects:
+            material = material_of(scene_object)
+            if material not in materials:
+                materials.append(material)
+            bodies += bodies_of(scene_object, self.world.floor_m, len(self.world.covers) + materials.index(material))
+            points += points_of(scene_object, self.world.floor_m)
+        self.objects = tuple(objects)
+        self.points = np.array(points).reshape(-1, 4)
+        self._bodies = pack(bodies)
+        self._tables = np.concatenate([self._floor_tables, material_tables(materials)])
 
     def altitude_m(self, pose: SonarPose) -> float:
         """Return the height of the sonar over the bare floor."""
@@ -152,12 +163,45 @@ class Sea:
                     f"{pose.east_m:.0f} m east, "
                     f"{pose.north_m:.0f} m north, where the floor rises: give more, or a gentler relief or slope"
                 )
+        return self.record(self.received(poses, first_number), poses, first_number, altitudes_m)
+
+    def received(self, poses: Sequence[SonarPose], first_number: int) -> NDArray[np.float32]:
+        """Return speckled intensity with noise of pings numbered from `first_number`, (n_poses, 2, n_samples).
+
+        It is in units of `reference`, port first.
+        """
         energy = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
         sides = [
             self._speckled(energy[:, side], stream, first_number)
             for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM))
         ]
-        return self.record(np.stack(sides, axis=1), poses, first_number, altitudes_m)
+        return np.stack(sides, axis=1)
+
+    def mean_received(self, poses: Sequence[SonarPose]) -> Floats:
+        """Return the mean of `received` over all speckle, (n_poses, 2, n_samples)."""
+        energy: Floats = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
+        if self.scene.sonar.speckle_along_track_m > 0.0:  # such speckle is laid over the energy as it is
+            return energy
+        power = self._taps.astype(np.float64) ** 2
+        half = len(power) // 2
+        padded = np.pad(energy, ((0, 0), (0, 0), (half, half)), mode="edge")
+        blurred: Floats = np.zeros_like(energy)
+        for t, share in enumerate(power.tolist()):
+            blurred += share * padded[..., t : t + energy.shape[-1]]
+        return blurred
+
+    @property
+    def samples_per_look(self) -> float:
+        """Return how many samples are worth one that is independent, by the correlation of intensities around one.
+
+        The sum over lags along range and from ping to ping of the squared correlation of the echo field.
+        """
+        sonar, track = self.scene.sonar, self.scene.track
+        along = gaussian_taps(sonar.speckle_along_track_m * sonar.ping_rate_hz / track.speed_mps)
+        worth = 1.0
+        for taps in (self._taps.astype(np.float64), along.astype(np.float64)):
+            worth *= float((np.correlate(taps, taps, mode="full") ** 2).sum())
+        return worth
 
     def record(
         self,

@@ -128,6 +128,8 @@ def test_class_belief_and_p_mine_agree(seen: list[Detection], prior: float) -> N
         assert verdict.belief[verdict.classification] == max(verdict.belief.values())
     else:
         assert verdict.classification != "clutter"
+        assert verdict.classification == verdict.mine_kind
+    assert verdict.mine_kind != "clutter"
 
 
 @given(st.floats(-1.0, 8.0), st.sampled_from(["cylinder", "sphere", "truncated_cone", "wedge"]), st.floats(0.05, 1.0))

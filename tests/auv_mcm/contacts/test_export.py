@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.classify.beliefs import FRAME, singleton_belief
+from auv_mcm.classify.beliefs import FRAME, bounded_by, singleton_belief
 from auv_mcm.contacts.antimeridian import split_line, split_ring
 from auv_mcm.contacts.contact import error_ellipse, error_ellipse_ring_m
 from auv_mcm.contacts.export import CSV_COLUMNS, contacts_geojson, iso_time, waypoints_geojson
@@ -142,6 +142,7 @@ def test_contact_properties_are_those_of_the_contract() -> None:
 def test_what_confirmation_found_is_written_per_view_and_for_all_together() -> None:
     mass = drawn_looks.like("wedge", quality=0.9)
     found = drawn_looks.confirmation(3.14159, mass=mass, reasons=("buried", "bright"))
+    assert bounded_by(mass, 0.7) == pytest.approx(mass), "as sure of a mine as p_mine allows"
     exported = contact(
         length_sigma_m=0.12345,
         width_sigma_m=0.05,
@@ -165,6 +166,16 @@ def test_what_confirmation_found_is_written_per_view_and_for_all_together() -> N
     description = contacts_kml([exported])
     assert "2.00 ± 0.12 × 0.50 ± 0.05 × ? m" in description
     assert "belief in the class&lt;/td&gt;&lt;td&gt;0.75" in description
+
+
+def test_the_belief_of_a_view_never_contradicts_its_p_mine() -> None:
+    found = drawn_looks.confirmation(6.0, drawn_looks.like("cylinder"))
+    seen = tuple(detection(p_mine=p_mine, confirmation=found) for p_mine in (0.9, 0.3, 0.01))
+    properties = strict(contacts_geojson([contact(views=seen)]))["features"][0]["properties"]
+    for view in properties["views"]:
+        mines = sum(share for name, share in view["belief"].items() if name not in ("clutter", "unknown"))
+        assert mines <= view["p_mine"] + 2e-4
+        assert view["belief"]["clutter"] <= 1.0 - view["p_mine"] + 2e-4
 
 
 def test_a_call_and_the_density_behind_it_are_in_every_file() -> None:

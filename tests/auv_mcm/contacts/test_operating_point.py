@@ -9,18 +9,22 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.background import shipped_background
+from auv_mcm.contacts.background import N_BINS, estimate_background, shipped_background
 from auv_mcm.contacts.contact import call_words
+from auv_mcm.contacts.ledger import contact_from_views
 from auv_mcm.contacts.operating_point import CallWatch, MarkedContacts, OperatingPoint
 from auv_mcm.detect.belief import odds_of, probability
-from auv_mcm.records import Contact, contact_id, contact_number
+from auv_mcm.records import Contact, ContactClass, contact_id, contact_number
 from auv_mcm.settings.config import ContactsConfig
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.test_seen_area import patch
 
 PRIOR = shipped_background().cascade
+BARE = estimate_background(np.zeros(N_BINS), 0.1, PRIOR)
 
 
 class Mission:
@@ -185,6 +189,36 @@ def test_a_background_like_those_learnt_is_not_reported(times: float) -> None:
     mission.see(*(-4.5 + random.exponential(1.0, round(150 * times))).tolist())
     mission.end()
     assert mission.watch.take_notices() == []
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-8.0, 8.0), st.floats(0.0, 359.0)), min_size=1, max_size=3),
+    st.sampled_from(["cylinder", "sphere", "truncated_cone", "wedge"]),
+    st.floats(1.0, 10_000.0),
+)
+def test_class_belief_p_mine_and_call_agree(
+    seen: list[tuple[float, float]], kind: ContactClass, asked_per_km2: float
+) -> None:
+    """Whatever the operator accepts, and marked by one operating point after another."""
+    views = tuple(
+        drawn_looks.detection(
+            p_mine=probability(ratio - 4.0),
+            aspect_deg=aspect,
+            time_s=float(number),
+            confirmation=drawn_looks.confirmation(ratio, drawn_looks.like(kind)),
+        )
+        for number, (ratio, aspect) in enumerate(seen)
+    )
+    contact = contact_from_views("C00001", views, prior=-4.0)
+    for asked in (asked_per_km2, 1.0, asked_per_km2):
+        contact = OperatingPoint(asked, 0, 0.1, BARE).marked(contact)
+        if contact.called or contact.p_mine >= MINE_LIKE_P:
+            assert contact.classification == contact.mine_kind == kind
+        else:
+            assert contact.belief[contact.classification] == max(contact.belief.values())
+        mines = sum(share for name, share in contact.belief.items() if name not in ("clutter", "unknown"))
+        assert mines <= contact.p_mine + 1e-12 <= 1.0 - contact.belief["clutter"] + 2e-12
 
 
 def test_an_operating_point_says_what_it_calls() -> None:
