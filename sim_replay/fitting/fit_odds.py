@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import chain
 from multiprocessing import get_context
@@ -64,6 +64,7 @@ _SHARES: Final = (0.3, 0.5, 0.7, 0.9)  # of targets
 _PARTS: Final = (0.25, 0.5, 1.0)  # of missions
 N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 500, "shape": 500}
 """Trees of each step for the cascade's detections; of the first, fewer, since it is asked of every detection."""
+STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 _NO_TREES: Final[Mapping[LookStep, int]] = dict.fromkeys(N_TREES, 0)
 
 
@@ -71,7 +72,7 @@ class Example(NamedTuple):
     """Hold a detection with the measurements of every step, and its label.
 
     details: what only trees weigh. weight: how many it stands for. seed: of its mission. usual: of one with as many
-    objects as its scene has, so that it shows how rare mines are.
+    objects as its scene has, so that it shows how rare mines are. on_object: on an object of the truth, target or not.
     """
 
     scene: str
@@ -83,6 +84,36 @@ class Example(NamedTuple):
     contours: Features
     shape: Features
     details: dict[LookStep, Features]
+    on_object: bool = False
+
+
+class StepTable(NamedTuple):
+    """Hold what a step measured of n detections: values (n, k) by name, of which sums weigh the first n_summed."""
+
+    names: tuple[str, ...]
+    n_summed: int
+    values: Array
+
+    def without(self, names: Collection[str]) -> StepTable:
+        """Leave columns out."""
+        kept = [column for column, name in enumerate(self.names) if name not in names]
+        n_summed = sum(column < self.n_summed for column in kept)
+        return StepTable(tuple(self.names[column] for column in kept), n_summed, self.values[:, kept])
+
+
+class LookTable(NamedTuple):
+    """Hold examples as arrays, (n,) each, and a table per step; fields as in Example."""
+
+    usual: NDArray[np.bool_]
+    is_target: NDArray[np.bool_]
+    on_object: NDArray[np.bool_]
+    weight: Array
+    steps: Mapping[LookStep, StepTable]
+
+    def at(self, chosen: NDArray[np.bool_]) -> LookTable:
+        """Take the chosen examples, (n,) bool."""
+        steps = {step: table._replace(values=table.values[chosen]) for step, table in self.steps.items()}
+        return LookTable(self.usual[chosen], self.is_target[chosen], self.on_object[chosen], self.weight[chosen], steps)
 
 
 class _Seen(NamedTuple):
@@ -175,29 +206,56 @@ def examples_along(
     return _labelled(name, seed, usual, seen, not_confirmed, objects())
 
 
+def look_table(examples: Sequence[Example]) -> LookTable:
+    """Lay examples out as arrays."""
+    usual, is_target, on_object = (
+        np.array([getattr(example, name) for example in examples], dtype=np.bool_)
+        for name in ("usual", "is_target", "on_object")
+    )
+    weight = np.array([example.weight for example in examples])
+    return LookTable(usual, is_target, on_object, weight, {step: _step_table(examples, step) for step in STEPS})
+
+
+def _step_table(examples: Sequence[Example], step: LookStep) -> StepTable:
+    if not examples:
+        return StepTable((), 0, np.empty((0, 0)))
+    summed = tuple(getattr(examples[0], step))
+    names = tuple(dict.fromkeys((*summed, *examples[0].details[step])))
+    values = np.empty((len(examples), len(names)))
+    for row, example in enumerate(examples):
+        known = getattr(example, step) | example.details[step]
+        values[row] = [known[name] for name in names]
+    return StepTable(names, len(summed), values)
+
+
 def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
+    """Fit weights to examples, as fit_table does."""
+    return fit_table(look_table(examples), fitted_on, n_trees)
+
+
+def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
     """Fit weights for each step, and the requested number of trees; p_mine is right on average over the usual examples.
 
     Raises UsageError if there are no targets, or nothing else, among those.
     """
-    is_target, usual = (
-        np.array([getattr(example, name) for example in examples], dtype=np.bool_) for name in ("is_target", "usual")
-    )
-    weight = np.array([example.weight for example in examples])
+    usual, is_target, _, weight, _ = looks
     if not is_target[usual].any() or is_target[usual].all():
         n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
         raise UsageError(f"{fitted_on}: {n_targets} targets in {n_usual} detections. Fly more missions, with --seeds")
     prior = math.log(float(weight[is_target & usual].sum()) / float(weight[~is_target & usual].sum()))
-    steps = {}
-    for step in _STEPS:
-        features = [getattr(example, step) for example in examples]
-        sums = _fit_sum(features, is_target, weight)
-        asked = [known | example.details[step] for known, example in zip(features, examples, strict=True)]
-        weights = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
-        odds = log_odds_of(weights, [known for known, is_usual in zip(asked, usual.tolist(), strict=True) if is_usual])
-        offset = weights.offset + _shift(odds, is_target[usual], weight[usual])
-        steps[step] = msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
+    steps = {step: _fit_step(looks, step, n_trees[step]) for step in STEPS}
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
+
+
+def _fit_step(looks: LookTable, step: LookStep, n_trees: int) -> Weights:
+    usual, is_target, _, weight, tables = looks
+    table = tables[step]
+    sums = _fit_sum(table, is_target, weight)
+    start = log_odds_of(sums, table)
+    weights = msgspec.structs.replace(sums, trees=_fit_trees(table, start, is_target, weight, n_trees))
+    odds = log_odds_of(weights, table._replace(values=table.values[usual]))
+    offset = weights.offset + _shift(odds, is_target[usual], weight[usual])
+    return msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
 
 
 def fit_from_missions(
@@ -282,7 +340,7 @@ def written(odds: MineOdds) -> bytes:
     """Format JSON with a line per weight and per tree."""
     entries: dict[str, Any] = {"fitted_on": odds.fitted_on, "prior": odds.prior}
     parts = [f' "{name}": {json.dumps(value)}' for name, value in entries.items()]
-    for step in _STEPS:
+    for step in STEPS:
         weighed: Weights = getattr(odds, step)
         weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())
         trees = ",\n".join(f"   {msgspec.json.encode(tree).decode()}" for tree in weighed.trees)
@@ -291,9 +349,6 @@ def written(odds: MineOdds) -> bytes:
             f"[\n{trees}\n  ]\n }}"
         )
     return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
-
-
-_STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 
 
 def _looking_at_everything(config: Config) -> Config:
@@ -352,15 +407,15 @@ def _labelled(
                 item.contours,
                 item.shape,
                 details,
+                bool(on_object[index]),
             )
         )
     return examples
 
 
-def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight: Array) -> Weights:
+def _fit_sum(table: StepTable, is_target: NDArray[np.bool_], weight: Array) -> Weights:
     """Fit a logistic regression on standardised features, with a ridge so that redundant ones share their weight."""
-    names = list(features[0])
-    values = np.array([[item[name] for name in names] for item in features])
+    names, values = table.names[: table.n_summed], table.values[:, : table.n_summed]
     mean = np.average(values, axis=0, weights=weight)
     scale = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight))
     used = np.ptp(values, axis=0) > 0.0  # rounding gives what never varies a scale of its own
@@ -375,20 +430,18 @@ def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight:
 
 
 def _fit_trees(
-    features: Sequence[Features], sums: Weights, is_target: NDArray[np.bool_], weight: Array, n_trees: int
+    table: StepTable, start: Array, is_target: NDArray[np.bool_], weight: Array, n_trees: int
 ) -> tuple[Tree, ...]:
-    """Fit trees that add to `sums` what it misses."""
-    names = list(features[0])
-    values = np.array([[item[name] for name in names] for item in features])
-    start = np.array([sums.log_odds(item) for item in features])
+    """Fit trees that add to the log-odds `start` what they miss."""
     return tuple(
         Tree(
             ask=tuple(
-                (names[column], _rounded(at)) for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)
+                (table.names[column], _rounded(at))
+                for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)
             ),
             nats=tuple(round(nats, _DIGITS) for nats in tree.nats.tolist()),
         )
-        for tree in trees.boost(values, is_target, weight, start, n_trees)
+        for tree in trees.boost(table.values, is_target, weight, start, n_trees)
     )
 
 
@@ -404,10 +457,10 @@ def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
     return float(brentq(too_many, -_MAX_SHIFT, _MAX_SHIFT, xtol=1e-9))
 
 
-def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
-    """Return (n,) results of `weights.log_odds` for each, all at once and to the same bits."""
-    column = {name: number for number, name in enumerate(features[0])}
-    values = np.array([list(map(item.__getitem__, column)) for item in features])
+def log_odds_of(weights: Weights, table: StepTable) -> Array:
+    """Return (n,) results of `weights.log_odds` for each row, all at once and to the same bits."""
+    column = {name: number for number, name in enumerate(table.names)}
+    values = table.values
     weighed = np.zeros(len(values))
     for name, weight in weights.weights.items():
         weighed += weight * values[:, column[name]]
@@ -447,12 +500,12 @@ def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> Non
     """
     usual = [example for example in examples if example.usual]
     is_target, weight = _labels(usual)
-    p = {step: np.zeros(len(usual)) for step in _STEPS}
+    p = {step: np.zeros(len(usual)) for step in STEPS}
     for scene in sorted({example.scene for example in usual}):
         inside = [example for example in usual if example.scene == scene]
         others = fit_odds([example for example in examples if example.scene != scene], "others", n_trees)
         at = np.array([example.scene == scene for example in usual])
-        for step in _STEPS:
+        for step in STEPS:
             p[step][at] = _p_mine(others, step, inside)
     raw = 1.0 / (1.0 + np.exp([-example.detector["detector_odds"] for example in usual]))
     print(
@@ -496,9 +549,7 @@ def _labels(examples: Sequence[Example]) -> tuple[NDArray[np.bool_], Array]:
 
 def _p_mine(odds: MineOdds, step: LookStep, examples: Sequence[Example]) -> Array:
     """Return (n,) p_mine of each example by itself."""
-    log_odds = log_odds_of(
-        getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples]
-    )
+    log_odds = log_odds_of(getattr(odds, step), _step_table(examples, step))
     return np.asarray(np.exp(-np.logaddexp(0.0, -log_odds)))
 
 
