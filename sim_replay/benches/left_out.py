@@ -62,7 +62,6 @@ RECIPES: Final[Mapping[str, frozenset[str]]] = {
 """What the weights are fitted on, but for what is judged: missions of named scenes, drawn ones, recorded lines."""
 WHOLE: Final = "scenes and drawn"
 """Of RECIPES, the one that groups of measurements are taken from."""
-FOLDS: Final = 5  # parts that the domains are dealt into for the ablation: each is judged by weights without it
 KINDS: Final = ("scenes", "recorders", "recorded lines")
 _COMPARED_PER_KM2: Final = 100.0  # false alarms at which differences are given
 _DRAWS: Final = 300  # of missions, for the interval of a difference: its ends are then known to a tenth of its width
@@ -177,6 +176,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a recorded line that is judged and never fitted on; repeatable",
     )
     parser.add_argument("--log-seeds", type=count, default=8, help="draws of targets per recorded line (default 8)")
+    parser.add_argument(
+        "--folds",
+        type=count,
+        metavar="N",
+        help="parts that the domains are dealt into, each judged by weights fitted without it (default: every domain "
+        "is a part)",
+    )
     parser.add_argument("--ablate", action="store_true", help="fit without each group of measurements instead")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
@@ -205,7 +211,8 @@ def run(arguments: argparse.Namespace) -> int:
     missions = all_looks(tasks, arguments.looks, Farm(arguments.workers), _show)
     judged_only = frozenset(log.stem for log in arguments.judge_log)
     table = ablation if arguments.ablate else comparison
-    print(table(missions, judged_only, in_markdown=arguments.markdown))
+    folds = dealt(missions, arguments.folds)
+    print(table(missions, judged_only, folds, in_markdown=arguments.markdown))
     return 0
 
 
@@ -344,16 +351,31 @@ def left_out_scores(
         weights = fit_step(
             _without(pooled(training), step, without), step, n_trees, _without(pooled(usual), step, without)
         )
-        found += [scored(one, weights, step) for one in missions if is_judged(one) and one.task.domain in out]
+        found += [scored(one, weights, step) for one in missions if _is_of(one, out)]
     return found
 
 
-def comparison(missions: Sequence[MissionLooks], judged_only: frozenset[str], *, in_markdown: bool = False) -> str:
-    """Lay out a row per domain and recipe, with all domains of a kind pooled, and differences from what ships."""
+def _is_of(mission: MissionLooks, domains: frozenset[str]) -> bool:
+    return is_judged(mission) and mission.task.domain in domains
+
+
+def dealt(missions: Sequence[MissionLooks], n_folds: int | None) -> list[frozenset[str]]:
+    """Deal the domains that are judged into parts in turn; every domain is one if `n_folds` is None."""
     domains = tuple(dict.fromkeys(one.task.domain for one in missions if is_judged(one)))
-    folds = [frozenset({domain}) for domain in domains]
+    n_folds = min(n_folds or len(domains), len(domains))
+    return [frozenset(domains[first::n_folds]) for first in range(n_folds)]
+
+
+def comparison(
+    missions: Sequence[MissionLooks],
+    judged_only: frozenset[str],
+    folds: Sequence[frozenset[str]],
+    *,
+    in_markdown: bool = False,
+) -> str:
+    """Lay out a row per domain and recipe, with all domains of a kind pooled, and differences from what ships."""
     weights = shipped_odds("cascade").shape
-    by_recipe = {SHIPPED: [scored(one, weights) for one in missions if is_judged(one)]}
+    by_recipe = {SHIPPED: [scored(one, weights) for out in folds for one in missions if _is_of(one, out)]}
     for name, recipe in RECIPES.items():
         by_recipe[name] = left_out_scores(missions, recipe, judged_only, folds)
     header = ["domain", "fitted on", "looks at targets", "km²"]
@@ -368,10 +390,14 @@ def comparison(missions: Sequence[MissionLooks], judged_only: frozenset[str], *,
     return (markdown if in_markdown else columns)(header, rows)
 
 
-def ablation(missions: Sequence[MissionLooks], judged_only: frozenset[str], *, in_markdown: bool = False) -> str:
+def ablation(
+    missions: Sequence[MissionLooks],
+    judged_only: frozenset[str],
+    folds: Sequence[frozenset[str]],
+    *,
+    in_markdown: bool = False,
+) -> str:
     """Lay out what Pd loses on left-out domains without each group of measurements, and with fewer steps."""
-    domains = tuple(dict.fromkeys(one.task.domain for one in missions if is_judged(one)))
-    folds = [frozenset(domains[first::FOLDS]) for first in range(min(FOLDS, len(domains)))]
     recipe = RECIPES[WHOLE]
     whole = left_out_scores(missions, recipe, judged_only, folds)
     variants: dict[str, list[Scored]] = {"nothing": whole}

@@ -18,6 +18,7 @@ from sim_replay.benches.left_out import (
     Scored,
     ablation,
     comparison,
+    dealt,
     difference,
     error_of,
     fitted_on,
@@ -97,6 +98,17 @@ def test_seeds_of_what_is_judged_are_not_those_of_what_is_fitted_on() -> None:
     assert judged.isdisjoint(task.seed for task in tasks if task.times > 1 or task.source == DRAWN)
 
 
+def test_every_domain_is_dealt_into_one_part() -> None:
+    missions = some_missions()
+    each = dealt(missions, None)
+    assert sorted(domain for part in each for domain in part) == sorted(
+        ["flat", "ripple", "mixed", LOG_RECORDER, "reef", "river"]
+    )
+    assert [len(part) for part in each] == [1] * 6
+    assert sorted(len(part) for part in dealt(missions, 4)) == [1, 1, 2, 2]
+    assert dealt(missions, 99) == each
+
+
 @pytest.mark.parametrize("limit", [0.0, 10.0, 100.0, 1e6])
 def test_looks_at_targets_are_counted_above_the_threshold_that_lets_so_many_false_alarms_pass(limit: float) -> None:
     random = np.random.Generator(np.random.PCG64(3))
@@ -148,11 +160,14 @@ def test_the_tables_have_a_row_per_domain_and_recipe_and_per_group(monkeypatch: 
     )
     monkeypatch.setattr(left_out, "_without", lambda table, step, names: table)
     missions = some_missions()
-    rows = [line.split(" | ") for line in comparison(missions, frozenset({"river"}), in_markdown=True).splitlines()]
+    rows = [
+        line.split(" | ")
+        for line in comparison(missions, frozenset({"river"}), dealt(missions, None), in_markdown=True).splitlines()
+    ]
     for domain in ("flat", "ripple", LOG_RECORDER, "reef", "river", "all scenes", "all recorded lines", "all domains"):
         found = {row[1] for row in rows if row[0] == f"| {domain}"}
         assert found >= {"shipped", "scenes", "drawn", "all"}
-    losses = ablation(missions, frozenset(), in_markdown=True).splitlines()
+    losses = ablation(missions, frozenset(), dealt(missions, 2), in_markdown=True).splitlines()
     assert [line.split(" | ")[0] for line in losses[2:]] == [
         f"| {name}"
         for name in ("nothing", *GROUPS, "trees", "field, second contours and solids", "the whole close look")
