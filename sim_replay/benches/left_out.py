@@ -34,6 +34,7 @@ from sim_replay.fitting.fit_odds import (
     CROWD_SEEDS,
     DRAWN_SEEDS,
     N_TREES,
+    STEPS,
     LookTable,
     StepTable,
     fit_step,
@@ -141,6 +142,10 @@ GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     ),
 }
 """Measurements by what makes them. Every one that a look has is in one group."""
+
+
+_LATER_STEPS: Final = "field, second contours and solids"
+_ALL_STEPS: Final = "the whole close look"
 
 
 class Scored(NamedTuple):
@@ -397,30 +402,43 @@ def ablation(
     *,
     in_markdown: bool = False,
 ) -> str:
-    """Lay out what Pd loses on left-out domains without each group of measurements, and with fewer steps."""
+    """Lay out what Pd loses on left-out domains without each group of measurements, and with fewer steps.
+
+    Last what ships loses with fewer steps, which was fitted on the scenes, but for other seeds.
+    """
     recipe = RECIPES[WHOLE]
     whole = left_out_scores(missions, recipe, judged_only, folds)
     variants: dict[str, list[Scored]] = {"nothing": whole}
     for name, measurements in GROUPS.items():
         variants[name] = left_out_scores(missions, recipe, judged_only, folds, frozenset(measurements))
     variants["trees"] = left_out_scores(missions, recipe, judged_only, folds, n_trees=0)
-    variants["field, second contours and solids"] = left_out_scores(
-        missions, recipe, judged_only, folds, step="contours"
-    )
-    variants["the whole close look"] = left_out_scores(missions, recipe, judged_only, folds, step="detector")
+    variants[_LATER_STEPS] = left_out_scores(missions, recipe, judged_only, folds, step="contours")
+    variants[_ALL_STEPS] = left_out_scores(missions, recipe, judged_only, folds, step="detector")
     groups = {name: of for name, of in _groups(missions).items() if name.startswith("all ")}
     header = ["without"]
     for name in groups:
         header += [f"{name}: Pd at {_COMPARED_PER_KM2:g} FA/km²", "lost"]
-    rows = []
-    for title, some in variants.items():
-        row = [title]
-        for of in groups.values():
-            own, full = ([one for one in scores if one.domain in of] for scores in (some, whole))
-            row.append(f"{pd_at(own, _COMPARED_PER_KM2):.3f}" if own else "-")
-            row.append("-" if some is whole or not own else _difference_cell(difference(full, own)))
-        rows.append(row)
-    return (markdown if in_markdown else columns)(header, rows)
+    rows = [_lost_row(title, some, whole, groups) for title, some in variants.items()]
+    return (markdown if in_markdown else columns)(header, rows + _shipped_rows(missions, groups))
+
+
+def _shipped_rows(missions: Sequence[MissionLooks], groups: Mapping[str, frozenset[str]]) -> list[list[str]]:
+    """Judge each step of what ships."""
+    odds = shipped_odds("cascade")
+    of_step = {step: [scored(one, getattr(odds, step), step) for one in missions if is_judged(one)] for step in STEPS}
+    steps: dict[str, LookStep] = {"nothing": "shape", _LATER_STEPS: "contours", _ALL_STEPS: "detector"}
+    return [_lost_row(f"{SHIPPED}: {name}", of_step[step], of_step["shape"], groups) for name, step in steps.items()]
+
+
+def _lost_row(
+    title: str, some: Sequence[Scored], whole: Sequence[Scored], groups: Mapping[str, frozenset[str]]
+) -> list[str]:
+    row = [title]
+    for of in groups.values():
+        own, full = ([one for one in scores if one.domain in of] for scores in (some, whole))
+        row.append(f"{pd_at(own, _COMPARED_PER_KM2):.3f}" if own else "-")
+        row.append("-" if some is whole or not own else _difference_cell(difference(full, own)))
+    return row
 
 
 def _groups(missions: Sequence[MissionLooks]) -> dict[str, frozenset[str]]:
