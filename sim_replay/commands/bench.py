@@ -40,6 +40,10 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     ),
     "limit": ("benches.limit", "how far from the limit: an ideal observer beside the chain, and one view beside two"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
+    "left-out": (
+        "benches.left_out",
+        "the odds of a mine on domains left out, and what each measurement is worth there",
+    ),
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),

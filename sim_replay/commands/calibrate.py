@@ -176,7 +176,8 @@ def _add_odds(kinds: Commands) -> None:
         "--drawn",
         metavar="N",
         type=count,
-        help="further missions with sonar, recorder, sea floor and objects drawn at random (default none)",
+        help="further missions with sonar, recorder, sea floor and objects drawn at random, twice as many mines where "
+        "there is room (default none)",
     )
     parser.add_argument(
         "--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)"

@@ -4,7 +4,7 @@ Simulated missions over the named scenes, with seeds that nothing is scored on, 
 Each detector has weights of its own, those of the trained cascade without the scenes that are held out from its
 training. With --crowded the scenes are flown again, over other floors, with more mines and stones, since these are
 hardest to separate; the usual scenes give the rarity of mines. With --drawn missions of the wide world join them. Every
-step of the look is taken for all detections, whatever the odds. A target is the most mine-like detection within the
+step of the look is taken, whatever the odds. A target is the most mine-like detection within the
 gate of one, per side and passage; further detections of it count for nothing, and all others are the clutter to
 separate mines from.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import chain
 from multiprocessing import get_context
@@ -40,6 +40,7 @@ from sim_replay.missions import HELD_OUT, SCENES, config_for, reporting_everythi
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.scene import Scene, TargetKind
 from sim_replay.simulator.scene_file import read_scene
 
@@ -48,15 +49,15 @@ Array = NDArray[np.float64]
 FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on, and settings were tried on seeds below 500
 CROWD: Final = 3
 """Times as many mines and rocks."""
+_DRAWN_CROWD: Final = 2  # times as many in drawn missions: 67 looks at targets each instead of 36, in the same time
 _CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
 _CROWD_APART_M: Final = 9.0  # m between objects of crowded missions, minimum
-_CROWD_SEEDS: Final = 50  # after the first: other floors than those of the scenes as they are
-_DRAWN_SEEDS: Final = 10_000  # after the first: missions are known by their seeds in the report
+CROWD_SEEDS: Final = 50  # after the first: other floors than those of the scenes as they are
+DRAWN_SEEDS: Final = 10_000  # after the first: missions are known by their seeds in the report
 _GATE_M: Final = 2.0  # m between detection and object, maximum, as in scoring
 _CLEAR_M: Final = 3.0  # m around objects where a detection counts as neither
 _PASSAGE_S: Final = 60.0  # s: detections of an object nearer in time are of one pass
-# Of detections that the detector gives less than this p_mine, one in so many is kept, and counts as many.
-_FAINT_P, _FAINT_KEPT = 0.03, 4
+_FAINT_P: Final = 0.03  # the detector's p_mine below which detections are thinned
 _RIDGE: Final = 2.0  # of the logistic regression, per feature of unit variance
 _DIGITS: Final = 5  # decimals in the file
 _MAX_SHIFT: Final = 50.0  # nats
@@ -64,6 +65,7 @@ _SHARES: Final = (0.3, 0.5, 0.7, 0.9)  # of targets
 _PARTS: Final = (0.25, 0.5, 1.0)  # of missions
 N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 500, "shape": 500}
 """Trees of each step for the cascade's detections; of the first, fewer, since it is asked of every detection."""
+STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 _NO_TREES: Final[Mapping[LookStep, int]] = dict.fromkeys(N_TREES, 0)
 
 
@@ -71,7 +73,7 @@ class Example(NamedTuple):
     """Hold a detection with the measurements of every step, and its label.
 
     details: what only trees weigh. weight: how many it stands for. seed: of its mission. usual: of one with as many
-    objects as its scene has, so that it shows how rare mines are.
+    objects as its scene has, so that it shows how rare mines are. on_object: on an object of the truth, target or not.
     """
 
     scene: str
@@ -83,14 +85,58 @@ class Example(NamedTuple):
     contours: Features
     shape: Features
     details: dict[LookStep, Features]
+    on_object: bool = False
 
 
-class _Seen(NamedTuple):
-    detection: Detection
+class StepTable(NamedTuple):
+    """Hold what a step measured of n detections: values (n, k) by name, of which sums weigh the first n_summed."""
+
+    names: tuple[str, ...]
+    n_summed: int
+    values: Array
+
+    def without(self, names: Collection[str]) -> StepTable:
+        """Leave columns out."""
+        kept = [column for column, name in enumerate(self.names) if name not in names]
+        n_summed = sum(column < self.n_summed for column in kept)
+        return StepTable(tuple(self.names[column] for column in kept), n_summed, self.values[:, kept])
+
+
+class LookTable(NamedTuple):
+    """Hold examples as arrays, (n,) each, and a table per step; fields as in Example."""
+
+    usual: NDArray[np.bool_]
+    is_target: NDArray[np.bool_]
+    on_object: NDArray[np.bool_]
+    weight: Array
+    steps: Mapping[LookStep, StepTable]
+
+    def at(self, chosen: NDArray[np.bool_]) -> LookTable:
+        """Take the chosen examples, (n,) bool."""
+        steps = {step: table._replace(values=table.values[chosen]) for step, table in self.steps.items()}
+        return LookTable(self.usual[chosen], self.is_target[chosen], self.on_object[chosen], self.weight[chosen], steps)
+
+
+class Thinning(NamedTuple):
+    """Set which faint detections are looked at.
+
+    One in `kept`, which counts as many; all those on objects if these are spared.
+    """
+
+    kept: int
+    spares_objects: bool
+
+
+OF_SCENES: Final = Thinning(4, False)
+"""As the weights that ship were fitted."""
+OF_DRAWN: Final = Thinning(12, True)
+"""Two detections in three are faint, and a look costs as much for each: so a third less time for as many targets."""
+
+
+class _Label(NamedTuple):
+    is_target: bool
+    on_object: bool
     weight: float
-    contours: Features
-    shape: Features
-    details: Features
 
 
 def crowded(scene: Scene, times: int) -> Scene:
@@ -121,12 +167,31 @@ def examples_of(name: str, seed: int, detector: Detector, crowd: int) -> list[Ex
     return examples_along(name, seed, config, mission.events(), lambda: mission.truth()["objects"], usual=crowd == 1)
 
 
+def drawn_scene(seed: int) -> Scene:
+    """Draw a mission of the wide world, with twice as many mines and stones where there is room for them."""
+    scene = wide_scene(seed)
+    crowd = crowded(scene, _DRAWN_CROWD)
+    try:
+        place_objects(crowd)
+    except UsageError:
+        return scene
+    return crowd
+
+
 def examples_of_drawn(seed: int, detector: Detector) -> list[Example]:
     """Collect all detections of one mission of the wide world by one of the detectors."""
-    scene = wide_scene(seed)
+    scene = drawn_scene(seed)
     mission = Mission(scene)
     config = served_by(detector, config_for(scene))
-    return examples_along(scene.name, seed, config, mission.events(), lambda: mission.truth()["objects"], usual=False)
+    return examples_along(
+        scene.name,
+        seed,
+        config,
+        mission.events(),
+        lambda: mission.truth()["objects"],
+        usual=False,
+        thinning=OF_DRAWN,
+    )
 
 
 def examples_along(
@@ -137,6 +202,7 @@ def examples_along(
     objects: Callable[[], Sequence[dict[str, Any]]],
     *,
     usual: bool,
+    thinning: Thinning = OF_SCENES,
 ) -> list[Example]:
     """Collect all detections along a line whose truth is known once it has been passed.
 
@@ -152,52 +218,94 @@ def examples_along(
         Returns the truth's objects, after the last event.
     usual
         See Example.
+    thinning
+        Of faint detections.
     """
-    config = _looking_at_everything(config)
-    beam_width_rad = math.radians(config.sonar.beam_width_deg)
-    seen: list[_Seen] = []
-    not_confirmed: list[Detection] = []
+    found: list[Detection] = []
 
-    def look(detection: Detection) -> Detection:
-        faint = detection.p_mine < _FAINT_P
-        if detection.surroundings is None or (faint and detection.ping_number % _FAINT_KEPT):
-            not_confirmed.append(detection)
-            return detection
-        found = examine(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
-        weight = float(_FAINT_KEPT) if faint else 1.0
-        seen.append(_Seen(detection, weight, found.contour_features, found.features, found.details))
+    def keep(detection: Detection) -> Detection:
+        found.append(detection)
         return detection
 
-    pipeline = Pipeline(config, look=look)
+    pipeline = Pipeline(_looking_at_everything(config), look=keep)
     for event in events:
         pipeline.feed(event)
     pipeline.finish()
-    return _labelled(name, seed, usual, seen, not_confirmed, objects())
+    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    examples = []
+    for detection, known in zip(found, _labels_of(found, objects(), thinning), strict=True):
+        if known is None or detection.surroundings is None:
+            continue
+        looked = examine(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
+        seen = detection_details(detection)
+        details: dict[LookStep, Features] = {"detector": seen, "contours": seen, "shape": looked.details}
+        examples.append(
+            Example(
+                name,
+                seed,
+                usual,
+                known.is_target,
+                known.weight,
+                detector_features(detection),
+                looked.contour_features,
+                looked.features,
+                details,
+                known.on_object,
+            )
+        )
+    return examples
+
+
+def look_table(examples: Sequence[Example]) -> LookTable:
+    """Lay examples out as arrays."""
+    usual, is_target, on_object = (
+        np.array([getattr(example, name) for example in examples], dtype=np.bool_)
+        for name in ("usual", "is_target", "on_object")
+    )
+    weight = np.array([example.weight for example in examples])
+    return LookTable(usual, is_target, on_object, weight, {step: _step_table(examples, step) for step in STEPS})
+
+
+def _step_table(examples: Sequence[Example], step: LookStep) -> StepTable:
+    if not examples:
+        return StepTable((), 0, np.empty((0, 0)))
+    summed = tuple(getattr(examples[0], step))
+    names = tuple(dict.fromkeys((*summed, *examples[0].details[step])))
+    values = np.empty((len(examples), len(names)))
+    for row, example in enumerate(examples):
+        known = getattr(example, step) | example.details[step]
+        values[row] = [known[name] for name in names]
+    return StepTable(names, len(summed), values)
 
 
 def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
+    """Fit weights to examples, as fit_table does."""
+    return fit_table(look_table(examples), fitted_on, n_trees)
+
+
+def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
     """Fit weights for each step, and the requested number of trees; p_mine is right on average over the usual examples.
 
     Raises UsageError if there are no targets, or nothing else, among those.
     """
-    is_target, usual = (
-        np.array([getattr(example, name) for example in examples], dtype=np.bool_) for name in ("is_target", "usual")
-    )
-    weight = np.array([example.weight for example in examples])
+    usual, is_target, _, weight, _ = looks
     if not is_target[usual].any() or is_target[usual].all():
         n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
         raise UsageError(f"{fitted_on}: {n_targets} targets in {n_usual} detections. Fly more missions, with --seeds")
     prior = math.log(float(weight[is_target & usual].sum()) / float(weight[~is_target & usual].sum()))
-    steps = {}
-    for step in _STEPS:
-        features = [getattr(example, step) for example in examples]
-        sums = _fit_sum(features, is_target, weight)
-        asked = [known | example.details[step] for known, example in zip(features, examples, strict=True)]
-        weights = msgspec.structs.replace(sums, trees=_fit_trees(asked, sums, is_target, weight, n_trees[step]))
-        odds = log_odds_of(weights, [known for known, is_usual in zip(asked, usual.tolist(), strict=True) if is_usual])
-        offset = weights.offset + _shift(odds, is_target[usual], weight[usual])
-        steps[step] = msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
+    steps = {step: fit_step(looks, step, n_trees[step], looks.at(usual)) for step in STEPS}
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
+
+
+def fit_step(looks: LookTable, step: LookStep, n_trees: int, usual: LookTable) -> Weights:
+    """Fit the weights and trees of one step; p_mine is right on average over `usual`, which has targets and others."""
+    _, is_target, _, weight, tables = looks
+    table = tables[step]
+    sums = _fit_sum(table, is_target, weight)
+    start = log_odds_of(sums, table)
+    weights = msgspec.structs.replace(sums, trees=_fit_trees(table, start, is_target, weight, n_trees))
+    offset = weights.offset + _shift(log_odds_of(weights, usual.steps[step]), usual.is_target, usual.weight)
+    return msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
 
 
 def fit_from_missions(
@@ -242,7 +350,7 @@ def fit_from_missions(
     make_directory(out.parent)
     seeds = range(first_seed, first_seed + n_seeds)
     scenes = [name for name in SCENES if detector == "contrast" or name not in HELD_OUT]
-    first_crowd = first_seed + max(_CROWD_SEEDS, n_seeds)
+    first_crowd = first_seed + max(CROWD_SEEDS, n_seeds)
     crowds = range(first_crowd, first_crowd + n_crowded)
     tasks = [
         (name, seed, detector, crowd)
@@ -250,7 +358,7 @@ def fit_from_missions(
         for seed in chunk
         for name in scenes
     ]
-    first_drawn = first_seed + _DRAWN_SEEDS
+    first_drawn = first_seed + DRAWN_SEEDS
     drawn = range(first_drawn, first_drawn + n_drawn)
     n_missions = len(tasks) + n_drawn
     examples: list[Example] = []
@@ -282,7 +390,7 @@ def written(odds: MineOdds) -> bytes:
     """Format JSON with a line per weight and per tree."""
     entries: dict[str, Any] = {"fitted_on": odds.fitted_on, "prior": odds.prior}
     parts = [f' "{name}": {json.dumps(value)}' for name, value in entries.items()]
-    for step in _STEPS:
+    for step in STEPS:
         weighed: Weights = getattr(odds, step)
         weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())
         trees = ",\n".join(f"   {msgspec.json.encode(tree).decode()}" for tree in weighed.trees)
@@ -293,23 +401,15 @@ def written(odds: MineOdds) -> bytes:
     return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
 
 
-_STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
-
-
 def _looking_at_everything(config: Config) -> Config:
     confirm = msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=100_000)
     return reporting_everything(msgspec.structs.replace(config, confirm=confirm))
 
 
-def _labelled(
-    scene: str,
-    seed: int,
-    usual: bool,
-    seen: list[_Seen],
-    not_confirmed: list[Detection],
-    objects: Sequence[dict[str, Any]],
-) -> list[Example]:
-    detections = [*(item.detection for item in seen), *not_confirmed]
+def _labels_of(
+    detections: Sequence[Detection], objects: Sequence[dict[str, Any]], thinning: Thinning
+) -> list[_Label | None]:
+    """Label each detection by the truth; None for those that are not looked at."""
     if not detections:
         return []
     frame = LocalFrame(latitude_deg=detections[0].latitude_deg, longitude_deg=detections[0].longitude_deg)
@@ -333,34 +433,22 @@ def _labelled(
             if key not in best or detection.p_mine > detections[best[key]].p_mine:
                 best[key] = index
     stands_for_it = set(best.values())
-    examples = []
-    for index, item in enumerate(seen):
+    labels: list[_Label | None] = []
+    for index, detection in enumerate(detections):
+        stands = index in stands_for_it
         beside = bool(on_object[index]) or bool(len(objects) and (distance_m[index] < _CLEAR_M + 0.5 * sizes).any())
-        if beside and index not in stands_for_it:
+        thins = detection.p_mine < _FAINT_P and not (stands and thinning.spares_objects)
+        if (beside and not stands) or (thins and detection.ping_number % thinning.kept):
+            labels.append(None)
             continue
-        is_target = bool(on_object[index]) and bool(objects[int(nearest[index])]["is_target"])
-        known = detection_details(item.detection)
-        details: dict[LookStep, Features] = {"detector": known, "contours": known, "shape": item.details}
-        examples.append(
-            Example(
-                scene,
-                seed,
-                usual,
-                is_target,
-                item.weight,
-                detector_features(item.detection),
-                item.contours,
-                item.shape,
-                details,
-            )
-        )
-    return examples
+        is_target = stands and bool(objects[int(nearest[index])]["is_target"])
+        labels.append(_Label(is_target, stands, float(thinning.kept) if thins else 1.0))
+    return labels
 
 
-def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight: Array) -> Weights:
+def _fit_sum(table: StepTable, is_target: NDArray[np.bool_], weight: Array) -> Weights:
     """Fit a logistic regression on standardised features, with a ridge so that redundant ones share their weight."""
-    names = list(features[0])
-    values = np.array([[item[name] for name in names] for item in features])
+    names, values = table.names[: table.n_summed], table.values[:, : table.n_summed]
     mean = np.average(values, axis=0, weights=weight)
     scale = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weight))
     used = np.ptp(values, axis=0) > 0.0  # rounding gives what never varies a scale of its own
@@ -375,20 +463,18 @@ def _fit_sum(features: Sequence[Features], is_target: NDArray[np.bool_], weight:
 
 
 def _fit_trees(
-    features: Sequence[Features], sums: Weights, is_target: NDArray[np.bool_], weight: Array, n_trees: int
+    table: StepTable, start: Array, is_target: NDArray[np.bool_], weight: Array, n_trees: int
 ) -> tuple[Tree, ...]:
-    """Fit trees that add to `sums` what it misses."""
-    names = list(features[0])
-    values = np.array([[item[name] for name in names] for item in features])
-    start = np.array([sums.log_odds(item) for item in features])
+    """Fit trees that add to the log-odds `start` what they miss."""
     return tuple(
         Tree(
             ask=tuple(
-                (names[column], _rounded(at)) for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)
+                (table.names[column], _rounded(at))
+                for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)
             ),
             nats=tuple(round(nats, _DIGITS) for nats in tree.nats.tolist()),
         )
-        for tree in trees.boost(values, is_target, weight, start, n_trees)
+        for tree in trees.boost(table.values, is_target, weight, start, n_trees)
     )
 
 
@@ -404,10 +490,10 @@ def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
     return float(brentq(too_many, -_MAX_SHIFT, _MAX_SHIFT, xtol=1e-9))
 
 
-def log_odds_of(weights: Weights, features: Sequence[Features]) -> Array:
-    """Return (n,) results of `weights.log_odds` for each, all at once and to the same bits."""
-    column = {name: number for number, name in enumerate(features[0])}
-    values = np.array([list(map(item.__getitem__, column)) for item in features])
+def log_odds_of(weights: Weights, table: StepTable) -> Array:
+    """Return (n,) results of `weights.log_odds` for each row, all at once and to the same bits."""
+    column = {name: number for number, name in enumerate(table.names)}
+    values = table.values
     weighed = np.zeros(len(values))
     for name, weight in weights.weights.items():
         weighed += weight * values[:, column[name]]
@@ -447,12 +533,12 @@ def _report(examples: Sequence[Example], n_trees: Mapping[LookStep, int]) -> Non
     """
     usual = [example for example in examples if example.usual]
     is_target, weight = _labels(usual)
-    p = {step: np.zeros(len(usual)) for step in _STEPS}
+    p = {step: np.zeros(len(usual)) for step in STEPS}
     for scene in sorted({example.scene for example in usual}):
         inside = [example for example in usual if example.scene == scene]
         others = fit_odds([example for example in examples if example.scene != scene], "others", n_trees)
         at = np.array([example.scene == scene for example in usual])
-        for step in _STEPS:
+        for step in STEPS:
             p[step][at] = _p_mine(others, step, inside)
     raw = 1.0 / (1.0 + np.exp([-example.detector["detector_odds"] for example in usual]))
     print(
@@ -496,9 +582,7 @@ def _labels(examples: Sequence[Example]) -> tuple[NDArray[np.bool_], Array]:
 
 def _p_mine(odds: MineOdds, step: LookStep, examples: Sequence[Example]) -> Array:
     """Return (n,) p_mine of each example by itself."""
-    log_odds = log_odds_of(
-        getattr(odds, step), [getattr(example, step) | example.details[step] for example in examples]
-    )
+    log_odds = log_odds_of(getattr(odds, step), _step_table(examples, step))
     return np.asarray(np.exp(-np.logaddexp(0.0, -log_odds)))
 
 

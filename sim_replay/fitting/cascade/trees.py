@@ -54,9 +54,8 @@ def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Arr
     """
     random = np.random.Generator(np.random.PCG64(_SEED))
     edges = [_edges(column) for column in values.T]
-    bins = np.column_stack(
-        [np.searchsorted(edge, column, side="left") for edge, column in zip(edges, values.T, strict=True)]
-    )
+    # A row per feature, since features are counted one by one.
+    bins = np.array([np.searchsorted(edge, column, side="left") for edge, column in zip(edges, values.T, strict=True)])
     odds = start.astype(np.float64).copy()
     n_examples, n_features = values.shape
     some = min(n_features, max(_FEWEST_FEATURES, round(_FEATURES * n_features)))
@@ -64,9 +63,9 @@ def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Arr
     for _ in range(n_trees):
         p = 1.0 / (1.0 + np.exp(-odds))
         gradient, hessian = weight * (is_target - p), weight * p * (1.0 - p)
-        seen = random.random(n_examples) < _EXAMPLES
+        seen = np.flatnonzero(random.random(n_examples) < _EXAMPLES)
         chosen = np.sort(random.choice(n_features, some, replace=False))
-        tree = _grow(bins[seen], gradient[seen], hessian[seen], edges, chosen)
+        tree = _grow(bins[np.ix_(chosen, seen)], gradient[seen], hessian[seen], [edges[k] for k in chosen], chosen)
         trees.append(tree)
         odds += tree.nats[leaves(tree, values)]
     return trees
@@ -91,18 +90,22 @@ def _edges(column: Array) -> Array:
 def _grow(
     bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[Array], chosen: NDArray[np.int64]
 ) -> GrownTree:
+    """Grow a tree on bins (k, n) of the chosen features, (k,) of all, with their edges."""
+    n_examples = bins.shape[1]
     feature = np.zeros(N_QUESTIONS, dtype=np.int64)
     threshold = np.full(N_QUESTIONS, _NEVER)
-    place = np.zeros(len(bins), dtype=np.int64)
+    asked = np.zeros(N_QUESTIONS, dtype=np.int64)  # as feature, by place among the chosen
+    place = np.zeros(n_examples, dtype=np.int64)
     for depth in range(DEPTH):
         first, n_nodes = 2**depth - 1, 2**depth
         node = place - first
         best_gain = np.zeros(n_nodes)
         best_bin = np.full(n_nodes, _N_BINS)  # no value lies above: all go one way
-        for column in chosen:
+        cells = node * _N_BINS
+        for column in range(len(chosen)):
             if not len(edges[column]):
                 continue
-            cell = node * _N_BINS + bins[:, column]
+            cell = cells + bins[column]
             below_g, below_h = (
                 np.bincount(cell, weights=part, minlength=n_nodes * _N_BINS).reshape(n_nodes, _N_BINS).cumsum(axis=1)
                 for part in (gradient, hessian)
@@ -115,9 +118,10 @@ def _grow(
             better = found > best_gain
             best_gain = np.where(better, found, best_gain)
             best_bin = np.where(better, at, best_bin)
-            feature[first : first + n_nodes][better] = column
+            asked[first : first + n_nodes][better] = column
+            feature[first : first + n_nodes][better] = chosen[column]
             threshold[first : first + n_nodes][better] = edges[column][at[better]]
-        above = bins[np.arange(len(bins)), feature[place]] > best_bin[node]
+        above = bins[asked[place], np.arange(n_examples)] > best_bin[node]
         place = 2 * place + 1 + above
     leaf = place - N_QUESTIONS
     sums_g, sums_h = (np.bincount(leaf, weights=part, minlength=N_LEAVES) for part in (gradient, hessian))

@@ -19,7 +19,17 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Detection, Detector, Surroundings
 from sim_replay.fitting import fit_odds as calibrate
-from sim_replay.fitting.fit_odds import CROWD, FIRST_SEED, N_TREES, Example, crowded, examples_of, fit_odds, log_odds_of
+from sim_replay.fitting.fit_odds import (
+    CROWD,
+    FIRST_SEED,
+    N_TREES,
+    Example,
+    StepTable,
+    crowded,
+    examples_of,
+    fit_odds,
+    log_odds_of,
+)
 from sim_replay.missions import HELD_OUT, SCENES
 from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.scene_file import read_scene
@@ -196,8 +206,9 @@ def test_log_odds_of_many_are_those_of_each() -> None:
     weights = shipped_odds("cascade").shape
     random = np.random.Generator(np.random.PCG64(5))
     names = sorted({*weights.weights, *(name for tree in weights.trees for name, _ in tree.ask)})
-    features = [dict(zip(names, row, strict=True)) for row in random.normal(0.0, 3.0, (50, len(names))).tolist()]
-    assert log_odds_of(weights, features).tolist() == [weights.log_odds(known) for known in features]
+    table = StepTable(tuple(names), 0, random.normal(0.0, 3.0, (50, len(names))))
+    features = [dict(zip(names, row, strict=True)) for row in table.values.tolist()]
+    assert log_odds_of(weights, table).tolist() == [weights.log_odds(known) for known in features]
 
 
 @pytest.mark.parametrize("targets", [[], [False] * 4, [True] * 4])

@@ -1,0 +1,192 @@
+"""Fly missions of many domains and keep what every look measured, so that odds can be fitted and judged many times.
+
+A mission is a file in a folder. Missions already there are not flown again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.records import SourceEvent
+from auv_mcm.settings.config import Config
+from sim_replay.augment.augment_log import augment
+from sim_replay.benches.domains import RECORDERS, recorded_by
+from sim_replay.benches.froc import scattered
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.fit_odds import (
+    OF_DRAWN,
+    STEPS,
+    LookTable,
+    StepTable,
+    crowded,
+    drawn_scene,
+    examples_along,
+    look_table,
+)
+from sim_replay.logs.recorded import RecordedMission
+from sim_replay.missions import config_for, served_by
+from sim_replay.simulator.mission import Mission
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene_file import named_scenes, read_scene
+
+DRAWN: Final = "drawn"
+"""Source of missions of the wide world."""
+_NO_LAW: Final = "recorded"  # of recorded lines, whose law is found out anew each time
+
+
+class LookTask(NamedTuple):
+    """Name a mission.
+
+    source: a named scene, DRAWN, or the path of a recorded line. times: as many mines and rocks as the scene has.
+    recorder: of RECORDERS, for named scenes alone.
+    """
+
+    source: str
+    seed: int
+    times: int = 1
+    recorder: str | None = None
+
+    @property
+    def is_line(self) -> bool:
+        """Check whether it is a recorded line."""
+        return self.source not in (DRAWN, *named_scenes())
+
+    @property
+    def domain(self) -> str:
+        """Return the name under which the mission is judged."""
+        return self.recorder or (Path(self.source).stem if self.is_line else self.source)
+
+
+class MissionLooks(NamedTuple):
+    """Hold the looks of one mission.
+
+    law: how samples are stored, as scenes name it. n_targets: passes that saw a target. area_km2: seen by the mission.
+    """
+
+    task: LookTask
+    law: str
+    n_targets: int
+    area_km2: float
+    looks: LookTable
+
+
+def all_looks(
+    tasks: Sequence[LookTask], folder: Path, farm: Farm, show: Callable[[int, int], None] = lambda done, of: None
+) -> list[MissionLooks]:
+    """Take the missions from the folder, and fly those that are not there.
+
+    Raises UsageError for a folder that cannot be made, BadInputError for files in it that cannot be read, and as
+    augment does for recorded lines.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be made: {error.strerror}") from error
+    missing = [task for task in tasks if not _place(folder, task).exists()]
+    for done, mission in enumerate(run_tasks(fly_looks, missing, farm), 1):
+        write_looks(mission, folder)
+        show(done, len(missing))
+    return [read_looks(task, folder) for task in tasks]
+
+
+def fly_looks(task: LookTask) -> MissionLooks:
+    """Fly a mission with the cascade and take every look in full.
+
+    Raises BadInputError or UsageError for a recorded line, as augment does.
+    """
+    if task.is_line:
+        with tempfile.TemporaryDirectory() as folder:
+            written = augment(Path(task.source), scattered(task.seed), Path(folder), Config())
+            events = RecordedMission([written.log], Config()).events()
+            return _gathered(task, _NO_LAW, Config(), events, lambda: json.loads(written.truth.read_bytes()))
+    scene = _scene_of(task)
+    mission = Mission(scene)
+    config = served_by("cascade", config_for(scene))
+    return _gathered(task, scene.sonar.recorder.samples, config, mission.events(), mission.truth)
+
+
+def write_looks(mission: MissionLooks, folder: Path) -> None:
+    """Write a mission into the folder, whole or not at all."""
+    place = _place(folder, mission.task)
+    arrays: dict[str, Any] = {name: getattr(mission.looks, name) for name in _ROWS}
+    for step, table in mission.looks.steps.items():
+        arrays |= {f"{step}_names": np.array(table.names), f"{step}_values": table.values}
+    n_summed = [mission.looks.steps[step].n_summed for step in STEPS]
+    unfinished = place.with_suffix(".part")
+    with unfinished.open("wb") as file:
+        np.savez_compressed(
+            file,
+            law=mission.law,
+            n_targets=mission.n_targets,
+            area_km2=mission.area_km2,
+            n_summed=n_summed,
+            **arrays,
+        )
+    os.replace(unfinished, place)
+
+
+def read_looks(task: LookTask, folder: Path) -> MissionLooks:
+    """Read a mission from the folder. Raises BadInputError for a file that is not one of write_looks."""
+    place = _place(folder, task)
+    try:
+        with place.open("rb") as file, np.load(file) as stored:
+            steps = {
+                step: StepTable(tuple(stored[f"{step}_names"].tolist()), int(n), stored[f"{step}_values"])
+                for step, n in zip(STEPS, stored["n_summed"], strict=True)
+            }
+            usual, is_target, on_object, weight = (stored[name] for name in _ROWS)
+            looks = LookTable(usual, is_target, on_object, weight, steps)
+            return MissionLooks(task, str(stored["law"]), int(stored["n_targets"]), float(stored["area_km2"]), looks)
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise BadInputError(f"{place} holds no looks: {error}. Remove it, and it is flown anew") from error
+
+
+_ROWS: Final = ("usual", "is_target", "on_object", "weight")
+
+
+def pooled(missions: Sequence[MissionLooks]) -> LookTable:
+    """Join the looks of missions, of which at least one has any."""
+    some = [mission.looks for mission in missions if len(mission.looks.weight)]
+    usual, is_target, on_object, weight = (np.concatenate([getattr(one, name) for one in some]) for name in _ROWS)
+    steps = {}
+    for step in STEPS:
+        first = some[0].steps[step]
+        steps[step] = first._replace(values=np.concatenate([one.steps[step].values for one in some]))
+    return LookTable(usual, is_target, on_object, weight, steps)
+
+
+def _place(folder: Path, task: LookTask) -> Path:
+    parts = [task.domain, *([task.source] if task.recorder else []), f"x{task.times}", str(task.seed)]
+    return folder / ("-".join(parts).replace(" ", "_") + ".npz")
+
+
+def _scene_of(task: LookTask) -> Scene:
+    if task.source == DRAWN:
+        return drawn_scene(task.seed)
+    scene = crowded(msgspec.structs.replace(read_scene(task.source), seed=task.seed), task.times)
+    return scene if task.recorder is None else recorded_by(scene, RECORDERS[task.recorder])
+
+
+def _gathered(
+    task: LookTask, law: str, config: Config, events: Iterable[SourceEvent], truth_of: Callable[[], dict[str, Any]]
+) -> MissionLooks:
+    truth: dict[str, Any] = {}
+
+    def objects() -> list[dict[str, Any]]:
+        truth.update(truth_of())
+        return list(truth["objects"])
+
+    usual = task.times == 1 and task.source != DRAWN
+    examples = examples_along(task.domain, task.seed, config, events, objects, usual=usual, thinning=OF_DRAWN)
+    n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
+    return MissionLooks(task, law, n_targets, float(truth["area_km2"]), look_table(examples))

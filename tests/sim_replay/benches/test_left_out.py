@@ -1,0 +1,228 @@
+"""Weights on domains that they were not fitted on: what is left out, what is counted, and what is kept of missions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from auv_mcm.classify.odds import Weights, shipped_odds
+from auv_mcm.cli import main
+from auv_mcm.errors import BadInputError
+from sim_replay.benches import left_out, looks
+from sim_replay.benches.domains import RECORDERS
+from sim_replay.benches.left_out import (
+    GROUPS,
+    RECIPES,
+    Scored,
+    ablation,
+    comparison,
+    dealt,
+    difference,
+    error_of,
+    fitted_on,
+    kind_of,
+    left_out_scores,
+    left_out_tasks,
+    pd_at,
+)
+from sim_replay.benches.looks import DRAWN, LookTask, MissionLooks, all_looks, read_looks, write_looks
+from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.fitting.fit_odds import STEPS, LookTable, StepTable
+
+LOG_RECORDER = "log 0.3 dB"
+LINE = "somewhere/reef.xtf"
+N_LOOKS = 60
+MEASURED = {
+    step: tuple(dict.fromkeys((*weights.weights, *(name for tree in weights.trees for name, _ in tree.ask))))
+    for step, weights in ((step, getattr(shipped_odds("cascade"), step)) for step in STEPS)
+}
+
+
+def drawn_mission(task: LookTask, law: str = "amplitude_uint16", number: int = 0) -> MissionLooks:
+    """Looks in which the score of the cascade separates targets, a quarter of all, and nothing else does."""
+    random = np.random.Generator(np.random.PCG64([number, task.seed]))
+    is_target = np.arange(N_LOOKS) % 4 == 0
+    steps = {}
+    for step in STEPS:
+        values = random.normal(0.0, 1.0, (N_LOOKS, len(MEASURED[step])))
+        values[:, MEASURED[step].index("cascade_score")] += 6.0 * is_target
+        steps[step] = StepTable(MEASURED[step], len(MEASURED[step]), values)
+    usual = np.full(N_LOOKS, task.times == 1 and task.source != DRAWN)
+    table = LookTable(usual, is_target, is_target, np.where(is_target, 1.0, 2.0), steps)
+    return MissionLooks(task, law, int(is_target.sum()), 0.05, table)
+
+
+def some_missions() -> list[MissionLooks]:
+    tasks = left_out_tasks(
+        ("flat", "ripple", "mixed"),
+        n_seeds=1,
+        n_crowded=1,
+        n_drawn=2,
+        recorders=[LOG_RECORDER],
+        logs=[Path(LINE), Path("river.xtf")],
+        n_log_seeds=1,
+    )
+    laws = iter(("log_uint8", "amplitude_uint16"))
+    return [
+        drawn_mission(task, next(laws) if task.source == DRAWN else "amplitude_uint16", number)
+        for number, task in enumerate(tasks)
+    ]
+
+
+def test_every_measurement_of_a_look_is_in_one_group() -> None:
+    names = [name for group in GROUPS.values() for name in group]
+    assert len(names) == len(set(names))
+    assert set(names) == set(MEASURED["shape"])
+
+
+def test_a_domain_is_left_out_with_all_that_is_like_it() -> None:
+    missions = some_missions()
+    everything = RECIPES["all"]
+
+    def domains(out: str, judged_only: frozenset[str] = frozenset()) -> list[str]:
+        return [one.task.domain for one in fitted_on(missions, everything, frozenset({out}), judged_only)]
+
+    assert domains("flat") == ["ripple", "ripple", "mixed", "mixed", DRAWN, DRAWN, "reef", "river"]
+    assert domains("reef", frozenset({"river"})) == [*2 * ["flat"], *2 * ["ripple"], *2 * ["mixed"], DRAWN, DRAWN]
+    assert domains(LOG_RECORDER) == ["flat", "ripple", "mixed", "mixed", DRAWN, "reef", "river"], (
+        "other floors, and one law of the two"
+    )
+    assert {kind_of(one.task) for one in fitted_on(missions, RECIPES["drawn"], frozenset(), frozenset())} == {DRAWN}
+
+
+def test_seeds_of_what_is_judged_are_not_those_of_what_is_fitted_on() -> None:
+    tasks = [one.task for one in some_missions()]
+    judged = {task.seed for task in tasks if task.times == 1 and task.source in ("flat", "ripple", "mixed")}
+    assert judged.isdisjoint(task.seed for task in tasks if task.times > 1 or task.source == DRAWN)
+
+
+def test_every_domain_is_dealt_into_one_part() -> None:
+    missions = some_missions()
+    each = dealt(missions, None)
+    assert sorted(domain for part in each for domain in part) == sorted(
+        ["flat", "ripple", "mixed", LOG_RECORDER, "reef", "river"]
+    )
+    assert [len(part) for part in each] == [1] * 6
+    assert sorted(len(part) for part in dealt(missions, 4)) == [1, 1, 2, 2]
+    assert dealt(missions, 99) == each
+
+
+@pytest.mark.parametrize("limit", [0.0, 10.0, 100.0, 1e6])
+def test_looks_at_targets_are_counted_above_the_threshold_that_lets_so_many_false_alarms_pass(limit: float) -> None:
+    random = np.random.Generator(np.random.PCG64(3))
+    missions = [
+        Scored("flat", random.normal(0.0, 2.0, 40), random.random(40) < 0.3, random.choice([1.0, 4.0], 40), 20, 0.1)
+        for _ in range(3)
+    ]
+    joined = [
+        (odds, target, weight)
+        for one in missions
+        for odds, target, weight in zip(one.log_odds, one.is_target, one.weight, strict=True)
+    ]
+    best = 0.0
+    for threshold, _, _ in joined:
+        if sum(weight for odds, target, weight in joined if odds >= threshold and not target) <= limit * 0.3:
+            best = max(best, sum(weight for odds, target, weight in joined if odds >= threshold and target))
+    assert pd_at(missions, limit) == pytest.approx(min(best / 60.0, 1.0))
+
+
+def test_equal_weights_differ_by_nothing_and_better_ones_by_more() -> None:
+    missions = [
+        Scored("flat", np.repeat([0.0, 1.0], 20), np.repeat([True, False], 20), np.ones(40), 20, 0.1) for _ in range(4)
+    ]
+    better = [one._replace(log_odds=-one.log_odds) for one in missions]
+    assert difference(missions, missions) == (0.0, 0.0, 0.0)
+    assert difference(better, missions) == (1.0, 1.0, 1.0)
+
+
+def test_the_calibration_error_counts_a_look_as_often_as_it_stands_for() -> None:
+    mission = Scored("flat", np.zeros(2), np.array([True, False]), np.array([1.0, 3.0]), 1, 0.1)
+    assert error_of([mission]) == pytest.approx(0.25)
+    assert error_of([mission._replace(log_odds=np.empty(0), is_target=np.empty(0, bool), weight=np.empty(0))]) is None
+
+
+def test_what_carries_over_is_found_on_the_domain_left_out_and_lost_without_the_measurement() -> None:
+    missions = some_missions()
+    folds = [frozenset({"flat"}), frozenset({"reef"}), frozenset({LOG_RECORDER})]
+    whole = left_out_scores(missions, RECIPES["all"], frozenset(), folds, n_trees=3)
+    assert {one.domain for one in whole} == {"flat", "reef", LOG_RECORDER}
+    assert pd_at(whole, 10.0) > 0.9
+    score = frozenset(GROUPS["cascade's score"])
+    assert pd_at(left_out_scores(missions, RECIPES["all"], frozenset(), folds, score, n_trees=3), 10.0) < 0.5
+
+
+def test_the_tables_have_a_row_per_domain_and_recipe_and_per_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(left_out, "_DRAWS", 3)
+    monkeypatch.setattr(
+        left_out, "fit_step", lambda table, step, n_trees, usual: Weights(offset=-3.0, weights={"crowded": 1.0})
+    )
+    monkeypatch.setattr(left_out, "_without", lambda table, step, names: table)
+    missions = some_missions()
+    rows = [
+        line.split(" | ")
+        for line in comparison(missions, frozenset({"river"}), dealt(missions, None), in_markdown=True).splitlines()
+    ]
+    for domain in ("flat", "ripple", LOG_RECORDER, "reef", "river", "all scenes", "all recorded lines", "all domains"):
+        found = {row[1] for row in rows if row[0] == f"| {domain}"}
+        assert found >= {"shipped", "scenes", "drawn", "all"}
+    losses = ablation(missions, frozenset(), dealt(missions, 2), in_markdown=True).splitlines()
+    steps = ("nothing", "field, second contours and solids", "the whole close look")
+    assert [line.split(" | ")[0] for line in losses[2:]] == [
+        f"| {name}" for name in ("nothing", *GROUPS, "trees", *steps[1:], *(f"shipped: {step}" for step in steps))
+    ]
+
+
+# ---------------------------------------------------------------- missions in a folder
+
+
+def same(one: MissionLooks, other: MissionLooks) -> bool:
+    assert one[:4] == other[:4]
+    for step in STEPS:
+        assert one.looks.steps[step].names == other.looks.steps[step].names
+        assert one.looks.steps[step].n_summed == other.looks.steps[step].n_summed
+        assert np.array_equal(one.looks.steps[step].values, other.looks.steps[step].values)
+    return all(np.array_equal(a, b) for a, b in zip(one.looks[:4], other.looks[:4], strict=True))
+
+
+@pytest.mark.parametrize(
+    "task", [LookTask("flat", 3, 3), LookTask("flat", 3, 1, LOG_RECORDER), LookTask(DRAWN, 4), LookTask(LINE, 5)]
+)
+def test_a_mission_comes_back_from_its_file_as_it_was(tmp_path: Path, task: LookTask) -> None:
+    mission = drawn_mission(task)
+    write_looks(mission, tmp_path)
+    assert same(read_looks(task, tmp_path), mission)
+
+
+def test_missions_in_the_folder_are_not_flown_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = [LookTask("flat", 1), LookTask("flat", 2), LookTask("flat", 1, 1, next(iter(RECORDERS)))]
+    flown: list[LookTask] = []
+
+    def fly(task: LookTask) -> MissionLooks:
+        flown.append(task)
+        return drawn_mission(task)
+
+    monkeypatch.setattr(looks, "fly_looks", fly)
+    write_looks(drawn_mission(tasks[1]), tmp_path)
+    assert [one.task for one in all_looks(tasks, tmp_path, Farm())] == tasks
+    assert flown == [tasks[0], tasks[2]]
+
+
+def test_a_file_that_holds_no_looks_is_named(tmp_path: Path) -> None:
+    task = LookTask("flat", 1)
+    write_looks(drawn_mission(task), tmp_path)
+    (place,) = tmp_path.iterdir()
+    place.write_bytes(place.read_bytes()[:200])
+    with pytest.raises(BadInputError, match=r"flat-x1-1\.npz holds no looks"):
+        read_looks(task, tmp_path)
+
+
+def test_unknown_scenes_and_folders_that_cannot_be_made_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "left-out", "--looks", str(tmp_path), "--scenes", "moon"]) == 2
+    assert "there is no moon" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    assert main(["bench", "left-out", "--looks", str(tmp_path / "file" / "looks")]) == 2
+    assert "cannot be made" in capsys.readouterr().err
