@@ -14,7 +14,7 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
-VERSION: Final = 16  # of the C signatures; a library that reports another one is not called
+VERSION: Final = 17  # of the C signatures; a library that reports another one is not called
 
 
 class Loaded(NamedTuple):
