@@ -98,9 +98,9 @@ void auv_mcm_contrast_sums(int64_t n_rows, int64_t n_columns, const float *restr
 }
 
 /* intensity, mask (n_rows, n_columns): the sea floor is what is valid and not saturated, bounded by `most`. sums,
- * counts (depth, n_columns + 1): overwritten, the integral images' rows that frame and hollow reach from a row, one more
- * than they are high, row r at r modulo depth. band (2, n_columns + 1 + 2 pad), count_band: overwritten. background,
- * known (n_rows, n_columns): out.
+ * counts (depth, n_columns + 1): overwritten, the integral images' rows that frame and hollow reach from a row, one
+ * more than they are high, row r at r modulo depth. band (2, n_columns + 1 + 2 pad), count_band: overwritten.
+ * background, known (n_rows, n_columns): out.
  */
 WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const float *restrict intensity,
                                       const uint8_t *restrict mask, int32_t valid, int32_t saturated, float most,
