@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any, Final
 
@@ -520,14 +520,26 @@ class Pipeline:
         left_out = [without_confirmation(detection, self._odds, "over_budget") for detection in rest + unpaid]
         return looked_at + left_out, len(rest), defects
 
-    @contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
-        if self._timer is None:
-            yield
-            return
-        start = self._timer()
-        yield
-        self.costs_s[stage] = self.costs_s.get(stage, 0.0) + self._timer() - start
+    def _timed(self, stage: str) -> AbstractContextManager[None]:
+        return _UNTIMED if self._timer is None else _Timed(stage, self._timer, self.costs_s)
+
+
+_UNTIMED: Final = nullcontext()
+
+
+class _Timed:
+    """Add what a stage takes to its costs. Several are entered per ping, so this is no generator."""
+
+    __slots__ = ("_costs_s", "_stage", "_start_s", "_timer")
+
+    def __init__(self, stage: str, timer: Callable[[], float], costs_s: dict[str, float]) -> None:
+        self._stage, self._timer, self._costs_s = stage, timer, costs_s
+
+    def __enter__(self) -> None:
+        self._start_s = self._timer()
+
+    def __exit__(self, *_: object) -> None:
+        self._costs_s[self._stage] = self._costs_s.get(self._stage, 0.0) + self._timer() - self._start_s
 
 
 def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:

@@ -35,6 +35,7 @@ from auv_mcm.kernels.contrast import (
     extremes,
     image_sums,
     local_variances,
+    raise_before,
     ratios,
     shadow_columns,
 )
@@ -138,11 +139,10 @@ def contrasts(tile: Tile, p_false_alarm: float, *, bounded: bool = True) -> Cont
     grid = PixelGrid(tile.row_spacing_m, tile.column_spacing_m)
     margin = round(prescreen.MARGIN_M / tile.row_spacing_m) + 1
     rows = max(tile.core_start - margin, 0), min(tile.core_stop + margin, tile.mask.shape[0])
-    sums = image_sums(tile.intensity, tile.mask, prescreen.MAX_RATIO, prescreen.BACKGROUND_CLIP)
+    sums = image_sums(tile.intensity, tile.mask, prescreen.MAX_RATIO)
     outer, hollow, area = grid.frame()
     frame = Frame(_box(outer), _box(hollow), prescreen.MIN_BACKGROUND * area)
-    level, known = background(sums, tile.mask, frame, prescreen.NO_ECHO)
-    sums = sums.without_floor()
+    level, known = background(tile.intensity, tile.mask, frame, prescreen.BACKGROUND_CLIP, prescreen.NO_ECHO)
     boxes = [grid.centred(size_m)[0] for size_m in (prescreen.THIN_BOX_M, prescreen.SMALL_BOX_M, prescreen.LARGE_BOX_M)]
     logarithms = ratios(sums, level, np.array(boxes, dtype=np.int32), 1e-3)
     np.log(logarithms, out=logarithms)
@@ -195,9 +195,8 @@ def _high_scores(tile: Contrasts, threshold: float) -> tuple[Places, Values]:
         shadow[unseen] = _shadows_at(tile, unseen)
     likely = (gain + saturate_shadow(shadow[lit]) >= needed) | (glint(flat[lit]) >= threshold - SLACK)
     bright = _scored(tile, lit[likely])
-    dim = _scored(
-        tile, np.flatnonzero((shadow >= needed - faint_worth) & (flat < np.float32(faint)) & tile.known.ravel())
-    )
+    dark = np.flatnonzero(shadow >= needed - faint_worth)
+    dim = _scored(tile, dark[(flat[dark] < np.float32(faint)) & tile.known.ravel()[dark]])
     places = np.concatenate((bright, dim))
     return places, combined(np.concatenate((flat[bright], _highlights_at(tile, dim))), shadow[places])
 
@@ -273,7 +272,6 @@ def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Val
     Exact where it may be `left` or more; less, or 0, elsewhere.
     """
     darkest = np.zeros(tile.background.shape, dtype=np.float32)
-    flat = darkest.ravel()
     _, around = _inverse_looks(tile, ranges, 2, float(tile.grid.frame()[2]))
     n_rows, n_columns = tile.sums.shape
     last = np.minimum(
@@ -288,13 +286,12 @@ def _dark(tile: Contrasts, blocks: Blocks, ranges: _Ranges, left: Bounds) -> Val
         low_bound, _ = _inverse_looks(tile, ranges, width, (width * longest).astype(np.float64))
         root = (1.0 - low_bound - (left - SLACK) * np.sqrt(low_bound)) / (1.0 - around)
         limits.append((np.maximum(root, 0.0) + SLACK) ** 3)
+    lag = tile.grid.columns(prescreen.SHADOW_LAG_M)
     for k, places in enumerate(
         dark_places(tile.sums, tile.background, tile.rows, tile.shadows, np.stack(limits), blocks)
     ):
-        flat[places] = np.minimum(flat[places], _shadow_deviates(tile, _Spots.at(tile, places), k))
-    # Beyond the rows scored nothing is dark.
-    scored = slice(*tile.rows)
-    darkest[scored] = -prescreen.darkest_behind(darkest[scored], tile.grid.columns(prescreen.SHADOW_LAG_M))
+        deviates = _shadow_deviates(tile, _Spots.at(tile, places), k)
+        raise_before(darkest, tile.rows, places, deviates, lag)
     return darkest
 
 

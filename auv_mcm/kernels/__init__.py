@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
-VERSION: Final = 15  # of the C signatures; a library that reports another one is not called
+VERSION: Final = 17  # of the C signatures; a library that reports another one is not called
 
 
 class Loaded(NamedTuple):

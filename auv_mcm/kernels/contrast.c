@@ -13,79 +13,122 @@
 #include "wide.h"
 
 enum { TOP, BOTTOM, LEFT, RIGHT, SIDES };
-enum { CHUNK = 8, PLANES = 3 };
+enum { CHUNK = 8, PLANES = 3, TOGETHER = 4 };
 
 static inline int64_t within(int64_t value, int64_t last) { return value < 0 ? 0 : value > last ? last : value; }
 
 /* Differences of two rows of an integral image, with what stands at its edges repeated `pad` times on either side. */
-#define BAND(NAME, TYPE)                                                                                               \
-    static inline void NAME(int64_t n_rows, int64_t n_columns, const TYPE *restrict sums, int64_t top, int64_t bottom, \
-                            int64_t pad, TYPE *restrict band)                                                          \
-    {                                                                                                                  \
-        const TYPE *restrict upper = sums + within(top, n_rows) * (n_columns + 1);                                     \
-        const TYPE *restrict lower = sums + within(bottom, n_rows) * (n_columns + 1);                                  \
-        for (int64_t column = 0; column <= n_columns; column++)                                                        \
-            band[pad + column] = lower[column] - upper[column];                                                        \
-        for (int64_t column = 0; column < pad; column++) {                                                             \
-            band[column] = band[pad];                                                                                  \
-            band[pad + n_columns + 1 + column] = band[pad + n_columns];                                                \
-        }                                                                                                              \
+#define BAND(NAME, TYPE)                                                                                        \
+    static inline void NAME##_between(int64_t n_columns, const TYPE *restrict upper, const TYPE *restrict lower, \
+                                      int64_t pad, TYPE *restrict band)                                         \
+    {                                                                                                           \
+        for (int64_t column = 0; column <= n_columns; column++)                                                 \
+            band[pad + column] = lower[column] - upper[column];                                                 \
+        for (int64_t column = 0; column < pad; column++) {                                                      \
+            band[column] = band[pad];                                                                           \
+            band[pad + n_columns + 1 + column] = band[pad + n_columns];                                         \
+        }                                                                                                       \
+    }                                                                                                           \
+    static inline void NAME(int64_t n_rows, int64_t n_columns, const TYPE *restrict sums, int64_t top,          \
+                            int64_t bottom, int64_t pad, TYPE *restrict band)                                   \
+    {                                                                                                           \
+        NAME##_between(n_columns, sums + within(top, n_rows) * (n_columns + 1),                                 \
+                       sums + within(bottom, n_rows) * (n_columns + 1), pad, band);                             \
     }
 
 BAND(band_of_sums, double)
 BAND(band_of_counts, int32_t)
 
-/* intensity, mask (n_rows, n_columns). sums, floor_sums, counts, floor_counts (n_rows + 1, n_columns + 1): out,
- * integral images of intensity bounded by `most` and the number of valid pixels, and of the same bounded by
- * `floor_most` and without saturated pixels.
+/* Adds rows of pixels whose bits under `tested` are VALID alone, bounded by `most`, to the integral images' row above.
+ * sums, counts: out, a row each. Rows go together since each sum waits for the one before.
  */
-void auv_mcm_contrast_sums(int64_t n_rows, int64_t n_columns, const float *restrict intensity,
-                           const uint8_t *restrict mask, int32_t valid, int32_t saturated, float most, float floor_most,
-                           double *restrict sums, double *restrict floor_sums, int32_t *restrict counts,
-                           int32_t *restrict floor_counts)
+static inline void add_rows(int64_t n, int64_t n_columns, const float *restrict intensity, const uint8_t *restrict mask,
+                            int32_t tested, int32_t valid, float most, const double *above, const int32_t *count_above,
+                            double *const *sums, int32_t *const *counts)
 {
-    const int64_t stride = n_columns + 1;
-    memset(sums, 0, (size_t)stride * sizeof *sums);
-    memset(floor_sums, 0, (size_t)stride * sizeof *floor_sums);
-    memset(counts, 0, (size_t)stride * sizeof *counts);
-    memset(floor_counts, 0, (size_t)stride * sizeof *floor_counts);
-    for (int64_t row = 0; row < n_rows; row++) {
-        const int64_t above = row * stride, here = above + stride;
-        double total = 0.0, floor_total = 0.0;
-        int32_t count = 0, floor_count = 0;
-        sums[here] = floor_sums[here] = 0.0;
-        counts[here] = floor_counts[here] = 0;
-        for (int64_t column = 0; column < n_columns; column++) {
-            const int32_t bits = mask[row * n_columns + column];
-            const int32_t echo = (bits & valid) != 0, seabed = echo & ((bits & saturated) == 0);
-            const float value = intensity[row * n_columns + column];
-            const float bounded = echo ? (value > most ? most : value) : 0.0f;
-            total += bounded;
-            floor_total += seabed ? (bounded > floor_most ? floor_most : bounded) : 0.0f;
-            count += echo;
-            floor_count += seabed;
-            sums[here + column + 1] = sums[above + column + 1] + total;
-            floor_sums[here + column + 1] = floor_sums[above + column + 1] + floor_total;
-            counts[here + column + 1] = counts[above + column + 1] + count;
-            floor_counts[here + column + 1] = floor_counts[above + column + 1] + floor_count;
+    double total[TOGETHER] = {0.0};
+    int32_t count[TOGETHER] = {0};
+    for (int64_t row = 0; row < n; row++) {
+        sums[row][0] = 0.0;
+        counts[row][0] = 0;
+    }
+    for (int64_t column = 0; column < n_columns; column++) {
+        double sum = above[column + 1];
+        int32_t number = count_above[column + 1];
+        for (int64_t row = 0; row < n; row++) {
+            const int64_t at = row * n_columns + column;
+            const int32_t inside = (mask[at] & tested) == valid;
+            const float bounded = intensity[at] > most ? most : intensity[at];
+            total[row] += inside ? bounded : 0.0f;
+            count[row] += inside;
+            sums[row][column + 1] = sum = sum + total[row];
+            counts[row][column + 1] = number = number + count[row];
         }
     }
 }
 
-/* band (2, n_columns + 1 + 2 pad), count_band: overwritten. background, known (n_rows, n_columns): out. */
-WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const double *restrict sums,
-                                      const int32_t *restrict counts, const uint8_t *restrict mask, int32_t valid,
-                                      const int32_t *restrict frame, const int32_t *restrict hollow, double least_count,
-                                      double least_mean, int64_t pad, double *restrict band,
-                                      int32_t *restrict count_band, float *restrict background, uint8_t *restrict known)
+/* intensity, mask (n_rows, n_columns). sums, counts (n_rows + 1, n_columns + 1): out, integral images of intensity
+ * bounded by `most` and of the number of valid pixels.
+ */
+void auv_mcm_contrast_sums(int64_t n_rows, int64_t n_columns, const float *restrict intensity,
+                           const uint8_t *restrict mask, int32_t valid, float most, double *sums, int32_t *counts)
 {
-    const int64_t width = n_columns + 1 + 2 * pad;
+    const int64_t stride = n_columns + 1;
+    memset(sums, 0, (size_t)stride * sizeof *sums);
+    memset(counts, 0, (size_t)stride * sizeof *counts);
+    for (int64_t row = 0; row < n_rows;) {
+        double *to[TOGETHER];
+        int32_t *count_to[TOGETHER];
+        for (int64_t k = 0; k < TOGETHER; k++) {
+            to[k] = sums + (row + k + 1) * stride;
+            count_to[k] = counts + (row + k + 1) * stride;
+        }
+        const double *above = sums + row * stride;
+        const int32_t *count_above = counts + row * stride;
+        const float *from = intensity + row * n_columns;
+        const uint8_t *bits = mask + row * n_columns;
+        if (n_rows - row >= TOGETHER) {
+            add_rows(TOGETHER, n_columns, from, bits, valid, valid, most, above, count_above, to, count_to);
+            row += TOGETHER;
+        } else {
+            add_rows(1, n_columns, from, bits, valid, valid, most, above, count_above, to, count_to);
+            row++;
+        }
+    }
+}
+
+/* intensity, mask (n_rows, n_columns): the sea floor is what is valid and not saturated, bounded by `most`. sums,
+ * counts (depth, n_columns + 1): overwritten, the integral images' rows that frame and hollow reach from a row, one
+ * more than they are high, row r at r modulo depth. band (2, n_columns + 1 + 2 pad), count_band: overwritten.
+ * background, known (n_rows, n_columns): out.
+ */
+WIDE void auv_mcm_contrast_background(int64_t n_rows, int64_t n_columns, const float *restrict intensity,
+                                      const uint8_t *restrict mask, int32_t valid, int32_t saturated, float most,
+                                      const int32_t *restrict frame, const int32_t *restrict hollow, double least_count,
+                                      double least_mean, int64_t pad, int64_t depth, double *sums, int32_t *counts,
+                                      double *restrict band, int32_t *restrict count_band, float *restrict background,
+                                      uint8_t *restrict known)
+{
+    const int64_t width = n_columns + 1 + 2 * pad, stride = n_columns + 1;
+    const int64_t ahead = frame[BOTTOM] > hollow[BOTTOM] ? frame[BOTTOM] : hollow[BOTTOM];
     const float silent = (float)least_mean;
+    int64_t n_added = 0;
+    memset(sums, 0, (size_t)stride * sizeof *sums);
+    memset(counts, 0, (size_t)stride * sizeof *counts);
     for (int64_t row = 0; row < n_rows; row++) {
-        band_of_sums(n_rows, n_columns, sums, row + frame[TOP], row + frame[BOTTOM], pad, band);
-        band_of_sums(n_rows, n_columns, sums, row + hollow[TOP], row + hollow[BOTTOM], pad, band + width);
-        band_of_counts(n_rows, n_columns, counts, row + frame[TOP], row + frame[BOTTOM], pad, count_band);
-        band_of_counts(n_rows, n_columns, counts, row + hollow[TOP], row + hollow[BOTTOM], pad, count_band + width);
+        for (; n_added < n_rows && n_added < row + ahead; n_added++) {
+            double *to = sums + (n_added + 1) % depth * stride;
+            int32_t *count_to = counts + (n_added + 1) % depth * stride;
+            add_rows(1, n_columns, intensity + n_added * n_columns, mask + n_added * n_columns, valid | saturated,
+                     valid, most, sums + n_added % depth * stride, counts + n_added % depth * stride, &to, &count_to);
+        }
+        for (int64_t k = 0; k < 2; k++) {
+            const int32_t *box = k ? hollow : frame;
+            const int64_t top = within(row + box[TOP], n_rows) % depth * stride;
+            const int64_t bottom = within(row + box[BOTTOM], n_rows) % depth * stride;
+            band_of_sums_between(n_columns, sums + top, sums + bottom, pad, band + k * width);
+            band_of_counts_between(n_columns, counts + top, counts + bottom, pad, count_band + k * width);
+        }
         const double *restrict far = band + pad + frame[RIGHT], *restrict near = band + pad + frame[LEFT];
         const double *restrict inner_far = band + width + pad + hollow[RIGHT], *restrict inner_near = band + width +
                                                                                                       pad +
@@ -387,6 +430,24 @@ WIDE void auv_mcm_contrast_dark(int64_t n_rows, int64_t n_columns, int64_t first
                       limits + k * blocks_each + row / block_rows * n_blocks, block_columns, flags);
             n_places[k] += collect(n_columns, flags, (int32_t)(row * n_columns), places + k * room + n_places[k]);
         }
+}
+
+/* places (n), deviates (n): of shadows that start there. darkest (n_rows, n_columns): in and out, raised to minus the
+ * deviate where such a shadow starts 1 to `lag` columns behind, in the row or one beside it, of rows [first, last).
+ */
+void auv_mcm_contrast_before(int64_t n_columns, int64_t first, int64_t last, int64_t n, const int32_t *restrict places,
+                             const float *restrict deviates, int64_t lag, float *restrict darkest)
+{
+    for (int64_t i = 0; i < n; i++) {
+        const int64_t row = places[i] / n_columns, column = places[i] % n_columns;
+        const int64_t top = row > first ? row - 1 : first, bottom = row + 1 < last ? row + 1 : last - 1;
+        const float dark = -deviates[i];
+        for (int64_t at = top; at <= bottom; at++)
+            for (int64_t before = column > lag ? column - lag : 0; before < column; before++) {
+                float *const here = darkest + at * n_columns + before;
+                *here = dark > *here ? dark : *here;
+            }
+    }
 }
 
 /* places (n), boxes (n, SIDES): means and numbers of valid pixels (n) of the boxes around these pixels. */

@@ -33,23 +33,16 @@ _P, _I, _W, _F, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_int32, ctypes.c_f
 class TileSums(NamedTuple):
     """Hold integral images of a tile, (n_rows + 1, n_columns + 1).
 
-    Intensity where valid and number of valid pixels; the same of the sea floor, without saturated pixels and with
-    bright ones bounded. total, floor_total: float64; n_valid, n_floor: int32.
+    Intensity where valid, float64, and number of valid pixels, int32.
     """
 
     total: NDArray[np.float64]
-    floor_total: NDArray[np.float64]
     n_valid: NDArray[np.int32]
-    n_floor: NDArray[np.int32]
 
     @property
     def shape(self) -> tuple[int, int]:
         """Give (n_rows, n_columns) of the tile."""
         return self.total.shape[0] - 1, self.total.shape[1] - 1
-
-    def without_floor(self) -> TileSums:
-        """Let go of the sea floor's, half of the memory, once the background is known."""
-        return self._replace(floor_total=np.empty((0, 0)), n_floor=np.empty((0, 0), dtype=np.int32))
 
 
 class Frame(NamedTuple):
@@ -90,64 +83,70 @@ class Shadows(NamedTuple):
     least_share: float
 
 
-def image_sums(intensity: Plane, mask: NDArray[np.uint8], bound: float, floor_bound: float) -> TileSums:
+def image_sums(intensity: Plane, mask: NDArray[np.uint8], bound: float) -> TileSums:
     """Compute integral images of a tile.
 
-    intensity (n_rows, n_columns) is bounded by `bound`, on the sea floor by floor_bound.
+    intensity (n_rows, n_columns) is bounded by `bound`.
     """
     shape = (intensity.shape[0] + 1, intensity.shape[1] + 1)
-    function = _c("contrast_sums", _I, _I, _P, _P, _W, _W, _F, _F, *[_P] * 4)
+    function = _c("contrast_sums", _I, _I, _P, _P, _W, _F, _P, _P)
     if function is None:
-        return image_sums_numpy(intensity, mask, bound, floor_bound)
-    sums = TileSums(np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape, dtype=np.int32))
+        return image_sums_numpy(intensity, mask, bound)
+    sums = TileSums(np.empty(shape), np.empty(shape, dtype=np.int32))
     intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
-    function(*intensity.shape, *_pointers(intensity, mask), VALID, SATURATED, bound, floor_bound, *_pointers(*sums))
+    function(*intensity.shape, *_pointers(intensity, mask), VALID, bound, *_pointers(*sums))
     return sums
 
 
-def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], bound: float, floor_bound: float) -> TileSums:
+def image_sums_numpy(intensity: Plane, mask: NDArray[np.uint8], bound: float) -> TileSums:
     """Do as image_sums, in numpy alone."""
     valid = (mask & VALID) != 0
-    seabed = valid & ((mask & SATURATED) == 0)
     bounded = np.where(valid, np.minimum(intensity, np.float32(bound)), np.float32(0.0))
-    floor = np.where(seabed, np.minimum(bounded, np.float32(floor_bound)), np.float32(0.0))
-    return TileSums(
-        _integral(bounded, np.float64),
-        _integral(floor, np.float64),
-        _integral(valid, np.int32),
-        _integral(seabed, np.int32),
-    )
+    return TileSums(_integral(bounded, np.float64), _integral(valid, np.int32))
 
 
-def background(sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: np.float32) -> tuple[Plane, Flags]:
+def background(
+    intensity: Plane, mask: NDArray[np.uint8], frame: Frame, bound: float, min_mean: np.float32
+) -> tuple[Plane, Flags]:
     """Average the sea floor in the frame around each pixel, min_mean or more.
 
-    Gives also where pixel and frame are valid and the mean is above it.
+    Gives also where pixel and frame are valid and the mean is above it. What is not saturated is sea floor, bounded by
+    `bound`.
     """
-    function = _c("contrast_background", _I, _I, _P, _P, _P, _W, _P, _P, _D, _D, _I, *[_P] * 4)
+    function = _c("contrast_background", _I, _I, _P, _P, _W, _W, _F, _P, _P, _D, _D, _I, _I, *[_P] * 6)
     if function is None:
-        return background_numpy(sums, mask, frame, min_mean)
-    mean, known = np.empty(sums.shape, dtype=np.float32), np.empty(sums.shape, dtype=np.bool_)
-    pad, bands = _bands(sums, 2, frame.outer, frame.hollow)
+        return background_numpy(intensity, mask, frame, bound, min_mean)
+    shape = intensity.shape
+    intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
+    mean, known = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.bool_)
+    pad, bands = _bands(shape[1], 2, frame.outer, frame.hollow)
+    depth = int(max(frame.outer[1], frame.hollow[1], 0) - min(frame.outer[0], frame.hollow[0], 0)) + 1
+    rows = np.empty((depth, shape[1] + 1)), np.empty((depth, shape[1] + 1), dtype=np.int32)
     function(
-        *sums.shape,
-        *_pointers(sums.floor_total, sums.n_floor, np.ascontiguousarray(mask)),
+        *shape,
+        *_pointers(intensity, mask),
         VALID,
+        SATURATED,
+        bound,
         *_pointers(frame.outer, frame.hollow),
         frame.least_count,
         float(min_mean),
         pad,
-        *_pointers(*bands, mean, known),
+        depth,
+        *_pointers(*rows, *bands, mean, known),
     )
     return mean, known
 
 
 def background_numpy(
-    sums: TileSums, mask: NDArray[np.uint8], frame: Frame, min_mean: np.float32
+    intensity: Plane, mask: NDArray[np.uint8], frame: Frame, bound: float, min_mean: np.float32
 ) -> tuple[Plane, Flags]:
     """Do as background, in numpy alone."""
-    total = _box(sums.floor_total, frame.outer) - _box(sums.floor_total, frame.hollow)
-    count = _box(sums.n_floor, frame.outer) - _box(sums.n_floor, frame.hollow)
+    seabed = (mask & (VALID | SATURATED)) == VALID
+    floor = np.where(seabed, np.minimum(intensity, np.float32(bound)), np.float32(0.0))
+    floor_total, n_floor = _integral(floor, np.float64), _integral(seabed, np.int32)
+    total = _box(floor_total, frame.outer) - _box(floor_total, frame.hollow)
+    count = _box(n_floor, frame.outer) - _box(n_floor, frame.hollow)
     mean = np.maximum(np.maximum(total, 0.0) / np.maximum(count, 1), min_mean).astype(np.float32)
     return mean, (count >= frame.least_count) & (mean > min_mean) & ((mask & VALID) != 0)
 
@@ -161,7 +160,7 @@ def ratios(sums: TileSums, level: Plane, boxes: Boxes, minimum: float) -> Plane:
     if function is None:
         return ratios_numpy(sums, level, boxes, minimum)
     found = np.empty((len(boxes), *sums.shape), dtype=np.float32)
-    pad, bands = _bands(sums, 1, boxes)
+    pad, bands = _bands(sums.shape[1], 1, boxes)
     function(
         *sums.shape,
         *_pointers(sums.total, sums.n_valid, level),
@@ -260,7 +259,7 @@ def bright_places(
     function = _c("contrast_bright", *[_I] * 4, *[_P] * 4, _I, _P, _P, *[_I] * 4, *[_P] * 5)
     if function is None:
         return bright_places_numpy(sums, level, known, rows, boxes, limits, blocks)
-    pad, bands = _bands(sums, 1, boxes)
+    pad, bands = _bands(sums.shape[1], 1, boxes)
     flags, places, n_places = _room(sums.shape, rows, len(boxes))
     boxes, limits = np.ascontiguousarray(boxes), np.ascontiguousarray(limits)
     function(
@@ -305,7 +304,7 @@ def dark_places(
     function = _c("contrast_dark", *[_I] * 4, *[_P] * 3, _I, *[_P] * 3, _F, *[_D] * 3, _P, *[_I] * 4, *[_P] * 5)
     if function is None:
         return dark_places_numpy(sums, level, rows, shadows, limits, blocks)
-    pad, bands = _bands(sums, 1, np.array((round(shadows.length_m[1] / shadows.column_m) + 1,)))
+    pad, bands = _bands(sums.shape[1], 1, np.array((round(shadows.length_m[1] / shadows.column_m) + 1,)))
     flags, places, n_places = _room(sums.shape, rows, len(shadows.height_m))
     clearance_m, limits = np.ascontiguousarray(shadows.clearance_m), np.ascontiguousarray(limits)
     function(
@@ -343,6 +342,32 @@ def dark_places_numpy(
         enough = count > np.float32(shadows.least_share) * ((2 * half_rows + 1) * lengths).astype(np.float32)
         found.append(_places_of((total <= _spread(limits[k], blocks, sums.shape) * level * count) & enough, rows))
     return tuple(found)
+
+
+def raise_before(
+    darkest: Plane, rows: tuple[int, int], places: Places, deviates: NDArray[np.float32], lag: int
+) -> None:
+    """Raise `darkest` (n_rows, n_columns), contiguous, to minus the deviates of shadows behind each pixel.
+
+    They start at places (n,), 1 to `lag` columns behind in the row or one beside it. Of rows [start, stop).
+    """
+    function = _c("contrast_before", *[_I] * 4, _P, _P, _I, _P)
+    if function is None:
+        raise_before_numpy(darkest, rows, places, deviates, lag)
+        return
+    places, deviates = np.ascontiguousarray(places, dtype=np.int32), np.ascontiguousarray(deviates, dtype=np.float32)
+    function(darkest.shape[1], *rows, len(places), *_pointers(places, deviates), lag, *_pointers(darkest))
+
+
+def raise_before_numpy(
+    darkest: Plane, rows: tuple[int, int], places: Places, deviates: NDArray[np.float32], lag: int
+) -> None:
+    """Do as raise_before, in numpy alone."""
+    row, column = np.divmod(places, darkest.shape[1])
+    for down in (-1, 0, 1):
+        for across in range(1, lag + 1):
+            seen = (row + down >= rows[0]) & (row + down < rows[1]) & (column >= across)
+            np.maximum.at(darkest, (row[seen] + down, column[seen] - across), -deviates[seen])
 
 
 def shadow_columns(shadows: Shadows, k: int, row: NDArray[np.integer], column: NDArray[np.integer]) -> NDArray[np.intp]:
@@ -439,12 +464,12 @@ def _places_of(found: Flags, rows: tuple[int, int]) -> Places:
 
 
 def _bands(
-    sums: TileSums, n: int, *boxes: NDArray[np.integer]
+    n_columns: int, n: int, *boxes: NDArray[np.integer]
 ) -> tuple[int, tuple[NDArray[np.float64], NDArray[np.int32]]]:
     """Measure how far boxes reach along rows, and make room for n rows of differences that much longer on either
     side."""
     pad = max(int(np.abs(box).max()) for box in boxes)
-    width = sums.shape[1] + 1 + 2 * pad
+    width = n_columns + 1 + 2 * pad
     return pad, (np.empty((n, width)), np.empty((n, width), dtype=np.int32))
 
 

@@ -7,6 +7,7 @@ outside it is `unknown`.
 
 from __future__ import annotations
 
+import functools
 from importlib import resources
 from typing import Annotated, Final, NamedTuple
 
@@ -97,15 +98,38 @@ class Odds(NamedTuple):
 
 def seabed_odds(features: Array, cot_grazing: Array, model: SeabedModel) -> Odds:
     """Weigh features (..., len(NAMES)) seen at grazing angles of these cotangents (...)."""
-    x = standardised(features, cot_grazing, np.array(model.centre), np.array(model.scale))
+    arrays = _arrays(model)
+    x = standardised(features, cot_grazing, arrays.centre, arrays.scale)
     units = bounded(x)
-    for layer in model.layers[:-1]:
-        units = np.tanh(units @ np.array(layer.weights).T + np.array(layer.constants))
-    log_p = units @ np.array(model.layers[-1].weights).T + np.array(model.layers[-1].constants)
+    for weights, constants in arrays.layers[:-1]:
+        units = np.tanh(units @ weights.T + constants)
+    weights, constants = arrays.layers[-1]
+    log_p = units @ weights.T + constants
     log_p -= log_p.max(axis=-1, keepdims=True)
     log_p -= np.log(np.exp(log_p).sum(axis=-1, keepdims=True))
-    white = (x - np.array(model.learnt.mean)) @ _square(model.learnt.whitening).T
+    white = (x - arrays.mean) @ arrays.whitening.T
     return Odds(log_p, np.sum(white * white, axis=-1))
+
+
+class _Arrays(NamedTuple):
+    """Hold a model's numbers as float64 arrays: weights and constants of each layer, the others as in the model."""
+
+    centre: Array
+    scale: Array
+    layers: tuple[tuple[Array, Array], ...]
+    mean: Array
+    whitening: Array
+
+
+@functools.lru_cache(maxsize=8)
+def _arrays(model: SeabedModel) -> _Arrays:
+    return _Arrays(
+        np.array(model.centre),
+        np.array(model.scale),
+        tuple((np.array(layer.weights), np.array(layer.constants)) for layer in model.layers),
+        np.array(model.learnt.mean),
+        _square(model.learnt.whitening),
+    )
 
 
 def standardised(features: Array, cot_grazing: Array, centre: Array, scale: Array) -> Array:

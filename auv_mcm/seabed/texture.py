@@ -18,7 +18,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from auv_mcm.records import SATURATED, VALID, Tile
+from auv_mcm.kernels.texture import CellLimits, PixelBlocks, blocks, cell_sums, differences, summed
+from auv_mcm.records import Tile
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -87,7 +88,6 @@ _MIN_SHARE: Final = 0.003  # of dark or bright blocks, below which they do not c
 _MIN_VARIANCE: Final = 0.003  # of logarithms, below which differences do not count
 _FLOOR: Final = 1e-2  # of the local mean, for logarithms
 _GLINT: Final = 20.0  # of the local mean, above which a pixel counts as that much
-_LAG: Final = 4  # blocks: about a metre
 _FINE_LAG_M: Final = 0.18  # half of the shortest ripples
 _FINE_LIMIT: Final = 5.0  # of what is measured inside blocks
 _DIM: Final = 0.05  # of the local mean; darker blocks count as that bright in ratios
@@ -129,10 +129,10 @@ def measure_texture(tile: Tile) -> Texture:
     block_m = block[0] * tile.row_spacing_m, block[1] * tile.column_spacing_m
     n_along = max(1, math.ceil((tile.core_stop - tile.core_start) / (CELL_BLOCKS * block[0])))
     n_across = max(1, math.ceil(tile.mask.shape[1] / (CELL_BLOCKS * block[1])))
-    echo, valid, *fine = _blocks(tile, block, n_along, n_across)
+    planes = _blocks(tile, block, n_along, n_across)
+    echo, valid = planes[:2]
     log_echo = np.log(np.maximum(echo, np.float32(_FLOOR))) * valid
-    sums = _cell_sums(echo, valid, log_echo, block_m)
-    sums |= _fine_sums(echo, valid, *fine)
+    sums = _cell_sums(planes, log_echo, block_m)
     shape = n_along, n_across
     stack = np.stack(list(sums.values()))
     windows = {n: dict(zip(sums, _around(stack, n, shape), strict=True)) for n in (1, *WINDOWS.values())}
@@ -150,81 +150,31 @@ def measure_texture(tile: Tile) -> Texture:
     return Texture(features, across_crests, wavelength, cot_grazing, cell_m)
 
 
-def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Average the usable pixels of blocks, of the cells and a margin around; and 1 where half of a block is usable,
-    else 0.
-
-    Then the means over blocks of the squares of pixels, and of products with the pixel 0.18 m farther out.
-    """
+def _blocks(tile: Tile, block: tuple[int, int], n_along: int, n_across: int) -> Floats:
+    """Average the usable pixels of blocks, of the cells and a margin around; see `kernels.texture.blocks`."""
     margin = MARGIN_CELLS * CELL_BLOCKS
-    rows, columns = (n_along * CELL_BLOCKS + 2 * margin) * block[0], n_across * CELL_BLOCKS * block[1]
-    first = tile.core_start - margin * block[0]
-    source = slice(max(first, 0), min(first + rows, tile.mask.shape[0]))
-    place = slice(source.start - first, source.stop - first), slice(0, tile.mask.shape[1])
-    usable = np.zeros((rows, columns), dtype=np.float32)
-    echo = np.zeros((rows, columns), dtype=np.float32)
-    usable[place] = (tile.mask[source] & (VALID | SATURATED)) == VALID
-    np.minimum(tile.intensity[source], np.float32(_GLINT), out=echo[place])
-    echo[place] *= usable[place]
-    lag = max(1, round(_FINE_LAG_M / tile.column_spacing_m))
-    product = np.zeros_like(echo)
-    with np.errstate(under="ignore"):  # echoes that underflow may count as zero
-        np.multiply(echo[:, :-lag], echo[:, lag:], out=product[:, :-lag])
-        squared = echo * echo
-    total, share, square, likeness = (
-        np.pad(_summed(part, block) / np.float32(block[0] * block[1]), ((0, 0), (margin, margin)))
-        for part in (echo, usable, squared, product)
+    layout = PixelBlocks(
+        first=tile.core_start - margin * block[0],
+        shape=(n_along * CELL_BLOCKS + 2 * margin, n_across * CELL_BLOCKS),
+        size=block,
+        lag=max(1, round(_FINE_LAG_M / tile.column_spacing_m)),
+        margin=margin,
+        most=_GLINT,
     )
-    kept = share >= 0.5
-    whole = np.maximum(share, np.float32(0.5))
-    mean, square, likeness = (np.where(kept, part / whole, np.float32(0.0)) for part in (total, square, likeness))
-    return mean, kept.astype(np.float32), square, likeness
+    return blocks(tile.intensity, tile.mask, layout)
 
 
-def _fine_sums(echo: Floats, valid: Floats, square: Floats, likeness: Floats) -> dict[str, Floats]:
-    """Sum over cells the contrast inside blocks, and how much of it is left between pixels 0.18 m apart."""
-    mean = np.maximum(echo, np.float32(_DIM)) ** 2
-    maps = {
-        name: np.clip(part / mean - 1.0, -1.0, _FINE_LIMIT) * valid
-        for name, part in (("contrast_fine", square), ("likeness_fine", likeness))
-    }
-    return _all_summed(maps, CELL_BLOCKS)
-
-
-def _summed(values: Floats, block: tuple[int, int]) -> Floats:
-    """Sum over blocks of the last two axes, whose lengths they divide."""
-    rows, columns = values.shape[-2] // block[0], values.shape[-1] // block[1]
-    by_column = values[..., :: block[1]].copy()
-    for k in range(1, block[1]):  # a few long sums, where a sum along so short an axis would be slow
-        by_column += values[..., k :: block[1]]
-    return np.asarray(np.add.reduce(by_column.reshape(*values.shape[:-2], rows, block[0], columns), axis=-2))
-
-
-def _cell_sums(echo: Floats, valid: Floats, log_echo: Floats, block_m: tuple[float, float]) -> dict[str, Floats]:
+def _cell_sums(planes: Floats, log_echo: Floats, block_m: tuple[float, float]) -> dict[str, Floats]:
     """Sum over cells, margin included, what the statistics of any window are made of."""
-    squared = log_echo * log_echo
-    maps = {
-        "valid": valid,
-        "echo": echo,
-        "first": log_echo,
-        "second": squared,
-        "third": squared * log_echo,
-        "dark": (echo < _DARK) * valid,
-        "bright": (echo > _BRIGHT) * valid,
-        **_differences(log_echo, valid, 1, "grain", with_third=False),
-        **_differences(log_echo, valid, _LAG, "lag", with_third=True),
-        **_tensor(log_echo, valid, block_m),
-    }
-    near, near_count = _difference(log_echo, valid, 2, 1)
-    maps |= {"near_count": near_count, "near_second": near * near, "near_third": near**3}
-    sums = _all_summed(maps, CELL_BLOCKS)
+    sums = cell_sums(planes, log_echo, CELL_BLOCKS, CellLimits(_DARK, _BRIGHT, _DIM, _FINE_LIMIT, *block_m))
+    echo, valid = planes[:2]
     for name, n in (("medium", 2), ("coarse", 4)):
-        count = _summed(valid, (n, n))
+        count = summed(valid, (n, n))
         kept = (2.0 * count >= n * n).astype(np.float32)
-        mean = _summed(echo, (n, n)) / np.maximum(count, np.float32(1.0))
+        mean = summed(echo, (n, n)) / np.maximum(count, np.float32(1.0))
         level = np.log(np.maximum(mean, np.float32(_FLOOR))) * kept
         coarser = {f"{name}_count": kept, f"{name}_first": level, f"{name}_second": level * level}
-        coarser |= _differences(level, kept, 1, f"step_{name}", with_third=True)
+        coarser |= differences(level, kept, 1, f"step_{name}", with_third=True)
         if name == "medium":
             coarser |= {"dark_medium": (mean < _DARK_MEDIUM) * kept, "bright_medium": (mean > _BRIGHT_MEDIUM) * kept}
         sums |= _all_summed(coarser, CELL_BLOCKS // n)
@@ -234,36 +184,7 @@ def _cell_sums(echo: Floats, valid: Floats, log_echo: Floats, block_m: tuple[flo
 
 
 def _all_summed(maps: dict[str, Floats], n: int) -> dict[str, Floats]:
-    return {name: _summed(part.astype(np.float32, copy=False), (n, n)) for name, part in maps.items()}
-
-
-def _difference(values: Floats, valid: Floats, lag: int, axis: int) -> tuple[Floats, Floats]:
-    """Subtract what lies `lag` before along an axis, 0 where one of the two is not valid; and 1 where both are."""
-    here, there = [slice(None), slice(None)], [slice(None), slice(None)]
-    here[axis], there[axis] = slice(None, -lag), slice(lag, None)
-    both, difference = np.zeros_like(values), np.zeros_like(values)
-    both[tuple(here)] = valid[tuple(here)] * valid[tuple(there)]
-    difference[tuple(here)] = (values[tuple(there)] - values[tuple(here)]) * both[tuple(here)]
-    return difference, both
-
-
-def _differences(values: Floats, valid: Floats, lag: int, name: str, *, with_third: bool) -> dict[str, Floats]:
-    maps: dict[str, Floats] = {}
-    for axis, direction in enumerate(("along", "across")):
-        difference, both = _difference(values, valid, lag, axis)
-        squared = difference * difference
-        maps |= {f"{name}_{direction}_count": both, f"{name}_{direction}_second": squared}
-        if with_third and axis == 1:
-            maps[f"{name}_third"] = squared * difference
-    return maps
-
-
-def _tensor(level: Floats, valid: Floats, block_m: tuple[float, float]) -> dict[str, Floats]:
-    """Multiply differences over two blocks: the structure tensor (J. Bigun and G. Granlund, 1987)."""
-    along, across = np.zeros_like(level), np.zeros_like(level)
-    along[1:-1] = (level[2:] - level[:-2]) * valid[2:] * valid[:-2] / np.float32(block_m[0])
-    across[:, 1:-1] = (level[:, 2:] - level[:, :-2]) * valid[:, 2:] * valid[:, :-2] / np.float32(block_m[1])
-    return {"tensor_along": along * along, "tensor_across": across * across, "tensor_both": along * across}
+    return {name: summed(part.astype(np.float32, copy=False), (n, n)) for name, part in maps.items()}
 
 
 def _around(values: Floats, n: int, shape: tuple[int, int]) -> Floats:

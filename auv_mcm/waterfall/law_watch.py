@@ -65,6 +65,7 @@ class LawWatch:
         self._sonar = sonar
         self._blocks: deque[_Measured] = deque()  # of the newest _RECENT_BLOCKS those that were measured
         self._open: list[Ping] = []  # of the block being filled
+        self._open_form: tuple[object, ...] = ()  # of its pings
         self._n_pings = 0  # since the start, or since a hole in time
         self._n_blocks = 0
         self._first_s = math.nan
@@ -109,8 +110,9 @@ class LawWatch:
         self._n_pings += 1
 
     def _collect(self, ping: Ping) -> None:
-        if self._open and _form(ping) != _form(self._open[0]):
-            self._open = []
+        form = _form(ping)
+        if form != self._open_form:
+            self._open, self._open_form = [], form
         self._open.append(ping)
         if len(self._open) == BLOCK_PINGS:
             if self._is_measured_next():
@@ -276,9 +278,10 @@ def _samples(trace: EchoTrace | None) -> NDArray[Any]:
 
 
 def _form(ping: Ping) -> tuple[object, ...]:
-    return tuple(
-        None if trace is None else (trace.samples.shape[0], trace.samples.dtype.str)
-        for trace in (ping.port, ping.starboard)
+    port, starboard = ping.port, ping.starboard
+    return (
+        None if port is None else (port.samples.shape[0], port.samples.dtype.str),
+        None if starboard is None else (starboard.samples.shape[0], starboard.samples.dtype.str),
     )
 
 

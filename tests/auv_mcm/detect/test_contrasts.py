@@ -26,6 +26,7 @@ FACES = (
     "extremes",
     "bright_places",
     "dark_places",
+    "raise_before",
     "box_means",
     "peaks",
 )
@@ -164,13 +165,14 @@ def as_tuple(value: NDArray[np.float32] | tuple[NDArray[np.float32], ...]) -> tu
 @given(seed=st.integers(0, 100_000), shape=st.tuples(st.integers(1, 40), st.integers(1, 90)))
 def test_every_kernel_gives_the_bits_of_its_twin_in_numpy(seed: int, shape: tuple[int, int]) -> None:
     tile, random = drawn_tile(seed, shape), np.random.default_rng(seed)
-    assert_alike("image_sums", tile.intensity, tile.mask, 100.0, 6.0)
-    sums = kernel.image_sums(tile.intensity, tile.mask, 100.0, 6.0)
+    assert_alike("image_sums", tile.intensity, tile.mask, 100.0)
+    sums = kernel.image_sums(tile.intensity, tile.mask, 100.0)
     low, high = -random.integers(0, 30, (8, 2)), random.integers(1, 30, (8, 2))
     boxes = np.stack((low[:, 0], high[:, 0], low[:, 1], high[:, 1]), axis=1).astype(np.int32)
     frame = kernel.Frame(boxes[0], boxes[1] // 2, 20.0)
-    assert_alike("background", sums, tile.mask, frame, np.float32(1e-6))
-    level, known = kernel.background(sums, tile.mask, frame, np.float32(1e-6))
+    pixels = tile.intensity, tile.mask, frame, 6.0, np.float32(1e-6)
+    assert_alike("background", *pixels)
+    level, known = kernel.background(*pixels)
     assert_alike("ratios", sums, level, boxes[:3], 1e-3)
     planes = np.log(kernel.ratios(sums, level, boxes[:3], 1e-3))
     half = (int(random.integers(0, 50)), int(random.integers(0, 100)))
@@ -187,6 +189,12 @@ def test_every_kernel_gives_the_bits_of_its_twin_in_numpy(seed: int, shape: tupl
     assert_alike("dark_places", sums, level, rows, shadows, limits, blocks)
     places = random.integers(0, tile.mask.size, 50).astype(np.int32)
     assert_alike("box_means", sums, places, boxes[random.integers(0, 8, 50)])
+    raised = [np.zeros(shape, dtype=np.float32) for _ in range(2)]
+    starts = (rows[0] * shape[1] + random.integers(0, (rows[1] - rows[0]) * shape[1], 30)).astype(np.int32)
+    deviates = random.normal(-2.0, 2.0, 30).astype(np.float32)
+    for name, plane in zip(("raise_before", "raise_before_numpy"), raised, strict=True):
+        getattr(kernel, name)(plane, rows, starts, deviates, 5)
+    np.testing.assert_array_equal(raised[0], raised[1], strict=True)
     scores = np.where(random.random(shape) < 0.3, random.integers(0, 5, shape), -np.inf).astype(np.float32)
     assert_alike("peaks", scores, rows, *(int(n) for n in random.integers(0, 9, 2)))
 
