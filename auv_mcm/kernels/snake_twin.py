@@ -6,6 +6,7 @@ Polygons have a few nodes and edges cross a few rows, where numpy takes ten time
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeAlias
 
@@ -100,19 +101,23 @@ _NOTHING: Final = EdgeSums(*[0.0] * len(EdgeSums._fields))
 
 def crossings(a: Nodes, b: Nodes, n_rows: int, n_columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find rows whose centres the edge from a to b crosses, and the first columns of pixels beyond it; (n,) int64."""
-    first, columns = _crossed((float(a[0]), float(a[1])), (float(b[0]), float(b[1])), n_rows, n_columns)
-    return np.arange(first, first + len(columns)), np.array(columns, dtype=np.int64)
+    first, columns = _crossed((float(a[0]), float(a[1])), (float(b[0]), float(b[1])))
+    rows = np.arange(first, first + len(columns))
+    inside = (rows >= 0) & (rows < n_rows)
+    return rows[inside], np.clip(np.array(columns, dtype=np.int64), 0, n_columns)[inside]
 
 
-def _crossed(a: Point, b: Point, n_rows: int, n_columns: int) -> tuple[int, list[int]]:
-    """Find the first row whose centre an edge crosses, and a column for it and each row after it."""
+def _crossed(a: Point, b: Point) -> tuple[int, list[int]]:
+    """Find the first row whose centre an edge crosses, and a column for it and each row after it.
+
+    They lie in the window if the nodes do.
+    """
     (top, left), (bottom, right) = (a, b) if a[0] < b[0] else (b, a)
     if top == bottom:
         return 0, []
-    start, stop = (min(max(math.ceil(end - 0.5), 0), n_rows) for end in (top, bottom))
+    start, stop = math.ceil(top - 0.5), math.ceil(bottom - 0.5)
     slope = (right - left) / (bottom - top)
-    columns = [math.ceil(left + (row + 0.5 - top) * slope - 0.5) for row in range(start, stop)]
-    return start, [min(max(column, 0), n_columns) for column in columns]
+    return start, [math.ceil(left + (row + 0.5 - top) * slope - 0.5) for row in range(start, stop)]
 
 
 class _Rows(dict[int, list[list[float]]]):
@@ -134,15 +139,13 @@ def sums_of(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, 
 
     bound: (n_rows,) float64, the facing side of the other polygon, -1 where there is none.
     """
-    return _sums_of(_Rows(table), bound.tolist(), which, _points(nodes))
-
-
-def _sums_of(rows: _Rows, bound: list[float], which: int, points: list[Point]) -> list[EdgeSums]:
-    return [_edge_sums(rows, bound, which, a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+    points = _points(nodes)
+    edges = zip(points, points[1:] + points[:1], strict=True)
+    return [_edge_sums(_Rows(table), bound.tolist(), which, a, b) for a, b in edges]
 
 
 def _edge_sums(rows: _Rows, bound: list[float], which: int, a: Point, b: Point) -> EdgeSums:
-    first, columns = _crossed(a, b, *rows.shape)
+    first, columns = _crossed(a, b)
     total = count = 0.0
     for row, column in enumerate(columns, first):
         cell = rows[row][column]
@@ -170,7 +173,7 @@ def _facing_side(rows: _Rows, other: list[Point], which: int) -> list[float]:
     bound = [-1.0] * rows.shape[0]
     for a, b in zip(other, other[1:] + other[:1], strict=True):
         if a[0] != b[0] and (b[0] > a[0]) == (which == SHADOW):
-            first, columns = _crossed(a, b, *rows.shape)
+            first, columns = _crossed(a, b)
             bound[first : first + len(columns)] = columns
     return bound
 
@@ -199,12 +202,9 @@ def parameter_code(settings: Settings, count: float) -> float:
 def polygon_cost(settings: Settings, which: int, nodes: Nodes | Sequence[Point], sums: EdgeSums) -> float:
     """Compute the cost of a polygon by itself: its region's likelihood, its nodes, its mean."""
     n = float(len(nodes))
-    row_step = column_step = 0.0
-    row_before, column_before = nodes[-1]
-    for row, column in nodes:
-        row_step += abs(row - row_before)
-        column_step += abs(column - column_before)
-        row_before, column_before = row, column
+    row_step, column_step = (
+        sum(map(abs, map(operator.sub, along, [*along[1:], along[0]]))) for along in zip(*nodes, strict=True)
+    )
     spread = math.log(max(row_step / n * (column_step / n) / settings.correlation_px, 0.25))
     code = settings.log_window + 2.0 * math.log(n) + n * (_TWICE_LOG_2E + spread)
     return likelihood(settings, which, sums.total, sums.measured) + code + parameter_code(settings, sums.measured)
@@ -376,6 +376,7 @@ class _Pair:
     """Hold the pair on its way.
 
     points, edges, seen: of both polygons; edges and seen hold gap and overlap as they were when a polygon last moved.
+    bounds, measured: what either faces, and the sums of all edges measured against it, since most are tried again.
     """
 
     def __init__(self, table: NDArray[np.float64], settings: Settings, nodes: tuple[Nodes, Nodes]) -> None:
@@ -384,6 +385,8 @@ class _Pair:
         self.points = [_points(nodes[HIGHLIGHT]), _points(nodes[SHADOW])]
         self.edges: list[list[EdgeSums]] = [[], []]
         self.seen: list[_Polygon | None] = [None, None]
+        self.bounds: list[list[float]] = [[], []]
+        self.measured: list[dict[tuple[Point, Point], EdgeSums]] = [{}, {}]
         self.n_moves = self.n_proposed = 0
         self.criterion = 0.0
         self.settled: set[tuple[int, int]] = (
@@ -396,14 +399,24 @@ class _Pair:
 
     def face(self, which: int) -> None:
         """Fix the other polygon and move polygon `which` from now on."""
-        self.bound = _facing_side(self.rows, self.points[1 - which], which)
+        bound = _facing_side(self.rows, self.points[1 - which], which)
+        if bound != self.bounds[which]:
+            self.bounds[which], self.measured[which] = bound, {}
 
     def refresh(self, which: int) -> None:
         """Measure polygon `which` anew, and the criterion."""
         points = self.points[which]
-        self.edges[which] = _sums_of(self.rows, self.bound, which, points)
+        self.edges[which] = [self.edge(which, a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
         self.seen[which] = _seen(self.settings, which, points, _total(self.edges[which]))
         self.criterion = self.value(which, self.seen[which])
+
+    def edge(self, which: int, a: Point, b: Point) -> EdgeSums:
+        """Measure an edge of polygon `which`."""
+        measured = self.measured[which]
+        sums = measured.get((a, b))
+        if sums is None:
+            sums = measured[a, b] = _edge_sums(self.rows, self.bounds[which], which, a, b)
+        return sums
 
     def value(self, which: int, moved: _Polygon | None) -> float:
         """Compute the criterion with another polygon `which`."""
@@ -416,10 +429,10 @@ class _Pair:
         seen = self.seen[which]
         assert seen is not None
         n = len(points)
-        fresh = [_edge_sums(self.rows, self.bound, which, points[i % n], points[(i + 1) % n]) for i in new]
-        old = [self.edges[which][i] for i in gone]
-        added, taken = (map(sum, zip(*edges, strict=True)) for edges in (fresh, old))
-        return EdgeSums(*[total + a - b for total, a, b in zip(seen.sums, added, taken, strict=True)])
+        edges = [self.edge(which, points[i % n], points[(i + 1) % n]) for i in new]
+        taken = [self.edges[which][i] for i in gone]
+        total = map(sum, zip(seen.sums, *edges, strict=True))
+        return EdgeSums(*map(operator.sub, total, map(sum, zip(*taken, strict=True))))
 
     def sweep(self, which: int, amplitude: float) -> int:
         """Move each node, and the edge after it, the best way of all unless it is settled; return how many moved."""
