@@ -164,8 +164,8 @@ def _edge_sums(rows: _Rows, bound: list[float], which: int, a: Point, b: Point) 
                 else:
                     overlap -= between
     if downward:
-        return EdgeSums(total, count, area, area, float(len(columns)), gap, shared, overlap)
-    return EdgeSums(-total, -count, -area, 0.0, 0.0, gap, shared, overlap)
+        return EdgeSums._make((total, count, area, area, float(len(columns)), gap, shared, overlap))
+    return EdgeSums._make((-total, -count, -area, 0.0, 0.0, gap, shared, overlap))
 
 
 def _facing_side(rows: _Rows, other: list[Point], which: int) -> list[float]:
@@ -248,7 +248,7 @@ class _Polygon(NamedTuple):
 def _seen(settings: Settings, which: int, points: list[Point], sums: EdgeSums) -> _Polygon:
     rows = [row for row, _ in points]
     near = min([column for _, column in points])
-    return _Polygon(sums, polygon_cost(settings, which, points, sums), min(rows), max(rows), near)
+    return _Polygon._make((sums, polygon_cost(settings, which, points, sums), min(rows), max(rows), near))
 
 
 def _cooperation(settings: Settings, highlight: _Polygon, shadow: _Polygon, moved: EdgeSums) -> float:
@@ -369,7 +369,7 @@ def fault_of(table: NDArray[np.float64], settings: Settings, nodes: Nodes) -> in
 
 
 def _total(edges: list[EdgeSums]) -> EdgeSums:
-    return EdgeSums(*map(sum, zip(*edges, strict=True)))
+    return EdgeSums._make(map(sum, zip(*edges, strict=True)))
 
 
 class _Pair:
@@ -432,7 +432,7 @@ class _Pair:
         edges = [self.edge(which, points[i % n], points[(i + 1) % n]) for i in new]
         taken = [self.edges[which][i] for i in gone]
         total = map(sum, zip(seen.sums, *edges, strict=True))
-        return EdgeSums(*map(operator.sub, total, map(sum, zip(*taken, strict=True))))
+        return EdgeSums._make(map(operator.sub, total, map(sum, zip(*taken, strict=True))))
 
     def sweep(self, which: int, amplitude: float) -> int:
         """Move each node, and the edge after it, the best way of all unless it is settled; return how many moved."""
