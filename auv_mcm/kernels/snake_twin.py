@@ -201,10 +201,16 @@ def parameter_code(settings: Settings, count: float) -> float:
 
 def polygon_cost(settings: Settings, which: int, nodes: Nodes | Sequence[Point], sums: EdgeSums) -> float:
     """Compute the cost of a polygon by itself: its region's likelihood, its nodes, its mean."""
-    n = float(len(nodes))
-    row_step, column_step = (
-        sum(map(abs, map(operator.sub, along, [*along[1:], along[0]]))) for along in zip(*nodes, strict=True)
-    )
+    rows, columns = zip(*nodes, strict=True)
+    return _own_cost(settings, which, rows, columns, sums)
+
+
+def _own_cost(
+    settings: Settings, which: int, rows: tuple[float, ...], columns: tuple[float, ...], sums: EdgeSums
+) -> float:
+    n = float(len(rows))
+    row_step = sum(map(abs, map(operator.sub, rows, rows[1:] + rows[:1])))
+    column_step = sum(map(abs, map(operator.sub, columns, columns[1:] + columns[:1])))
     spread = math.log(max(row_step / n * (column_step / n) / settings.correlation_px, 0.25))
     code = settings.log_window + 2.0 * math.log(n) + n * (_TWICE_LOG_2E + spread)
     return likelihood(settings, which, sums.total, sums.measured) + code + parameter_code(settings, sums.measured)
@@ -246,9 +252,9 @@ class _Polygon(NamedTuple):
 
 
 def _seen(settings: Settings, which: int, points: list[Point], sums: EdgeSums) -> _Polygon:
-    rows = [row for row, _ in points]
-    near = min([column for _, column in points])
-    return _Polygon._make((sums, polygon_cost(settings, which, points, sums), min(rows), max(rows), near))
+    rows, columns = zip(*points, strict=True)
+    own = _own_cost(settings, which, rows, columns, sums)
+    return _Polygon._make((sums, own, min(rows), max(rows), min(columns)))
 
 
 def _cooperation(settings: Settings, highlight: _Polygon, shadow: _Polygon, moved: EdgeSums) -> float:
