@@ -344,7 +344,8 @@ def _mixtures(
     found = []
     for sums, of_all in zip((image.counts, image.echoes), whole, strict=True):
         pieces = np.diff(up_to(sums, columns, row), axis=1)
-        part = np.bincount(place.ravel(), pieces.ravel(), minlength=n * _MIXTURES).reshape(n, _MIXTURES)
+        part: Array = np.bincount(place.ravel(), pieces.ravel(), minlength=n * _MIXTURES).astype(np.float64)
+        part = part.reshape(n, _MIXTURES)
         part[:, 0] = of_all - part[:, 1:].sum(axis=1)
         found.append(part)
     return found[0], found[1]

@@ -551,10 +551,13 @@ def move_pair(
             if moved == 0:
                 break
     sums = [_NOTHING if seen is None else seen.sums for seen in pair.seen]
+    nodes = [np.array(points, dtype=np.float64).reshape(-1, 2) for points in pair.points]
     return Moved(
-        *(np.array(points, dtype=np.float64).reshape(-1, 2) for points in pair.points),
+        nodes[HIGHLIGHT],
+        nodes[SHADOW],
         pair.criterion,
         pair.n_moves,
         pair.n_proposed,
-        *sums,
+        sums[HIGHLIGHT],
+        sums[SHADOW],
     )

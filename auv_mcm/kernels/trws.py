@@ -264,7 +264,7 @@ def _gathered(own_costs: NDArray[np.float64], sent: NDArray[np.float64], wave: i
     own = sent[wave, :, :, _HERE]
     later = (own[0] + own[1]) + (own[2] + own[3])
     left, above_right, above, above_left = (sent[wave - back, e, :, rows] for e, (back, rows) in enumerate(_BEFORE))
-    cost = own_costs[wave, :, _HERE] + later
+    cost: NDArray[np.float64] = own_costs[wave, :, _HERE] + later
     cost += (above_right + above) + above_left
     cost += left
     return cost
