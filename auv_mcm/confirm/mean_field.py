@@ -101,9 +101,12 @@ def fit_means(
         Cost (3, n_rows, n_columns) of each label given labels (n_rows, n_columns).
     """
     means = start
-    probability = softmin(data_costs(intensity, information, means, law))
+    data = data_costs(intensity, information, means, law)
+    probability = softmin(data)
     for number_of_round in range(_ROUNDS):
-        cost = data_costs(intensity, information, means, law) + prior(probability.argmax(axis=0).astype(np.uint8))
+        if number_of_round > 0:
+            data = data_costs(intensity, information, means, law)
+        cost = data + prior(probability.argmax(axis=0).astype(np.uint8))
         probability = sweep(cost, weight, _SWEEPS, probability)
         share = probability * samples
         if number_of_round < _ROUNDS - 1:

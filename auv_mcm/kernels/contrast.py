@@ -329,18 +329,25 @@ def dark_places_numpy(
     sums: TileSums, level: Plane, rows: tuple[int, int], shadows: Shadows, limits: NDArray[np.float64], blocks: Blocks
 ) -> tuple[Places, ...]:
     """Do as dark_places, in numpy alone."""
-    every_row, every_column = np.indices(sums.shape, sparse=True)
+    row, column = np.indices((rows[1] - rows[0], sums.shape[1]), sparse=True)
+    row = row + rows[0]
+    stride = sums.total.shape[1]
+    spread = [_spread(limit, blocks, sums.shape)[rows[0] : rows[1]] for limit in limits]
     found = []
     for k, half_rows in enumerate(shadows.half_rows.tolist()):
-        lengths = shadow_columns(shadows, k, every_row, every_column)
-        top, bottom = (np.clip(every_row + reach, 0, sums.shape[0]) for reach in (-half_rows, half_rows + 1))
-        stop = np.minimum(every_column + lengths, sums.shape[1])
+        lengths = shadow_columns(shadows, k, row, column)
+        top, bottom = (np.clip(row + reach, 0, sums.shape[0]) * stride for reach in (-half_rows, half_rows + 1))
+        stop = np.minimum(column + lengths, sums.shape[1])
+        corners = bottom + stop, top + stop, bottom + column, top + column
         total, count = (
-            (of[bottom, stop] - of[top, stop]) - (of[bottom, every_column] - of[top, every_column])
-            for of in (sums.total, sums.n_valid)
+            (bottom_stop - top_stop) - (bottom_start - top_start)
+            for bottom_stop, top_stop, bottom_start, top_start in (
+                [of.take(corner) for corner in corners] for of in (sums.total, sums.n_valid)
+            )
         )
         enough = count > np.float32(shadows.least_share) * ((2 * half_rows + 1) * lengths).astype(np.float32)
-        found.append(_places_of((total <= _spread(limits[k], blocks, sums.shape) * level * count) & enough, rows))
+        dark = (total <= spread[k] * level[rows[0] : rows[1]] * count) & enough
+        found.append(np.asarray(np.flatnonzero(dark) + rows[0] * sums.shape[1], dtype=np.int32))
     return tuple(found)
 
 

@@ -64,7 +64,8 @@ _MAX_TAPS: Final = 3  # slices of a beam: its middle and one on either side; equ
 SCORING_STEPS: Final = 2  # of Fisher's; they leave 0.02 nats at the median, 0.5 at the 95th percentile
 _MIN_HIGHLIGHT, _MIN_SHADOW = 4.0, 8.0  # pixels
 _DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor
-_AT_ONCE: Final = 16  # hypotheses that numpy weighs together: more no longer fit the cache
+_AT_ONCE: Final = 256  # hypotheses that numpy weighs together: bounds memory, and more are no faster
+_MIXTURES: Final = 3**_MAX_TAPS
 _CLEARANCE: Final = 1.2  # minimum altitude over the height of a solid
 _P, _I = ctypes.c_void_p, ctypes.c_int64
 
@@ -178,37 +179,61 @@ def intervals(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam =
 
 def intervals_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Array:
     """Do as intervals, in numpy alone."""
-    n_rows, n_edges = image.echoes.shape
-    along, across, altitude = (hypotheses[:, k, np.newaxis] for k in range(FIRST_FIELD))
+    n, n_rows = len(hypotheses), image.echoes.shape[0]
+    every = np.repeat(np.arange(n), n_rows), np.tile(np.arange(n_rows), n)
+    return _ends(solid, hypotheses, *every, image, beam).reshape(n, n_rows, beam.share.size, 3)
+
+
+def _ends(
+    solid: Solid, hypotheses: Array, which: NDArray[np.intp], row: NDArray[np.intp], image: ImageRowSums, beam: Beam
+) -> Array:
+    """Find the columns of `intervals` for m pairs of a hypothesis and a row, (m, n_taps, 3)."""
+    each = hypotheses[which]
+    along, across, altitude = (each[:, k, np.newaxis] for k in range(FIRST_FIELD))
     altitude = altitude * image.altitude_m
-    seen_from_m = (np.arange(n_rows) + 0.5) * image.row_spacing_m
     turned = beam.bearing_rad * np.hypot(across, altitude)
-    offset = (seen_from_m - along)[:, :, np.newaxis] + turned[:, np.newaxis, :]
-    offset = offset.reshape(len(hypotheses), n_rows * beam.share.size)
+    offset = ((row + 0.5) * image.row_spacing_m)[:, np.newaxis] - along + turned
     across = across - offset * image.shear
-    view = view_shape(solid_of(solid, hypotheses[:, FIRST_FIELD:]), offset, across, altitude)
+    view = view_shape(solid_of(solid, each[:, FIRST_FIELD:]), offset, across, altitude)
     tangent = view.tangent_slant_range_m
     if solid == "wedge":
-        tangent = np.fmax(tangent, np.hypot(across + _wedge_foot(hypotheses[:, FIRST_FIELD:], offset), altitude))
+        tangent = np.fmax(tangent, np.hypot(across + _wedge_foot(each[:, FIRST_FIELD:], offset), altitude))
     slant = np.stack((view.front_slant_range_m, tangent, np.hypot(view.shadow_end_m, altitude)), axis=-1)
     ranges = flat_ground_range_m(slant, image.altitude_m)
     ranges = ranges + np.array([-image.smear_m, image.smear_m, 0.0])
-    ends = np.clip((ranges - image.first_ground_range_m) / image.column_spacing_m, 0.0, n_edges - 1.0)
-    ends = np.maximum.accumulate(np.where(np.isnan(ends), 0.0, ends), axis=-1)
-    return ends.reshape(len(hypotheses), n_rows, beam.share.size, 3)
+    ends = np.clip((ranges - image.first_ground_range_m) / image.column_spacing_m, 0.0, image.echoes.shape[1] - 1.0)
+    return np.maximum.accumulate(np.where(np.isnan(ends), 0.0, ends), axis=-1)
 
 
 def shape_costs_numpy(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam = PENCIL) -> Costs:
     """Do as shape_costs, in numpy alone."""
     costs = Costs(np.full(len(hypotheses), FORBIDDEN), np.full((len(hypotheses), 3), np.nan))
-    clear = hypotheses[:, 1] > reach_m(solid, hypotheses) * (1.0 + abs(image.shear))
+    reach = reach_m(solid, hypotheses)
+    clear = hypotheses[:, 1] > reach * (1.0 + abs(image.shear))
     top = top_m(solid, hypotheses)
     clear &= (image.altitude_m * hypotheses[:, 2] >= _CLEARANCE * top) & (top > 0.0)
     chosen = np.flatnonzero(clear)
     for first in range(0, chosen.size, _AT_ONCE):
         some = chosen[first : first + _AT_ONCE]
-        costs.cost[some], costs.mean[some] = _costs(intervals_numpy(solid, hypotheses[some], image, beam), image, beam)
+        which, row = _rows_reached(hypotheses[some], reach[some], image, beam)
+        ends = _ends(solid, hypotheses[some], which, row, image, beam)
+        costs.cost[some], costs.mean[some] = _costs(ends, which, row, len(some), image, beam)
     return costs
+
+
+def _rows_reached(
+    hypotheses: Array, reach: Array, image: ImageRowSums, beam: Beam
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pair each hypothesis (n, 8) with the rows that may see it: indices of both, (m,) each, rows rising."""
+    slant = np.hypot(hypotheses[:, 1], hypotheses[:, 2] * image.altitude_m)
+    far = reach + np.abs(beam.bearing_rad).max() * slant
+    first, stop = (
+        np.clip((hypotheses[:, 0] + side * far) / image.row_spacing_m + side, 0.0, len(image.echoes)).astype(np.intp)
+        for side in (-1.0, 1.0)
+    )
+    n_each = np.maximum(stop - first, 0)
+    which = np.repeat(np.arange(len(hypotheses)), n_each)
+    return which, np.arange(len(which)) - np.repeat(np.cumsum(n_each) - n_each - first, n_each)
 
 
 def reach_m(solid: Solid, hypotheses: Array) -> Array:
@@ -235,10 +260,13 @@ def top_m(solid: Solid, hypotheses: Array) -> Array:
             return hypotheses[:, 5] - hypotheses[:, 7]
 
 
-def up_to(sums: Array, column: Array) -> Array:
-    """Interpolate cumulative sums (n_rows, n_columns + 1) at fractional columns (..., n_rows, m), linearly."""
+def up_to(sums: Array, column: Array, row: NDArray[np.intp] | None = None) -> Array:
+    """Interpolate cumulative sums (n_rows, n_columns + 1) linearly at fractional columns (..., m, k) of m rows.
+
+    row: (m,) indices, every row by default.
+    """
     left = np.minimum(column.astype(np.intp), sums.shape[1] - 2)
-    at = left + sums.shape[1] * np.arange(sums.shape[0])[:, np.newaxis]
+    at = left + sums.shape[1] * (np.arange(sums.shape[0]) if row is None else row)[:, np.newaxis]
     low, high = np.take(sums, at), np.take(sums, at + 1)
     return np.asarray(low + (high - low) * (column - left), dtype=np.float64)
 
@@ -271,59 +299,67 @@ def _wedge_foot(fields: Array, offset: Array) -> Array:
     return np.asarray(np.where(near <= far, near, np.nan), dtype=np.float64)
 
 
-def _costs(ends: Array, image: ImageRowSums, beam: Beam) -> Costs:
-    """Compute costs. ends: (n, n_rows, n_taps, 3) columns."""
+def _costs(
+    ends: Array, which: NDArray[np.intp], row: NDArray[np.intp], n: int, image: ImageRowSums, beam: Beam
+) -> Costs:
+    """Compute costs of n hypotheses. ends: (m, n_taps, 3) columns of pairs of a hypothesis and a row, (m,) each."""
     whole = np.array([image.counts[:, -1].sum(), image.echoes[:, -1].sum()])
-    middle = ends[:, :, beam.share.size // 2]
-    parts = [np.diff(up_to(sums, middle), axis=2).sum(axis=1) for sums in (image.counts, image.echoes)]
+    middle = ends[:, beam.share.size // 2]
+    parts = [np.diff(up_to(sums, middle, row), axis=1) for sums in (image.counts, image.echoes)]
+    parts = [np.column_stack([np.bincount(which, of, minlength=n) for of in part.T]) for part in parts]
     count, total = (
         np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip(parts, whole, strict=True)
     )
     mean = np.maximum(np.divide(total, count, out=np.zeros(count.shape), where=count > 0.0), MIN_MEAN)
     visible = (count[:, 0] >= _MIN_HIGHLIGHT) & (count[:, 1] >= _MIN_SHADOW) & (count[:, 2] > 0.0)
-    count, total, mean, share = count[visible], total[visible], mean[visible], np.eye(3)
+    share = np.eye(3)
     if beam.share.size > 1:
-        count, total, share = _pieces(ends[visible], image, beam, whole)
-        for _ in range(SCORING_STEPS):
-            mean = _improved(count, total, share, mean)
-    expected = (share @ mean[:, :, np.newaxis])[:, :, 0]
+        count, total = _mixtures(ends, which, row, n, image, whole)
+        share = _mixture_shares(beam.share)
+    count, total, mean = count[visible], total[visible], mean[visible]
+    for _ in range(SCORING_STEPS if beam.share.size > 1 else 0):
+        mean = _improved(count, total, share, mean)
+    expected = mean @ share.T
     found = image.samples_per_pixel * (count * np.log(expected) + total / expected - count).sum(axis=1)
     contrasting = (mean[:, 1] <= _BRIGHTEST_SHADOW * mean[:, 2]) & (mean[:, 0] >= _DARKEST_HIGHLIGHT * mean[:, 2])
-    costs = Costs(np.full(len(ends), FORBIDDEN), np.full((len(ends), 3), np.nan))
+    costs = Costs(np.full(n, FORBIDDEN), np.full((n, 3), np.nan))
     costs.cost[visible] = np.where(contrasting, found, FORBIDDEN)
     costs.mean[visible] = np.where(contrasting[:, np.newaxis], mean, np.nan)
     return costs
 
 
-def _pieces(ends: Array, image: ImageRowSums, beam: Beam, whole: Array) -> tuple[Array, Array, Array]:
-    """Give counts (n, m), sums (n, m) and shares (n, m, 3) of pieces of rows of one mixture each.
+def _mixtures(
+    ends: Array, which: NDArray[np.intp], row: NDArray[np.intp], n: int, image: ImageRowSums, whole: Array
+) -> tuple[Array, Array]:
+    """Give counts and sums (n, 27) of all that is of one mixture.
 
-    Some are empty; the last is all the rest.
+    A mixture's number has a digit of base 3 for each tap: 0 floor, 1 highlight, 2 shadow.
     """
-    seen = ends[:, :, :, 2].any(axis=(0, 2))
-    ends = ends[:, seen]
-    n, n_rows = ends.shape[:2]
-    columns = ends.transpose(0, 1, 3, 2).reshape(n, n_rows, 3 * beam.share.size)
-    change = np.kron(
-        np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), beam.share[:, np.newaxis]
-    )  # of highlight and shadow
-    order = np.argsort(columns, axis=2, kind="stable")
-    columns = np.take_along_axis(columns, order, axis=2)
-    object_share = np.cumsum(change[order], axis=2)[:, :, :-1].reshape(n, n_rows * (columns.shape[2] - 1), 2)
-    count, total = (
-        np.diff(up_to(sums[seen], columns), axis=2).reshape(object_share.shape[:2])
-        for sums in (image.counts, image.echoes)
-    )
-    share = np.concatenate((object_share, 1.0 - object_share.sum(axis=2, keepdims=True)), axis=2)
-    rest = np.broadcast_to([0.0, 0.0, 1.0], (n, 1, 3))
-    count, total = (
-        np.column_stack((part, of_all - part.sum(axis=1))) for part, of_all in zip((count, total), whole, strict=True)
-    )
-    return count, total, np.concatenate((share, rest), axis=1)
+    n_taps = ends.shape[1]
+    columns = ends.reshape(len(ends), 3 * n_taps)
+    order = np.argsort(columns, axis=1, kind="stable")
+    columns = np.take_along_axis(columns, order, axis=1)
+    step = np.outer(3 ** np.arange(n_taps), (1, 1, -2)).ravel()
+    place = _MIXTURES * which[:, np.newaxis] + np.cumsum(step[order], axis=1)[:, :-1]
+    found = []
+    for sums, of_all in zip((image.counts, image.echoes), whole, strict=True):
+        pieces = np.diff(up_to(sums, columns, row), axis=1)
+        part: Array = np.bincount(place.ravel(), pieces.ravel(), minlength=n * _MIXTURES).astype(np.float64)
+        part = part.reshape(n, _MIXTURES)
+        part[:, 0] = of_all - part[:, 1:].sum(axis=1)
+        found.append(part)
+    return found[0], found[1]
+
+
+def _mixture_shares(share: Array) -> Array:
+    """Give the shares of highlight, shadow and floor in each mixture, (27, 3)."""
+    digit = np.arange(_MIXTURES)[:, np.newaxis] // 3 ** np.arange(share.size) % 3
+    highlight, shadow = (np.where(digit == code, share, 0.0).sum(axis=1) for code in (1, 2))
+    return np.column_stack((highlight, shadow, 1.0 - highlight - shadow))
 
 
 def _improved(count: Array, total: Array, share: Array, mean: Array) -> Array:
-    """Improve means (n, 3) by one step of Fisher scoring."""
+    """Improve means (n, 3) by one step of Fisher scoring. share: (m, 3) of m mixtures with count and total (n, m)."""
     part = share * mean[:, np.newaxis]
     expected = part.sum(axis=2)
     part = part / expected[:, :, np.newaxis]

@@ -1,14 +1,21 @@
-"""Make the moves of `kernels.snake` in Python: the same decisions as the C kernel, to be read and compared with."""
+"""Make the moves of `kernels.snake` in Python: the same decisions as the C kernel, to be read and compared with.
+
+Polygons have a few nodes and edges cross a few rows, where numpy takes ten times as long as Python's own numbers.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+import operator
+from collections.abc import Sequence
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 Nodes = NDArray[np.float64]
+Point: TypeAlias = tuple[float, float]
+"""Row and column of a node."""
 
 HIGHLIGHT: Final = 0  # indices of the two polygons and of what neither holds; equal in C
 SHADOW: Final = 1  # see HIGHLIGHT
@@ -94,14 +101,37 @@ _NOTHING: Final = EdgeSums(*[0.0] * len(EdgeSums._fields))
 
 def crossings(a: Nodes, b: Nodes, n_rows: int, n_columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find rows whose centres the edge from a to b crosses, and the first columns of pixels beyond it; (n,) int64."""
-    upper, lower = (a, b) if a[0] < b[0] else (b, a)
-    if a[0] == b[0]:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    start, stop = (min(max(math.ceil(end[0] - 0.5), 0), n_rows) for end in (upper, lower))
-    rows = np.arange(start, stop)
-    slope = (lower[1] - upper[1]) / (lower[0] - upper[0])
-    columns = np.ceil(upper[1] + (rows + 0.5 - upper[0]) * slope - 0.5)
-    return rows, np.clip(columns, 0, n_columns).astype(np.int64)
+    first, columns = _crossed((float(a[0]), float(a[1])), (float(b[0]), float(b[1])))
+    rows = np.arange(first, first + len(columns))
+    inside = (rows >= 0) & (rows < n_rows)
+    return rows[inside], np.clip(np.array(columns, dtype=np.int64), 0, n_columns)[inside]
+
+
+def _crossed(a: Point, b: Point) -> tuple[int, list[int]]:
+    """Find the first row whose centre an edge crosses, and a column for it and each row after it.
+
+    They lie in the window if the nodes do.
+    """
+    (top, left), (bottom, right) = (a, b) if a[0] < b[0] else (b, a)
+    if top == bottom:
+        return 0, []
+    start, stop = math.ceil(top - 0.5), math.ceil(bottom - 0.5)
+    slope = (right - left) / (bottom - top)
+    return start, [math.ceil(left + (row + 0.5 - top) * slope - 0.5) for row in range(start, stop)]
+
+
+class _Rows(dict[int, list[list[float]]]):
+    """Hold rows of a table as lists, taken from it when they are first asked for."""
+
+    def __init__(self, table: NDArray[np.float64]) -> None:
+        super().__init__()
+        self.table = table
+        self.shape = table.shape[0], table.shape[1] - 1
+
+    def __missing__(self, row: int) -> list[list[float]]:
+        cells: list[list[float]] = self.table[row].tolist()
+        self[row] = cells
+        return cells
 
 
 def sums_of(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, nodes: Nodes) -> list[EdgeSums]:
@@ -109,38 +139,42 @@ def sums_of(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, 
 
     bound: (n_rows,) float64, the facing side of the other polygon, -1 where there is none.
     """
-    return [_edge_sums(table, bound, which, a, b) for a, b in zip(nodes, np.roll(nodes, -1, axis=0), strict=True)]
+    points = _points(nodes)
+    edges = zip(points, points[1:] + points[:1], strict=True)
+    return [_edge_sums(_Rows(table), bound.tolist(), which, a, b) for a, b in edges]
 
 
-def _edge_sums(table: NDArray[np.float64], bound: NDArray[np.float64], which: int, a: Nodes, b: Nodes) -> EdgeSums:
-    rows, columns = crossings(a, b, table.shape[0], table.shape[1] - 1)
-    downward = bool(b[0] > a[0])
-    sign = 1.0 if downward else -1.0
-    total, count = table[rows, columns].sum(axis=0)
-    area = float(columns.sum())
+def _edge_sums(rows: _Rows, bound: list[float], which: int, a: Point, b: Point) -> EdgeSums:
+    first, columns = _crossed(a, b)
+    total = count = 0.0
+    for row, column in enumerate(columns, first):
+        cell = rows[row][column]
+        total += cell[0]
+        count += cell[1]
+    area = float(sum(columns))
+    downward = b[0] > a[0]
     gap = shared = overlap = 0.0
     if downward == (which == HIGHLIGHT):  # this side faces the other polygon
-        facing = bound[rows] >= 0.0
-        between = (bound[rows] - columns if which == HIGHLIGHT else columns - bound[rows])[facing]
-        gap, overlap, shared = (
-            float(between[between > 0.0].sum()),
-            float(-between[between < 0.0].sum()),
-            float(facing.sum()),
-        )
-    far, n_rows = (area, float(len(rows))) if downward else (0.0, 0.0)
-    return EdgeSums(sign * float(total), sign * float(count), sign * area, far, n_rows, gap, shared, overlap)
+        for row, column in enumerate(columns, first):
+            if bound[row] >= 0.0:
+                between = bound[row] - column if which == HIGHLIGHT else column - bound[row]
+                shared += 1.0
+                if between > 0.0:
+                    gap += between
+                else:
+                    overlap -= between
+    if downward:
+        return EdgeSums._make((total, count, area, area, float(len(columns)), gap, shared, overlap))
+    return EdgeSums._make((-total, -count, -area, 0.0, 0.0, gap, shared, overlap))
 
 
-def facing_side(other: Nodes, which: int, n_rows: int, n_columns: int) -> NDArray[np.float64]:
-    """Find per row the column where the polygon `other` faces polygon `which`, (n_rows,) float64.
-
-    -1 where it does not.
-    """
-    bound = np.full(n_rows, -1.0)
-    for a, b in zip(other, np.roll(other, -1, axis=0), strict=True):
+def _facing_side(rows: _Rows, other: list[Point], which: int) -> list[float]:
+    """Find per row the column where the polygon `other` faces polygon `which`, -1 where it does not."""
+    bound = [-1.0] * rows.shape[0]
+    for a, b in zip(other, other[1:] + other[:1], strict=True):
         if a[0] != b[0] and (b[0] > a[0]) == (which == SHADOW):
-            rows, columns = crossings(a, b, n_rows, n_columns)
-            bound[rows] = columns
+            first, columns = _crossed(a, b)
+            bound[first : first + len(columns)] = columns
     return bound
 
 
@@ -165,10 +199,18 @@ def parameter_code(settings: Settings, count: float) -> float:
     return 0.5 * math.log(samples) if samples > 1.0 else 0.0
 
 
-def polygon_cost(settings: Settings, which: int, nodes: Nodes, sums: EdgeSums) -> float:
+def polygon_cost(settings: Settings, which: int, nodes: Nodes | Sequence[Point], sums: EdgeSums) -> float:
     """Compute the cost of a polygon by itself: its region's likelihood, its nodes, its mean."""
-    n = float(len(nodes))
-    row_step, column_step = np.abs(np.roll(nodes, -1, axis=0) - nodes).sum(axis=0).tolist()
+    rows, columns = zip(*nodes, strict=True)
+    return _own_cost(settings, which, rows, columns, sums)
+
+
+def _own_cost(
+    settings: Settings, which: int, rows: tuple[float, ...], columns: tuple[float, ...], sums: EdgeSums
+) -> float:
+    n = float(len(rows))
+    row_step = sum(map(abs, map(operator.sub, rows, rows[1:] + rows[:1])))
+    column_step = sum(map(abs, map(operator.sub, columns, columns[1:] + columns[:1])))
     spread = math.log(max(row_step / n * (column_step / n) / settings.correlation_px, 0.25))
     code = settings.log_window + 2.0 * math.log(n) + n * (_TWICE_LOG_2E + spread)
     return likelihood(settings, which, sums.total, sums.measured) + code + parameter_code(settings, sums.measured)
@@ -199,14 +241,31 @@ def shadow_cost(settings: Settings, sums: EdgeSums) -> float:
     return cost
 
 
-def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: EdgeSums) -> float:
+class _Polygon(NamedTuple):
+    """Hold a polygon as the criterion sees it: its sums, what it costs by itself, and how far it reaches."""
+
+    sums: EdgeSums
+    own: float
+    top: float
+    bottom: float
+    near: float
+
+
+def _seen(settings: Settings, which: int, points: list[Point], sums: EdgeSums) -> _Polygon:
+    rows, columns = zip(*points, strict=True)
+    own = _own_cost(settings, which, rows, columns, sums)
+    return _Polygon._make((sums, own, min(rows), max(rows), min(columns)))
+
+
+def _cooperation(settings: Settings, highlight: _Polygon, shadow: _Polygon, moved: EdgeSums) -> float:
     """Compute the cost of a mismatch of highlight and shadow.
 
     moved: of either, its gap and overlap being against the other.
     """
-    top, bottom = (abs(end(highlight[:, 0]) - end(shadow[:, 0])) * settings.row_spacing_m for end in (np.min, np.max))
-    cost = _beyond(float(top) - settings.extent_tolerance_m, settings.extent_sigma_m)
-    cost += _beyond(float(bottom) - settings.extent_tolerance_m, settings.extent_sigma_m)
+    top_m = abs(highlight.top - shadow.top) * settings.row_spacing_m
+    bottom_m = abs(highlight.bottom - shadow.bottom) * settings.row_spacing_m
+    cost = _beyond(top_m - settings.extent_tolerance_m, settings.extent_sigma_m)
+    cost += _beyond(bottom_m - settings.extent_tolerance_m, settings.extent_sigma_m)
     if moved.shared > 0.0:
         cost += _beyond(
             moved.gap / moved.shared * settings.column_spacing_m - settings.gap_tolerance_m, settings.gap_sigma_m
@@ -214,24 +273,28 @@ def cooperation(settings: Settings, highlight: Nodes, shadow: Nodes, moved: Edge
     else:
         cost += settings.forbidden
     cost += settings.forbidden * moved.overlap
-    ahead = float(highlight[:, 1].min() - shadow[:, 1].min())
+    ahead = highlight.near - shadow.near
     return cost + settings.forbidden * ahead if ahead > 0.0 else cost
 
 
-def criterion(settings: Settings, nodes: tuple[Nodes, Nodes], sums: tuple[EdgeSums, EdgeSums], moved: int) -> float:
-    """Compute J of a pair. moved: the polygon whose sums hold gap and overlap."""
-    present = [which for which in (HIGHLIGHT, SHADOW) if len(nodes[which])]
-    cost = polygon_cost(settings, present[0], nodes[present[0]], sums[present[0]])
-    if len(present) == 2:
-        cost += polygon_cost(settings, SHADOW, nodes[SHADOW], sums[SHADOW])
-    count = settings.window_count - sums[HIGHLIGHT].measured - sums[SHADOW].measured
+def _criterion(settings: Settings, pair: tuple[_Polygon | None, _Polygon | None], moved: EdgeSums) -> float:
+    """Compute J of a pair, None for a polygon that does not exist.
+
+    moved: sums of the one that hold gap and overlap.
+    """
+    highlight, shadow = pair
+    present = [polygon for polygon in pair if polygon is not None]
+    cost = sum([polygon.own for polygon in present])
+    total, count = settings.window_sum, settings.window_count
+    for polygon in present:
+        total -= polygon.sums.total
+        count -= polygon.sums.measured
     if count >= 1.0:
-        total = settings.window_sum - sums[HIGHLIGHT].total - sums[SHADOW].total
         cost += likelihood(settings, BACKGROUND, total, count) + parameter_code(settings, count)
-    if SHADOW in present:
-        cost += shadow_cost(settings, sums[SHADOW])
-    if len(present) == 2:
-        cost += cooperation(settings, nodes[HIGHLIGHT], nodes[SHADOW], sums[moved])
+    if shadow is not None:
+        cost += shadow_cost(settings, shadow.sums)
+    if highlight is not None and shadow is not None:
+        cost += _cooperation(settings, highlight, shadow, moved)
     return cost
 
 
@@ -244,12 +307,15 @@ def no_object(settings: Settings) -> float:
 
 def is_sound(nodes: Nodes) -> bool:
     """Check that a polygon is simple, its nodes half a pixel apart, and each row crosses it at most twice."""
-    return _sound(nodes, range(len(nodes)))
+    return _sound(_points(nodes), range(len(nodes)))
 
 
-def _sound(nodes: Nodes, edges: range) -> bool:
+def _points(nodes: Nodes) -> list[Point]:
+    return [(row, column) for row, column in nodes.tolist()]
+
+
+def _sound(points: list[Point], edges: range) -> bool:
     """Check as is_sound where only `edges` can be at fault."""
-    points = [(float(row), float(column)) for row, column in nodes]
     n = len(points)
     ways = [_sign(points[(i + 1) % n][0] - points[i][0]) for i in range(n)]
     steep = [way for way in ways if way]
@@ -277,18 +343,15 @@ def _sound(nodes: Nodes, edges: range) -> bool:
     return True
 
 
-_Point = tuple[float, float]
-
-
 def _sign(value: float) -> int:
     return (value > 0.0) - (value < 0.0)
 
 
-def _turn(a: _Point, b: _Point, c: _Point) -> float:
+def _turn(a: Point, b: Point, c: Point) -> float:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _meet(a: _Point, b: _Point, c: _Point, d: _Point) -> bool:
+def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
     """Check whether two segments have a point in common."""
     c_side, d_side, a_side, b_side = (_sign(_turn(*three)) for three in ((a, b, c), (a, b, d), (c, d, a), (c, d, b)))
     if c_side * d_side < 0 and a_side * b_side < 0:
@@ -297,7 +360,7 @@ def _meet(a: _Point, b: _Point, c: _Point, d: _Point) -> bool:
     return any(side == 0 and _within(p, q, point) for side, p, q, point in ends)
 
 
-def _within(a: _Point, b: _Point, point: _Point) -> bool:
+def _within(a: Point, b: Point, point: Point) -> bool:
     return all(min(a[axis], b[axis]) <= point[axis] <= max(a[axis], b[axis]) for axis in (0, 1))
 
 
@@ -312,130 +375,156 @@ def fault_of(table: NDArray[np.float64], settings: Settings, nodes: Nodes) -> in
 
 
 def _total(edges: list[EdgeSums]) -> EdgeSums:
-    total = _NOTHING
-    for edge in edges:
-        total = EdgeSums(*(a + b for a, b in zip(total, edge, strict=True)))
-    return total
+    return EdgeSums._make(map(sum, zip(*edges, strict=True)))
 
 
 class _Pair:
-    """Hold the pair on its way. `sums` of a polygon hold gap and overlap as they were when it last moved."""
+    """Hold the pair on its way.
+
+    points, edges, seen: of both polygons; edges and seen hold gap and overlap as they were when a polygon last moved.
+    bounds, measured: what either faces, and the sums of all edges measured against it, since most are tried again.
+    """
 
     def __init__(self, table: NDArray[np.float64], settings: Settings, nodes: tuple[Nodes, Nodes]) -> None:
-        self.table = table
+        self.rows = _Rows(table)
         self.settings = settings
-        self.nodes = [nodes[HIGHLIGHT].copy(), nodes[SHADOW].copy()]
-        self.sums = [_NOTHING, _NOTHING]
+        self.points = [_points(nodes[HIGHLIGHT]), _points(nodes[SHADOW])]
+        self.edges: list[list[EdgeSums]] = [[], []]
+        self.seen: list[_Polygon | None] = [None, None]
+        self.bounds: list[list[float]] = [[], []]
+        self.measured: list[dict[tuple[Point, Point], EdgeSums]] = [{}, {}]
         self.n_moves = self.n_proposed = 0
         self.criterion = 0.0
         self.settled: set[tuple[int, int]] = (
             set()
         )  # polygon and node that nothing has moved since no way of theirs was better
         for which in (HIGHLIGHT, SHADOW):
-            if len(self.nodes[which]):
+            if self.points[which]:
                 self.face(which)
-                self.sums[which] = _total(sums_of(table, self.bound, which, self.nodes[which]))
-        for which in (HIGHLIGHT, SHADOW):
-            if len(self.nodes[which]):
-                self.face(which)
-                self.criterion = self.refreshed(which)
+                self.refresh(which)
 
     def face(self, which: int) -> None:
         """Fix the other polygon and move polygon `which` from now on."""
-        self.bound = facing_side(self.nodes[1 - which], which, self.table.shape[0], self.table.shape[1] - 1)
+        bound = _facing_side(self.rows, self.points[1 - which], which)
+        if bound != self.bounds[which]:
+            self.bounds[which], self.measured[which] = bound, {}
 
-    def refreshed(self, which: int) -> float:
-        """Measure polygon `which` anew; returns the criterion."""
-        self.sums[which] = _total(sums_of(self.table, self.bound, which, self.nodes[which]))
-        return self.value(which, self.nodes[which], self.sums[which])
+    def refresh(self, which: int) -> None:
+        """Measure polygon `which` anew, and the criterion."""
+        points = self.points[which]
+        self.edges[which] = [self.edge(which, a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+        self.seen[which] = _seen(self.settings, which, points, _total(self.edges[which]))
+        self.criterion = self.value(which, self.seen[which])
 
-    def value(self, which: int, nodes: Nodes, sums: EdgeSums) -> float:
-        """Compute the criterion with other nodes for polygon `which`."""
-        both_nodes, both_sums = list(self.nodes), list(self.sums)
-        both_nodes[which], both_sums[which] = nodes, sums
-        return criterion(self.settings, (both_nodes[0], both_nodes[1]), (both_sums[0], both_sums[1]), which)
+    def edge(self, which: int, a: Point, b: Point) -> EdgeSums:
+        """Measure an edge of polygon `which`."""
+        measured = self.measured[which]
+        sums = measured.get((a, b))
+        if sums is None:
+            sums = measured[a, b] = _edge_sums(self.rows, self.bounds[which], which, a, b)
+        return sums
+
+    def value(self, which: int, moved: _Polygon | None) -> float:
+        """Compute the criterion with another polygon `which`."""
+        assert moved is not None
+        pair = (moved, self.seen[SHADOW]) if which == HIGHLIGHT else (self.seen[HIGHLIGHT], moved)
+        return _criterion(self.settings, pair, moved.sums)
+
+    def sums_with(self, which: int, gone: Sequence[int], points: list[Point], new: range) -> EdgeSums:
+        """Sum polygon `which` without the edges `gone`, with the edges `new` of other points. Sums are exact."""
+        seen = self.seen[which]
+        assert seen is not None
+        n = len(points)
+        edges = [self.edge(which, points[i % n], points[(i + 1) % n]) for i in new]
+        taken = [self.edges[which][i] for i in gone]
+        total = map(sum, zip(seen.sums, *edges, strict=True))
+        return EdgeSums._make(map(operator.sub, total, map(sum, zip(*taken, strict=True))))
 
     def sweep(self, which: int, amplitude: float) -> int:
         """Move each node, and the edge after it, the best way of all unless it is settled; return how many moved."""
-        n = len(self.nodes[which])
+        n = len(self.points[which])
         if n == 0:
             return 0
         self.face(which)
-        self.criterion = self.refreshed(which)
+        self.refresh(which)
         moved = 0
         for i in range(n):
             if (which, i) in self.settled:
                 continue
-            best: Nodes | None = None
-            edges = sums_of(self.table, self.bound, which, self.nodes[which])
+            best: list[Point] | None = None
             for n_shifted, ways in ((1, _NODE_WAYS), (2, _EDGE_WAYS)):
-                for way in ways:
-                    nodes = self.nodes[which].copy()
-                    nodes[[(i + k) % n for k in range(n_shifted)]] += np.array(way) * amplitude
-                    found = self.tried(which, nodes, edges, range(i - 1, i + n_shifted))
+                for row, column in ways:
+                    points = self.points[which].copy()
+                    for k in range(n_shifted):
+                        here = points[(i + k) % n]
+                        points[(i + k) % n] = here[0] + row * amplitude, here[1] + column * amplitude
+                    found = self.tried(which, points, i, n_shifted)
                     if found < self.criterion:
-                        self.criterion, best = found, nodes
+                        self.criterion, best = found, points
             if best is None:
                 self.settled.add((which, i))
             else:
-                self.nodes[which] = best
-                self.criterion = self.refreshed(which)
+                self.points[which] = best
+                self.refresh(which)
                 self.settled.clear()
                 moved += 1
         return moved
 
-    def tried(self, which: int, nodes: Nodes, edges: list[EdgeSums], changed: range) -> float:
-        """Compute the criterion of nodes that differ at the edges `changed`.
+    def tried(self, which: int, points: list[Point], first: int, n_shifted: int) -> float:
+        """Compute the criterion of points of which n_shifted were moved, from `first` on.
 
         Infinite where it is no better or not allowed.
         """
-        n = len(nodes)
-        window = self.table.shape[0], self.table.shape[1] - 1
-        if not ((nodes >= 0.0) & (nodes <= window)).all():
-            return math.inf
+        n = len(points)
+        n_rows, n_columns = self.rows.shape
+        for k in range(n_shifted):
+            row, column = points[(first + k) % n]
+            if not (0.0 <= row <= n_rows and 0.0 <= column <= n_columns):
+                return math.inf
         self.n_proposed += 1
-        edges = list(edges)
-        for i in changed:
-            edges[i % n] = _edge_sums(self.table, self.bound, which, nodes[i % n], nodes[(i + 1) % n])
-        sums = _total(edges)
+        changed = range(first - 1, first + n_shifted)
+        sums = self.sums_with(which, [i % n for i in changed], points, changed)
         if sums.measured < 1.0 or sums.area < self.settings.min_area_px:
             return math.inf
-        found = self.value(which, nodes, sums)
-        return found if found < self.criterion and _sound(nodes, changed) else math.inf
+        found = self.value(which, _seen(self.settings, which, points, sums))
+        return found if found < self.criterion and _sound(points, changed) else math.inf
 
     def subdivide(self, which: int, n: int) -> None:
         """Add nodes half-way along the longest edges, the first of equals, until there are n."""
-        while 0 < len(self.nodes[which]) < n:
-            nodes = self.nodes[which]
-            after = np.roll(nodes, -1, axis=0)
-            square = ((after - nodes) ** 2).sum(axis=1)
-            longest = int(square.argmax())
-            if square[longest] < _SHORTEST_CUT_PX * _SHORTEST_CUT_PX:
+        points = self.points[which]
+        while 0 < len(points) < n:
+            after = points[1:] + points[:1]
+            ways = [(b[0] - a[0], b[1] - a[1]) for a, b in zip(points, after, strict=True)]
+            squares = [row * row + column * column for row, column in ways]
+            longest = squares.index(max(squares))
+            if squares[longest] < _SHORTEST_CUT_PX * _SHORTEST_CUT_PX:
                 return
-            self.nodes[which] = np.insert(nodes, longest + 1, 0.5 * (nodes[longest] + after[longest]), axis=0)
+            a, b = points[longest], after[longest]
+            points.insert(longest + 1, (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])))
 
     def prune(self, which: int) -> int:
         """Remove nodes one by one whose removal lowers the criterion most; return how many went."""
-        if len(self.nodes[which]) == 0:
+        if not self.points[which]:
             return 0
         self.face(which)
-        self.criterion = self.refreshed(which)
+        self.refresh(which)
         gone = 0
-        while len(self.nodes[which]) > 3:
-            best: Nodes | None = None
-            for i in range(len(self.nodes[which])):
-                nodes = np.delete(self.nodes[which], i, axis=0)
-                sums = _total(sums_of(self.table, self.bound, which, nodes))
+        while len(self.points[which]) > 3:
+            best: list[Point] | None = None
+            for i in range(len(self.points[which])):
+                points = self.points[which].copy()
+                del points[i]
+                sums = self.sums_with(which, (i - 1, i), points, range(i - 1, i))
                 self.n_proposed += 1
                 if sums.measured < 1.0 or sums.area < self.settings.min_area_px:
                     continue
-                found = self.value(which, nodes, sums)
-                if found < self.criterion and _sound(nodes, range(i - 1, i)):
-                    self.criterion, best = found, nodes
+                found = self.value(which, _seen(self.settings, which, points, sums))
+                if found < self.criterion and _sound(points, range(i - 1, i)):
+                    self.criterion, best = found, points
             if best is None:
                 break
-            self.nodes[which] = best
-            self.criterion = self.refreshed(which)
+            self.points[which] = best
+            self.refresh(which)
             gone += 1
         return gone
 
@@ -448,25 +537,27 @@ def move_pair(
     for n_nodes, amplitude, n_sweeps in schedule.tolist():
         pair.settled.clear()
         for which in (SHADOW, HIGHLIGHT):
-            if len(pair.nodes[which]) == 0:
+            if not pair.points[which]:
                 continue
             if amplitude == 0.0:
                 pair.n_moves += pair.prune(which)
             else:
                 pair.subdivide(which, int(n_nodes))
                 pair.face(which)
-                pair.criterion = pair.refreshed(which)
+                pair.refresh(which)
         for _ in range(int(n_sweeps) if amplitude > 0.0 else 0):
             moved = pair.sweep(SHADOW, amplitude) + pair.sweep(HIGHLIGHT, amplitude)
             pair.n_moves += moved
             if moved == 0:
                 break
+    sums = [_NOTHING if seen is None else seen.sums for seen in pair.seen]
+    nodes = [np.array(points, dtype=np.float64).reshape(-1, 2) for points in pair.points]
     return Moved(
-        pair.nodes[HIGHLIGHT],
-        pair.nodes[SHADOW],
+        nodes[HIGHLIGHT],
+        nodes[SHADOW],
         pair.criterion,
         pair.n_moves,
         pair.n_proposed,
-        pair.sums[HIGHLIGHT],
-        pair.sums[SHADOW],
+        sums[HIGHLIGHT],
+        sums[SHADOW],
     )

@@ -20,7 +20,7 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,6 +180,35 @@ def _c_icm() -> Callable[..., None] | None:
     return kernels.c_function("icm", _I, _I, _I, *[_P] * 4)
 
 
+class _Skewed:
+    """Lay planes out so that cells that do not see each other are one slice: those of equal column + 2 row, a wave.
+
+    Cell (row, column) stands at [column + 2 row + 3, ..., row + 1]. Neighbours in the same direction of a wave's cells
+    are then a slice as well. Places without a cell hold 0 and have edges of no weight, so that nothing comes from them.
+    """
+
+    def __init__(self, n_rows: int, n_columns: int) -> None:
+        row, column = np.mgrid[:n_rows, :n_columns]
+        self.wave, self.at = column + 2 * row + 3, row + 1
+        self.waves = range(3, n_columns + 2 * n_rows + 1)
+        self.shape = n_columns + 2 * n_rows + 1, n_rows + 2
+
+    def laid_out(self, plane: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Lay out (n_rows, n_columns, ...) as (n_waves + 3, ..., n_rows + 2)."""
+        out = np.zeros((self.shape[0], *plane.shape[2:], self.shape[1]))
+        np.moveaxis(out, -1, 1)[self.wave, self.at] = plane
+        return out
+
+    def plane_of(self, laid_out: NDArray[Any]) -> NDArray[Any]:
+        """Put what was laid out back into (n_rows, n_columns, ...)."""
+        return np.asarray(np.moveaxis(laid_out, -1, 1)[self.wave, self.at])
+
+
+_HERE = slice(1, -1)
+_BEFORE = ((1, _HERE), (1, slice(0, -2)), (2, slice(0, -2)), (3, slice(0, -2)))
+"""How many waves before, and where in it, a wave's earlier neighbours stand, in the order of _EARLIER."""
+
+
 def _trws_in_place(
     unary: NDArray[np.float64],
     weight: NDArray[np.float64],
@@ -187,38 +216,42 @@ def _trws_in_place(
     tolerance: float,
     messages: NDArray[np.float64],
 ) -> Minimum:
-    # Cells of equal column + 2 row do not see each other: a wave of them is one step of the raster order.
     n_rows, n_columns, _ = unary.shape
-    earlier, later = _edge_weights(n_rows, n_columns, weight)
+    skewed = _Skewed(n_rows, n_columns)
+    earlier, later = (skewed.laid_out(each) for each in _edge_weights(n_rows, n_columns, weight))
     chains = np.maximum(*(exists.sum(axis=2) for exists in _edge_exists(n_rows, n_columns)))
-    share = 1.0 / np.maximum(chains, 1)
-    waves = _waves(n_rows, n_columns)
+    share = skewed.laid_out(1.0 / np.maximum(chains, 1))
+    own_costs = skewed.laid_out(unary)
+    # (waves, edges, labels, rows)
+    sent = skewed.laid_out(messages[1:, 1:-1].swapaxes(2, 3))
     trace: list[tuple[float, float]] = []
     best_labels, best_energy = np.zeros((n_rows, n_columns), dtype=np.uint8), np.inf
-    bound = np.empty((n_rows, n_columns))
+    bound = np.zeros(skewed.shape)
     for _ in range(n_sweeps):
-        for row, column in waves:
-            scaled = share[row, column, None] * _gathered(unary, messages, row, column)
-            messages[row + 1, column + 1], _ = _sent(
-                scaled[:, :, None] - messages[row + 1, column + 1], later[row, column]
-            )
-        for row, column in reversed(waves):
-            cost = _gathered(unary, messages, row, column)
-            scaled = share[row, column, None] * cost
-            floor_cost = cost.min(axis=1)
-            part = np.empty((len(row), N_EDGES))
-            for e, (down, right) in enumerate(_EARLIER):
-                there = (row + 1 + down, column + 1 + right, slice(None), e)
-                sent, minimum = _sent((scaled - messages[there])[:, :, None], earlier[row, column, e : e + 1])
-                messages[there] = sent[:, :, 0]
-                part[:, e] = minimum[:, 0] - share[row, column] * floor_cost
-            bound[row, column] = floor_cost + ((part[:, 0] + part[:, 1]) + (part[:, 2] + part[:, 3]))
-        labels, energy = _decoded(unary, earlier, messages, waves)
-        trace.append((_summed(bound[::-1, ::-1]), energy))
+        for wave in skewed.waves:
+            value = share[wave, _HERE] * _gathered(own_costs, sent, wave) - sent[wave, :, :, _HERE]
+            value -= value.min(axis=1, keepdims=True)
+            np.minimum(value, later[wave, :, None, _HERE], out=sent[wave, :, :, _HERE])
+        for wave in reversed(skewed.waves):
+            cost = _gathered(own_costs, sent, wave)
+            floor_cost = cost.min(axis=0)
+            scaled = share[wave, _HERE] * cost
+            from_earlier = [sent[wave - back, e, :, rows] for e, (back, rows) in enumerate(_BEFORE)]
+            value = scaled - np.stack(from_earlier)
+            minimum = value.min(axis=1, keepdims=True)
+            value -= minimum
+            np.minimum(value, earlier[wave, :, None, _HERE], out=value)
+            for message, new in zip(from_earlier, value, strict=True):
+                message[...] = new
+            part = minimum[:, 0] - share[wave, _HERE] * floor_cost
+            bound[wave, _HERE] = floor_cost + ((part[0] + part[1]) + (part[2] + part[3]))
+        labels, energy = _decoded(skewed, own_costs, earlier, sent)
+        trace.append((_summed(skewed.plane_of(bound)[::-1, ::-1]), energy))
         if energy < best_energy:
             best_labels, best_energy = labels, energy
         if best_energy - trace[-1][0] <= tolerance:
             break
+    messages[1:, 1:-1] = skewed.plane_of(sent).swapaxes(2, 3)
     return _minimum(best_labels, np.array(trace), messages)
 
 
@@ -226,38 +259,32 @@ def _minimum(labels: NDArray[np.uint8], trace: NDArray[np.float64], messages: ND
     return Minimum(labels, float(trace[:, 1].min()), float(trace[:, 0].max()), trace, messages)
 
 
-def _gathered(
-    unary: NDArray[np.float64], messages: NDArray[np.float64], row: NDArray[np.intp], column: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    own = messages[row + 1, column + 1]
-    later = (own[:, :, 0] + own[:, :, 1]) + (own[:, :, 2] + own[:, :, 3])
-    above = (messages[row, column + 2, :, 1] + messages[row, column + 1, :, 2]) + messages[row, column, :, 3]
-    return np.asarray(((unary[row, column] + later) + above) + messages[row + 1, column, :, 0])
-
-
-def _sent(value: NDArray[np.float64], weight: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    minimum = value.min(axis=1)
-    return np.minimum(value - minimum[:, None], weight[:, None]), minimum
+def _gathered(own_costs: NDArray[np.float64], sent: NDArray[np.float64], wave: int) -> NDArray[np.float64]:
+    """Add what a wave's cells cost and all that was sent to them, (3, n_rows)."""
+    own = sent[wave, :, :, _HERE]
+    later = (own[0] + own[1]) + (own[2] + own[3])
+    left, above_right, above, above_left = (sent[wave - back, e, :, rows] for e, (back, rows) in enumerate(_BEFORE))
+    cost: NDArray[np.float64] = own_costs[wave, :, _HERE] + later
+    cost += (above_right + above) + above_left
+    cost += left
+    return cost
 
 
 def _decoded(
-    unary: NDArray[np.float64],
-    earlier: NDArray[np.float64],
-    messages: NDArray[np.float64],
-    waves: list[tuple[NDArray[np.intp], NDArray[np.intp]]],
+    skewed: _Skewed, own_costs: NDArray[np.float64], earlier: NDArray[np.float64], sent: NDArray[np.float64]
 ) -> tuple[NDArray[np.uint8], float]:
-    n_rows, n_columns, _ = unary.shape
-    padded = np.zeros((n_rows + 2, n_columns + 2), dtype=np.uint8)
-    energy = np.empty((n_rows, n_columns))
-    for row, column in waves:
-        own = messages[row + 1, column + 1]
-        pair = _against(padded, row, column, earlier[row, column], 1)
-        cost = (unary[row, column] + pair) + ((own[:, :, 0] + own[:, :, 1]) + (own[:, :, 2] + own[:, :, 3]))
-        label = cost.argmin(axis=1)
-        padded[row + 1, column + 1] = label
-        cells = np.arange(len(row))
-        energy[row, column] = unary[row, column, label] + pair[cells, label]
-    return padded[1:-1, 1:-1].copy(), _summed(energy)
+    labels, energy = np.zeros(skewed.shape, dtype=np.uint8), np.zeros(skewed.shape)
+    every = np.arange(N_LABELS, dtype=np.uint8)[:, None]
+    for wave in skewed.waves:
+        own = sent[wave, :, :, _HERE]
+        pair = np.zeros(own.shape[1:])
+        for e, (back, rows) in enumerate(_BEFORE):
+            pair += earlier[wave, e, _HERE] * (labels[wave - back, rows] != every)
+        alone = own_costs[wave, :, _HERE] + pair
+        label = (alone + ((own[0] + own[1]) + (own[2] + own[3]))).argmin(axis=0)
+        labels[wave, _HERE] = label
+        energy[wave, _HERE] = np.take_along_axis(alone, label[None], axis=0)[0]
+    return skewed.plane_of(labels), _summed(skewed.plane_of(energy))
 
 
 def _against(

@@ -6,7 +6,6 @@ Coordinates as in `slices`. Leading axes of vertices are hypotheses and broadcas
 from __future__ import annotations
 
 import functools
-from itertools import combinations
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,11 +19,11 @@ Faces: TypeAlias = tuple[tuple[int, ...], ...]
 class _Incidence(NamedTuple):
     """Hold which edges and faces meet.
 
-    edges: (n_edges, 2) vertices they join; pairs: (n_pairs, 2) edges that have a face in common.
+    edges: (n_edges, 2) vertices they join; share_face: (n_edges, n_edges) bool, whether two have a face in common.
     """
 
     edges: NDArray[np.intp]
-    pairs: NDArray[np.intp]
+    share_face: NDArray[np.bool_]
 
 
 def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range: Array, altitude: Array) -> Slice:
@@ -55,8 +54,13 @@ def polyhedron_slice(vertices: Array, faces: Faces, offset: Array, ground_range:
     y = np.broadcast_to(ground_range, shape) + start[:, 1] + part * (end[:, 1] - start[:, 1])
     z = start[:, 2] + part * (end[:, 2] - start[:, 2])
 
-    first, second = incidence.pairs[:, 0], incidence.pairs[:, 1]
-    sides = crosses[first] & crosses[second]
+    crosses, y, z = np.broadcast_arrays(crosses, y, z)
+    # A plane crosses few of the edges: those come first, the others are left out.
+    n_crossed = max(int(crosses.sum(axis=0).max(initial=0)), 2)
+    order = np.argsort(~crosses, axis=0, kind="stable")[:n_crossed]
+    crosses, y, z = (np.take_along_axis(each, order, axis=0) for each in (crosses, y, z))
+    first, second = np.triu_indices(n_crossed, 1)
+    sides = crosses[first] & crosses[second] & incidence.share_face[order[first], order[second]]
     y0, z0, y1, z1 = y[first], z[first], y[second], z[second]
     if np.any(
         corners[:, 2] < 0.0
@@ -107,10 +111,11 @@ def _incidence(faces: Faces) -> _Incidence:
         frozenset(side): index
         for index, side in enumerate({frozenset(side): side for face in faces for side in _sides(face)})
     }
-    pairs = [
-        sorted(pair) for face in faces for pair in combinations([edges[frozenset(side)] for side in _sides(face)], 2)
-    ]
-    return _Incidence(np.array([sorted(edge) for edge in edges], dtype=np.intp), np.array(pairs, dtype=np.intp))
+    share_face = np.zeros((len(edges), len(edges)), dtype=np.bool_)
+    for face in faces:
+        around = [edges[frozenset(side)] for side in _sides(face)]
+        share_face[np.ix_(around, around)] = True
+    return _Incidence(np.array([sorted(edge) for edge in edges], dtype=np.intp), share_face)
 
 
 def _sides(face: tuple[int, ...]) -> list[tuple[int, int]]:

@@ -16,6 +16,7 @@ import msgspec
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
+from sim_replay.benches.run_time.fallback import FALLBACK_HEADER, fallback_rows, measure_fallback
 from sim_replay.benches.run_time.latency import LATENCY_HEADER, WITHIN_M, WITHIN_S, latency_rows, measure_latency
 from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes, repeated
 from sim_replay.benches.run_time.measure import CALLED_P, MissionCost, measure_settings, this_machine
@@ -85,6 +86,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how long after it was passed a target is announced, early and in the end",
     )
     instead.add_argument(
+        "--fallback",
+        action="store_true",
+        help="with the C kernels and without them, whether numpy alone keeps up (default scene: flat)",
+    )
+    instead.add_argument(
         "--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
@@ -102,15 +108,16 @@ def run(arguments: argparse.Namespace) -> int:
     for option, path in (("--json", arguments.json), ("--page", arguments.page)):
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
-    if (arguments.skips or arguments.scaling or arguments.latency) and (
+    if (arguments.skips or arguments.scaling or arguments.latency or arguments.fallback) and (
         arguments.page is not None or arguments.compare is not None
     ):
         raise UsageError(
-            "--page and --compare are for operating points and targets: leave them out beside --skips, --scaling and "
-            "--latency"
+            "--page and --compare are for operating points and targets: leave them out beside --skips, --scaling, "
+            "--latency and --fallback"
         )
     old = None if arguments.compare is None else read_results(arguments.compare)
-    names = tuple(arguments.scenes.split(",")) if arguments.scenes else SCENES if arguments.targets else SCANNED
+    usual = SCENES if arguments.targets else (FLAT,) if arguments.fallback else SCANNED
+    names = tuple(arguments.scenes.split(",")) if arguments.scenes else usual
     for name in names:
         read_scene(name)
     if arguments.scaling:
@@ -119,6 +126,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _skips(arguments, names)
     if arguments.latency:
         return _latency(arguments, names)
+    if arguments.fallback:
+        return _fallback(arguments, names)
     chosen = _chosen(arguments.knobs, arguments.targets)
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
@@ -200,6 +209,19 @@ def _latency(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     )
     print(laid_out(LATENCY_HEADER, latency_rows(waits)))
     _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(waits), indent=1))
+    return 0
+
+
+def _fallback(arguments: argparse.Namespace, names: Sequence[str]) -> int:
+    laid_out = markdown if arguments.markdown else columns
+    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
+        lines = _missions(arguments, names, Path(made))
+        default = _chosen(None, targets_alone=True)[0]
+        both = measure_fallback(default, lines, arguments.repeat, Path(made), _progress)
+    print(file=sys.stderr)
+    print("processor time of the chain alone, one core; in common: called either way, to a centimetre\n")
+    print(laid_out(FALLBACK_HEADER, fallback_rows(*both)))
+    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(both), indent=1))
     return 0
 
 

@@ -12,9 +12,10 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import cv2
@@ -141,8 +142,11 @@ def measure_settings(
     folder: Path,
     progress: Callable[[str], None] = lambda words: None,
     threads: int = 1,
+    environment: Mapping[str, str] = MappingProxyType({}),
 ) -> list[SettingResult]:
     """Run every point on every mission `repeat` times, all points in turn on each mission.
+
+    environment: added to that of the runs.
 
     Raises BadInputError where a run fails, or where two runs of one point give different contacts.
     """
@@ -151,11 +155,17 @@ def measure_settings(
         for line in lines:
             for point in points:
                 progress(f"run {number + 1} of {repeat}: {line.name}, {point.name}")
-                raw[point.name, line.name].append(run_once(point, line, folder, threads))
+                raw[point.name, line.name].append(run_once(point, line, folder, threads, environment))
     return [_result(point, lines, raw, folder) for point in points]
 
 
-def run_once(point: ChainSetting, line: BenchMission, folder: Path, threads: int = 1) -> dict[str, Any]:
+def run_once(
+    point: ChainSetting,
+    line: BenchMission,
+    folder: Path,
+    threads: int = 1,
+    environment: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
     """Run one point on one mission in a process of its own.
 
     Its costs and counts, and process_s, its user and system time.
@@ -172,7 +182,7 @@ def run_once(point: ChainSetting, line: BenchMission, folder: Path, threads: int
         command += [word for name in sorted(point.without_skips) for word in ("--without-skip", name)]
         command += ["--contacts", str(contacts), "--threads", str(threads)]
     started_s = time.monotonic()
-    output, process_s = _timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"))
+    output, process_s = _timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"), environment)
     elapsed_s = time.monotonic() - started_s
     done: dict[str, Any] = json.loads(output)
     data = contacts.read_bytes()
@@ -191,11 +201,13 @@ def contacts_path(point: ChainSetting, line: BenchMission, folder: Path) -> Path
     return folder / ("".join(letter if letter.isalnum() else "-" for letter in words) + ".geojson")
 
 
-def _timed(command: Sequence[str], what: str, errors: Path) -> tuple[str, float]:
+def _timed(command: Sequence[str], what: str, errors: Path, environment: Mapping[str, str]) -> tuple[str, float]:
     """Run a program for its output, and its user and system time, s. Raises BadInputError if it fails."""
     with (
         errors.open("wb+") as err,
-        subprocess.Popen(command, env={**os.environ, **_ONE_THREAD}, stdout=subprocess.PIPE, stderr=err) as process,
+        subprocess.Popen(
+            command, env={**os.environ, **_ONE_THREAD, **environment}, stdout=subprocess.PIPE, stderr=err
+        ) as process,
     ):
         assert process.stdout is not None
         output = process.stdout.read().decode()

@@ -14,10 +14,12 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.confirmation import Thoroughness
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.settings.config import Config
 from auv_mcm.skips import SKIPS
 from sim_replay.benches.run_time import plain_script
+from sim_replay.benches.run_time.fallback import WITHOUT_KERNELS, fallback_rows
 from sim_replay.benches.run_time.lines import BenchMission, scattered, with_short_legs, without_objects
-from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, SettingResult
+from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, SettingResult, run_once
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import run_time_page
 from sim_replay.benches.run_time.points import PLAIN, chain_settings
@@ -216,6 +218,7 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
     [
         (["--scenes", "moon"], "moon"),
         (["--skips", "--page", "a.html"], "--page"),
+        (["--fallback", "--page", "a.html"], "--fallback"),
         (["--knobs", "colour"], "colour"),
         (["--json", "no/a"], "no"),
     ],
@@ -248,6 +251,25 @@ def test_the_skip_table_says_what_is_lost_and_new_among_called() -> None:
         "no",
     ]
     assert len(register_rows()) == len(SKIPS)
+
+
+def test_the_fallback_is_compared_by_time_and_by_what_is_called() -> None:
+    fast, slow = (
+        msgspec.structs.replace(a_run(9.0, chain_s=chain_s), called=called)
+        for chain_s, called in (((2.0, 3.0), ((1.0, 1.0), (2.0, 2.0))), ((10.0, 12.0), ((2.0, 2.0),)))
+    )
+    both = (msgspec.structs.replace(a_point(DEFAULT, 9.0), runs={"flat 1": run}) for run in (fast, slow))
+    assert fallback_rows(*both) == [
+        ["flat 1", "c", "24.0", "2.0 s, x 1.0", "3", "2", "1"],
+        ["flat 1", "numpy", "5.5", "10.0 s, x 5.0", "3", "1", "1"],
+    ]
+
+
+def test_without_kernels_the_bench_runs_numpy(tmp_path: Path) -> None:
+    done = simulate(parse_scene(BRIGHT, "bright"), tmp_path / "sim")
+    truth = parse_truth(json.loads(done.truth.read_bytes()), "bright")
+    line = BenchMission("bright", "bright", "scene", done.log, Config(), truth)
+    assert run_once(chain_settings()[0], line, tmp_path, environment=WITHOUT_KERNELS)["kernels"] == "numpy"
 
 
 def test_exponents_are_those_of_a_power_law() -> None:
