@@ -20,6 +20,7 @@ from typing import BinaryIO, Final
 from auv_mcm.errors import BadInputError
 
 _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+_UPDATED: Final = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 _DIRECTORY: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 
 
@@ -99,6 +100,19 @@ def open_for_append(path: Path) -> BinaryIO:
         return os.open(name, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
 
     return open(path, "ab", buffering=0, opener=opener)
+
+
+def open_new(path: Path) -> BinaryIO:
+    """Open a file that is not there yet for writing, unbuffered. Raises OSError, also for a link in its place."""
+    return open(os.open(path, _NEW, 0o666), "wb", buffering=0)
+
+
+def open_for_update(path: Path) -> BinaryIO:
+    """Open a file, made if it is not there, for reading and writing anywhere, unbuffered.
+
+    Raises OSError, also for a link.
+    """
+    return open(os.open(path, _UPDATED, 0o666), "r+b", buffering=0)
 
 
 def sync_directory(folder: Path) -> None:

@@ -16,6 +16,8 @@ from typing import IO, Any, Final, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
+from auv_mcm.safe_files import open_for_update
+
 T = TypeVar("T", bound=msgspec.Struct)
 
 
@@ -111,8 +113,7 @@ def open_record_file(path: Path) -> RecordFile:
     Where it cannot be opened it takes nothing.
     """
     with contextlib.suppress(OSError):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
-        return RecordFile(open(descriptor, "r+b", buffering=0))
+        return RecordFile(open_for_update(path))
     return RecordFile(None)
 
 

@@ -33,7 +33,8 @@ def commit_checkpoint(folder: Path, number: int) -> None:
     """
     os.replace(_pending(folder, number), folder / f"checkpoint-{number:012d}.bin")
     sync_directory(folder)
-    for path in [*_newest_first(folder)[_N_KEPT:], *folder.glob("pending-*.bin")]:
+    given_up = (path for path in folder.glob("pending-*.bin") if int(path.stem.removeprefix("pending-")) < number)
+    for path in [*_newest_first(folder)[_N_KEPT:], *given_up]:
         path.unlink(missing_ok=True)
 
 

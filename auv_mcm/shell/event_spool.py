@@ -17,13 +17,13 @@ import threading
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple, cast
+from typing import BinaryIO, Final, NamedTuple
 
 import msgspec
 
 from auv_mcm.contacts.record_file import packed, record_decoder
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from auv_mcm.safe_files import sync_directory
+from auv_mcm.safe_files import open_new, sync_directory
 
 log = logging.getLogger(__name__)
 
@@ -195,7 +195,7 @@ class EventSpool:
         path = self._folder / f"events-{number:06d}.bin"
         self._last_in_file[path] = 0
         try:
-            file = cast(BinaryIO, open(path, "xb", buffering=0))  # noqa: SIM115, open as long as the thread writes to it
+            file = open_new(path)
             sync_directory(self._folder)
         except OSError:
             return path, None

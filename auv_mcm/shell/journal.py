@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from auv_mcm.safe_files import open_for_append, open_regular, sync_directory
+from auv_mcm.safe_files import open_for_append, open_for_update, open_regular, sync_directory
 from auv_mcm.shell.whole_files import finite
 
 
@@ -43,9 +43,9 @@ class Journal:
     @staticmethod
     def cut_torn_line(path: Path) -> None:
         """Cut off what a kill or a power cut left of a last line, which was never announced. Raises OSError."""
-        with contextlib.suppress(FileNotFoundError), open(path, "r+b") as file:
-            whole_bytes = file.read().rfind(b"\n") + 1
-            file.truncate(whole_bytes)
+        if path.exists():
+            with open_for_update(path) as file:
+                file.truncate(file.read().rfind(b"\n") + 1)
 
     def append(self, records: Iterable[Any]) -> None:
         """Append records. Raises OSError, as on a full disk.

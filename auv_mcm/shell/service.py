@@ -93,7 +93,7 @@ log = logging.getLogger(__name__)
 
 
 _NO_END: Final = "perception did not come to its end"
-_REMEMBER_S: Final = 2.0  # s between two looks at what a restart has to know
+_REMEMBER_S: Final = 5.0  # s between two writes of what a restart has to know of this process
 _CLOSE_S: Final = 2.0  # s of a stop for the vehicle's last word and for the results
 _STOP_S: Final = 2.0  # for a live source to close its ports
 _LAG_PROBE_S: Final = 0.25  # s between two measurements of how late the event loop wakes
