@@ -22,7 +22,7 @@ NEEDED_BYTES: Final = 64 << 20
 """Free space without which not all results can be written: those of a mission of 40 min take some 45 MB."""
 SERVICE_USER: Final = "auvmcm"
 """The user that deploy/systemd/auv-mcm.service runs as."""
-_HIDDEN: Final = (Path("/home"), Path("/root"), Path("/run/user"))  # by ProtectHome= of systemd.exec(5)
+_HIDDEN: Final = (Path("/home"), Path("/root"), Path("/run/user"))  # by ProtectHome= of a systemd unit
 _DAY_S: Final = 86_400.0  # times of files out of archives are local ones, whose zone is not known
 _FIRST_UTC_S: Final = datetime(2025, 1, 1, tzinfo=UTC).timestamp()  # there was no version of this package before
 

@@ -187,7 +187,7 @@ def test_any_text_is_a_configuration_or_refused_with_its_place(text: str) -> Non
         ),
         (
             "service: {zzz: 1}",
-            "known there: queue_pings, health_period_s, source, record, resume_within_h, stop_within_s, ",
+            "known there: queue_pings, health_period_s, health_port, source, record, resume_within_h, stop_within_s, ",
         ),
     ],
 )
