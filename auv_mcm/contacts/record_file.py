@@ -1,4 +1,4 @@
-"""Append records to a file: without a name, to go with the processes that hold it, or with one, to outlive them.
+"""Append records to a file that outlives its processes.
 
 One process appends. A process that is spawned with the file inherits it; either end reads any record whose place it
 knows, at any time, for nothing that has a place is overwritten.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import tempfile
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple, TypeVar
 
@@ -95,16 +94,6 @@ class RecordFile:
         if self._file is None:
             raise OSError(errno.ENOENT, "there is no file")
         return os.pread(self._file.fileno(), place.size, place.start)
-
-
-def temporary_record_file(folder: Path | None = None) -> RecordFile:
-    """Open a record file on the disk of `folder`, that of temporary files if None.
-
-    Where none can be opened it takes nothing.
-    """
-    with contextlib.suppress(OSError):
-        return RecordFile(tempfile.TemporaryFile(dir=folder, buffering=0))
-    return RecordFile(None)
 
 
 def open_record_file(path: Path) -> RecordFile:

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from auv_mcm.contacts.contact_store import ContactStore
-from auv_mcm.contacts.record_file import RecordFile, packed, temporary_record_file
+from auv_mcm.contacts.record_file import RecordFile, packed
 from auv_mcm.frozen_state import StateError, freeze, thaw
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SourceEvent
 from auv_mcm.shell.journal import Journal
+from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.test_pipeline_early import CONFIG, mission
 
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.contacts.coverage_store import CoverageStore, store_patch
-from auv_mcm.contacts.record_file import temporary_record_file
 from auv_mcm.records import CoveragePatch, Side
 from auv_mcm.shell.results import write_results
+from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.contacts.whole_exports import coverage_geojson
 
 

@@ -22,11 +22,12 @@ from scipy.optimize import linear_sum_assignment
 
 from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.ledger import Ledger, contact_from_views
-from auv_mcm.contacts.record_file import RecordFile, temporary_record_file
+from auv_mcm.contacts.record_file import RecordFile
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Confirmation, Contact, Detection, ShapeModel, contact_id
 from auv_mcm.settings.config import ContactsConfig
 from tests.auv_mcm.classify import drawn_looks
+from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 
 CONFIG = ContactsConfig(min_p_mine=0.0)
 PRIOR = -4.0

@@ -15,9 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from auv_mcm.contacts.record_file import RecordFile, RecordPlace, record_decoder, temporary_record_file
+from auv_mcm.contacts.record_file import RecordFile, RecordPlace, record_decoder
 from auv_mcm.records import NAN, Contact, CoveragePatch, Detection
 from tests.auv_mcm.classify import drawn_looks
+from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 
 CONTACT = record_decoder(Contact)
 PWRITE = "auv_mcm.contacts.record_file.os.pwrite"

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from auv_mcm.clean_text import is_clean
 from auv_mcm.contacts.contact_store import ContactStore
 from auv_mcm.contacts.coverage_store import CoverageStore, StoredPatch
-from auv_mcm.contacts.record_file import RecordFile, RecordPlace, temporary_record_file
+from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, CoveragePatch, EarlyContact, EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.perception import Fed, Finished, MakePipeline, Perception, PerceptionError, Ring
+from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.shell import fake_pipelines as fake
 
 
