@@ -106,7 +106,8 @@ def cut_off(mission: Path, n_events: int, n_cuts: int, seed: int, folder: Path) 
             run.wait_for(max(moment - run.first, 1), way)
             n_given = run.n_given
             if run.has_ended:
-                raise HardwareError("the mission ended before it was cut off: give fewer cuts")
+                last = "\n".join(run.lines[-20:])
+                raise HardwareError(f"the service ended before it was cut off: give fewer cuts, or see why:\n{last}")
             run.strike(way)
             if way in _GOES_ON:
                 cuts.append(Cut(way, run.first + n_given, float("nan"), 0, 0.0))
@@ -218,6 +219,7 @@ class _Run:
                     os.kill(pid, signal.SIGSTOP if way == "hang" else signal.SIGKILL)
         elif way == "service":
             self._process.kill()
+            self._process.wait()
             self._reading.join()
         else:
             self.kill()

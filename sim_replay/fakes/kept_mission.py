@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.event_spool import read_events
 from auv_mcm.shell.service import Service
+from auv_mcm.source import SourceHealth
 
 if TYPE_CHECKING:
     from auv_mcm.source import EventSink, Record, VehiclePilot
@@ -62,8 +63,8 @@ class KeptMission:
     def stop(self) -> None:
         self._stopped = True
 
-    def health(self) -> str:
-        return "ports=none"
+    def health(self) -> SourceHealth:
+        return SourceHealth((), ())
 
     def faults(self) -> list[str]:
         return []
