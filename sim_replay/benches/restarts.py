@@ -47,6 +47,7 @@ MAX_LOST_IN_CUT_S: Final = 1.5
 _GOES_ON: Final[tuple[Way, ...]] = ("perception", "hang")  # ways that the service outlives
 _SKIPPED_EVENTS: Final = 60  # that come while nothing runs, maximum
 _SOON_EVENTS: Final = 500  # given, for which a contact or a file is waited for: a tile's
+_ALL_EVENTS: Final = 1 << 62  # more than any mission has
 _QUEUE_PINGS: Final = 32  # so that what was given is not far ahead of what perception has
 _POLL_S: Final = 0.002  # s between two looks at how far a run is
 _PATIENCE_S: Final = 300.0  # s for a run to come to its next kill, on a computer that has much else to do
@@ -103,11 +104,12 @@ def cut_off(mission: Path, n_events: int, n_cuts: int, seed: int, folder: Path) 
     n_before = 0  # numbers given by runs before
     try:
         for moment, way in zip(moments, ways, strict=True):
-            run.wait_for(max(moment - run.first, 1), way)
+            n_more = n_events - 1 - run.first  # one is kept back, so that the mission does not end
+            run.wait_for(min(max(moment - run.first, 1), n_more), n_more, way)
             n_given = run.n_given
             if run.has_ended:
                 last = "\n".join(run.lines[-20:])
-                raise HardwareError(f"the service ended before it was cut off: give fewer cuts, or see why:\n{last}")
+                raise HardwareError(f"the service ended before it was cut off:\n{last}")
             run.strike(way)
             if way in _GOES_ON:
                 cuts.append(Cut(way, run.first + n_given, float("nan"), 0, 0.0))
@@ -147,7 +149,7 @@ class _Run:
         self.lines: list[str] = []
         self._results = folder / "results"
         self._given = folder / "given"
-        self._given.write_bytes(COUNT.pack(0))
+        self._given.write_bytes(COUNT.pack(0) + COUNT.pack(0))
         config = folder / "service.yaml"
         config.write_text(
             config_yaml(Config(service=ServiceConfig(output_directory=str(self._results), queue_pings=_QUEUE_PINGS)))
@@ -171,7 +173,7 @@ class _Run:
     @property
     def n_given(self) -> int:
         """Count the events that were given so far."""
-        n_given = int(COUNT.unpack(self._given.read_bytes())[0])
+        n_given = int(COUNT.unpack_from(self._given.read_bytes())[0])
         if n_given != self._history[-1][1]:
             self._history.append((time.monotonic(), n_given))
         return n_given
@@ -195,12 +197,22 @@ class _Run:
     def session(self) -> Path:
         return (self._results / "latest").resolve()
 
-    def wait_for(self, n_given: int, way: Way) -> None:
-        """Wait until so many events were given and, by way, for a contact or for a file being written, if soon."""
+    def _allow(self, n_events: int) -> None:
+        with self._given.open("r+b") as file:
+            file.seek(COUNT.size)
+            file.write(COUNT.pack(n_events))
+
+    def wait_for(self, n_given: int, n_most: int, way: Way) -> None:
+        """Wait until so many events were given and, by way, for a contact or for a file being written, if soon.
+
+        n_most: events that may be given at most.
+        """
         until_s = time.monotonic() + _PATIENCE_S
+        n_most = min(n_given + _SOON_EVENTS, n_most)
+        self._allow(n_most)
         n_lines = -1
         while time.monotonic() < until_s and self._process.poll() is None:
-            if self.n_given >= n_given + _SOON_EVENTS:
+            if self.n_given >= n_most:
                 return
             if self.n_given >= n_given:
                 n_lines = len(self.lines) if n_lines < 0 else n_lines
@@ -232,7 +244,8 @@ class _Run:
         self._reading.join()
 
     def end(self) -> int:
-        """Wait for the end of the mission; return the exit code."""
+        """Let the mission come to its end; return the exit code."""
+        self._allow(_ALL_EVENTS)
         return self._process.wait(_PATIENCE_S)
 
     def _read(self) -> None:

@@ -27,14 +27,15 @@ if TYPE_CHECKING:
     from auv_mcm.source import EventSink, Record, VehiclePilot
 
 COUNT: Final = struct.Struct("<Q")
-"""What the file of the events given holds."""
+"""What the file of the events given holds: how many were, and how many may be."""
 SYNCED: Final = struct.Struct("<32sQ")
 """What the file of syncs holds: name and bytes."""
 _EVENTS_PER_TURN: Final = 8  # of the event loop, which the service shares
+_HELD_S: Final = 0.002  # s between two looks at how many may be given
 
 
 class KeptMission:
-    """Give the events of a mission, as ports would, but wait for perception."""
+    """Give the events of a mission, as ports would, but wait for perception, and for leave to give more."""
 
     lossless = True
     vehicle: VehiclePilot | None = None
@@ -42,17 +43,22 @@ class KeptMission:
     def __init__(self, mission: Path, first: int, given: Path) -> None:
         self._mission = mission
         self._first = first
-        self._given = os.open(given, os.O_WRONLY | os.O_CREAT, 0o644)
+        self._given = os.open(given, os.O_RDWR)
         self._stopped = False
 
     async def run(self, sink: EventSink) -> None:
         for n_given, spooled in enumerate(read_events(self._mission, self._first), 1):
+            while not self._stopped and n_given > self._n_allowed():
+                await asyncio.sleep(_HELD_S)
             if self._stopped:
                 return
             await sink.put(spooled.event)
             os.pwrite(self._given, COUNT.pack(n_given), 0)
             if n_given % _EVENTS_PER_TURN == 0:
                 await asyncio.sleep(0.0)
+
+    def _n_allowed(self) -> int:
+        return int(COUNT.unpack(os.pread(self._given, COUNT.size, COUNT.size))[0])
 
     def counters(self) -> Counter[str]:
         return Counter()
