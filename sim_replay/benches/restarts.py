@@ -124,7 +124,7 @@ def cut_off(mission: Path, n_events: int, n_cuts: int, seed: int, folder: Path) 
             lost_s = run.since(n_kept)
             if lost_s > (MAX_LOST_IN_CUT_S if way == "power" else MAX_LOST_S):
                 problems.append(f"{way}: {lost_s:.2f} s of events are lost")
-            first = run.first + n_given + int(random.integers(0, _SKIPPED_EVENTS))
+            first = min(run.first + n_given + int(random.integers(0, _SKIPPED_EVENTS)), n_events - 1)
             n_before += n_kept
             run = _Run(mission, first, folder)
             cuts.append(Cut(way, first, run.ready_s, max(n_given - n_kept, 0), lost_s))
