@@ -16,6 +16,7 @@ import msgspec
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
+from sim_replay.benches.mission_options import add_line_options
 from sim_replay.benches.run_time.fallback import FALLBACK_HEADER, fallback_rows, measure_fallback
 from sim_replay.benches.run_time.latency import LATENCY_HEADER, WITHIN_M, WITHIN_S, latency_rows, measure_latency
 from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes, repeated
@@ -51,15 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scenes", help=f"scenes by name, with commas between (default: {','.join(SCANNED)}; with --targets all ten)"
     )
     parser.add_argument("--seeds", type=count, default=1, help="missions per scene (default 1)")
-    parser.add_argument(
-        "--log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="a recorded line to augment, XTF; repeatable",
-    )
-    parser.add_argument("--log-seeds", type=count, default=2, help="draws of targets per recorded line (default 2)")
+    add_line_options(parser, 2)
     parser.add_argument(
         "--repeat", type=count, default=3, help="repetitions of every run, all points in turn (default 3)"
     )
