@@ -40,7 +40,7 @@ from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene
 from sim_replay.simulator.scene_file import read_scene
 
-DUTIES = (1e-4, 0.03, 0.06, 0.09, 0.13, 0.2, 1.0)
+DUTIES = (1e-4, 0.03, 0.06, 0.13, 1.0)
 """From less than the cheapest pass to more than everything."""
 _WINDOWS_FROM_US = RESERVED_LOOKS * look_price_us(BudgetConfig())
 BUDGETS_US = (
@@ -85,7 +85,7 @@ def run(duty: float | None, threads: int = 1) -> tuple[Pipeline, tuple[PipelineE
 
 @cache
 def tiles() -> tuple[Tile, ...]:
-    return tuple(event for event in run(None)[1] if isinstance(event, Tile))[2:6]
+    return tuple(event for event in run(None)[1] if isinstance(event, Tile))[2:4]
 
 
 @cache
@@ -123,7 +123,7 @@ def covered_m2(events: tuple[PipelineEvent, ...]) -> float:
 budgets = st.sampled_from(BUDGETS_US)
 
 
-@given(which=st.integers(0, 3), one=budgets, other=budgets)
+@given(which=st.integers(0, 1), one=budgets, other=budgets)
 @settings(deadline=None, max_examples=60)
 def test_more_budget_looks_at_no_place_less_and_earns_no_less_coverage(which: int, one: float, other: float) -> None:
     less, more = within(which, min(one, other)), within(which, max(one, other))
@@ -132,7 +132,7 @@ def test_more_budget_looks_at_no_place_less_and_earns_no_less_coverage(which: in
     assert looked_at(less) <= looked_at(more)
 
 
-@given(which=st.integers(0, 3), one=budgets, other=budgets)
+@given(which=st.integers(0, 1), one=budgets, other=budgets)
 @settings(deadline=None, max_examples=60)
 def test_with_more_budget_each_place_is_found_or_a_stronger_one_beside_it(which: int, one: float, other: float) -> None:
     less, more = within(which, min(one, other)), within(which, max(one, other))
@@ -148,7 +148,7 @@ def test_with_more_budget_each_place_is_found_or_a_stronger_one_beside_it(which:
         assert (strength[near] >= d.strength).any()
 
 
-@given(which=st.integers(0, 3), left_us=budgets)
+@given(which=st.integers(0, 1), left_us=budgets)
 @settings(deadline=None, max_examples=30)
 def test_no_more_work_is_planned_than_is_paid(which: int, left_us: float) -> None:
     prices, found = BudgetConfig(), within(which, left_us)
@@ -159,7 +159,7 @@ def test_no_more_work_is_planned_than_is_paid(which: int, left_us: float) -> Non
     assert n_looks <= RESERVED_LOOKS or planned_us + peaks_us <= left_us
 
 
-@given(which=st.integers(0, 3), left_us=budgets)
+@given(which=st.integers(0, 1), left_us=budgets)
 @settings(deadline=None, max_examples=30)
 def test_the_whole_cascade_never_goes_without_close_looks(which: int, left_us: float) -> None:
     found = within(which, left_us)

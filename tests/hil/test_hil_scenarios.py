@@ -12,16 +12,14 @@ import pytest
 
 from sim_replay.hil.scenario import shipped
 
-# The longest first, for several at a time. One of each kind of fault, 20 s of processor time or less each; vehicles on
-# other wires are in
-# `auv-mcm hil --all`, and their protocols in tests/drivers/vehicle.
+# The longest first, for several at a time. One of each kind of fault, 20 s of processor time or less each. Vehicles on
+# other wires, a service killed under a vehicle and a mission without faults are in `auv-mcm hil --all`; kills are in
+# test_hil_kill.py, protocols in tests/drivers/vehicle.
 QUICK = (
     "vehicle_imc",
     "vehicle_flood",
-    "vehicle_service_killed",
     "garbage",
     "nav_lost",
-    "clean",
     "damage",
     "full_disk",
 )

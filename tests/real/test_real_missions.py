@@ -38,7 +38,7 @@ class Mark(NamedTuple):
 
 @cache
 def replayed(
-    path: Path, threads: int = 1, chunk_bytes: int = 1 << 18, min_p_mine: float = 0.01
+    path: Path, threads: int, chunk_bytes: int, min_p_mine: float
 ) -> tuple[tuple[Contact, ...], OperatingPoint, list[Notice]]:
     pipeline = Pipeline(Config(contacts=ContactsConfig(min_p_mine=min_p_mine)), threads=threads)
     events = [
@@ -180,7 +180,7 @@ def test_threads_and_chunks_give_the_same_bytes(threads: int, chunk_bytes: int, 
 def test_no_recorded_sea_floor_is_taken_for_unlike_all_that_was_learnt_and_few_contacts_are_called(
     log: str, shared_data: SharedData
 ) -> None:
-    contacts, point, notices = replayed(shared_data(log))
+    contacts, point, notices = replayed(shared_data(log), 1, 1 << 18, 0.01)
     assert "contacts.background_unlike" not in [notice.code for notice in notices]
     assert point.n_contacts == sum(contact.p_mine >= 0.01 for contact in contacts)
     assert 1e-4 < point.area_km2 < 0.01

@@ -9,6 +9,7 @@ highlight and shadow pairs after J. Sawas, Y. Petillot, Y. Pailhas, ECUA 2010.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import product
 from typing import Final, NamedTuple
 
@@ -50,6 +51,7 @@ class Pool(NamedTuple):
     features: tuple[Feature, ...]
 
 
+@cache
 def feature_pool() -> Pool:
     """Return the same several thousand features every time."""
     rng = np.random.Generator(np.random.PCG64(_SEED))

@@ -284,7 +284,7 @@ def test_reported_depth_and_altitude_add_up_to_the_depth_of_the_floor() -> None:
     pitch=st.floats(-10.0, 10.0),
     place=st.sampled_from([(43.0, 5.5), (89.0, 0.0), (-20.0, 179.99999)]),
 )
-@settings(max_examples=30)
+@settings(max_examples=18)
 def test_a_small_object_is_seen_when_abeam_at_its_slant_range(
     kind: Any, heading: float, across: float, side: Side, altitude: float, pitch: float, place: tuple[float, float]
 ) -> None:

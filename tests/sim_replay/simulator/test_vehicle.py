@@ -108,7 +108,7 @@ def test_every_plan_is_completed_with_each_leg_straight_in_full(track: Track) ->
     check_flown_in_full(flown(track, 4.0), planned_legs(track.plan), track, 4.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=24, deadline=None)
 @given(steady_tracks)
 def test_the_vehicle_moves_as_its_heading_and_the_current_carry_it(track: Track) -> None:
     track = structs.replace(track, pings_in_turns=True)
