@@ -65,8 +65,9 @@ class FakeDevice:
 
     Reports: `ready` (uri, of its wire), `settings` (applied: what the host set a sonar to, when it changed), `fault`
     and `mended` (do), `reopened` (after_s: from the cable's return until the host had opened the wire), `done`.
-    counters: device.messages, .skipped (events left out, since wire or computer were busy), .flood_bytes, .latest_ms
-    (the latest that an event was through, after it was due), and those of the wire, its damage and the controller.
+    counters: device.events (played), .messages, .skipped (events left out, since wire or computer were busy),
+    .flood_bytes, .latest_ms (the latest that an event was through, after it was due), and those of the wire, its damage
+    and the controller.
     """
 
     def __init__(
@@ -169,6 +170,7 @@ class FakeDevice:
         for message in self._messages(event, fed.at_s):
             await self.wire.send(message)
             self._own["device.messages"] += 1
+        self._own["device.events"] += 1
         self._own["device.latest_ms"] = max(self._own["device.latest_ms"], round(1e3 * (self._elapsed_s() - due_s)))
 
     def _messages(self, event: Ping | NavSample, at_s: float) -> Sequence[Message]:

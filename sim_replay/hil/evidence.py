@@ -13,6 +13,13 @@ class Line(NamedTuple):
     text: str
 
 
+class Restart(NamedTuple):
+    """Hold a kill of the service by intent, s after the run's start, and the real time until it was ready again, s."""
+
+    killed_s: float
+    down_s: float
+
+
 class Report(NamedTuple):
     """Hold a fake device's report: see sim_replay.fakes.device and sim_replay.fakes.vehicle_device."""
 
