@@ -631,7 +631,7 @@ class _Chain:
                 "area": self.area,
                 "contacts": self._store.state(),
                 "coverage": self.coverage.state(),
-                "tally": vars(self.tally),
+                "tally": self.tally.state(),
             },
             self._constants(),
         )
@@ -656,7 +656,7 @@ class _Chain:
                 self.searched, self.area = state["searched"], state["area"]
                 self._store.restore(state["contacts"])
                 self.coverage.restore(state["coverage"])
-                vars(self.tally).update(state["tally"])
+                self.tally.restore(state["tally"])
                 return Started(number, state["contacts"], state["coverage"], self.tally)
         return None
 
