@@ -235,9 +235,9 @@ def accounts(evidence: Evidence, session: Path) -> list[Account]:
     n_pings = int(evidence.summary.get("pings", 0))
     mission_s = evidence.stopped_s or math.inf
     n_kills = len(evidence.restarts)
-    down_s = sum(restart.down_s for restart in evidence.restarts)
+    down_s = sum(restart.ready_s - restart.killed_s for restart in evidence.restarts)
     in_kill = f"the last {_RECORD_S:g} s before each of {n_kills} kills"
-    down_and_in_kill = f"the {down_s:.1f} s in which the service was down, and {in_kill}"
+    down_and_in_kill = f"the {down_s:.1f} s of the run in which the service was down, and {in_kill}"
     counted_in_kill = f"what was counted in the last {_REMEMBER_S:g} s before each of {n_kills} kills"
 
     def share(n_in: int, lost_s: float) -> int:

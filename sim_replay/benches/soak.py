@@ -2,6 +2,7 @@
 
 auv-mcm bench soak [--minutes MIN] [--speed X]   the real service between fake devices: memory, counters, tasks
 auv-mcm bench soak --minutes MIN --restarts N    the same, cut off N times on the way and started again at once
+auv-mcm bench soak --stops N [--seed N]          stopped N times under load: within 5 s, with everything on disk
 auv-mcm bench soak --kills N [--seed N]          killed N times: at most a second of the recording and no announced
                                                  contact may be lost
 auv-mcm bench soak --restarts N [--seed N]       cut off N times in every way and started again: the same contacts in
@@ -15,15 +16,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
 import os
-import re
 import signal
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -33,8 +32,10 @@ import numpy as np
 from auv_mcm.errors import HardwareError, SelfCheckError, UsageError
 from auv_mcm.records import Ping
 from sim_replay.arguments import count, duration_min
+from sim_replay.benches.announced import CONTACT, not_in_journal
 from sim_replay.benches.long_mission import bench_long_mission
 from sim_replay.benches.restarts import WAYS, Cut, cut_off, keep_mission
+from sim_replay.benches.stops import MAX_STOP_S, StopOutcome, stopped
 from sim_replay.benches.watched_service import (
     FLOWN_MPS,
     SERVICE,
@@ -60,7 +61,6 @@ _CUTS_PER_SESSION: Final = 20  # one in 30 m: each comes before the tile of the 
 _AFTER_CONTACT_S: Final = 1.0  # s from an announced contact to the kill, maximum
 _SETTLE_S: Final = 0.5  # between `ready` and the first bytes
 _PATIENCE_S: Final = 60.0  # for the last contacts of a mission, on a computer that has much else to do
-_CONTACT: Final = re.compile(r"^contact (\S+) (?:new|updated): (\S+), p_mine (\S+), (\S+) (\S+), (\d+) views$")
 _HASTY: Final[dict[str, Any]] = {  # contacts come soon, and the service reports its progress often
     **SERVICE,
     "service": {"source": "ports", "health_period_s": 0.5},
@@ -108,6 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--restarts", type=count, help="cut the service off so often and start it again; with --minutes in one mission"
     )
+    what.add_argument("--stops", type=count, help="request the service to stop so often, at random moments under load")
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")
     parser.add_argument(
         "--speed", type=int, choices=range(3, 13), default=6, help="speed of the mission, times real time (default 6)"
@@ -120,11 +121,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises SelfCheckError for a task that died, or more lost than may be; UsageError for options that contradict.
     """
-    if arguments.minutes is not None and arguments.kills is not None:
-        raise UsageError("--kills has a mission of its own length: leave --minutes out")
+    if arguments.minutes is not None and (arguments.kills is not None or arguments.stops is not None):
+        raise UsageError("--kills and --stops have missions of their own length: leave --minutes out")
     with tempfile.TemporaryDirectory(prefix="auv-mcm-soak-") as name:
         if arguments.restarts is not None and arguments.minutes is None:
             _bench_restarts(arguments.restarts, arguments.seed, Path(name))
+        elif arguments.stops is not None:
+            _bench_stops(arguments.stops, arguments.seed, Path(name))
         elif arguments.kills is not None:
             _bench_kills(arguments.kills, arguments.seed, Path(name))
         else:
@@ -147,30 +150,6 @@ def killed(n_kills: int, seed: int, folder: Path) -> Iterator[KillOutcome]:
         after_contact = index % 2 == 1
         wait_s = float(random.uniform(0.0, _AFTER_CONTACT_S if after_contact else _SETTLE_S + duration_s / _KILL_SPEED))
         yield _kill(read, folder / f"kill-{index}", "contact C" if after_contact else " ready: ", wait_s)
-
-
-def not_in_journal(console: Sequence[str], journal: bytes) -> tuple[str, ...]:
-    """List the console's lines of contacts which no whole line of contacts.jsonl holds with the same figures."""
-    held = []
-    for record in journal.split(b"\n")[:-1]:  # what has no end was cut off, and never announced
-        feature = json.loads(record)["contact"]
-        held.append((feature["properties"], feature["geometry"]["coordinates"]))
-    missing = []
-    for line in console:
-        if (matched := _CONTACT.match(line)) is None:
-            continue
-        contact_id, classification, *figures = matched.groups()
-        p_mine, latitude_deg, longitude_deg = map(float, figures[:3])
-        if not any(
-            properties["id"] == contact_id
-            and properties["class"] == classification
-            and math.isclose(properties["p_mine"], p_mine, abs_tol=0.0051)
-            and math.isclose(place[1], latitude_deg, abs_tol=2e-7)
-            and math.isclose(place[0], longitude_deg, abs_tol=2e-7)
-            for properties, place in held
-        ):
-            missing.append(line)
-    return tuple(missing)
 
 
 def _bench_kills(n_kills: int, seed: int, folder: Path) -> None:
@@ -224,6 +203,24 @@ def _bench_restarts(n_cuts: int, seed: int, folder: Path) -> None:
         raise SelfCheckError(f"sessions that were cut off are not as undisturbed: {'; '.join(problems)}")
 
 
+def _bench_stops(n_stops: int, seed: int, folder: Path) -> None:
+    print(f"{'stop':>4}{'after s':>9}{'beside':>8}{'took s':>8}{'queued':>8}{'pings':>7}  {'':<10}problems")
+    stops: list[StopOutcome] = []
+    for stop in stopped(n_stops, seed, folder):
+        stops.append(stop)
+        print(
+            f"{len(stops):>4}{stop.at_s:>9.2f}{stop.n_burners:>8}{stop.took_s:>8.2f}{stop.n_queued:>8}{stop.n_pings:>7}"
+            f"  {'cut short' if stop.is_cut_short else '':<10}{'; '.join(stop.problems) or 'none'}",
+            flush=True,
+        )
+    for n_burners in sorted({stop.n_burners for stop in stops}):
+        took_s = [stop.took_s for stop in stops if stop.n_burners == n_burners]
+        print(f"beside {n_burners} burners: half within {np.median(took_s):.2f} s, all within {max(took_s):.2f} s")
+    print(f"load of this computer: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
+    if n_bad := sum(bool(stop.problems) for stop in stops):
+        raise SelfCheckError(f"{n_bad} of {n_stops} stops took more than {MAX_STOP_S:g} s or left something out")
+
+
 def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> KillOutcome:
     """Kill the service wait_s after a text came up in its log, and look at what is left."""
     over = threading.Event()
@@ -253,7 +250,7 @@ def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> KillOutcome:
         n_pings=len(pings),
         n_pings_reported=max(reported, default=0),
         n_holes=n_holes,
-        n_contacts=sum(_CONTACT.match(line) is not None for line in console),
+        n_contacts=sum(CONTACT.match(line) is not None for line in console),
         not_in_journal=not_in_journal(console, (results / "contacts.jsonl").read_bytes()),
     )
 

@@ -26,7 +26,7 @@ LONGEST_LEG_M: Final = 300.0
 """m of a leg."""
 PING_RATE_HZ: Final = 10.0
 """Pings in a second of mission."""
-TURN_M: Final = 84.0
+TURN_M: Final = 81.0
 """m of a turn between two legs 70 m apart."""
 POLL_S: Final = 0.02
 """s between looks at the service's output."""

@@ -31,6 +31,7 @@ from sim_replay.fakes.job import VehicleJob, read_job
 from sim_replay.fakes.vehicle_device import FakeVehicle
 
 _SETTLE_S: Final = 0.3  # for the host to open the port
+_WAITS_AFTER_S: Final = 0.25  # s; as long as a device of its own may be late where the mission does not wait
 
 
 def main() -> int:
@@ -72,7 +73,8 @@ async def _serve(path: Path, now: bool) -> None:
     else:
         log = None if job.log is None else Path(job.log)
         events = read_ahead(time_line(mission_events(log, job.scene), job.speed))
-        device = FakeDevice(job, events, _report, wait=(lambda late_s: _hold(device, late_s)) if job.waits else None)
+        wait = (lambda late_s: _hold(device, late_s)) if job.waits else None
+        device = FakeDevice(job, events, _report, wait=wait, waits_after_s=_WAITS_AFTER_S)
     serving = asyncio.ensure_future(_played_now(device) if now else _play_as_commanded(device))
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, serving.cancel)

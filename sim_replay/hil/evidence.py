@@ -14,10 +14,10 @@ class Line(NamedTuple):
 
 
 class Restart(NamedTuple):
-    """Hold a kill of the service by intent, s after the run's start, and the real time until it was ready again, s."""
+    """Hold when the service was killed by intent, and when it was ready again, seconds after the run's start."""
 
     killed_s: float
-    down_s: float
+    ready_s: float
 
 
 class Report(NamedTuple):

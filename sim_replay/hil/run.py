@@ -52,9 +52,8 @@ _ALONE_S: Final = 4.0  # mission time of a vehicle after the service's end, to s
 _LOOK_S: Final = 0.1  # between looks at the mission time
 _SLOWEST: Final = 10.0  # wall time per mission time that waits for a busy computer; a run that needs more is over
 _STALE_PERIODS: Final = 3.0  # after which a record of health is of a service that is gone
-_PACE_S: Final = 0.02  # s between looks whether the mission has to wait
+_PACE_S: Final = 0.1  # s between looks whether the mission has to wait
 _BEHIND_PINGS: Final = 100  # that wait for perception; from there on the mission waits as well
-_STILL_S: Final = 0.1  # s that the mission waits at once while perception is behind
 _TAIL_LINES: Final = 5  # of the program's log, shown with a failure
 _PR_SET_PDEATHSIG: Final = 1  # Linux, prctl.h: the signal at the parent's death
 
@@ -103,7 +102,7 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
 class _Live(msgspec.Struct):
     """Hold the output of the processes. exit_code: of the service, None if it had to be killed. killed_s: when the
     scenario killed it. stopped_s: when it was requested to stop, None if it had ended before. All times are mission
-    times but for the real time that the service was down.
+    times.
     """
 
     exit_code: int | None
@@ -124,6 +123,7 @@ class _Run:
         self._holds: list[tuple[float, float]] = []  # for perception: when each ends, monotonic, and how long it is
         self._services: list[_Process] = []  # one per start
         self._restarts: list[Restart] = []
+        self._is_down = False
         self._all_restarted = asyncio.Event()
         self._start_s = 0.0
 
@@ -194,7 +194,10 @@ class _Run:
         return self._scenario.waits or self._scenario.vehicle is not None
 
     async def _pace(self) -> None:
-        """Let every device wait for one that is late, and all of them for perception."""
+        """Let every device wait for one that is late, and all of them for perception.
+
+        While the service is down the mission goes at real time: what a restart takes does not depend on its speed.
+        """
         n_seen = [0] * len(self._devices)
         while True:
             for index, late in enumerate(self._devices):
@@ -203,11 +206,15 @@ class _Run:
                         if other is not late:
                             other.send_line(f"hold {for_s:.4f}\n")
                 n_seen[index] = len(late.holds)
-            if _pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS:
-                self._holds.append((time.monotonic() + _STILL_S, _STILL_S))
+            still_s = 0.0
+            if self._is_down:
+                still_s = _PACE_S * max(1.0 - 1.0 / self._scenario.speed, 0.0)
+            elif _pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS:
+                still_s = _PACE_S
+            if still_s:
+                self._holds.append((time.monotonic() + still_s, still_s))
                 for device in self._devices:
-                    device.send_line(f"hold {_STILL_S}\n")
-                await asyncio.sleep(_STILL_S)
+                    device.send_line(f"hold {still_s:.4f}\n")
             await asyncio.sleep(_PACE_S)
 
     async def _killed(self, service: _Process, vehicle: _Process, kill: Kill) -> float | None:
@@ -290,12 +297,14 @@ class _Run:
                 ended.cancel()
                 waiting.cancel()
             self._progress(f"killing the service after {at_s:g} s and starting it again")
-            killed_s = time.monotonic()
+            killed_s = self._mission_time().at(time.monotonic())
+            self._is_down = True
             await self._services[-1].kill()
             for device in self._devices:
                 device.send_line("hang_up 0\n")
             await self._service(uris)
-            self._restarts.append(Restart(self._mission_time().at(killed_s), time.monotonic() - killed_s))
+            self._is_down = False
+            self._restarts.append(Restart(killed_s, self._mission_time().at(time.monotonic())))
         self._all_restarted.set()
         return await self._services[-1].ended(None)
 

@@ -99,7 +99,7 @@ def test_what_is_sent_and_not_had_needs_a_reason(capsys: pytest.CaptureFixture[s
 def test_pings_may_be_missing_only_where_the_service_was_down(n_restarts: int, n_open: int, tmp_path: Path) -> None:
     counters = {"ping.received": 70, "service.ping_dropped": 10}
     run = evidence([], counters, {"device.events": 100})._replace(
-        stopped_s=100.0, restarts=[Restart(50.0, 19.0)] * n_restarts
+        stopped_s=100.0, restarts=[Restart(50.0, 69.0)] * n_restarts
     )
     run.summary["pings"] = 70  # type: ignore[index]
     found = [account for account in accounts(run, tmp_path) if account.what.startswith("pings: sent")]
