@@ -112,7 +112,8 @@ class ClearArea:
         if not wanted.any():
             verdict = "" if self._pending else self._given_up(area)
             verdict = _done(area, plan.required_clearance) if state.is_reached else verdict
-            return propose(contacts, request, plan, self._config.vehicle)._replace(area=state._replace(verdict=verdict))
+            proposal = propose(contacts, request, plan, self._config.vehicle, more_time)
+            return proposal._replace(area=state._replace(verdict=verdict))
         pose = _pose(request, area.frame)
         if limits.budget_m > 0.0 and (hindrance := self._hindrance(pose, limits)):
             return Proposal((), (), state._replace(verdict=f"not yet, because {hindrance}"))

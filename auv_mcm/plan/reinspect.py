@@ -68,6 +68,7 @@ def plan_reinspection(
     start_heading_rad: float,
     config: PlanConfig,
     may_run: Callable[[Place, Place], bool] = lambda entry, leaving: True,
+    more_time: Callable[[], bool] = lambda: True,
 ) -> tuple[Waypoint, ...]:
     """Plan way-points from the start pose past the `max_contacts` most undecided contacts, in sailing order.
 
@@ -77,8 +78,8 @@ def plan_reinspection(
     The leg is `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each
     point, [0, 2 pi). Turns are planned a little wider than `turn_radius_m` so that the circles that touch the sides of
     the way-point polygon from inside are not tighter than it either. may_run: whether a leg from place to place is
-    wanted; others are planned only where a contact leaves no choice. Equal input gives equal plans. Empty if no contact
-    needs a second view.
+    wanted; others are planned only where a contact leaves no choice. more_time: whether a long tour may still be made
+    shorter. Equal input gives equal plans while there is time. Empty if no contact needs a second view.
 
     Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
@@ -96,7 +97,7 @@ def plan_reinspection(
     radius_m = config.turn_radius_m / math.cos(_ARC_STEP_RAD / 2.0)
     legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config)]
     unwanted_m = np.array([0.0 if may_run(*leg.ends_deg) else _DETOUR_M for leg in legs])
-    tour = short_tour(_connections(start, legs, radius_m) + _shares(unwanted_m))
+    tour = short_tour(_connections(start, legs, radius_m) + _shares(unwanted_m), more_time)
     return _waypoints(
         start, (start_latitude_deg, start_longitude_deg), [legs[index] for index in tour], radius_m, frame, config
     )

@@ -69,7 +69,7 @@ RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
 _ALIGNMENT: Final = 64  # bytes: a cache line, so that arrays in shared memory begin on one
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
-_PLANNING_S: Final = 0.2  # of processor time for a plan of the survey to get better
+_PLANNING_S: Final = 0.2  # of processor time for a plan to get better
 _MAX_PLANNING_S: Final = 1.0  # while pings wait
 CHECKPOINT_S: Final = 10.0
 """s between two checkpoints after tiles, minimum: bounds what is written, 4 to 9 MB each time, and what is replayed."""
@@ -631,7 +631,7 @@ class _Chain:
                 "area": self.area,
                 "contacts": self._store.state(),
                 "coverage": self.coverage.state(),
-                "tally": vars(self.tally),
+                "tally": self.tally.state(),
             },
             self._constants(),
         )
@@ -656,7 +656,7 @@ class _Chain:
                 self.searched, self.area = state["searched"], state["area"]
                 self._store.restore(state["contacts"])
                 self.coverage.restore(state["coverage"])
-                vars(self.tally).update(state["tally"])
+                self.tally.restore(state["tally"])
                 return Started(number, state["contacts"], state["coverage"], self.tally)
         return None
 
@@ -689,13 +689,15 @@ def _proposal(
     from auv_mcm.plan.propose import propose
 
     busy_s, late_s = time.thread_time() + _PLANNING_S, time.monotonic() + _MAX_PLANNING_S
+
+    def more_time() -> bool:
+        return time.thread_time() < busy_s and time.monotonic() < late_s
+
     try:
         asking = pipeline.asking(config.plan.min_p_mine)
         if area is not None:
-            return area.propose(
-                searched.snapshot(), asking, request, lambda: time.thread_time() < busy_s and time.monotonic() < late_s
-            )
-        return propose(asking, request, config.plan, config.vehicle)
+            return area.propose(searched.snapshot(), asking, request, more_time)
+        return propose(asking, request, config.plan, config.vehicle, more_time)
     except Exception as error:
         print(clean_lines(traceback.format_exc()), file=sys.stderr)
         return Proposal(

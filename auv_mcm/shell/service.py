@@ -13,13 +13,11 @@ import contextlib
 import gc
 import logging
 import os
-import secrets
 import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -34,7 +32,7 @@ from auv_mcm.contacts.coverage_store import CoverageStore
 from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.operating_point import MarkedContacts, OperatingPoint
 from auv_mcm.contacts.record_file import open_record_file
-from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.errors import AuvMcmError, HardwareError
 from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import newest_checkpoint
@@ -65,28 +63,23 @@ from auv_mcm.shell.recovery import (
     RECORDS,
     STATE,
     SUMMARY,
-    Announced,
     Ballast,
     SessionMemory,
-    Unfinished,
     all_written,
     in_journal,
     in_recording,
-    read_announced,
     remove_state,
     results_missing,
-    resumable_session,
-    session_kind,
-    unfinished_session,
     write_memory,
 )
 from auv_mcm.shell.results import plan_waypoints, result_writers, write_clearance
 from auv_mcm.shell.service_manager import feed_watchdog, report
+from auv_mcm.shell.session import AnnouncedBefore, open_session
 from auv_mcm.shell.snippet_files import Snippets
 from auv_mcm.shell.sources import open_source, parse_source_uri, start_recording
 from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.vehicle_link import VehicleLink
-from auv_mcm.shell.whole_files import make_directory, write_json
+from auv_mcm.shell.whole_files import write_json
 from auv_mcm.source import LiveSource, Recorder, Source
 
 log = logging.getLogger(__name__)
@@ -150,9 +143,6 @@ class Service:
         self._vehicle_link: VehicleLink | None = None
         self._n_dropped_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
-        self._announced_before = Announced(frozenset(), {})  # by runs of this session before this one
-        self._notices_before: Counter[Notice] = Counter()
-        self._fed_again_to = 0  # number of the newest event of a run before
         self._publishing: asyncio.Task[None] | None = None
         self._is_cut_short = False
         self._is_late = False  # the time to stop is over
@@ -167,8 +157,18 @@ class Service:
 
         Raises AuvMcmError; a failure of the source or of perception only after what is known has been written.
         """
-        parent = Path(self._config.service.output_directory)
-        begun = self._begin_session(parent)
+        session = open_session(
+            Path(self._config.service.output_directory),
+            self._config,
+            self._clock,
+            may_resume=isinstance(self._source, LiveSource),
+        )
+        self._folder, self._memory = session.folder, session.memory
+        self._notices += session.memory.notices
+        self._counters.update(session.memory.counters)
+        self._clutter_before = session.announced.is_clutter
+        for name, is_clutter in self._clutter_before.items():
+            self._note_announced(contact_number(name), _CLUTTER if is_clutter else _NO_CLUTTER)
         kept = self._folder / STATE
         with contextlib.suppress(OSError):  # a disk that is full is reported by who writes what matters
             kept.mkdir(exist_ok=True)
@@ -184,7 +184,7 @@ class Service:
         self._ballast = await asyncio.to_thread(Ballast, self._folder)
         queue = EventQueue(self._config.service.queue_pings, self._counters, self._see)
         self._spool = EventSpool(kept, newest_checkpoint(kept))
-        self._fed_again_to = self._spool.last
+        self._announced_before = AnnouncedBefore(session, self._spool.last)
         perception = LastingPerception(
             self._config,
             self._make_pipeline,
@@ -193,13 +193,13 @@ class Service:
             Keeping(kept, self._memory.kind, self._checkpoint_every_s),
             self._add_up,
         )
-        if self._announced_before.is_clutter:
-            perception.reserve(max(map(contact_number, self._announced_before.is_clutter)))
+        if self._clutter_before:
+            perception.reserve(max(map(contact_number, self._clutter_before)))
         endpoint = HealthEndpoint(self._config.service.health_port, lambda: self._newest_health)
         failure: AuvMcmError | None = None
         missing: HardwareError | None = None
         try:
-            for notice in begun:
+            for notice in session.notices:
                 self._announce(notice)
             if kernels.backend() == "numpy":
                 self._announce(_no_kernels())
@@ -251,34 +251,14 @@ class Service:
             raise failure
         return self._folder
 
-    def _begin_session(self, parent: Path) -> list[Notice]:
-        """Choose the session to go on with, or begin one; return what is to be announced about it."""
-        kind, now_s = session_kind(self._config), self._clock.utc_s()
-        within_h = self._config.service.resume_within_h if isinstance(self._source, LiveSource) else 0.0
-        found = resumable_session(parent, kind, now_s, within_h) if within_h > 0.0 else None
-        if isinstance(found, Unfinished):
-            self._folder = found.folder
-            self._memory = msgspec.structs.replace(found.memory, n_starts=found.memory.n_starts + 1)
-            self._notices += found.memory.notices
-            self._notices_before.update(found.memory.notices)
-            self._counters.update(found.memory.counters)
-            self._announced_before = read_announced(self._folder)
-            for name, is_clutter in self._announced_before.is_clutter.items():
-                self._note_announced(contact_number(name), _CLUTTER if is_clutter else _NO_CLUTTER)
-            return [_resumed(self._folder, self._memory.n_starts)]
-        unfinished = found or unfinished_session(parent)
-        self._folder = _session_folder(parent, self._clock)
-        self._memory = SessionMemory(kind=kind, started_s=now_s, n_starts=1, elapsed_s=0.0)
-        return [] if unfinished is None else [unfinished]
-
     async def _start(self, perception: LastingPerception) -> None:
         """Start perception, and know what it knows."""
         started = await perception.start()
         if started.tally is not None:
-            announced = frozenset(map(contact_number, self._announced_before.is_clutter))
+            announced = frozenset(map(contact_number, self._clutter_before))
             self._contacts.restore(started.contacts, announced)  # perception has others, which were never likely mines
             self._coverage.restore(started.coverage)
-            vars(self._tally).update(vars(started.tally))
+            self._tally = started.tally
 
     async def _report_known(self, vehicle_link: VehicleLink) -> None:
         """Report to the vehicle what a run before has found; what it does not have for certain comes again."""
@@ -320,7 +300,7 @@ class Service:
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)  # it may have been removed
         self._ballast.release()
-        if lost := [name for name in self._announced_before.is_clutter if contact_number(name) not in self._contacts]:
+        if lost := [name for name in self._clutter_before if contact_number(name) not in self._contacts]:
             self._announce(in_journal(self._folder, lost))
         try:
             missing = self._write()
@@ -463,7 +443,7 @@ class Service:
                 continue
             contacts = [event for event in answer.events if isinstance(event, Contact)]
             early = [event for event in answer.events if isinstance(event, EarlyContact)]
-            news = [event for event in answer.events if not self._is_known(answer.number, event)]
+            news = [event for event in answer.events if not self._announced_before.has(answer.number, event)]
             if contacts or early:
                 await asyncio.to_thread(self._spool.flush)  # a restart comes to the same contacts
             if contacts:
@@ -488,19 +468,6 @@ class Service:
         self._clearance, self._clearance_png = answer.clearance, answer.clearance_png
         for notice in clearance_notices(self._clearance):
             self._announce(notice)
-
-    def _is_known(self, number: int, event: PipelineEvent) -> bool:
-        """Check whether a run before has announced what came of an event that is fed again."""
-        known = self._announced_before.known
-        match event:
-            case Contact():
-                return (number, event.id, "") in known
-            case EarlyContact():
-                return (number, event.contact.id, event.state) in known
-            case Notice() if number <= self._fed_again_to and self._notices_before[event]:
-                self._notices_before[event] -= 1
-                return True
-        return False
 
     async def _make_durable(
         self, contacts: list[Contact], number: int, snippets: dict[str, bytes], journal: Journal
@@ -753,14 +720,6 @@ def serve(config: Config, *, clock: Clock | None = None, make_pipeline: MakePipe
     return asyncio.run(main())
 
 
-def _resumed(folder: Path, n_starts: int) -> Notice:
-    text = (
-        f"the session in {folder} was cut off and goes on: start {n_starts} of it. Contacts keep their numbers; what "
-        "was recorded and not worked off is worked off first."
-    )
-    return Notice(code="session_resumed", text=text, for_the_record=True)
-
-
 def _work_shed(n_waiting: int) -> Notice:
     return Notice(
         code="service.work_shed",
@@ -778,33 +737,6 @@ def _no_kernels() -> Notice:
         text="numpy does the work of the C kernels, which takes some twelve times the processor time: pings may be "
         f"lost. {kernels.loaded().reason}. Install the wheel with compiled kernels that deploy/wheelhouse.sh makes.",
     )
-
-
-def _session_folder(parent: Path, clock: Clock) -> Path:
-    """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it."""
-    make_directory(parent)
-    stamp = datetime.fromtimestamp(clock.utc_s(), UTC).strftime("%Y%m%dT%H%M%SZ")
-    for attempt in range(1, 1000):
-        folder = parent / (f"session-{stamp}" if attempt == 1 else f"session-{stamp}-{attempt}")
-        try:
-            folder.mkdir()
-        except FileExistsError:
-            continue
-        _point_latest_to(folder)
-        return folder
-    raise UsageError(f"{parent} holds a thousand sessions of {stamp}: the computer's clock does not run")
-
-
-def _point_latest_to(folder: Path) -> None:
-    link, latest = folder.with_name(f".{secrets.token_hex(8)}.new"), folder.with_name("latest")
-    if os.path.lexists(latest) and not latest.is_symlink():
-        log.warning("no link 'latest' in %s: something else of that name is there. Move it away.", folder.parent)
-        return
-    try:
-        link.symlink_to(folder.name)
-        os.replace(link, latest)
-    except OSError as error:  # a file system without links, such as FAT on a memory card
-        log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
 
 
 def _first(group: BaseExceptionGroup[AuvMcmError]) -> AuvMcmError:

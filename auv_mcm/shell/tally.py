@@ -76,6 +76,14 @@ class Tally:
         self._fix = fix
         self.latitude_deg, self.longitude_deg = sample.latitude_deg, sample.longitude_deg
 
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` goes on from."""
+        return dict(vars(self))
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on where another tally was."""
+        vars(self).update(state)
+
     def totals(self) -> dict[str, Any]:
         """Return what was counted, by name."""
         return {

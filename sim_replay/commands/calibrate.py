@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import sys
 from collections.abc import Callable
@@ -23,7 +24,10 @@ _BUDGET: Final = (
     "mission\n"
     "counts its work by them and never looks at a clock. Run it on the vehicle's computer, with nothing else running; "
     "it takes\n"
-    "half a minute. --speed is for the summary of what the duty buys; a mission goes by its own speed."
+    "half a minute. --speed is for the summary of what the duty buys; a mission goes by its own speed.\n"
+    "The mission that is timed is simulated, for which the bench has to be installed; or give --log: what your own "
+    "sonar\n"
+    "recorded does as well where it shows many objects. Of what it does not show, the price in the configuration stays."
 )
 
 
@@ -120,6 +124,9 @@ def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> N
     )
     parser.add_argument(
         "--write", metavar="FILE", type=Path, help="new file for the configuration with those prices and that duty"
+    )
+    parser.add_argument(
+        "--log", metavar="LOG", type=Path, help="measure on the beginning of a log, such as a session's recording"
     )
 
 
@@ -247,7 +254,15 @@ def _run_budget(arguments: argparse.Namespace) -> int:
 
     config = read_config(arguments.config)
     _check_new(arguments.write, "--write")
-    found = measure_prices(config)
+    if arguments.log is None and importlib.util.find_spec("scipy") is None:
+        raise UsageError(
+            "the mission that is timed is simulated, which needs the package scipy: python -m pip install "
+            "'auv-mcm[bench]', or give --log a recording of this payload"
+        )
+    found = measure_prices(config, log=arguments.log)
+    for name, n_units in found.n_units.items():
+        if n_units == 0:
+            print(f"no {name} in {arguments.log}: their prices stay as they were")
     budget = msgspec.structs.replace(found.prices, duty=arguments.duty)
     for name in budget.__struct_fields__:
         print(f"budget.{name}: {getattr(budget, name):g}")

@@ -4,8 +4,10 @@ A JOB with `devices` is a vehicle with all that is aboard; each of its lines the
 
 It reports events in lines of JSON on standard output, first `ready` with the address of its wire. It begins at the
 instant that a line `start SECONDS` on standard input names (of the monotonic clock, which all processes share), or at
-once with --now. It ends, leaving no port behind, when standard input ends, on SIGTERM or SIGINT, and with --now when
-its mission is over.
+once with --now. A line `hold SECONDS` delays all that is still due by so much; `hang_up 0` states that the host's
+program has ended. A JOB that `waits` waits by itself where the device is late, and reports `held` with for_s, for other
+devices to wait as well. It ends, leaving no port behind, when standard input ends, on SIGTERM or SIGINT, and with --now
+when its mission is over.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from sim_replay.fakes.job import VehicleJob, read_job
 from sim_replay.fakes.vehicle_device import FakeVehicle
 
 _SETTLE_S: Final = 0.3  # for the host to open the port
+_WAITS_AFTER_S: Final = 0.25  # s; as long as a device of its own may be late where the mission does not wait
 
 
 def main() -> int:
@@ -69,7 +72,9 @@ async def _serve(path: Path, now: bool) -> None:
         device = FakeVehicle(job, lambda name, what, details: _report(what, {"device": name, **details}))
     else:
         log = None if job.log is None else Path(job.log)
-        device = FakeDevice(job, read_ahead(time_line(mission_events(log, job.scene), job.speed)), _report)
+        events = read_ahead(time_line(mission_events(log, job.scene), job.speed))
+        wait = (lambda late_s: _hold(device, late_s)) if job.waits else None
+        device = FakeDevice(job, events, _report, wait=wait, waits_after_s=_WAITS_AFTER_S)
     serving = asyncio.ensure_future(_played_now(device) if now else _play_as_commanded(device))
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
@@ -91,7 +96,7 @@ async def _play_as_commanded(device: FakeDevice | FakeVehicle) -> None:
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(commands), sys.stdin)
     start: asyncio.Future[float] = asyncio.get_running_loop().create_future()
     playing = asyncio.ensure_future(device.run(start))
-    listening = asyncio.ensure_future(_listen(commands, start))
+    listening = asyncio.ensure_future(_listen(commands, start, device))
     try:
         await asyncio.wait({playing, listening}, return_when=asyncio.FIRST_COMPLETED)
         if not listening.done():
@@ -104,15 +109,33 @@ async def _play_as_commanded(device: FakeDevice | FakeVehicle) -> None:
                 await task
 
 
-async def _listen(commands: asyncio.StreamReader, start: asyncio.Future[float]) -> None:
+async def _listen(
+    commands: asyncio.StreamReader, start: asyncio.Future[float], device: FakeDevice | FakeVehicle
+) -> None:
     while line := await commands.readline():
         word, _, seconds = line.decode("ascii", "replace").partition(" ")
         try:
-            if word != "start" or start.done():
+            if word == "hold" and start.done() and isinstance(device, FakeDevice):
+                device.hold(float(seconds))
+            elif word == "hang_up":
+                for wire in [device.wire] if isinstance(device, FakeDevice) else device.wires:
+                    wire.hang_up()
+            elif word == "start" and not start.done():
+                start.set_result(float(seconds))
+            else:
                 raise ValueError
-            start.set_result(float(seconds))
         except ValueError:
-            raise UsageError(f"standard input: expected one line 'start SECONDS', got {line!r}") from None
+            raise UsageError(
+                "standard input: expected one line 'start SECONDS', then lines 'hang_up 0', or 'hold SECONDS' for a "
+                f"device that is no vehicle, got {line!r}"
+            ) from None
+
+
+def _hold(device: FakeDevice | FakeVehicle, late_s: float) -> None:
+    """Let the mission of one device wait: what was due that long ago is due now."""
+    assert isinstance(device, FakeDevice)
+    device.hold(late_s)
+    _report("held", {"for_s": round(late_s, 4)})
 
 
 def _report(what: str, details: dict[str, Any]) -> None:

@@ -46,8 +46,9 @@ SONARS: Final[dict[str, Callable[[], FakeSonar]]] = {
     "sportscan": SportScanSonar,
 }
 
+HELD_S: Final = 0.02
+"""s; 0.12 m at 6 m/s: a vehicle waits for a later device."""
 _LATE_S: Final = 0.25  # a device that cannot get rid of its data by then leaves something out
-_HELD_S: Final = 0.02  # 0.12 m at 6 m/s: a vehicle waits for a later device
 _TICK_S: Final = 0.1  # of a controller
 _LOOK_S: Final = 0.02  # whether a host has opened the wire of a vehicle
 _GARBAGE_BYTES: Final = 256  # bytes of one burst of junk
@@ -60,13 +61,14 @@ class FakeDevice:
 
     events: its mission; a sonar plays its pings, every other device its navigation samples. controller: of a vehicle,
     to which each sample is a tick; standing: where that is before the start. report(what, details): what happens, as it
-    happens. wait(late_s): lets the whole mission wait for a device that is late; None: the device leaves out what is
-    too late.
+    happens. wait(late_s): lets the whole mission wait for a device that is late, by waits_after_s or more; None: the
+    device leaves out what is too late.
 
     Reports: `ready` (uri, of its wire), `settings` (applied: what the host set a sonar to, when it changed), `fault`
     and `mended` (do), `reopened` (after_s: from the cable's return until the host had opened the wire), `done`.
-    counters: device.messages, .skipped (events left out, since wire or computer were busy), .flood_bytes, .latest_ms
-    (the latest that an event was through, after it was due), and those of the wire, its damage and the controller.
+    counters: device.events (played), .messages, .skipped (events left out, since wire or computer were busy),
+    .flood_bytes, .latest_ms (the latest that an event was through, after it was due), and those of the wire, its damage
+    and the controller.
     """
 
     def __init__(
@@ -77,9 +79,11 @@ class FakeDevice:
         controller: ReportingController | None = None,
         standing: NavSample | None = None,
         wait: Callable[[float], None] | None = None,
+        waits_after_s: float = HELD_S,
     ) -> None:
         self._job = job
         self._wait = wait
+        self._waits_after_s = waits_after_s
         self._events = events
         self._report = report
         self._own: Counter[str] = Counter()
@@ -161,14 +165,15 @@ class FakeDevice:
         if not self._has_power:
             return
         late_s = self._elapsed_s() - due_s
-        if self._wait is not None and late_s > _HELD_S:
+        if late_s > (_LATE_S if self._wait is None else self._waits_after_s):
+            if self._wait is None:
+                self._own["device.skipped"] += 1
+                return
             self._wait(late_s)
-        elif late_s > _LATE_S:
-            self._own["device.skipped"] += 1
-            return
         for message in self._messages(event, fed.at_s):
             await self.wire.send(message)
             self._own["device.messages"] += 1
+        self._own["device.events"] += 1
         self._own["device.latest_ms"] = max(self._own["device.latest_ms"], round(1e3 * (self._elapsed_s() - due_s)))
 
     def _messages(self, event: Ping | NavSample, at_s: float) -> Sequence[Message]:

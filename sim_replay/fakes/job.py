@@ -161,7 +161,8 @@ class Device(_Record, frozen=True, kw_only=True):
 class Job(_Record, frozen=True, kw_only=True):
     """Describe one device of one run.
 
-    folder: where its port appears; log or scene: the mission; speed: times real time.
+    folder: where its port appears; log or scene: the mission; speed: times real time. waits: the mission waits where
+    the device is late; otherwise it leaves out what is too late.
     """
 
     name: DeviceName
@@ -171,6 +172,7 @@ class Job(_Record, frozen=True, kw_only=True):
     scene: str | None = None
     speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 1.0
     seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 0
+    waits: bool = False
 
 
 class VehicleJob(_Record, frozen=True, kw_only=True):

@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import fcntl
 import os
+import select
 import termios
 import tty
 from collections import Counter
@@ -18,6 +19,7 @@ from sim_replay.fakes.faults import Faults
 from sim_replay.fakes.uart import misread
 
 _SLICE_S: Final = 0.002  # on the line at once
+_PASSED_ON_S: Final = 0.01  # s after which a pseudo-terminal has passed on what was written; it takes some 10 us
 _BITS_PER_BYTE: Final = 10  # 8N1
 _KERNEL_BYTES: Final = 640 * 1024  # that Linux keeps for the reader of a tty (tty_buffer.c, TTYB_DEFAULT_MEM_LIMIT)
 _BAUD_OF: Final = {
@@ -35,7 +37,7 @@ class FakePort:
 
     faults: damage to what is sent. on_bytes: what the host writes. stalled: while set, nothing passes in either
     direction, without a sign, as with a broken RS-232 cable. counters: port.sent, port.overrun, port.cut (bytes that
-    were lost while unplugged or stalled), port.received.
+    were lost while unplugged, stalled or hung up), port.received.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class FakePort:
         self._faults = faults
         self._master = self._slave = -1
         self._waiting = bytearray()  # of a set-up host that is busy
+        self._is_hung_up = False
         self._line = asyncio.Lock()  # one message after the other
         self._free_s = 0.0  # loop time at which the line has carried all that was sent
 
@@ -90,14 +93,30 @@ class FakePort:
         loop = asyncio.get_running_loop()
         loop.remove_reader(self._master)
         loop.remove_writer(self._master)
-        if self._waiting:
-            self.counters["port.sent"] -= len(self._waiting)
-            self.counters["port.cut"] += len(self._waiting)
-            self._waiting.clear()
+        self._cut(len(self._waiting))
+        self._waiting.clear()
         self.path.unlink(missing_ok=True)
         os.close(self._slave)
         os.close(self._master)
         self._master = self._slave = -1
+
+    def hang_up(self) -> None:
+        """Close the host's end, as its kernel does when the program ends; what it had not read is lost.
+
+        Nothing is kept for the next program until that has set up the port. No effect while unplugged.
+        """
+        if not self.plugged:
+            return
+        asyncio.get_running_loop().remove_writer(self._master)
+        n_unread = 0  # FIONREAD leaves out what the pseudo-terminal still passes on
+        while select.select([self._slave], [], [], _PASSED_ON_S)[0]:
+            n_unread += len(os.read(self._slave, _KERNEL_BYTES))
+        self._cut(n_unread + len(self._waiting))
+        self._waiting.clear()
+        attributes = termios.tcgetattr(self._slave)
+        attributes[2] &= ~termios.CLOCAL
+        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+        self._is_hung_up = True
 
     async def send(self, message: bytes) -> None:
         """Send a message after those before it; returns when its last byte has left. Losses are counted."""
@@ -130,7 +149,9 @@ class FakePort:
             self._put(piece)
 
     def _put(self, piece: bytes) -> None:
-        if not self.plugged or self.stalled:
+        if self._is_hung_up and self.plugged:
+            self._is_hung_up = not self._is_set_up()
+        if not self.plugged or self.stalled or self._is_hung_up:
             self.counters["port.cut"] += len(piece)
             return
         n_taken = 0 if self._waiting else self._written(piece)
@@ -142,6 +163,13 @@ class FakePort:
             asyncio.get_running_loop().add_writer(self._master, self._pass_on)
         self.counters["port.sent"] += n_taken
         self.counters["port.overrun"] += len(piece) - n_taken
+
+    def _cut(self, n_bytes: int) -> None:
+        """Count bytes as lost that were taken for sent."""
+        if n_bytes == 0:
+            return
+        self.counters["port.sent"] -= n_bytes
+        self.counters["port.cut"] += n_bytes
 
     def _written(self, data: bytes | bytearray) -> int:
         """Write, and return how many bytes the pseudo-terminal takes."""

@@ -32,6 +32,7 @@ from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
+from sim_replay.fakes.wires import DeviceWire
 from sim_replay.simulator.navigation_error import NavigationModel
 from sim_replay.simulator.objects import PlacedObject
 from sim_replay.simulator.plan import local_frame, planned_legs
@@ -104,6 +105,11 @@ class FakeVehicle:
             )
             for index, (name, device) in enumerate(job.devices.items())
         }
+
+    @property
+    def wires(self) -> list[DeviceWire]:
+        """List the wires of its devices."""
+        return [device.wire for device in self.devices.values()]
 
     async def run(self, start: Awaitable[float]) -> None:
         """Serve the hosts, and fly from the instant of the monotonic clock that `start` gives.

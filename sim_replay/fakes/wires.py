@@ -69,6 +69,9 @@ class DeviceWire(Protocol):
 
     async def set_plugged(self, plugged: bool) -> None: ...
 
+    def hang_up(self) -> None:
+        """Lose what the host has not read, as where its program ends. No effect where the host's kernel sees to it."""
+
     def set_stalled(self, stalled: bool) -> None:
         """Stall the line, or let it go on."""
 
@@ -112,6 +115,9 @@ class SerialWire:
             self.port.plug()
         else:
             self.port.unplug()
+
+    def hang_up(self) -> None:
+        self.port.hang_up()
 
     def set_stalled(self, stalled: bool) -> None:
         """Stall the line, or let it go on."""
@@ -184,6 +190,9 @@ class TcpWire:
         else:
             await self._server.stop(reset=True)
 
+    def hang_up(self) -> None:
+        """Do nothing: the connection ends with the host's program."""
+
     def set_stalled(self, stalled: bool) -> None:
         """Stall the line, or let it go on."""
         self._server.stalled = stalled
@@ -225,6 +234,9 @@ class UdpWire:
     async def set_plugged(self, plugged: bool) -> None:
         """Plug or unplug; an unplugged cable looks like one through which nothing comes."""
         self._device.stalled = not plugged
+
+    def hang_up(self) -> None:
+        """Do nothing: a datagram that nobody waits for is lost."""
 
     def set_stalled(self, stalled: bool) -> None:
         """Stall the line, or let it go on."""

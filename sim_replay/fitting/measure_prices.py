@@ -6,9 +6,11 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Final, NamedTuple
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 
@@ -29,18 +31,19 @@ from auv_mcm.detect.cascade.speed import measure_speed
 from auv_mcm.detect.detect_tile import detect_tile, worth_looking
 from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, Ping, Tile
+from auv_mcm.records import Detection, Ping, SourceEvent, Tile
 from auv_mcm.settings.budget_settings import BudgetConfig
 from auv_mcm.settings.config import Config
-from sim_replay.missions import config_for
-from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import Lawnmower, Scene
-from sim_replay.simulator.scene_file import read_scene
+from sim_replay.logs.open_log import open_log
+
+if TYPE_CHECKING:
+    from sim_replay.simulator.scene import Scene
 
 SCENE: Final = "rough"
 """The named scene that prices are measured on: of all it has most places to measure and to look at."""
 _SEED: Final = 600  # of the missions timed
 _LEG_M: Final = 120.0  # m of track timed
+_MAX_EVENTS: Final = 20_000  # of a log: five minutes of pings and navigation, each at some 30 Hz
 _MAX_LOOKS: Final = 60  # confirmations timed
 _N_RUNS: Final = 3  # of which the least price counts
 _WAY_TO_TILES: Final = ("intake", "law", "waterfall")
@@ -60,10 +63,12 @@ class PriceList(NamedTuple):
     n_units: dict[str, int]
 
 
-def measure_prices(config: Config, clock: Clock = time.thread_time, n_runs: int = _N_RUNS) -> PriceList:
-    """Fly a short mission over rough ground, and divide the time of each stage by its work.
+def measure_prices(
+    config: Config, clock: Clock = time.thread_time, n_runs: int = _N_RUNS, log: Path | None = None
+) -> PriceList:
+    """Fly a short mission over rough ground, or play a log, and divide the time of each stage by its work.
 
-    The chain is that of this configuration.
+    The chain is that of this configuration. What there was no work for keeps its price.
 
     Parameters
     ----------
@@ -74,16 +79,35 @@ def measure_prices(config: Config, clock: Clock = time.thread_time, n_runs: int 
     n_runs
         Runs of which the least price counts, each by itself: what else runs on a computer only ever adds to processor
         time, by half and more where caches are shared.
+    log
+        Of the payload's own sonar, whose beginning is played; None for the simulated mission.
+
+    Raises BadInputError for a log that cannot be used.
     """
-    runs = [_measured_once(config, clock) for _ in range(n_runs)]
+    mission = partial(_flown, config) if log is None else partial(_played, config, log)
+    runs = [_measured_once(*mission(), config.budget, clock) for _ in range(n_runs)]
     prices = [msgspec.structs.asdict(run.prices) for run in runs]
     least = {name: min(each[name] for each in prices) for name in prices[0] if name != "duty"}
     return runs[0]._replace(prices=BudgetConfig(**least))
 
 
-def _measured_once(config: Config, clock: Clock) -> PriceList:
+def _flown(config: Config) -> tuple[Iterable[SourceEvent], Config]:
+    """Begin the simulated mission, with the configuration for it."""
+    from sim_replay.missions import config_for
+    from sim_replay.simulator.mission import Mission
+    from sim_replay.simulator.scene_file import read_scene
+
     scene = _short(read_scene(SCENE))
-    config = msgspec.structs.replace(config_for(scene), detect=config.detect, waterfall=config.waterfall)
+    return Mission(scene).events(), msgspec.structs.replace(
+        config_for(scene), detect=config.detect, waterfall=config.waterfall
+    )
+
+
+def _played(config: Config, log: Path) -> tuple[Iterable[SourceEvent], Config]:
+    return islice(open_log(log, config), _MAX_EVENTS), config
+
+
+def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetConfig, clock: Clock) -> PriceList:
     model, _ = fitting(configured_model(config), config)
     odds = shipped_odds("contrast" if model is None else "cascade")
     tiles: list[Tile] = []
@@ -96,7 +120,7 @@ def _measured_once(config: Config, clock: Clock) -> PriceList:
 
     pipeline = Pipeline(config, timer=clock, look=look)
     n_samples = 0
-    for event in Mission(scene).events():
+    for event in events:
         if isinstance(event, Ping):
             n_samples += sum(trace.samples.size for trace in (event.port, event.starboard) if trace is not None)
         tiles += [found for found in pipeline.feed(event) if isinstance(found, Tile)]
@@ -107,20 +131,20 @@ def _measured_once(config: Config, clock: Clock) -> PriceList:
         if model is None
         else measure_speed(model, config.waterfall.row_spacing_m, config.waterfall.column_spacing_m)
     )
-    comparison_s = BudgetConfig().comparison_us / _US_PER_S if model is None else 1.0 / speed
+    comparison_s = known.comparison_us / _US_PER_S if model is None else 1.0 / speed
     bare_s, peak_s, n_peaks = _detection_costs(tiles, config, model, comparison_s, clock)
     looks_s, n_work = _look_costs(looked_at[:_MAX_LOOKS], config, odds, clock)
     costs_s = pipeline.costs_s
     contours_s = sum(looks_s[step] for step in _OF_CONTOURS)
     other_s = sum(looks_s.values()) - contours_s - looks_s["solids"]
     prices = BudgetConfig(
-        sample_us=_price_us(sum(costs_s[stage] for stage in _WAY_TO_TILES), n_samples),
-        pixel_us=_price_us(bare_s + sum(costs_s.get(stage, 0.0) for stage in _OF_PIXELS), n_pixels),
-        comparison_us=_price_us(comparison_s, 1),
-        peak_us=_price_us(peak_s, n_peaks),
-        contour_move_us=_price_us(contours_s, n_work["moves"]),
-        field_us=_price_us(other_s, n_work["looks"]),
-        hypothesis_us=_price_us(looks_s["solids"], n_work["hypotheses"]),
+        sample_us=_price_us(sum(costs_s.get(stage, 0.0) for stage in _WAY_TO_TILES), n_samples, known.sample_us),
+        pixel_us=_price_us(bare_s + sum(costs_s.get(stage, 0.0) for stage in _OF_PIXELS), n_pixels, known.pixel_us),
+        comparison_us=_price_us(comparison_s, 1, known.comparison_us),
+        peak_us=_price_us(peak_s, n_peaks, known.peak_us),
+        contour_move_us=_price_us(contours_s, n_work["moves"], known.contour_move_us),
+        field_us=_price_us(other_s, n_work["looks"], known.field_us),
+        hypothesis_us=_price_us(looks_s["solids"], n_work["hypotheses"], known.hypothesis_us),
     )
     return PriceList(prices, {"samples": n_samples, "pixels": n_pixels, "peaks": n_peaks, **n_work})
 
@@ -143,6 +167,8 @@ def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: fl
 
 
 def _short(scene: Scene) -> Scene:
+    from sim_replay.simulator.scene import Lawnmower
+
     assert isinstance(scene.track.plan, Lawnmower)
     plan = msgspec.structs.replace(scene.track.plan, n_legs=1, leg_m=_LEG_M)
     return msgspec.structs.replace(scene, seed=_SEED, track=msgspec.structs.replace(scene.track, plan=plan))
@@ -173,7 +199,7 @@ def _look_costs(
 ) -> tuple[dict[ExaminationStep, float], Counter[str]]:
     """Time the steps of close looks, s, and count their work."""
     spent: dict[ExaminationStep, float] = defaultdict(float)
-    work: Counter[str] = Counter()
+    work = Counter(looks=0, moves=0, hypotheses=0)
     examined = partial(_examined, config=config, odds=odds, clock=clock, spent=spent)
     for detection in detections:
         found = examined(detection)
@@ -209,9 +235,9 @@ def _examined(
     return examine(detection, region, odds, config.confirm.min_p_mine, done)
 
 
-def _price_us(cost_s: float, n_units: int) -> float:
-    """Price of a unit, to three digits; never nothing, for a clock may be coarse."""
-    price_us = max(cost_s, 1e-9) / max(n_units, 1) * _US_PER_S
+def _price_us(cost_s: float, n_units: int, known_us: float) -> float:
+    """Price of a unit, to three digits; never nothing, for a clock may be coarse. Without units what is known stays."""
+    price_us = known_us if n_units == 0 else max(cost_s, 1e-9) / n_units * _US_PER_S
     return float(f"{price_us:.{_DIGITS}g}")
 
 

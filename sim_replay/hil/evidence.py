@@ -13,6 +13,13 @@ class Line(NamedTuple):
     text: str
 
 
+class Restart(NamedTuple):
+    """Hold when the service was killed by intent, and when it was ready again, seconds after the run's start."""
+
+    killed_s: float
+    ready_s: float
+
+
 class Report(NamedTuple):
     """Hold a fake device's report: see sim_replay.fakes.device and sim_replay.fakes.vehicle_device."""
 

@@ -24,12 +24,13 @@ from typing import Any, Final
 import msgspec
 import yaml
 
-from auv_mcm.errors import HardwareError
+from auv_mcm.errors import AuvMcmError, HardwareError
 from auv_mcm.safe_files import open_for_append
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.health.files import HEALTH, read_health
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
-from sim_replay.hil.evidence import Line, Report
+from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
 from sim_replay.logs.recorded import RecordedMission
@@ -49,9 +50,10 @@ _DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units co
 _AFTERMATH_S: Final = 1.5  # for the service to report its reaction to a fault
 _ALONE_S: Final = 4.0  # mission time of a vehicle after the service's end, to see that it goes on by itself
 _LOOK_S: Final = 0.1  # between looks at the mission time
-_SLOWEST: Final = (
-    10.0  # wall time per mission time of a vehicle's world on a busy computer; a run that needs more is over
-)
+_SLOWEST: Final = 10.0  # wall time per mission time that waits for a busy computer; a run that needs more is over
+_STALE_PERIODS: Final = 3.0  # after which a record of health is of a service that is gone
+_PACE_S: Final = 0.1  # s between looks whether the mission has to wait
+_BEHIND_PINGS: Final = 100  # that wait for perception; from there on the mission waits as well
 _TAIL_LINES: Final = 5  # of the program's log, shown with a failure
 _PR_SET_PDEATHSIG: Final = 1  # Linux, prctl.h: the signal at the parent's death
 
@@ -93,6 +95,7 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         killed_s=live.killed_s,
         stopped_s=live.stopped_s,
         fence_deg=config.vehicle.fence_deg,
+        restarts=live.restarts,
     )
 
 
@@ -107,6 +110,7 @@ class _Live(msgspec.Struct):
     reports: dict[str, list[Report]]
     killed_s: float | None
     stopped_s: float | None
+    restarts: Sequence[Restart]
 
 
 class _Run:
@@ -115,56 +119,62 @@ class _Run:
         self._folder = folder
         self._progress = progress
         self._stopped_s: float | None = None
-        self._vehicle: _Process | None = None
+        self._devices: list[_Process] = []
+        self._holds: list[tuple[float, float]] = []  # for perception: when each ends, monotonic, and how long it is
+        self._services: list[_Process] = []  # one per start
+        self._restarts: list[Restart] = []
+        self._is_down = False
+        self._all_restarted = asyncio.Event()
         self._start_s = 0.0
 
     async def live(self, jobs: Sequence[Job | VehicleJob]) -> _Live:
-        processes: list[_Process] = []
         try:
             for job in jobs:
-                processes.append(await self._device(job))
+                self._devices.append(await self._device(job))
             uris: dict[str, str] = {}
-            for job, process in zip(jobs, processes, strict=True):
+            for job, process in zip(jobs, self._devices, strict=True):
                 uris |= await _uris_of(process, job)
             service = await self._service(uris)
-            processes.append(service)
-            await service.printed("ready: ", _READY_S)
             if (limit_bytes := self._scenario.file_limit_bytes) is not None:
                 service.limit_files(limit_bytes)
-            self._vehicle = None if self._scenario.vehicle is None else processes[0]
             self._start_s = time.monotonic() + _SETTLE_S
-            for process in processes:  # also to the service, which listens only where its clock is to step
+            for process in (*self._devices, service):  # which listens only where its clock is to step
                 process.send_line(f"start {self._start_s:.6f}\n")
             killed_s = None
             if self._scenario.kill is not None:
-                killed_s = await self._killed(service, processes[0], self._scenario.kill)
-            exit_code = await self._served(service, processes[:-1])
-            if self._vehicle is not None:
+                killed_s = await self._killed(service, self._devices[0], self._scenario.kill)
+            exit_code = await self._served(uris)
+            if self._scenario.vehicle is not None:
                 await self._wait(_ALONE_S)
         finally:
-            await asyncio.gather(*(process.end() for process in processes))
+            await asyncio.gather(*(process.end() for process in (*self._devices, *self._services)))
         time_of = self._mission_time()
-        lines = [Line(time_of.at(at_s), text) for at_s, text in service.lines]
+        lines = [Line(time_of.at(at_s), text) for service in self._services for at_s, text in service.lines]
         reports: dict[str, list[Report]] = {name: [] for name in self._scenario.devices}
-        for job, process in zip(jobs, processes, strict=False):
+        for job, process in zip(jobs, self._devices, strict=True):
             for name, report in _reports(process, time_of):
                 reports[name or _name_of(job)].append(report)
-        return _Live(exit_code=exit_code, lines=lines, reports=reports, killed_s=killed_s, stopped_s=self._stopped_s)
+        return _Live(
+            exit_code=exit_code,
+            lines=lines,
+            reports=reports,
+            killed_s=killed_s,
+            stopped_s=self._stopped_s,
+            restarts=self._restarts,
+        )
 
     async def _device(self, job: Job | VehicleJob) -> _Process:
         name = _name_of(job)
         path = self._folder / f"{name}.yaml"
         write_file(path, yaml.safe_dump(msgspec.to_builtins(job), sort_keys=False).encode())
         arguments = ["-m", "sim_replay.fakes", str(path)]
-        return await _Process.begin(f"fake device '{name}'", arguments, self._folder / f"{name}.log")
+        log = self._folder / f"{name}.log"
+        log.unlink(missing_ok=True)
+        return await _Process.begin(f"fake device '{name}'", arguments, log)
 
     def _mission_time(self) -> MissionTime:
-        holds = (
-            ()
-            if self._vehicle is None
-            else [(at_s, hold_s) for at_s, line in self._vehicle.lines if (hold_s := _hold_s(line))]
-        )
-        return MissionTime(self._start_s, holds)
+        of_devices = [(at_s, hold_s) for process in self._devices for at_s, hold_s in process.holds]
+        return MissionTime(self._start_s, sorted(of_devices + self._holds))
 
     async def _wait(self, for_s: float) -> None:
         """Wait for a mission time, or for _SLOWEST times as long."""
@@ -176,7 +186,36 @@ class _Run:
                     f"this computer makes {for_s:g} s of mission time in more than {_SLOWEST * for_s:g} s: given up"
                 )
                 return
-            await asyncio.sleep(left_s if self._vehicle is None else min(left_s, _LOOK_S))
+            await asyncio.sleep(min(left_s, _LOOK_S) if self._can_wait else left_s)
+
+    @property
+    def _can_wait(self) -> bool:
+        """Find whether mission time may stand still."""
+        return self._scenario.waits or self._scenario.vehicle is not None
+
+    async def _pace(self) -> None:
+        """Let every device wait for one that is late, and all of them for perception.
+
+        While the service is down the mission goes at real time: what a restart takes does not depend on its speed.
+        """
+        n_seen = [0] * len(self._devices)
+        while True:
+            for index, late in enumerate(self._devices):
+                for _, for_s in late.holds[n_seen[index] :]:
+                    for other in self._devices:
+                        if other is not late:
+                            other.send_line(f"hold {for_s:.4f}\n")
+                n_seen[index] = len(late.holds)
+            still_s = 0.0
+            if self._is_down:
+                still_s = _PACE_S * max(1.0 - 1.0 / self._scenario.speed, 0.0)
+            elif _pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS:
+                still_s = _PACE_S
+            if still_s:
+                self._holds.append((time.monotonic() + still_s, still_s))
+                for device in self._devices:
+                    device.send_line(f"hold {still_s:.4f}\n")
+            await asyncio.sleep(_PACE_S)
 
     async def _killed(self, service: _Process, vehicle: _Process, kill: Kill) -> float | None:
         """Kill the service as the scenario requests and wait until the run is over.
@@ -214,34 +253,72 @@ class _Run:
         arguments = ["-m", "auv_mcm", "run", "--config", str(path)]
         if step is not None:
             arguments = ["-m", "sim_replay.hil.stepping_service", str(path), str(step.at_s), str(step.by_s)]
-        return await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
+        if not self._services:
+            (self._folder / SERVICE_LOG).unlink(missing_ok=True)
+        service = await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
+        self._services.append(service)
+        await service.printed("ready: ", _READY_S)
+        return service
 
-    async def _served(self, service: _Process, devices: Sequence[_Process]) -> int | None:
+    async def _served(self, uris: dict[str, str]) -> int | None:
         """Wait until the run is over, signal the service to stop, and wait for its end."""
         scenario = self._scenario
         self._progress(f"running for {scenario.run_s:g} s" + ("" if scenario.ends_after is None else " at most"))
-        over = asyncio.ensure_future(self._over(devices))
-        ended = asyncio.ensure_future(service.ended(None))
-        await asyncio.wait({over, ended}, return_when=asyncio.FIRST_COMPLETED)
-        over.cancel()
-        if ended.done():
-            return ended.result()
-        ended.cancel()
+        over = asyncio.ensure_future(self._over(self._devices))
+        ended = asyncio.ensure_future(self._ended(uris))
+        pacing = asyncio.ensure_future(self._pace() if scenario.waits else asyncio.Event().wait())
+        try:
+            await asyncio.wait({over, ended, pacing}, return_when=asyncio.FIRST_COMPLETED)
+            if ended.done():
+                return ended.result()
+            if pacing.done():
+                pacing.result()
+        finally:
+            for task in (over, ended, pacing):
+                task.cancel()
         self._progress("stopping")
-        service.signal(signal.SIGTERM)
+        self._services[-1].signal(signal.SIGTERM)
         self._stopped_s = self._mission_time().at(time.monotonic())
         try:
-            return await service.ended(scenario.stop_within_s)
+            return await self._services[-1].ended(scenario.stop_within_s)
         except TimeoutError:
             return None
 
+    async def _ended(self, uris: dict[str, str]) -> int:
+        """Kill the service and start it again as the scenario requests; return the exit code of the last start."""
+        for at_s in self._scenario.restarts_s:
+            ended = asyncio.ensure_future(self._services[-1].ended(None))
+            waiting = asyncio.ensure_future(self._wait(max(at_s - self._mission_time().at(time.monotonic()), 0.0)))
+            try:
+                await asyncio.wait({ended, waiting}, return_when=asyncio.FIRST_COMPLETED)
+                if ended.done():
+                    return ended.result()
+            finally:
+                ended.cancel()
+                waiting.cancel()
+            self._progress(f"killing the service after {at_s:g} s and starting it again")
+            killed_s = self._mission_time().at(time.monotonic())
+            self._is_down = True
+            await self._services[-1].kill()
+            for device in self._devices:
+                device.send_line("hang_up 0\n")
+            await self._service(uris)
+            self._is_down = False
+            self._restarts.append(Restart(killed_s, self._mission_time().at(time.monotonic())))
+        self._all_restarted.set()
+        return await self._services[-1].ended(None)
+
     async def _over(self, devices: Sequence[_Process]) -> None:
-        """Return when the run is over."""
+        """Return when the run is over, and all its restarts are made."""
+        await self._flown(devices)
+        await self._all_restarted.wait()
+
+    async def _flown(self, devices: Sequence[_Process]) -> None:
         rule = self._scenario.ends_after
         if rule is not None:
             if await self._any_reported(devices, rule.what, rule.containing):
                 await self._wait(rule.after_s)
-        elif self._vehicle is not None:
+        elif self._scenario.vehicle is not None:
             await self._wait(self._left_s())
         else:
             await self._played(devices, self._left_s())
@@ -254,8 +331,9 @@ class _Run:
         faults = [fault for device in self._scenario.devices.values() for fault in device.faults]
         step = self._scenario.host_clock_step
         last_s = max([fault.at_s + (fault.for_s or 0.0) for fault in faults] + [0.0 if step is None else step.at_s])
+        earliest_s = time.monotonic() + left_s - self._scenario.run_s + last_s + _AFTERMATH_S
+        left_s *= _SLOWEST if self._scenario.waits else 1.0
         ends_s = time.monotonic() + left_s
-        earliest_s = ends_s - self._scenario.run_s + last_s + _AFTERMATH_S
         try:
             async with asyncio.TaskGroup() as tasks:
                 for device in devices:
@@ -294,6 +372,7 @@ class _Process:
 
     def __init__(self, what: str, process: asyncio.subprocess.Process, log: Path) -> None:
         self.lines: list[tuple[float, str]] = []
+        self.holds: list[tuple[float, float]] = []  # of a fake device: when it had waited, and for how long
         self._what = what
         self._process = process
         self._log = log
@@ -349,6 +428,13 @@ class _Process:
         with contextlib.suppress(ProcessLookupError):
             self._process.send_signal(number)
 
+    async def kill(self) -> None:
+        """End it with all that it has started, at once."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        await self._process.wait()
+        await self._reading
+
     async def ended(self, within_s: float | None) -> int:
         """Wait for the exit code. Raises TimeoutError, with None never."""
         async with asyncio.timeout(within_s):
@@ -361,19 +447,18 @@ class _Process:
         self.signal(signal.SIGTERM)
         with contextlib.suppress(TimeoutError):
             await self.ended(_GRACE_S)
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        await self._process.wait()
-        await self._reading
+        await self.kill()
 
     async def _read(self) -> None:
         assert self._process.stdout is not None
-        self._log.unlink(missing_ok=True)
         with open_for_append(self._log) as log:
-            async for line in self._process.stdout:
-                log.write(line)
+            async for data in self._process.stdout:
+                log.write(data)
+                at_s, line = time.monotonic(), data.decode("utf-8", "replace").rstrip("\n")
+                if hold_s := _hold_s(line):
+                    self.holds.append((at_s, hold_s))
                 async with self._more:
-                    self.lines.append((time.monotonic(), line.decode("utf-8", "replace").rstrip("\n")))
+                    self.lines.append((at_s, line))
                     self._more.notify_all()
         async with self._more:
             self._more.notify_all()
@@ -422,6 +507,7 @@ def _job(scenario: Scenario, name: str, index: int, log: Path, folder: Path) -> 
         log=str(log.resolve()),
         speed=scenario.speed,
         seed=scenario.seed + index,
+        waits=scenario.waits,
     )
 
 
@@ -451,6 +537,15 @@ def _reports(device: _Process, time_of: MissionTime) -> Iterator[tuple[str | Non
 def _hold_s(line: str) -> float:
     """Return how long mission time stood still until a report; 0 for reports of anything else."""
     return float(json.loads(line)["for_s"]) if '"what": "held"' in line else 0.0
+
+
+def _pings_waiting(health: Path) -> float:
+    """Read how many pings wait for perception; 0 where no service reports it."""
+    with contextlib.suppress(AuvMcmError):
+        newest = read_health(health)
+        if time.time() - newest.utc_s <= _STALE_PERIODS * newest.period_s:
+            return sum(part.values.get("queue_pings", 0.0) for part in newest.parts)
+    return 0.0
 
 
 def _read_json(path: Path) -> Any:

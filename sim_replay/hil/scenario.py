@@ -270,13 +270,15 @@ class Scenario(_Record, frozen=True, kw_only=True):
     played the mission. service: its configuration; the link of a port is the name of its device in braces.
     file_limit_bytes: no file of the service, once it is ready, grows beyond it, as on a disk that is full; room for its
     results must be left. host_clock_step: what the service takes for this computer's UTC steps. kill: the service,
-    while the devices go on.
+    while the devices go on. restarts_s: all processes of the service are killed so long after the run's start, and it
+    is started again at once. waits: the mission waits while perception is behind or a device is late, and goes at
+    real time while the service is down.
     """
 
     about: Annotated[str, Meta(min_length=1)]
     devices: dict[str, Device]
     service: dict[str, Any]
-    run_s: Annotated[float, Meta(gt=0.0, le=3600.0)]
+    run_s: Annotated[float, Meta(gt=0.0, le=86_400.0)]
     expectations: Annotated[tuple[Expectation, ...], Meta(min_length=1)]
     scene: str | None = None
     log: str | None = None
@@ -286,6 +288,8 @@ class Scenario(_Record, frozen=True, kw_only=True):
     file_limit_bytes: Annotated[int, Meta(ge=1000)] | None = None
     host_clock_step: HostClockStep | None = None
     kill: Kill | None = None
+    restarts_s: tuple[Annotated[float, Meta(ge=0.0)], ...] = ()
+    waits: bool = False
     ends_after: EndsAfter | None = None
 
     @property
@@ -368,6 +372,12 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
         )
     if scenario.vehicle is None and scenario.kill is not None:
         yield "`kill` waits for a grant, and `devices` has no vehicle that could give one"
+    if scenario.vehicle is not None and scenario.waits:
+        yield "`waits` is for recorded missions: one with a vehicle waits anyway. Leave it out"
+    if scenario.kill is not None and scenario.restarts_s:
+        yield "`kill` leaves the service dead, and `restarts_s` starts it again: give one of them"
+    if list(scenario.restarts_s) != sorted(scenario.restarts_s):
+        yield "`restarts_s` has to be in order"
     if scenario.ends_after is not None and scenario.ends_after.device not in scenario.devices:
         yield f"`ends_after` names '{scenario.ends_after.device}', which is none of `devices`"
     for name in scenario.devices:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from sim_replay.hil.evidence import Line, Report
+from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.scenario import (
     AnswersStop,
     AsReplayed,
@@ -65,6 +65,7 @@ class Evidence(NamedTuple):
 
     targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it. killed_s: when the
     service was killed by intent; stopped_s: when it was requested to stop. fence_deg: of the service's configuration.
+    restarts: of the service, by intent.
     """
 
     exit_code: int | None
@@ -77,6 +78,7 @@ class Evidence(NamedTuple):
     killed_s: float | None = None
     stopped_s: float | None = None
     fence_deg: Sequence[tuple[float, float]] = ()
+    restarts: Sequence[Restart] = ()
 
 
 class Verdict(NamedTuple):

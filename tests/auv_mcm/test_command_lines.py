@@ -230,7 +230,9 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         *(f"sim_replay.{module}.run" for module, _ in BENCHES.values()),
     ):
         monkeypatch.setattr(place, reached)
-    monkeypatch.setattr("sim_replay.fitting.measure_prices.measure_prices", lambda *_: PriceList(BudgetConfig(), {}))
+    monkeypatch.setattr(
+        "sim_replay.fitting.measure_prices.measure_prices", lambda *_, **__: PriceList(BudgetConfig(), {})
+    )
     return tmp_path / "here"
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.errors import SelfCheckError
 from sim_replay.benches import soak
-from sim_replay.benches.soak import MAX_LOST_S, KillOutcome, killed, not_in_journal
+from sim_replay.benches.announced import not_in_journal
+from sim_replay.benches.soak import MAX_LOST_S, KillOutcome, killed
+from sim_replay.benches.stops import MAX_STOP_S, StopOutcome
 
 LINE = "contact C00012 updated: cylinder, p_mine 0.91, 43.0931026 5.8874099, 2 views"
 
@@ -76,4 +79,23 @@ def test_losses_are_printed_and_set_the_exit_code(
 ) -> None:
     monkeypatch.setattr(soak, "killed", lambda n_kills, seed, folder: iter([a_kill(), kill]))
     assert main(["bench", "soak", "--kills", "2"]) == SelfCheckError.exit_code
+    assert words in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, ""),
+        ({"took_s": MAX_STOP_S + 0.1}, "the stop took 5.10 s"),
+        ({"exit_code": 4}, "ended with 4"),
+        ({"n_unkept": 3}, "3 pings are in the recording alone"),
+        ({"not_in_journal": (LINE,)}, "not in contacts.jsonl: contact C00012"),
+    ],
+)
+def test_a_stop_that_takes_long_or_leaves_something_out_sets_the_exit_code(
+    changes: dict[str, Any], words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fine = StopOutcome(2.0, 0, 1.5, 0, 9, False, 200, 0, ())
+    monkeypatch.setattr(soak, "stopped", lambda n_stops, seed, folder: iter([fine, fine._replace(**changes)]))
+    assert main(["bench", "soak", "--stops", "2"]) == (SelfCheckError.exit_code if words else 0)
     assert words in capsys.readouterr().out

@@ -83,6 +83,17 @@ def test_a_service_that_refuses_its_configuration_is_quoted(tmp_path: Path) -> N
     assert not processes_with(str(tmp_path))
 
 
+def test_a_service_that_is_killed_on_the_way_is_started_again_and_goes_on_while_the_mission_waits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rule = "{is: line, matching: session_resumed, at_least: 1, at_most: 1}"
+    path = short(tmp_path, "{is: summary, key: pings, at_least: 1}", rule)
+    path.write_text(path.read_text("utf-8") + "restarts_s: [0.1]\nwaits: true\n", "utf-8")
+    assert run(str(path), "--out", str(tmp_path)) == 0
+    assert "FAILED" not in capsys.readouterr().out
+    assert len(list((tmp_path / "short" / "results").glob("session-*"))) == 1
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_nothing_outlives_a_run_that_is_ended(number: signal.Signals, tmp_path: Path) -> None:
     path = short(tmp_path, "run_s: 0.2", "run_s: 600")

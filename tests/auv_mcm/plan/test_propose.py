@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.propose import propose
 from auv_mcm.plan.reinspect import plan_reinspection
-from auv_mcm.records import Contact
+from auv_mcm.records import Contact, Waypoint
 from auv_mcm.settings.config import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from tests.auv_mcm.classify import drawn_looks
@@ -76,6 +77,27 @@ def test_a_contact_near_the_fence_is_passed_on_its_inner_side(east_m: float) -> 
     proposal = propose([contact(1, east_m, 50.0, look_deg=90.0)], START, PLAN, fenced(SQUARE))
     assert not proposal.refused
     assert {point.contact_id for point in proposal.waypoints} == {"C00001"}
+
+
+def test_a_plan_without_time_is_ordered_a_few_times_only_and_stays_inside(monkeypatch: pytest.MonkeyPatch) -> None:
+    orders: list[int] = []
+
+    def ordered(contacts: list[Contact], *rest: Any) -> tuple[Waypoint, ...]:
+        orders.append(len(contacts))
+        return plan_reinspection(contacts, *rest)
+
+    monkeypatch.setattr("auv_mcm.plan.propose.plan_reinspection", ordered)
+    random = np.random.default_rng(1)
+    places = random.uniform((-48.0, -290.0, 0.0), (48.0, 290.0, 180.0), (12, 3)).tolist()
+    contacts = [contact(number, *place) for number, place in enumerate(places, 1)]
+    strip = fenced(((-60.0, -300.0), (-60.0, 300.0), (60.0, 300.0), (60.0, -300.0)))
+    proposal = propose(contacts, START, PLAN, strip, lambda: False)
+    n_hurried = len(orders)
+    assert places_m(proposal)[1:].size
+    assert (np.abs(places_m(proposal)[1:]) <= (60.0 - strip.fence_margin_m, 300.0 - strip.fence_margin_m)).all()
+    patient = propose(contacts, START, PLAN, strip)
+    assert n_hurried <= 2 < len(orders) - n_hurried
+    assert len(patient.waypoints) >= len(proposal.waypoints)
 
 
 def test_what_is_not_to_be_looked_at_is_not_in_the_plan() -> None:

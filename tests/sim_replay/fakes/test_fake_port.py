@@ -157,6 +157,27 @@ def test_a_host_that_has_set_up_the_port_and_is_busy_loses_nothing_that_a_kernel
     asyncio.run(scenario())
 
 
+def test_a_host_that_hung_up_loses_what_it_had_not_read_and_all_until_the_port_is_set_up_again(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "sonar", 4000000)
+        port.plug()
+        for _ in range(2):
+            host = opened(port.path, 4000000)
+            attributes = termios.tcgetattr(host)
+            attributes[2] |= termios.CLOCAL
+            termios.tcsetattr(host, termios.TCSANOW, attributes)
+            await port.send(b"heard")
+            assert await read_bytes(host, 100) == b"heard"
+            await port.send(bytes(40_000))
+            os.close(host)
+            port.hang_up()
+            await port.send(b"lost")
+        assert port.counters == {"port.sent": 2 * 5, "port.overrun": 0, "port.cut": 2 * 40_004}
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
 def test_a_host_that_does_not_read_loses_what_the_kernel_cannot_hold(tmp_path: Path) -> None:
     async def scenario() -> None:
         port = FakePort(tmp_path / "sonar", 4000000)

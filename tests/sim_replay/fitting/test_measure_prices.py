@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from pathlib import Path
 
 import msgspec
@@ -17,6 +18,7 @@ from sim_replay.fitting import measure_prices as prices
 from sim_replay.fitting.measure_prices import PriceList, hypotheses_of, price_words
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import read_scene
+from tests.sim_replay.logs.xtf_logs import written
 
 
 def test_each_stage_is_priced_by_the_work_it_did(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,7 +27,7 @@ def test_each_stage_is_priced_by_the_work_it_did(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(prices, "_LEG_M", 60.0)
     monkeypatch.setattr(prices, "_MAX_LOOKS", 5)
     monkeypatch.setattr(prices, "measure_speed", lambda *_: 5e8)
-    monkeypatch.setattr(prices, "read_scene", lambda name: _sparse(read_scene(name)))
+    monkeypatch.setattr("sim_replay.simulator.scene_file.read_scene", lambda name: _sparse(read_scene(name)))
     found = prices.measure_prices(Config(), lambda: 1e-3 * next(ticks), n_runs=1)
     assert found.prices.duty is None
     assert found.prices.comparison_us == pytest.approx(0.002)
@@ -41,6 +43,25 @@ def test_of_several_runs_the_least_price_of_each_unit_counts(monkeypatch: pytest
     monkeypatch.setattr(prices, "_measured_once", lambda *_: PriceList(next(runs), {"peaks": 3}))
     found = prices.measure_prices(Config(), n_runs=2)
     assert found == PriceList(BudgetConfig(peak_us=900.0, field_us=4000.0), {"peaks": 3})
+
+
+def test_on_a_log_that_shows_nothing_prices_of_looks_stay_and_others_are_measured(tmp_path: Path) -> None:
+    ticks = itertools.count()
+    known = BudgetConfig(peak_us=900.0, field_us=5000.0)
+    log = written(tmp_path / "mission.xtf")
+    found = prices.measure_prices(Config(budget=known), lambda: 1e-3 * next(ticks), n_runs=1, log=log)
+    assert found.n_units["samples"] > 0
+    assert found.prices.sample_us != known.sample_us
+    assert (found.n_units["peaks"], found.n_units["looks"]) == (0, 0)
+    assert (found.prices.peak_us, found.prices.field_us) == (known.peak_us, known.field_us)
+
+
+def test_without_the_bench_the_error_says_what_measures_as_well(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    assert main(["calibrate", "budget", "--speed", "2"]) == 2
+    assert "or give --log a recording of this payload" in capsys.readouterr().err
 
 
 def _sparse(scene: Scene) -> Scene:
@@ -65,7 +86,9 @@ def test_the_command_writes_a_configuration_with_prices_and_duty(
 ) -> None:
     measured = BudgetConfig(peak_us=777.0)
     monkeypatch.setattr(
-        prices, "measure_prices", lambda config: PriceList(measured, {"looks": 2, "moves": 280, "hypotheses": 13_000})
+        prices,
+        "measure_prices",
+        lambda config, log: PriceList(measured, {"looks": 2, "moves": 280, "hypotheses": 13_000}),
     )
     out = tmp_path / "calibrated.yaml"
     assert main(["calibrate", *word, "--speed", "2", "--duty", "0.2", "--write", str(out)]) == 0

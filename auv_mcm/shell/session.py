@@ -1,0 +1,124 @@
+"""Begin a session, or go on with the one that was cut off, and know what that one has announced."""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+from collections import Counter
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from auv_mcm.clock import Clock
+from auv_mcm.errors import UsageError
+from auv_mcm.records import Contact, EarlyContact, Notice, PipelineEvent
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.recovery import (
+    Announced,
+    SessionMemory,
+    Unfinished,
+    read_announced,
+    resumable_session,
+    session_kind,
+    unfinished_session,
+)
+from auv_mcm.shell.whole_files import make_directory
+
+log = logging.getLogger(__name__)
+
+
+class Session(NamedTuple):
+    """Hold the session of a run: its folder, what runs before this one knew and announced, and what to say about it.
+
+    memory: with this start counted. announced: empty for a new session.
+    """
+
+    folder: Path
+    memory: SessionMemory
+    announced: Announced
+    notices: tuple[Notice, ...]
+
+
+class AnnouncedBefore:
+    """Tell what of the answers to events that are fed again was announced before."""
+
+    def __init__(self, session: Session, fed_again_to: int) -> None:
+        """fed_again_to: number of the newest event that a run before has kept."""
+        self._known = session.announced.known
+        self._notices = Counter(session.memory.notices)
+        self._fed_again_to = fed_again_to
+
+    def has(self, number: int, event: PipelineEvent) -> bool:
+        """Check what came of event `number`. A notice counts as often as it was raised."""
+        match event:
+            case Contact():
+                return (number, event.id, "") in self._known
+            case EarlyContact():
+                return (number, event.contact.id, event.state) in self._known
+            case Notice() if number <= self._fed_again_to and self._notices[event]:
+                self._notices[event] -= 1
+                return True
+        return False
+
+
+def open_session(parent: Path, config: Config, clock: Clock, *, may_resume: bool) -> Session:
+    """Choose the session to go on with, if the last one was cut off a short time ago; else make a new one.
+
+    Parameters
+    ----------
+    parent
+        The folder of sessions.
+    may_resume
+        Go on with a session where the configuration allows it.
+
+    Raises UsageError for a folder that holds a thousand sessions of this second, and OSError.
+    """
+    kind, now_s = session_kind(config), clock.utc_s()
+    within_h = config.service.resume_within_h if may_resume else 0.0
+    found = resumable_session(parent, kind, now_s, within_h) if within_h > 0.0 else None
+    if isinstance(found, Unfinished):
+        memory = msgspec.structs.replace(found.memory, n_starts=found.memory.n_starts + 1)
+        notice = _resumed(found.folder, memory.n_starts)
+        return Session(found.folder, memory, read_announced(found.folder), (notice,))
+    unfinished = found or unfinished_session(parent)
+    folder = _new_folder(parent, clock)
+    memory = SessionMemory(kind=kind, started_s=now_s, n_starts=1, elapsed_s=0.0)
+    return Session(folder, memory, Announced(frozenset(), {}), () if unfinished is None else (unfinished,))
+
+
+def _resumed(folder: Path, n_starts: int) -> Notice:
+    text = (
+        f"the session in {folder} was cut off and goes on: start {n_starts} of it. Contacts keep their numbers; what "
+        "was recorded and not worked off is worked off first."
+    )
+    return Notice(code="session_resumed", text=text, for_the_record=True)
+
+
+def _new_folder(parent: Path, clock: Clock) -> Path:
+    """Make a new folder per run, so that a restart never overwrites earlier results; `latest` points to it."""
+    make_directory(parent)
+    stamp = datetime.fromtimestamp(clock.utc_s(), UTC).strftime("%Y%m%dT%H%M%SZ")
+    for attempt in range(1, 1000):
+        folder = parent / (f"session-{stamp}" if attempt == 1 else f"session-{stamp}-{attempt}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        _point_latest_to(folder)
+        return folder
+    raise UsageError(f"{parent} holds a thousand sessions of {stamp}: the computer's clock does not run")
+
+
+def _point_latest_to(folder: Path) -> None:
+    link, latest = folder.with_name(f".{secrets.token_hex(8)}.new"), folder.with_name("latest")
+    if os.path.lexists(latest) and not latest.is_symlink():
+        log.warning("no link 'latest' in %s: something else of that name is there. Move it away.", folder.parent)
+        return
+    try:
+        link.symlink_to(folder.name)
+        os.replace(link, latest)
+    except OSError as error:  # a file system without links, such as FAT on a memory card
+        log.warning("no link 'latest' in %s: %s", folder.parent, error.strerror)
