@@ -28,6 +28,12 @@ def best_view(contact: Contact) -> Detection | None:
     )
 
 
+def depth_m(contact: Contact) -> float:
+    """Return the depth of the sea floor at a contact below the surface, m, by its best view; NaN where not known."""
+    view = best_view(contact)
+    return NAN if view is None else view.depth_m
+
+
 def call_words(contact: Contact) -> str:
     """Word the call and the density of false alarms that stands behind it; empty before it was decided."""
     if contact.called is None:

@@ -96,6 +96,7 @@ def test_every_file_of_the_contract_is_written(results: Path, logs: tuple[Path, 
     assert summary["covered_km2"] > 0.0
     for feature in features:
         assert (results / feature["properties"]["snippet"]).read_bytes().startswith(b"\x89PNG")
+        assert feature["properties"]["depth_m"] == pytest.approx(20.0, abs=0.5)  # the floor of the scene
 
 
 @pytest.mark.parametrize("circumstances", [{}, {"chunk_bytes": 1}, {"chunk_bytes": 4099}, {"threads": 2}])
