@@ -40,9 +40,17 @@ from auv_mcm.shell.whole_files import write_json
 from auv_mcm.skips import ALL_SKIPS, NO_SKIPS, Skips
 from sim_replay.logs.open_log import CHUNK_BYTES
 from sim_replay.logs.recorded import Pace, open_mission
+from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, write_report
+from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
+
+_FILES: Final = (
+    *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
+    *("clearance.geojson", "summary.json"),
+)
+"""What lies beside the report of every mission."""
 
 Progress = Callable[[float], None]
 
@@ -137,6 +145,8 @@ def replay(
         costs=costs_s,
         searched=searched.get("searched", {}),
         clearance_png=clearance_map,
+        files=_FILES + (("clearance.png",) if clearance_map else ()),
+        map_picture=map_picture(gathered.mosaic),
     )
     write_report(
         folder / "report.html",
@@ -219,6 +229,7 @@ class _Gathered:
         self.notices: list[Notice] = []
         self.pictures = PictureCollector()
         self.track = _Track()
+        self.mosaic = Mosaic(config, RESOLUTION_M, MAX_BLOCKS, coarsen=True)
 
     def add(self, events: Sequence[PipelineEvent]) -> None:
         for event in events:
@@ -226,6 +237,7 @@ class _Gathered:
                 case Tile():
                     self.pictures.add_tile(event)
                     self.track.add(event)
+                    self.mosaic.add(event)
                 case CoveragePatch():
                     self.coverage.append(event)
                     self.searched.add(event)

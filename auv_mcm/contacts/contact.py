@@ -43,9 +43,14 @@ def call_words(contact: Contact) -> str:
         return called
     low, high = contact.false_alarms_95_per_km2
     return (
-        f"{called}; {contact.false_alarms_per_km2:.2g} false alarms per km² as mine-like are expected ({low:.2g} to "
-        f"{high:.2g})"
+        f"{called}; {_two_digits(contact.false_alarms_per_km2)} false alarms per km² as mine-like are expected "
+        f"({_two_digits(low)} to {_two_digits(high)})"
     )
+
+
+def _two_digits(value: float) -> str:
+    """Write a number with two significant digits, never as a power of ten."""
+    return f"{float(f'{value:.2g}'):,.15g}".replace(",", "") if math.isfinite(value) else "?"
 
 
 def view_reasons(view: Detection) -> tuple[str, ...]:

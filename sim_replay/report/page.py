@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,20 +15,31 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
-from auv_mcm.contacts.contact import is_mine_like
+from auv_mcm.contacts.contact import depth_m, is_mine_like
 from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.contacts.export import snippet_path
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.report import report_words as words
 from sim_replay.report.cards import band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
+from sim_replay.report.map_picture import MapPicture
 from sim_replay.report.pictures import PictureCollector, PictureStrip
 
 _NOTICES_PER_CODE: Final = 5  # shown, the others are counted
 MAX_CARDS: Final = 100  # bounds the page: see MAX_ROWS
 MAX_ROWS: Final = 1000
-"""Contacts in a line of the table below the cards. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
+"""Contacts in the table that have no card. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
 """
+_LAYERS: Final = (
+    ("mosaic", "sonar"),
+    ("covered", "covered"),
+    ("track", "track"),
+    ("leg", "second views"),
+    ("p1", "clutter"),
+    ("ellipse", "errors"),
+)
+"""Parts of the map that can be switched off: the style class of each and its name."""
 _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays visible
 
 
@@ -37,7 +49,7 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none. track_latitude_deg,
     track_longitude_deg: (n,) float64, a few thousand positions at most, NaN where the track breaks. costs: seconds per
     stage, in the order to show them. searched: what `search_totals` says, clearance_png: the picture of it; both empty
-    if nothing was.
+    if nothing was. files: names of the files beside the page, to link to. map_picture: the sonar picture under the map.
     """
 
     name: str
@@ -53,6 +65,8 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     costs: dict[str, float]
     searched: dict[str, Any] = {}
     clearance_png: bytes = b""
+    files: tuple[str, ...] = ()
+    map_picture: MapPicture | None = None
 
 
 def write_report(
@@ -67,8 +81,8 @@ def write_report(
 ) -> None:
     """Write the page to `path`.
 
-    The MAX_CARDS contacts most likely to be mines get a card, the next MAX_ROWS a line, the rest is in the contact
-    files alone.
+    The MAX_CARDS contacts most likely to be mines get a card, these and the next MAX_ROWS a line of the table; the rest
+    is in the contact files alone.
     """
     page = render_report(mission, contacts, patches, waypoints, notices, counters, pictures)
     write_file(path, page.encode("utf-8", "replace"))
@@ -88,6 +102,7 @@ def render_report(
     from markupsafe import Markup
 
     folder = Path(__file__).parent
+    script = (folder / "report.js").read_text(encoding="utf-8")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(folder),
         autoescape=True,
@@ -109,7 +124,14 @@ def render_report(
         bands=_bands(contacts),
         strips=[_strip_view(strip, listed, pictures.times()) for strip in strips],
         legend=_legend(),
-        chart=draw_chart(track_deg, listed, patches, waypoints),
+        script=Markup(script),
+        script_sha256=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        chart=draw_chart(
+            track_deg, listed, patches, waypoints, None if mission.map_picture is None else mission.map_picture.box
+        ),
+        mosaic_uri="" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
+        layers=_LAYERS,
+        kinds=sorted({contact.classification for contact in listed}),
         chart_width=WIDTH,
         searched=_searched(mission.searched),
         mines_left=_mines_left(mission.searched),
@@ -117,7 +139,7 @@ def render_report(
         band=band,
         likely=[card for card in described if card.mine_like],
         clutter=[card for card in described if not card.mine_like],
-        rows=[_contact_row(contact, strips) for contact in listed[MAX_CARDS:]],
+        rows=[_contact_row(contact, strips, number < MAX_CARDS) for number, contact in enumerate(listed)],
         n_unlisted=len(ranked) - len(listed),
         mine_like_p=MINE_LIKE_P,
         legs=[point for point in waypoints if point.kind == "leg_exit"],
@@ -142,7 +164,7 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
     ]
     if any(contact.called is not None for contact in contacts):
         called = sum(bool(contact.called) for contact in contacts)
-        facts.insert(1, (str(called), "called", "no more false alarms as mine-like are expected than accepted"))
+        facts.insert(1, (str(called), "called", "within the false alarms per km² that you accept"))
     if mission.wall_s > 0.0 and math.isfinite(span_s):
         speed = span_s / mission.wall_s
         facts.append(
@@ -159,14 +181,35 @@ class ContactRow(NamedTuple):
     """Hold a contact in one line."""
 
     contact: Contact
+    carded: bool
+    called: str
+    length: str
+    size: str
+    depth: str
     place: str
     strips: list[int]
+    snippet: str
 
 
-def _contact_row(contact: Contact, strips: Sequence[PictureStrip]) -> ContactRow:
+def _contact_row(contact: Contact, strips: Sequence[PictureStrip], carded: bool) -> ContactRow:
     latitude = words.degrees_minutes(contact.latitude_deg, "N", "S")
     longitude = words.degrees_minutes(contact.longitude_deg, "E", "W")
-    return ContactRow(contact, f"{latitude}, {longitude}", strips_with(contact, strips))
+    sizes = [_number(size_m, 2) for size_m in (contact.length_m, contact.width_m, contact.height_m)]
+    return ContactRow(
+        contact,
+        carded=carded,
+        called="" if contact.called is None else "yes" if contact.called else "no",
+        length=sizes[0],
+        size=" × ".join(size or "?" for size in sizes),
+        depth=_number(depth_m(contact), 1),
+        place=f"{latitude}, {longitude}",
+        strips=strips_with(contact, strips),
+        snippet=snippet_path(contact),
+    )
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""
 
 
 def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:
