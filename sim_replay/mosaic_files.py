@@ -62,7 +62,7 @@ def write_geotiff(path: Path, levels: Sequence[Level], max_sigma_m: float = math
             f"the mosaic would have {first.width} x {first.height} pixels of {first.resolution_m:g} m. Choose a "
             "coarser --resolution, or export logs of distant sites apart."
         )
-    with _replacing(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True) as file:
+    with replaced_file(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True) as file:
         for number, level in enumerate(levels):
             file.write(
                 _tiles(level, max_sigma_m),
@@ -85,7 +85,7 @@ def write_kmz(path: Path, levels: Sequence[Level], name: str, max_sigma_m: float
 
     Raises OSError.
     """
-    with _replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as file:
+    with replaced_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as file:
         overlays = []
         for number, level in enumerate(reversed(levels)):
             for key in sorted({(column // _OVERLAY, row // _OVERLAY) for column, row in level.blocks}):
@@ -154,7 +154,7 @@ def _ground_overlay(level: Level, key: tuple[int, int], shape: tuple[int, ...], 
 
 
 @contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
+def replaced_file(path: Path) -> Iterator[Path]:
     """Write a file under another name that takes the place of `path` once it is whole. Raises OSError."""
     temporary = path.with_name(f".{secrets.token_hex(8)}.new")
     try:

@@ -26,12 +26,13 @@ def add(commands: Commands) -> None:
     parser = command(
         commands,
         "export",
-        "write a mission's mosaic for other programs",
+        "write a mission for other programs: mosaic, layers, way-points",
         "SOURCE is a folder of results ('auv-mcm replay --out'), the folder of a session ('auv-mcm run', also while\n"
         "it runs), or logs. Positions are longitude and latitude, WGS 84 (EPSG:4326). The mosaic blends all passes\n"
-        "over a place, the better seen the more.",
+        "over a place, the better seen the more. GeoPackage and GPX need results: contacts, track, coverage and\n"
+        "proposed legs, each purpose in a layer of its own.",
         [
-            "auv-mcm export results --geotiff mosaic.tif",
+            "auv-mcm export results --geotiff mosaic.tif --gpkg mission.gpkg --gpx mission.gpx",
             "auv-mcm export mission.xtf --geotiff mosaic.tif --kmz mosaic.kmz --resolution 0.1",
             "auv-mcm export auv-mcm-out/latest --kmz mosaic.kmz",
         ],
@@ -46,6 +47,10 @@ def add(commands: Commands) -> None:
         help="mosaic with overviews: band 1 is the echo in dB, band 2 the 1-sigma error of position in m",
     )
     parser.add_argument("--kmz", metavar="FILE", type=Path, help="mosaic as a ground overlay")
+    parser.add_argument("--gpkg", metavar="FILE", type=Path, help="GeoPackage of everything that has a place")
+    parser.add_argument(
+        "--gpx", metavar="FILE", type=Path, help="mine-like contacts, proposed legs and the track, for a chart plotter"
+    )
     parser.add_argument(
         "--resolution",
         metavar="M",
@@ -80,13 +85,40 @@ def _metres(low_m: float) -> Callable[[str], float]:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import find_source
 
-    wanted = [path for path in (arguments.geotiff, arguments.kmz) if path is not None]
+    wanted = [path for path in (arguments.geotiff, arguments.kmz, arguments.gpkg, arguments.gpx) if path is not None]
     if not wanted:
-        raise UsageError("nothing to export: name --geotiff or --kmz")
+        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg or --gpx")
     for path in wanted:
         if not path.absolute().parent.is_dir():
             raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
     source = find_source(arguments.source, None if arguments.config is None else read_config(arguments.config))
+    name = source.config.mission or (source.results or source.logs[0]).resolve().stem
+    if arguments.gpkg is not None or arguments.gpx is not None:
+        _write_vectors(source, arguments.gpkg, arguments.gpx, name)
+    if arguments.geotiff is not None or arguments.kmz is not None:
+        _write_mosaic(source, arguments, name)
+    for path in wanted:
+        print(f"written: {clean(str(path))}")
+    return 0
+
+
+def _write_vectors(source: ExportSource, gpkg: Path | None, gpx: Path | None, name: str) -> None:
+    from sim_replay.geopackage import write_geopackage
+    from sim_replay.vector_layers import read_layers, write_gpx
+
+    if source.results is None:
+        raise UsageError(
+            "GeoPackage and GPX are made of results: replay the log first ('auv-mcm replay LOG --out results'), and "
+            "export that folder."
+        )
+    layers = read_layers(source.results)
+    if gpkg is not None:
+        write_geopackage(gpkg, layers)
+    if gpx is not None:
+        write_gpx(gpx, layers, name)
+
+
+def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
     levels = _mosaic(source, arguments.resolution)
     if arguments.geotiff is not None:
         from sim_replay.mosaic_files import write_geotiff
@@ -95,11 +127,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.kmz is not None:
         from sim_replay.mosaic_files import write_kmz
 
-        name = source.config.mission or (source.results or source.logs[0]).resolve().stem
         write_kmz(arguments.kmz, levels, name, arguments.max_sigma)
-    for path in wanted:
-        print(f"written: {clean(str(path))}")
-    return 0
 
 
 def _mosaic(source: ExportSource, resolution_m: float) -> list[Level]:

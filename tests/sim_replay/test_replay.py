@@ -29,7 +29,7 @@ from tests.manual_clock import ManualClock
 ROOT = Path(__file__).parents[2]
 FILES = {
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
-    *("clearance.geojson", "clearance.png", "summary.json", "report.html", "snippets"),
+    *("clearance.geojson", "clearance.png", "track.geojson", "summary.json", "report.html", "snippets"),
 }
 SAME = (
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
