@@ -26,7 +26,7 @@ def add(commands: Commands) -> None:
     parser = command(
         commands,
         "export",
-        "write a mission for other programs: mosaic, layers, way-points",
+        "write a mission for other programs: mosaic, layers, MCAP",
         "SOURCE is a folder of results ('auv-mcm replay --out'), the folder of a session ('auv-mcm run', also while\n"
         "it runs), or logs. Positions are longitude and latitude, WGS 84 (EPSG:4326). The mosaic blends all passes\n"
         "over a place, the better seen the more. GeoPackage and GPX need results: contacts, track, coverage and\n"
@@ -35,6 +35,7 @@ def add(commands: Commands) -> None:
             "auv-mcm export results --geotiff mosaic.tif --gpkg mission.gpkg --gpx mission.gpx",
             "auv-mcm export mission.xtf --geotiff mosaic.tif --kmz mosaic.kmz --resolution 0.1",
             "auv-mcm export auv-mcm-out/latest --kmz mosaic.kmz",
+            "auv-mcm export results --mcap mission.mcap",
         ],
     )
     parser.add_argument(
@@ -47,6 +48,9 @@ def add(commands: Commands) -> None:
         help="mosaic with overviews: band 1 is the echo in dB, band 2 the 1-sigma error of position in m",
     )
     parser.add_argument("--kmz", metavar="FILE", type=Path, help="mosaic as a ground overlay")
+    parser.add_argument(
+        "--mcap", metavar="FILE", type=Path, help="track, waterfall, contacts and maps as messages of Foxglove"
+    )
     parser.add_argument("--gpkg", metavar="FILE", type=Path, help="GeoPackage of everything that has a place")
     parser.add_argument(
         "--gpx", metavar="FILE", type=Path, help="mine-like contacts, proposed legs and the track, for a chart plotter"
@@ -85,9 +89,13 @@ def _metres(low_m: float) -> Callable[[str], float]:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import find_source
 
-    wanted = [path for path in (arguments.geotiff, arguments.kmz, arguments.gpkg, arguments.gpx) if path is not None]
+    wanted = [
+        path
+        for path in (arguments.geotiff, arguments.kmz, arguments.gpkg, arguments.gpx, arguments.mcap)
+        if path is not None
+    ]
     if not wanted:
-        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg or --gpx")
+        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg, --gpx or --mcap")
     for path in wanted:
         if not path.absolute().parent.is_dir():
             raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
@@ -97,6 +105,8 @@ def _run(arguments: argparse.Namespace) -> int:
         _write_vectors(source, arguments.gpkg, arguments.gpx, name)
     if arguments.geotiff is not None or arguments.kmz is not None:
         _write_mosaic(source, arguments, name)
+    if arguments.mcap is not None:
+        _write_mcap(source, arguments.mcap)
     for path in wanted:
         print(f"written: {clean(str(path))}")
     return 0
@@ -116,6 +126,16 @@ def _write_vectors(source: ExportSource, gpkg: Path | None, gpx: Path | None, na
         write_geopackage(gpkg, layers)
     if gpx is not None:
         write_gpx(gpx, layers, name)
+
+
+def _write_mcap(source: ExportSource, path: Path) -> None:
+    from sim_replay.export_source import tiles
+    from sim_replay.mcap_export import write_mcap
+    from sim_replay.vector_layers import read_layers
+
+    layers = {} if source.results is None else read_layers(source.results)
+    with Progress("export") as progress:
+        write_mcap(path, tiles(source, progress.show), layers)
 
 
 def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
