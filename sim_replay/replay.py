@@ -50,7 +50,7 @@ MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
 
 _FILES: Final = (
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
-    *("clearance.geojson", "track.geojson", "summary.json"),
+    *("clearance.geojson", "track.geojson", "summary.json", "one-page.html"),
 )
 """What lies beside the report of every mission."""
 

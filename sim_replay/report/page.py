@@ -40,6 +40,8 @@ _LAYERS: Final = (
     ("ellipse", "errors"),
 )
 """Parts of the map that can be switched off: the style class of each and its name."""
+ONE_PAGE: Final = "one-page.html"
+_ONE_PAGE_ROWS: Final = 12  # contacts in the summary: more do not fit below the map on a page of A4
 _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays visible
 
 
@@ -79,13 +81,14 @@ def write_report(
     counters: Mapping[str, float],
     pictures: PictureCollector,
 ) -> None:
-    """Write the page to `path`.
+    """Write the page to `path`, and beside it a summary that prints on one page of A4.
 
     The MAX_CARDS contacts most likely to be mines get a card, these and the next MAX_ROWS a line of the table; the rest
     is in the contact files alone.
     """
-    page = render_report(mission, contacts, patches, waypoints, notices, counters, pictures)
-    write_file(path, page.encode("utf-8", "replace"))
+    context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
+    for name, template in ((path, "report.html.j2"), (path.with_name(ONE_PAGE), "one_page.html.j2")):
+        write_file(name, _rendered(template, context).encode("utf-8", "replace"))
 
 
 def render_report(
@@ -98,58 +101,81 @@ def render_report(
     pictures: PictureCollector,
 ) -> str:
     """Render the page as text."""
-    import jinja2  # bench extra: pictures must be at hand without it
-    from markupsafe import Markup
+    context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
+    return _rendered("report.html.j2", context)
 
-    folder = Path(__file__).parent
-    script = (folder / "report.js").read_text(encoding="utf-8")
+
+def _rendered(template: str, context: Mapping[str, Any]) -> str:
+    import jinja2  # bench extra: pictures must be at hand without it
+
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    return environment.get_template(template).render(context)
+
+
+def _context(
+    mission: MissionRecord,
+    contacts: Sequence[Contact],
+    patches: Iterable[CoveragePatch],
+    waypoints: Sequence[Waypoint],
+    notices: Iterable[Notice],
+    counters: Mapping[str, float],
+    pictures: PictureCollector,
+) -> dict[str, Any]:
+    """Gather what the templates show."""
+    from markupsafe import Markup  # comes with jinja2
+
+    folder = Path(__file__).parent
+    script = (folder / "report.js").read_text(encoding="utf-8")
     ranked = sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
     listed = ranked[: MAX_CARDS + MAX_ROWS]
     described = cards(listed[:MAX_CARDS], strips, waypoints)
     notices = list(notices)
-    return environment.get_template("report.html.j2").render(
-        style=Markup((folder / "report.css").read_text(encoding="utf-8")),
-        title=mission.name or "Mission report",
-        mission=mission,
-        facts=_facts(mission, contacts),
-        bands=_bands(contacts),
-        strips=[_strip_view(strip, listed, pictures.times()) for strip in strips],
-        legend=_legend(),
-        script=Markup(script),
-        script_sha256=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        chart=draw_chart(
+    rows = [_contact_row(contact, strips, number < MAX_CARDS) for number, contact in enumerate(listed)]
+    likely_rows = [row for row in rows if is_mine_like(row.contact)]
+    return {
+        "style": Markup((folder / "report.css").read_text(encoding="utf-8")),
+        "title": mission.name or "Mission report",
+        "mission": mission,
+        "facts": _facts(mission, contacts),
+        "bands": _bands(contacts),
+        "strips": [_strip_view(strip, listed, pictures.times()) for strip in strips],
+        "legend": _legend(),
+        "script": Markup(script),
+        "script_sha256": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        "chart": draw_chart(
             track_deg, listed, patches, waypoints, None if mission.map_picture is None else mission.map_picture.box
         ),
-        mosaic_uri="" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
-        layers=_LAYERS,
-        kinds=sorted({contact.classification for contact in listed}),
-        chart_width=WIDTH,
-        searched=_searched(mission.searched),
-        mines_left=_mines_left(mission.searched),
-        clearance_map=base64.b64encode(mission.clearance_png).decode(),
-        band=band,
-        likely=[card for card in described if card.mine_like],
-        clutter=[card for card in described if not card.mine_like],
-        rows=[_contact_row(contact, strips, number < MAX_CARDS) for number, contact in enumerate(listed)],
-        n_unlisted=len(ranked) - len(listed),
-        mine_like_p=MINE_LIKE_P,
-        legs=[point for point in waypoints if point.kind == "leg_exit"],
-        counters=words.explained_counters(counters, words.is_loss),
-        counted=words.explained_counters(counters, lambda name: not words.is_loss(name)),
-        notices=_by_code([notice for notice in notices if not notice.for_the_record]),
-        remarks=_by_code([notice for notice in notices if notice.for_the_record]),
-        costs=_costs(mission.costs),
-        words=words,
-    )
+        "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
+        "layers": _LAYERS,
+        "kinds": sorted({contact.classification for contact in listed}),
+        "chart_width": WIDTH,
+        "searched": _searched(mission.searched),
+        "mines_left": _mines_left(mission.searched),
+        "clearance_map": base64.b64encode(mission.clearance_png).decode(),
+        "band": band,
+        "likely": [card for card in described if card.mine_like],
+        "clutter": [card for card in described if not card.mine_like],
+        "rows": rows,
+        "first_rows": likely_rows[:_ONE_PAGE_ROWS],
+        "n_more_likely": len(likely_rows[_ONE_PAGE_ROWS:]),
+        "n_unlisted": len(ranked) - len(listed),
+        "mine_like_p": MINE_LIKE_P,
+        "legs": [point for point in waypoints if point.kind == "leg_exit"],
+        "counters": words.explained_counters(counters, words.is_loss),
+        "counted": words.explained_counters(counters, lambda name: not words.is_loss(name)),
+        "notices": _by_code([notice for notice in notices if not notice.for_the_record]),
+        "remarks": _by_code([notice for notice in notices if notice.for_the_record]),
+        "costs": _costs(mission.costs),
+        "words": words,
+    }
 
 
 def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[str, str, str]]:

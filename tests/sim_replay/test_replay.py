@@ -29,7 +29,8 @@ from tests.manual_clock import ManualClock
 ROOT = Path(__file__).parents[2]
 FILES = {
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
-    *("clearance.geojson", "clearance.png", "track.geojson", "summary.json", "report.html", "snippets"),
+    *("clearance.geojson", "clearance.png", "track.geojson", "summary.json", "report.html", "one-page.html"),
+    "snippets",
 }
 SAME = (
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),

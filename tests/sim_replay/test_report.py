@@ -79,6 +79,18 @@ def test_the_page_is_well_formed_and_needs_nothing_but_itself(tmp_path: Path) ->
     assert "://" not in re.sub(r"data:image/[a-z]+;base64,[A-Za-z0-9+/=]+", "", text)
 
 
+def test_the_summary_is_one_page_without_script_that_lists_the_likeliest(tmp_path: Path) -> None:
+    contacts = [contact(f"C{number:05d}", 0.9 - 0.01 * number) for number in range(1, 21)] + [contact("C00021", 0.1)]
+    write_report(tmp_path / "report.html", mission(name="<b>"), contacts, [], waypoints(), [], {}, collected())
+    text = (tmp_path / "one-page.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert "script" not in page.tags
+    assert "<b>" in page.text
+    assert "8 more mine-like contacts in the report" in page.text
+    assert re.findall(r"<tr><td>(C\d+)</td>", text) == [one.id for one in contacts[:12]]
+    assert "judged by" in page.text
+
+
 def test_every_contact_has_its_card_and_every_link_a_place_to_go() -> None:
     page = Page(full_page())
     assert {"C0001", "C0002", "C0003"} <= set(page.ids)
