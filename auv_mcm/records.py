@@ -239,9 +239,10 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     row, column: highlight centroid on the mission grid (fractional pixels, row 0 at mission start). Sizes in metres;
     height_m from the shadow's length, NaN if no shadow was seen. score: evidence of highlight and shadow together, in
     standard deviations of the sea floor around. cascade_score: of the trained cascade, half a log-odds, NaN where it
-    did not serve. aspect_deg: compass direction from sonar to object, [0, 360). snippet: (n, m) uint8 codes of
-    `auv_mcm.snippet`, the intensity around the object, near range left, earlier pings on top; snippet_row,
-    snippet_column: the centroid inside it. covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone;
+    did not serve. aspect_deg: compass direction from sonar to object, [0, 360). depth_m: of the sea floor there below
+    the surface, NaN where the vehicle's own is not known. snippet: (n, m) uint8 codes of `auv_mcm.snippet`, the
+    intensity around the object, near range left, earlier pings on top; snippet_row, snippet_column: the centroid inside
+    it. covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone;
     p_by_step: after each step of confirmation (`detector`, `contours`, `shape`) that was taken. surroundings: until
     then. confirmation: None if there was no confirmation; `reasons` states why.
     """
@@ -277,6 +278,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     surroundings: Surroundings | None = None
     confirmation: Confirmation | None = None
     cascade_score: float = NAN
+    depth_m: float = NAN
 
     @property
     def strength(self) -> float:

@@ -19,8 +19,10 @@ from auv_mcm.clearance.clearance_map import ClearanceMap
 from auv_mcm.clearance.clearance_picture import clearance_png
 from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.clock import Clock, SystemClock
+from auv_mcm.contacts.antimeridian import split_line
 from auv_mcm.contacts.contact import best_view
 from auv_mcm.contacts.contact_picture import snippet_png
+from auv_mcm.contacts.geojson import Json, collection, feature, one_or_multi, positions_of
 from auv_mcm.memory import return_large_arrays
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
@@ -36,13 +38,21 @@ from auv_mcm.shell.mission_totals import (
 from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
 from auv_mcm.shell.snippet_files import make_results_directory, write_snippets
 from auv_mcm.shell.tally import Tally
-from auv_mcm.shell.whole_files import write_json
+from auv_mcm.shell.whole_files import write_file, write_json
 from auv_mcm.skips import ALL_SKIPS, NO_SKIPS, Skips
 from sim_replay.logs.open_log import CHUNK_BYTES
 from sim_replay.logs.recorded import Pace, open_mission
+from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, write_report
+from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
+
+_FILES: Final = (
+    *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
+    *("clearance.geojson", "track.geojson", "summary.json", "one-page.html"),
+)
+"""What lies beside the report of every mission."""
 
 Progress = Callable[[float], None]
 
@@ -118,6 +128,7 @@ def replay(
     clearance = gathered.searched.snapshot()
     clearance_map = b"" if clearance is None else clearance_png(clearance)
     write_clearance(folder, clearance, clearance_map)
+    write_file(folder / "track.geojson", collection([feature(gathered.track.geometry(), {})]))
     gathered.add(clearance_notices(clearance))
     searched = search_totals(clearance, contacts)
     area = area_totals(clearance, config.plan)
@@ -137,6 +148,8 @@ def replay(
         costs=costs_s,
         searched=searched.get("searched", {}),
         clearance_png=clearance_map,
+        files=_FILES + (("clearance.png",) if clearance_map else ()),
+        map_picture=map_picture(gathered.mosaic),
     )
     write_report(
         folder / "report.html",
@@ -206,6 +219,15 @@ class _Track:
     def longitude_deg(self) -> NDArray[np.float64]:
         return self._all()[:, 1]
 
+    def geometry(self) -> Json:
+        """Draw the stretches of the track as lines, None if there is none."""
+        points = self._all()[:, ::-1]
+        known = np.isfinite(points).all(axis=1)
+        stretches = np.split(points, np.flatnonzero(np.diff(known)) + 1)
+        lines = [line for line in stretches if len(line) > 1 and np.isfinite(line).all()]
+        pieces: list[Json] = [positions_of(piece) for line in lines for piece in split_line(line)]
+        return one_or_multi("LineString", pieces) if pieces else None
+
     def _all(self) -> NDArray[np.float64]:
         return np.concatenate([np.empty((0, 2)), *self._points])
 
@@ -219,6 +241,7 @@ class _Gathered:
         self.notices: list[Notice] = []
         self.pictures = PictureCollector()
         self.track = _Track()
+        self.mosaic = Mosaic(config, RESOLUTION_M, MAX_BLOCKS, coarsen=True)
 
     def add(self, events: Sequence[PipelineEvent]) -> None:
         for event in events:
@@ -226,6 +249,7 @@ class _Gathered:
                 case Tile():
                     self.pictures.add_tile(event)
                     self.track.add(event)
+                    self.mosaic.add(event)
                 case CoveragePatch():
                     self.coverage.append(event)
                     self.searched.add(event)

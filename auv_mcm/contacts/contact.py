@@ -28,6 +28,12 @@ def best_view(contact: Contact) -> Detection | None:
     )
 
 
+def depth_m(contact: Contact) -> float:
+    """Return the depth of the sea floor at a contact below the surface, m, by its best view; NaN where not known."""
+    view = best_view(contact)
+    return NAN if view is None else view.depth_m
+
+
 def call_words(contact: Contact) -> str:
     """Word the call and the density of false alarms that stands behind it; empty before it was decided."""
     if contact.called is None:
@@ -37,9 +43,14 @@ def call_words(contact: Contact) -> str:
         return called
     low, high = contact.false_alarms_95_per_km2
     return (
-        f"{called}; {contact.false_alarms_per_km2:.2g} false alarms per km² as mine-like are expected ({low:.2g} to "
-        f"{high:.2g})"
+        f"{called}; {_two_digits(contact.false_alarms_per_km2)} false alarms per km² as mine-like are expected "
+        f"({_two_digits(low)} to {_two_digits(high)})"
     )
+
+
+def _two_digits(value: float) -> str:
+    """Write a number with two significant digits, never as a power of ten."""
+    return f"{float(f'{value:.2g}'):,.15g}".replace(",", "") if math.isfinite(value) else "?"
 
 
 def view_reasons(view: Detection) -> tuple[str, ...]:

@@ -23,7 +23,15 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import bounded_by, singleton_belief
 from auv_mcm.clean_text import clean
 from auv_mcm.contacts.antimeridian import split_line, split_ring
-from auv_mcm.contacts.contact import best_view, call_words, error_ellipse_ring_m, is_mine_like, sigma_m, view_reasons
+from auv_mcm.contacts.contact import (
+    best_view,
+    call_words,
+    depth_m,
+    error_ellipse_ring_m,
+    is_mine_like,
+    sigma_m,
+    view_reasons,
+)
 from auv_mcm.contacts.geojson import (
     DEGREE_DIGITS,
     METRE_DIGITS,
@@ -40,6 +48,11 @@ from auv_mcm.contacts.geojson import (
 )
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, Contact, ContactClass, CoveragePatch, Detection, Waypoint
+
+_DATUM: Final = (
+    "Positions are WGS 84. Depths are of the sea floor below the surface at the time, by the vehicle's own depth and "
+    "its height over the floor; they are not reduced for tide."
+)
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -142,7 +155,7 @@ CSV_COLUMNS: Final = (
     ),
     *("aspects_deg", "side", "ground_range_m", "score", "snippet", "reasons"),
     *("length_sigma_m", "width_sigma_m", "height_sigma_m"),
-    *("false_alarms_per_km2", "false_alarms_low_per_km2", "false_alarms_high_per_km2", "called"),
+    *("false_alarms_per_km2", "false_alarms_low_per_km2", "false_alarms_high_per_km2", "called", "depth_m"),
 )
 
 
@@ -160,7 +173,7 @@ def contacts_csv_parts(contacts: Iterable[Contact]) -> Iterator[str]:
 def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterator[str]:
     """Write a KML document: mine-like contacts and the rest in two folders.
 
-    Each contact has a table and its 2-sigma error ellipse.
+    Each contact has its picture, which lies in `snippets/` beside the file, a table and its 2-sigma error ellipse.
 
     contacts: in `contact_order`, gone through several times.
     """
@@ -169,6 +182,7 @@ def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterat
         '<kml xmlns="http://www.opengis.net/kml/2.2">',
         "<Document>",
         f"<name>{_xml(mission or 'Contacts')}</name>",
+        f"<description>{_xml(_DATUM)}</description>",
         _kml_style("mine_like", "ff3c14dc"),
         _kml_style("clutter", "ffb4a078"),
     )
@@ -212,6 +226,7 @@ def contact_feature(contact: Contact) -> dict[str, Json]:
         "false_alarms_per_km2": rounded(contact.false_alarms_per_km2, METRE_DIGITS),
         "false_alarms_95_per_km2": [rounded(bound, METRE_DIGITS) for bound in contact.false_alarms_95_per_km2],
         "called": contact.called,
+        "depth_m": rounded(depth_m(contact), METRE_DIGITS),
         "views": [_view(view) for view in contact.views],
     }
     return feature(geojson_point(contact.longitude_deg, contact.latitude_deg), properties)
@@ -279,6 +294,7 @@ def _csv_cells(contact: Contact) -> list[Any]:
         rounded(contact.false_alarms_per_km2, METRE_DIGITS),
         *(rounded(bound, METRE_DIGITS) for bound in contact.false_alarms_95_per_km2),
         None if contact.called is None else str(contact.called).lower(),
+        rounded(depth_m(contact), METRE_DIGITS),
     ]
 
 
@@ -346,13 +362,15 @@ def _kml_table(contact: Contact) -> str:
         ("belief in the class", f"{belief:.2f}" if math.isfinite(belief) else "?"),
         ("size (length, width, height) ± 1 sigma", " × ".join(_size(*size) for size in _sizes(contact)) + " m"),
         ("position error (1 sigma)", f"{sigma_m(contact):.2f} m"),
+        ("depth below the surface", f"{depth_m(contact):.1f} m" if math.isfinite(depth_m(contact)) else "not known"),
         ("views", len(contact.views)),
         ("aspects", ", ".join(f"{aspect:03.0f}°" for aspect in contact.aspects_deg)),
         ("side and ground range", f"{view.side}, {view.ground_range_m:.1f} m" if view else ""),
         ("reasons", "; ".join(contact.reasons)),
     ]
+    picture = f'<img src="{html.escape(snippet_path(contact))}" alt="sonar picture"/>' if contact.views else ""
     return (
-        "<table>"
+        f"{picture}<table>"
         + "".join(f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>" for name, value in rows)
         + "</table>"
     )

@@ -153,7 +153,8 @@ def _placed(
         first_return_m=first_return_m,
         sound_speed_mps=np.full(len(measured), NOMINAL_SOUND_SPEED_MPS),
     )
-    latitude, longitude, _ = locate(echoes, config.sonar)
+    latitude, longitude, height = locate(echoes, config.sonar)
+    depth_m = np.where(np.isfinite(pose.depth_m), -height, np.nan)  # without a depth, heights start at the vehicle
     first_return_sigma_m = _between(tile.first_return_sigma_m, position)
     covariance = position_covariance(echoes, config.sonar, config.navigation, first_return_sigma_m)
     added_m2 = pose.position_sigma_m**2 + np.where(pose.stale, _STALE_SIGMA_M**2, 0.0)
@@ -186,6 +187,7 @@ def _placed(
                     first_return_m[index]
                     * math.cos(pose.pitch_rad[index] + math.radians(config.sonar.pitch_offset_deg))
                 ),
+                depth_m=float(depth_m[index]),
                 score=candidate.peak.score,
                 cascade_score=candidate.cascade_score,
                 highlight_db=m.highlight_db,

@@ -33,6 +33,8 @@ PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
 COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",
     "batch": "sim_replay.commands.batch:add",
+    "export": "sim_replay.commands.export:add",
+    "report": "sim_replay.commands.report:add",
     "run": "auv_mcm.commands.run:add",
     "status": "auv_mcm.commands.status:add",
     "simulate": "sim_replay.commands.simulate:add",

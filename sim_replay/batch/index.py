@@ -29,6 +29,7 @@ from sim_replay.batch.objects_seen import CoveredPatch, SeenContact, SeenMission
 _MAX_ROWS: Final = 500  # rows of each table: bounds the page; index.geojson holds all
 _MAP_WIDTH: Final = 1000.0  # units of the drawing
 _MAP_MARGIN: Final = 20.0  # units
+_MIN_FRAME: Final = 9.0  # units: of a mission that is small beside the distance to others, so that it can be seen
 _MIN_SPAN_DEG: Final = 1e-3  # of the map, so that a single place has an extent: about 100 m
 _LAST_TIME: Final = "~"  # after every time in ISO 8601: for a mission in which nothing was covered
 
@@ -218,6 +219,14 @@ class _Map:
         self._right_per_deg = self._down_per_deg * narrowing
         self.width = width_deg * self._down_per_deg + 2.0 * _MAP_MARGIN
         self.height = height_deg * self._down_per_deg + 2.0 * _MAP_MARGIN
+
+    def frame(self, box_deg: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+        """Return left, top, width and height of a mission's outline, large enough to be seen and clicked."""
+        west, south, east, north = box_deg
+        left, top = self.right(west), self.down(north)
+        width, height = self.right(east) - left, self.down(south) - top
+        wider, taller = max(_MIN_FRAME - width, 0.0), max(_MIN_FRAME - height, 0.0)
+        return left - wider / 2.0, top - taller / 2.0, width + wider, height + taller
 
     def right(self, longitude_deg: float) -> float:
         """Return the units from the left edge."""

@@ -6,9 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from auv_mcm.classify.beliefs import singleton_belief
+from auv_mcm.classify.beliefs import MINE_LIKE_P, bounded_by, singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
-from auv_mcm.contacts.contact import best_view, call_words, error_ellipse, is_mine_like, view_reasons
+from auv_mcm.contacts.contact import (
+    best_view,
+    call_words,
+    depth_m,
+    error_ellipse,
+    is_mine_like,
+    view_reasons,
+)
 from auv_mcm.records import Contact, Detection, Waypoint
 from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
@@ -22,6 +29,17 @@ _MAX_VIEWS: Final = 8  # shown on a card
 _MIN_SHARE_SHOWN: Final = 0.005  # of belief
 _OPEN_FROM: Final = 0.1  # share of belief, from which a class is still open
 _SOLIDS: Final = frozenset({"cylinder", "sphere", "truncated_cone", "wedge"})
+_CALLS: Final = (
+    *((0.8, "Very likely a mine"), (0.5, "Likely a mine"), (MINE_LIKE_P, "Possibly a mine"), (-1.0, "Not mine-like")),
+)
+"""What a contact is called from which p_mine on."""
+_HALF_SEEN: Final = frozenset(
+    {
+        *("in_shadow", "no_echo", "weak_highlight", "no_highlight", "no_shadow", "shadow_not_dark", "hole_in_bright"),
+        *("not_measured", "no_data"),
+    }
+)
+"""Codes that say that there is no echo with a shadow behind it after all."""
 _COMPASS: Final = 44.0  # radius of its rose, drawing units
 
 
@@ -135,7 +153,7 @@ def _card(
 ) -> Card:
     listed = _listed_views(contact)
     views = [_view_line(number, view) for number, view in listed]
-    beliefs = _shares(contact.belief)
+    beliefs = _shares(contact.belief, contact.p_mine)
     if len(views) == 1 and [_rounded(share) for share in views[0].beliefs] == [_rounded(share) for share in beliefs]:
         views = [views[0]._replace(beliefs=[])]  # one view is all there is: once is enough
     listed_with_views = {reason.text for line in views for reason in line.reasons}
@@ -190,13 +208,16 @@ def _verdict(contact: Contact) -> tuple[str, str]:
         found.model is not None and found.model.classification == contact.classification and not found.rejected
         for found in close
     )
-    called = "Mine-like" if is_mine_like(contact) else "Not mine-like"
+    called = next(text for least, text in _CALLS if contact.p_mine >= least or least < 0.0)
     if not close:
         return called, "judged by the strength of echo and shadow alone; no view was confirmed."
     if not is_mine_like(contact):
         if rejected:
             return called, f"in {_of(rejected, contact)} the contours cannot be those of a mine."
         return called, "something other than a mine explains what was seen at least as well."
+    if contact.p_mine < 0.5:  # the odds favour something else
+        likest = f"; if it is a mine, it looks most like a {solid}" if contact.classification in _SOLIDS else ""
+        return called, f"something other than a mine explains it better{likest}."
     if contact.classification in _SOLIDS:
         if fitting:
             return called, f"{_of(fitting, contact)} {'looks' if fitting == 1 else 'look'} most like a {solid}."
@@ -226,7 +247,7 @@ def _view_line(number: int, view: Detection) -> ViewLine:
         number,
         place,
         verdict,
-        _shares(singleton_belief(found.mass)),
+        _shares(singleton_belief(bounded_by(found.mass, view.p_mine)), view.p_mine),
         words.evidence_words(found.log_ratio),
         model,
         _reasons(view_reasons(view)),
@@ -235,18 +256,32 @@ def _view_line(number: int, view: Detection) -> ViewLine:
 
 def _reasons(codes: Sequence[str]) -> list[Reason]:
     """Sort what speaks for a mine, what against, and then what limits both."""
+    if _HALF_SEEN & set(codes):
+        codes = [code for code in codes if code != "highlight_and_shadow"]  # of detection, which confirmation corrects
     reasons = [Reason(bearing(code), in_words(code)) for code in codes]
     return sorted(reasons, key=lambda reason: ("for", "against", "note").index(reason.bearing))
 
 
-def _shares(belief: Mapping[str, float]) -> list[Share]:
-    """Sort the belief: greatest first, the unknown last."""
-    shares = [
-        Share(name, words.class_name(name), 100.0 * share)
-        for name, share in belief.items()
+def _shares(belief: Mapping[str, float], p_mine: float) -> list[Share]:
+    """Sort the belief: kinds of mine, greatest first, then mines of open kind, so that these add up to p_mine.
+
+    Then comes clutter, and the unknown last.
+    """
+    kinds = {name: share for name, share in belief.items() if name in _SOLIDS}
+    unknown = belief.get("unknown", 0.0)
+    is_open = min(max(p_mine - sum(kinds.values()), 0.0), unknown) if p_mine >= 0.0 else 0.0
+    rest = {name: share for name, share in belief.items() if name not in _SOLIDS and name != "unknown"}
+    parts = [
+        *sorted(kinds.items(), key=lambda part: -part[1]),
+        ("open", is_open),
+        *sorted(rest.items(), key=lambda part: -part[1]),
+        ("unknown", unknown - is_open),
+    ]
+    return [
+        Share(name, "mine, kind open" if name == "open" else words.class_name(name), 100.0 * share)
+        for name, share in parts
         if share >= _MIN_SHARE_SHOWN
     ]
-    return sorted(shares, key=lambda share: (share.name == "unknown", -share.percent))
 
 
 def _rounded(share: Share) -> tuple[str, int]:
@@ -266,7 +301,7 @@ def _next_look(contact: Contact) -> str:
         reverse=True,
     )
     if contact.belief.get("unknown", 0.0) >= 0.5:
-        why.append("most of the belief is still unknown")
+        why.append("its kind is open")
     elif len(likely) > 1:
         why.append(f"it is open between {words.listed([words.class_name(name) for _, name in likely[:3]])}")
     return f"{line}: {words.listed(why)}" if why else line
@@ -318,6 +353,7 @@ def _facts(contact: Contact) -> list[tuple[str, str]]:
     )
     facts = [
         ("Size", f"{length} × {width}, height {height}"),
+        ("Depth", f"{depth_m(contact):.1f} m" if math.isfinite(depth_m(contact)) else "not known"),
         ("Position", f"{contact.latitude_deg:.7f}, {contact.longitude_deg:.7f}"),
         (
             "",
@@ -340,6 +376,6 @@ def _facts(contact: Contact) -> list[tuple[str, str]]:
         facts += [
             ("Best view", f"{view.side}, {words.metres(view.ground_range_m, 1)} off, ping {view.ping_number}"),
             ("Contrast", f"echo {words.decibels(view.highlight_db)}, shadow {words.decibels(view.shadow_db)}"),
-            ("Score", f"{view.score:.1f} σ" if math.isfinite(view.score) else "unknown"),
+            ("Contrast score", f"{view.score:.1f} σ" if math.isfinite(view.score) else "unknown"),
         ]
     return facts

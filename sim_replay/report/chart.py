@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.contact import error_ellipse_ring_m, is_mine_like
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
+from sim_replay.mosaic import Box
 from sim_replay.report.report_words import degrees_minutes
 
 Points: TypeAlias = NDArray[np.float64]  # (n, 2) east, north in metres, or right, down in drawing units
@@ -39,7 +40,7 @@ class Marker(NamedTuple):
     right: float
     down: float
     ellipse: str
-    label: tuple[float, float, str] | None  # right, down, text-anchor
+    label: tuple[float, float, str] | None  # right and down of the marker, text-anchor
 
 
 class LegLine(NamedTuple):
@@ -77,6 +78,8 @@ class Chart(NamedTuple):
     longitude_labels: tuple[Label, ...]
     scale_m: float
     scale_units: float
+    picture: tuple[float, float, float, float] | None  # left, top, width, height of the sonar picture
+    corners_deg: tuple[tuple[float, float], ...]  # latitude, longitude at the left top, right top and left bottom
 
 
 class _Projection(NamedTuple):
@@ -96,11 +99,15 @@ class _Projection(NamedTuple):
 
 
 def draw_chart(
-    track_deg: Points, contacts: Sequence[Contact], patches: Iterable[CoveragePatch], waypoints: Sequence[Waypoint]
+    track_deg: Points,
+    contacts: Sequence[Contact],
+    patches: Iterable[CoveragePatch],
+    waypoints: Sequence[Waypoint],
+    box: Box | None = None,
 ) -> Chart | None:
     """Draw the map of a mission; None if it has no position at all.
 
-    track_deg: (n, 2) latitude, longitude, NaN where the track breaks.
+    track_deg: (n, 2) latitude, longitude, NaN where the track breaks. box: outline of the sonar picture under it.
     """
     located = [
         contact for contact in contacts if math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)
@@ -132,7 +139,28 @@ def draw_chart(
         legs=_legs(waypoints, drawn(way_deg)),
         **_graticule(projection),
         **_scale_bar(projection.units_per_m),
+        picture=None if box is None else _frame(drawn(_corners_deg(box))),
+        corners_deg=_chart_corners(projection),
     )
+
+
+def _corners_deg(box: Box) -> Points:
+    return np.array([(lat, lon) for lat in (box.north, box.south) for lon in (box.west, box.east)])
+
+
+def _frame(corners: Points) -> tuple[float, float, float, float]:
+    """Fit a rectangle to corners, which meridians that converge turn by less than a unit."""
+    left, right = corners[[0, 2], 0].mean(), corners[[1, 3], 0].mean()
+    top, bottom = corners[[0, 1], 1].mean(), corners[[2, 3], 1].mean()
+    return float(left), float(top), float(right - left), float(bottom - top)
+
+
+def _chart_corners(projection: _Projection) -> tuple[tuple[float, float], ...]:
+    right_m, down_m = WIDTH / projection.units_per_m, projection.height / projection.units_per_m
+    places_m = [(0.0, 0.0), (right_m, 0.0), (0.0, -down_m)]
+    enu = np.array([(projection.west_m + east, projection.north_m + north, 0.0) for east, north in places_m])
+    latitude, longitude, _ = projection.frame.to_geodetic(enu)
+    return tuple(zip(latitude.tolist(), longitude.tolist(), strict=True))
 
 
 def _plane(frame: LocalFrame, places_deg: Points) -> Points:
@@ -193,7 +221,7 @@ def _markers(contacts: Sequence[Contact], places: Points, projection: _Projectio
                     box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken
                 ):
                     taken.append(box)
-                    label = right + shift, down + drop, anchor
+                    label = shift, drop, anchor
                     break
         ring_m = error_ellipse_ring_m(contact)
         ellipse = ""

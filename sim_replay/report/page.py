@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,20 +15,33 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
-from auv_mcm.contacts.contact import is_mine_like
+from auv_mcm.contacts.contact import depth_m, is_mine_like
 from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.contacts.export import snippet_path
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.report import report_words as words
 from sim_replay.report.cards import band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
+from sim_replay.report.map_picture import MapPicture
 from sim_replay.report.pictures import PictureCollector, PictureStrip
 
 _NOTICES_PER_CODE: Final = 5  # shown, the others are counted
 MAX_CARDS: Final = 100  # bounds the page: see MAX_ROWS
 MAX_ROWS: Final = 1000
-"""Contacts in a line of the table below the cards. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
+"""Contacts in the table that have no card. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
 """
+_LAYERS: Final = (
+    ("mosaic", "sonar"),
+    ("covered", "covered"),
+    ("track", "track"),
+    ("leg", "second views"),
+    ("p1", "clutter"),
+    ("ellipse", "errors"),
+)
+"""Parts of the map that can be switched off: the style class of each and its name."""
+ONE_PAGE: Final = "one-page.html"
+_ONE_PAGE_ROWS: Final = 12  # contacts in the summary: more do not fit below the map on a page of A4
 _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays visible
 
 
@@ -37,7 +51,7 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     start_s, stop_s: UTC seconds of the first and last ping, NaN if there was none. track_latitude_deg,
     track_longitude_deg: (n,) float64, a few thousand positions at most, NaN where the track breaks. costs: seconds per
     stage, in the order to show them. searched: what `search_totals` says, clearance_png: the picture of it; both empty
-    if nothing was.
+    if nothing was. files: names of the files beside the page, to link to. map_picture: the sonar picture under the map.
     """
 
     name: str
@@ -53,6 +67,8 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     costs: dict[str, float]
     searched: dict[str, Any] = {}
     clearance_png: bytes = b""
+    files: tuple[str, ...] = ()
+    map_picture: MapPicture | None = None
 
 
 def write_report(
@@ -65,13 +81,14 @@ def write_report(
     counters: Mapping[str, float],
     pictures: PictureCollector,
 ) -> None:
-    """Write the page to `path`.
+    """Write the page to `path`, and beside it a summary that prints on one page of A4.
 
-    The MAX_CARDS contacts most likely to be mines get a card, the next MAX_ROWS a line, the rest is in the contact
-    files alone.
+    The MAX_CARDS contacts most likely to be mines get a card, these and the next MAX_ROWS a line of the table; the rest
+    is in the contact files alone.
     """
-    page = render_report(mission, contacts, patches, waypoints, notices, counters, pictures)
-    write_file(path, page.encode("utf-8", "replace"))
+    context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
+    for name, template in ((path, "report.html.j2"), (path.with_name(ONE_PAGE), "one_page.html.j2")):
+        write_file(name, _rendered(template, context).encode("utf-8", "replace"))
 
 
 def render_report(
@@ -84,50 +101,81 @@ def render_report(
     pictures: PictureCollector,
 ) -> str:
     """Render the page as text."""
-    import jinja2  # bench extra: pictures must be at hand without it
-    from markupsafe import Markup
+    context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
+    return _rendered("report.html.j2", context)
 
-    folder = Path(__file__).parent
+
+def _rendered(template: str, context: Mapping[str, Any]) -> str:
+    import jinja2  # bench extra: pictures must be at hand without it
+
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    return environment.get_template(template).render(context)
+
+
+def _context(
+    mission: MissionRecord,
+    contacts: Sequence[Contact],
+    patches: Iterable[CoveragePatch],
+    waypoints: Sequence[Waypoint],
+    notices: Iterable[Notice],
+    counters: Mapping[str, float],
+    pictures: PictureCollector,
+) -> dict[str, Any]:
+    """Gather what the templates show."""
+    from markupsafe import Markup  # comes with jinja2
+
+    folder = Path(__file__).parent
+    script = (folder / "report.js").read_text(encoding="utf-8")
     ranked = sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
     listed = ranked[: MAX_CARDS + MAX_ROWS]
     described = cards(listed[:MAX_CARDS], strips, waypoints)
     notices = list(notices)
-    return environment.get_template("report.html.j2").render(
-        style=Markup((folder / "report.css").read_text(encoding="utf-8")),
-        title=mission.name or "Mission report",
-        mission=mission,
-        facts=_facts(mission, contacts),
-        bands=_bands(contacts),
-        strips=[_strip_view(strip, listed, pictures.times()) for strip in strips],
-        legend=_legend(),
-        chart=draw_chart(track_deg, listed, patches, waypoints),
-        chart_width=WIDTH,
-        searched=_searched(mission.searched),
-        mines_left=_mines_left(mission.searched),
-        clearance_map=base64.b64encode(mission.clearance_png).decode(),
-        band=band,
-        likely=[card for card in described if card.mine_like],
-        clutter=[card for card in described if not card.mine_like],
-        rows=[_contact_row(contact, strips) for contact in listed[MAX_CARDS:]],
-        n_unlisted=len(ranked) - len(listed),
-        mine_like_p=MINE_LIKE_P,
-        legs=[point for point in waypoints if point.kind == "leg_exit"],
-        counters=words.explained_counters(counters, words.is_loss),
-        counted=words.explained_counters(counters, lambda name: not words.is_loss(name)),
-        notices=_by_code([notice for notice in notices if not notice.for_the_record]),
-        remarks=_by_code([notice for notice in notices if notice.for_the_record]),
-        costs=_costs(mission.costs),
-        words=words,
-    )
+    rows = [_contact_row(contact, strips, number < MAX_CARDS) for number, contact in enumerate(listed)]
+    likely_rows = [row for row in rows if is_mine_like(row.contact)]
+    return {
+        "style": Markup((folder / "report.css").read_text(encoding="utf-8")),
+        "title": mission.name or "Mission report",
+        "mission": mission,
+        "facts": _facts(mission, contacts),
+        "bands": _bands(contacts),
+        "strips": [_strip_view(strip, listed, pictures.times()) for strip in strips],
+        "legend": _legend(),
+        "script": Markup(script),
+        "script_sha256": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        "chart": draw_chart(
+            track_deg, listed, patches, waypoints, None if mission.map_picture is None else mission.map_picture.box
+        ),
+        "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
+        "layers": _LAYERS,
+        "kinds": sorted({contact.classification for contact in listed}),
+        "chart_width": WIDTH,
+        "searched": _searched(mission.searched),
+        "mines_left": _mines_left(mission.searched),
+        "clearance_map": base64.b64encode(mission.clearance_png).decode(),
+        "band": band,
+        "likely": [card for card in described if card.mine_like],
+        "clutter": [card for card in described if not card.mine_like],
+        "rows": rows,
+        "first_rows": likely_rows[:_ONE_PAGE_ROWS],
+        "n_more_likely": len(likely_rows[_ONE_PAGE_ROWS:]),
+        "n_unlisted": len(ranked) - len(listed),
+        "mine_like_p": MINE_LIKE_P,
+        "legs": [point for point in waypoints if point.kind == "leg_exit"],
+        "counters": words.explained_counters(counters, words.is_loss),
+        "counted": words.explained_counters(counters, lambda name: not words.is_loss(name)),
+        "notices": _by_code([notice for notice in notices if not notice.for_the_record]),
+        "remarks": _by_code([notice for notice in notices if notice.for_the_record]),
+        "costs": _costs(mission.costs),
+        "words": words,
+    }
 
 
 def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[str, str, str]]:
@@ -142,7 +190,7 @@ def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[st
     ]
     if any(contact.called is not None for contact in contacts):
         called = sum(bool(contact.called) for contact in contacts)
-        facts.insert(1, (str(called), "called", "no more false alarms as mine-like are expected than accepted"))
+        facts.insert(1, (str(called), "called", "within the false alarms per km² that you accept"))
     if mission.wall_s > 0.0 and math.isfinite(span_s):
         speed = span_s / mission.wall_s
         facts.append(
@@ -159,14 +207,35 @@ class ContactRow(NamedTuple):
     """Hold a contact in one line."""
 
     contact: Contact
+    carded: bool
+    called: str
+    length: str
+    size: str
+    depth: str
     place: str
     strips: list[int]
+    snippet: str
 
 
-def _contact_row(contact: Contact, strips: Sequence[PictureStrip]) -> ContactRow:
+def _contact_row(contact: Contact, strips: Sequence[PictureStrip], carded: bool) -> ContactRow:
     latitude = words.degrees_minutes(contact.latitude_deg, "N", "S")
     longitude = words.degrees_minutes(contact.longitude_deg, "E", "W")
-    return ContactRow(contact, f"{latitude}, {longitude}", strips_with(contact, strips))
+    sizes = [_number(size_m, 2) for size_m in (contact.length_m, contact.width_m, contact.height_m)]
+    return ContactRow(
+        contact,
+        carded=carded,
+        called="" if contact.called is None else "yes" if contact.called else "no",
+        length=sizes[0],
+        size=" × ".join(size or "?" for size in sizes),
+        depth=_number(depth_m(contact), 1),
+        place=f"{latitude}, {longitude}",
+        strips=strips_with(contact, strips),
+        snippet=snippet_path(contact),
+    )
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""
 
 
 def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Final, NamedTuple
 
 from auv_mcm.classify.beliefs import APART_FROM, DEMPSTER_BELOW
+from auv_mcm.skips import SKIPS
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -33,9 +34,29 @@ STAGES: Final = {
     "queue": "Queues",
 }
 
-WORK: Final = frozenset({"reader.pings", "reader.joined_log", "ping.received", "detect.candidate", "detect.suppressed"})
+WORK: Final = frozenset(
+    {
+        *("reader.pings", "reader.joined_log", "reader.repeated_navigation", "reader.other_channel", "ping.received"),
+        *("detect.candidate", "detect.suppressed", "detect.windows", "detect.evaluations", "detect.windows_rejected"),
+        *(
+            "detect.gated",
+            "detect.pixels_bounded",
+            "detect.tiles_clear_contrasts",
+            "detect.tile_skipped_nothing_to_see",
+        ),
+        *("confirm.looked_at", "confirm.rejected", "confirm.odds_too_low", "confirm.ended_at_contours"),
+        *("confirm.solids_not_refined", "contacts.too_unlikely"),
+    }
+)
+"""Counters of work done, and of work that could not have changed the answer."""
+
+_SKIPPED: Final = {skip.counter: f"{skip.leaves_out}: {skip.because}" for skip in SKIPS}
 
 MEANINGS: Final = {
+    "detect.evaluations": "comparisons of brightness that the trained detector made",
+    "detect.windows": "places that the trained detector looked at",
+    "confirm.looked_at": "detections that were confirmed: echo and shadow outlined and compared with solids",
+    "confirm.rejected": "of these, detections whose outlines cannot be those of a mine",
     "detect.candidate": "places bright or dark enough to measure",
     "detect.windows_cut": "places beyond a tile's budget, where contrasts served without the cascade",
     "confirm.beyond_budget": "detections beyond a tile's budget, not confirmed",
@@ -130,7 +151,7 @@ def is_loss(name: str) -> bool:
 
     A new counter counts as a loss.
     """
-    return name not in WORK
+    return name not in WORK and not name.startswith("reader.packet_not_side_scan")
 
 
 def explained_counters(
@@ -152,6 +173,8 @@ def _meaning(name: str) -> str:
     sided = re.sub(r"\b(port|starboard)_", "", name)
     side = re.search(r"\b(port|starboard)_", name)
     general, _, kind = sided.rpartition(".")
+    if sided in _SKIPPED:
+        return _SKIPPED[sided]
     if sided in MEANINGS:
         return MEANINGS[sided] + (f" ({side[1]} side)" if side else "")
     if general in MEANINGS:

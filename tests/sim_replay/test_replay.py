@@ -29,7 +29,8 @@ from tests.manual_clock import ManualClock
 ROOT = Path(__file__).parents[2]
 FILES = {
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
-    *("clearance.geojson", "clearance.png", "summary.json", "report.html", "snippets"),
+    *("clearance.geojson", "clearance.png", "track.geojson", "summary.json", "report.html", "one-page.html"),
+    "snippets",
 }
 SAME = (
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
@@ -96,6 +97,7 @@ def test_every_file_of_the_contract_is_written(results: Path, logs: tuple[Path, 
     assert summary["covered_km2"] > 0.0
     for feature in features:
         assert (results / feature["properties"]["snippet"]).read_bytes().startswith(b"\x89PNG")
+        assert feature["properties"]["depth_m"] == pytest.approx(20.0, abs=0.5)  # the floor of the scene
 
 
 @pytest.mark.parametrize("circumstances", [{}, {"chunk_bytes": 1}, {"chunk_bytes": 4099}, {"threads": 2}])

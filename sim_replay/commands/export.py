@@ -1,0 +1,164 @@
+"""Write a mission for other programs."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from auv_mcm.clean_text import clean
+from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
+from auv_mcm.errors import BadInputError, UsageError
+
+if TYPE_CHECKING:
+    from sim_replay.export_source import ExportSource
+    from sim_replay.mosaic import Level
+
+DEFAULT_RESOLUTION_M: Final = 0.25
+"""Pixel of a mosaic unless asked otherwise: a mine of half a metre has two of them, and 40 minutes take 11 MB."""
+_FINEST_M: Final = 0.02  # m: the finest pixel that is made; sonars resolve a few centimetres at best
+
+
+def add(commands: Commands) -> None:
+    """Add `auv-mcm export` to the command line."""
+    parser = command(
+        commands,
+        "export",
+        "write a mission for other programs: mosaic, layers, MCAP",
+        "SOURCE is a folder of results ('auv-mcm replay --out'), the folder of a session ('auv-mcm run', also while\n"
+        "it runs), or logs. Positions are longitude and latitude, WGS 84 (EPSG:4326). The mosaic blends all passes\n"
+        "over a place, the better seen the more. GeoPackage and GPX need results: contacts, track, coverage and\n"
+        "proposed legs, each purpose in a layer of its own.",
+        [
+            "auv-mcm export results --geotiff mosaic.tif --gpkg mission.gpkg --gpx mission.gpx",
+            "auv-mcm export mission.xtf --geotiff mosaic.tif --kmz mosaic.kmz --resolution 0.1",
+            "auv-mcm export auv-mcm-out/latest --kmz mosaic.kmz",
+            "auv-mcm export results --mcap mission.mcap",
+        ],
+    )
+    parser.add_argument(
+        "source", metavar="SOURCE", nargs="+", type=Path, help="folder of results, folder of a session, or logs"
+    )
+    parser.add_argument(
+        "--geotiff",
+        metavar="FILE",
+        type=Path,
+        help="mosaic with overviews: band 1 is the echo in dB, band 2 the 1-sigma error of position in m",
+    )
+    parser.add_argument("--kmz", metavar="FILE", type=Path, help="mosaic as a ground overlay")
+    parser.add_argument(
+        "--mcap", metavar="FILE", type=Path, help="track, waterfall, contacts and maps as messages of Foxglove"
+    )
+    parser.add_argument("--gpkg", metavar="FILE", type=Path, help="GeoPackage of everything that has a place")
+    parser.add_argument(
+        "--gpx", metavar="FILE", type=Path, help="mine-like contacts, proposed legs and the track, for a chart plotter"
+    )
+    parser.add_argument(
+        "--resolution",
+        metavar="M",
+        type=_metres(_FINEST_M),
+        default=DEFAULT_RESOLUTION_M,
+        help=f"pixel of the mosaic, m (default {DEFAULT_RESOLUTION_M:g})",
+    )
+    parser.add_argument(
+        "--max-sigma",
+        metavar="M",
+        type=_metres(0.0),
+        default=math.inf,
+        help="leave out of the mosaic what is placed worse than this, 1-sigma in m (default: nothing)",
+    )
+    add_config_option(parser)
+    parser.set_defaults(command=_run)
+
+
+def _metres(low_m: float) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low_m <= value < math.inf:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of metres from {low_m:g} on")
+        return value
+
+    return parse
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from sim_replay.export_source import find_source
+
+    wanted = [
+        path
+        for path in (arguments.geotiff, arguments.kmz, arguments.gpkg, arguments.gpx, arguments.mcap)
+        if path is not None
+    ]
+    if not wanted:
+        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg, --gpx or --mcap")
+    for path in wanted:
+        if not path.absolute().parent.is_dir():
+            raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
+    source = find_source(arguments.source, None if arguments.config is None else read_config(arguments.config))
+    name = source.config.mission or (source.results or source.logs[0]).resolve().stem
+    if arguments.gpkg is not None or arguments.gpx is not None:
+        _write_vectors(source, arguments.gpkg, arguments.gpx, name)
+    if arguments.geotiff is not None or arguments.kmz is not None:
+        _write_mosaic(source, arguments, name)
+    if arguments.mcap is not None:
+        _write_mcap(source, arguments.mcap)
+    for path in wanted:
+        print(f"written: {clean(str(path))}")
+    return 0
+
+
+def _write_vectors(source: ExportSource, gpkg: Path | None, gpx: Path | None, name: str) -> None:
+    from sim_replay.geopackage import write_geopackage
+    from sim_replay.vector_layers import read_layers, write_gpx
+
+    if source.results is None:
+        raise UsageError(
+            "GeoPackage and GPX are made of results: replay the log first ('auv-mcm replay LOG --out results'), and "
+            "export that folder."
+        )
+    layers = read_layers(source.results)
+    if gpkg is not None:
+        write_geopackage(gpkg, layers)
+    if gpx is not None:
+        write_gpx(gpx, layers, name)
+
+
+def _write_mcap(source: ExportSource, path: Path) -> None:
+    from sim_replay.export_source import tiles
+    from sim_replay.mcap_export import write_mcap
+    from sim_replay.vector_layers import read_layers
+
+    layers = {} if source.results is None else read_layers(source.results)
+    with Progress("export") as progress:
+        write_mcap(path, tiles(source, progress.show), layers)
+
+
+def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
+    levels = _mosaic(source, arguments.resolution)
+    if arguments.geotiff is not None:
+        from sim_replay.mosaic_files import write_geotiff
+
+        write_geotiff(arguments.geotiff, levels, arguments.max_sigma)
+    if arguments.kmz is not None:
+        from sim_replay.mosaic_files import write_kmz
+
+        write_kmz(arguments.kmz, levels, name, arguments.max_sigma)
+
+
+def _mosaic(source: ExportSource, resolution_m: float) -> list[Level]:
+    from sim_replay.export_source import tiles
+    from sim_replay.mosaic import Mosaic
+
+    mosaic = Mosaic(source.config, resolution_m)
+    with Progress("export") as progress:
+        for tile in tiles(source, progress.show):
+            mosaic.add(tile)
+    levels = list(mosaic.levels())
+    if not levels:
+        raise BadInputError("no position was recorded, so there is no mosaic. Check the navigation of the log.")
+    return levels

@@ -1,0 +1,56 @@
+"""Make the report of a session, finished or not."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from auv_mcm.clean_text import clean
+from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
+from auv_mcm.errors import UsageError
+
+
+def add(commands: Commands) -> None:
+    """Add `auv-mcm report` to the command line."""
+    parser = command(
+        commands,
+        "report",
+        "make the report of a session, also while it runs",
+        "Replays what the session recorded so far, with the configuration it was recorded with, into SESSION/report/:\n"
+        "report.html and all other results of a replay. The session's own files stay as they are. A session that went\n"
+        "on after a cut has a recording, and a report, for each start.",
+        [
+            "auv-mcm report auv-mcm-out/latest",
+            "auv-mcm report auv-mcm-out/latest --out report --threads 2",
+        ],
+    )
+    parser.add_argument("session", metavar="SESSION", type=Path, help="folder of a session ('auv-mcm run')")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for the results (default SESSION/report)")
+    parser.add_argument("--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work")
+    add_config_option(parser)
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from sim_replay.export_source import recordings_of
+    from sim_replay.logs.open_log import session_config
+    from sim_replay.replay import replay
+
+    recordings = recordings_of(arguments.session)
+    if not recordings:
+        raise UsageError(
+            f"{arguments.session} holds no recording. Name the folder of a session that reads ports; of a log, "
+            f"'auv-mcm replay {arguments.session} --out results' makes the report."
+        )
+    given = None if arguments.config is None else read_config(arguments.config)
+    out = arguments.out or arguments.session / "report"
+    for number, recording in enumerate(recordings, 1):
+        folder = out if number == 1 else out.with_name(f"{out.name}-{number}")
+        config = given or session_config([recording]) or read_config(None)
+        with Progress("report") as progress:
+            summary = replay([recording], folder, config, threads=arguments.threads, progress=progress.show)
+        print(
+            f"{summary['pings']} pings so far, {summary['contacts']} contacts, {summary['contacts_mine_like']} of them "
+            f"mine-like: {clean(str(folder / 'report.html'))}"
+        )
+    return 0

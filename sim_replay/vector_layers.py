@@ -1,0 +1,117 @@
+"""Sort the features of a folder of results into layers, and write them as GPX 1.1 (topografix.com/GPX/1/1)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+from xml.sax.saxutils import escape, quoteattr
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.clean_text import clean
+from auv_mcm.errors import BadInputError
+from auv_mcm.shell.whole_files import write_file
+
+_WHOLE: Final = ("contacts", "track", "coverage", "clearance")
+_WAYPOINTS: Final = "waypoints"
+_DATUM: Final = "WGS 84; depths are of the sea floor below the surface at the time, not reduced for tide"
+
+Feature = Mapping[str, Any]
+
+
+def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
+    """Read the GeoJSON files of a folder of results: one layer each, way-points one for each purpose.
+
+    `second_views` and `survey_legs` are lines, `waypoints_turn` and the like points. Files that are not there are left
+    out. Raises BadInputError for one that cannot be read, or if none is there.
+    """
+    layers: dict[str, Sequence[Feature]] = {}
+    for name in (*_WHOLE, _WAYPOINTS):
+        path = results / f"{name}.geojson"
+        if not path.is_file():
+            continue
+        try:
+            features: list[Feature] = json.loads(path.read_bytes())["features"]
+            layers |= {name: features} if name != _WAYPOINTS else _by_purpose(features)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise BadInputError(f"{path} cannot be read: {error}. Replay the log again.") from error
+    if not layers:
+        raise BadInputError(f"{results} holds no results yet. Replay the log, or wait until the session has ended.")
+    return layers
+
+
+def write_gpx(path: Path, layers: Mapping[str, Sequence[Feature]], name: str) -> None:
+    """Write mine-like contacts as way-points, proposed legs as routes and the track as a track. Raises OSError."""
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<gpx version="1.1" creator="auv-mcm" xmlns="http://www.topografix.com/GPX/1/1">',
+        f"<metadata><name>{_text(name)}</name><desc>{_DATUM}</desc></metadata>",
+        *(_contact(feature) for feature in layers.get("contacts", ()) if _is_mine_like(feature)),
+        *_routes(layers),
+        *(_track(feature["geometry"]) for feature in layers.get("track", ()) if feature["geometry"]),
+        "</gpx>",
+    ]
+    write_file(path, "\n".join(lines).encode() + b"\n")
+
+
+def _by_purpose(features: Iterable[Feature]) -> dict[str, Sequence[Feature]]:
+    sorted_in: dict[str, list[Feature]] = {"second_views": [], "survey_legs": []}
+    for feature in features:
+        properties = feature["properties"]
+        if "kind" in properties:
+            sorted_in.setdefault(f"{_WAYPOINTS}_{properties['kind']}", []).append(feature)
+        else:
+            sorted_in["second_views" if properties["contact_id"] else "survey_legs"].append(feature)
+    return dict(sorted_in)
+
+
+def _is_mine_like(feature: Feature) -> bool:
+    return feature["geometry"] is not None and (feature["properties"]["p_mine"] or 0.0) >= MINE_LIKE_P
+
+
+def _contact(feature: Feature) -> str:
+    properties = feature["properties"]
+    depth = "" if properties.get("depth_m") is None else f", depth {properties['depth_m']:.1f} m"
+    kind = properties["class"].replace("_", " ")
+    what = f"p_mine {properties['p_mine']:.2f}, {kind}{depth}"
+    called = "called contact" if properties.get("called") else "mine-like contact"
+    return (
+        f"<wpt {_at(feature['geometry']['coordinates'])}>"
+        + (f"<time>{_text(properties['time'])}</time>" if properties["time"] else "")
+        + f"<name>{_text(properties['id'])}</name><desc>{_text(what)}</desc><type>{called}</type></wpt>"
+    )
+
+
+def _routes(layers: Mapping[str, Sequence[Feature]]) -> Iterator[str]:
+    points = [feature for name, features in layers.items() if name.startswith(f"{_WAYPOINTS}_") for feature in features]
+    points.sort(key=lambda feature: feature["properties"]["order"])
+    for leg in dict.fromkeys(feature["properties"]["leg"] for feature in points):
+        members = [feature for feature in points if feature["properties"]["leg"] == leg]
+        last = members[-1]["properties"]
+        purpose = "second view" if last["contact_id"] else "survey leg"
+        yield (
+            f"<rte><name>{_text(f'leg {leg}: ' + (last['contact_id'] or purpose))}</name>"
+            f"<desc>{_text(last['why'])}</desc><type>{purpose}</type>"
+            + "".join(
+                f"<rtept {_at(feature['geometry']['coordinates'])}><name>{_text(feature['properties']['kind'])}</name>"
+                "</rtept>"
+                for feature in members
+                if feature["geometry"]
+            )
+            + "</rte>"
+        )
+
+
+def _track(geometry: Mapping[str, Any]) -> str:
+    lines = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
+    pieces = ("".join(f"<trkpt {_at(point)}/>" for point in line) for line in lines)
+    return "<trk><name>track</name>" + "".join(f"<trkseg>{piece}</trkseg>" for piece in pieces) + "</trk>"
+
+
+def _at(point: Sequence[float]) -> str:
+    return f"lat={quoteattr(f'{point[1]:.9f}')} lon={quoteattr(f'{point[0]:.9f}')}"
+
+
+def _text(text: str) -> str:
+    return escape(clean(text))

@@ -1,0 +1,37 @@
+"""Reports of sessions: made from what was recorded so far, beside the session's own files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.cli import main
+from drivers.recording.session_layout import file_name
+from sim_replay.export_source import recordings_of
+from tests.sim_replay.logs.sonar_logs import run_of, write_session
+
+
+def test_a_session_that_still_runs_has_a_report_and_keeps_its_files(tmp_path: Path) -> None:
+    session = tmp_path / "session-1"
+    session.mkdir()
+    (session / "contacts.jsonl").write_bytes(b"{}\n")
+    recording = write_session(run_of("jsf"), session / "recording")
+    whole = (recording / file_name(0)).read_bytes()
+    (recording / file_name(0)).write_bytes(whole[: len(whole) * 3 // 4])  # the last chunk is being written
+    assert main(["report", str(session)]) == 0
+    assert {path.name for path in session.iterdir()} == {"contacts.jsonl", "recording", "report"}
+    assert {"report.html", "one-page.html", "contacts.geojson"} <= {
+        path.name for path in (session / "report").iterdir()
+    }
+
+
+def test_recordings_are_taken_in_the_order_of_the_starts(tmp_path: Path) -> None:
+    for name in ("recording-10", "recording", "recording-2", "recordings", "recording-old"):
+        (tmp_path / name).mkdir()
+    assert [path.name for path in recordings_of(tmp_path)] == ["recording", "recording-2", "recording-10"]
+
+
+def test_what_is_no_session_says_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(tmp_path / "mission.xtf")]) == 2
+    assert "mission.xtf --out results' makes the report" in capsys.readouterr().err

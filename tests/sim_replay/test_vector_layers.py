@@ -1,0 +1,103 @@
+"""Layers of results: what GDAL reads from GeoPackage, GPX and KML is what the GeoJSON files hold."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from auv_mcm.cli import main
+from auv_mcm.contacts.geojson import Json, collection, feature
+from auv_mcm.records import CoveragePatch
+from auv_mcm.shell.results import write_results
+from sim_replay.geopackage import write_geopackage
+from tests.sim_replay.report_samples import contact, waypoints
+
+HOSTILE = "<b>\"x'; DROP TABLE contacts; --"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as a replay leaves it, of made-up records."""
+    folder = tmp_path_factory.mktemp("results")
+    ring = np.array([(12.0, 55.0), (12.001, 55.0), (12.001, 55.001), (12.0, 55.0)])
+    patch = CoveragePatch(
+        side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(ring, ring + 0.01), covered_m2=1.0, lost_m2={}
+    )
+    contacts = [contact("C00001"), contact("C00002", 0.1), contact("C00003", 0.5, latitude_deg=float("nan"))]
+    write_results(folder, contacts, [patch], waypoints(), HOSTILE)
+    line: Json = {"type": "LineString", "coordinates": [[12.0, 55.0], [12.001, 55.0]]}
+    (folder / "track.geojson").write_bytes(collection([feature(line, {})]))
+    (folder / "summary.json").write_text(json.dumps({"logs": [{"path": "gone.xtf"}]}))
+    return folder
+
+
+def gdal_layers(path: Path) -> Mapping[str, Any]:
+    pyogrio = pytest.importorskip("pyogrio", reason="pyogrio, which brings GDAL, is not installed")
+    return {
+        name: pyogrio.read_info(path, layer=name, force_feature_count=True) for name, _ in pyogrio.list_layers(path)
+    }
+
+
+def test_gdal_reads_every_layer_of_the_geopackage(results: Path, tmp_path: Path) -> None:
+    assert main(["export", str(results), "--gpkg", str(tmp_path / "m.gpkg")]) == 0
+    layers = gdal_layers(tmp_path / "m.gpkg")
+    assert {name: (info["features"], info["geometry_type"]) for name, info in layers.items()} == {
+        "contacts": (3, "Point"),
+        "track": (1, "LineString"),
+        "coverage": (1, "MultiPolygon"),
+        "second_views": (1, "LineString"),
+        **{f"waypoints_{kind}": (1, "Point") for kind in ("start", "turn", "leg_entry", "leg_exit")},
+    }
+    assert all(info["crs"] == "EPSG:4326" for info in layers.values())
+    types = dict(zip(layers["contacts"]["fields"], layers["contacts"]["dtypes"], strict=True))
+    assert types["p_mine"] == "float64"
+    assert types["views"] == "object"
+    assert tuple(layers["contacts"]["total_bounds"]) == (12.0, 55.0, 12.0, 55.0)
+
+
+def test_gdal_reads_the_gpx_and_the_kml(results: Path, tmp_path: Path) -> None:
+    assert main(["export", str(results), "--gpx", str(tmp_path / "m.gpx")]) == 0
+    layers = gdal_layers(tmp_path / "m.gpx")
+    found = {name: info["features"] for name, info in layers.items()}
+    assert found == {"waypoints": 1, "routes": 1, "tracks": 1, "route_points": 4, "track_points": 2}
+    assert {name: info["features"] for name, info in gdal_layers(results / "contacts.kml").items()} == {
+        "Mine-like (2)": 2,
+        "Clutter (1)": 1,
+    }
+    assert "snippets/C00001.png" in (results / "contacts.kml").read_text()
+
+
+def test_a_geopackage_is_whole_and_takes_any_name_and_value(tmp_path: Path) -> None:
+    features = [
+        feature({"type": "Point", "coordinates": [1.0, 2.0]}, {HOSTILE: 1, "fid": 7, "mixed": 1, "list": [1, None]}),
+        feature(None, {HOSTILE: 2.5, "mixed": "two", "yes": True}),
+    ]
+    for _ in range(2):  # the second time another file is in the way
+        write_geopackage(tmp_path / "m.gpkg", {HOSTILE: features, "empty": []})
+    base = sqlite3.connect(tmp_path / "m.gpkg")
+    try:
+        assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        assert base.execute("SELECT table_name FROM gpkg_contents").fetchall() == [(HOSTILE,)]
+        quoted = HOSTILE.replace('"', '""')
+        rows = base.execute(f'SELECT "{quoted}", mixed, list, yes, geom IS NULL FROM "{quoted}"').fetchall()
+        assert rows == [(1.0, "1", "[1, null]", None, 0), (2.5, "two", None, 1, 1)]
+    finally:
+        base.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["m.gpkg"]
+
+
+def test_layers_without_results_or_of_damaged_ones_are_one_clear_line(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", str(tmp_path / "mission.xtf"), "--gpkg", str(tmp_path / "m.gpkg")]) == 2
+    assert "replay the log first" in capsys.readouterr().err
+    for name, text in (("summary.json", "{}"), ("contacts.geojson", '{"features"')):
+        (tmp_path / name).write_text(text)
+    assert main(["export", str(tmp_path), "--gpx", str(tmp_path / "m.gpx")]) == 3
+    assert "contacts.geojson cannot be read" in capsys.readouterr().err
