@@ -32,6 +32,7 @@ PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
 
 COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",
+    "view": "sim_replay.commands.view:add",
     "batch": "sim_replay.commands.batch:add",
     "run": "auv_mcm.commands.run:add",
     "status": "auv_mcm.commands.status:add",
