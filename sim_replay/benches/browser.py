@@ -21,7 +21,7 @@ import aiohttp
 from auv_mcm.errors import HardwareError
 
 _NAMES: Final = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
-_PATIENCE_S: Final = 20.0  # s for the browser to start, and for anything on the page to happen
+_PATIENCE_S: Final = 60.0  # s for the browser to start, and for anything on the page to happen, on a busy computer
 _POLL_S: Final = 0.02  # s between two looks at the page
 _KEYS: Final = {"Enter": "\r", "Escape": "", "ArrowDown": "", "ArrowUp": "", "ArrowLeft": "", "ArrowRight": ""}
 
@@ -64,10 +64,13 @@ class BrowserPage:
         return found["result"].get("value")
 
     async def wait_for(self, script: str) -> Any:
-        """Wait until JavaScript gives something true and return it. Raises TimeoutError."""
-        async with asyncio.timeout(_PATIENCE_S):
-            while not (found := await self.evaluate(script)):
-                await asyncio.sleep(_POLL_S)
+        """Wait until JavaScript gives something true and return it. Raises TimeoutError that names it."""
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                while not (found := await self.evaluate(script)):
+                    await asyncio.sleep(_POLL_S)
+        except TimeoutError as error:
+            raise TimeoutError(f"the page never came to: {script}; it complains: {self.complaints}") from error
         return found
 
     async def open(self, url: str) -> None:

@@ -15,7 +15,7 @@ from auv_mcm.clock import SystemClock
 from auv_mcm.contacts.export import iso_time
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Side
-from auv_mcm.shell.whole_files import finite
+from auv_mcm.shell import whole_files
 from sim_replay.verdicts import (
     MAX_COMMENT,
     Call,
@@ -130,7 +130,7 @@ class ShownMission:
         rows = self._rows([contact.time_s for contact in found])
         by_contact = self.judged().by_contact
         shown = {verdict.object for verdict in by_contact.values()}
-        return finite(
+        return _finite(
             {
                 "version": self._contacts.version,
                 "id": [contact.id for contact in found],
@@ -148,7 +148,7 @@ class ShownMission:
                 "verdicts": {name: _shown(verdict) for name, verdict in by_contact.items()},
                 "drawn": [{**_shown(verdict), "row": row} for verdict, row in zip(*self._drawn(shown), strict=True)],
             }
-        )  # type: ignore[no-any-return]
+        )
 
     def contact(self, name: str) -> dict[str, Any] | None:
         """Give all that the results say about a contact, None if there is none of that id."""
@@ -160,7 +160,7 @@ class ShownMission:
         verdicts = [] if history is None else [v for v in self._verdicts if v.object == history.object]
         place = overview(feature)
         depth_m = self._depth_m(place)
-        return finite(
+        return _finite(
             {
                 **feature["properties"],
                 "coordinates": (feature.get("geometry") or {}).get("coordinates"),
@@ -168,7 +168,7 @@ class ShownMission:
                 "view_rows": self._rows([time_s(time) for time in times]),
                 "history": [msgspec.to_builtins(verdict) for verdict in verdicts],
             }
-        )  # type: ignore[no-any-return]
+        )
 
     def judged(self) -> Judged:
         """Match verdicts with the contacts of these results."""
@@ -207,14 +207,14 @@ class ShownMission:
         rows = np.arange(0, stop, every, dtype=np.int64)
         pose, _ = self.store.poses(rows)
         lost = pose.stale | ~np.isfinite(pose.latitude_deg)
-        return finite(
+        return _finite(
             {
                 "row": rows.tolist(),
                 "latitude": np.where(lost, np.nan, pose.latitude_deg).round(8).tolist(),
                 "longitude": np.where(lost, np.nan, pose.longitude_deg).round(8).tolist(),
                 "time": pose.time_s.round(3).tolist(),
             }
-        )  # type: ignore[no-any-return]
+        )
 
     def strips(self, first: int, stop: int) -> dict[str, Any]:
         """List where the waterfall lies, for the map: the outer ends of both sides, each _STRIP_ROWS rows."""
@@ -229,7 +229,7 @@ class ShownMission:
         corners = np.column_stack(
             [np.where(lost, np.nan, places.longitude_deg), np.where(lost, np.nan, places.latitude_deg)]
         )
-        return finite({"row": rows.astype(int).tolist(), "corners": corners.round(8).reshape(-1, 3, 2).tolist()})  # type: ignore[no-any-return]
+        return _finite({"row": rows.astype(int).tolist(), "corners": corners.round(8).reshape(-1, 3, 2).tolist()})
 
     def layers(self) -> dict[str, Any]:
         """Give coverage, clearance and plan as the files hold them; of a session that runs, coverage as seen here."""
@@ -312,7 +312,7 @@ class ShownMission:
         rows = np.interp(wanted, ordered, known + 0.5)
         # a metre at 0.5 m/s is within two seconds: what lies farther off is not in this waterfall
         outside = ~((wanted >= ordered[0] - 2.0) & (wanted <= ordered[-1] + 2.0))
-        return np.where(outside, np.nan, rows).tolist()  # type: ignore[no-any-return]
+        return [float(row) for row in np.where(outside, np.nan, rows)]
 
     def _depth_m(self, contact: Overview) -> float:
         row = self._rows([contact.time_s])[0]
@@ -360,3 +360,8 @@ def _shown(verdict: Verdict) -> dict[str, Any]:
         "height_m": verdict.height_m,
         "shadow_length_m": verdict.shadow_length_m,
     }
+
+
+def _finite(found: dict[str, Any]) -> dict[str, Any]:
+    """Replace NaN, which JSON lacks, by None."""
+    return dict(whole_files.finite(found))

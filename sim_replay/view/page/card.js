@@ -107,7 +107,7 @@ export function contactCard(handlers) {
       if (!contact) return box.replaceChildren();
       const kept = isSame && byId("comment") ? [byId("type").value, byId("comment").value] : null;
       const kind = contact.drawn ? "drawn by hand" : `p mine ${contact.p === null ? "?" : contact.p.toFixed(2)}, ${plain(contact.class)}${contact.called ? ", called" : ""}`;
-      const image = contact.drawn ? null : element("img", {src: `api/snippets/${contact.id}`, alt: `picture of ${contact.id}`});
+      const image = contact.drawn ? null : element("img", {src: `api/snippets/${contact.id}`, alt: `picture of ${contact.id}`, onerror: (event) => event.target.remove()});
       box.replaceChildren(
         element("div", {className: "top"}, element("h2", {}, contact.id), element("span", {className: contact.likely ? "mine" : "soft"}, kind),
           element("span", {className: "space"}), element("button", {onclick: () => handlers.close()}, "close ", element("kbd", {}, "Esc"))),

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.contacts.contact_picture import encoded
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import VALID, PoseTrack, Side, Tile
+from auv_mcm.records import SIDES, VALID, PoseTrack, Side, Tile
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import MissionFeed, OpenedMission
 from sim_replay.view.waterfall_store import WaterfallStore
@@ -30,11 +31,11 @@ def position(east_m: float, north_m: float) -> tuple[float, float]:
 
 def poses(first_row: int, n_rows: int) -> PoseTrack:
     """A vehicle that sails due north at 2 m/s, row by row."""
-    north_m = (first_row + np.arange(n_rows) + 0.5) * ROW_M
+    north_m = np.asarray((first_row + np.arange(n_rows) + 0.5) * ROW_M, dtype=np.float64)
     latitude, longitude, _ = HOME.to_geodetic(np.column_stack([np.zeros(n_rows), north_m, np.zeros(n_rows)]))
     level = np.zeros(n_rows)
     return PoseTrack(
-        time_s=START_S + north_m / SPEED_MPS,
+        time_s=np.asarray(START_S + north_m / SPEED_MPS, dtype=np.float64),
         latitude_deg=latitude,
         longitude_deg=longitude,
         depth_m=level + DEPTH_M,
@@ -71,8 +72,8 @@ def filled_store(n_rows: int = 1024, n_columns: int = 640, seed: int = 1) -> Wat
     """A store of speckle on both sides."""
     store, speckle = WaterfallStore(), np.random.default_rng(seed)
     for first_row in range(0, n_rows, 64):
-        for side in ("port", "starboard"):
-            store.add(tile(side, first_row, speckle.exponential(1.0, (64, n_columns)).astype(np.float32)))  # type: ignore[arg-type]
+        for side in SIDES:
+            store.add(tile(side, first_row, speckle.exponential(1.0, (64, n_columns)).astype(np.float32)))
     return store
 
 
@@ -113,6 +114,11 @@ def feature(number: int, row: float = 100.0, across_m: float = 20.0, **more: Any
 def write_results(folder: Path, features: list[dict[str, Any]]) -> Path:
     """A folder of results with these contacts and nothing else."""
     folder.mkdir(exist_ok=True)
+    (folder / "snippets").mkdir(exist_ok=True)
+    for one in features[:2]:
+        (folder / "snippets" / f"{one['properties']['id']}.png").write_bytes(
+            encoded(np.zeros((8, 8, 3), dtype=np.uint8), ".png", [])
+        )
     (folder / "contacts.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     return folder
 
