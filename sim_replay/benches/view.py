@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 import asyncio
 import math
+import shutil
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -32,9 +34,9 @@ from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import columns
 from sim_replay.verdicts import VERDICTS_FILE, match_verdicts, newest_verdicts, read_verdicts
 from sim_replay.view.mission import ShownMission
-from sim_replay.view.mission_files import ContactFile, overview
+from sim_replay.view.mission_files import ContactFile, overview, read_summary
 from sim_replay.view.server import MissionServer
-from sim_replay.view.show import open_shown
+from sim_replay.view.show import open_shown, wait_for_session
 from sim_replay.view.waterfall_store import TILE_PX, WaterfallStore
 
 N_LEGS: Final = 14
@@ -46,6 +48,43 @@ _BRIGHT_DB: Final = 3.0  # brighter is the object
 _REACH_M: Final = 9.0  # behind the object that a shadow is looked for: that of 0.8 m at 45 m, 5 m over the floor
 _GAP_M: Final = 0.4  # between the object and its shadow at most
 _MIN_SHADOW_M: Final = 0.3  # shorter ones are speckle
+
+
+_LIVE_ROWS: Final = 600  # rows of 0.12 m of the live mission in the picture
+_LIVE_SCENE: Final = """\
+name: live
+seed: 3
+world: {depth_m: 18, relief_rms_m: 0.05, patch_m: 40, seabeds: [{type: sand, share: 0.6}, {type: rippled_sand}]}
+sonar: {frequency_khz: 450, range_m: 30, n_samples: 600, ping_rate_hz: 10}
+track:
+  altitude_m: 5
+  plan: {pattern: lawnmower, heading_deg: 35, n_legs: 1, leg_m: 180, spacing_m: 36}
+objects:
+  - {kind: cylinder, leg: 0, along_m: 15, across_m: 14, azimuth_deg: 35}
+  - {kind: sphere, leg: 0, along_m: 30, across_m: -13}
+  - {kind: truncated_cone, leg: 0, along_m: 50, across_m: 12}
+  - {kind: cylinder, leg: 0, along_m: 75, across_m: -16, azimuth_deg: 90}
+  - {kind: wedge, leg: 0, along_m: 95, across_m: 18, azimuth_deg: 125}
+"""
+_LIVE_SCENARIO: Final = """\
+about: a running session to look at
+scene: live-scene.yaml
+speed: 2
+run_s: 50
+devices:
+  sonar: {device: ping_protocol, link: serial, baud: 921600}
+  nav: {device: nmea2000, link: slcan, baud: 921600}
+service:
+  service: {source: ports}
+  ports:
+    - {name: sonar, link: '{sonar}', device: ping_protocol, sonar: {range_m: 30, n_samples: 600}}
+    - {name: nav, link: '{nav}', device: nmea2000}
+expectations:
+  - {test: the service ends when requested to stop, expected: {is: exit_code}}
+"""
+
+
+_TWO_FRAMES: Final = "new Promise((done) => setTimeout(() => requestAnimationFrame(done), 300))"  # 0.3 s for the map
 
 
 class JudgedMission(NamedTuple):
@@ -67,7 +106,9 @@ class JudgedMission(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bench's arguments."""
     parser.add_argument("logs", metavar="LOG", nargs="*", type=Path, help="recorded lines to judge as well")
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder for missions and results")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="folder for missions and results; what is there is used"
+    )
     parser.add_argument("--pictures", metavar="DIR", type=Path, help="folder for screenshots of the documentation")
     parser.add_argument("--legs", metavar="N", type=int, default=N_LEGS, help=f"legs to simulate (default {N_LEGS})")
 
@@ -77,6 +118,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0 <= arguments.legs <= 64:
         raise UsageError(f"--legs {arguments.legs} is not from 0 to 64")
     arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.pictures is not None:
+        asyncio.run(_live_picture(arguments.out, arguments.pictures))
     missions: list[tuple[str, Path, tuple[TruthObject, ...]]] = []
     if arguments.legs:
         scene = _scene(arguments.legs)
@@ -99,9 +142,9 @@ def _scene(n_legs: int) -> Scene:
 def _judge_mission(
     name: str, log: Path, truth: Sequence[TruthObject], out: Path, pictures: Path | None
 ) -> JudgedMission:
-    results = out / f"{name}-results"
+    results, again = out / f"{name}-results", out / f"{name}-again"
     config = Config()
-    summary = replay([log], results, config)
+    summary = read_summary(results) or replay([log], results, config)
     (results / VERDICTS_FILE).unlink(missing_ok=True)
     mission = open_shown(results, [], None, "bench")
     mission.feed.join()
@@ -109,10 +152,12 @@ def _judge_mission(
     mission.feed.close()
     verdicts = read_verdicts(results)
     # Another detector finds other contacts under other numbers; the verdicts have to find them by place.
-    replay([log], results, msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, model="none")))
-    again = ContactFile(results)
-    again.refresh()
-    matched = match_verdicts(verdicts, [overview(feature).place for feature in again.features.values()])
+    if read_summary(again) is None:
+        contrast = msgspec.structs.replace(config.detect, model="none")
+        replay([log], again, msgspec.structs.replace(config, detect=contrast))
+    found = ContactFile(again)
+    found.refresh()
+    matched = match_verdicts(verdicts, [overview(feature).place for feature in found.features.values()])
     newest = newest_verdicts(verdicts)
     return JudgedMission(
         name=name,
@@ -162,7 +207,7 @@ async def _judge_all(
             if measured_m is not None:
                 if pictures is not None and not heights:
                     await page.wait_for("!bench.busy")
-                    await page.screenshot(pictures / "view-measure.webp", quality=60)
+                    await page.screenshot(pictures / "view-measure.webp", quality=40)
                 heights.append((measured_m, target.height_m - target.burial_m))
         is_likely = (
             target is not None
@@ -172,8 +217,8 @@ async def _judge_all(
         await page.press("m" if is_likely else "n")
         await page.wait_for(f"bench.contacts.find((one) => one.id === '{name}').call")
         if pictures is not None and len(heights) == 2 and target is not None:
-            await page.wait_for("!bench.busy && document.querySelector('#card img')")
-            await page.screenshot(pictures / "view-judge.webp", quality=60)
+            await page.wait_for("!bench.busy && document.querySelector('#card img') !== null")
+            await page.screenshot(pictures / "view-judge.webp", quality=40)
             pictures = None
     return heights
 
@@ -275,13 +320,40 @@ async def _measure_shadow(page: BrowserPage, ends: tuple[float, float, float]) -
 async def _overview_pictures(page: BrowserPage, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     await page.evaluate("document.querySelector('[data-layer=coverage]').click()")
-    await page.wait_for("!bench.busy")
-    await page.screenshot(folder / "view.webp", quality=60)
+    await page.wait_for("bench.tiles.size > 8 && !bench.busy")
+    await page.evaluate(_TWO_FRAMES)
+    await page.screenshot(folder / "view.webp", quality=40)
     for theme in ("night", "day", "dusk"):  # in the order of the key
         await page.press("t")
         await page.wait_for("!bench.busy")
+        await page.evaluate(_TWO_FRAMES)
         if theme != "dusk":
-            await page.screenshot(folder / f"view-{theme}.webp", quality=50)
+            await page.screenshot(folder / f"view-{theme}.webp", quality=40)
+
+
+async def _live_picture(out: Path, pictures: Path) -> None:
+    """Follow a run of hardware in the loop at the page until it shows some track and a contact."""
+    (out / "live-scene.yaml").write_text(_LIVE_SCENE, encoding="utf-8")
+    (out / "live.yaml").write_text(_LIVE_SCENARIO, encoding="utf-8")
+    shutil.rmtree(out / "live", ignore_errors=True)
+    hil = ("-m", "auv_mcm", "hil", str(out / "live.yaml"), "--out", str(out / "live"))
+    process = await asyncio.create_subprocess_exec(sys.executable, *hil, stdout=asyncio.subprocess.DEVNULL)
+    session = out / "live" / "live" / "results" / "latest"
+    try:
+        await asyncio.to_thread(wait_for_session, session)
+        mission = open_shown(session, [], None, "bench")
+        server = MissionServer(mission)
+        await server.open()
+        async with browser_page() as page:
+            await page.open(server.url)
+            await page.wait_for("window.bench && bench.state.live")
+            await page.wait_for(f"bench.state.stop_row > {_LIVE_ROWS} && bench.contacts.length && !bench.busy")
+            pictures.mkdir(parents=True, exist_ok=True)
+            await page.screenshot(pictures / "view-live.webp", quality=40)
+        await server.close()
+        mission.feed.close()
+    finally:
+        await process.wait()
 
 
 _HEADER: Final = (

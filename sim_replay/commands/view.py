@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
         [
             "auv-mcm view results",
             "auv-mcm view --live",
-            "auv-mcm view --live out-hil/clean/results/latest",
+            "auv-mcm view --live out-demo/hil/clean/results/latest",
         ],
     )
     parser.add_argument("folder", metavar="FOLDER", nargs="?", type=Path, help="results of a replay, or a session")

@@ -66,7 +66,7 @@ def show(
             raise UsageError("name the folder of results or of a session, or give --live")
         folder = Path((config or Config()).service.output_directory) / "latest"
     if live:
-        _wait_for(folder)
+        wait_for_session(folder)
     mission = open_shown(folder, logs, config, by or _user())
     try:
         asyncio.run(_serve(mission, host, port, open_browser))
@@ -153,11 +153,12 @@ async def _serve(mission: ShownMission, host: str, port: int, open_browser: bool
         await server.close()
 
 
-def _wait_for(folder: Path) -> None:
+def wait_for_session(folder: Path) -> None:
+    """Wait until a folder holds the beginning of a session, or results."""
     if not folder.exists():
         print(f"waiting for a session at {clean(str(folder))}", flush=True)
     waiting = threading.Event()
-    while not (folder / JOURNAL).exists() and not (folder / SUMMARY).exists():
+    while not any((folder / name).exists() for name in (SUMMARY, JOURNAL, "recording")):
         waiting.wait(_POLL_S)
 
 

@@ -13,8 +13,9 @@ export function mapView(tiles, handlers) {
   const box = byId("map-view"), picture = byId("map-picture");
   const view = {east: 0, north: 0, scale: 1};
   const layers = {mosaic: true, coverage: false, clearance: false, track: true, contacts: true, plan: true};
-  let home = null, grid = null, track = null, files = {}, shown = [], selected = null, drag = null, fitted_ = false;
+  let home = null, grid = null, track = null, files = {}, shown = [], selected = null, drag = null, wasFitted = false, wasMoved = false;
   let strips = {rows: [], corners: []}, asking = false;
+  const mosaic = {canvas: new OffscreenCanvas(1, 1), key: "", view: null, next: 0};
 
   const redraw = perFrame(draw);
   new ResizeObserver(redraw).observe(box);
@@ -39,8 +40,8 @@ export function mapView(tiles, handlers) {
     context.fillRect(0, 0, width, height);
     settle();
     if (!home) return;
-    if (!fitted_) fit();
-    if (layers.mosaic) drawMosaic(context, width, height);
+    if (!wasFitted) fit();
+    if (layers.mosaic) showMosaic(context, width, height);
     drawGrid(context, width, height);
     if (layers.coverage) drawCoverage(context, width, height);
     if (layers.clearance && files.clearance) drawClearance(context, width, height);
@@ -57,24 +58,44 @@ export function mapView(tiles, handlers) {
       const more = await get(`api/strips/${have}/${grid.stop_row}`);
       if (more.row.length && strips.rows.length) more.row.shift(), more.corners.shift();
       strips = {rows: [...strips.rows, ...more.row], corners: [...strips.corners, ...more.corners]};
+      if (!wasMoved) fit(); // a mission that grows stays in sight until somebody looks closer
       redraw();
     } finally {
       asking = false;
     }
   }
 
-  function drawMosaic(context, width, height) {
+  // The sea floor is drawn apart, not at every frame: until its next turn the last picture is moved and scaled.
+  function showMosaic(context, width, height) {
     if (!grid || !grid.columns) return;
+    const key = [view.east, view.north, view.scale, width, height, tiles.version, strips.rows.length].join();
+    const now = performance.now();
+    if (key !== mosaic.key && now >= mosaic.next) {
+      const ratio = window.devicePixelRatio || 1;
+      mosaic.canvas.width = Math.round(width * ratio), mosaic.canvas.height = Math.round(height * ratio);
+      drawMosaic(mosaic.canvas.getContext("2d"), width, height);
+      const cost = performance.now() - now;
+      Object.assign(mosaic, {key, view: {...view}, next: now + Math.max(60, 4 * cost)});
+    } else if (key !== mosaic.key) setTimeout(redraw, mosaic.next - now);
+    if (!mosaic.view) return;
+    const zoomed = view.scale / mosaic.view.scale;
+    const x = toX(mosaic.view.east, width) - zoomed * width / 2, y = toY(mosaic.view.north, height) - zoomed * height / 2;
+    context.globalAlpha = document.documentElement.dataset.theme === "night" ? 0.8 : 1;
+    context.drawImage(mosaic.canvas, x, y, zoomed * width, zoomed * height);
+    context.globalAlpha = 1;
+  }
+
+  function drawMosaic(context, width, height) {
     const ratio = window.devicePixelRatio || 1;
     const narrow = Math.ceil(Math.log2(grid.columns / TILE));
     const coarse = Math.floor(Math.log2(1 / (view.scale * grid.column_m)));
     const level = Math.max(0, narrow, Math.min(6, coarse));
-    const factor = 2 ** level, columns = grid.columns / factor, rows = STRIP_ROWS / factor;
-    const theme = document.documentElement.dataset.theme;
-    context.save();
-    context.globalAlpha = theme === "night" ? 0.8 : 1;
-    for (let index = 0; index + 1 < strips.rows.length; index++) {
-      const here = strips.corners[index], next = strips.corners[index + 1];
+    const factor = 2 ** level, columns = grid.columns / factor;
+    // Pieces of at least 3 pixels along the track, of one tile each.
+    const together = Math.max(1, Math.min(2 ** Math.floor(Math.log2(3 / (STRIP_ROWS * grid.row_m * view.scale))), TILE * factor / STRIP_ROWS));
+    const rows = together * STRIP_ROWS / factor;
+    for (let index = 0; index + together < strips.rows.length; index += together) {
+      const here = strips.corners[index], next = strips.corners[index + together];
       if (here[1][0] === null || next[1][0] === null || here[0][0] === null || here[2][0] === null) continue;
       const [port, middle, starboard] = here.map((corner) => place(...corner, width, height));
       const ahead = place(...next[1], width, height);
@@ -95,7 +116,6 @@ export function mapView(tiles, handlers) {
         context.drawImage(tile, sign > 0 ? 0 : TILE - used, top, used, tall, sign > 0 ? 0 : -used, 0, used, tall * 1.06);
       }
     }
-    context.restore();
   }
 
   function drawGrid(context, width, height) {
@@ -241,14 +261,14 @@ export function mapView(tiles, handlers) {
     if (low[0] > high[0]) return;
     view.east = (low[0] + high[0]) / 2, view.north = (low[1] + high[1]) / 2;
     view.scale = Math.min(20, 0.92 * Math.min(width / Math.max(high[0] - low[0], 40), height / Math.max(high[1] - low[1], 40)));
-    fitted_ = true;
+    wasFitted = true;
     redraw();
   }
 
   function bringIn(contact) {
     if (!home || !contact || contact.latitude === null) return;
     const {width, height} = size(), [x, y] = place(contact.longitude, contact.latitude, width, height);
-    if (x < 20 || y < 20 || x > width - 20 || y > height - 20) [view.east, view.north] = [east(contact.longitude), north(contact.latitude)];
+    if (x < 20 || y < 20 || x > width - 20 || y > height - 20) [view.east, view.north, wasMoved] = [east(contact.longitude), north(contact.latitude), true];
   }
 
   function zoom(factor, x, y) {
@@ -256,6 +276,7 @@ export function mapView(tiles, handlers) {
     const at = [x ?? width / 2, y ?? height / 2];
     const before = [(at[0] - width / 2) / view.scale, (at[1] - height / 2) / view.scale];
     view.scale = Math.min(100, Math.max(1e-4, view.scale * factor));
+    wasMoved = true;
     view.east += before[0] - (at[0] - width / 2) / view.scale;
     view.north -= before[1] - (at[1] - height / 2) / view.scale;
     redraw();
@@ -284,6 +305,7 @@ export function mapView(tiles, handlers) {
     if (!drag.moved && Math.hypot(dx, dy) < 4) return;
     view.east -= dx / view.scale, view.north += dy / view.scale;
     drag = {x: event.clientX, y: event.clientY, moved: true};
+    wasMoved = true;
     redraw();
   });
   box.addEventListener("pointerup", (event) => {
@@ -309,7 +331,7 @@ export function mapView(tiles, handlers) {
     event.preventDefault();
     event.stopPropagation();
   });
-  byId("map-fit").addEventListener("click", fit);
+  byId("map-fit").addEventListener("click", () => { wasMoved = false; fit(); });
   for (const input of document.querySelectorAll("[data-layer]")) {
     input.addEventListener("change", () => {
       layers[input.dataset.layer] = input.checked;

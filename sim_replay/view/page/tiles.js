@@ -8,7 +8,7 @@ const AT_ONCE = 6; // requests, as many as browsers send to one host
 
 export function tileStore(onArrival) {
   const kept = new Map();
-  let wanted = [], running = 0, colours = new Uint32Array(256), look = 0;
+  let wanted = [], running = 0, version = 0, colours = new Uint32Array(256), look = 0;
 
   function paint(tile) {
     const context = tile.canvas.getContext("2d");
@@ -25,6 +25,7 @@ export function tileStore(onArrival) {
     try {
       const {codes, final} = await getTile(tile.level, tile.row, tile.column);
       Object.assign(tile, {codes, final, stale: false, look: -1});
+      version++;
       onArrival();
     } catch {
       tile.retry = performance.now() + 2000; // the server is away: ask again later
@@ -65,6 +66,7 @@ export function tileStore(onArrival) {
     recolour(words) {
       colours = words;
       look++;
+      version++;
     },
     // New rows have come: tiles that were not complete are fetched again when they are drawn.
     outdate() {
@@ -72,6 +74,9 @@ export function tileStore(onArrival) {
     },
     get busy() {
       return running > 0 || wanted.length > 0;
+    },
+    get version() {
+      return version;
     },
     get size() {
       return kept.size;

@@ -170,7 +170,7 @@ export function waterfallView(tiles, handlers) {
       for (const [x, y] of [a, b]) context.strokeRect(x - 2.5, y - 2.5, 5, 5);
     }
     if (!text) return;
-    const [x, y] = [Math.max(a[0], b[0]) + 8, (a[1] + b[1]) / 2 + 4];
+    const [x, y] = [Math.min(a[0], b[0]), Math.min(a[1], b[1]) - 10];
     context.lineWidth = 4;
     context.strokeStyle = "#000c";
     context.strokeText(text, x, y);
