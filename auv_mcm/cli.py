@@ -16,7 +16,10 @@ from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.shell.registry import COMMANDS, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
-_BENCH_EXTRA = {"scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "mcap_protobuf"}
+_EXTRAS = {
+    "bench": {"scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "mcap_protobuf"},
+    "bench,view": {"aiohttp"},
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,9 +61,10 @@ def _missing(error: Exception) -> int:
     package = (getattr(error, "name", None) or "").partition(".")[0]
     if package in ("", "auv_mcm", "drivers", "sim_replay"):
         raise error
-    if package in _BENCH_EXTRA:
+    extra = next((extra for extra, packages in _EXTRAS.items() if package in packages), None)
+    if extra is not None:
         return _fail(
-            f"this command needs the package {package}: python -m pip install 'auv-mcm[bench]'", UsageError.exit_code
+            f"this command needs the package {package}: python -m pip install 'auv-mcm[{extra}]'", UsageError.exit_code
         )
     return _fail(f"the package {package} is missing: python -m pip install auv-mcm", UsageError.exit_code)
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make or refresh .venv at the root of this checkout: sh deploy/venv.sh EXTRA... (bench, dev, docs)
+# Make or refresh .venv at the root of this checkout: sh deploy/venv.sh EXTRA... (bench, view, dev, docs)
 # Does nothing if what is installed is what this checkout asks for. PYTHON names the interpreter, default python3; VENV
 # the folder.
 set -eu

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.prescreen import Floor, Peak
+from auv_mcm.geometry.shadow import shadow_height_m
 from auv_mcm.records import NAN, SATURATED, TURN, VALID, Tile
 from auv_mcm.snippet import pack_snippet
 
@@ -136,8 +137,7 @@ def measure(tile: Tile, floor: Floor, peak: Peak, beam_width_rad: float) -> Meas
         top_m = (columns.start + top) * column_m
         far_m = (columns.start + stop) * column_m
         shadow_length_m = (stop - start) * column_m
-        # The ray that grazes the last lit point goes on to the shadow's end: similar triangles give the height.
-        height_m = altitude_m * (1.0 - math.hypot(top_m, altitude_m) / math.hypot(far_m, altitude_m))
+        height_m = shadow_height_m(altitude_m, top_m, far_m)
     ground_m = (columns.start + column + 0.5) * column_m
     footprint_m = math.hypot(ground_m, altitude_m) * beam_width_rad
     along_m = max((_length(extent, row_m, footprint_m) for extent in extents), default=row_m)

@@ -32,6 +32,7 @@ PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
 
 COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",
+    "view": "sim_replay.commands.view:add",
     "batch": "sim_replay.commands.batch:add",
     "export": "sim_replay.commands.export:add",
     "report": "sim_replay.commands.report:add",

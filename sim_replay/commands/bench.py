@@ -47,6 +47,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
+    "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
     "figure9": ("studies.figure9", "the source paper's examples of classical detection"),
 }
 

@@ -223,6 +223,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.fitting.cascade.farm.run_tasks",
         "sim_replay.batch.missions.run_tasks",
         "sim_replay.hil.run.run_scenario",
+        "sim_replay.view.show._serve",
         "sim_replay.fitting.fit_background.run_tasks",
         "sim_replay.fitting.fit_gate.run_tasks",
         "sim_replay.fitting.fit_odds.ProcessPoolExecutor",
@@ -273,7 +274,7 @@ def run_command(arguments: Sequence[str]) -> None:
     try:
         code = main(arguments)
     except Reached:
-        long = ("batch", "status", "train", "calibrate", "hil", "bench")
+        long = ("batch", "status", "train", "calibrate", "hil", "bench", "view")
         assert arguments[0] in long, "only what takes long may stop at its first step"
     except SystemExit as ended:
         if ended.code != 0:
@@ -284,7 +285,7 @@ def run_command(arguments: Sequence[str]) -> None:
                 main([*arguments, "--help"])
             assert helped.value.code == 0
     else:
-        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"]), (
+        assert code == 0 or arguments in (["run"], ["hil"], ["simulate"], ["view"]), (
             arguments
         )  # mere names: these ask for what to run
 

@@ -22,7 +22,10 @@ IMPORTED_AS: Final = {
     "python-can": "can",
     "pyyaml": "yaml",
 }
-_WITHOUT: Final = {"bench": "replay, simulate, score, train, hil, bench and reports need it"}
+_WITHOUT: Final = {
+    "bench": "replay, simulate, score, train, hil, bench and reports need it",
+    "view": "view needs it",
+}
 _REQUIREMENT: Final = re.compile(
     r"(?P<name>[A-Za-z0-9._-]+)\s*(?:\[[^\]]*\])?\s*\(?(?P<limits>[^;)]*)\)?\s*(?:;(?P<marker>.*))?"
 )

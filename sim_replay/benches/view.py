@@ -1,0 +1,384 @@
+"""Judge whole missions in a real browser, by key and click, and compare what was measured with the truth.
+
+A script stands in for the analyst: it goes through the table from the first contact to the last, judges each by the
+truth where there is one, and measures shadows by clicking at their edges as the pixels of the waterfall show them,
+which know nothing of the truth. Then the mission is replayed again and the verdicts are looked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.errors import UsageError
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.settings.config import Config
+from auv_mcm.snippet import unpack_snippet
+from sim_replay.benches.browser import BrowserPage, browser_page
+from sim_replay.replay import replay
+from sim_replay.scoring.inputs import TruthObject, read_truth
+from sim_replay.simulate import simulate
+from sim_replay.simulator.scene import Scene
+from sim_replay.simulator.scene_file import read_scene
+from sim_replay.text_tables import columns
+from sim_replay.verdicts import VERDICTS_FILE, match_verdicts, newest_verdicts, read_verdicts
+from sim_replay.view.mission import ShownMission
+from sim_replay.view.mission_files import ContactFile, overview, read_summary
+from sim_replay.view.server import MissionServer
+from sim_replay.view.show import open_shown, wait_for_session
+from sim_replay.view.waterfall_store import TILE_PX, WaterfallStore
+
+N_LEGS: Final = 14
+"""Legs of the ripple scene, 290 m each at 2 m/s: 44 minutes with the turns, measured."""
+_GATE_M: Final = 3.0  # m from a target, within which a contact is judged mine-like
+_SMOOTH: Final = (5, 3)  # rows and columns that an eye averages over: 0.6 m by 0.18 m
+_DARK_DB: Final = -4.0  # of the smoothed sea floor: darker is shadow
+_BRIGHT_DB: Final = 3.0  # brighter is the object
+_REACH_M: Final = 9.0  # behind the object that a shadow is looked for: that of 0.8 m at 45 m, 5 m over the floor
+_GAP_M: Final = 0.4  # between the object and its shadow at most
+_MIN_SHADOW_M: Final = 0.3  # shorter ones are speckle
+
+
+_LIVE_ROWS: Final = 600  # rows of 0.12 m of the live mission in the picture
+_LIVE_SCENE: Final = """\
+name: live
+seed: 3
+world: {depth_m: 18, relief_rms_m: 0.05, patch_m: 40, seabeds: [{type: sand, share: 0.6}, {type: rippled_sand}]}
+sonar: {frequency_khz: 450, range_m: 30, n_samples: 600, ping_rate_hz: 10}
+track:
+  altitude_m: 5
+  plan: {pattern: lawnmower, heading_deg: 35, n_legs: 1, leg_m: 180, spacing_m: 36}
+objects:
+  - {kind: cylinder, leg: 0, along_m: 15, across_m: 14, azimuth_deg: 35}
+  - {kind: sphere, leg: 0, along_m: 30, across_m: -13}
+  - {kind: truncated_cone, leg: 0, along_m: 50, across_m: 12}
+  - {kind: cylinder, leg: 0, along_m: 75, across_m: -16, azimuth_deg: 90}
+  - {kind: wedge, leg: 0, along_m: 95, across_m: 18, azimuth_deg: 125}
+"""
+_LIVE_SCENARIO: Final = """\
+about: a running session to look at
+scene: live-scene.yaml
+speed: 2
+run_s: 50
+devices:
+  sonar: {device: ping_protocol, link: serial, baud: 921600}
+  nav: {device: nmea2000, link: slcan, baud: 921600}
+service:
+  service: {source: ports}
+  ports:
+    - {name: sonar, link: '{sonar}', device: ping_protocol, sonar: {range_m: 30, n_samples: 600}}
+    - {name: nav, link: '{nav}', device: nmea2000}
+expectations:
+  - {test: the service ends when requested to stop, expected: {is: exit_code}}
+"""
+
+
+_TWO_FRAMES: Final = "new Promise((done) => setTimeout(() => requestAnimationFrame(done), 300))"  # 0.3 s for the map
+
+
+class JudgedMission(NamedTuple):
+    """Hold what came of judging one mission.
+
+    heights_m: measured and true, (n, 2). n_found_again: verdicts that belong to a contact of the second replay, by
+    another detector; n_marked: those that are shown as marks of their own.
+    """
+
+    name: str
+    minutes: float
+    n_contacts: int
+    n_verdicts: int
+    heights_m: NDArray[np.float64]
+    n_found_again: int
+    n_marked: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the bench's arguments."""
+    parser.add_argument("logs", metavar="LOG", nargs="*", type=Path, help="recorded lines to judge as well")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="folder for missions and results; what is there is used"
+    )
+    parser.add_argument("--pictures", metavar="DIR", type=Path, help="folder for screenshots of the documentation")
+    parser.add_argument("--legs", metavar="N", type=int, default=N_LEGS, help=f"legs to simulate (default {N_LEGS})")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Judge a simulated mission and the logs; print a line for each."""
+    if not 0 <= arguments.legs <= 64:
+        raise UsageError(f"--legs {arguments.legs} is not from 0 to 64")
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.pictures is not None:
+        asyncio.run(_live_picture(arguments.out, arguments.pictures))
+    missions: list[tuple[str, Path, tuple[TruthObject, ...]]] = []
+    if arguments.legs:
+        scene = _scene(arguments.legs)
+        folder = arguments.out / "ripple"
+        if not (folder / "truth.json").exists():
+            simulate(scene, folder)
+        missions.append(("ripple", folder / "mission.xtf", read_truth(folder / "truth.json").objects))
+    missions += [(log.stem, log, ()) for log in arguments.logs]
+    judged = [_judge_mission(name, log, truth, arguments.out, arguments.pictures) for name, log, truth in missions]
+    print(columns(_HEADER, [_line(one) for one in judged]))
+    return 0
+
+
+def _scene(n_legs: int) -> Scene:
+    scene = read_scene("ripple")
+    plan = msgspec.structs.replace(scene.track.plan, n_legs=n_legs)
+    return msgspec.structs.replace(scene, track=msgspec.structs.replace(scene.track, plan=plan))
+
+
+def _judge_mission(
+    name: str, log: Path, truth: Sequence[TruthObject], out: Path, pictures: Path | None
+) -> JudgedMission:
+    results, again = out / f"{name}-results", out / f"{name}-again"
+    config = Config()
+    summary = read_summary(results) or replay([log], results, config)
+    (results / VERDICTS_FILE).unlink(missing_ok=True)
+    mission = open_shown(results, [], None, "bench")
+    mission.feed.join()
+    heights_m = asyncio.run(_judge(mission, truth, pictures))
+    mission.feed.close()
+    verdicts = read_verdicts(results)
+    # Another detector finds other contacts under other numbers; the verdicts have to find them by place.
+    if read_summary(again) is None:
+        contrast = msgspec.structs.replace(config.detect, model="none")
+        replay([log], again, msgspec.structs.replace(config, detect=contrast))
+    found = ContactFile(again)
+    found.refresh()
+    matched = match_verdicts(verdicts, [overview(feature).place for feature in found.features.values()])
+    newest = newest_verdicts(verdicts)
+    return JudgedMission(
+        name=name,
+        minutes=float(summary["duration_s"]) / 60.0,
+        n_contacts=int(summary["contacts"]),
+        n_verdicts=len(newest),
+        heights_m=heights_m,
+        n_found_again=len(matched),
+        n_marked=len(newest) - len(matched),
+    )
+
+
+async def _judge(mission: ShownMission, truth: Sequence[TruthObject], pictures: Path | None) -> NDArray[np.float64]:
+    """Go through all contacts at the page; returns heights measured and true, (n, 2)."""
+    server = MissionServer(mission)
+    await server.open()
+    try:
+        async with browser_page() as page:
+            await page.open(server.url)
+            await page.wait_for("window.bench && bench.state.done && bench.state.contacts_version > 0 && !bench.busy")
+            if pictures is not None and truth:
+                await _overview_pictures(page, pictures)
+            heights = await _judge_all(page, mission, truth, pictures)
+            if page.complaints:
+                raise RuntimeError(f"the page complains: {page.complaints[:3]}")
+    finally:
+        await server.close()
+    return np.array(heights, dtype=np.float64).reshape(-1, 2)
+
+
+async def _judge_all(
+    page: BrowserPage, mission: ShownMission, truth: Sequence[TruthObject], pictures: Path | None
+) -> list[tuple[float, float]]:
+    heights: list[tuple[float, float]] = []
+    targets = [one for one in truth if one.is_target]
+    contacts = mission.contacts()
+    places = dict(zip(contacts["id"], zip(contacts["row"], contacts["across"], strict=True), strict=True))
+    near = _nearest_target(contacts, targets)
+    await page.click_on("#table .head button:first-child")  # sorted by name: from start to end
+    for _ in contacts["id"]:
+        await page.press("j")
+        name = str(await page.evaluate("bench.selected"))
+        target = near.get(name)
+        if target is not None and target.height_m is not None:
+            ends = shadow_ends(mission.store, *places[name])
+            measured_m = None if ends is None else await _measure_shadow(page, ends)
+            if measured_m is not None:
+                if pictures is not None and not heights:
+                    await page.wait_for("!bench.busy")
+                    await page.screenshot(pictures / "view-measure.webp", quality=40)
+                heights.append((measured_m, target.height_m - target.burial_m))
+        is_likely = (
+            target is not None
+            if truth
+            else await page.evaluate(f"bench.contacts.find((one) => one.id === '{name}').likely")
+        )
+        await page.press("m" if is_likely else "n")
+        await page.wait_for(f"bench.contacts.find((one) => one.id === '{name}').call")
+        if pictures is not None and len(heights) == 2 and target is not None:
+            await page.wait_for("!bench.busy && document.querySelector('#card img') !== null")
+            await page.screenshot(pictures / "view-judge.webp", quality=40)
+            pictures = None
+    return heights
+
+
+def _nearest_target(contacts: dict[str, list[float]], targets: Sequence[TruthObject]) -> dict[str, TruthObject]:
+    """Find the target that each contact is, by contact id."""
+    placed = [index for index, latitude in enumerate(contacts["latitude"]) if latitude is not None]
+    if not targets or not placed:
+        return {}
+    frame = LocalFrame(latitude_deg=targets[0].latitude_deg, longitude_deg=targets[0].longitude_deg)
+    target_m = frame.to_enu([one.latitude_deg for one in targets], [one.longitude_deg for one in targets], 0.0)
+    contact_m = frame.to_enu(
+        [contacts["latitude"][index] for index in placed], [contacts["longitude"][index] for index in placed], 0.0
+    )
+    distance_m = np.hypot(*np.moveaxis(contact_m[:, None, :2] - target_m[None, :, :2], -1, 0))
+    best = distance_m.argmin(axis=1)
+    return {
+        str(contacts["id"][index]): targets[best[order]]
+        for order, index in enumerate(placed)
+        if distance_m[order, best[order]] <= _GATE_M
+    }
+
+
+def shadow_ends(store: WaterfallStore, row: float, across_m: float) -> tuple[float, float, float] | None:
+    """Find a shadow's two ends behind a contact in the pixels of the waterfall.
+
+    Returns the row and both across-track places, m; None where there is no clear shadow.
+
+    Parameters
+    ----------
+    store
+        The waterfall.
+    row, across_m
+        The contact's highlight.
+    """
+    if not (math.isfinite(row) and math.isfinite(across_m)):
+        return None
+    column_m, sign = store.column_spacing_m, -1 if across_m < 0.0 else 1
+    level_db = _around(store, row, across_m)
+    middle, centre = level_db.shape[0] // 2, round(1.5 / column_m)
+    best: tuple[int, int, int] | None = None
+    for line in range(middle - 3, middle + 4):
+        bright = np.flatnonzero(level_db[line, : centre + round(1.5 / column_m)] > _BRIGHT_DB)
+        near = bright[np.abs(bright - centre) <= round(0.8 / column_m)]
+        if not len(near):
+            continue
+        dark = level_db[line] < _DARK_DB
+        start = next((at for at in range(near[-1] + 1, near[-1] + 1 + round(_GAP_M / column_m)) if dark[at]), None)
+        if start is None:
+            continue
+        light = np.flatnonzero(~dark[start:])
+        end = start + (int(light[0]) if len(light) else 0)
+        if best is None or end - start > best[2] - best[1]:
+            best = (line, start, end)
+    if best is None or (best[2] - best[1]) * column_m < _MIN_SHADOW_M:
+        return None
+    line, start, end = best
+    first_m = abs(across_m) - 1.5
+    return (
+        math.floor(row) + line - middle + 0.5,
+        sign * (first_m + start * column_m),
+        sign * (first_m + end * column_m),
+    )
+
+
+def _around(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.float64]:
+    """Cut out smoothed decibels around a contact, (25, n), from 1.5 m before it, going away from the sonar."""
+    first_row, first_column = math.floor(row) - 12, round((abs(across_m) - 1.5) / store.column_spacing_m)
+    n_columns = round((1.5 + _REACH_M) / store.column_spacing_m)
+    linear = np.zeros((25, n_columns), dtype=np.float32)
+    for tile_row in {first_row // TILE_PX, (first_row + 24) // TILE_PX}:
+        for tile_column in range(first_column // TILE_PX, (first_column + n_columns) // TILE_PX + 1):
+            if across_m < 0.0:
+                pixels = unpack_snippet(store.picture(0, max(tile_row, 0), -1 - tile_column))[:, ::-1]
+            else:
+                pixels = unpack_snippet(store.picture(0, max(tile_row, 0), tile_column))
+            top, left = tile_row * TILE_PX - first_row, tile_column * TILE_PX - first_column
+            rows = slice(max(top, 0), min(top + TILE_PX, 25))
+            cut = slice(max(left, 0), min(left + TILE_PX, n_columns))
+            if rows.start < rows.stop and cut.start < cut.stop:
+                linear[rows, cut] = pixels[rows.start - top : rows.stop - top, cut.start - left : cut.stop - left]
+    smooth = cv2.blur(linear, _SMOOTH[::-1])
+    return np.asarray(10.0 * np.log10(np.maximum(smooth, 1e-3)), dtype=np.float64)
+
+
+async def _measure_shadow(page: BrowserPage, ends: tuple[float, float, float]) -> float | None:
+    """Measure with two clicks; returns the height that the page shows, m."""
+    row, *across_m = ends
+    await page.press("s")
+    for at in across_m:
+        place = await page.evaluate(f"bench.screenOf({row}, {at})")
+        await page.click(place["x"], place["y"])
+    line = "document.querySelector('#sizes').textContent"
+    text = str(await page.wait_for(f"{line}.includes('height') && {line}"))
+    await page.press("Escape")
+    return float(text.partition("height ")[2].partition(" m")[0])
+
+
+async def _overview_pictures(page: BrowserPage, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    await page.evaluate("document.querySelector('[data-layer=coverage]').click()")
+    await page.wait_for("bench.tiles.size > 8 && !bench.busy")
+    await page.evaluate(_TWO_FRAMES)
+    await page.screenshot(folder / "view.webp", quality=40)
+    for theme in ("night", "day", "dusk"):  # in the order of the key
+        await page.press("t")
+        await page.wait_for("!bench.busy")
+        await page.evaluate(_TWO_FRAMES)
+        if theme != "dusk":
+            await page.screenshot(folder / f"view-{theme}.webp", quality=40)
+
+
+async def _live_picture(out: Path, pictures: Path) -> None:
+    """Follow a run of hardware in the loop at the page until it shows some track and a contact."""
+    (out / "live-scene.yaml").write_text(_LIVE_SCENE, encoding="utf-8")
+    (out / "live.yaml").write_text(_LIVE_SCENARIO, encoding="utf-8")
+    shutil.rmtree(out / "live", ignore_errors=True)
+    hil = ("-m", "auv_mcm", "hil", str(out / "live.yaml"), "--out", str(out / "live"))
+    process = await asyncio.create_subprocess_exec(sys.executable, *hil, stdout=asyncio.subprocess.DEVNULL)
+    session = out / "live" / "live" / "results" / "latest"
+    try:
+        await asyncio.to_thread(wait_for_session, session)
+        mission = open_shown(session, [], None, "bench")
+        server = MissionServer(mission)
+        await server.open()
+        async with browser_page() as page:
+            await page.open(server.url)
+            await page.wait_for("window.bench && bench.state.live")
+            await page.wait_for(f"bench.state.stop_row > {_LIVE_ROWS} && bench.contacts.length && !bench.busy")
+            pictures.mkdir(parents=True, exist_ok=True)
+            await page.screenshot(pictures / "view-live.webp", quality=40)
+        await server.close()
+        mission.feed.close()
+    finally:
+        await process.wait()
+
+
+_HEADER: Final = (
+    "mission",
+    "min",
+    "contacts",
+    "verdicts",
+    "found again",
+    "marked",
+    "heights",
+    "error: mean",
+    "largest",
+)
+
+
+def _line(one: JudgedMission) -> list[str]:
+    error_m = np.abs(one.heights_m[:, 0] - one.heights_m[:, 1])
+    return [
+        one.name,
+        f"{one.minutes:.0f}",
+        str(one.n_contacts),
+        str(one.n_verdicts),
+        str(one.n_found_again),
+        str(one.n_marked),
+        str(len(error_m)),
+        f"{error_m.mean():.2f} m" if len(error_m) else "-",
+        f"{error_m.max():.2f} m" if len(error_m) else "-",
+    ]

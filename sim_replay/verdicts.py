@@ -1,0 +1,187 @@
+"""Keep what people judged about contacts, beside the results: append-only lines of JSON, found again by place.
+
+Each line of `verdicts.jsonl` is one judgement of one object: who, when, where, and what it is. A later line about the
+same object replaces the earlier one, which stays in the file. Contacts get other ids with every replay; a verdict
+belongs to the contact nearest to its place, if one is near enough.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from auv_mcm.clean_text import clean, clean_json
+from auv_mcm.errors import BadInputError
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import NAN, Side
+from auv_mcm.safe_files import open_for_append, open_regular
+from sim_replay.scoring.matching import gates_m
+
+VERDICTS_FILE: Final = "verdicts.jsonl"
+GATE_M: Final = 2.0
+"""Distance in m within which a contact is the judged object whatever its error: two pings and two pixels apart, as
+another configuration measures it. A contact of a greater error has a wider gate, see `gates_m`."""
+
+Call: TypeAlias = Literal["mine_like", "not_mine_like", "undecided"]
+CALLS: Final[tuple[Call, ...]] = ("mine_like", "not_mine_like", "undecided")
+
+MAX_TYPE: Final = 64  # characters: a name, not a story
+MAX_COMMENT: Final = 2000  # characters: a page of text
+MAX_LINE_BYTES: Final = 32768
+"""Bytes of a line: 2000 characters escaped as six bytes each, and the other fields. Longer ones are damage."""
+
+_Size: TypeAlias = Annotated[float, Meta(ge=0.0, le=1000.0)] | None  # m
+_Name: TypeAlias = Annotated[str, Meta(max_length=MAX_TYPE)]
+
+
+class Verdict(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Hold what one person says about one object on the sea floor, once.
+
+    object: names the object within its file, `V0001` and on. time: ISO 8601 UTC of the judgement; by: who judged.
+    contact_id, p_mine: the contact it was then, and what the chain said; empty and None for a drawn one. drawn: the
+    chain had missed it. type: what it is, in the analyst's word. Sizes in m, as measured by hand. side, ground_range_m,
+    view_time: where it was seen. withdrawn: earlier verdicts of this object do not count any more.
+    """
+
+    object: Annotated[str, Meta(pattern=r"^V[0-9]{4,9}$")]
+    time: str
+    by: _Name
+    latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
+    longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    call: Call = "undecided"
+    type: _Name = ""
+    comment: Annotated[str, Meta(max_length=MAX_COMMENT)] = ""
+    contact_id: _Name = ""
+    p_mine: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    sigma_m: _Size = None
+    drawn: bool = False
+    length_m: _Size = None
+    width_m: _Size = None
+    height_m: _Size = None
+    shadow_length_m: _Size = None
+    side: Side | None = None
+    ground_range_m: _Size = None
+    view_time: str = ""
+    withdrawn: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("by", "type", "comment", "contact_id", "view_time"):
+            msgspec.structs.force_setattr(self, name, clean(getattr(self, name)))
+        try:
+            moment = datetime.fromisoformat(self.time)
+        except ValueError as error:
+            raise ValueError(f"time '{clean(self.time)}' is not ISO 8601") from error
+        if moment.tzinfo is None:
+            raise ValueError(f"time '{clean(self.time)}' has no time zone: write UTC as Z")
+
+
+class Place(NamedTuple):
+    """Hold where a contact of some results is. sigma_m: 1-sigma of its position, NaN if not known."""
+
+    contact_id: str
+    latitude_deg: float
+    longitude_deg: float
+    sigma_m: float = NAN
+
+
+def append_verdict(folder: Path, verdict: Verdict) -> None:
+    """Append one verdict to the file in a folder of results, and wait until the disk holds it.
+
+    A line that was cut off before is ended first, so that it does not swallow this one. Raises OSError.
+    """
+    line = clean_json(msgspec.json.encode(verdict).decode()).encode() + b"\n"
+    with open_for_append(folder / VERDICTS_FILE) as file:
+        if os.fstat(file.fileno()).st_size and not _ends_with_line(folder / VERDICTS_FILE):
+            line = b"\n" + line
+        file.write(line)
+        os.fsync(file.fileno())
+
+
+def read_verdicts(folder: Path) -> tuple[Verdict, ...]:
+    """Read every verdict in a folder of results, in the order of judging; none if nobody judged.
+
+    The last line may be cut off, as by a power cut, and is then left out. Raises BadInputError naming the line for any
+    other damage.
+    """
+    path = folder / VERDICTS_FILE
+    if not path.exists():
+        return ()
+    try:
+        with open_regular(path) as file:
+            lines = file.read().split(b"\n")
+    except OSError as error:
+        raise BadInputError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from error
+    verdicts = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            if len(line) > MAX_LINE_BYTES:
+                raise ValueError(f"it has {len(line)} bytes, more than {MAX_LINE_BYTES}")
+            verdicts.append(msgspec.json.decode(line, type=Verdict))
+        except (msgspec.MsgspecError, ValueError) as error:
+            is_cut_off = number == len(lines) or _looks_cut_off(line)
+            if is_cut_off:
+                continue
+            raise BadInputError(f"{path}, line {number}: not a verdict: {error}. Mend or remove this line.") from error
+    return tuple(verdicts)
+
+
+def newest_verdicts(verdicts: Iterable[Verdict]) -> dict[str, Verdict]:
+    """Keep the last verdict of each object, by object, without those withdrawn."""
+    last = {verdict.object: verdict for verdict in verdicts}
+    return {name: verdict for name, verdict in last.items() if not verdict.withdrawn}
+
+
+def next_object(verdicts: Iterable[Verdict]) -> str:
+    """Name an object that was not judged before."""
+    return f"V{1 + max((int(verdict.object[1:]) for verdict in verdicts), default=0):04d}"
+
+
+def match_verdicts(verdicts: Iterable[Verdict], places: Sequence[Place]) -> dict[str, Verdict]:
+    """Find the verdict of each contact, by contact id: one to one, the nearest pairs first.
+
+    Contacts without a position, or with no verdict within their gate, are left out; so are withdrawn verdicts.
+    """
+    judged = list(newest_verdicts(verdicts).values())
+    placed = [place for place in places if math.isfinite(place.latitude_deg) and math.isfinite(place.longitude_deg)]
+    if not judged or not placed:
+        return {}
+    from scipy.spatial import cKDTree
+
+    frame = LocalFrame(latitude_deg=judged[0].latitude_deg, longitude_deg=judged[0].longitude_deg)
+    judged_m = frame.to_enu([v.latitude_deg for v in judged], [v.longitude_deg for v in judged], 0.0)
+    placed_m = frame.to_enu([p.latitude_deg for p in placed], [p.longitude_deg for p in placed], 0.0)
+    gate_m = gates_m(GATE_M, np.array([place.sigma_m for place in placed], dtype=np.float64))
+    near = cKDTree(judged_m).query_ball_point(placed_m, gate_m)
+    pairs = sorted(
+        (float(np.linalg.norm(judged_m[v] - placed_m[p])), judged[v].object, placed[p].contact_id, v)
+        for p, found in enumerate(near)
+        for v in found
+    )
+    matched: dict[str, Verdict] = {}
+    taken: set[str] = set()
+    for _, name, contact_id, v in pairs:
+        if name not in taken and contact_id not in matched:
+            matched[contact_id] = judged[v]
+            taken.add(name)
+    return matched
+
+
+def _ends_with_line(path: Path) -> bool:
+    with open_regular(path) as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+
+
+def _looks_cut_off(line: bytes) -> bool:
+    """Find whether a line is the beginning of a verdict, which another one was appended to later."""
+    return line.startswith(b"{") and not line.rstrip().endswith(b"}")

@@ -1,0 +1,144 @@
+"""Follow the recording of a session while it is written, without touching it, as the bytes that ports received."""
+
+from __future__ import annotations
+
+import re
+import struct
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, BinaryIO, Final, cast, get_args
+
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from auv_mcm.clock import Stamp
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import Notice
+from auv_mcm.safe_files import open_regular
+from drivers.recording.session_layout import FILE_PATTERN, LOST_TOPIC, Direction, Recorded
+from sim_replay.logs.session_reader import Session
+
+POLL_S: Final = 0.25  # s between two looks for new bytes; the recorder makes them durable twice a second
+_MAX_RECORD_BYTES: Final = 64 << 20  # far more than a chunk has; a damaged length does not claim memory
+_UNREADABLE: Final = (McapError, struct.error, ValueError, EOFError)
+
+
+class GrowingSession:
+    """Read what a session's folder holds and then what comes, until the service has written its summary.
+
+    Several recordings, of a session that was gone on with, follow one another. What cannot be read ends its file.
+    """
+
+    def __init__(self, folder: Path, stop: threading.Event) -> None:
+        """folder: of the session, which may not be there yet; stop: set to end at once."""
+        self._folder = folder
+        self._stop = stop
+        self.bytes_read = 0
+        self.counters: Counter[str] = Counter()
+        self.notices: list[Notice] = []
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        """Return the size of each file so far."""
+        return {path: path.stat().st_size for path in self._files()}
+
+    def wait_for_head(self) -> Session | None:
+        """Wait until the recording has begun; None if it was stopped before."""
+        while not self._stop.is_set():
+            for recording in self._recordings():
+                try:
+                    return Session(recording)
+                except BadInputError:
+                    pass  # its first chunk is not whole yet
+            if self._has_ended():
+                return None
+            self._stop.wait(POLL_S)
+        return None
+
+    def __iter__(self) -> Iterator[Recorded]:
+        done: set[Path] = set()
+        while True:
+            ended = self._stop.is_set() or self._has_ended()  # before looking: what came until then is read
+            new = [path for path in self._files() if path not in done]
+            for path in new:
+                done.add(path)
+                yield from self._messages(path)
+                if self._stop.is_set():
+                    return
+            if ended and not new:
+                return
+            if not new:
+                self._stop.wait(POLL_S)
+
+    def _messages(self, path: Path) -> Iterator[Recorded]:
+        channels: dict[int, Channel] = {}
+        with open_regular(path, buffering=0) as file:
+            stream = _PatientReads(file, lambda: self._wait(path))
+            try:
+                reader = StreamReader(cast(IO[bytes], stream), emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES)
+                for record in reader.records:
+                    if not isinstance(record, Chunk):
+                        continue
+                    self.bytes_read += len(record.data)
+                    for held in breakup_chunk(record, validate_crc=True):
+                        if isinstance(held, Channel):
+                            channels[held.id] = held
+                        elif isinstance(held, Message):
+                            yield from _recorded(held, channels)
+            except _UNREADABLE as error:
+                if self._stop.is_set():
+                    return
+                self.notices.append(
+                    Notice(code="session_cut_off", text=f"the rest of {path} cannot be read: {error}", place=str(path))
+                )
+
+    def _wait(self, path: Path) -> None:
+        """Wait for more of a file. Raises EOFError if none will come."""
+        if self._stop.is_set():
+            raise EOFError("nobody wants more")
+        files = self._files()
+        if path in files and files.index(path) < len(files) - 1:
+            raise EOFError("the next file has begun")
+        if self._has_ended():
+            raise EOFError("the session has ended")
+        self._stop.wait(POLL_S)
+
+    def _has_ended(self) -> bool:
+        return (self._folder / "summary.json").exists()
+
+    def _recordings(self) -> list[Path]:
+        found = [path for path in self._folder.glob("recording*") if path.is_dir()]
+        return sorted(found, key=lambda path: int(re.sub(r"\D", "", path.name) or "1"))
+
+    def _files(self) -> list[Path]:
+        return [path for recording in self._recordings() for path in sorted(recording.glob(FILE_PATTERN))]
+
+
+class _PatientReads:
+    """Read from a file that grows: a read is whole, however long that takes."""
+
+    def __init__(self, file: BinaryIO, wait: Any) -> None:
+        self._file, self._wait = file, wait
+
+    def read(self, n_bytes: int) -> bytes:
+        """Read n bytes. Raises what waiting raises."""
+        data = b""
+        while len(data) < n_bytes:
+            more = self._file.read(n_bytes - len(data))
+            data += more
+            if not more:
+                self._wait()
+        return data
+
+
+def _recorded(message: Message, channels: dict[int, Channel]) -> Iterator[Recorded]:
+    channel = channels.get(message.channel_id)
+    if channel is None or channel.topic == LOST_TOPIC:
+        return
+    direction = channel.metadata.get("direction")
+    if direction in get_args(Direction):
+        stamp = Stamp(mono_ns=message.publish_time, utc_ns=message.log_time)
+        yield Recorded(channel.metadata.get("port", channel.topic), cast(Direction, direction), stamp, message.data)

@@ -1,0 +1,367 @@
+"""Gather all that the page shows of one mission, and keep what people judge about it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from auv_mcm.classify.beliefs import MINE_LIKE_P
+from auv_mcm.clean_text import clean
+from auv_mcm.clock import SystemClock
+from auv_mcm.contacts.export import iso_time
+from auv_mcm.errors import UsageError
+from auv_mcm.records import Side
+from auv_mcm.shell import whole_files
+from sim_replay.verdicts import (
+    MAX_COMMENT,
+    Call,
+    Place,
+    Verdict,
+    append_verdict,
+    match_verdicts,
+    newest_verdicts,
+    next_object,
+    read_verdicts,
+)
+from sim_replay.view.mission_feed import MissionFeed
+from sim_replay.view.mission_files import ContactFile, Overview, overview, read_json, read_summary, time_s
+from sim_replay.view.places import (
+    Measured,
+    SeabedPlaces,
+    WaterfallPoint,
+    measure_length,
+    measure_shadow,
+    place_points,
+)
+from sim_replay.view.waterfall_store import WaterfallStore
+
+MAX_TRACK_POINTS: Final = 8000  # of the track on the map: more than a screen has pixels
+MAX_POINTS: Final = 64  # of one request to place points
+_STRIP_ROWS: Final = 64  # rows of a piece of the waterfall on the map: straight within 8 m of track
+
+MeasuredQuantity = Literal["length", "width", "shadow"]
+
+
+class Judgement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Hold what the page asks to write down.
+
+    It is about the contact `contact_id`, the object `object`, or a new one at `row`, `across_m` of the waterfall.
+    """
+
+    contact_id: str = ""
+    object: str = ""
+    row: float | None = None
+    across_m: float | None = None
+    call: Call = "undecided"
+    type: str = ""
+    comment: str = ""
+    length_m: float | None = None
+    width_m: float | None = None
+    height_m: float | None = None
+    shadow_length_m: float | None = None
+    withdrawn: bool = False
+
+
+class Judged(NamedTuple):
+    """Hold all verdicts of the mission. by_contact: those that belong to contacts of these results."""
+
+    verdicts: tuple[Verdict, ...]
+    by_contact: dict[str, Verdict]
+
+
+class ShownMission:
+    """Read one mission for the page. Nothing but verdicts is ever written."""
+
+    def __init__(self, folder: Path, store: WaterfallStore, feed: MissionFeed, *, by: str, is_live: bool) -> None:
+        """folder: of the results or session. by: who judges. is_live: it may still grow."""
+        self.folder = folder
+        self.store = store
+        self.feed = feed
+        self._by = clean(by)
+        self._is_live = is_live
+        self._contacts = ContactFile(folder)
+        self._overviews: list[Overview] = []
+        self._overview_version = -1
+        self._verdicts = read_verdicts(folder)
+        self._verdict_version = 0
+        self._matched: tuple[tuple[int, int], dict[str, Verdict]] = ((-1, -1), {})
+        self.summary = read_summary(folder)
+
+    def refresh(self) -> None:
+        """Read what is new in the folder. Raises BadInputError for damaged files."""
+        self._contacts.refresh()
+        if self._overview_version != self._contacts.version:
+            self._overviews = [overview(feature) for feature in self._contacts.features.values()]
+            self._overview_version = self._contacts.version
+        if self.summary is None:
+            self.summary = read_summary(self.folder)
+
+    def state(self) -> dict[str, Any]:
+        """Describe how far everything is; small, for it is asked for again and again."""
+        store = self.store
+        config = self.feed.config
+        return {
+            "name": clean(config.mission or self.folder.resolve().name),
+            "live": self._is_live and self.summary is None,
+            "fraction": round(self.feed.fraction_done, 4),
+            "done": self.feed.is_done,
+            "problem": clean(self.feed.problem),
+            "pings": self.feed.n_pings,
+            "row_m": store.row_spacing_m,
+            "column_m": store.column_spacing_m,
+            "first_row": store.first_row,
+            "stop_row": store.stop_row,
+            "columns": store.n_columns,
+            "full": store.is_full,
+            "contacts_version": self._contacts.version,
+            "verdicts_version": self._verdict_version,
+            "by": self._by,
+            "mine_like_p": MINE_LIKE_P,
+            "max_comment": MAX_COMMENT,
+        }
+
+    def contacts(self) -> dict[str, Any]:
+        """List all contacts as columns, and every object that people judged."""
+        found = self._overviews
+        rows = self._rows([contact.time_s for contact in found])
+        by_contact = self.judged().by_contact
+        shown = {verdict.object for verdict in by_contact.values()}
+        return _finite(
+            {
+                "version": self._contacts.version,
+                "id": [contact.id for contact in found],
+                "latitude": [contact.place.latitude_deg for contact in found],
+                "longitude": [contact.place.longitude_deg for contact in found],
+                "sigma": [contact.place.sigma_m for contact in found],
+                "p": [contact.p_mine for contact in found],
+                "class": [contact.classification for contact in found],
+                "called": [contact.called for contact in found],
+                "time": [contact.time_s for contact in found],
+                "row": rows,
+                "across": [
+                    -contact.ground_range_m if contact.side == "port" else contact.ground_range_m for contact in found
+                ],
+                "verdicts": {name: _shown(verdict) for name, verdict in by_contact.items()},
+                "drawn": [{**_shown(verdict), "row": row} for verdict, row in zip(*self._drawn(shown), strict=True)],
+            }
+        )
+
+    def contact(self, name: str) -> dict[str, Any] | None:
+        """Give all that the results say about a contact, None if there is none of that id."""
+        feature = self._contacts.features.get(name)
+        if feature is None:
+            return None
+        times = [view.get("time") for view in feature["properties"].get("views") or []]
+        history = self.judged().by_contact.get(name)
+        verdicts = [] if history is None else [v for v in self._verdicts if v.object == history.object]
+        place = overview(feature)
+        depth_m = self._depth_m(place)
+        return _finite(
+            {
+                **feature["properties"],
+                "coordinates": (feature.get("geometry") or {}).get("coordinates"),
+                "depth_m": depth_m,
+                "view_rows": self._rows([time_s(time) for time in times]),
+                "history": [msgspec.to_builtins(verdict) for verdict in verdicts],
+            }
+        )
+
+    def judged(self) -> Judged:
+        """Match verdicts with the contacts of these results."""
+        version = (self._verdict_version, self._contacts.version)
+        if self._matched[0] != version:
+            places = [contact.place for contact in self._overviews]
+            self._matched = version, match_verdicts(self._verdicts, places)
+        return Judged(self._verdicts, self._matched[1])
+
+    def judge(self, judgement: Judgement) -> Verdict:
+        """Write a verdict down. Raises UsageError for one about nothing or out of bounds, OSError from the disk."""
+        try:
+            verdict = self._verdict(judgement)
+            verdict = msgspec.convert(msgspec.to_builtins(verdict), Verdict)  # its bounds
+        except (msgspec.ValidationError, ValueError) as error:
+            raise UsageError(f"this verdict cannot be kept: {error}") from error
+        append_verdict(self.folder, verdict)
+        self._verdicts = (*self._verdicts, verdict)
+        self._verdict_version += 1
+        return verdict
+
+    def place(self, points: list[WaterfallPoint]) -> SeabedPlaces:
+        """Place points of the waterfall on the sea floor."""
+        return place_points(self.store, self.feed.config.sonar, points)
+
+    def measure(self, quantity: MeasuredQuantity, ends: list[WaterfallPoint]) -> Measured:
+        """Measure between two points of the waterfall."""
+        if quantity == "shadow":
+            return measure_shadow(self.store, ends)
+        return measure_length(self.store, self.feed.config.sonar, ends)
+
+    def track(self) -> dict[str, Any]:
+        """List positions along the track, NaN where it breaks, and pieces of the waterfall with their corners."""
+        stop = self.store.stop_row
+        every = max(1, -(-stop // MAX_TRACK_POINTS))
+        rows = np.arange(0, stop, every, dtype=np.int64)
+        pose, _ = self.store.poses(rows)
+        lost = pose.stale | ~np.isfinite(pose.latitude_deg)
+        return _finite(
+            {
+                "row": rows.tolist(),
+                "latitude": np.where(lost, np.nan, pose.latitude_deg).round(8).tolist(),
+                "longitude": np.where(lost, np.nan, pose.longitude_deg).round(8).tolist(),
+                "time": pose.time_s.round(3).tolist(),
+            }
+        )
+
+    def strips(self, first: int, stop: int) -> dict[str, Any]:
+        """List where the waterfall lies, for the map: the outer ends of both sides, each _STRIP_ROWS rows."""
+        store = self.store
+        rows = np.arange(first, min(stop, store.stop_row) + 1, _STRIP_ROWS, dtype=np.float64)
+        far_m = store.n_columns * store.column_spacing_m
+        points = [WaterfallPoint(float(row), across) for row in rows for across in (-far_m, 0.0, far_m)]
+        if not points:
+            return {"row": [], "corners": []}
+        places = self.place(points)
+        lost = places.stale
+        corners = np.column_stack(
+            [np.where(lost, np.nan, places.longitude_deg), np.where(lost, np.nan, places.latitude_deg)]
+        )
+        return _finite({"row": rows.astype(int).tolist(), "corners": corners.round(8).reshape(-1, 3, 2).tolist()})
+
+    def layers(self) -> dict[str, Any]:
+        """Give coverage, clearance and plan as the files hold them; of a session that runs, coverage as seen here."""
+        found: dict[str, Any] = {}
+        for name in ("coverage", "clearance", "waypoints"):
+            path = self.folder / f"{name}.geojson"
+            found[name] = read_json(path) if path.exists() else None
+        if found["coverage"] is None:
+            found["seen"] = list(self.feed.coverage)
+        return found
+
+    def _verdict(self, judgement: Judgement) -> Verdict:
+        earlier = newest_verdicts(self._verdicts).get(judgement.object)
+        about: dict[str, Any] = {}
+        if judgement.contact_id:
+            feature = self._contacts.features.get(judgement.contact_id)
+            if feature is None:
+                raise UsageError(f"there is no contact '{clean(judgement.contact_id)}' in these results")
+            contact = overview(feature)
+            earlier = self.judged().by_contact.get(contact.id)
+            if not math.isfinite(contact.place.latitude_deg):
+                raise UsageError(f"{contact.id} has no position, so that its verdict could not be found again")
+            about = _about(contact, str(feature["properties"].get("time") or ""))
+        elif earlier is not None:
+            about = {
+                name: getattr(earlier, name)
+                for name in ("latitude_deg", "longitude_deg", "sigma_m", "side", "ground_range_m", "view_time", "drawn")
+            }
+        elif judgement.row is not None and judgement.across_m is not None:
+            about = self._drawn_at(WaterfallPoint(judgement.row, judgement.across_m))
+        else:
+            raise UsageError("a verdict is about a contact, an object that was judged before, or a place")
+        return Verdict(
+            object=earlier.object if earlier else next_object(self._verdicts),
+            time=iso_time(SystemClock().utc_s()) or "",
+            by=self._by,
+            call=judgement.call,
+            type=judgement.type,
+            comment=judgement.comment,
+            length_m=judgement.length_m,
+            width_m=judgement.width_m,
+            height_m=judgement.height_m,
+            shadow_length_m=judgement.shadow_length_m,
+            withdrawn=judgement.withdrawn,
+            **about,
+        )
+
+    def _drawn_at(self, point: WaterfallPoint) -> dict[str, Any]:
+        store = self.store
+        reach_m = store.n_columns * store.column_spacing_m
+        if not (store.first_row <= point.row <= store.stop_row and abs(point.across_m) <= reach_m):
+            raise UsageError("this place is not in the waterfall")
+        places = self.place([point])
+        latitude, longitude = float(places.latitude_deg[0]), float(places.longitude_deg[0])
+        if not (math.isfinite(latitude) and math.isfinite(longitude)):
+            raise UsageError("this place has no position: no navigation was recorded there")
+        side: Side = "port" if point.across_m < 0.0 else "starboard"
+        return {
+            "latitude_deg": round(latitude, 9),
+            "longitude_deg": round(longitude, 9),
+            "drawn": True,
+            "side": side,
+            "ground_range_m": round(abs(point.across_m), 3),
+            "view_time": iso_time(float(places.time_s[0])) or "",
+        }
+
+    def _drawn(self, shown: set[str]) -> tuple[list[Verdict], list[float]]:
+        """List objects that no contact of these results stands for, with their rows."""
+        alone = [verdict for name, verdict in newest_verdicts(self._verdicts).items() if name not in shown]
+        return alone, self._rows([time_s(verdict.view_time) for verdict in alone])
+
+    def _rows(self, times_s: list[float]) -> list[float]:
+        """Find the row of the waterfall at each time, NaN where there is none (yet)."""
+        times = self.store.times()
+        known = np.flatnonzero(np.isfinite(times))
+        if not len(known):
+            return [math.nan] * len(times_s)
+        wanted = np.array(times_s, dtype=np.float64)
+        ordered = np.maximum.accumulate(times[known])
+        rows = np.interp(wanted, ordered, known + 0.5)
+        # a metre at 0.5 m/s is within two seconds: what lies farther off is not in this waterfall
+        outside = ~((wanted >= ordered[0] - 2.0) & (wanted <= ordered[-1] + 2.0))
+        return [float(row) for row in np.where(outside, np.nan, rows)]
+
+    def _depth_m(self, contact: Overview) -> float:
+        row = self._rows([contact.time_s])[0]
+        if not (math.isfinite(row) and math.isfinite(contact.ground_range_m)):
+            return math.nan
+        across_m = -contact.ground_range_m if contact.side == "port" else contact.ground_range_m
+        return float(self.place([WaterfallPoint(row, across_m)]).depth_m[0])
+
+
+def _about(contact: Overview, view_time: str) -> dict[str, Any]:
+    place: Place = contact.place
+    known: dict[str, Any] = {
+        "sigma_m": place.sigma_m,
+        "p_mine": contact.p_mine,
+        "ground_range_m": contact.ground_range_m,
+    }
+    return {
+        "latitude_deg": place.latitude_deg,
+        "longitude_deg": place.longitude_deg,
+        "contact_id": contact.id,
+        "side": contact.side or None,
+        "view_time": iso_time(contact.time_s) or view_time,
+        **{name: value for name, value in known.items() if math.isfinite(value)},
+    }
+
+
+def _shown(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "object": verdict.object,
+        "call": verdict.call,
+        "type": verdict.type,
+        "comment": verdict.comment,
+        "by": verdict.by,
+        "time": verdict.time,
+        "drawn": verdict.drawn,
+        "latitude": verdict.latitude_deg,
+        "longitude": verdict.longitude_deg,
+        "across": None
+        if verdict.ground_range_m is None
+        else -verdict.ground_range_m
+        if verdict.side == "port"
+        else verdict.ground_range_m,
+        "length_m": verdict.length_m,
+        "width_m": verdict.width_m,
+        "height_m": verdict.height_m,
+        "shadow_length_m": verdict.shadow_length_m,
+    }
+
+
+def _finite(found: dict[str, Any]) -> dict[str, Any]:
+    """Replace NaN, which JSON lacks, by None."""
+    return dict(whole_files.finite(found))

@@ -1,0 +1,144 @@
+"""Make the waterfall of a mission for the page: from its logs, or from a session's recording as it grows."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from auv_mcm.contacts.geojson import Json
+from auv_mcm.detect.detect_tile import TileDetections
+from auv_mcm.errors import AuvMcmError
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import CoveragePatch, Notice, Ping, SourceEvent, Tile
+from auv_mcm.settings.config import Config
+from sim_replay.logs.port_log import PortLog
+from sim_replay.logs.recorded import open_mission
+from sim_replay.logs.session_reader import recorded_config
+from sim_replay.view.growing_session import GrowingSession
+from sim_replay.view.waterfall_store import WaterfallStore
+
+log = logging.getLogger(__name__)
+
+_TILE_ROWS: Final = 64
+"""Rows of a tile here: a picture comes every 8 m of track instead of 61, at the same cost (87 times real time for both
+on the demo scene, 2 cores)."""
+
+
+class OpenedMission(NamedTuple):
+    """Hold the events of a mission, the configuration they are processed with, and what gives the fraction read."""
+
+    config: Config
+    events: Iterable[SourceEvent]
+    fraction_done: Callable[[], float]
+
+
+class MissionFeed:
+    """Fill a store with the waterfall of a mission, in a thread of its own."""
+
+    def __init__(self, store: WaterfallStore, open_events: Callable[[threading.Event], OpenedMission | None]) -> None:
+        """open_events: opens the mission, in the thread; None if there is none. It may wait until the event is set."""
+        self._store = store
+        self.config = Config()
+        self._open_events = open_events
+        self._stop = threading.Event()
+        self._fraction: Callable[[], float] = lambda: 0.0
+        self.is_done = False
+        """Whether everything there is was read."""
+        self.problem = ""
+        """Why there is no waterfall, or none any more, for a person."""
+        self.coverage: list[list[list[Json]]] = []
+        """Polygons [ring][longitude, latitude] of sea floor seen well enough, by the pictures alone."""
+        self.n_pings = 0
+        self._thread = threading.Thread(target=self._run, name="mission-feed", daemon=True)
+
+    @property
+    def fraction_done(self) -> float:
+        """Return how much of the logs has been read, 0..1."""
+        return 1.0 if self.is_done else min(1.0, self._fraction())
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End reading, and wait for that."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def join(self) -> None:
+        """Wait until everything was read."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            opened = self._open_events(self._stop)
+            if opened is not None:
+                self.config, events, self._fraction = opened
+                self._read(events)
+        except (AuvMcmError, OSError) as error:
+            self.problem = str(error)
+            log.warning("no waterfall: %s", error)
+        self.is_done = True
+
+    def _read(self, events: Iterable[SourceEvent]) -> None:
+        waterfall = msgspec.structs.replace(self.config.waterfall, tile_rows=_TILE_ROWS)
+        config = msgspec.structs.replace(self.config, waterfall=waterfall)
+        nothing = TileDetections((), 0, 0)
+        pipeline = Pipeline(config, detect=lambda tile: nothing, seabed=lambda tile: None)
+        for event in events:
+            if self._stop.is_set():
+                return
+            self.n_pings += isinstance(event, Ping)
+            self._take(pipeline.feed(event))
+        self._take(pipeline.finish())
+
+    def _take(self, events: Iterable[object]) -> None:
+        for event in events:
+            if isinstance(event, Tile):
+                self._store.add(event)
+            elif isinstance(event, CoveragePatch):
+                self.coverage += [np.round(ring, 7).tolist() for ring in event.rings_deg]  # 1e-7 degrees: 1 cm
+            elif isinstance(event, Notice):
+                log.debug("%s", event.text)
+
+
+def open_logs(paths: list[Path], config: Config) -> OpenedMission:
+    """Open finished logs. Raises UsageError or BadInputError."""
+    mission = open_mission(paths, config)
+    return OpenedMission(config, mission.events(), lambda: mission.fraction_done)
+
+
+def follow_session(folder: Path, config: Config | None, stop: threading.Event) -> OpenedMission | None:
+    """Open the recording in a session's folder, once it has begun, and follow it; None if it was stopped before.
+
+    Parameters
+    ----------
+    folder
+        Of the session.
+    config
+        To process it with; None for what it was recorded with.
+    stop
+        Ends waiting and following.
+
+    Raises
+    ------
+    BadInputError
+        For a recording of another version.
+    """
+    from drivers.port_intake import PortIntake
+
+    session = GrowingSession(folder, stop)
+    head = session.wait_for_head()
+    if head is None:
+        return None
+    recorded = recorded_config(head)
+    used = recorded if config is None else config
+    ports = used if used.ports else msgspec.structs.replace(used, ports=recorded.ports)
+    return OpenedMission(used, PortLog(session, lambda: PortIntake(ports)), lambda: 0.0)

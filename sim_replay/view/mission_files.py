@@ -1,0 +1,175 @@
+"""Read what a folder of results or of a session holds, finished or still growing, for the page that shows it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from auv_mcm.clean_text import clean
+from auv_mcm.errors import AuvMcmError, BadInputError
+from auv_mcm.safe_files import open_regular
+from auv_mcm.settings.config import Config
+from sim_replay.verdicts import Place
+
+SUMMARY: Final = "summary.json"
+CONTACTS: Final = "contacts.geojson"
+JOURNAL: Final = "contacts.jsonl"
+_MAX_JSON_BYTES: Final = 256 << 20  # bytes of one file: 100 000 contacts with all their views
+
+
+class Overview(NamedTuple):
+    """Hold a contact in short. time_s: of its best view's pass, which `side` and `ground_range_m` belong to."""
+
+    id: str
+    place: Place
+    p_mine: float
+    classification: str
+    called: bool | None
+    side: str
+    ground_range_m: float
+    time_s: float
+
+
+class ContactFile:
+    """Read the contacts of a folder again whenever its files have changed."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._state: tuple[Any, ...] = ()
+        self._journal_bytes = 0
+        self.version = 0
+        """Counts changes."""
+        self.features: dict[str, dict[str, Any]] = {}
+        """GeoJSON features as written, by contact id, in the order of ids."""
+
+    def refresh(self) -> None:
+        """Read what is new. A journal's lines are read once each; contacts.geojson counts from when it is there.
+
+        Raises BadInputError for a damaged file.
+        """
+        whole, journal = self._folder / CONTACTS, self._folder / JOURNAL
+        state = (_stamp(whole), _stamp(journal))
+        if state == self._state:
+            return
+        if state[0] is not None:
+            if not self._state or state[0] != self._state[0]:
+                self._take(_features(whole))
+        elif state[1] is not None:
+            self._read_journal(journal)
+        self._state = state
+
+    def _read_journal(self, path: Path) -> None:
+        with open_regular(path) as file:
+            if os.fstat(file.fileno()).st_size < self._journal_bytes:
+                self._journal_bytes, self.features = 0, {}
+            file.seek(self._journal_bytes)
+            data = file.read()
+        whole = data.rfind(b"\n") + 1
+        self._journal_bytes += whole
+        found = dict(self.features)
+        for line in data[:whole].splitlines():
+            try:
+                feature = json.loads(line)["contact"]
+                found[str(feature["properties"]["id"])] = feature
+            except (ValueError, KeyError, TypeError):
+                continue  # of another version, or damaged: the service's own files say more
+        self._take(list(found.values()))
+
+    def _take(self, features: list[dict[str, Any]]) -> None:
+        by_id = {str(feature["properties"]["id"]): feature for feature in features}
+        self.features = dict(sorted(by_id.items()))
+        self.version += 1
+
+
+def overview(feature: dict[str, Any]) -> Overview:
+    """Take from a contact's feature what lists and maps show; NaN for what is not known."""
+    properties = feature["properties"]
+    geometry = feature.get("geometry") or {}
+    longitude, latitude = (geometry.get("coordinates") or [None, None])[:2]
+    name = clean(str(properties["id"]))
+    views = properties.get("views") or []
+    side, ground_range_m = properties.get("side"), properties.get("ground_range_m")
+    shown = next(
+        (view for view in views if view.get("side") == side and view.get("ground_range_m") == ground_range_m),
+        views[0] if views else {},
+    )
+    return Overview(
+        id=name,
+        place=Place(name, _number(latitude), _number(longitude), _number(properties.get("sigma_m"))),
+        p_mine=_number(properties.get("p_mine")),
+        classification=clean(str(properties.get("class", "unknown"))),
+        called=properties.get("called"),
+        side=side if side in ("port", "starboard") else "",
+        ground_range_m=_number(ground_range_m),
+        time_s=time_s(shown.get("time") or properties.get("time")),
+    )
+
+
+def time_s(text: Any) -> float:
+    """Read an ISO 8601 time as UTC seconds since 1970, NaN if it is none."""
+    try:
+        return datetime.fromisoformat(str(text)).timestamp()
+    except ValueError:
+        return math.nan
+
+
+def read_summary(folder: Path) -> dict[str, Any] | None:
+    """Read summary.json, None if it is not there (yet). Raises BadInputError for one that is damaged."""
+    path = folder / SUMMARY
+    if not path.exists():
+        return None
+    found = read_json(path)
+    if not isinstance(found, dict):
+        raise BadInputError(f"{path} is not the summary of a mission. Replay the log again.")
+    return found
+
+
+def summary_config(summary: dict[str, Any], place: Path) -> Config:
+    """Read the configuration in a summary. Raises BadInputError for one of another version."""
+    try:
+        return msgspec.convert(summary.get("config", {}), Config)
+    except (msgspec.ValidationError, AuvMcmError) as error:
+        raise BadInputError(
+            f"{place / SUMMARY} was written by another version: {error}. Replay the log again, or give --config."
+        ) from error
+
+
+def read_json(path: Path) -> Any:
+    """Read a file of JSON. Raises BadInputError naming it."""
+    try:
+        with open_regular(path) as file:
+            if os.fstat(file.fileno()).st_size > _MAX_JSON_BYTES:
+                raise BadInputError(f"{path} is larger than {_MAX_JSON_BYTES} bytes. Show a part of the mission.")
+            return json.loads(file.read())
+    except OSError as error:
+        raise BadInputError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInputError(f"{path} is not JSON: {error}. Replay the log again.") from error
+
+
+def _features(path: Path) -> list[dict[str, Any]]:
+    try:
+        features = read_json(path)["features"]
+        for feature in features:
+            feature["properties"]["id"]
+    except (KeyError, TypeError) as error:
+        raise BadInputError(f"{path} holds no contacts as auv-mcm writes them. Replay the log again.") from error
+    return list(features)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan

@@ -1,0 +1,125 @@
+// The card of one contact: what the chain found, and what people say about it.
+
+import {byId, element} from "./dom.js";
+import {CALLS, metres, plain, position} from "./words.js";
+
+const TYPES = ["mine", "cylinder", "sphere", "truncated cone", "wedge", "rock", "tyre", "debris", "wreck", "trap", "natural"];
+const SIZES = {length_m: "length", width_m: "width", height_m: "height", shadow_length_m: "shadow"};
+
+export function contactCard(handlers) {
+  const box = byId("card");
+  let shown = null, measured = {};
+
+  const text = (value) => (value === null || value === undefined ? "?" : String(value));
+  const row = (name, value) => [element("dt", {}, name), element("dd", {}, value)];
+  const withError = (size, sigma) => metres(size, 2) + (sigma ? ` ± ${sigma.toFixed(2)}` : "");
+
+  function facts(details, contact) {
+    const list = element("dl");
+    list.append(...row("position", position(contact.latitude, contact.longitude)));
+    if (details) {
+      list.append(
+        ...row("error, depth", `${metres(details.sigma_m, 1)} (1 σ), ${metres(details.depth_m, 1)} deep`),
+        ...row("size found", [["length_m", "length_sigma_m"], ["width_m", "width_sigma_m"], ["height_m", "height_sigma_m"]]
+          .map(([size, sigma]) => withError(details[size], details[sigma])).join(" × ")),
+        ...row("seen", `${details.n_views}× · ${text(details.side)} ${metres(details.ground_range_m)} · from ${(details.aspects_deg || []).map((aspect) => `${Math.round(aspect)}°`).join(", ")}`),
+        ...row("false alarms", details.false_alarms_per_km2 === null ? "?" : `${Math.round(details.false_alarms_per_km2)} per km² expected to look as mine-like`),
+      );
+    }
+    return list;
+  }
+
+  function beliefs(details) {
+    const parts = Object.entries(details.belief || {}).filter(([, share]) => share >= 0.005).sort((a, b) => b[1] - a[1]);
+    return element("dl", {}, ...parts.flatMap(([name, share]) => {
+      const filled = element("span");
+      filled.style.width = `${100 * share}%`;
+      return [element("dt", {}, `${plain(name)} ${Math.round(100 * share)} %`), element("dd", {}, element("div", {className: "bar"}, filled))];
+    }));
+  }
+
+  function evidence(details) {
+    const views = details.views || [];
+    return [
+      element("h3", {}, "what the chain says"), beliefs(details),
+      element("h3", {}, "evidence"),
+      element("ul", {}, ...views.map((view, index) => element("li", {},
+        element("button", {onclick: () => handlers.goTo(details.view_rows[index], view.side === "port" ? -view.ground_range_m : view.ground_range_m)}, `view ${index + 1}`),
+        ` ${text(view.side)}, ${metres(view.ground_range_m)}, p ${text(view.p_mine)}: ${(view.reasons || []).map(plain).join(", ")}`))),
+    ];
+  }
+
+  function history(details, contact) {
+    const lines = (details ? details.history : null) || (contact.by ? [contact] : []);
+    if (!lines.length) return [];
+    return [element("h3", {}, "verdicts"), element("ul", {}, ...lines.slice().reverse().map((verdict) => element("li", {},
+      `${verdict.time} ${verdict.by}: ${verdict.withdrawn ? "withdrawn" : CALLS[verdict.call]}${verdict.type ? `, ${plain(verdict.type)}` : ""}`
+      + Object.entries(SIZES).map(([key, name]) => (verdict[key] ? `, ${name} ${metres(verdict[key], 2)}` : "")).join("")
+      + (verdict.comment ? ` – ${verdict.comment}` : ""))))];
+  }
+
+  function form(contact, max) {
+    const list = element("datalist", {id: "types"}, ...TYPES.map((name) => element("option", {value: name})));
+    const type = element("input", {type: "text", id: "type", maxLength: 64, placeholder: "type", value: plain(contact.type), "aria-label": "type"});
+    type.setAttribute("list", "types");
+    const comment = element("textarea", {id: "comment", maxLength: max, placeholder: "comment", value: contact.comment, "aria-label": "comment"});
+    const button = (call, key) => element("button", {
+      "aria-pressed": String(contact.call === call), onclick: () => save({call}), id: `call-${call}`,
+    }, `${CALLS[call]} `, element("kbd", {}, key));
+    return [
+      element("div", {className: "judge"}, button("mine_like", "m"), button("not_mine_like", "n"), button("undecided", "u"), type, list,
+        element("button", {id: "save", onclick: () => save({})}, "save"),
+        contact.call ? element("button", {id: "withdraw", onclick: () => save({withdrawn: true})}, "withdraw") : null),
+      comment,
+      element("p", {id: "sizes", className: "soft"}),
+    ];
+  }
+
+  function drawSizes() {
+    const line = byId("sizes");
+    if (!line) return;
+    const parts = Object.entries(SIZES).filter(([key]) => sizes()[key] !== null).map(([key, name]) => `${name} ${metres(sizes()[key], 2)}`);
+    line.textContent = parts.length ? `measured: ${parts.join(", ")}` : "nothing measured by hand yet";
+  }
+
+  const sizes = () => Object.fromEntries(Object.keys(SIZES).map((key) => [key, measured[key] ?? shown.contact[key] ?? null]));
+
+  function save(change) {
+    const {contact} = shown;
+    handlers.judge({
+      ...(contact.drawn ? {object: contact.object} : {contact_id: contact.id}),
+      call: contact.call || "undecided",
+      type: byId("type").value.trim(),
+      comment: byId("comment").value.trim(),
+      ...sizes(),
+      ...change,
+    });
+  }
+
+  return {
+    // Both what the list has and what the results say; details come a moment later, or never for a drawn object.
+    show(contact, details, max) {
+      const isSame = shown && contact && shown.contact.key === contact.key;
+      if (!isSame) measured = {};
+      shown = contact ? {contact, details} : null;
+      box.hidden = !contact;
+      byId("card").parentElement.classList.toggle("has-card", Boolean(contact));
+      if (!contact) return box.replaceChildren();
+      const kept = isSame && byId("comment") ? [byId("type").value, byId("comment").value] : null;
+      const kind = contact.drawn ? "drawn by hand" : `p mine ${contact.p === null ? "?" : contact.p.toFixed(2)}, ${plain(contact.class)}${contact.called ? ", called" : ""}`;
+      const image = contact.drawn ? null : element("img", {src: `api/snippets/${contact.id}`, alt: `picture of ${contact.id}`, onerror: (event) => event.target.remove()});
+      box.replaceChildren(
+        element("div", {className: "top"}, element("h2", {}, contact.id), element("span", {className: contact.likely ? "mine" : "soft"}, kind),
+          element("span", {className: "space"}), element("button", {onclick: () => handlers.close()}, "close ", element("kbd", {}, "Esc"))),
+        ...form(contact, max),
+        element("div", {className: "columns"}, image, element("div", {}, facts(details, contact), ...history(details, contact), ...(details ? evidence(details) : []))),
+      );
+      if (kept && document.activeElement !== box) [byId("type").value, byId("comment").value] = kept;
+      drawSizes();
+      return undefined;
+    },
+    setMeasured(found) { measured = {...measured, ...found}; drawSizes(); },
+    judge(call) { if (shown) save({call}); },
+    get current() { return shown && shown.contact; },
+  };
+}

@@ -1,0 +1,248 @@
+// Put the page together: what the server knows, three views of it, and what people do.
+
+import {get, post} from "./api.js";
+import {contactCard} from "./card.js";
+import {byId, element, message} from "./dom.js";
+import {mapView} from "./map.js";
+import {NAMES, OF_THEME, table as colourTable} from "./palettes.js";
+import {contactTable} from "./table.js";
+import {tileStore} from "./tiles.js";
+import {waterfallView} from "./waterfall.js";
+import {clock, metres, position} from "./words.js";
+
+const POLL_MS = 1000;
+const THEMES = ["day", "dusk", "night"];
+const CLOSE_SCALE = 25; // pixels per metre at which a chosen contact is shown: an object of 2 m is 50 pixels
+
+let state = {}, contacts = [], selected = null, details = null, follows = false, wasFitted = false;
+
+const tiles = tileStore(() => {
+  waterfall.redraw();
+  map.redraw();
+});
+const waterfall = waterfallView(tiles, {select, measure, draw: drawMissed, cursor: showCursor, moved: () => setFollow(false)});
+const map = mapView(tiles, {select});
+const list = contactTable({select, shown: (rows) => { waterfall.setContacts(rows); map.setContacts(rows); }});
+const card = contactCard({judge, goTo, close: () => select(null)});
+
+function look() {
+  const theme = document.documentElement.dataset.theme;
+  tiles.recolour(colourTable(byId("palette").value, Number(byId("gain").value), Number(byId("contrast").value), theme));
+  waterfall.redraw();
+  map.redraw();
+}
+
+function setTheme(name) {
+  document.documentElement.dataset.theme = name;
+  byId("theme").value = name;
+  byId("palette").value = OF_THEME[name];
+  localStorage.setItem("theme", name);
+  look();
+}
+
+function setFollow(on) {
+  follows = on;
+  byId("follow").checked = on;
+  if (on) waterfall.toNewest();
+}
+
+async function poll() {
+  try {
+    const now = await get("api/state"), before = state;
+    state = now;
+    byId("name").textContent = document.title = now.name;
+    byId("live").hidden = !now.live;
+    const made = now.stop_row * now.row_m;
+    byId("progress").textContent = now.done ? `${now.pings} pings, ${metres(made, 0)}` : now.live
+      ? `${now.pings} pings, ${metres(made, 0)} so far` : `waterfall ${Math.floor(100 * now.fraction)} %`;
+    const note = byId("waterfall-note");
+    note.hidden = Boolean(now.stop_row) && !now.problem;
+    note.textContent = now.problem || (now.live ? "waiting for pings" : "the waterfall is being made");
+    if (now.stop_row !== before.stop_row || now.columns !== before.columns) {
+      tiles.outdate();
+      waterfall.setGrid(now);
+      map.setGrid(now);
+      const track = await get("api/track");
+      waterfall.setTimes(track);
+      map.setTrack(track);
+      if (now.columns && !wasFitted) {
+        wasFitted = true;
+        waterfall.fit();
+        if (now.live) setFollow(true);
+      }
+      if (follows) waterfall.toNewest();
+      waterfall.redraw();
+    }
+    if (now.done !== before.done || now.live !== before.live || (now.live && now.stop_row !== before.stop_row)) map.setLayers(await get("api/layers"));
+    if (now.contacts_version !== before.contacts_version || now.verdicts_version !== before.verdicts_version
+      || now.stop_row !== before.stop_row) await loadContacts();
+    byId("message").hidden ||= byId("message").dataset.lost !== "yes";
+    byId("message").dataset.lost = "";
+  } catch (error) {
+    byId("message").dataset.lost = "yes";
+    message(new Error(`the server does not answer: ${error.message}`));
+  }
+  setTimeout(poll, POLL_MS);
+}
+
+async function loadContacts() {
+  const found = await get("api/contacts");
+  const none = {call: "", type: "", comment: "", by: "", object: "", length_m: null, width_m: null, height_m: null, shadow_length_m: null};
+  contacts = found.id.map((id, index) => ({
+    key: id, id, drawn: false, latitude: found.latitude[index], longitude: found.longitude[index], p: found.p[index],
+    class: found.class[index], called: found.called[index], time: found.time[index], row: found.row[index], across: found.across[index],
+    likely: found.p[index] >= state.mine_like_p, ...none, ...judgedPart(found.verdicts[id]),
+  }));
+  contacts.push(...found.drawn.map((one) => ({
+    key: one.object, id: one.object, drawn: true, latitude: one.latitude, longitude: one.longitude, p: null,
+    class: one.drawn ? "drawn" : "judged before", called: null, time: null, row: one.row, across: one.across,
+    likely: one.call === "mine_like", ...none, ...judgedPart(one), time_judged: one.time,
+  })));
+  list.setContacts(contacts);
+  if (selected) showCard();
+}
+
+const judgedPart = (verdict) => (verdict ? {
+  call: verdict.call, type: verdict.type, comment: verdict.comment, by: verdict.by, object: verdict.object,
+  length_m: verdict.length_m, width_m: verdict.width_m, height_m: verdict.height_m, shadow_length_m: verdict.shadow_length_m,
+} : {});
+
+const find = (key) => contacts.find((one) => one.key === key);
+
+async function select(key) {
+  selected = key;
+  details = null;
+  waterfall.select(key);
+  map.select(key);
+  list.select(key);
+  const contact = key && find(key);
+  showCard();
+  if (!contact) return;
+  if (contact.row !== null && contact.across !== null) goTo(contact.row, contact.across);
+  await loadDetails(key);
+}
+
+async function loadDetails(key) {
+  const contact = find(key);
+  if (!contact || contact.drawn) return;
+  try {
+    const found = await get(`api/contacts/${encodeURIComponent(key)}`);
+    if (selected !== key) return;
+    details = found;
+    showCard();
+  } catch (error) {
+    message(error);
+  }
+}
+
+function showCard() {
+  const contact = selected && find(selected);
+  card.show(contact || null, details, state.max_comment);
+  waterfall.redraw();
+}
+
+function goTo(row, across) {
+  if (row === null || across === null) return;
+  setFollow(false);
+  waterfall.goTo(row, across, CLOSE_SCALE);
+}
+
+async function judge(judgement) {
+  try {
+    const verdict = await post("api/verdicts", judgement);
+    await loadContacts();
+    if (!judgement.contact_id && !verdict.withdrawn) await select(find(verdict.object) ? verdict.object : selected);
+    else if (!find(selected)) await select(null);
+    else await loadDetails(selected);
+  } catch (error) {
+    message(error);
+  }
+}
+
+async function measure(mode, ends, drawn) {
+  try {
+    const found = await post("api/measure", {quantity: mode, ends: ends.map((end) => [end.row, end.across_m])});
+    const size = mode === "shadow" ? {shadow_length_m: found.length_m, height_m: found.height_m} : {[`${mode}_m`]: found.length_m};
+    const says = mode === "shadow" ? `shadow ${metres(found.length_m, 2)}, height ${metres(found.height_m, 2)}` : `${mode} ${metres(found.length_m, 2)}`;
+    waterfall.addResult({mode, ends: drawn, text: says});
+    if (found.length_m === null || (mode === "shadow" && !(found.height_m > 0))) return message("no size: click the object's far side, then the shadow's end, on one side of the track");
+    if (card.current) card.setMeasured(rounded(size));
+    else message("measured; choose a contact to keep it with a verdict");
+  } catch (error) {
+    message(error);
+  }
+  return undefined;
+}
+
+const rounded = (sizes) => Object.fromEntries(Object.entries(sizes).map(([name, value]) => [name, Math.round(1000 * value) / 1000]));
+
+async function drawMissed(point) {
+  setMode("look");
+  await judge({row: point.row, across_m: point.across_m, call: "mine_like"});
+}
+
+function setMode(mode) {
+  for (const button of document.querySelectorAll("[data-mode]")) button.setAttribute("aria-pressed", String(button.dataset.mode === mode));
+  waterfall.setMode(mode);
+  if (mode !== "look") byId("waterfall-view").focus();
+}
+
+let cursorAsked = null, cursorBusy = false;
+async function showCursor(point) {
+  cursorAsked = point;
+  if (cursorBusy) return;
+  cursorBusy = true;
+  while (cursorAsked) {
+    const asked = cursorAsked;
+    cursorAsked = null;
+    try {
+      const found = await post("api/place", {points: [[asked.row, asked.across_m]]});
+      const range = `${metres(Math.abs(asked.across_m))} ${asked.across_m < 0 ? "port" : "starboard"}`;
+      byId("cursor").textContent = `${position(found.latitude_deg[0], found.longitude_deg[0])}   range ${range} (slant ${metres(found.slant_range_m[0])})   `
+        + `depth ${metres(found.depth_m[0])}   altitude ${metres(found.altitude_m[0])}   ${clock(found.time_s[0])}${found.stale[0] ? "   position doubtful" : ""}`;
+    } catch { /* the next poll says that the server is away */ }
+  }
+  cursorBusy = false;
+}
+
+document.addEventListener("keydown", (event) => {
+  const typing = event.target.closest("input:not([type=range]):not([type=checkbox]), textarea, select");
+  if (event.key === "Escape") {
+    if (typing) event.target.blur();
+    else if (document.querySelector('[data-mode="look"]').getAttribute("aria-pressed") === "false") setMode("look");
+    else if (!byId("help").open) select(null);
+    return;
+  }
+  if (typing || byId("help").open || event.ctrlKey || event.altKey || event.metaKey) return;
+  const keys = {
+    j: () => list.step(1), k: () => list.step(-1),
+    m: () => card.judge("mine_like"), n: () => card.judge("not_mine_like"), u: () => card.judge("undecided"),
+    c: () => byId("comment") && byId("comment").focus(),
+    l: () => setMode("length"), w: () => setMode("width"), s: () => setMode("shadow"), d: () => setMode("draw"),
+    "/": () => byId("search").focus(), f: () => setFollow(!follows), "?": () => byId("help").showModal(),
+    t: () => setTheme(THEMES[(THEMES.indexOf(document.documentElement.dataset.theme) + 1) % THEMES.length]),
+    0: () => waterfall.fit(), "+": () => waterfall.zoom(1.4), "-": () => waterfall.zoom(1 / 1.4),
+  };
+  if (!(event.key in keys)) return;
+  event.preventDefault();
+  keys[event.key]();
+});
+
+byId("palette").append(...NAMES.map((name) => element("option", {value: name}, name)));
+for (const id of ["gain", "contrast", "palette"]) byId(id).addEventListener("input", look);
+byId("theme").addEventListener("change", () => setTheme(byId("theme").value));
+byId("marks").addEventListener("change", () => waterfall.setMarks(byId("marks").checked));
+byId("follow").addEventListener("change", () => setFollow(byId("follow").checked));
+byId("zoom-in").addEventListener("click", () => waterfall.zoom(1.4));
+byId("zoom-out").addEventListener("click", () => waterfall.zoom(1 / 1.4));
+byId("fit").addEventListener("click", () => waterfall.fit());
+byId("help-button").addEventListener("click", () => byId("help").showModal());
+for (const button of document.querySelectorAll("[data-mode]")) button.addEventListener("click", () => setMode(button.dataset.mode));
+setTheme(THEMES.includes(localStorage.getItem("theme")) ? localStorage.getItem("theme") : "dusk");
+poll();
+
+// What a test asks of the page.
+window.bench = {
+  get state() { return state; }, get contacts() { return contacts; }, get selected() { return selected; },
+  get busy() { return tiles.busy; }, tiles, screenOf: waterfall.screenOf, view: waterfall.view,
+};

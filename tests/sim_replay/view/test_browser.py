@@ -1,0 +1,136 @@
+"""The page in a real browser: what a person sees, presses and measures. One browser for all, for its start is dear."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from auv_mcm.records import SIDES
+from sim_replay.benches.browser import BrowserPage, browser_page, find_browser
+from sim_replay.verdicts import read_verdicts
+from sim_replay.view.mission import ShownMission
+from sim_replay.view.server import MissionServer
+from sim_replay.view.waterfall_store import WaterfallStore
+from tests.sim_replay.view.shown_missions import feature, shown, tile, write_results
+
+pytestmark = pytest.mark.skipif(
+    find_browser() is None, reason="needs Chromium: apt-get install chromium, or name one in CHROMIUM"
+)
+
+SCRIPT = "<img src=x onerror='window.hacked=1'><script>window.hacked=1</script>"
+N_ROWS, N_COLUMNS = 512, 400
+OBJECT_ROW, OBJECT_M, SHADOW_M, HEIGHT_M = 200.0, 12.0, 13.044, 0.376  # an edge 0.376 m high, 5 m under the sonar
+
+
+def sea_floor() -> WaterfallStore:
+    """Speckle with one object: a bright edge up to OBJECT_M and its shadow up to SHADOW_M."""
+    store, speckle = WaterfallStore(), np.random.default_rng(3)
+    for first_row in range(0, N_ROWS, 64):
+        for side in SIDES:
+            pixels = speckle.exponential(1.0, (64, N_COLUMNS)).astype(np.float32)
+            if side == "starboard" and first_row <= OBJECT_ROW < first_row + 64:
+                rows = slice(int(OBJECT_ROW) - 4 - first_row, int(OBJECT_ROW) + 4 - first_row)
+                pixels[rows, 195:200], pixels[rows, 200:217] = 20.0, 0.01
+            store.add(tile(side, first_row, pixels))
+    return store
+
+
+def in_browser(mission: ShownMission, visit: Callable[[BrowserPage], Awaitable[None]]) -> None:
+    async def run() -> None:
+        server = MissionServer(mission)
+        await server.open()
+        try:
+            async with browser_page(1200, 800) as page:
+                await page.open(server.url)
+                await page.wait_for("window.bench && bench.state.done && bench.contacts.length > 0")
+                await visit(page)
+                assert await page.evaluate("window.hacked === undefined")
+                assert page.complaints == []
+        finally:
+            await server.close()
+
+    asyncio.run(run())
+
+
+async def click_at(page: BrowserPage, row: float, across_m: float) -> None:
+    """Click at a place of the waterfall."""
+    place = await page.evaluate(f"bench.screenOf({row}, {across_m})")
+    await page.click(place["x"], place["y"])
+
+
+def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
+    others = [feature(number, 10.0 + number * 0.04, -15.0, p_mine=0.05) for number in range(3, 10_000)]
+    hostile = feature(2, 300.0, -8.0, p_mine=0.5, **{"class": SCRIPT, "reasons": [SCRIPT]})
+    folder = write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M), hostile, *others])
+
+    async def visit(page: BrowserPage) -> None:
+        # a long table holds elements for what is in sight alone
+        assert await page.evaluate("document.querySelector('#count').textContent") == "9999 of 9999"
+        assert await page.evaluate("document.querySelectorAll('#table .row').length") < 80
+        # the waterfall is painted: not one colour
+        await page.wait_for("!bench.busy")
+        colours = (
+            "(() => {const c = document.querySelector('#waterfall-picture'), d = c.getContext('2d')"
+            ".getImageData(0, 0, c.width, c.height).data; return new Set(new Uint32Array(d.buffer)).size})()"
+        )
+        assert await page.evaluate(colours) > 50
+        # the likeliest contact comes first; a key judges it
+        await page.press("j")
+        assert await page.evaluate("bench.selected") == "C00001"
+        await page.wait_for("document.querySelector('#card h3') !== null")
+        # its shadow is measured with two clicks, and kept with the verdict
+        await page.press("s")
+        for across_m in (OBJECT_M, SHADOW_M):
+            await click_at(page, OBJECT_ROW, across_m)
+        await page.wait_for("document.querySelector('#sizes').textContent.includes('height')")
+        await page.press("Escape")
+        await page.press("m")
+        await page.wait_for("bench.contacts.find((one) => one.id === 'C00001').call === 'mine_like'")
+        # a comment that is markup stays text
+        await page.press("c")
+        await page.write(SCRIPT)
+        await page.click_on("#save")
+        await page.wait_for("document.querySelector('#card').textContent.includes('onerror')")
+        # another contact, whose very class is markup
+        await page.press("j")
+        await page.wait_for("bench.selected === 'C00002' && document.querySelector('#card h3') !== null")
+        await page.press("n")
+        await page.wait_for("bench.contacts.find((one) => one.id === 'C00002').call === 'not_mine_like'")
+        # one that was missed
+        await page.press("d")
+        await page.evaluate("bench.view.along = 30, bench.view.across = 0, 0")
+        await click_at(page, 260.0, 6.0)
+        await page.wait_for("bench.contacts.some((one) => one.drawn)")
+        # search and filter
+        await page.press("/")
+        await page.write("onerror")
+        await page.wait_for("document.querySelector('#count').textContent.startsWith('2 of')")
+        # every screen has its own look
+        await page.press("Escape")
+        grounds = set()
+        for _ in range(3):
+            await page.press("t")
+            grounds.add(await page.evaluate("getComputedStyle(document.body).backgroundColor"))
+        assert len(grounds) == 3
+        # the cursor says where it is
+        place = await page.evaluate("bench.screenOf(260, 6)")
+        await page.move(place["x"] + 3, place["y"])
+        await page.wait_for("document.querySelector('#cursor').textContent.includes('depth 15.0 m')")
+        assert "starboard" in await page.evaluate("document.querySelector('#cursor').textContent")
+
+    in_browser(shown(folder, sea_floor()), visit)
+    verdicts = read_verdicts(folder)
+    assert [(one.contact_id, one.call) for one in verdicts] == [
+        ("C00001", "mine_like"),
+        ("C00001", "mine_like"),
+        ("C00002", "not_mine_like"),
+        ("", "mine_like"),
+    ]
+    assert verdicts[1].comment == SCRIPT
+    assert verdicts[1].height_m == pytest.approx(HEIGHT_M, abs=0.03)  # a pixel of the screen is 4 cm there
+    assert verdicts[3].drawn
+    assert verdicts[3].ground_range_m == pytest.approx(6.0, abs=0.1)

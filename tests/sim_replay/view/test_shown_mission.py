@@ -1,0 +1,146 @@
+"""What the page shows of a folder, and verdicts: written beside the results, found again after another replay."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.errors import BadInputError, UsageError
+from sim_replay.verdicts import VERDICTS_FILE, read_verdicts
+from sim_replay.view.mission import Judgement
+from sim_replay.view.show import named_logs, open_shown
+from tests.sim_replay.view.shown_missions import feature, filled_store, position, shown, write_results
+
+
+def test_contacts_are_listed_with_their_place_in_the_waterfall(tmp_path: Path) -> None:
+    folder = write_results(tmp_path, [feature(2, 200.0, -15.0), feature(1, 100.0, 20.0, p_mine=0.1)])
+    found = shown(folder).contacts()
+    assert found["id"] == ["C00001", "C00002"]
+    assert found["row"] == pytest.approx([100.0, 200.0], abs=0.05)
+    assert found["across"] == pytest.approx([20.0, -15.0])
+    assert found["p"] == [0.1, 0.9]
+
+
+def test_a_card_has_the_depth_of_the_sea_floor_under_the_contact(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1)]))
+    card = mission.contact("C00001")
+    assert card is not None
+    assert card["depth_m"] == pytest.approx(15.0, abs=0.01)
+    assert mission.contact("C00009") is None
+
+
+def test_a_verdict_stands_beside_the_results_with_who_and_when(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1)]), by="kim")
+    mission.judge(Judgement(contact_id="C00001", call="mine_like", type="cylinder", comment="sharp", height_m=0.5))
+    (verdict,) = read_verdicts(tmp_path)
+    assert (verdict.by, verdict.call, verdict.contact_id, verdict.height_m) == ("kim", "mine_like", "C00001", 0.5)
+    assert verdict.time.endswith("Z")
+    assert verdict.p_mine == 0.9
+    assert mission.contacts()["verdicts"]["C00001"]["comment"] == "sharp"
+
+
+def test_a_second_verdict_is_appended_and_counts(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1)]))
+    mission.judge(Judgement(contact_id="C00001", call="mine_like"))
+    mission.judge(Judgement(contact_id="C00001", call="not_mine_like"))
+    assert len((tmp_path / VERDICTS_FILE).read_text().splitlines()) == 2
+    assert [verdict.object for verdict in read_verdicts(tmp_path)] == ["V0001", "V0001"]
+    assert mission.contacts()["verdicts"]["C00001"]["call"] == "not_mine_like"
+    card = mission.contact("C00001")
+    assert card is not None
+    assert [verdict["call"] for verdict in card["history"]] == ["mine_like", "not_mine_like"]
+
+
+def test_a_withdrawn_verdict_is_gone_from_the_list_and_kept_in_the_file(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1)]))
+    mission.judge(Judgement(contact_id="C00001", call="mine_like"))
+    mission.judge(Judgement(contact_id="C00001", withdrawn=True))
+    assert mission.contacts()["verdicts"] == {}
+    assert len(read_verdicts(tmp_path)) == 2
+
+
+def test_verdicts_survive_another_replay_by_place(tmp_path: Path) -> None:
+    store = filled_store()
+    mission = shown(write_results(tmp_path, [feature(1, 100.0), feature(2, 300.0)]), store)
+    mission.judge(Judgement(contact_id="C00002", call="mine_like"))
+    mission.judge(Judgement(row=500.0, across_m=-12.0, call="mine_like", comment="missed"))
+    write_results(tmp_path, [feature(5, 300.8), feature(6, 101.0), feature(7, 502.0, -12.2)])
+    again = shown(tmp_path, store).contacts()
+    assert {name: verdict["object"] for name, verdict in again["verdicts"].items()} == {
+        "C00005": "V0001",
+        "C00007": "V0002",
+    }
+    assert again["drawn"] == []
+
+
+def test_a_judged_object_that_the_next_replay_does_not_find_stays_on_the_page(tmp_path: Path) -> None:
+    store = filled_store()
+    mission = shown(write_results(tmp_path, [feature(1, 100.0)]), store)
+    mission.judge(Judgement(contact_id="C00001", call="mine_like"))
+    write_results(tmp_path, [feature(1, 900.0)])
+    again = shown(tmp_path, store).contacts()
+    assert [one["object"] for one in again["drawn"]] == ["V0001"]
+    assert again["drawn"][0]["row"] == pytest.approx(100.0, abs=0.1)
+
+
+def test_a_drawn_object_lies_where_it_was_clicked_and_can_be_judged_again(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, []))
+    verdict = mission.judge(Judgement(row=250.0, across_m=-10.0, call="mine_like"))
+    latitude, longitude = position(-10.0, 250.0 * 0.12)
+    assert (verdict.latitude_deg, verdict.longitude_deg) == pytest.approx((latitude, longitude), abs=1e-7)
+    assert verdict.drawn
+    again = mission.judge(Judgement(object="V0001", call="not_mine_like"))
+    assert (again.object, again.latitude_deg, again.drawn) == ("V0001", verdict.latitude_deg, True)
+
+
+@pytest.mark.parametrize(
+    "judgement",
+    [
+        Judgement(contact_id="C00009"),
+        Judgement(object="V0009"),
+        Judgement(call="mine_like"),
+        Judgement(contact_id="C00001", comment="x" * 2001),
+        Judgement(contact_id="C00001", type="x" * 65),
+        Judgement(contact_id="C00001", height_m=-1.0),
+        Judgement(contact_id="C00001", length_m=float("nan")),
+        Judgement(row=1e9, across_m=0.0, call="mine_like"),
+        Judgement(row=10.0, across_m=-500.0, call="mine_like"),
+        Judgement(row=float("nan"), across_m=1.0),
+    ],
+)
+def test_a_verdict_about_nothing_or_out_of_bounds_is_refused_and_leaves_nothing(
+    tmp_path: Path, judgement: Judgement
+) -> None:
+    mission = shown(write_results(tmp_path, [feature(1)]))
+    with pytest.raises(UsageError):
+        mission.judge(judgement)
+    assert not (tmp_path / VERDICTS_FILE).exists()
+
+
+def test_contacts_of_a_running_session_come_as_its_journal_grows(tmp_path: Path) -> None:
+    journal = tmp_path / "contacts.jsonl"
+    journal.write_text(json.dumps({"contact": feature(1)}) + "\n")
+    mission = shown(tmp_path)
+    assert mission.contacts()["id"] == ["C00001"]
+    with open(journal, "a") as file:
+        file.write(json.dumps({"contact": feature(2)}) + "\n" + json.dumps({"contact": feature(1, p_mine=0.3)}))
+    mission.refresh()
+    assert mission.contacts()["p"] == [0.9, 0.9]  # the last line is not whole yet
+    with open(journal, "a") as file:
+        file.write("\n")
+    mission.refresh()
+    assert mission.contacts()["p"] == [0.3, 0.9]
+
+
+def test_a_log_that_has_moved_is_named(tmp_path: Path) -> None:
+    (tmp_path / "leg.xtf").write_bytes(b"")
+    assert named_logs({"logs": [{"path": "/gone/leg.xtf"}]}, tmp_path) == [tmp_path / "leg.xtf"]
+    with pytest.raises(BadInputError, match=r"other\.xtf.*--log"):
+        named_logs({"logs": [{"path": "/gone/other.xtf"}]}, tmp_path)
+
+
+def test_a_folder_that_shows_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="neither results nor a session"):
+        open_shown(tmp_path, [], None, "kim")
