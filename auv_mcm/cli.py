@@ -16,7 +16,7 @@ from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.shell.registry import COMMANDS, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
-_BENCH_EXTRA = {"scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed"}
+_BENCH_EXTRA = {"scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "h5py"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -33,7 +33,11 @@ def add(commands: Commands) -> None:
         ["auv-mcm check", "auv-mcm check --config vehicle.yaml", "auv-mcm check survey.jsf"],
     )
     parser.add_argument(
-        "logs", metavar="LOG", nargs="*", type=Path, help="log to look into: XTF, JSF, svlog or a recorded session"
+        "logs",
+        metavar="LOG",
+        nargs="*",
+        type=Path,
+        help="log to look into: XTF, JSF, svlog, image or a recorded session",
     )
     add_config_option(parser)
     parser.set_defaults(command=_run)
