@@ -57,11 +57,13 @@ def _check_logs(paths: Sequence[Path], config: Config) -> Iterator[Finding]:
 
 def _check_log(path: Path, config: Config) -> Finding:
     from auv_mcm.shell.check.finding import Finding
-    from auv_mcm.shell.registry import DESCRIBE_LOG, load
+    from auv_mcm.shell.registry import DESCRIBE_LOG, LOG_DOUBT, load
 
     name = f"log {path.name}"
     try:
-        return Finding(name, "ok", load(DESCRIBE_LOG)(path, config))
+        described: str = load(DESCRIBE_LOG)(path, config)
+        doubt: str = load(LOG_DOUBT)(path, config)
+        return Finding(name, "warning", f"{described}; {doubt}") if doubt else Finding(name, "ok", described)
     except AuvMcmError as error:
         return Finding(name, "FAILED", str(error))
     except ImportError as error:

@@ -83,11 +83,11 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.logs.open_log import session_config
+    from sim_replay.logs.open_log import logs_config
     from sim_replay.logs.recorded import parse_speed
     from sim_replay.replay import replay
 
-    recorded = session_config(arguments.logs) if arguments.config is None else None
+    recorded = logs_config(arguments.logs) if arguments.config is None else None
     config = read_config(arguments.config) if recorded is None else recorded
 
     with Progress("replay") as progress:

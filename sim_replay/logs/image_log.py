@@ -17,7 +17,7 @@ from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.image_looks import OVERLAP_LINES, doppler_centroid, mean_of_looks
 from sim_replay.logs.image_pixels import DamagedPixelsError, Pixels, open_pixels
 from sim_replay.logs.image_place import Track, track_of
-from sim_replay.logs.image_sidecar import Sidecar, read_sidecar
+from sim_replay.logs.image_sidecar import Sidecar, read_sidecar, sidecar_path
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
 
 _BLOCK_VALUES: Final = 1 << 21  # pixels worked on at once: bounds memory at some 100 MB, complex and float64
@@ -35,12 +35,15 @@ class ImageLog:
     and reader.image_damaged.
     """
 
-    def __init__(self, path: Path, kind: str, sonar: SonarConfig) -> None:
-        """Open the image and its sidecar. Raises BadInputError where they cannot be used together."""
-        self._path, self._kind, self._sonar = path, kind, sonar
+    def __init__(self, path: Path, container: str, sonar: SonarConfig, doubt: str = "") -> None:
+        """Open the image and its sidecar. Raises BadInputError where they cannot be used together.
+
+        container: tiff, png, npy or hdf5. doubt: of the kind of sonar, raised as a notice.
+        """
+        self._path, self._sonar, self._doubt = path, sonar, doubt
         self._size_bytes = path.stat().st_size
         self.sidecar: Final[Sidecar] = read_sidecar(path)
-        self._pixels: Pixels = open_pixels(path, kind, self.sidecar)
+        self._pixels: Pixels = open_pixels(path, container, self.sidecar)
         self._track: Track = track_of(
             path, self.sidecar, self._pixels.n_lines, self._pixels.n_pixels, self._pixels.geo_tags
         )
@@ -50,8 +53,11 @@ class ImageLog:
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
-        """Return the size of the image file."""
-        return {self._path: self._size_bytes}
+        """Return the size of the image, its sidecar and its track."""
+        others = [sidecar_path(self._path)]
+        if self.sidecar.track is not None:
+            others.append(self._path.parent / self.sidecar.track)
+        return {self._path: self._size_bytes} | {path: path.stat().st_size for path in others}
 
     @property
     def bytes_read(self) -> int:
@@ -113,6 +119,8 @@ class ImageLog:
 
     def _notices(self) -> Iterator[Notice]:
         sidecar = self.sidecar
+        if self._doubt:
+            yield Notice(code="reader.kind_disagrees", text=self._doubt, place=str(self._path))
         far_m = sidecar.near_range_m + self._pixels.n_pixels * sidecar.pixel_across_m
         if far_m > self._sonar.max_range_m:
             text = (

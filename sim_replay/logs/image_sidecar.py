@@ -46,8 +46,9 @@ class Sidecar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     line are even in; near_range_m is the near edge in it. altitude_m: of the sonar above the floor, or near_grazing_deg
     at the near edge instead. looks: averaged in each pixel; of complex samples, how many are formed. lines: backward
     where the last stored line was recorded first. speed_mps: at which lines follow each other in time. track: a CSV
-    file with the position of the sonar by line; corners: of the image; neither for a GeoTIFF that holds its own.
-    resolution_along_m: of the processed aperture, the pixel size if not given. dataset: the one in an HDF5 file.
+    file with the position of the sonar by line; corners: of the image; neither for a GeoTIFF that holds its own. kind:
+    of the sonar. resolution_along_m: of the processed aperture, the pixel size if not given. dataset: the one in an
+    HDF5 file.
     """
 
     side: Literal["port", "starboard"]
@@ -66,7 +67,7 @@ class Sidecar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     speed_mps: Annotated[float, Meta(ge=0.1, le=20.0)] = 1.5
     track: str | None = None
     corners: Corners | None = None
-    frequency_khz: Annotated[float, Meta(ge=1.0, le=5000.0)] | None = None
+    kind: Literal["side_scan", "sas"] = "sas"
     sound_speed_mps: Annotated[float, Meta(ge=1400.0, le=1600.0)] = 1500.0
     resolution_along_m: Pixel | None = None
     dataset: str | None = None

@@ -35,8 +35,7 @@ def write_images(
     *,
     place: Literal["tags", "track"] = "track",
     samples: Literal["amplitude", "intensity"] = "amplitude",
-    frequency_khz: float | None = None,
-    resolution_along_m: float | None = None,
+    kind: Literal["side_scan", "sas"] = "sas",
     **tiff: Any,
 ) -> list[Path]:
     """Write the images of a mission into a folder that is there; returns the TIFF files in order of time.
@@ -51,8 +50,8 @@ def write_images(
         Straight between the ends of a run (tags), or line by line in a table (track).
     samples
         What those of the pings are.
-    frequency_khz, resolution_along_m
-        Of the sonar, for the sidecar.
+    kind
+        Of the sonar.
     tiff
         Further arguments of tifffile.imwrite, such as compression.
     """
@@ -72,9 +71,7 @@ def write_images(
                 continue
             plane = np.stack([trace.samples for trace in traces if trace is not None])
             path = folder / f"run{number}-{side}.tif"
-            sidecar = _sidecar(run, poses, first, side) | {"samples": samples}
-            sidecar |= {} if frequency_khz is None else {"frequency_khz": frequency_khz}
-            sidecar |= {} if resolution_along_m is None else {"resolution_along_m": resolution_along_m}
+            sidecar = _sidecar(run, poses, first, side) | {"samples": samples, "kind": kind}
             tags: list[tuple[Any, ...]] = []
             if place == "tags":
                 tags = _geo_tags(poses, first, plane.shape, side, sidecar["altitude_m"])

@@ -15,7 +15,7 @@ from msgspec import structs
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import open_regular
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, SonarName, SonarPortConfig
 from sim_replay.logs.log_reader import AddedFormat, AddedLog, Log, added_formats
 
@@ -81,7 +81,7 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
         case "tiff" | "png" | "npy" | "hdf5" as kind:
             from sim_replay.logs.image_log import ImageLog
 
-            return ImageLog(path, kind, config.sonar)
+            return ImageLog(path, kind, config.sonar, kind_doubt(path, config))
 
 
 def log_format(path: Path) -> LogFormat | AddedFormat:
@@ -138,14 +138,46 @@ def describe_log(path: Path, config: Config) -> str:
     return f"{format_title(log_format(path))}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
 
 
-def session_config(paths: list[Path]) -> Config | None:
-    """Read the configuration that the session among `paths` was recorded with, None if there is no session.
+def logs_config(paths: list[Path]) -> Config | None:
+    """Read the configuration that logs bring along, for use where none is given; None where they bring none.
 
-    Raises BadInputError.
+    A session brings the one it was recorded with, an image the kind of sonar in its sidecar. Raises BadInputError.
     """
     from sim_replay.logs.session_reader import Session, recorded_config
 
-    return next((recorded_config(Session(path)) for path in paths if is_session(path)), None)
+    for path in paths:
+        if is_session(path):
+            return recorded_config(Session(path))
+        if (kind := _image_kind(path)) is not None:
+            return Config(sonar=SonarConfig(kind=kind))
+    return None
+
+
+def kind_doubt(path: Path, config: Config) -> str:
+    """Say why `sonar.kind` may not be that of a log, and what to do; empty where nothing speaks against it.
+
+    Raises BadInputError or UsageError as a replay would.
+    """
+    found, kind = _image_kind(path), config.sonar.kind
+    if found is not None and found != kind:
+        return f"the sidecar says `kind: {found}`, the configuration sonar.kind: {kind}. Correct the one that is wrong"
+    if found is None and kind == "sas" and log_format(path) in ("xtf", "jsf", "svlog"):
+        return (
+            "sonar.kind is sas, and logs of this format mostly hold side scan, whose resolution grows with range. Set "
+            "sonar.kind: side_scan unless a processor wrote the log"
+        )
+    return ""
+
+
+def _image_kind(path: Path) -> Literal["side_scan", "sas"] | None:
+    """Read the kind of sonar from the sidecar of an image; None for other logs, and for what cannot be read."""
+    from sim_replay.logs.image_sidecar import read_sidecar
+
+    try:
+        is_image = log_format(path) in _IMAGE_FIRST.values()
+    except (BadInputError, UsageError):
+        return None
+    return read_sidecar(path).kind if is_image else None
 
 
 def is_session(path: Path) -> bool:

@@ -85,7 +85,13 @@ def upside_down(folder: Path) -> Path:
     return path
 
 
-PLACED = {"range": "ground", "pixel_across_m": 0.0955, "near_range_m": 10.0, "track": None, "corners": CORNERS}
+PLACED: dict[str, Any] = {
+    "range": "ground",
+    "pixel_across_m": 0.0955,
+    "near_range_m": 10.0,
+    "track": None,
+    "corners": CORNERS,
+}
 NAN_PLACE = (float("nan"), *(0.0,) * 15)
 
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from auv_mcm.cli import main
 from auv_mcm.records import Contact, NavSample, Notice, Ping, SourceEvent
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.logs.image_looks import doppler_centroid, mean_of_looks, sub_bands
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.image_writer import write_images
-from sim_replay.logs.open_log import describe_log, open_log
+from sim_replay.logs.open_log import describe_log, kind_doubt, logs_config, open_log
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.transverse_mercator import utm_to_geodetic
 from sim_replay.logs.xtf_writer import write_xtf
@@ -36,6 +36,7 @@ from tests.sim_replay.logs.sonar_logs import (
 )
 
 N_LINES, N_PIXELS = 40, 64
+SAS = Config(sonar=SonarConfig(kind="sas"))
 SIDECAR: dict[str, Any] = {
     "side": "starboard",
     "near_edge": "left",
@@ -227,6 +228,31 @@ def test_looks_do_not_depend_on_the_blocks_they_are_read_in(tmp_path: Path, monk
     assert np.abs(cut - whole).max() < 0.02 * whole.mean()
 
 
+# --- the kind of sonar ---
+
+
+def test_an_image_brings_its_kind_of_sonar_along(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", plane())
+    path = beside(tmp_path / "a.npy")
+    config = logs_config([path])
+    assert config == Config(sonar=SonarConfig(kind="sas"))
+    assert config.sonar.beam_width_rad == 0.0
+    assert kind_doubt(path, config) == ""
+    assert [event for event in open_log(path, config) if isinstance(event, Notice)] == []
+    assert logs_config([beside(path, kind="side_scan")]) == Config()
+
+
+def test_settings_of_another_sonar_are_reported(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", plane())
+    path = beside(tmp_path / "a.npy")
+    assert "the sidecar says `kind: sas`" in kind_doubt(path, Config())
+    events = list(open_log(path, Config()))
+    assert [event.code for event in events if isinstance(event, Notice)] == ["reader.kind_disagrees"]
+    write_xtf(tmp_path / "a.xtf", list(mission())[:40])
+    assert kind_doubt(tmp_path / "a.xtf", Config()) == ""
+    assert "mostly hold side scan" in kind_doubt(tmp_path / "a.xtf", Config(sonar=SonarConfig(kind="sas")))
+
+
 # --- size, damage on the way, commands ---
 
 
@@ -251,7 +277,7 @@ def test_damage_on_the_way_keeps_what_comes_before(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[offset : offset + 40] = bytes(40)
     path.write_bytes(data)
-    events: list[SourceEvent] = list(open_log(beside(path, n_lines=3000), Config()))
+    events: list[SourceEvent] = list(open_log(beside(path, n_lines=3000), SAS))
     notices = [event for event in events if isinstance(event, Notice)]
     assert [notice.code for notice in notices] == ["reader.image_damaged"]
     assert "line 2048 of 3000" in notices[0].text
@@ -260,7 +286,7 @@ def test_damage_on_the_way_keeps_what_comes_before(tmp_path: Path) -> None:
 
 def test_what_lies_beyond_the_range_in_use_is_reported(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", plane())
-    events = list(open_log(beside(tmp_path / "a.npy", near_range_m=198.0), Config()))
+    events = list(open_log(beside(tmp_path / "a.npy", near_range_m=198.0), SAS))
     assert [event.code for event in events if isinstance(event, Notice)] == ["reader.beyond_max_range"]
 
 
