@@ -16,10 +16,10 @@ from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.shell.registry import COMMANDS, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
-_EXTRAS = {
-    "bench": {"scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "mcap_protobuf"},
-    "bench,view": {"aiohttp"},
-}
+_BENCH_EXTRA = {
+    "scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "h5py", "mcap_protobuf",
+}  # fmt: skip
+_EXTRAS = {"bench": _BENCH_EXTRA, "bench,view": {"aiohttp"}}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

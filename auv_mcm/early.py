@@ -163,7 +163,7 @@ class EarlyLook:
             worthwhile = [d for d in views if is_worth_confirming(d, self._odds, self._config.confirm)]
             best_first = sorted(worthwhile, key=lambda d: (-d.p_mine, d.row, d.column))[: min(self._max_looks, paid)]
             self.counters["early.looked_at"] += len(best_first)
-            beam_width_rad = math.radians(self._config.sonar.beam_width_deg)
+            beam_width_rad = self._config.sonar.beam_width_rad
             views = [confirm_detection(d, beam_width_rad, self._odds, self._config.confirm) for d in best_first]
         return [msgspec.structs.replace(d, surroundings=None) for d in views if d.p_mine >= self._min_p_mine]
 

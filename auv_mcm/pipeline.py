@@ -135,7 +135,7 @@ class Pipeline:
         self._room = 1.0
         self._n_new_samples = 0  # stored, since the last tiles
         self._odds = shipped_odds("contrast" if model is None else "cascade")
-        beam_width_rad = math.radians(config.sonar.beam_width_deg)
+        beam_width_rad = config.sonar.beam_width_rad
         self._look_closely = look or partial(
             confirm_detection,
             beam_width_rad=beam_width_rad,

@@ -135,7 +135,7 @@ def replay(
     point = point_totals(pipeline.operating_point)
     totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **point, **searched, **area}
     record = MissionRecord(
-        name=clean(config.mission or ", ".join(path.stem for path in mission.sizes_bytes)),
+        name=clean(config.mission or ", ".join(dict.fromkeys(path.stem for path in mission.sizes_bytes))),
         logs=tuple(clean(str(path)) for path in mission.sizes_bytes),
         start_s=tally.first_s,
         stop_s=tally.last_s,

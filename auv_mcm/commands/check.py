@@ -33,7 +33,11 @@ def add(commands: Commands) -> None:
         ["auv-mcm check", "auv-mcm check --config vehicle.yaml", "auv-mcm check survey.jsf"],
     )
     parser.add_argument(
-        "logs", metavar="LOG", nargs="*", type=Path, help="log to look into: XTF, JSF, svlog or a recorded session"
+        "logs",
+        metavar="LOG",
+        nargs="*",
+        type=Path,
+        help="log to look into: XTF, JSF, svlog, image or a recorded session",
     )
     add_config_option(parser)
     parser.set_defaults(command=_run)
@@ -53,11 +57,13 @@ def _check_logs(paths: Sequence[Path], config: Config) -> Iterator[Finding]:
 
 def _check_log(path: Path, config: Config) -> Finding:
     from auv_mcm.shell.check.finding import Finding
-    from auv_mcm.shell.registry import DESCRIBE_LOG, load
+    from auv_mcm.shell.registry import DESCRIBE_LOG, LOG_DOUBT, load
 
     name = f"log {path.name}"
     try:
-        return Finding(name, "ok", load(DESCRIBE_LOG)(path, config))
+        described: str = load(DESCRIBE_LOG)(path, config)
+        doubt: str = load(LOG_DOUBT)(path, config)
+        return Finding(name, "warning", f"{described}; {doubt}") if doubt else Finding(name, "ok", described)
     except AuvMcmError as error:
         return Finding(name, "FAILED", str(error))
     except ImportError as error:

@@ -100,7 +100,7 @@ def detect_tile(
     else:
         budget = None if "cascade-budget" in without_skips else max_evaluations
         found = by_both(tile, model, config.detect, budget, gate, min_p_mine, without_skips)
-    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    beam_width_rad = config.sonar.beam_width_rad
     measured = [measure(tile, candidate.floor, candidate.peak, beam_width_rad) for candidate in found.candidates]
     detections = _placed(tile, config, found.candidates, measured)
     return TileDetections(

@@ -29,6 +29,13 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class SonarConfig(_Section, frozen=True, kw_only=True):
     """Describe how the sonar stores samples and where it sits on the vehicle."""
 
+    kind: Annotated[
+        Literal["side_scan", "sas"],
+        Meta(
+            description="sas: synthetic aperture, with a resolution that does not depend on range; beam_width_deg does "
+            "not count"
+        ),
+    ] = "side_scan"
     transfer: Annotated[
         Literal["auto", "amplitude", "intensity", "log"],
         Meta(
@@ -81,6 +88,11 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     pitch_offset_deg: Annotated[
         float, Meta(ge=-45.0, le=45.0, description="array axis against vehicle pitch, bow up, degrees")
     ] = 0.0
+
+    @property
+    def beam_width_rad(self) -> float:
+        """Return the angle that resolution along the track grows with range by: 0 for a synthetic aperture."""
+        return 0.0 if self.kind == "sas" else math.radians(self.beam_width_deg)
 
 
 class NavigationConfig(_Section, frozen=True, kw_only=True):

@@ -21,6 +21,7 @@ PORTS_INTERFACE: Final = "drivers.describe:interface_text"
 PORT_CHECK: Final = "drivers.port_check:port_findings"
 BENCH_CHECK: Final = "sim_replay.bench_check:bench_findings"
 DESCRIBE_LOG: Final = "sim_replay.logs.open_log:describe_log"
+LOG_DOUBT: Final = "sim_replay.logs.open_log:kind_doubt"
 
 PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
     "sonar": "drivers.sonar.sonars:sonar_of",

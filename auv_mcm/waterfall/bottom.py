@@ -4,7 +4,8 @@ Per ping, every slant range is scored as the change point between water column a
 step in the mean of ln I (variance of single-look ln I: pi^2/6), both sides summed since both see the same altitude. The
 logarithm keeps a short ring-down or a fish from outweighing metres of dark water, and makes the score independent of
 gain. A best-path search over pings then takes the sequence of ranges that fits all pings together. An altitude reading
-only favours its neighbourhood: recorders disagree with the first return by metres.
+only favours its neighbourhood: recorders disagree with the first return by metres. Where all echoes begin beyond the
+reading, as in an image without a water column, no sample can show the bottom and the reading is taken as it is.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ _SIDE_VOTE: Final = 10.0  # nats that one side may add to a score, maximum
 _ALTITUDE_RATIO: Final = 1.6
 _OUTSIDE_GATE: Final = 8.0  # nats that it then takes
 _ALTITUDE_PULL: Final = 1.0  # nats per nat between range and altitude reading: decides only where no step shows
+# of the altitude reading, 1-sigma where echoes begin beyond it; chosen, not measured
+_STATED_SIGMA: Final = 0.02
 _UNSEEN_SIGMA: Final = 0.25  # of the first return, 1-sigma where the bottom was not seen; chosen, not measured
 _MAX_SLOPE_BINS: Final = 8  # bins that the path may move from ping to ping: 0.4 m
 _STEP_COST: Final = 0.5  # nats per bin that the path moves from ping to ping
@@ -78,6 +81,17 @@ class _Path(NamedTuple):
     evidence: NDArray[np.float64]
 
 
+class _Scored(NamedTuple):
+    """Hold a block's scores (n_pings, n_bins) and its steps back.
+
+    stated_m: (n_pings,) the altitude reading where it alone tells, else NaN.
+    """
+
+    score: NDArray[np.float64]
+    back: NDArray[np.int32]
+    stated_m: NDArray[np.float64]
+
+
 _NO_PATH: Final = _Path(np.empty(0, dtype=np.int64), np.empty(0))
 
 
@@ -87,7 +101,7 @@ class BottomTracker:
     def __init__(self, blank_m: float) -> None:
         self._blank_bins = max(1, round(blank_m / BIN_M))
         self._cost: NDArray[np.float64] | None = None
-        self._held: tuple[NDArray[np.float64], NDArray[np.int32]] | None = None
+        self._held: _Scored | None = None
         self._before = _NO_PATH  # just before the held block
         self._level: float | None = None
 
@@ -103,7 +117,8 @@ class BottomTracker:
         altitude_m
             (n_pings,) float64 prior, NaN where unknown.
         """
-        score = self._score(sides, altitude_m, max_range_m)
+        stated_m = _stated_m(sides, altitude_m)
+        score = self._score(sides, altitude_m, max_range_m, np.isfinite(stated_m))
         n_bins = score.shape[1]
         if self._cost is None:
             self._cost = np.zeros(n_bins)
@@ -113,9 +128,10 @@ class BottomTracker:
             score = np.pad(score, ((0, 0), (0, self._cost.shape[0] - n_bins)))
         self._cost, back = viterbi_forward(self._cost, score, _MAX_SLOPE_BINS, _STEP_COST)
         end = int(self._cost.argmax())
-        path = _path(end, score, back)
+        scored = _Scored(score, back, stated_m)
+        path = _path(end, scored)
         done = self._finish_held(int(back[0, path.bins[0]]), path) if self._held is not None else None
-        self._held = (score, back)
+        self._held = scored
         return done
 
     def flush(self) -> BottomTrack | None:
@@ -128,19 +144,22 @@ class BottomTracker:
 
     def _finish_held(self, end: int, after: _Path) -> BottomTrack:
         assert self._held is not None
-        score, back = self._held
-        path = _path(min(end, back.shape[1] - 1), score, back)
+        path = _path(min(end, self._held.back.shape[1] - 1), self._held)
         start, stop = self._before.bins.shape[0], self._before.bins.shape[0] + path.bins.shape[0]
         bins = np.concatenate([self._before.bins, path.bins, after.bins])
         evidence = np.concatenate([self._before.evidence, path.evidence, after.evidence])
+        stated_m = self._held.stated_m
+        stated = np.isfinite(stated_m)
         # In noise single pings look convincing, in weak contrast they do not: a few together decide.
-        seen = _running_means(evidence, _SEEN_PINGS, start, stop) >= _EVIDENCE
+        seen = (_running_means(evidence, _SEEN_PINGS, start, stop) >= _EVIDENCE) | stated
         smooth = _running_medians(bins, _SMOOTHING_PINGS, start, stop)
         level = self._levelled(_running_medians(bins, _LEVEL_PINGS, start, stop))
         self._before = _Path(bins[:stop][-_LEVEL_PINGS:], evidence[:stop][-_LEVEL_PINGS:])
         roughness = np.abs(path.bins - smooth)
         sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, _UNSEEN_SIGMA * np.maximum(smooth * BIN_M, 1.0))
-        return BottomTrack(smooth * BIN_M, level * BIN_M, sigma, seen)
+        sigma = np.where(stated, _STATED_SIGMA * stated_m, sigma)
+        first_return_m, level_m = (np.where(stated, stated_m, bins * BIN_M) for bins in (smooth, level))
+        return BottomTrack(first_return_m, level_m, sigma, seen)
 
     def _levelled(self, medians: NDArray[np.float64]) -> NDArray[np.float64]:
         """Follow the medians by at most a hundredth per ping, which any dive stays below and no rock does."""
@@ -152,13 +171,17 @@ class BottomTracker:
         return level
 
     def _score(
-        self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float
+        self,
+        sides: list[Traces | None],
+        altitude_m: NDArray[np.float64],
+        max_range_m: float,
+        stated: NDArray[np.bool_],
     ) -> NDArray[np.float64]:
         n_bins = max(int(0.95 * max_range_m / BIN_M), 2)
         edges_m = np.arange(n_bins + 1, dtype=np.float64)[None, :] * BIN_M
         score = np.zeros((altitude_m.shape[0], n_bins))
         for traces in sides:
-            if traces is None:
+            if traces is None or stated.all():
                 continue
             means = mean_between(traces, edges_m)
             independent = min(
@@ -169,6 +192,7 @@ class BottomTracker:
             # Every side of every ping has the same weight: a loud fish, on one side, must not outvote the other and its
             # neighbours.
             add_votes(score, ratios, independent, _SIDE_VOTE, _EVIDENCE)
+        score[stated] = 0.0
         known = np.isfinite(altitude_m) & (altitude_m > 0.0)
         if known.any():
             centre_m = (np.arange(n_bins) * BIN_M)[None, :]
@@ -196,9 +220,16 @@ def _not_below_floor(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.maximum(intensity, 1e-6 * row_medians(intensity, None, 1)[:, np.newaxis] + 1e-300)
 
 
-def _path(end: int, score: NDArray[np.float64], back: NDArray[np.int32]) -> _Path:
+def _stated_m(sides: list[Traces | None], altitude_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Give the altitude reading (n_pings,) of pings whose echoes all begin beyond it, NaN for others."""
+    first_m = min((traces.first_range_m - 0.5 * traces.spacing_m for traces in sides if traces), default=0.0)
+    return np.where((altitude_m > 0.0) & (altitude_m < first_m), altitude_m, math.nan)
+
+
+def _path(end: int, scored: _Scored) -> _Path:
     """Trace the best path that ends in bin `end` of the block's last ping."""
-    bins = backtrack(end, back)
+    score = scored.score
+    bins = backtrack(end, scored.back)
     pings = np.arange(bins.shape[0])
     evidence = np.maximum.reduce([score[pings, np.clip(bins + offset, 0, score.shape[1] - 1)] for offset in (-1, 0, 1)])
     return _Path(bins, evidence)

@@ -202,9 +202,7 @@ def _embed_look(
     reach_m = scene_object.reach_m * (1.0 + 0.6 * (scene_object.scour_m > 0.0))
     shadow_m = 1.5 * ((ground_m + reach_m) * height_m / (height_m - top_m) - ground_m)
     farthest_m = ground_m + shadow_m + _BEYOND_M
-    around_m = (
-        reach_m + math.radians(config.sonar.beam_width_deg) * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
-    )
+    around_m = reach_m + config.sonar.beam_width_rad * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
     along = stretch.along_m - stretch.along_m[window.ping]
     pings = slice(int(np.searchsorted(along, -around_m)), int(np.searchsorted(along, around_m, side="right")))
     # As far as every ping of the window reaches.

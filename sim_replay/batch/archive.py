@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from auv_mcm.errors import BadInputError, UsageError
+from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import is_session
 
 LOG_SUFFIXES: Final = frozenset({".xtf", ".jsf", ".svlog", ".mcap"})
+_IMAGE_SUFFIXES: Final = frozenset({".tif", ".tiff", ".png", ".npy", ".h5", ".nc"})
 """Of files that are taken for logs in a folder; their format is recognised by content. A list may name any file."""
 RECORDING: Final = "recording"  # folder of a session recorded by `auv-mcm run`, a mission as a whole
 
@@ -52,6 +54,8 @@ def _below(folder: Path, out: Path) -> list[Path]:
             continue
         folders[:] = [name for name in folders if (here / name).resolve() != out]
         found += [here / name for name in files if Path(name).suffix.lower() in LOG_SUFFIXES]
+        images = [here / name for name in files if Path(name).suffix.lower() in _IMAGE_SUFFIXES]
+        found += [image for image in images if sidecar_path(image).name in files]
     return found
 
 

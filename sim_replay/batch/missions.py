@@ -22,7 +22,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import finite, make_directory
 from sim_replay.batch.archive import ArchivedLog
 from sim_replay.fitting.cascade.farm import AHEAD, Farm, run_tasks
-from sim_replay.logs.open_log import session_config
+from sim_replay.logs.open_log import logs_config
 from sim_replay.replay import replay
 
 MISSIONS: Final = "missions"
@@ -110,7 +110,7 @@ def _alone(task: MissionTask) -> MissionOutcome:
 def replay_mission(task: MissionTask) -> MissionOutcome:
     """Replay one log, unless its results are there already, made of the same log with the same configuration."""
     try:
-        recorded = session_config([task.log.path]) if task.config is None else None
+        recorded = logs_config([task.log.path]) if task.config is None else None
         config = task.config or recorded or read_config(None)
         if not is_replayed(task.folder, config):
             replay([task.log.path], task.folder, config)

@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 def detections_looked_at(log: Path, config: Config) -> list[Detection]:
     """Collect the detections that a mission hands to confirmation and that are confirmed."""
     taken: list[Detection] = []
-    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    beam_width_rad = config.sonar.beam_width_rad
 
     def look(detection: Detection) -> Detection:
         confirmed = confirm_detection(detection, beam_width_rad, _odds_for(detection), config.confirm)
@@ -86,7 +86,7 @@ def look_costs_s(detection: Detection, config: Config, repeat: int, clock: Calla
     """Time one confirmation and each of its steps, s; the best of `repeat` times each."""
     if detection.surroundings is None:
         raise ValueError("a detection without surroundings cannot be looked at")
-    beam_width_rad, odds = math.radians(config.sonar.beam_width_deg), _odds_for(detection)
+    beam_width_rad, odds = config.sonar.beam_width_rad, _odds_for(detection)
     costs: dict[str, float] = {}
     for _ in range(repeat):
         spent: dict[str, float] = defaultdict(float)
@@ -120,7 +120,7 @@ def p_mine_by_effort(detection: Detection, config: Config) -> list[float]:
     """Compute p_mine of one confirmation with each of EFFORTS."""
     if detection.surroundings is None:
         raise ValueError("a detection without surroundings cannot be looked at")
-    beam_width_rad, odds = math.radians(config.sonar.beam_width_deg), _odds_for(detection)
+    beam_width_rad, odds = config.sonar.beam_width_rad, _odds_for(detection)
     region = region_of(detection, detection.surroundings, beam_width_rad)
     looks = (
         examine(detection, region, odds, config.confirm.min_p_mine, thoroughness=Thoroughness(effort=effort))

@@ -6,7 +6,6 @@ Processor time, medians over repetitions in one process.
 from __future__ import annotations
 
 import argparse
-import math
 import statistics
 import time
 from collections import defaultdict
@@ -51,7 +50,7 @@ def _bench(log: Path, repeat: int) -> None:
         marks.append(time.process_time())
         for tile, contrast, tile_peaks in zip(tiles, weighed, peaks, strict=True):
             for peak in tile_peaks:
-                measure(tile, contrast.floor(peak.row, peak.column), peak, math.radians(config.sonar.beam_width_deg))
+                measure(tile, contrast.floor(peak.row, peak.column), peak, config.sonar.beam_width_rad)
         marks.append(time.process_time())
         for step, cost_s in zip(
             ("weigh contrasts", "find peaks", "measure peaks"), np.diff(marks).tolist(), strict=True

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -156,7 +155,7 @@ def fly_mission(name: str, seed: int, detector: Detector) -> FlownMission:
     scene = msgspec.structs.replace(read_scene(name), seed=seed)
     mission = simulated.Mission(scene)
     config = served_by(detector, config_for(scene))
-    odds, beam_width_rad = shipped_odds(detector), math.radians(config.sonar.beam_width_deg)
+    odds, beam_width_rad = shipped_odds(detector), config.sonar.beam_width_rad
     looks_s: dict[LookStep, list[float]] = {step: [] for step in STEPS}
 
     def timed_look(detection: Detection) -> Detection:

@@ -20,7 +20,8 @@ def add(commands: Commands) -> None:
         "report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay\n"
         "in the same directory are replaced. Several logs are one mission, taken in order of time. EdgeTech (.jsf) "
         "and\n"
-        "SonarView (.svlog) logs go through the decoders of the live ports. A session that\n"
+        "SonarView (.svlog) logs go through the decoders of the live ports. Sonar images\n"
+        "(TIFF, PNG, npy, HDF5) need a sidecar, as the page 'Replay a SAS image' says. A session that\n"
         "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with "
         "unless\n"
         "another is given.",
@@ -28,6 +29,7 @@ def add(commands: Commands) -> None:
             "auv-mcm replay mission.xtf --out results",
             "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
             "auv-mcm replay survey.jsf --out results",
+            "auv-mcm replay port.tif starboard.tif --out results",
             "auv-mcm replay auv-mcm-out/latest/recording --out results",
         ],
     )
@@ -37,8 +39,8 @@ def add(commands: Commands) -> None:
         nargs="+",
         type=Path,
         help=(
-            "XTF, JSF or svlog file, or a recorded session: its folder or an .mcap file of it; the format is "
-            "recognised by content"
+            "XTF, JSF or svlog file, sonar image, or a recorded session: its folder or an .mcap file of it; the "
+            "format is recognised by content"
         ),
     )
     parser.add_argument(
@@ -81,11 +83,11 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.logs.open_log import session_config
+    from sim_replay.logs.open_log import logs_config
     from sim_replay.logs.recorded import parse_speed
     from sim_replay.replay import replay
 
-    recorded = session_config(arguments.logs) if arguments.config is None else None
+    recorded = logs_config(arguments.logs) if arguments.config is None else None
     config = read_config(arguments.config) if recorded is None else recorded
 
     with Progress("replay") as progress:

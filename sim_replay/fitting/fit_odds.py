@@ -231,7 +231,7 @@ def examples_along(
     for event in events:
         pipeline.feed(event)
     pipeline.finish()
-    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    beam_width_rad = config.sonar.beam_width_rad
     examples = []
     for detection, known in zip(found, _labels_of(found, objects(), thinning), strict=True):
         if known is None or detection.surroundings is None:

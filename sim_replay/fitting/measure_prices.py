@@ -116,7 +116,7 @@ def _measured_once(events: Iterable[SourceEvent], config: Config, known: BudgetC
     def look(detection: Detection) -> Detection:
         if is_worth_confirming(detection, odds, config.confirm):
             looked_at.append(detection)
-        return confirm_detection(detection, math.radians(config.sonar.beam_width_deg), odds, config.confirm)
+        return confirm_detection(detection, config.sonar.beam_width_rad, odds, config.confirm)
 
     pipeline = Pipeline(config, timer=clock, look=look)
     n_samples = 0
@@ -231,7 +231,7 @@ def _examined(
         spent[step] += now - mark
         mark = now
 
-    region = region_of(detection, detection.surroundings, math.radians(config.sonar.beam_width_deg))
+    region = region_of(detection, detection.surroundings, config.sonar.beam_width_rad)
     return examine(detection, region, odds, config.confirm.min_p_mine, done)
 
 

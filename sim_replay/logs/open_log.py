@@ -15,18 +15,31 @@ from msgspec import structs
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import open_regular
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, SonarName, SonarPortConfig
 from sim_replay.logs.log_reader import AddedFormat, AddedLog, Log, added_formats
 
 CHUNK_BYTES: Final = 1 << 18  # bytes per read: bounds memory
 
-LogFormat: TypeAlias = Literal["xtf", "jsf", "svlog", "session"]
+LogFormat: TypeAlias = Literal["xtf", "jsf", "svlog", "session", "tiff", "png", "npy", "hdf5"]
 FORMAT_NAMES: Final[dict[LogFormat, str]] = {
     "xtf": "XTF",
     "jsf": "EdgeTech JSF",
     "svlog": "Ping Protocol (svlog)",
     "session": "recorded session",
+    "tiff": "sonar image (TIFF)",
+    "png": "sonar image (PNG)",
+    "npy": "sonar image (npy)",
+    "hdf5": "sonar image (HDF5)",
+}
+_IMAGE_FIRST: Final[dict[bytes, LogFormat]] = {
+    b"II*\0": "tiff",
+    b"MM\0*": "tiff",
+    b"II+\0": "tiff",  # BigTIFF
+    b"MM\0+": "tiff",
+    b"\x89PNG": "png",
+    b"\x93NUMPY": "npy",
+    b"\x89HDF\r\n": "hdf5",  # NetCDF-4 too
 }
 
 _XTF_FIRST: Final = b"\x7b"
@@ -45,8 +58,8 @@ _UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from 
 def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
     """Open a recorded log of any known format.
 
-    It is an XTF, JSF or svlog file, a recorded session (its folder, or one .mcap file of it), or a file of a format
-    that another package reads.
+    It is an XTF, JSF or svlog file, a recorded session (its folder, or one .mcap file of it), a sonar image with its
+    sidecar, or a file of a format that another package reads.
 
     Ports are decoded as `config` states, a session's as they were recorded where it is silent. `chunk_bytes` sizes the
     read buffer of built-in formats and nothing else. Raises BadInputError for what is none of these or holds no side
@@ -65,6 +78,10 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
             return _open_svlog(path, config, chunk_bytes)
         case "session":
             return _open_session(path, config)
+        case "tiff" | "png" | "npy" | "hdf5" as kind:
+            from sim_replay.logs.image_log import ImageLog
+
+            return ImageLog(path, kind, config.sonar, kind_doubt(path, config))
 
 
 def log_format(path: Path) -> LogFormat | AddedFormat:
@@ -99,9 +116,8 @@ def log_format(path: Path) -> LogFormat | AddedFormat:
             f"{path} is not a readable log: it begins with 0x{head[:4].hex()}, and no message of a known format is "
             f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol "
             "svlog "
-            "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), and formats of plug-ins ('auv-mcm "
-            "check' lists "
-            "them). Export the log as one of these."
+            "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), sonar images (TIFF, PNG, npy, "
+            "HDF5), and formats of plug-ins ('auv-mcm check' lists them). Export the log as one of these."
             + "".join(f"\nA plug-in that may know it does not work: {problem}." for problem in problems)
         )
     return added[0]
@@ -122,14 +138,46 @@ def describe_log(path: Path, config: Config) -> str:
     return f"{format_title(log_format(path))}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
 
 
-def session_config(paths: list[Path]) -> Config | None:
-    """Read the configuration that the session among `paths` was recorded with, None if there is no session.
+def logs_config(paths: list[Path]) -> Config | None:
+    """Read the configuration that logs bring along, for use where none is given; None where they bring none.
 
-    Raises BadInputError.
+    A session brings the one it was recorded with, an image the kind of sonar in its sidecar. Raises BadInputError.
     """
     from sim_replay.logs.session_reader import Session, recorded_config
 
-    return next((recorded_config(Session(path)) for path in paths if is_session(path)), None)
+    for path in paths:
+        if is_session(path):
+            return recorded_config(Session(path))
+        if (kind := _image_kind(path)) is not None:
+            return Config(sonar=SonarConfig(kind=kind))
+    return None
+
+
+def kind_doubt(path: Path, config: Config) -> str:
+    """Say why `sonar.kind` may not be that of a log, and what to do; empty where nothing speaks against it.
+
+    Raises BadInputError or UsageError as a replay would.
+    """
+    found, kind = _image_kind(path), config.sonar.kind
+    if found is not None and found != kind:
+        return f"the sidecar says `kind: {found}`, the configuration sonar.kind: {kind}. Correct the one that is wrong"
+    if found is None and kind == "sas" and log_format(path) in ("xtf", "jsf", "svlog"):
+        return (
+            "sonar.kind is sas, and logs of this format mostly hold side scan, whose resolution grows with range. Set "
+            "sonar.kind: side_scan unless a processor wrote the log"
+        )
+    return ""
+
+
+def _image_kind(path: Path) -> Literal["side_scan", "sas"] | None:
+    """Read the kind of sonar from the sidecar of an image; None for other logs, and for what cannot be read."""
+    from sim_replay.logs.image_sidecar import read_sidecar
+
+    try:
+        is_image = log_format(path) in _IMAGE_FIRST.values()
+    except (BadInputError, UsageError):
+        return None
+    return read_sidecar(path).kind if is_image else None
 
 
 def is_session(path: Path) -> bool:
@@ -145,6 +193,8 @@ def _format_of(head: bytes) -> LogFormat | None:
         return "xtf"
     if head.startswith(_MCAP_FIRST):
         return "session"
+    if (image := next((kind for first, kind in _IMAGE_FIRST.items() if head.startswith(first)), None)) is not None:
+        return image
     from drivers.framing import Framer
     from drivers.sonar.jsf import JsfGrammar
     from drivers.sonar.ping_protocol import PingGrammar

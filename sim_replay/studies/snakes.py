@@ -292,7 +292,7 @@ def _handed_on(name: str, seed: int) -> list[Handed]:
     config = msgspec.structs.replace(
         config, confirm=msgspec.structs.replace(config.confirm, min_p_mine=0.0, max_per_tile=_ALL)
     )
-    odds, beam_width_rad = shipped_odds("cascade"), math.radians(config.sonar.beam_width_deg)
+    odds, beam_width_rad = shipped_odds("cascade"), config.sonar.beam_width_rad
     detections: list[Detection] = []
     looked: list[tuple[float, float, bool]] = []
 
@@ -327,7 +327,7 @@ def _judged(name: str, seed: int) -> Iterator[tuple[Label, Contours]]:
     tiles += [event for event in pipeline.finish() if isinstance(event, Tile)]
     detections = [detection for tile in tiles for detection in detect_tile(tile, config).detections]
     labels = label_detections(detections, mission.truth()["objects"], scene.track.speed_mps)
-    beam_width_rad = math.radians(config.sonar.beam_width_deg)
+    beam_width_rad = config.sonar.beam_width_rad
     for detection, label in zip(detections, labels, strict=True):
         if label is not None and detection.surroundings is not None:
             yield (

@@ -14,10 +14,12 @@ import yaml
 
 from auv_mcm.settings.config import parse_config
 from auv_mcm.settings.plugins import GROUPS
+from auv_mcm.settings.strict_yaml import load_mapping
 from drivers.ports import read_ports
 from sim_replay.augment.targets import parse_target_spec
 from sim_replay.fitting.cascade.spec import parse_training_spec
 from sim_replay.hil.scenario import parse_scenario
+from sim_replay.logs.image_sidecar import parse_sidecar
 from sim_replay.simulator.scene_file import parse_scene
 from tests.auv_mcm.test_command_lines import PAGES, PROGRAMS
 
@@ -53,6 +55,7 @@ READERS: Final[dict[str, Callable[[str, str], Any]]] = {
     "scatter": parse_target_spec,
     "targets": parse_target_spec,
     "ports": parse_ports,
+    "near_edge": lambda text, place: parse_sidecar(load_mapping(text, place, "a sidecar"), place),
 }
 
 BLOCKS: Final = [block for page in PAGES for block in blocks_of(page)]

@@ -35,7 +35,7 @@ from drivers.sonar.ping_messages import NMEA_WRAPPER, OsMonoProfile, PingMessage
 from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.fakes.port import FakePort
 from sim_replay.fakes.sonar import DeviceTime, JsfSonar
-from sim_replay.logs.open_log import session_config
+from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.session_reader import Session
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
@@ -314,7 +314,7 @@ def test_a_recorded_session_gives_the_same_contacts_to_the_byte_and_a_sonars_own
     live = asyncio.run(served(config, devices))
     devices.join(10.0)
 
-    assert session_config([live / RECORDING]) == config != read_config(None)
+    assert logs_config([live / RECORDING]) == config != read_config(None)
     replay([live / RECORDING], tmp_path / "again", config)
     for name in ("contacts.geojson", "contacts.csv", "coverage.geojson", "waypoints.geojson"):
         assert (live / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name

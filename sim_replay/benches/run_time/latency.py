@@ -107,7 +107,7 @@ def measure_latency(line: BenchMission) -> MissionLatency:
     finished_waits: list[Wait] = []
     n_early = 0
     for view, target in _target_views(pipeline.contacts, line.truth.objects):
-        beam_m = view.slant_range_m * math.radians(line.config.sonar.beam_width_deg)
+        beam_m = view.slant_range_m * line.config.sonar.beam_width_rad
         seen_to_m = float(track.along_m(np.array([view.time_s]))[0]) + 0.5 * (
             beam_m + max(target.length_m or 0.0, target.width_m or 0.0)
         )

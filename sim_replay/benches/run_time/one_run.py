@@ -86,7 +86,7 @@ def _look_of(thoroughness: Thoroughness, config: Config) -> Callable[[Detection]
     model, _ = fitting(configured_model(config), config)
     return partial(
         confirm_detection,
-        beam_width_rad=math.radians(config.sonar.beam_width_deg),
+        beam_width_rad=config.sonar.beam_width_rad,
         odds=shipped_odds("contrast" if model is None else "cascade"),
         config=config.confirm,
         thoroughness=thoroughness,

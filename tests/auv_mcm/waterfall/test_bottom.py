@@ -148,6 +148,22 @@ def test_where_no_step_shows_the_altitude_field_stands_in_and_the_doubt_is_repor
     assert (found.sigma_m >= 0.2 * found.first_return_m).all()
 
 
+def test_where_all_echoes_begin_beyond_the_altitude_it_is_taken_as_stated() -> None:
+    ripples = [side * np.where(np.arange(side.shape[1]) % 60 < 30, 1.0, 8.0) for side in two_sides(10.0)]
+    first_m = 12.0
+    beyond = [
+        traces(side[:, round(first_m / SPACING_M) :].astype(np.float32))._replace(first_range_m=first_m + 0.0125)
+        for side in ripples
+    ]
+    tracker = BottomTracker(BLANK_M)
+    assert tracker.add([*beyond], FIRST_RETURN_M, RANGE_M) is None
+    found = tracker.flush()
+    assert found is not None
+    assert found.seen.all()
+    assert np.array_equal(found.first_return_m, FIRST_RETURN_M)
+    assert np.allclose(found.sigma_m, 0.02 * FIRST_RETURN_M)
+
+
 def test_altitudes_that_are_no_numbers_are_ignored() -> None:
     sides: list[NDArray[np.float32] | None] = [*two_sides(10.0)]
     expected = track(sides).first_return_m

@@ -17,9 +17,10 @@ def touch(path: Path) -> Path:
 
 
 def test_logs_of_all_folders_are_found_by_suffix_in_the_order_of_their_names(tmp_path: Path) -> None:
-    for name in ("b/2.XTF", "a/1.jsf", "a/notes.pdf", "c.svlog", "d/e/f.mcap"):
+    for name in ("b/2.XTF", "a/1.jsf", "a/notes.pdf", "c.svlog", "d/e/f.mcap", "g.tif", "g.yaml", "picture.png"):
         touch(tmp_path / name)
-    assert [log.name for log in logs_of(tmp_path, tmp_path / "out")] == ["a/1.jsf", "b/2.XTF", "c.svlog", "d/e/f.mcap"]
+    found = [log.name for log in logs_of(tmp_path, tmp_path / "out")]
+    assert found == ["a/1.jsf", "b/2.XTF", "c.svlog", "d/e/f.mcap", "g.tif"]
 
 
 def test_results_in_the_archive_itself_are_no_logs(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -98,8 +97,6 @@ def test_the_cost_of_a_look_is_that_of_its_steps_by_the_clock_given() -> None:
 def test_a_search_as_it_is_moves_no_look() -> None:
     detection, config = detection_in(mine("sphere", 3, width_m=0.8)), Config()
     p_mine = p_mine_by_effort(detection, config)
-    looked_at = confirm_detection(
-        detection, math.radians(config.sonar.beam_width_deg), shipped_odds("contrast"), config.confirm
-    )
+    looked_at = confirm_detection(detection, config.sonar.beam_width_rad, shipped_odds("contrast"), config.confirm)
     assert len(p_mine) == len(EFFORTS)
     assert p_mine[0] == looked_at.p_mine
