@@ -23,7 +23,7 @@ from typing import Final
 from auv_mcm.contacts.record_file import RecordFile
 from auv_mcm.errors import AuvMcmError
 from auv_mcm.plan.look_again import PlanRequest
-from auv_mcm.records import SourceEvent
+from auv_mcm.records import Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import commit_checkpoint
 from auv_mcm.shell.event_queue import Queued
@@ -98,6 +98,7 @@ class LastingPerception:
         self._handed_first = 0  # number of the newest that any process had
         self._on_handed = on_handed
         self._is_behind = False  # what was given comes from the spool
+        self._pings_behind: deque[int] = deque()  # numbers of pings that were given since, and that no process has
         self._awaited: deque[int] = deque()  # numbers of events, in the order of their answers
         self._answered = 0  # number of the newest event that any process answered
         self._answered_here: int | None = None  # number of the newest event that this process answered
@@ -113,6 +114,14 @@ class LastingPerception:
     def in_flight(self) -> int:
         """Count messages that the process has not answered yet."""
         return self._perception.in_flight
+
+    @property
+    def pings_waiting(self) -> int:
+        """Count pings that came while the process was fed again, and wait in the spool for their turn.
+
+        Those that it is fed again are left out: they are no sign that it is too slow for what comes.
+        """
+        return len(self._pings_behind)
 
     async def start(self) -> Started:
         """Start the process and go on from what was kept, if anything was. Raises PerceptionError."""
@@ -148,6 +157,8 @@ class LastingPerception:
         if room != 1.0:
             self._spool.mark_room(queued.number, room)
         self._given = queued.number
+        if self._is_behind and isinstance(queued.event, Ping):
+            self._pings_behind.append(queued.number)
         if not self._is_behind:
             await self._hand(self._perception, Spooled(queued.number, queued.event, room))
         while is_patient and self._is_behind:
@@ -204,6 +215,8 @@ class LastingPerception:
         for before, n_contacts in self._reservations.items():
             if self._handed < before <= spooled.number:
                 perception.reserve(n_contacts)
+        while self._pings_behind and self._pings_behind[0] <= spooled.number:
+            self._pings_behind.popleft()
         self._awaited.append(spooled.number)
         try:
             await perception.feed(spooled.event, spooled.room, spooled.number)
@@ -259,6 +272,7 @@ class LastingPerception:
                         await self._hand(perception, spooled)
             self._handed = until
         self._is_behind = False
+        self._pings_behind.clear()  # of those that the disk did not take, too
         for request in self._asked:  # not before: it would not know yet what the plan is for
             perception.ask(request)
         if self._is_finishing:

@@ -328,15 +328,16 @@ class Service:
         self, vehicle_link: VehicleLink, queue: EventQueue, perception: LastingPerception
     ) -> None:
         while True:
-            for notice in vehicle_link.attend(self._faults(queue), perception.ask):
+            for notice in vehicle_link.attend(self._faults(queue, perception), perception.ask):
                 self._announce(notice)
             await asyncio.sleep(_ATTEND_S)
 
-    def _faults(self, queue: EventQueue) -> list[str]:
+    def _faults(self, queue: EventQueue, perception: LastingPerception) -> list[str]:
         """Give the payload's faults that the vehicle should know."""
         faults = self._source.faults() if isinstance(self._source, LiveSource) else []
         n_dropped, self._n_dropped_reported = self._n_dropped_reported, self._counters["service.ping_dropped"]
-        if self._n_dropped_reported > n_dropped or 2 * queue.pings > self._config.service.queue_pings:
+        n_waiting = queue.pings + perception.pings_waiting
+        if self._n_dropped_reported > n_dropped or 2 * n_waiting > self._config.service.queue_pings:
             faults.append("perception is behind")
         return faults
 
@@ -406,7 +407,8 @@ class Service:
         try:
             while (queued := await queue.get()) is not None:
                 try:
-                    room = self._room(queue) if isinstance(queued.event, Ping) else 1.0
+                    n_waiting = queue.pings + perception.pings_waiting
+                    room = self._room(n_waiting) if isinstance(queued.event, Ping) else 1.0
                     await perception.feed(queued, room, is_patient=self._source.lossless)
                 except ValueError as error:
                     self._counters["service.ping_too_large"] += 1
@@ -421,17 +423,17 @@ class Service:
         if self._tally.pings == 1 and isinstance(event, Ping):
             log.info("first ping: %s", event.place or event.number)
 
-    def _room(self, queue: EventQueue) -> float:
+    def _room(self, n_waiting: int) -> float:
         """Give the share of the time that work on tiles may take, 0 to 1: less than 1 while perception is behind.
 
         A source that waits for perception never drops a ping, so that nothing needs to be shed.
         """
-        filled = queue.pings / self._config.service.queue_pings
+        filled = n_waiting / self._config.service.queue_pings
         if self._source.lossless or filled <= _SHED_FROM:
             return 1.0
         self._counters["service.work_shed"] += 1
         if self._counters["service.work_shed"] == 1:
-            self._announce(_work_shed(queue.pings))
+            self._announce(_work_shed(n_waiting))
         return max((_SHED_ALL - filled) / (_SHED_ALL - _SHED_FROM), 0.0)
 
     async def _publish(self, perception: LastingPerception, journal: Journal) -> None:
@@ -618,7 +620,7 @@ class Service:
             has_kernels=kernels.backend() == "c",
             late_s=self._lag_s,
             pings=self._tally.pings,
-            queue_pings=queue.pings,
+            queue_pings=queue.pings + perception.pings_waiting,
             queue_limit=self._config.service.queue_pings,
             in_flight=perception.in_flight,
             waits_on_purpose=self._source.lossless,

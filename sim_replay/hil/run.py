@@ -280,7 +280,7 @@ class _Run:
         self._services[-1].signal(signal.SIGTERM)
         self._stopped_s = self._mission_time().at(time.monotonic())
         try:
-            return await self._services[-1].ended(scenario.stop_within_s)
+            return await self._services[-1].ended(scenario.stop_within_s + _GRACE_S)
         except TimeoutError:
             return None
 
