@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +41,14 @@ from sim_replay.view.waterfall_store import TILE_PX, WaterfallStore
 N_LEGS: Final = 14
 """Legs of the ripple scene, 290 m each at 2 m/s: 44 minutes with the turns, measured."""
 _GATE_M: Final = 3.0  # m from a target, within which a contact is judged mine-like
-_SMOOTH: Final = (5, 3)  # rows and columns that an eye averages over: 0.6 m by 0.18 m
-_DARK_DB: Final = -4.0  # of the smoothed sea floor: darker is shadow
+_SMOOTH: Final = (3, 3)  # rows and columns that an eye averages over: 0.36 m by 0.18 m
+_DARK_DB: Final = -3.0  # of the sea floor: half its power, where an edge is taken
+_CLEAR_DB: Final = -6.0  # on average: a shadow that an analyst would measure
+_BRIDGE_M: Final = 0.3  # speckle in a shadow is shorter
 _BRIGHT_DB: Final = 3.0  # brighter is the object
 _REACH_M: Final = 9.0  # behind the object that a shadow is looked for: that of 0.8 m at 45 m, 5 m over the floor
 _GAP_M: Final = 0.4  # between the object and its shadow at most
-_MIN_SHADOW_M: Final = 0.3  # shorter ones are speckle
+_MIN_SHADOW_M: Final = 0.5  # shorter ones are speckle
 
 
 _LIVE_ROWS: Final = 600  # rows of 0.12 m of the live mission in the picture
@@ -207,7 +208,7 @@ async def _judge_all(
             if measured_m is not None:
                 if pictures is not None and not heights:
                     await page.wait_for("!bench.busy")
-                    await page.screenshot(pictures / "view-measure.webp", quality=40)
+                    await page.screenshot(pictures / "view-measure.webp", quality=30)
                 heights.append((measured_m, target.height_m - target.burial_m))
         is_likely = (
             target is not None
@@ -218,7 +219,7 @@ async def _judge_all(
         await page.wait_for(f"bench.contacts.find((one) => one.id === '{name}').call")
         if pictures is not None and len(heights) == 2 and target is not None:
             await page.wait_for("!bench.busy && document.querySelector('#card img') !== null")
-            await page.screenshot(pictures / "view-judge.webp", quality=40)
+            await page.screenshot(pictures / "view-judge.webp", quality=30)
             pictures = None
     return heights
 
@@ -257,35 +258,32 @@ def shadow_ends(store: WaterfallStore, row: float, across_m: float) -> tuple[flo
     if not (math.isfinite(row) and math.isfinite(across_m)):
         return None
     column_m, sign = store.column_spacing_m, -1 if across_m < 0.0 else 1
-    level_db = _around(store, row, across_m)
-    middle, centre = level_db.shape[0] // 2, round(1.5 / column_m)
-    best: tuple[int, int, int] | None = None
-    for line in range(middle - 3, middle + 4):
-        bright = np.flatnonzero(level_db[line, : centre + round(1.5 / column_m)] > _BRIGHT_DB)
-        near = bright[np.abs(bright - centre) <= round(0.8 / column_m)]
-        if not len(near):
-            continue
-        dark = level_db[line] < _DARK_DB
-        start = next((at for at in range(near[-1] + 1, near[-1] + 1 + round(_GAP_M / column_m)) if dark[at]), None)
-        if start is None:
-            continue
-        light = np.flatnonzero(~dark[start:])
-        end = start + (int(light[0]) if len(light) else 0)
-        if best is None or end - start > best[2] - best[1]:
-            best = (line, start, end)
-    if best is None or (best[2] - best[1]) * column_m < _MIN_SHADOW_M:
+    level_db = _profile(store, row, across_m)
+    centre = round(1.5 / column_m)
+    bright = np.flatnonzero(level_db[: centre + round(1.0 / column_m)] > _BRIGHT_DB)
+    near = bright[np.abs(bright - centre) <= round(0.8 / column_m)]
+    if not len(near):
         return None
-    line, start, end = best
+    gap = round(_BRIDGE_M / column_m)
+    lit = np.flatnonzero(level_db > _DARK_DB)
+    behind = np.arange(near[-1] + 1, near[-1] + 1 + round(_GAP_M / column_m))
+    start = next((int(at) for at in behind if not np.isin(at, lit)), None)
+    if start is None:
+        return None
+    # The first stretch of light that is longer than speckle ends the shadow.
+    end = next((int(at) for at in lit[lit > start] if np.isin(np.arange(at, at + gap + 1), lit).all()), None)
+    if end is None or (end - start) * column_m < _MIN_SHADOW_M or level_db[start:end].mean() > _CLEAR_DB:
+        return None
     first_m = abs(across_m) - 1.5
     return (
-        math.floor(row) + line - middle + 0.5,
+        math.floor(row) + 0.5,
         sign * (first_m + start * column_m),
         sign * (first_m + end * column_m),
     )
 
 
-def _around(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.float64]:
-    """Cut out smoothed decibels around a contact, (25, n), from 1.5 m before it, going away from the sonar."""
+def _profile(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.float64]:
+    """Average what lies abeam of a contact, dB, (n,), from 1.5 m before it, going away from the sonar."""
     first_row, first_column = math.floor(row) - 12, round((abs(across_m) - 1.5) / store.column_spacing_m)
     n_columns = round((1.5 + _REACH_M) / store.column_spacing_m)
     linear = np.zeros((25, n_columns), dtype=np.float32)
@@ -300,7 +298,9 @@ def _around(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.fl
             cut = slice(max(left, 0), min(left + TILE_PX, n_columns))
             if rows.start < rows.stop and cut.start < cut.stop:
                 linear[rows, cut] = pixels[rows.start - top : rows.stop - top, cut.start - left : cut.stop - left]
-    smooth = cv2.blur(linear, _SMOOTH[::-1])
+    rows, n_smooth = _SMOOTH
+    middle = linear[12 - rows // 2 : 13 + rows // 2].mean(axis=0)
+    smooth = np.convolve(middle, np.full(n_smooth, 1.0 / n_smooth), mode="same")
     return np.asarray(10.0 * np.log10(np.maximum(smooth, 1e-3)), dtype=np.float64)
 
 
@@ -322,13 +322,13 @@ async def _overview_pictures(page: BrowserPage, folder: Path) -> None:
     await page.evaluate("document.querySelector('[data-layer=coverage]').click()")
     await page.wait_for("bench.tiles.size > 8 && !bench.busy")
     await page.evaluate(_TWO_FRAMES)
-    await page.screenshot(folder / "view.webp", quality=40)
+    await page.screenshot(folder / "view.webp", quality=30)
     for theme in ("night", "day", "dusk"):  # in the order of the key
         await page.press("t")
         await page.wait_for("!bench.busy")
         await page.evaluate(_TWO_FRAMES)
         if theme != "dusk":
-            await page.screenshot(folder / f"view-{theme}.webp", quality=40)
+            await page.screenshot(folder / f"view-{theme}.webp", quality=30)
 
 
 async def _live_picture(out: Path, pictures: Path) -> None:
@@ -349,7 +349,7 @@ async def _live_picture(out: Path, pictures: Path) -> None:
             await page.wait_for("window.bench && bench.state.live")
             await page.wait_for(f"bench.state.stop_row > {_LIVE_ROWS} && bench.contacts.length && !bench.busy")
             pictures.mkdir(parents=True, exist_ok=True)
-            await page.screenshot(pictures / "view-live.webp", quality=40)
+            await page.screenshot(pictures / "view-live.webp", quality=30)
         await server.close()
         mission.feed.close()
     finally:

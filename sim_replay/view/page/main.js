@@ -16,9 +16,13 @@ const CLOSE_SCALE = 25; // pixels per metre at which a chosen contact is shown: 
 
 let state = {}, contacts = [], selected = null, details = null, follows = false, wasFitted = false;
 
+let mapWaits = 0;
 const tiles = tileStore(() => {
   waterfall.redraw();
-  map.redraw();
+  mapWaits ||= setTimeout(() => { // with all that has come within a quarter of a second
+    mapWaits = 0;
+    map.redraw();
+  }, 250);
 });
 const waterfall = waterfallView(tiles, {select, measure, draw: drawMissed, cursor: showCursor, moved: () => setFollow(false)});
 const map = mapView(tiles, {select});
