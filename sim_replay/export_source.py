@@ -15,7 +15,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import RECORDING, SUMMARY
-from sim_replay.logs.open_log import is_session, session_config
+from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.logs.recorded import open_mission
 
 CONTACTS: Final = "contacts.geojson"
@@ -39,14 +39,14 @@ def find_source(paths: Sequence[Path], config: Config | None) -> ExportSource:
     """
     folder = paths[0]
     if len(paths) == 1 and (recordings := recordings_of(folder)):
-        used = config or session_config(recordings) or Config()
+        used = config or logs_config(recordings) or Config()
         return ExportSource(tuple(recordings), used, folder if (folder / CONTACTS).is_file() else None)
     if len(paths) == 1 and (folder / SUMMARY).is_file():
         return _replayed(folder, config)
     for path in paths:
         if (path / SUMMARY).is_file():
             raise UsageError(f"{path} is a folder of results, which is exported by itself. Name it alone.")
-    return ExportSource(tuple(paths), config or session_config(list(paths)) or Config(), None)
+    return ExportSource(tuple(paths), config or logs_config(list(paths)) or Config(), None)
 
 
 def recordings_of(session: Path) -> list[Path]:

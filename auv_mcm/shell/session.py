@@ -43,7 +43,7 @@ class Session(NamedTuple):
 
 
 class AnnouncedBefore:
-    """Tell what of the answers to events that are fed again was announced before."""
+    """Say what of the answers to events that are fed again was announced before."""
 
     def __init__(self, session: Session, fed_again_to: int) -> None:
         """fed_again_to: number of the newest event that a run before has kept."""

@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import recordings_of
-    from sim_replay.logs.open_log import session_config
+    from sim_replay.logs.open_log import logs_config
     from sim_replay.replay import replay
 
     recordings = recordings_of(arguments.session)
@@ -46,7 +46,7 @@ def _run(arguments: argparse.Namespace) -> int:
     out = arguments.out or arguments.session / "report"
     for number, recording in enumerate(recordings, 1):
         folder = out if number == 1 else out.with_name(f"{out.name}-{number}")
-        config = given or session_config([recording]) or read_config(None)
+        config = given or logs_config([recording]) or read_config(None)
         with Progress("report") as progress:
             summary = replay([recording], folder, config, threads=arguments.threads, progress=progress.show)
         print(

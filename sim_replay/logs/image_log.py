@@ -35,12 +35,12 @@ class ImageLog:
     and reader.image_damaged.
     """
 
-    def __init__(self, path: Path, container: str, sonar: SonarConfig, doubt: str = "") -> None:
+    def __init__(self, path: Path, container: str, sonar: SonarConfig) -> None:
         """Open the image and its sidecar. Raises BadInputError where they cannot be used together.
 
-        container: tiff, png, npy or hdf5. doubt: of the kind of sonar, raised as a notice.
+        container: tiff, png, npy or hdf5.
         """
-        self._path, self._sonar, self._doubt = path, sonar, doubt
+        self._path, self._sonar = path, sonar
         self._size_bytes = path.stat().st_size
         self.sidecar: Final[Sidecar] = read_sidecar(path)
         self._pixels: Pixels = open_pixels(path, container, self.sidecar)
@@ -119,8 +119,12 @@ class ImageLog:
 
     def _notices(self) -> Iterator[Notice]:
         sidecar = self.sidecar
-        if self._doubt:
-            yield Notice(code="reader.kind_disagrees", text=self._doubt, place=str(self._path))
+        if sidecar.kind != self._sonar.kind:
+            text = (
+                f"the sidecar says `kind: {sidecar.kind}`, the configuration sonar.kind: {self._sonar.kind}. Correct "
+                "the one that is wrong"
+            )
+            yield Notice(code="reader.kind_disagrees", text=text, place=str(self._path))
         far_m = sidecar.near_range_m + self._pixels.n_pixels * sidecar.pixel_across_m
         if far_m > self._sonar.max_range_m:
             text = (

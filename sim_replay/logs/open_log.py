@@ -81,7 +81,7 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
         case "tiff" | "png" | "npy" | "hdf5" as kind:
             from sim_replay.logs.image_log import ImageLog
 
-            return ImageLog(path, kind, config.sonar, kind_doubt(path, config))
+            return ImageLog(path, kind, config.sonar)
 
 
 def log_format(path: Path) -> LogFormat | AddedFormat:

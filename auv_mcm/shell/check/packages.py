@@ -21,6 +21,7 @@ IMPORTED_AS: Final = {
     "pyserial": "serial",
     "python-can": "can",
     "pyyaml": "yaml",
+    "mcap-protobuf-support": "mcap_protobuf",
 }
 _WITHOUT: Final = {
     "bench": "replay, simulate, score, train, hil, bench and reports need it",
