@@ -52,6 +52,7 @@ MAX_GROWTH: Final = 0.1
 _SAMPLE_S: Final = 0.5  # s between samples of memory
 _ENDING_S: Final = 0.02  # the same while the service ends
 _WARM: Final = 1.0 / 3.0  # share of each start in which caches fill, of which no growth is measured
+_LONG: Final = 0.5  # share of the longest start that others must have to count: caches fill in the first minutes
 _BLOCKS: Final = 8  # of the rest of each start, whose medians are one value each: memory is used for moments
 _MIN_SAMPLES: Final = 2 * _BLOCKS  # of a start of which growth is measured
 _MAX_ROWS: Final = 12  # of the table printed
@@ -96,6 +97,8 @@ _OF_RESTARTS: Final = {  # counters that a mission with restarts has as well
     "port.*.*.refused.*": "a start in the middle of a message",
     "port.*.*.lone_*": "a start in the middle of a message",
     "ping.gap": "nothing was heard while the service was down",
+    "navigation.heading_from_course": "pings around a start, where no unit's heading was heard",
+    "navigation.speed_from_fixes": "pings around a start, where no unit's speed was heard",
 }
 _KINDS: Final = {  # files of a session that came to its end
     "contacts.jsonl": "the journal of contacts",
@@ -391,28 +394,26 @@ def _growth(watched: Watched, mission_h: float) -> list[str]:
     starts = blocks[:, 1].astype(int)
     problems = []
     for column, name, unit, scale in (
-        (2, "memory of the service", "MB", _BYTES_PER_MB),
-        (3, "memory of perception", "MB", _BYTES_PER_MB),
+        (2, "memory of the service", " MB", _BYTES_PER_MB),
+        (3, "memory of perception", " MB", _BYTES_PER_MB),
         (4, "open files of the service", "", 1.0),
         (5, "open files of perception", "", 1.0),
     ):
         values = blocks[:, column] / scale
-        for words, groups in (("within a start", starts), ("over the mission", np.zeros_like(starts))):
-            slope = slope_of(at_h, values, groups)
-            print(
-                f"{name}, {words}: {slope.middle:+.2f} ± {slope.half:.2f} {unit} an hour of mission".replace("  ", " ")
-            )
-            if (slope.middle - slope.half) * mission_h > MAX_GROWTH * float(np.median(values)):
-                problems.append(f"{name} grows {words}")
+        slope = slope_of(at_h, values, starts)
+        print(f"{name}: {slope.middle:+.2f} ± {slope.half:.2f}{unit} an hour of mission")
+        if (slope.middle - slope.half) * mission_h > MAX_GROWTH * float(np.median(values)):
+            problems.append(f"{name} grows")
     print()
     return problems
 
 
 def _medians(samples: Sequence[Sample]) -> Iterator[NDArray[np.float64]]:
-    """Yield medians of the later part of each start, in blocks."""
+    """Yield medians of the later part of each long start, in blocks."""
+    longest = max(Counter(sample.start for sample in samples).values())
     for start in sorted({sample.start for sample in samples}):
         of_start = np.array([sample for sample in samples if sample.start == start], dtype=np.float64)
-        if len(of_start) >= _MIN_SAMPLES:
+        if len(of_start) >= max(_MIN_SAMPLES, _LONG * longest):
             for part in np.array_split(of_start[int(len(of_start) * _WARM) :], _BLOCKS):
                 yield np.median(part, axis=0)
 
