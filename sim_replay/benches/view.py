@@ -299,8 +299,8 @@ def _profile(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.f
             cut = slice(max(left, 0), min(left + TILE_PX, n_columns))
             if rows.start < rows.stop and cut.start < cut.stop:
                 linear[rows, cut] = pixels[rows.start - top : rows.stop - top, cut.start - left : cut.stop - left]
-    rows, n_smooth = _SMOOTH
-    middle = linear[12 - rows // 2 : 13 + rows // 2].mean(axis=0)
+    n_lines, n_smooth = _SMOOTH
+    middle = linear[12 - n_lines // 2 : 13 + n_lines // 2].mean(axis=0)
     smooth = np.convolve(middle, np.full(n_smooth, 1.0 / n_smooth), mode="same")
     return np.asarray(10.0 * np.log10(np.maximum(smooth, 1e-3)), dtype=np.float64)
 
