@@ -41,7 +41,7 @@ from sim_replay.view.waterfall_store import TILE_PX, WaterfallStore
 N_LEGS: Final = 14
 """Legs of the ripple scene, 290 m each at 2 m/s: 44 minutes with the turns, measured."""
 _GATE_M: Final = 3.0  # m from a target, within which a contact is judged mine-like
-_SMOOTH: Final = (3, 3)  # rows and columns that an eye averages over: 0.36 m by 0.18 m
+_SMOOTH: Final = (5, 3)  # rows and columns that an eye averages over: 0.6 m by 0.18 m
 _DARK_DB: Final = -3.0  # of the sea floor: half its power, where an edge is taken
 _CLEAR_DB: Final = -6.0  # on average: a shadow that an analyst would measure
 _BRIDGE_M: Final = 0.3  # speckle in a shadow is shorter
@@ -51,6 +51,7 @@ _GAP_M: Final = 0.4  # between the object and its shadow at most
 _MIN_SHADOW_M: Final = 0.5  # shorter ones are speckle
 
 
+_HEIGHT_M: Final = 0.1  # m: error of a height that a decision can bear
 _LIVE_ROWS: Final = 600  # rows of 0.12 m of the live mission in the picture
 _LIVE_SCENE: Final = """\
 name: live
@@ -298,8 +299,8 @@ def _profile(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.f
             cut = slice(max(left, 0), min(left + TILE_PX, n_columns))
             if rows.start < rows.stop and cut.start < cut.stop:
                 linear[rows, cut] = pixels[rows.start - top : rows.stop - top, cut.start - left : cut.stop - left]
-    rows, n_smooth = _SMOOTH
-    middle = linear[12 - rows // 2 : 13 + rows // 2].mean(axis=0)
+    n_lines, n_smooth = _SMOOTH
+    middle = linear[12 - n_lines // 2 : 13 + n_lines // 2].mean(axis=0)
     smooth = np.convolve(middle, np.full(n_smooth, 1.0 / n_smooth), mode="same")
     return np.asarray(10.0 * np.log10(np.maximum(smooth, 1e-3)), dtype=np.float64)
 
@@ -379,6 +380,6 @@ def _line(one: JudgedMission) -> list[str]:
         str(one.n_found_again),
         str(one.n_marked),
         str(len(error_m)),
-        f"{error_m.mean():.2f} m" if len(error_m) else "-",
-        f"{error_m.max():.2f} m" if len(error_m) else "-",
+        str(np.count_nonzero(error_m <= _HEIGHT_M)),
+        f"{np.median(error_m):.2f} m" if len(error_m) else "-",
     ]
