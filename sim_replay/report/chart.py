@@ -107,7 +107,12 @@ def draw_chart(
 ) -> Chart | None:
     """Draw the map of a mission; None if it has no position at all.
 
-    track_deg: (n, 2) latitude, longitude, NaN where the track breaks. box: outline of the sonar picture under it.
+    Parameters
+    ----------
+    track_deg
+        (n, 2) latitude, longitude, NaN where the track breaks.
+    box
+        Outline of the sonar picture under the map.
     """
     located = [
         contact for contact in contacts if math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)
