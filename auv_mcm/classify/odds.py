@@ -33,6 +33,7 @@ _CLUTTER: Final = subset("clutter")
 
 _Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 _Prior: TypeAlias = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
+_Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
 DEPTH: Final = 3
@@ -107,17 +108,42 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return self._forest.added_to(total, features) if self.trees else total
 
 
+class FoundAt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Hold the share of looks at targets that is found at a density of false alarms, with its 95 % interval."""
+
+    false_alarms_per_km2: float
+    pd: _Share
+    low: _Share
+    high: _Share
+
+
+class LeftOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Say how weights do that were fitted likewise, but without a domain, on that domain.
+
+    n_looks: at targets. calibration_error: expected, over all looks; None without any.
+    """
+
+    domain: str
+    n_looks: Annotated[int, msgspec.Meta(ge=0)]
+    area_km2: Annotated[float, msgspec.Meta(ge=0.0)]
+    found: tuple[FoundAt, ...]
+    calibration_error: _Share | None
+
+
 class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Hold the weights of each step.
 
-    prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were.
+    prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were. made_by: version and
+    command that make the same file again. left_out: a row per domain, then per kind of domain, then of all.
     """
 
     fitted_on: str
+    made_by: str = ""
     prior: _Prior
     detector: Weights
     contours: Weights
     shape: Weights
+    left_out: tuple[LeftOut, ...] = ()
 
     def log_ratio(self, step: LookStep, features: Mapping[str, float]) -> float:
         """Compute evidence in nats for a mine against anything else, without the prior, at most 12 either way.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
-from sim_replay.benches.froc import scattered
+from sim_replay.augment.recorded_line import scattered
 from sim_replay.replay import replay
 from sim_replay.scoring import score_files
 

@@ -10,14 +10,13 @@ import pytest
 from auv_mcm.classify.odds import Weights, shipped_odds
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
-from sim_replay.benches import left_out, looks
-from sim_replay.benches.domains import RECORDERS
-from sim_replay.benches.left_out import (
-    GROUPS,
+from sim_replay.benches.left_out import GROUPS, ablation, comparison
+from sim_replay.fitting import left_out, looks
+from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.fitting.fit_odds import STEPS, LookTable, StepTable
+from sim_replay.fitting.left_out import (
     RECIPES,
     Scored,
-    ablation,
-    comparison,
     dealt,
     difference,
     error_of,
@@ -27,9 +26,8 @@ from sim_replay.benches.left_out import (
     left_out_tasks,
     pd_at,
 )
-from sim_replay.benches.looks import DRAWN, LookTask, MissionLooks, all_looks, read_looks, write_looks
-from sim_replay.fitting.cascade.farm import Farm
-from sim_replay.fitting.fit_odds import STEPS, LookTable, StepTable
+from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks, all_looks, read_looks, write_looks
+from sim_replay.fitting.recorders import RECORDERS
 
 LOG_RECORDER = "log 0.3 dB"
 LINE = "somewhere/reef.xtf"
@@ -158,7 +156,7 @@ def test_the_tables_have_a_row_per_domain_and_recipe_and_per_group(monkeypatch: 
     monkeypatch.setattr(
         left_out, "fit_step", lambda table, step, n_trees, usual: Weights(offset=-3.0, weights={"crowded": 1.0})
     )
-    monkeypatch.setattr(left_out, "_without", lambda table, step, names: table)
+    monkeypatch.setattr(left_out, "_less", lambda table, step, names: table)
     missions = some_missions()
     rows = [
         line.split(" | ")
