@@ -50,7 +50,7 @@ _FAINT_KEPT: Final = 12  # one in so many: two in three are faint, and a look co
 _RIDGE: Final = 2.0  # of the logistic regression, per feature of unit variance
 _DIGITS: Final = 5  # decimals in the file
 _MAX_SHIFT: Final = 50.0  # nats
-N_TREES: Final[Mapping[LookStep, int]] = {"detector": 100, "contours": 500, "shape": 500}
+N_TREES: Final[Mapping[LookStep, int]] = {"detector": 200, "contours": 800, "shape": 800}
 """Trees of each step for the cascade's detections; of the first, fewer, since it is asked of every detection."""
 STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
 
@@ -225,17 +225,23 @@ def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[LookStep, int])
         n_targets, n_usual = np.count_nonzero(is_target & usual), np.count_nonzero(usual)
         raise UsageError(f"{fitted_on}: {n_targets} targets in {n_usual} detections. Fly more missions, with --seeds")
     prior = math.log(float(weight[is_target & usual].sum()) / float(weight[~is_target & usual].sum()))
-    steps = {step: fit_step(looks, step, n_trees[step], looks.at(usual)) for step in STEPS}
-    return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), **steps)
+    detector, contours, shape = (fit_step(looks, step, n_trees[step], looks.at(usual)) for step in STEPS)
+    return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), detector=detector, contours=contours, shape=shape)
 
 
 def fit_step(looks: LookTable, step: LookStep, n_trees: int, usual: LookTable) -> Weights:
-    """Fit the weights and trees of one step; p_mine is right on average over `usual`, which has targets and others."""
+    """Fit one step: a sum of features, or trees; p_mine is right on average over `usual`, which has targets and others.
+
+    Trees start from a constant: after a sum, Pd at 100 false alarms per km² is lower by 0.02 on domains left out.
+    """
     _, is_target, _, weight, tables = looks
     table = tables[step]
-    sums = _fit_sum(table, is_target, weight)
-    start = log_odds_of(sums, table)
-    weights = msgspec.structs.replace(sums, trees=_fit_trees(table, start, is_target, weight, n_trees))
+    if n_trees:
+        offset = math.log(float(weight[is_target].sum()) / float(weight[~is_target].sum()))
+        grown = _fit_trees(table, np.full(len(weight), offset), is_target, weight, n_trees)
+        weights = Weights(offset=round(offset, _DIGITS), weights={}, trees=grown)
+    else:
+        weights = _fit_sum(table, is_target, weight)
     offset = weights.offset + _shift(log_odds_of(weights, usual.steps[step]), usual.is_target, usual.weight)
     return msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
 
@@ -324,8 +330,10 @@ def _fit_trees(
     return tuple(
         Tree(
             ask=tuple(
-                (table.names[column], _rounded(at))
-                for column, at in zip(tree.feature, tree.threshold.tolist(), strict=True)
+                (table.names[column], _rounded(at), no, yes)
+                for column, at, (no, yes) in zip(
+                    tree.feature, tree.threshold.tolist(), tree.leads.tolist(), strict=True
+                )
             ),
             nats=tuple(round(nats, _DIGITS) for nats in tree.nats.tolist()),
         )
@@ -354,8 +362,12 @@ def log_odds_of(weights: Weights, table: StepTable) -> Array:
         weighed += weight * values[:, column[name]]
     total = weights.offset + weighed
     for tree in weights.trees:
-        asked, thresholds = zip(*tree.ask, strict=True)
-        grown = trees.GrownTree(np.array([column[name] for name in asked]), np.array(thresholds), np.array(tree.nats))
+        grown = trees.GrownTree(
+            np.array([column[name] for name, *_ in tree.ask], dtype=np.int64),
+            np.array([at for _, at, *_ in tree.ask]),
+            np.array([leads for *_, no, yes in tree.ask for leads in (no, yes)], dtype=np.int64).reshape(-1, 2),
+            np.array(tree.nats),
+        )
         total += grown.nats[trees.leaves(grown, values)]
     return total
 

@@ -67,7 +67,8 @@ def test_every_scene_is_flown_with_every_seed_and_weights_are_written(
     assert flown.missions == [LookTask(name, seed, detector=detector) for seed in (7, 8) for name in scenes]
     n = 2 * N_LOOKS * len(scenes)
     assert odds.fitted_on == f"{n} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
-    assert odds.shape.weights["a"] == pytest.approx(SLOPE, abs=0.4)
+    if detector == "contrast":
+        assert odds.shape.weights["a"] == pytest.approx(SLOPE, abs=0.4)
     assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [
         2 if detector == "cascade" else 0
     ] * 3

@@ -13,7 +13,7 @@ from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import Detection, Surroundings
+from auv_mcm.records import Detection, NavSample, Surroundings
 from auv_mcm.settings.config import Config
 from sim_replay.fitting import fit_odds as calibrate
 from sim_replay.fitting.fit_odds import (
@@ -54,10 +54,8 @@ def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]
     is_target = random.random(n) < p
     chosen = random.choice(list(weights), n)
     return [
-        example(dict(zip(WEIGHTS, row, strict=True)), bool(target), float(weight), SCENES[number % len(SCENES)])
-        for number, (row, target, weight) in enumerate(
-            zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True)
-        )
+        example(dict(zip(WEIGHTS, row, strict=True)), bool(target), float(weight))
+        for row, target, weight in zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True)
     ]
 
 
@@ -198,7 +196,7 @@ def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
 def test_log_odds_of_many_are_those_of_each() -> None:
     weights = shipped_odds("cascade").shape
     random = np.random.Generator(np.random.PCG64(5))
-    names = sorted({*weights.weights, *(name for tree in weights.trees for name, _ in tree.ask)})
+    names = sorted({*weights.weights, *(name for tree in weights.trees for name, *_ in tree.ask)})
     table = StepTable(tuple(names), 0, random.normal(0.0, 3.0, (50, len(names))))
     features = [dict(zip(names, row, strict=True)) for row in table.values.tolist()]
     assert log_odds_of(weights, table).tolist() == [weights.log_odds(known) for known in features]
@@ -262,7 +260,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
             def __init__(self, config: object, look: Callable[[Detection], Detection]) -> None:
                 self.look = look
 
-            def feed(self, event: str) -> None:
+            def feed(self, event: NavSample) -> None:
                 for detection in detections:
                     assert self.look(detection) is detection
 
@@ -281,7 +279,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
         )
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "examine", lambda *_: measured)
-        return examples_along(Config(), ["all of it"], lambda: objects, usual=True)
+        return examples_along(Config(), [NavSample(time_s=0.0)], lambda: objects, usual=True)
 
     return flown
 
