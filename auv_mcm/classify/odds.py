@@ -1,10 +1,10 @@
 """Compute the odds of a mine after each step of confirmation, and the belief mass that stands for them.
 
-Each step weighs what has been measured so far by logistic regression (D. R. Cox, J. Royal Statistical Society B 20,
-1958), and boosted trees add what a sum misses (J. H. Friedman, Annals of Statistics 29, 2001); both are fitted on
-simulated missions with seeds that nothing is scored on. The log-odds of mines among the detections fitted on are taken
-off: what is left is the evidence of the view alone, a log-likelihood ratio that several views may add up. How rare
-mines are is put back once per contact, as one more source.
+Each step weighs what has been measured so far, by logistic regression (D. R. Cox, J. Royal Statistical Society B 20,
+1958) for detections of contrasts, by boosted trees (J. H. Friedman, Annals of Statistics 29, 2001) for those of the
+cascade; both are fitted on simulated missions with seeds that nothing is scored on. The log-odds of mines among the
+detections fitted on are taken off: what is left is the evidence of the view alone, a log-likelihood ratio that several
+views may add up. How rare mines are is put back once per contact, as one more source.
 """
 
 from __future__ import annotations
@@ -33,57 +33,93 @@ _CLUTTER: Final = subset("clutter")
 
 _Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 _Prior: TypeAlias = Annotated[float, msgspec.Meta(ge=-20.0, le=20.0)]
+_Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 
 
-DEPTH: Final = 3
-"""Questions of a tree, one after the other."""
+_MAX_QUESTIONS: Final = 63  # of a tree, far more than any was grown with
 
-_Question: TypeAlias = tuple[str, float]
-_Leaves: TypeAlias = Annotated[tuple[_Weight, ...], msgspec.Meta(min_length=2**DEPTH, max_length=2**DEPTH)]
-_Questions: TypeAlias = Annotated[tuple[_Question, ...], msgspec.Meta(min_length=2**DEPTH - 1, max_length=2**DEPTH - 1)]
+_Lead: TypeAlias = Annotated[int, msgspec.Meta(ge=-_MAX_QUESTIONS - 1, le=_MAX_QUESTIONS)]
+_Question: TypeAlias = tuple[str, float, _Lead, _Lead]
 
 
 class Tree(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Ask three questions in turn; each of the eight ways through them adds to the log-odds.
+    """Ask questions in turn; where they lead to adds to the log-odds.
 
-    ask: name and threshold of question i, after which no leads to question 2 i + 1 and yes, the feature is above, to 2
-    i + 2. nats: of the leaves, from three times no to three times yes.
+    ask: name, threshold, and where no and yes lead to, yes if the feature is above: a later question, or leaf k for
+    -1 - k. nats: of the leaves, one more than there are questions.
     """
 
-    ask: _Questions
-    nats: _Leaves
+    ask: Annotated[tuple[_Question, ...], msgspec.Meta(max_length=_MAX_QUESTIONS)]
+    nats: Annotated[tuple[_Weight, ...], msgspec.Meta(min_length=1, max_length=_MAX_QUESTIONS + 1)]
+
+    def __post_init__(self) -> None:
+        led_to = sorted(lead for *_, no, yes in self.ask for lead in (no, yes))
+        expected = [*range(-len(self.nats), 0), *range(1, len(self.ask))] if self.ask else []
+        goes_back = any(0 <= lead <= place for place, (*_, no, yes) in enumerate(self.ask) for lead in (no, yes))
+        if len(self.nats) != len(self.ask) + 1 or led_to != expected or goes_back:
+            raise ValueError("a tree must lead to each leaf and each later question once")
 
 
 class _Forest(NamedTuple):
-    """Hold trees as arrays: feature (n_trees, 7) intp into names, threshold (n_trees, 7), nats (n_trees, 8) float64."""
+    """Hold trees as arrays over their nodes, those of all trees in one row, leaves lead to themselves.
+
+    feature: (n,) intp into names. threshold: (n,). leads: (2, n) intp, for no and yes. nats: (n,). roots: (n_trees,)
+    intp. depth: most questions on one way.
+    """
 
     names: tuple[str, ...]
     feature: NDArray[np.intp]
     threshold: Array
+    leads: NDArray[np.intp]
     nats: Array
+    roots: NDArray[np.intp]
+    depth: int
 
     @classmethod
     def of(cls, trees: Sequence[Tree]) -> _Forest:
-        names = tuple(dict.fromkeys(name for tree in trees for name, _ in tree.ask))
-        place = {name: k for k, name in enumerate(names)}
+        names = tuple(dict.fromkeys(name for tree in trees for name, *_ in tree.ask))
+        column = {name: k for k, name in enumerate(names)}
+        feature: list[int] = []
+        threshold: list[float] = []
+        no: list[int] = []
+        yes: list[int] = []
+        nats: list[float] = []
+        roots: list[int] = []
+        depth = 0
+        for tree in trees:
+            first, n_asked = len(feature), len(tree.ask)
+            place = {lead: first + (lead if lead >= 0 else n_asked - 1 - lead) for lead in range(-n_asked - 1, n_asked)}
+            leaves = [place[-1 - k] for k in range(n_asked + 1)]
+            roots.append(first)
+            feature += [column[name] for name, *_ in tree.ask] + [0] * len(leaves)
+            threshold += [at for _, at, *_ in tree.ask] + [0.0] * len(leaves)
+            no += [place[lead] for *_, lead, _ in tree.ask] + leaves
+            yes += [place[lead] for *_, lead in tree.ask] + leaves
+            nats += [0.0] * n_asked + list(tree.nats)
+            below = [0] * n_asked
+            for question in reversed(range(n_asked)):
+                below[question] = 1 + max((below[lead] for lead in tree.ask[question][2:] if lead >= 0), default=0)
+            depth = max(depth, *below[:1], 0)
+        leads = np.array([no, yes], dtype=np.intp)
         return cls(
             names,
-            np.array([[place[name] for name, _ in tree.ask] for tree in trees], dtype=np.intp).reshape(
-                -1, 2**DEPTH - 1
-            ),
-            np.array([[threshold for _, threshold in tree.ask] for tree in trees]).reshape(-1, 2**DEPTH - 1),
-            np.array([tree.nats for tree in trees]).reshape(-1, 2**DEPTH),
+            np.array(feature, dtype=np.intp),
+            np.array(threshold),
+            leads,
+            np.array(nats),
+            np.array(roots, dtype=np.intp),
+            depth,
         )
 
     def added_to(self, start: float, features: Mapping[str, float]) -> float:
         """Add the leaf of each tree in turn. Raises KeyError for a feature that is missing."""
-        values = np.array([features[name] for name in self.names])
+        values = np.array([features[name] for name in self.names] or [0.0])
         is_above = (values[self.feature] > self.threshold).astype(np.intp)
-        tree = np.arange(len(self.nats))
-        place = np.zeros(len(self.nats), dtype=np.intp)
-        for _ in range(DEPTH):
-            place = 2 * place + 1 + is_above[tree, place]
-        terms = np.concatenate(([start], self.nats[tree, place - (2**DEPTH - 1)]))
+        led_to = self.leads[is_above, np.arange(len(self.feature))]
+        place = self.roots
+        for _ in range(self.depth):
+            place = led_to[place]
+        terms = np.concatenate(([start], self.nats[place]))
         return float(np.add.accumulate(terms)[-1])  # in order: numpy's own sum pairs its terms
 
 
@@ -107,17 +143,42 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return self._forest.added_to(total, features) if self.trees else total
 
 
+class FoundAt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Hold the share of looks at targets that is found at a density of false alarms, with its 95 % interval."""
+
+    false_alarms_per_km2: float
+    pd: _Share
+    low: _Share
+    high: _Share
+
+
+class LeftOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Say how weights do that were fitted likewise, but without a domain, on that domain.
+
+    n_looks: at targets. calibration_error: expected, over all looks; None without any.
+    """
+
+    domain: str
+    n_looks: Annotated[int, msgspec.Meta(ge=0)]
+    area_km2: Annotated[float, msgspec.Meta(ge=0.0)]
+    found: tuple[FoundAt, ...]
+    calibration_error: _Share | None
+
+
 class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Hold the weights of each step.
 
-    prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were.
+    prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were. made_by: version and
+    command that make the same file again. left_out: a row per domain, then per kind of domain, then of all.
     """
 
     fitted_on: str
+    made_by: str = ""
     prior: _Prior
     detector: Weights
     contours: Weights
     shape: Weights
+    left_out: tuple[LeftOut, ...] = ()
 
     def log_ratio(self, step: LookStep, features: Mapping[str, float]) -> float:
         """Compute evidence in nats for a mine against anything else, without the prior, at most 12 either way.
@@ -136,8 +197,9 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return 1.0 / (1.0 + math.exp(-(log_ratio + self.prior)))
 
 
+@functools.cache
 def shipped_odds(detector: Detector) -> MineOdds:
-    """Load the weights that ship with the package for detections of one of the detectors."""
+    """Load the weights that ship with the package for detections of one of the detectors, once in a process."""
     name = f"mine_odds_{detector}.json"
     return parse_odds(resources.files("auv_mcm.classify").joinpath(name).read_bytes(), name)
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
 from auv_mcm.detect.belief import probability
 from auv_mcm.errors import UsageError
+from sim_replay.augment.recorded_line import check_lines
 from sim_replay.benches.mission_options import (
     add_line_options,
     add_scene_options,
@@ -29,37 +30,22 @@ from sim_replay.benches.mission_options import (
     chosen_scenes,
     chosen_seeds,
 )
-from sim_replay.benches.point import Judged, check_lines, counted_missions, fly_augmented, judged
+from sim_replay.benches.point import Judged, counted_missions, fly_augmented, judged
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SortedContacts, flown_scene
+from sim_replay.fitting.left_out import LIMITS_PER_KM2
+from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.missions import FIRST_SEED
 from sim_replay.scoring.calibration import Calibration, calibration
 from sim_replay.scoring.intervals import density, proportion
-from sim_replay.simulator.scene import SampleRecorder, Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0)  # false alarms at which Pd is compared
 FIXED_P_MINE: Final = 0.2  # what a fixed threshold reaches, which the operating point replaces
 
-
-class Recorder(NamedTuple):
-    """Set how echoes are stored, and how many looks are averaged before."""
-
-    looks: int
-    recorder: SampleRecorder
-
-
-RECORDERS: Final[Mapping[str, Recorder]] = {
-    "8-bit amplitude": Recorder(1, SampleRecorder(samples="amplitude_uint8", seabed_counts=20.0)),
-    "log 0.3 dB": Recorder(1, SampleRecorder(samples="log_uint8", db_per_count=0.3, seabed_counts=110.0)),
-    "log 0.4 dB, 4 looks": Recorder(4, SampleRecorder(samples="log_uint8", db_per_count=0.4, seabed_counts=110.0)),
-}
-RECORDED_SCENES: Final = ("flat", "ripple")
-"""Scenes that each recorder of RECORDERS records."""
 
 _HEADER: Final = (
     "domain",
@@ -126,12 +112,6 @@ def fly_domain(task: Domain) -> SortedContacts:
     if task.recorder is None:
         return flown_scene(task.source, scene, "cascade")
     return flown_scene(task.recorder, recorded_by(scene, RECORDERS[task.recorder]), "cascade")
-
-
-def recorded_by(scene: Scene, how: Recorder) -> Scene:
-    """Give a scene another recorder."""
-    sonar = msgspec.structs.replace(scene.sonar, looks=how.looks, recorder=how.recorder)
-    return msgspec.structs.replace(scene, sonar=sonar)
 
 
 def grouped(missions: Sequence[SortedContacts]) -> dict[str, list[SortedContacts]]:

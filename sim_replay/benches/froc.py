@@ -34,7 +34,7 @@ from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Til
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.augment.augment_log import augment
-from sim_replay.augment.targets import ScatteredTargets, TargetSpec
+from sim_replay.augment.recorded_line import scattered
 from sim_replay.benches.mission_options import (
     add_line_options,
     add_scene_options,
@@ -63,8 +63,6 @@ BARE_LIMITS_PER_KM2: Final = (10.0, 50.0)
 
 _ROCKS_P: Final = 0.5  # p_mine from which a rock counts as called
 _GATE_M: Final = 2.0  # m between contact and object, maximum, as in scoring
-_TARGETS_PER_LINE: Final = 8  # and as many rocks
-_APART_M: Final = 5.0  # m between embedded objects, minimum
 _STEPS: Final[dict[str, LookStep]] = {"confirmation": "contours", "chain": "shape"}
 SYSTEMS: Final = {
     "baseline": "plain threshold",
@@ -264,18 +262,6 @@ def _seen(
 
 def _by_stages(tile: Tile, config: Config, model: CascadeModel) -> TileDetections:
     return detect_tile(tile, config, model)
-
-
-def scattered(seed: int) -> TargetSpec:
-    """Draw targets and as many rocks over a recorded line."""
-    targets = ScatteredTargets(
-        kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"),
-        count=_TARGETS_PER_LINE,
-        apart_m=_APART_M,
-        is_target=True,
-    )
-    rocks = ScatteredTargets(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
-    return TargetSpec(seed=seed, scatter=(targets, rocks))
 
 
 def _rocks(contacts: Sequence[Contact], mission: ScoredMission) -> Iterator[Rock]:

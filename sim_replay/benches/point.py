@@ -31,10 +31,7 @@ from auv_mcm.contacts.background import (
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
-from sim_replay.augment.background_log import read_survey
-from sim_replay.augment.targets import place_targets
-from sim_replay.augment.track import track_of
-from sim_replay.benches.froc import scattered
+from sim_replay.augment.recorded_line import check_lines, scattered
 from sim_replay.benches.mission_options import (
     add_line_options,
     add_scene_options,
@@ -44,7 +41,6 @@ from sim_replay.benches.mission_options import (
 )
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
-from sim_replay.logs.open_log import open_log
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import FIRST_SEED
 from sim_replay.scoring.inputs import parse_truth
@@ -125,18 +121,6 @@ def fly(line: Line) -> SortedContacts:
     """Fly one mission, simulated or recorded with embedded targets, and sort its contacts."""
     name, seed = line
     return flown((name, seed, "cascade")) if name in named_scenes() else fly_augmented(Path(name), seed)
-
-
-def check_lines(logs: Sequence[Path], seeds: Sequence[int]) -> None:
-    """Reject recorded lines that cannot be read or have no room for the objects of a seed, before any mission is flown.
-
-    Raises BadInputError or UsageError, as augment does.
-    """
-    for log in logs:
-        open_log(log, Config())
-        track = track_of(read_survey(log, Config()), Config())
-        for seed in seeds:
-            place_targets(scattered(seed), track)
 
 
 def fly_augmented(log: Path, seed: int) -> SortedContacts:

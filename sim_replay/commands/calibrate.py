@@ -158,12 +158,15 @@ def _add_odds(kinds: Commands) -> None:
         kinds,
         "odds",
         "learn the odds of a mine from what confirmation measures",
-        "Flies simulated missions through the named scenes, and fits the weights that turn measurements into p_mine. "
-        "Prints how\n"
-        "they do on scenes left out, and what more missions would bring. The same seeds make the same weights.",
+        "Flies simulated missions, and fits the weights that turn measurements into p_mine. With --judged, prints how "
+        "weights fitted\n"
+        "likewise do on scenes, recorders and recorded lines left out, and writes that into the file too. The same "
+        "options make the\n"
+        "same weights.",
         [
             "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate odds --detector contrast --seeds 8 --crowded 5 --out odds.json",
+            "auv-mcm calibrate odds --crowded 4 --drawn 60 --judged 1 --looks looks --out odds.json",
         ],
     )
     parser.add_argument(
@@ -188,6 +191,24 @@ def _add_odds(kinds: Commands) -> None:
     )
     parser.add_argument(
         "--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)"
+    )
+    parser.add_argument(
+        "--judged",
+        metavar="N",
+        type=count,
+        help="missions per scene and kind of recorder that are judged and never fitted on (default none)",
+    )
+    parser.add_argument(
+        "--judge-log",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a recorded line, XTF, that is judged with embedded targets and never fitted on; repeatable",
+    )
+    parser.add_argument("--log-seeds", type=count, default=7, help="draws of targets per recorded line (default 7)")
+    parser.add_argument(
+        "--looks", type=Path, metavar="FOLDER", help="folder that keeps what looks measured; a second run only fits"
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the weights, JSON")
@@ -290,18 +311,19 @@ def _run_gate(arguments: argparse.Namespace) -> int:
 
 
 def _run_odds(arguments: argparse.Namespace) -> int:
-    from sim_replay.fitting.fit_odds import fit_from_missions
+    from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
 
-    fit_from_missions(
-        arguments.out,
+    missions = Missions(
         detector=arguments.detector,
         n_seeds=arguments.seeds,
         n_crowded=arguments.crowded or 0,
         n_drawn=arguments.drawn or 0,
         first_seed=arguments.first_seed,
-        n_workers=arguments.workers,
-        show=_show,
+        n_judged=arguments.judged or 0,
+        judged_logs=tuple(arguments.judge_log),
+        n_log_seeds=arguments.log_seeds,
     )
+    fit_from_missions(arguments.out, missions, arguments.looks, arguments.workers, _show)
     return 0
 
 

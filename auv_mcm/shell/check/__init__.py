@@ -180,8 +180,16 @@ def _odds() -> Iterator[Finding]:
     from auv_mcm.classify.odds import shipped_odds
     from auv_mcm.records import Detector
 
-    fitted = "; ".join(f"{detector}: {shipped_odds(detector).fitted_on}" for detector in get_args(Detector))
-    yield Finding("odds of confirmation", "ok", fitted)
+    for detector in get_args(Detector):
+        odds = shipped_odds(detector)
+        words = f"{detector}: {odds.fitted_on}"
+        if odds.left_out:
+            row = odds.left_out[-1]
+            found = ", ".join(
+                f"{at.pd:.2f} ({at.low:.2f}-{at.high:.2f}) at {at.false_alarms_per_km2:g} FA/km²" for at in row.found
+            )
+            words += f". {row.domain} left out: Pd {found}, calibration error {row.calibration_error}. {odds.made_by}"
+        yield Finding("odds of confirmation", "ok", words)
 
 
 def _plugins() -> Iterator[Finding]:

@@ -1,10 +1,11 @@
-"""Boosted trees that mend what a linear sum of features gets wrong: three questions deep, fitted to the log-loss by
-Newton steps.
+"""Boosted trees on what is measured, fitted to the log-loss by Newton steps.
 
 J. H. Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics 29, 2001;
 second-order leaves after Friedman, Hastie and Tibshirani, "Additive logistic regression", Annals of Statistics 28,
-2000. Every tree sees a part of the examples and splits on a part of the features, so that trees differ (Friedman,
-"Stochastic gradient boosting", 2002).
+2000. The leaf that gains most is parted next (G. Ke et al., "LightGBM", NIPS 2017): on domains left out of 129
+missions, the mean Pd from 10 to 1000 false alarms per km² was 0.375, and 0.361 with trees three questions deep. Every
+tree sees a part of the examples and splits on a part of the features, so that trees differ (Friedman, "Stochastic
+gradient boosting", 2002).
 """
 
 from __future__ import annotations
@@ -14,35 +15,49 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.odds import DEPTH
-
 Array = NDArray[np.float64]
 
-N_QUESTIONS: Final = 2**DEPTH - 1
-N_LEAVES: Final = 2**DEPTH
+N_LEAVES: Final = 15
+"""Leaves of a tree, maximum."""
 _N_BINS: Final = 64  # of a feature's values
-_RATE: Final = 0.07  # share of a tree's answer that is added
+_RATE: Final = 0.03  # share of a tree's answer that is added
 _RIDGE: Final = 5.0  # added to the curvature of a leaf
-_MIN_HESSIAN: Final = 2.0  # of a leaf: about as many targets
-_EXAMPLES: Final = 0.6  # share that a tree sees
-_FEATURES: Final = 0.25  # share that a tree sees
+_MIN_HESSIAN: Final = 3.0  # of a leaf: about as many targets
+_EXAMPLES: Final = 0.7  # share that a tree sees
+_FEATURES: Final = 0.3  # share that a tree sees
 _FEWEST_FEATURES: Final = 4  # that a tree sees, minimum
 _SEED: Final = 1958  # of what a tree sees, fixed so that models repeat
-_NEVER: Final = 1e30  # above every value: a question that parts nothing
 
 
 class GrownTree(NamedTuple):
-    """Hold a tree.
+    """Hold a tree of q questions.
 
-    Question i asks whether feature[i] is above threshold[i]; no leads to question 2 i + 1, yes to 2 i + 2, the last to
-    leaves.
+    Question i asks whether feature[i] is above threshold[i]; leads[i] says where no and yes lead to: to a later
+    question, or to leaf k if it is -1 - k. Without a question there is one leaf.
 
-    feature: (7,) int columns. threshold: (7,). nats: (8,), what each leaf adds to the log-odds.
+    feature: (q,) int columns. threshold: (q,). leads: (q, 2) int. nats: (q + 1,), what each leaf adds to the log-odds.
     """
 
     feature: NDArray[np.int64]
     threshold: Array
+    leads: NDArray[np.int64]
     nats: Array
+
+
+class _Leaf(NamedTuple):
+    """Hold examples that came to one place, and how they are parted best.
+
+    rows: (m,) of those seen. sums: (2, k, _N_BINS) gradients and curvatures up to each bin. gain: of the best parting,
+    0 for none; column: of the chosen; up_to: last bin that stays below. parent, answer: what leads here.
+    """
+
+    rows: NDArray[np.int64]
+    sums: Array
+    gain: float
+    column: int
+    up_to: int
+    parent: int
+    answer: int
 
 
 def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Array, n_trees: int) -> list[GrownTree]:
@@ -72,13 +87,15 @@ def boost(values: Array, is_target: NDArray[np.bool_], weight: Array, start: Arr
 
 
 def leaves(tree: GrownTree, values: Array) -> NDArray[np.int64]:
-    """Return (n,) int64 leaf, 0 to 7, of each row of `values` (n, k)."""
-    place = np.zeros(len(values), dtype=np.int64)
-    rows = np.arange(len(values))
-    for _ in range(DEPTH):
-        above = values[rows, tree.feature[place]] > tree.threshold[place]
-        place = 2 * place + 1 + above
-    return place - N_QUESTIONS
+    """Return (n,) int64 leaf of each row of `values` (n, k)."""
+    place = np.full(len(values), 0 if len(tree.feature) else -1, dtype=np.int64)
+    asked = np.flatnonzero(place >= 0)
+    while asked.size:
+        at = place[asked]
+        above = values[asked, tree.feature[at]] > tree.threshold[at]
+        place[asked] = tree.leads[at, above.astype(np.intp)]
+        asked = asked[place[asked] >= 0]
+    return -1 - place
 
 
 def _edges(column: Array) -> Array:
@@ -91,42 +108,61 @@ def _grow(
     bins: NDArray[np.int64], gradient: Array, hessian: Array, edges: list[Array], chosen: NDArray[np.int64]
 ) -> GrownTree:
     """Grow a tree on bins (k, n) of the chosen features, (k,) of all, with their edges."""
-    n_examples = bins.shape[1]
-    feature = np.zeros(N_QUESTIONS, dtype=np.int64)
-    threshold = np.full(N_QUESTIONS, _NEVER)
-    asked = np.zeros(N_QUESTIONS, dtype=np.int64)  # as feature, by place among the chosen
-    place = np.zeros(n_examples, dtype=np.int64)
-    for depth in range(DEPTH):
-        first, n_nodes = 2**depth - 1, 2**depth
-        node = place - first
-        best_gain = np.zeros(n_nodes)
-        best_bin = np.full(n_nodes, _N_BINS)  # no value lies above: all go one way
-        cells = node * _N_BINS
-        for column in range(len(chosen)):
-            if not len(edges[column]):
-                continue
-            cell = cells + bins[column]
-            below_g, below_h = (
-                np.bincount(cell, weights=part, minlength=n_nodes * _N_BINS).reshape(n_nodes, _N_BINS).cumsum(axis=1)
+    n_chosen, n_examples = bins.shape
+    cells = bins + _N_BINS * np.arange(n_chosen)[:, np.newaxis]
+    parts = np.arange(_N_BINS) < np.array([len(edge) for edge in edges])[:, np.newaxis]
+
+    def sums_of(rows: NDArray[np.int64]) -> Array:
+        cell = cells[:, rows].ravel()
+        return np.array(
+            [
+                np.bincount(cell, weights=np.tile(part[rows], n_chosen), minlength=n_chosen * _N_BINS)
+                .reshape(n_chosen, _N_BINS)
+                .cumsum(axis=1)
                 for part in (gradient, hessian)
-            )
-            all_g, all_h = below_g[:, -1:], below_h[:, -1:]
-            gain = _worth(below_g, below_h) + _worth(all_g - below_g, all_h - below_h) - _worth(all_g, all_h)
-            gain[(below_h < _MIN_HESSIAN) | (all_h - below_h < _MIN_HESSIAN)] = 0.0
-            at = gain[:, : len(edges[column])].argmax(axis=1)
-            found = gain[np.arange(n_nodes), at]
-            better = found > best_gain
-            best_gain = np.where(better, found, best_gain)
-            best_bin = np.where(better, at, best_bin)
-            asked[first : first + n_nodes][better] = column
-            feature[first : first + n_nodes][better] = chosen[column]
-            threshold[first : first + n_nodes][better] = edges[column][at[better]]
-        above = bins[asked[place], np.arange(n_examples)] > best_bin[node]
-        place = 2 * place + 1 + above
-    leaf = place - N_QUESTIONS
-    sums_g, sums_h = (np.bincount(leaf, weights=part, minlength=N_LEAVES) for part in (gradient, hessian))
-    nats = _RATE * sums_g / (sums_h + _RIDGE)
-    return GrownTree(feature, threshold, nats)
+            ]
+        )
+
+    def leaf_of(rows: NDArray[np.int64], sums: Array, parent: int, answer: int) -> _Leaf:
+        below_g, below_h = sums
+        above_g, above_h = below_g[:, -1:] - below_g, below_h[:, -1:] - below_h
+        gain = _worth(below_g, below_h) + _worth(above_g, above_h) - _worth(below_g[:, -1:], below_h[:, -1:])
+        gain[(below_h < _MIN_HESSIAN) | (above_h < _MIN_HESSIAN) | ~parts] = 0.0
+        column, up_to = divmod(int(gain.argmax()), _N_BINS)
+        return _Leaf(rows, sums, float(gain[column, up_to]), column, up_to, parent, answer)
+
+    everything = np.arange(n_examples)
+    grown = [leaf_of(everything, sums_of(everything), -1, 0)]
+    feature: list[int] = []
+    threshold: list[float] = []
+    leads: list[list[int]] = []
+    while len(grown) < N_LEAVES:
+        at = max(range(len(grown)), key=lambda place: grown[place].gain)
+        leaf = grown[at]
+        if leaf.gain <= 0.0:
+            break
+        question = len(feature)
+        if leaf.parent >= 0:
+            leads[leaf.parent][leaf.answer] = question
+        feature.append(int(chosen[leaf.column]))
+        threshold.append(float(edges[leaf.column][leaf.up_to]))
+        leads.append([0, 0])
+        is_above = bins[leaf.column, leaf.rows] > leaf.up_to
+        rows = leaf.rows[~is_above], leaf.rows[is_above]
+        fewer = int(len(rows[1]) < len(rows[0]))
+        counted = sums_of(rows[fewer])
+        sums = (leaf.sums - counted, counted) if fewer else (counted, leaf.sums - counted)
+        grown[at : at + 1] = [leaf_of(rows[answer], sums[answer], question, answer) for answer in (0, 1)]
+    for place, leaf in enumerate(grown):
+        if leaf.parent >= 0:
+            leads[leaf.parent][leaf.answer] = -1 - place
+    total_g, total_h = np.array([leaf.sums[:, 0, -1] for leaf in grown]).T
+    return GrownTree(
+        np.array(feature, dtype=np.int64),
+        np.array(threshold),
+        np.array(leads, dtype=np.int64).reshape(-1, 2),
+        _RATE * total_g / (total_h + _RIDGE),
+    )
 
 
 def _worth(gradient: Array, hessian: Array) -> Array:

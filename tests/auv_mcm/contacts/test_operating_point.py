@@ -97,7 +97,7 @@ def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
 def test_a_call_that_turns_is_announced_again_and_nothing_else_is() -> None:
     mission = Mission()
     mission.search(0.001)
-    (announced,) = mission.see(odds_of(0.5))
+    (announced,) = mission.see(odds_of(0.4))
     assert announced.called is False
     mission.search(3.0)  # and hardly anything there
     again = mission.see(-4.5)

@@ -11,17 +11,15 @@ import pytest
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.errors import UsageError
 from sim_replay.benches.domains import (
-    RECORDED_SCENES,
-    RECORDERS,
     grouped,
     pd_at,
-    recorded_by,
     reliability,
     report,
     save_diagrams,
     within_mission,
 )
 from sim_replay.benches.point import judged
+from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.simulator.scene_file import check_scene, read_scene
 from tests.sim_replay.fitting.test_background_fit import drawn_mission
 

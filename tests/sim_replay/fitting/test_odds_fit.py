@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.odds import MineOdds, parse_odds, shipped_odds
-from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import Detection, Detector, Surroundings
+from auv_mcm.records import Detection, NavSample, Surroundings
+from auv_mcm.settings.config import Config
 from sim_replay.fitting import fit_odds as calibrate
 from sim_replay.fitting.fit_odds import (
     CROWD,
-    FIRST_SEED,
     N_TREES,
     Example,
     StepTable,
     crowded,
-    examples_of,
+    examples_along,
     fit_odds,
     log_odds_of,
 )
@@ -40,12 +36,9 @@ OFFSET = -1.0
 MINES_AND_ROCKS = {"cylinder", "sphere", "truncated_cone", "wedge", "box", "rock"}
 
 
-def example(
-    features: dict[str, float], is_target: bool, weight: float = 1.0, scene: str = "flat", usual: bool = True
-) -> Example:
-    """All steps measured the same; the detector's own odds among them, which the report needs."""
-    known = {"detector_odds": 0.0, **features}
-    return Example(scene, 1, usual, is_target, weight, known, known, known, {step: {} for step in N_TREES})
+def example(features: dict[str, float], is_target: bool, weight: float = 1.0, usual: bool = True) -> Example:
+    """All steps measured the same."""
+    return Example(usual, is_target, weight, features, features, features, {step: {} for step in N_TREES})
 
 
 def fit(examples: Sequence[Example], fitted_on: str) -> MineOdds:
@@ -61,10 +54,8 @@ def drawn(n: int, seed: int, weights: Sequence[float] = (1.0,)) -> list[Example]
     is_target = random.random(n) < p
     chosen = random.choice(list(weights), n)
     return [
-        example(dict(zip(WEIGHTS, row, strict=True)), bool(target), float(weight), SCENES[number % len(SCENES)])
-        for number, (row, target, weight) in enumerate(
-            zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True)
-        )
+        example(dict(zip(WEIGHTS, row, strict=True)), bool(target), float(weight))
+        for row, target, weight in zip(values.tolist(), is_target.tolist(), chosen.tolist(), strict=True)
     ]
 
 
@@ -205,7 +196,7 @@ def test_trees_weigh_what_a_sum_misses_and_details_as_well() -> None:
 def test_log_odds_of_many_are_those_of_each() -> None:
     weights = shipped_odds("cascade").shape
     random = np.random.Generator(np.random.PCG64(5))
-    names = sorted({*weights.weights, *(name for tree in weights.trees for name, _ in tree.ask)})
+    names = sorted({*weights.weights, *(name for tree in weights.trees for name, *_ in tree.ask)})
     table = StepTable(tuple(names), 0, random.normal(0.0, 3.0, (50, len(names))))
     features = [dict(zip(names, row, strict=True)) for row in table.values.tolist()]
     assert log_odds_of(weights, table).tolist() == [weights.log_odds(known) for known in features]
@@ -265,21 +256,11 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
                 {"lat": float(latitude), "lon": float(longitude), "is_target": scene_object.is_target, **sizes}
             )
 
-        class FakeMission:
-            def __init__(self, scene: object) -> None:
-                pass
-
-            def events(self) -> list[str]:
-                return ["all of it"]
-
-            def truth(self) -> dict[str, Any]:
-                return {"objects": objects}
-
         class FakePipeline:
             def __init__(self, config: object, look: Callable[[Detection], Detection]) -> None:
                 self.look = look
 
-            def feed(self, event: str) -> None:
+            def feed(self, event: NavSample) -> None:
                 for detection in detections:
                     assert self.look(detection) is detection
 
@@ -296,10 +277,9 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
             dict.fromkeys(shipped_odds("contrast").shape.weights, 0.5),
             {"solid_nats": -10.0},
         )
-        monkeypatch.setattr(calibrate, "Mission", FakeMission)
         monkeypatch.setattr(calibrate, "Pipeline", FakePipeline)
         monkeypatch.setattr(calibrate, "examine", lambda *_: measured)
-        return examples_of("flat", 500, "contrast", 1)
+        return examples_along(Config(), [NavSample(time_s=0.0)], lambda: objects, usual=True)
 
     return flown
 
@@ -341,9 +321,18 @@ def test_a_detection_known_to_a_metre_only_may_lie_farther_off(fly: Fly) -> None
 
 
 def test_faint_detections_are_thinned_and_those_kept_stand_for_the_others(fly: Fly) -> None:
-    faint = [seen_at(100.0 + 10.0 * number, 0.01, ping_number=number) for number in range(8)]
+    faint = [seen_at(100.0 + 10.0 * number, 0.01, ping_number=number) for number in range(24)]
     found = fly([*faint, seen_at(0.0, 0.5)], [])
-    assert [(item.weight, item.detector["highlight_db"]) for item in found] == [(4.0, 100.0), (4.0, 140.0), (1.0, 0.0)]
+    assert [(item.weight, item.detector["highlight_db"]) for item in found] == [
+        (12.0, 100.0),
+        (12.0, 220.0),
+        (1.0, 0.0),
+    ]
+
+
+def test_a_faint_detection_on_an_object_is_kept(fly: Fly) -> None:
+    (found,) = fly([seen_at(0.0, 0.01, ping_number=1)], [Truth(0.0, True)])
+    assert (found.is_target, found.weight) == (True, 1.0)
 
 
 def test_a_target_that_only_passed_over_detections_stand_for_is_left_out(fly: Fly) -> None:
@@ -354,7 +343,6 @@ def test_a_target_that_only_passed_over_detections_stand_for_is_left_out(fly: Fl
 def test_every_step_has_its_features(fly: Fly) -> None:
     (found,) = fly([seen_at(0.0)], [])
     odds = shipped_odds("contrast")
-    assert found.scene == "flat"
     assert (found.detector.keys(), found.contours.keys(), found.shape.keys()) == (
         odds.detector.weights.keys(),
         odds.contours.weights.keys(),
@@ -366,125 +354,6 @@ def test_every_step_has_its_features(fly: Fly) -> None:
 
 def test_a_mission_that_finds_nothing_has_no_examples(fly: Fly) -> None:
     assert fly([], [Truth(0.0, True)]) == []
-
-
-# ---------------------------------------------------------------- the command
-
-
-class Flown:
-    """Stands in for flying: examples of the logistic model, other ones for every mission."""
-
-    def __init__(self) -> None:
-        self.missions: list[tuple[str, int, Detector, int]] = []
-
-    def __call__(self, name: str, seed: int, detector: Detector, crowd: int) -> list[Example]:
-        self.missions.append((name, seed, detector, crowd))
-        return [
-            item._replace(scene=name, seed=seed, usual=crowd == 1)
-            for item in drawn(60, 100 * seed + SCENES.index(name), (1.0, 4.0))
-        ]
-
-
-@pytest.fixture
-def flown(monkeypatch: pytest.MonkeyPatch) -> Flown:
-    stand_in = Flown()
-    monkeypatch.setattr(calibrate, "examples_of", stand_in)
-    monkeypatch.setattr(calibrate, "N_TREES", dict.fromkeys(N_TREES, 2))
-    monkeypatch.setattr(calibrate, "ProcessPoolExecutor", lambda n_workers, mp_context: ThreadPoolExecutor(1))
-    return stand_in
-
-
-def written(path: Path) -> MineOdds:
-    return parse_odds(path.read_bytes(), path.name)
-
-
-@pytest.mark.parametrize(
-    ("detector", "scenes"), [("contrast", SCENES), ("cascade", tuple(name for name in SCENES if name not in HELD_OUT))]
-)
-def test_the_command_flies_every_scene_with_every_seed_and_writes_weights(
-    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], detector: Detector, scenes: tuple[str, ...]
-) -> None:
-    out = tmp_path / "odds.json"
-    assert (
-        main(["calibrate", "odds", "--detector", detector, "--seeds", "2", "--first-seed", "7", "--out", str(out)]) == 0
-    )
-    assert flown.missions == [(name, seed, detector, 1) for seed in (7, 8) for name in scenes]
-    odds = written(out)
-    assert odds.fitted_on == f"{120 * len(scenes)} detections of simulated missions: {', '.join(scenes)}; seeds 7 to 8"
-    assert odds.shape.weights["a"] == pytest.approx(WEIGHTS["a"], abs=0.4)
-    assert [len(step.trees) for step in (odds.detector, odds.contours, odds.shape)] == [
-        2 if detector == "cascade" else 0
-    ] * 3
-    printed = capsys.readouterr()
-    assert f"{2 * len(scenes)} of {2 * len(scenes)} missions flown" in printed.err
-    rows = [line.split("  ")[0] for line in printed.out.splitlines()]
-    assert rows[4:8] == ["detector as it is", "detector", "contours", "shape"]
-    assert "nan" not in printed.out
-
-
-def test_what_more_missions_would_bring_is_judged_on_a_seed_that_they_have_not(
-    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    main(
-        [
-            "calibrate",
-            "odds",
-            "--seeds",
-            "5",
-            "--crowded",
-            "2",
-            "--first-seed",
-            "7",
-            "--out",
-            str(tmp_path / "odds.json"),
-        ]
-    )
-    n_targets = {mission: sum(item.is_target for item in flown(*mission)) for mission in list(flown.missions)}
-    title, _, _, _, *rows = capsys.readouterr().out.splitlines()[-7:]
-    judged = sum(n for (_, seed, _, _), n in n_targets.items() if seed == 11)
-    assert title == f"seed 11, {judged} looks at targets, judged with the weights of other seeds, all steps"
-    learned = [{7, 57}, {7, 8, 57}, {7, 8, 9, 10, 57, 58}]
-    assert [int(row.split()[0]) for row in rows] == [
-        sum(n for mission, n in n_targets.items() if mission[1] in some) for some in learned
-    ]
-    assert "nan" not in "".join(rows)
-
-
-def test_one_seed_gives_no_report_on_more_seeds(
-    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / "odds.json")])
-    assert flown.missions
-    assert "learned from" not in capsys.readouterr().out
-
-
-def test_crowded_scenes_are_flown_over_other_floors_and_reported(flown: Flown, tmp_path: Path) -> None:
-    out = tmp_path / "odds.json"
-    assert main(["calibrate", "odds", "--seeds", "1", "--crowded", "2", "--first-seed", "7", "--out", str(out)]) == 0
-    n = len(flown.missions) // 3
-    assert {mission[1:] for mission in flown.missions[:n]} == {(7, "cascade", 1)}
-    assert {mission[1:] for mission in flown.missions[n:]} == {(57, "cascade", CROWD), (58, "cascade", CROWD)}
-    assert written(out).fitted_on.endswith(
-        "shallow, deep, sas; seeds 7 to 7, and 57 to 58 with 3 times as many mines and rocks"
-    )
-
-
-def test_drawn_missions_are_flown_besides_and_teach_no_rarity(
-    flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seeds: list[int] = []
-
-    def of_drawn(seed: int, detector: Detector) -> list[Example]:
-        seeds.append(seed)
-        return [item._replace(usual=False) for item in flown("flat", seed, detector, 1)]
-
-    monkeypatch.setattr(calibrate, "examples_of_drawn", of_drawn)
-    plain, out = tmp_path / "plain.json", tmp_path / "odds.json"
-    main(["calibrate", "odds", "--seeds", "1", "--first-seed", "7", "--out", str(plain)])
-    assert main(["calibrate", "odds", "--seeds", "1", "--drawn", "3", "--first-seed", "7", "--out", str(out)]) == 0
-    assert seeds == [10007, 10008, 10009]
-    assert written(out).fitted_on.endswith("seeds 7 to 7; 3 drawn from the wide world")
-    assert written(out).prior == written(plain).prior
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in HELD_OUT])
@@ -499,70 +368,3 @@ def test_a_crowded_scene_has_more_mines_and_rocks_on_the_same_floor(name: str) -
     assert (crowd.world, crowd.sonar, crowd.track) == (scene.world, scene.sonar, scene.track)
     assert len(place_objects(crowd)) > 2.0 * len(place_objects(scene))
     assert crowded(scene, 1) == scene
-
-
-@pytest.mark.usefixtures("flown")
-def test_weights_are_the_same_to_the_byte_in_every_run(tmp_path: Path) -> None:
-    for name, workers in (("one", "1"), ("two", "2")):
-        main(["calibrate", "odds", "--seeds", "1", "--workers", workers, "--out", str(tmp_path / name)])
-    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "printed"),
-    [
-        ([], "--out"),
-        (["--out"], "--out"),
-        (["--out", "x", "--seeds", "0"], "'0' is not a whole number from 1 to "),
-        (["--out", "x", "--seeds", "many"], "--seeds"),
-        (["--out", "x", "--workers", "-1"], "--workers"),
-        (["--out", "x", "--first-seed", "9" * 30], "from 1 to 1000000"),
-        (["--out", "x", "--first-seed", "1.5"], "'1.5' is not a whole number"),
-        (["--out", "x", "--scenes", "flat"], "--scenes"),
-    ],
-)
-def test_arguments_that_make_no_sense_are_refused(
-    flown: Flown, capsys: pytest.CaptureFixture[str], arguments: list[str], printed: str
-) -> None:
-    with pytest.raises(SystemExit) as refused:
-        main(["calibrate", "odds", *arguments])
-    assert refused.value.code == 2
-    assert printed in capsys.readouterr().err
-    assert flown.missions == []
-
-
-@pytest.mark.parametrize(
-    ("place", "message"),
-    [
-        ("missing/odds.json", r"auv-mcm: --out .*: there is no folder .*missing\. Make it first"),
-        (".", r"auv-mcm: --out .* cannot be written: it is a folder"),
-        ("/proc/odds.json", "auv-mcm: cannot write to the output directory /proc"),
-    ],
-)
-def test_weights_that_could_not_be_written_are_refused_before_flying(
-    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str, message: str
-) -> None:
-    assert main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / place)]) == 2
-    assert re.match(message, capsys.readouterr().err)
-    assert flown.missions == []
-
-
-def test_the_help_names_the_defaults(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["calibrate", "odds", "--help"])
-    printed = " ".join(capsys.readouterr().out.split())
-    assert f"(default {FIRST_SEED})" in printed
-    assert f"with {CROWD} times as many mines and rocks" in printed
-    assert f"{{{','.join(get_args(Detector))}}}" in printed
-
-
-def test_too_few_targets_end_the_command_with_advice(
-    monkeypatch: pytest.MonkeyPatch, flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(
-        calibrate, "examples_of", lambda name, seed, detector, crowd: [example({"a": 1.0}, False, scene=name)]
-    )
-    assert main(["calibrate", "odds", "--seeds", "1", "--out", str(tmp_path / "odds.json")]) == 2
-    assert "0 targets in 9 detections" in capsys.readouterr().err
-    assert not (tmp_path / "odds.json").exists()
-    assert flown.missions == []

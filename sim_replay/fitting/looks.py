@@ -17,14 +17,12 @@ import msgspec
 import numpy as np
 
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.records import SourceEvent
+from auv_mcm.records import Detector, SourceEvent
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
-from sim_replay.benches.domains import RECORDERS, recorded_by
-from sim_replay.benches.froc import scattered
+from sim_replay.augment.recorded_line import scattered
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_odds import (
-    OF_DRAWN,
     STEPS,
     LookTable,
     StepTable,
@@ -33,6 +31,7 @@ from sim_replay.fitting.fit_odds import (
     examples_along,
     look_table,
 )
+from sim_replay.fitting.recorders import RECORDERS, recorded_by
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import config_for, served_by
 from sim_replay.simulator.mission import Mission
@@ -48,13 +47,14 @@ class LookTask(NamedTuple):
     """Name a mission.
 
     source: a named scene, DRAWN, or the path of a recorded line. times: as many mines and rocks as the scene has.
-    recorder: of RECORDERS, for named scenes alone.
+    recorder: of RECORDERS, for named scenes alone. detector: whose detections are looked at.
     """
 
     source: str
     seed: int
     times: int = 1
     recorder: str | None = None
+    detector: Detector = "cascade"
 
     @property
     def is_line(self) -> bool:
@@ -100,7 +100,7 @@ def all_looks(
 
 
 def fly_looks(task: LookTask) -> MissionLooks:
-    """Fly a mission with the cascade and take every look in full.
+    """Fly a mission and take every look in full.
 
     Raises BadInputError or UsageError for a recorded line, as augment does.
     """
@@ -108,10 +108,11 @@ def fly_looks(task: LookTask) -> MissionLooks:
         with tempfile.TemporaryDirectory() as folder:
             written = augment(Path(task.source), scattered(task.seed), Path(folder), Config())
             events = RecordedMission([written.log], Config()).events()
-            return _gathered(task, _NO_LAW, Config(), events, lambda: json.loads(written.truth.read_bytes()))
+            config = served_by(task.detector, Config())
+            return _gathered(task, _NO_LAW, config, events, lambda: json.loads(written.truth.read_bytes()))
     scene = _scene_of(task)
     mission = Mission(scene)
-    config = served_by("cascade", config_for(scene))
+    config = served_by(task.detector, config_for(scene))
     return _gathered(task, scene.sonar.recorder.samples, config, mission.events(), mission.truth)
 
 
@@ -167,6 +168,8 @@ def pooled(missions: Sequence[MissionLooks]) -> LookTable:
 
 def _place(folder: Path, task: LookTask) -> Path:
     parts = [task.domain, *([task.source] if task.recorder else []), f"x{task.times}", str(task.seed)]
+    if task.detector != "cascade":
+        parts.append(task.detector)
     return folder / ("-".join(parts).replace(" ", "_") + ".npz")
 
 
@@ -187,6 +190,6 @@ def _gathered(
         return list(truth["objects"])
 
     usual = task.times == 1 and task.source != DRAWN
-    examples = examples_along(task.domain, task.seed, config, events, objects, usual=usual, thinning=OF_DRAWN)
+    examples = examples_along(config, events, objects, usual=usual)
     n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
     return MissionLooks(task, law, n_targets, float(truth["area_km2"]), look_table(examples))
