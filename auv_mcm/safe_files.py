@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
 import stat
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ from auv_mcm.errors import BadInputError
 
 _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 _UPDATED: Final = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+_TEMPORARY: Final = re.compile(r"\.[0-9a-f]{16}\.new")  # the name of a file that `replacing` writes
 _DIRECTORY: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 
 
@@ -76,6 +78,13 @@ def replacing(path: Path, *, directory: int | None = None, durable: bool = True)
         raise
     if durable and directory is None:
         sync_directory(path.parent)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what `replacing` left below a folder when its process was killed; nobody else may be writing there."""
+    for path in folder.rglob(".*.new"):
+        if _TEMPORARY.fullmatch(path.name):
+            path.unlink()
 
 
 @contextlib.contextmanager

@@ -18,6 +18,7 @@ import msgspec
 from auv_mcm import __version__
 from auv_mcm.commands import read_config
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.safe_files import remove_unfinished
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import finite, make_directory
 from sim_replay.batch.archive import ArchivedLog
@@ -58,6 +59,7 @@ def locked(out: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise UsageError(f"another run writes to {out}. Wait for it, stop it, or name another folder") from error
+        remove_unfinished(out)
         yield
 
 

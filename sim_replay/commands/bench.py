@@ -28,6 +28,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "framers": ("benches.framers", "message framing: speed, garbage, and what damage costs"),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
     "ports": ("benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
+    "archive": ("benches.archive", "a batch that is killed on its way against one that is not: the same bytes"),
     "soak": ("benches.soak", "the service for long, and killed: memory, counters, what is lost"),
     "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
     "decibels": ("benches.decibels", "what wrong decibels per count cost in detection"),

@@ -284,7 +284,7 @@ import sys
 from importlib import metadata
 from auv_mcm.cli import main
 
-version, bench = metadata.version, ("pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed")
+version, bench = metadata.version, ("pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "h5py")
 
 def of_base(name):
     if name in bench:

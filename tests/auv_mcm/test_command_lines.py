@@ -36,11 +36,12 @@ from sim_replay.commands.bench import BENCHES
 from sim_replay.fakes.navigation import NAVIGATION_UNITS
 from sim_replay.fakes.sonar import DeviceTime, PingProtocolSonar
 from sim_replay.fitting.measure_prices import PriceList
+from sim_replay.logs.image_writer import write_images
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
 from tests.manual_clock import ManualClock
-from tests.sim_replay.logs.sonar_logs import run_of, write_jsf
+from tests.sim_replay.logs.sonar_logs import mission, run_of, write_jsf
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -169,6 +170,10 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(folder / "sim" / "mission.xtf", folder / name)
     (folder / "logs.txt").write_text("surveys/day1.xtf\nsurveys/day2.xtf\n")
     write_jsf(run_of("jsf"), folder / "survey.jsf")
+    for image in write_images(folder, mission()[:240], place="tags"):
+        for path in (image, image.with_suffix(".yaml")):
+            shutil.copy(path, folder / f"survey{path.suffix}")
+            path.rename(folder / f"{image.stem.removeprefix('run0-')}{path.suffix}")
     later = parse_scene(SCENE.replace("{altitude_m: 5", "{altitude_m: 5, start_time_s: 1800000000"), "later")
     shutil.copy(simulate(later, folder / "later").log, folder / "leg2.xtf")
     (folder / "vehicle.yaml").write_text(f"service: {{source: 'replay://{folder}/mission.xtf?speed=max'}}\n{PORTS}")

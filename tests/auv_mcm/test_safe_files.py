@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.safe_files import open_for_append, open_regular, own_directory, replacing
+from auv_mcm.safe_files import open_for_append, open_regular, own_directory, remove_unfinished, replacing
 
 
 def test_a_regular_file_is_read_also_through_a_link(tmp_path: Path) -> None:
@@ -107,3 +107,14 @@ def test_a_journal_neither_follows_a_link_nor_waits_for_a_pipe(tmp_path: Path) -
         with pytest.raises(OSError, match=name):
             open_for_append(tmp_path / name)
     assert not (tmp_path / "victim").exists()
+
+
+def test_what_a_killed_process_left_unfinished_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    (folder / "snippets").mkdir(parents=True)
+    left = [folder / ".80a0f70f6dc685af.new", folder / "snippets" / ".00a0f70f6dc685a0.new"]
+    own = [folder / "contacts.csv", folder / ".notes.new", folder / "80a0f70f6dc685af.new"]
+    for path in (*left, *own):
+        path.write_bytes(b"")
+    remove_unfinished(folder)
+    assert [path.exists() for path in (*left, *own)] == [False, False, True, True, True]
