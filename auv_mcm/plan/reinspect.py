@@ -77,8 +77,8 @@ def plan_reinspection(
     Per leg: `turn` points, `leg_entry` and `leg_exit`; a contact lies abeam of the middle of its leg at `stand_off_m`.
     The leg is `leg_length_m` long plus a settling distance at both ends. `heading_rad` is the true course at each
     point, [0, 2 pi). Turns are planned a little wider than `turn_radius_m` so that the circles that touch the sides of
-    the way-point polygon from inside are not tighter than it either. Equal input
-    gives equal plans while there is time. Empty if no contact needs a second view.
+    the way-point polygon from inside are not tighter than it either. Equal input gives equal plans while there is time.
+    Empty if no contact needs a second view.
 
     Parameters
     ----------
@@ -87,10 +87,7 @@ def plan_reinspection(
     more_time
         Whether a long tour may still be made shorter.
 
-    Raises
-    ------
-    BadInputError
-        If there are contacts to visit but the start pose is not finite.
+    Raises BadInputError if there are contacts to visit but the start pose is not finite.
     """
     chosen = most_undecided(contacts, config)
     if not chosen:

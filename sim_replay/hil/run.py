@@ -53,7 +53,7 @@ _LOOK_S: Final = 0.1  # between looks at the mission time
 _SLOWEST: Final = 10.0  # wall time per mission time that waits for a busy computer; a run that needs more is over
 _STALE_PERIODS: Final = 3.0  # after which a record of health is of a service that is gone
 _PACE_S: Final = 0.1  # s between looks whether the mission has to wait
-_BEHIND_PINGS: Final = 100  # that wait for perception; from there on the mission waits as well
+_BEHIND_PINGS: Final = 100  # that wait for perception; from there on the mission goes at real time
 _TAIL_LINES: Final = 5  # of the program's log, shown with a failure
 _PR_SET_PDEATHSIG: Final = 1  # Linux, prctl.h: the signal at the parent's death
 
@@ -194,9 +194,10 @@ class _Run:
         return self._scenario.waits or self._scenario.vehicle is not None
 
     async def _pace(self) -> None:
-        """Let every device wait for one that is late, and all of them for perception.
+        """Let every device wait for one that is late.
 
-        While the service is down the mission goes at real time: what a restart takes does not depend on its speed.
+        While the service is down or perception is behind the mission goes at real time: it never stands still, which
+        would be a fault of the ports, and what a restart takes does not depend on its speed.
         """
         n_seen = [0] * len(self._devices)
         while True:
@@ -206,12 +207,9 @@ class _Run:
                         if other is not late:
                             other.send_line(f"hold {for_s:.4f}\n")
                 n_seen[index] = len(late.holds)
-            still_s = 0.0
-            if self._is_down:
-                still_s = _PACE_S * max(1.0 - 1.0 / self._scenario.speed, 0.0)
-            elif _pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS:
-                still_s = _PACE_S
-            if still_s:
+            still_s = _PACE_S * max(1.0 - 1.0 / self._scenario.speed, 0.0)
+            is_behind = _pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS
+            if still_s and (self._is_down or is_behind):
                 self._holds.append((time.monotonic() + still_s, still_s))
                 for device in self._devices:
                     device.send_line(f"hold {still_s:.4f}\n")

@@ -271,8 +271,8 @@ class Scenario(_Record, frozen=True, kw_only=True):
     file_limit_bytes: no file of the service, once it is ready, grows beyond it, as on a disk that is full; room for its
     results must be left. host_clock_step: what the service takes for this computer's UTC steps. kill: the service,
     while the devices go on. restarts_s: all processes of the service are killed so long after the run's start, and it
-    is started again at once. waits: the mission waits while perception is behind or a device is late, and goes at
-    real time while the service is down.
+    is started again at once. waits: the mission waits for a device that is late, and goes at real time while
+    perception is behind or the service is down.
     """
 
     about: Annotated[str, Meta(min_length=1)]
