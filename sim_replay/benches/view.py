@@ -368,8 +368,8 @@ _HEADER: Final = (
     "found again",
     "marked",
     "heights",
-    "error: mean",
-    "largest",
+    "within 0.1 m",
+    "median error",
 )
 
 
