@@ -179,7 +179,10 @@ async def _judge(mission: ShownMission, truth: Sequence[TruthObject], pictures: 
     try:
         async with browser_page() as page:
             await page.open(server.url)
-            await page.wait_for("window.bench && bench.state.done && bench.state.contacts_version > 0 && !bench.busy")
+            n_contacts = len(mission.contacts()["id"])
+            await page.wait_for(
+                f"window.bench && bench.state.done && bench.contacts.length >= {n_contacts} && !bench.busy"
+            )
             if pictures is not None and truth:
                 await _overview_pictures(page, pictures)
             heights = await _judge_all(page, mission, truth, pictures)
@@ -365,8 +368,8 @@ _HEADER: Final = (
     "found again",
     "marked",
     "heights",
-    "error: mean",
-    "largest",
+    "within 0.1 m",
+    "median error",
 )
 
 
