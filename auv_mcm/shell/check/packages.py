@@ -17,7 +17,6 @@ DISTRIBUTION: Final = "auv-mcm"
 _BASE: Final = ""
 _MAKERS: Final = ("dev", "docs")  # extras for those who change the code: the payload does not run them
 IMPORTED_AS: Final = {
-    "mcap-protobuf-support": "mcap_protobuf",
     "opencv-contrib-python-headless": "cv2",
     "pyserial": "serial",
     "python-can": "can",
