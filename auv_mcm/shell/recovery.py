@@ -243,8 +243,4 @@ def results_missing(folder: Path, errors: Mapping[str, OSError]) -> Notice:
 
 
 def _replay_advice(folder: Path) -> str:
-    recordings = sorted(folder.glob(f"{RECORDING}*")) or [folder / RECORDING]
-    return (
-        f"To get them run: auv-mcm replay {' '.join(shlex.quote(str(path)) for path in recordings)} --out "
-        f"{shlex.quote(str(folder / 'replayed'))}"
-    )
+    return f"To get them run: auv-mcm report {shlex.quote(str(folder))}"

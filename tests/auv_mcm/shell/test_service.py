@@ -36,6 +36,7 @@ from auv_mcm.shell.service import Service
 from auv_mcm.shell.sources import parse_source_uri
 from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth, VehiclePilot
 from drivers.recording.session_recorder import SessionRecorder
+from sim_replay.export_source import recordings_of
 from sim_replay.logs.session_reader import Session
 from tests.auv_mcm.shell import fake_pipelines as fake
 
@@ -491,8 +492,9 @@ def test_contacts_lost_with_perception_are_reported_to_be_in_the_recording(
         asyncio.run(Service(config, Ports(mission(300)), console=lines.append, make_pipeline=fake.Dying).run())
     (line,) = [line for line in lines if line.startswith("notice contacts_in_recording")]
     command = shlex.split(line.partition("run: ")[2])
-    assert command[:2] == ["auv-mcm", "replay"]
-    assert len(list(Session(Path(command[2])))) > 5
+    assert command[:2] == ["auv-mcm", "report"]
+    (recording,) = recordings_of(Path(command[2]))
+    assert len(list(Session(recording))) > 5
     assert "contacts_in_recording" in [notice["code"] for notice in summary(tmp_path / "latest")["notices"]]
     assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "it was already reported"
 
@@ -505,7 +507,7 @@ def test_a_restart_after_a_kill_says_how_to_get_what_was_not_announced(tmp_path:
     (tmp_path / "latest").unlink()
     (tmp_path / "latest").symlink_to(killed.name)
     (line,) = [line for line in started_again(tmp_path) if line.startswith("notice contacts_in_recording")]
-    assert f"auv-mcm replay {killed}/recording --out {killed}/replayed" in line
+    assert line.endswith(f"To get them run: auv-mcm report {killed}")
     assert not [line for line in started_again(tmp_path) if "contacts_in_recording" in line], "once is enough"
 
 
