@@ -143,7 +143,7 @@ def test_a_session_that_cannot_go_on_is_left_and_that_is_said(why: str, tmp_path
     assert after.folder.resolve() != folder
     said = " ".join(after.said)
     assert why in said
-    assert "auv-mcm replay" in said
+    assert "auv-mcm report" in said
 
 
 def test_a_stop_that_comes_before_all_is_worked_off_leaves_the_rest_to_the_next_start(tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ def test_a_recorded_session_gives_the_very_contacts_of_the_live_run(kind: SonarK
 def test_a_sonars_own_log_gives_the_contacts_of_the_live_run(kind: SonarKind, tmp_path: Path) -> None:
     run = run_of(kind)
     live, found = live_contacts(kind), replayed(written(kind, tmp_path / "log"), run.config)
-    assert sum(contact.p_mine > 0.5 for contact in live) == 2
+    assert sum(contact.p_mine > 0.25 for contact in live) == 2
     assert [contact.id for contact in found] == [contact.id for contact in live]
     assert [contact.classification for contact in found] == [contact.classification for contact in live]
     for one, other in zip(live, found, strict=True):
@@ -121,8 +121,8 @@ def test_a_link_that_was_late_costs_centimetres(kind: SonarKind, with_config: bo
     """
     run = run_of(kind, 3e-3)
     path = WRITERS[kind](run, tmp_path / "log")
-    live = [contact for contact in live_contacts(kind, 3e-3) if contact.p_mine > 0.3]
-    found = [contact for contact in replayed(path, run.config if with_config else Config()) if contact.p_mine > 0.3]
+    live = [contact for contact in live_contacts(kind, 3e-3) if contact.p_mine > 0.25]
+    found = [contact for contact in replayed(path, run.config if with_config else Config()) if contact.p_mine > 0.25]
     assert len(live) == len(found) == 2
     for one in live:
         assert min(apart_m(one, other) for other in found) < 0.25
@@ -414,8 +414,8 @@ def test_mavlink_is_navigation_too(tmp_path: Path) -> None:
     path = tmp_path / "log"
     path.write_bytes(b"".join(parts))
     log = open_log(path, Config())
-    live = [contact for contact in live_contacts("ping_protocol") if contact.p_mine > 0.3]
-    found = [contact for contact in contacts_of(iter(log), Config()) if contact.p_mine > 0.3]
+    live = [contact for contact in live_contacts("ping_protocol") if contact.p_mine > 0.25]
+    found = [contact for contact in contacts_of(iter(log), Config()) if contact.p_mine > 0.25]
     assert log.counters["reader.mavlink_malformed"] == 2
     assert len(found) == len(live) == 2
     for one in live:
