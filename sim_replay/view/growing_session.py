@@ -6,9 +6,9 @@ import re
 import struct
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Final, cast, get_args
+from typing import IO, BinaryIO, Final, cast, get_args
 
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, Message
@@ -76,7 +76,7 @@ class GrowingSession:
     def _messages(self, path: Path) -> Iterator[Recorded]:
         channels: dict[int, Channel] = {}
         with open_regular(path, buffering=0) as file:
-            stream = _PatientReads(file, lambda: self._wait(path))
+            stream = _PatientReads(file, lambda: self._end_of(path), lambda: self._stop.wait(POLL_S))
             try:
                 reader = StreamReader(cast(IO[bytes], stream), emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES)
                 for record in reader.records:
@@ -95,16 +95,14 @@ class GrowingSession:
                     Notice(code="session_cut_off", text=f"the rest of {path} cannot be read: {error}", place=str(path))
                 )
 
-    def _wait(self, path: Path) -> None:
-        """Wait for more of a file. Raises EOFError if none will come."""
+    def _end_of(self, path: Path) -> str:
+        """Say why a file grows no more; empty while it may."""
         if self._stop.is_set():
-            raise EOFError("nobody wants more")
+            return "nobody wants more"
         files = self._files()
         if path in files and files.index(path) < len(files) - 1:
-            raise EOFError("the next file has begun")
-        if self._has_ended():
-            raise EOFError("the session has ended")
-        self._stop.wait(POLL_S)
+            return "the next file has begun"
+        return "the session has ended" if self._has_ended() else ""
 
     def _has_ended(self) -> bool:
         return (self._folder / "summary.json").exists()
@@ -120,16 +118,21 @@ class GrowingSession:
 class _PatientReads:
     """Read from a file that grows: a read is whole, however long that takes."""
 
-    def __init__(self, file: BinaryIO, wait: Any) -> None:
-        self._file, self._wait = file, wait
+    def __init__(self, file: BinaryIO, end: Callable[[], str], wait: Callable[[], object]) -> None:
+        self._file, self._end, self._wait = file, end, wait
 
     def read(self, n_bytes: int) -> bytes:
-        """Read n bytes. Raises what waiting raises."""
-        data = b""
+        """Read n bytes. Raises EOFError if they will never come."""
+        data, end = b"", ""
         while len(data) < n_bytes:
             more = self._file.read(n_bytes - len(data))
             data += more
-            if not more:
+            if more:
+                continue
+            if end:
+                raise EOFError(end)
+            end = self._end()  # and read once more: the rest may have come just before the end
+            if not end:
                 self._wait()
         return data
 
