@@ -27,12 +27,18 @@ class Cluster:
         self.scheduler = self._start(
             "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(self._file)
         )
+        self.address = self._address()
+
+    def _address(self) -> str:
+        """Wait for the scheduler's file to be whole: dask does not write it in one step."""
         deadline_s = time.monotonic() + PATIENCE_S
-        while not self._file.exists():
-            assert time.monotonic() < deadline_s
-            assert self.scheduler.poll() is None
-            time.sleep(0.05)
-        self.address: str = json.loads(self._file.read_text())["address"]
+        while True:
+            try:
+                return str(json.loads(self._file.read_text())["address"])
+            except (FileNotFoundError, json.JSONDecodeError):
+                assert time.monotonic() < deadline_s
+                assert self.scheduler.poll() is None
+                time.sleep(0.05)
 
     def worker(self, sources: Path = ROOT) -> subprocess.Popen[bytes]:
         options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
