@@ -20,7 +20,7 @@ from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.image_looks import OVERLAP_LINES, doppler_centroid, mean_of_looks, sub_band
 from sim_replay.logs.image_pixels import DamagedPixelsError, Pixels, open_pixels
 from sim_replay.logs.image_place import Track, track_of
-from sim_replay.logs.image_sidecar import Sidecar, kind_disagreement, read_sidecar, sidecar_path
+from sim_replay.logs.image_sidecar import Sidecar, read_sidecar, sidecar_path
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
 
 _BLOCK_VALUES: Final = 1 << 21  # pixels worked on at once: bounds memory at some 100 MB, complex and float64
@@ -29,6 +29,15 @@ _WATER_M: Final = 2.0  # of slant range before the first return, from which an i
 _PROBE_LINES: Final = 64  # looked at for the water column
 _MIN_SPACING: Final = 0.25  # of the ground pixel: bounds the samples that near ranges cost
 _CENTROID_LINES: Final = 512  # that the middle of the Doppler spectrum is measured on
+
+
+def kind_disagrees(path: Path, sidecar: Sidecar, sonar: SonarConfig) -> Notice:
+    """Write the notice that the configured kind of sonar is not the sidecar's."""
+    text = (
+        f"the sidecar says `kind: {sidecar.kind}`, the configuration sonar.kind: {sonar.kind}. Correct the one that is "
+        "wrong"
+    )
+    return Notice(code="reader.kind_disagrees", text=text, place=str(path))
 
 
 class ImageLog:
@@ -127,8 +136,8 @@ class ImageLog:
 
     def _notices(self) -> Iterator[Notice]:
         sidecar = self.sidecar
-        if text := kind_disagreement(sidecar, self._sonar.kind):
-            yield Notice(code="reader.kind_disagrees", text=text, place=str(self._path))
+        if sidecar.kind != self._sonar.kind:
+            yield kind_disagrees(self._path, sidecar, self._sonar)
         far_m = sidecar.near_range_m + self._pixels.n_pixels * sidecar.pixel_across_m
         if far_m > self._sonar.max_range_m:
             text = (

@@ -92,15 +92,6 @@ class Sidecar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return self.near_range_m * (math.sin(angle) if self.range == "slant" else math.tan(angle))
 
 
-def kind_disagreement(sidecar: Sidecar, kind: str) -> str:
-    """Say what to do where the configured kind of sonar is not the sidecar's; empty if they agree."""
-    if sidecar.kind == kind:
-        return ""
-    return (
-        f"the sidecar says `kind: {sidecar.kind}`, the configuration sonar.kind: {kind}. Correct the one that is wrong"
-    )
-
-
 def sidecar_path(image: Path) -> Path:
     """Name the sidecar of an image: survey.tif has survey.yaml."""
     return image.with_suffix(".yaml")

@@ -161,10 +161,10 @@ def kind_doubt(path: Path, config: Config) -> str:
 
     Raises BadInputError or UsageError as a replay would.
     """
-    from sim_replay.logs.image_sidecar import kind_disagreement
-
     if (sidecar := _sidecar_of(path)) is not None:
-        return kind_disagreement(sidecar, config.sonar.kind)
+        from sim_replay.logs.image_log import kind_disagrees
+
+        return "" if sidecar.kind == config.sonar.kind else kind_disagrees(path, sidecar, config.sonar).text
     if config.sonar.kind == "sas" and log_format(path) in ("xtf", "jsf", "svlog"):
         return (
             "sonar.kind is sas, and logs of this format mostly hold side scan, whose resolution grows with range. Set "
