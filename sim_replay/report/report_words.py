@@ -107,6 +107,7 @@ MEANINGS: Final = {
     "navigation.time_not_finite": "navigation samples without a usable time, dropped",
     "navigation.time_repeated": "navigation values with the time of the one before, dropped",
     "navigation.zero_with_position": "values of exactly zero that came with a position and were taken for not measured",
+    "ping.sub_aperture": "times the pings went on to another sub-aperture: a new stretch begins",
     "ping.clock_stepped_back": "times the ping clock stepped back for good: a new stretch begins",
     "ping.gap": "holes between pings: nothing there is covered",
     "ping.no_side_scan_channel": "pings without a side-scan channel, dropped",
