@@ -240,7 +240,7 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
 
     prior: log-odds that each view's p_mine contains.
     """
-    latitude, longitude, covariance = _fused_position(views)
+    latitude, longitude, covariance = fused_position(views)
     verdict = fuse(views, prior)
     size = _dimensions(views, verdict.classification)
     reasons = (
@@ -272,9 +272,11 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
     )
 
 
-def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
-    """Average latitude and longitude of views by their inverse covariances; return them with the east/north
-    covariance."""
+def fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
+    """Average latitude and longitude of views by their inverse covariances.
+
+    Returns both in degrees, and their east/north covariance (2, 2), m².
+    """
     if len(views) == 1:
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)
