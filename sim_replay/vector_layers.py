@@ -12,6 +12,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.structures import with_structures
 from sim_replay.verdict_layers import MISSED, verdict_words, with_verdicts
 from sim_replay.verdicts import read_verdicts
 
@@ -26,8 +27,8 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
     """Read the GeoJSON files of a folder of results: one layer each, way-points one for each purpose.
 
     `second_views` and `survey_legs` are lines, `waypoints_turn` and the like points. Files that are not there are left
-    out. Contacts carry the verdicts of people; `missed_contacts` are objects that only people saw. Raises BadInputError
-    for a file that cannot be read, or if there are no results.
+    out. Contacts carry the verdicts of people; `missed_contacts` are objects that only people saw, `structures`
+    contacts that crowd together. Raises BadInputError for a file that cannot be read, or if there are no results.
     """
     layers: dict[str, Sequence[Feature]] = {}
     for name in (*_WHOLE, _WAYPOINTS):
@@ -41,7 +42,7 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
             raise BadInputError(f"{path} cannot be read: {error}. Replay the log again.") from error
     if not layers:
         raise BadInputError(f"{results} holds no results yet. Replay the log, or wait until the session has ended.")
-    return with_verdicts(layers, read_verdicts(results))
+    return with_structures(with_verdicts(layers, read_verdicts(results)))
 
 
 def write_gpx(path: Path, layers: Mapping[str, Sequence[Feature]], name: str) -> None:

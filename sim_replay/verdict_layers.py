@@ -14,6 +14,7 @@ from auv_mcm.clean_text import clean
 from auv_mcm.contacts.geojson import collection
 from auv_mcm.records import NAN
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.structures import STRUCTURES
 from sim_replay.verdicts import Place, Verdict, match_verdicts, newest_verdicts
 
 Feature = Mapping[str, Any]
@@ -27,9 +28,15 @@ UNMATCHED: Final = "unmatched_verdicts"
 COLUMNS: Final = ("verdict", "verdict_type", "verdict_comment", "judged_by", "judged_time")
 """Properties of a contact that people judged, None for one that they did not."""
 
-_COLOURS: Final = {"mine_like": "ff3c14dc", "not_mine_like": "ffb4a078", "missed": "ff00a5ff"}  # aabbggrr
+_COLOURS: Final = {
+    "mine_like": "ff3c14dc",
+    "not_mine_like": "ffb4a078",
+    "missed": "ff00a5ff",
+    "structure": "ffe0c040",
+}  # aabbggrr
 _ROWS: Final = (
-    *(("p_mine", "p_mine"), ("called", "called a mine"), ("class", "class")),
+    *(("p_mine", "p_mine"), ("called", "called a mine"), ("class", "class"), ("structure", "part of the structure")),
+    *(("n_contacts", "contacts"), ("n_called", "of them called")),
     *(("length_m", "length, m"), ("width_m", "width, m"), ("height_m", "height, m")),
     *(("sigma_m", "position error (1 sigma), m"), ("depth_m", "depth below the surface, m"), ("n_views", "views")),
     *(("verdict", "verdict"), ("verdict_type", "type"), ("verdict_comment", "comment")),
@@ -79,10 +86,10 @@ def is_missed(verdict: Verdict) -> bool:
 
 
 def write_geojson(path: Path, layers: Layers) -> None:
-    """Write contacts and missed objects as one FeatureCollection; `layer` says which is which. Raises OSError."""
+    """Write contacts, missed objects and structures as one FeatureCollection, each with its `layer`. Raises OSError."""
     features = [
         {**one, "properties": {"layer": name, **one["properties"]}}
-        for name in ("contacts", MISSED, UNMATCHED)
+        for name in ("contacts", MISSED, UNMATCHED, STRUCTURES)
         for one in layers.get(name, ())
     ]
     write_file(path, collection(features))
@@ -108,7 +115,7 @@ def write_kml(path: Path, layers: Layers, name: str, results: Path) -> None:
 
 
 def kml_folders(layers: Layers, picture: Callable[[str], str] = lambda snippet: "") -> Iterator[str]:
-    """Yield styles and folders of KML: mine-like contacts, missed objects, clutter, other verdicts.
+    """Yield styles and folders of KML: structures, mine-like contacts, missed objects, clutter, other verdicts.
 
     A contact is among the mine-like where it is called, has p_mine 0.2, or was judged so: what the chain believes is
     never taken away by a verdict. picture: gives the address of a contact's picture, empty for none.
@@ -117,8 +124,10 @@ def kml_folders(layers: Layers, picture: Callable[[str], str] = lambda snippet: 
     likely = [one for one in contacts if _is_likely(one)]
     others = [one for one in contacts if not _is_likely(one)]
     for style, colour in _COLOURS.items():
-        yield f'<Style id="{style}"><IconStyle><color>{colour}</color></IconStyle></Style>\n'
+        area = f"<PolyStyle><color>33{colour[2:]}</color></PolyStyle>"
+        yield f'<Style id="{style}"><IconStyle><color>{colour}</color></IconStyle>{area}</Style>\n'
     folders = (
+        ("Structures", layers.get(STRUCTURES, ()), "structure"),
         *(("Mine-like", likely, "mine_like"), ("Missed", layers.get(MISSED, ()), "missed")),
         *(("Clutter", others, "not_mine_like"), ("Other verdicts", layers.get(UNMATCHED, ()), "not_mine_like")),
     )
@@ -181,9 +190,10 @@ def _placemark(feature: Feature, style: str, picture: Callable[[str], str]) -> s
         if properties.get(name) is not None
     )
     point = ""
-    if feature["geometry"] is not None:
-        longitude, latitude = feature["geometry"]["coordinates"][:2]
-        point = f"<Point><coordinates>{longitude:.9f},{latitude:.9f},0</coordinates></Point>"
+    if feature["geometry"] is not None and feature["geometry"]["type"] == "Point":
+        point = f"<Point><coordinates>{_position(feature['geometry']['coordinates'])}</coordinates></Point>"
+    elif feature["geometry"] is not None:
+        point = _polygons(feature["geometry"])
     time = properties.get("time")
     return (
         f"<Placemark><name>{_xml(str(properties['id']))}</name>"
@@ -191,6 +201,19 @@ def _placemark(feature: Feature, style: str, picture: Callable[[str], str]) -> s
         + f"<styleUrl>#{style}</styleUrl><description>{_xml(f'{image}<table>{rows}</table>')}</description>"
         + f"<ExtendedData>{data}</ExtendedData>{point}</Placemark>\n"
     )
+
+
+def _polygons(geometry: Mapping[str, Any]) -> str:
+    parts = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
+    rings = (
+        f"<LinearRing><coordinates>{' '.join(map(_position, part[0]))}</coordinates></LinearRing>" for part in parts
+    )
+    polygons = "".join(f"<Polygon><outerBoundaryIs>{ring}</outerBoundaryIs></Polygon>" for ring in rings)
+    return f"<MultiGeometry>{polygons}</MultiGeometry>"
+
+
+def _position(position: Sequence[float]) -> str:
+    return f"{position[0]:.9f},{position[1]:.9f},0"
 
 
 def _words(name: str, value: Any) -> str:
