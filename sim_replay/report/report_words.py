@@ -269,6 +269,11 @@ def listed(parts: Sequence[str], last: str = "and") -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}" if parts else ""
 
 
+def call_name(call: str) -> str:
+    """Name a verdict as people write it."""
+    return {"mine_like": "mine-like", "not_mine_like": "not mine-like"}.get(call, call)
+
+
 def class_name(name: str) -> str:
     """Write the name of a class for people."""
     return name.replace("_", " ")
