@@ -213,12 +213,14 @@ def estimate_background(
     return Background(middle, low, high, math.exp(float(weight @ log_mines)))
 
 
-def known_background(counts: ArrayLike, area_km2: float, prior: BackgroundPrior) -> tuple[Array, Array]:
+def known_background(
+    counts: ArrayLike, area_km2: float, prior: BackgroundPrior, *, reported_from_nats: float = LOWEST_NATS
+) -> tuple[Array, Array]:
     """Estimate the background from contacts that are known not to be mines.
 
-    (n_knots,) log-densities and their covariance.
+    (n_knots,) log-densities and their covariance. reported_from_nats: as in `estimate_background`.
     """
-    n, observed_km2 = _observed(counts, area_km2, LOWEST_NATS)
+    n, observed_km2 = _observed(counts, area_km2, reported_from_nats)
     values, covariance, _ = _modes(n, observed_km2, np.zeros((1, N_BINS)), prior)
     return values[0], covariance[0]
 

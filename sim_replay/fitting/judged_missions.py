@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from auv_mcm import __version__
 from auv_mcm.clean_text import clean
+from auv_mcm.detect.belief import odds_of
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.errors import BadInputError
 from auv_mcm.model_file import SHIPPED
@@ -31,7 +32,7 @@ class JudgedMission(NamedTuple):
 
     log_odds: (n,) of a mine, all contacts. calls: (n,) int8, MINE, NOT_MINE or NOT_JUDGED. n_missed: objects that
     people drew or judged mine-like and that no contact stands for. area_km2: searched. asked_per_km2: false alarms
-    accepted.
+    accepted. reported_from_nats: the lowest log-odds of a contact.
     """
 
     name: str
@@ -41,6 +42,7 @@ class JudgedMission(NamedTuple):
     n_missed: int
     area_km2: float
     asked_per_km2: float
+    reported_from_nats: float
 
     def count(self, call: int) -> int:
         """Count the contacts of a call."""
@@ -105,6 +107,7 @@ def _read(folder: Path) -> JudgedMission:
         n_missed=sum(map(is_missed, alone)),
         area_km2=area_km2,
         asked_per_km2=asked_per_km2,
+        reported_from_nats=odds_of(config.contacts.min_p_mine),
     )
 
 

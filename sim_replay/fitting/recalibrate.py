@@ -197,7 +197,8 @@ def reached(mission: JudgedMission, change: Change, prior: BackgroundPrior) -> R
     """Count what is called at the mission's operating point after a change."""
     changed = prior if change == Change() else prior.recalibrated(*change)
     odds = change.applied(mission.log_odds)
-    lowest = max(LOWEST_NATS, float(change.applied(np.array([LOWEST_NATS]))[0]))
+    reported_from = np.array([max(mission.reported_from_nats, LOWEST_NATS)])
+    lowest = max(LOWEST_NATS, float(change.applied(reported_from)[0]))
     background = estimate_background(counted_log_odds(odds), mission.area_km2, changed, reported_from_nats=lowest)
     is_called = odds >= max(background.level_nats(mission.asked_per_km2), LOWEST_NATS)
     is_mine, is_other = mission.calls == MINE, mission.calls == NOT_MINE
@@ -308,7 +309,12 @@ def _background_shift(missions: Sequence[JudgedMission], change: Change, prior: 
             continue
         share = np.where(mission.calls == NOT_MINE, 1.0, 1.0 - _probabilities(change.applied(mission.log_odds)))
         share[mission.calls == MINE] = 0.0
-        values, _ = known_background(_weighed(mission.log_odds, share), mission.area_km2, prior)
+        values, _ = known_background(
+            _weighed(mission.log_odds, share),
+            mission.area_km2,
+            prior,
+            reported_from_nats=max(mission.reported_from_nats, LOWEST_NATS),
+        )
         pull += float(np.sum(precision @ (values - mean)))
         weight += float(precision.sum())
     return float(pull / weight)

@@ -75,7 +75,7 @@ def drawn(seed: int, off_nats: float = 0.0, *, n_mines: int = 25, judged: bool =
     calls = np.where(random.random(len(log_odds)) < expit(log_odds - off_nats), MINE, NOT_MINE).astype(np.int8)
     if not judged:
         calls[:] = NOT_JUDGED
-    return JudgedMission(f"m{seed}", "cascade", log_odds, calls, 0, 0.2, 30.0)
+    return JudgedMission(f"m{seed}", "cascade", log_odds, calls, 0, 0.2, 30.0, LOWEST_NATS)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -278,3 +278,20 @@ def test_the_command_writes_a_file_that_a_configuration_loads(
     config.write_text(config_yaml(Config(confirm=ConfirmConfig(odds=str(out)))))
     assert configured_odds(str(out), "cascade").made_by.endswith("calibrate odds --verdicts m0 m1 m2")
     assert main(["calibrate", "odds", "--verdicts", "a", "--out", str(out)]) == 2
+
+
+def test_missions_reported_from_a_higher_p_mine_show_the_same_background() -> None:
+    whole = [drawn(seed) for seed in range(4)]
+    from_nats = math.log(0.02 / 0.98)
+    reported = [
+        mission._replace(
+            log_odds=mission.log_odds[mission.log_odds >= from_nats],
+            calls=mission.calls[mission.log_odds >= from_nats],
+            reported_from_nats=from_nats,
+        )
+        for mission in whole
+    ]
+    assert sum(len(mission.calls) for mission in reported) < 0.8 * sum(len(mission.calls) for mission in whole)
+    assert fit_change(reported, PRIOR).background_nats == pytest.approx(
+        fit_change(whole, PRIOR).background_nats, abs=0.1
+    )
