@@ -63,9 +63,9 @@ _WIDE_KHZ: Final = 100.0  # three times as wide
 _SHARP_KHZ: Final = 1200.0  # a twelfth of that
 _WIDE_M: Final = (0.025, 0.05)  # m: resolutions whose blur is compared, over 17.2 and 8.6 degrees
 _ALTITUDE_M: Final = 9.0  # m above the floor
-_RANGE_M: Final = 35.0  # m, slant: beyond the longest shadow
-_LEG_M: Final = 6.0  # m of track: object, shadow and floor on both sides
-_NEAREST_M, _FARTHEST_M = 16.0, 27.0  # m, ground range of objects
+_RANGE_M: Final = 28.0  # m, slant: beyond the longest shadow
+_LEG_M: Final = 5.0  # m of track: object, shadow and floor on both sides
+_NEAREST_M, _FARTHEST_M = 12.0, 21.0  # m, ground range of objects
 _BEFORE_M, _BEHIND_M = 2.0, 1.5  # m of floor before an object, and behind its shadow
 _HIGHEST_M: Final = 0.9  # m: of any object here
 _PIXELS: Final = 1.2  # per resolution
@@ -201,10 +201,9 @@ def _true_labels(solid: Solid, hypothesis: Array, region: Region, energy: Array)
     behind_m = region.first_ground_range_m + column * region.column_spacing_m > hypothesis[1] - 0.5
     dark = ((energy < _HALF) & behind_m & (near_m < 0.5 * _LEG_M - 0.5)).astype(np.uint8)
     # Without the specks that the relief leaves in the dark.
-    _, parts, statistics_of, _ = cv2.connectedComponentsWithStats(
-        cv2.morphologyEx(dark, cv2.MORPH_OPEN, np.ones((3, 3), dtype=np.uint8)), connectivity=4
-    )
-    labels[parts == 1 + int(statistics_of[1:, cv2.CC_STAT_AREA].argmax())] = SHADOW
+    n_parts, parts, measured, _ = cv2.connectedComponentsWithStats(dark, connectivity=4)
+    if n_parts > 1:
+        labels[parts == 1 + int(measured[1:, cv2.CC_STAT_AREA].argmax())] = SHADOW
     labels[(column >= ends[:, :1]) & (column < ends[:, 1:2])] = HIGHLIGHT
     return labels
 
@@ -370,7 +369,7 @@ def shadows_compared(n: int) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench sas`."""
-    parser.add_argument("--objects", type=count, default=6, help="objects per class (default 6)")
+    parser.add_argument("--objects", type=count, default=4, help="objects per class (default 4)")
 
 
 def run(chosen: argparse.Namespace) -> int:
