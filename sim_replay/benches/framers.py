@@ -199,7 +199,8 @@ def read_with(
     return read
 
 
-def _ping_messages(random: np.random.Generator, n: int) -> list[bytes]:
+def ping_stream_messages(random: np.random.Generator, n: int) -> list[bytes]:
+    """Draw n messages of Ping Protocol: profiles, and texts between them."""
     wired = []
     for number in range(n):
         if random.random() < 0.2:
@@ -426,7 +427,7 @@ def _vehicle_can_read(chunks: Iterable[bytes]) -> list[Hashable]:
 
 
 WIRES: Final = (
-    FramedWire("ping_protocol", _ping_messages, read_with(PingGrammar, tuple)),
+    FramedWire("ping_protocol", ping_stream_messages, read_with(PingGrammar, tuple)),
     FramedWire("jsf", _jsf_messages, read_with(JsfGrammar, tuple)),
     FramedWire("sportscan", _igx_messages, read_with(IgxGrammar, lambda ping: ping.echo.tobytes())),
     FramedWire("nmea0183", _nmea_messages, read_with(NmeaGrammar, str)),

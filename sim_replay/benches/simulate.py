@@ -215,7 +215,7 @@ _SOLIDS: Final[dict[ObjectKind, Callable[[PlacedObject], Shape]]] = {
 }
 
 
-def _shadow_errors_m(cell_m: float) -> NDArray[np.float64]:
+def shadow_errors_m(cell_m: float) -> NDArray[np.float64]:
     """Measure how far beyond the closed form shadows of usual mine shapes end, m.
 
     At 10 to 30 m on a level floor, by rays through their middles.
@@ -273,7 +273,7 @@ def _print_accuracy(repeat: int) -> None:
     )
     print(f"  {'cell':<16}{'rms error cm':>14}{'in cells':>10}{'worst cm':>10}{'ms':>10}")
     for cell_m in _CELLS_M:
-        errors = _shadow_errors_m(cell_m)
+        errors = shadow_errors_m(cell_m)
         rms = float(np.sqrt(np.mean(errors**2)))
         worst = float(np.abs(errors).max())
         cost_ms = medians[f"{cell_m}"]

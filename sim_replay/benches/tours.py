@@ -31,10 +31,10 @@ from sim_replay.arguments import count
 _CELL_M: Final = 4.0  # m: side of a cell
 _SIDE_CELLS: Final = 45  # 2025 cells
 _ORIGIN: Final = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
-_START: Final = PlanePose(-20.0, -20.0, 0.3)
+START: Final = PlanePose(-20.0, -20.0, 0.3)
 _FENCE: Final = np.array([[-80.0, -80.0], [-80.0, 260.0], [260.0, 260.0], [260.0, -80.0]])
-_LIMITS: Final = Limits(10.0, 6000.0, _FENCE, 6.5, 2.0, (5.0, 40.0))
-_SEED: Final = 9500  # of the worlds drawn
+LIMITS: Final = Limits(10.0, 6000.0, _FENCE, 6.5, 2.0, (5.0, 40.0))
+SEED: Final = 9500  # of the worlds drawn
 _REQUIRED: Final = 0.7  # probability of finding a mine in a cell
 
 
@@ -66,12 +66,12 @@ def _tour_rows(n_worlds: int) -> list[str]:
     for n_contacts in (3, 5, 7, 9):
         shares, bounds = [], []
         for number in range(n_worlds):
-            generator = np.random.Generator(np.random.PCG64([_SEED, n_contacts, number]))
-            world = _world(generator, n_contacts, is_open=False)
-            limits = _LIMITS._replace(budget_m=float(generator.uniform(300.0, 2000.0)), fence=None)
-            best = _optimum_m2(world, limits)
+            generator = np.random.Generator(np.random.PCG64([SEED, n_contacts, number]))
+            world = drawn_world(generator, n_contacts, is_open=False)
+            limits = LIMITS._replace(budget_m=float(generator.uniform(300.0, 2000.0)), fence=None)
+            best = optimum_m2(world, limits)
             if best > 0.0:
-                plan = replan(world, _START, limits, None, _always)
+                plan = replan(world, START, limits, None, _always)
                 shares.append(plan.gain_m2 / best)
                 bounds.append(plan.bound_m2 / best)
         rows.append(
@@ -92,10 +92,10 @@ def _survey_rows(n_worlds: int, yardstick_ms: float) -> list[str]:
         for limit_ms in (0.0, 20.0, 200.0, 1000.0):
             timed = []
             for number in range(n_worlds):
-                generator = np.random.Generator(np.random.PCG64([_SEED, n_contacts, number]))
-                world = _world(generator, n_contacts, is_open=True)
+                generator = np.random.Generator(np.random.PCG64([SEED, n_contacts, number]))
+                world = drawn_world(generator, n_contacts, is_open=True)
                 begun = time.process_time()
-                plan = replan(world, _START, _LIMITS, None, _until(begun + 1e-3 * limit_ms))
+                plan = replan(world, START, LIMITS, None, _until(begun + 1e-3 * limit_ms))
                 timed.append(_Timed(plan, 1e3 * (time.process_time() - begun)))
             gain = statistics.median(found.plan.gain_m2 / found.plan.bound_m2 for found in timed)
             track_m = statistics.median(found.plan.length_m for found in timed)
@@ -106,7 +106,7 @@ def _survey_rows(n_worlds: int, yardstick_ms: float) -> list[str]:
     return rows
 
 
-def _world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> SurveyState:
+def drawn_world(generator: np.random.Generator, n_contacts: int, is_open: bool) -> SurveyState:
     """Draw a square whose eastern part is rippled, and contacts strewn over it."""
     clearance = clearance_over(
         unsearched(_ORIGIN.latitude_deg, _ORIGIN.longitude_deg, _CELL_M), 0, 0, (_SIDE_CELLS, _SIDE_CELLS)
@@ -154,7 +154,7 @@ def _contact(name: str, latitude_deg: float, longitude_deg: float, p_mine: float
     )
 
 
-def _optimum_m2(world: SurveyState, limits: Limits) -> float:
+def optimum_m2(world: SurveyState, limits: Limits) -> float:
     """Compute the maximum that views can gain, by exact tours through every set of contacts."""
     looks = contact_legs(world.contacts, world.clearance, world.performance, limits)
     if not looks:
@@ -163,7 +163,7 @@ def _optimum_m2(world: SurveyState, limits: Limits) -> float:
     ways = [
         way for look in looks for entry, leave in look.runs for way in ((entry, leave), (leave + back, entry + back))
     ]
-    entries, exits = np.array([entry for entry, _ in ways]), np.array([_START, *(leave for _, leave in ways)])
+    entries, exits = np.array([entry for entry, _ in ways]), np.array([START, *(leave for _, leave in ways)])
     runs_m: NDArray[np.float64] = np.hypot(*(exits[1:] - entries)[:, :2].T)
     cost = dubins_lengths(exits[:, np.newaxis], entries[np.newaxis], limits.turn_radius_m / math.cos(math.radians(7.5)))
     worth = np.array([look.gain_m2 for look in looks])

@@ -11,6 +11,7 @@ from auv_mcm.errors import UsageError
 
 BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
     "chain": ("benches.run_time.bench", "run time against error of the whole chain, beside a plain script"),
+    "all": ("benches.every_stage.bench", "every stage's time against error, beside what a user would take instead"),
     "stability": ("benches.stability.bench", "the largest error of every numerical stage, against exact arithmetic"),
     "waterfall": ("benches.chain", "the whole chain, cost per stage"),
     "detect": ("benches.detect", "the detector's cost per tile"),

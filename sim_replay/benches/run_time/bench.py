@@ -128,7 +128,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines = _missions(arguments, names, folder)
         if old is not None:
             require_same_missions(old, [line.name for line in lines])
-        found = measure_settings(chosen, lines, arguments.repeat, folder, _progress)
+        found = measure_settings(chosen, lines, arguments.repeat, folder, progress)
         long = _long_run(lines, folder, chosen[0]) if arguments.targets else None
     print(file=sys.stderr)
     aims: list[CostTarget] = []
@@ -146,8 +146,8 @@ def run(arguments: argparse.Namespace) -> int:
     _print(results, markdown if arguments.markdown else columns)
     if old is not None:
         print("\nmoved beyond noise:\n" + ("\n".join(changes_since(old, results)) or "nothing"))
-    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
-    _write("--page", arguments.page, run_time_page(results).encode())
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
+    write_result("--page", arguments.page, run_time_page(results).encode())
     return 0
 
 
@@ -155,7 +155,7 @@ def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     laid_out = markdown if arguments.markdown else columns
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
         lines = _missions(arguments, names, Path(made))
-        effects = measure_skips(lines, arguments.repeat, Path(made), _progress)
+        effects = measure_skips(lines, arguments.repeat, Path(made), progress)
     print(file=sys.stderr)
     print(laid_out(REGISTER_HEADER, register_rows()))
     print(
@@ -164,14 +164,14 @@ def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     )
     print(f"Called: p_mine of {CALLED_P:g} or more. Skips that left out nothing on a mission are not in its rows.\n")
     print(laid_out(SKIP_HEADER, skip_rows(effects)))
-    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
     return 0
 
 
 def _scaling(arguments: argparse.Namespace) -> int:
     laid_out = markdown if arguments.markdown else columns
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        found = measure_series(arguments.repeat, Path(made), _progress)
+        found = measure_series(arguments.repeat, Path(made), progress)
     print(file=sys.stderr)
     print(
         "processor time of the chain alone, and elapsed time of whole processes, which says something on an idle "
@@ -179,7 +179,7 @@ def _scaling(arguments: argparse.Namespace) -> int:
     )
     print(f"medians of {arguments.repeat} repeats; cost = constant * value ** exponent, with its standard error\n")
     print(laid_out(SERIES_HEADER, series_rows(found)))
-    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(found), indent=1))
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(found), indent=1))
     return 0
 
 
@@ -189,7 +189,7 @@ def _latency(arguments: argparse.Namespace, names: Sequence[str]) -> int:
         lines = _missions(arguments, names, Path(made))
         waits = []
         for line in lines:
-            _progress(f"{line.name}: waits for announcements")
+            progress(f"{line.name}: waits for announcements")
             waits.append(measure_latency(line))
     print(file=sys.stderr)
     print(
@@ -201,7 +201,7 @@ def _latency(arguments: argparse.Namespace, names: Sequence[str]) -> int:
         "same run.\n"
     )
     print(laid_out(LATENCY_HEADER, latency_rows(waits)))
-    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(waits), indent=1))
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(waits), indent=1))
     return 0
 
 
@@ -210,18 +210,18 @@ def _fallback(arguments: argparse.Namespace, names: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
         lines = _missions(arguments, names, Path(made))
         default = _chosen(None, targets_alone=True)[0]
-        both = measure_fallback(default, lines, arguments.repeat, Path(made), _progress)
+        both = measure_fallback(default, lines, arguments.repeat, Path(made), progress)
     print(file=sys.stderr)
     print("processor time of the chain alone, one core; in common: called either way, to a centimetre\n")
     print(laid_out(FALLBACK_HEADER, fallback_rows(*both)))
-    _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(both), indent=1))
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(both), indent=1))
     return 0
 
 
 def _quick() -> int:
     """Print every check; returns 5 if one fails."""
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        checks = quick_checks(Path(made), _progress)
+        checks = quick_checks(Path(made), progress)
     print(file=sys.stderr)
     print(
         columns(
@@ -233,11 +233,11 @@ def _quick() -> int:
 
 def _missions(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> list[BenchMission]:
     seeds = range(FIRST_SEED, FIRST_SEED + arguments.seeds)
-    lines = fly_scenes(names, seeds, folder, _progress)
+    lines = fly_scenes(names, seeds, folder, progress)
     if arguments.targets and FLAT in names:
-        _progress(f"flying {FLAT} without objects")
+        progress(f"flying {FLAT} without objects")
         lines.append(fly_empty(FLAT, FIRST_SEED, folder))
-    return lines + augment_logs(arguments.log, range(FIRST_SEED, FIRST_SEED + arguments.log_seeds), folder, _progress)
+    return lines + augment_logs(arguments.log, range(FIRST_SEED, FIRST_SEED + arguments.log_seeds), folder, progress)
 
 
 def _chosen(knobs: str | None, targets_alone: bool) -> list[ChainSetting]:
@@ -261,7 +261,7 @@ def _long_run(lines: Sequence[BenchMission], folder: Path, default: ChainSetting
     if flat is None:
         return None
     line = repeated(flat, LONG_S, folder)
-    _progress(f"{line.name}, once")
+    progress(f"{line.name}, once")
     return measure_settings([default], [line], 1, folder)[0].runs[line.name]
 
 
@@ -284,7 +284,7 @@ def _print(results: RunTimeResults, laid_out: Callable[[Sequence[str], Sequence[
                 print(f"missed: {one.name}. Processor time: {one.profile}")
 
 
-def _write(option: str, path: Path | None, data: bytes) -> None:
+def write_result(option: str, path: Path | None, data: bytes) -> None:
     """Write a file; raise UsageError where it cannot be written."""
     if path is None:
         return
@@ -294,5 +294,6 @@ def _write(option: str, path: Path | None, data: bytes) -> None:
         raise UsageError(f"{option} {path} cannot be written: {error.strerror}") from error
 
 
-def _progress(words: str) -> None:
+def progress(words: str) -> None:
+    """Write what is done now over what was done before."""
     print(f"\r\x1b[K{words}", end="", file=sys.stderr, flush=True)

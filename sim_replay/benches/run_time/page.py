@@ -28,7 +28,7 @@ _COLOURS: Final = (
     "#5d4037",
     "#283593",
 )
-_STYLE: Final = (
+STYLE: Final = (
     "body{font:15px/1.4 system-ui,sans-serif;margin:2em auto;max-width:1100px;padding:0 "
     "1em}table{border-collapse:collapse;font-size:13px}"
     "td,th{border-bottom:1px solid #ccc;padding:3px 8px;text-align:left}svg{width:100%;height:auto;background:#fff}"
@@ -43,20 +43,23 @@ def run_time_page(results: RunTimeResults) -> str:
     load = " to ".join(f"{value:.1f}" for value in machine.load)
     rows = [("default" if row[0] == DEFAULT else "", row) for row in point_rows(results)]
     target_lines = [("missed" if row[5] == "missed" else "", row) for row in target_rows(results.targets)]
-    profiles = "".join(f"<li>{_text(one.name)}: {_text(one.profile)}</li>" for one in results.targets if one.profile)
+    profiles = "".join(
+        f"<li>{html_text(one.name)}: {html_text(one.profile)}</li>" for one in results.targets if one.profile
+    )
     return (
         '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>Run time against error</title><style>{_STYLE}</style><h1>Run time against error</h1>"
-        f"<p>{_text(machine.date)}; {_text(machine.processor)}, {machine.cores} cores, load {load}; "
-        f"kernels: {_text(machine.kernels)}; {_text(versions)}. Processor time of whole processes on one core, medians "
+        f"<title>Run time against error</title><style>{STYLE}</style><h1>Run time against error</h1>"
+        f"<p>{html_text(machine.date)}; {html_text(machine.processor)}, {machine.cores} cores, load {load}; "
+        f"kernels: {html_text(machine.kernels)}; {html_text(versions)}. Processor time of whole processes on one core, "
+        "medians "
         f"of {results.repeat} "
         f"repeats, all points in turn. {len(results.missions)} missions, {results.sonar_s:.0f} s of sonar: "
-        f"{_text(', '.join(results.missions))}. Intervals of Pd and contacts are 95 %; those of ratios go from the "
+        f"{html_text(', '.join(results.missions))}. Intervals of Pd and contacts are 95 %; those of ratios go from the "
         "lowest to the highest "
-        f"repeat.</p>{pareto_plot(results)}<p><b>The default</b> (ringed): {_text(reason_words(results))}.</p>"
-        f"<h2>Operating points</h2><div>{_table(POINT_HEADER, rows)}</div>"
+        f"repeat.</p>{pareto_plot(results)}<p><b>The default</b> (ringed): {html_text(reason_words(results))}.</p>"
+        f"<h2>Operating points</h2><div>{html_table(POINT_HEADER, rows)}</div>"
         + (
-            f"<h2>Targets</h2><div>{_table(TARGET_HEADER, target_lines)}</div><ul>{profiles}</ul>"
+            f"<h2>Targets</h2><div>{html_table(TARGET_HEADER, target_lines)}</div><ul>{profiles}</ul>"
             if results.targets
             else ""
         )
@@ -97,18 +100,18 @@ def pareto_plot(results: RunTimeResults) -> str:
             else ""
         )
         parts.append(
-            f'<g><title>{_text(words)}</title><line x1="{across:.1f}" x2="{across:.1f}" y1="{y(share.low):.1f}" '
+            f'<g><title>{html_text(words)}</title><line x1="{across:.1f}" x2="{across:.1f}" y1="{y(share.low):.1f}" '
             f'y2="{y(share.high):.1f}" '
             f'stroke="{colour}" stroke-opacity="0.25"/>{ring}<circle cx="{across:.1f}" cy="{up:.1f}" r="4.5" '
             f'fill="{colour}"/></g>'
         )
         if point.knob in (DEFAULT, "reference"):
-            parts.append(f'<text x="{across + 12:.1f}" y="{up + 4:.1f}" font-size="12">{_text(point.name)}</text>')
+            parts.append(f'<text x="{across + 12:.1f}" y="{up + 4:.1f}" font-size="12">{html_text(point.name)}</text>')
     for k, (knob, colour) in enumerate(colours.items()):
         place = _HEIGHT - _BOTTOM - 18 * (len(colours) - k)
         parts.append(
             f'<circle cx="{_WIDTH - 190}" cy="{place}" r="4.5" fill="{colour}"/>'
-            f'<text x="{_WIDTH - 180}" y="{place + 4}" font-size="12">{_text(knob)}</text>'
+            f'<text x="{_WIDTH - 180}" y="{place + 4}" font-size="12">{html_text(knob)}</text>'
         )
     return (
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="Pd against processor '
@@ -152,13 +155,15 @@ def _pd(point: SettingResult) -> float:
     return point.pd[_PLOTTED].value or 0.0
 
 
-def _table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
-    head = "".join(f"<th>{_text(cell)}</th>" for cell in header)
+def html_table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
+    """Write a table. rows: the class of each, and its cells."""
+    head = "".join(f"<th>{html_text(cell)}</th>" for cell in header)
     body = "".join(
-        f'<tr class="{kind}">' + "".join(f"<td>{_text(cell)}</td>" for cell in row) + "</tr>" for kind, row in rows
+        f'<tr class="{kind}">' + "".join(f"<td>{html_text(cell)}</td>" for cell in row) + "</tr>" for kind, row in rows
     )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _text(words: str) -> str:
+def html_text(words: str) -> str:
+    """Escape words for HTML."""
     return html.escape(words)

@@ -6,7 +6,7 @@ import math
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 
@@ -16,6 +16,8 @@ from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.points import PLAIN, REASON
 from sim_replay.benches.run_time.targets import CostTarget
 from sim_replay.text_tables import density_cell, share_cell
+
+_Results = TypeVar("_Results", bound=msgspec.Struct)
 
 FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 _MIN_CHANGE: Final = 0.03  # of a cost: runs of the same program differ by as much on an idle computer
@@ -105,18 +107,39 @@ def read_results(path: Path) -> RunTimeResults:
 
     Raises UsageError for a file that cannot be read, BadInputError for one that is no such run.
     """
+    return read_bench_file(path, RunTimeResults, FORMAT_VERSION, "auv-mcm bench chain --json FILE")
+
+
+def read_bench_file(path: Path, kind: type[_Results], format_version: int, made_by: str) -> _Results:
+    """Read what a bench wrote.
+
+    Parameters
+    ----------
+    kind
+        Of what was written; it has a format_version.
+    format_version
+        The one that this program reads.
+    made_by
+        The command that writes such files.
+
+    Raises
+    ------
+    UsageError
+        For a file that cannot be read.
+    BadInputError
+        For another kind or version.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise UsageError(f"--compare {path} cannot be read: {error.strerror}") from error
     try:
-        found = msgspec.json.decode(data, type=RunTimeResults)
+        found = msgspec.json.decode(data, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{path}: {error}. Name a file that 'auv-mcm bench chain --json FILE' wrote") from error
-    if found.format_version != FORMAT_VERSION:
-        raise BadInputError(
-            f"{path}: format_version {found.format_version}, but this program reads {FORMAT_VERSION}. Measure anew"
-        )
+        raise BadInputError(f"{path}: {error}. Name a file that '{made_by}' wrote") from error
+    written = getattr(found, "format_version", None)
+    if written != format_version:
+        raise BadInputError(f"{path}: format_version {written}, but this program reads {format_version}. Measure anew")
     return found
 
 

@@ -9,6 +9,7 @@ import math
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any, Final
@@ -370,6 +371,27 @@ def _fitted(seed: int, effort: Effort) -> tuple[str, list[float]]:
     return best.solid, [*sizes, best.best.ground_range_m, best.best.row * region.row_spacing_m]
 
 
+def _on_threads(watch: Watch, quick: bool) -> Found:
+    """Count the numbers in which field, speckle and solids' costs differ on four threads at once from those alone."""
+
+    def work(seed: int) -> tuple[Any, ...]:
+        region = region_of(seed=seed)
+        unary = np.ascontiguousarray(np.stack([region.intensity, 1.0 / region.intensity, region.intensity**2], axis=2))
+        image = image_row_sums(region, 1.5)
+        assert image is not None
+        return (
+            trws.trws(unary, np.full(4, 0.3), 6).labels,
+            speckle.half_differences(region.intensity, region.valid, (1, 2), 3),
+            *(shape.shape_costs(solid, np.array([fields]), image).cost for solid, fields in _HYPOTHESES.items()),
+        )
+
+    seeds = range(4 if quick else 40)
+    alone = [watch(work, seed) for seed in seeds]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(work, seeds))
+    return Found(sum(unlike(one, other) for one, other in zip(alone, together, strict=True)))
+
+
 def _shadow_of_nothing(watch: Watch, _: bool) -> Found:
     """Compare where shadows of cones of next to no height end with similar triangles, relative to the range."""
     altitude_m, place_m, radius_m = 5.0, 20.0, 0.4
@@ -700,6 +722,7 @@ def back_rows() -> list[NumberRow]:
             for kind in ("one look", "constant", "gain 1e-30", "gain 1e30", "near-zero heights")
         ),
         NumberRow("solids' fit", "C and numpy", twin, "m", 1e-3, _solid_fits),
+        NumberRow("threads", "field, speckle and solids, four at once", "alone", "numbers unlike", 0.0, _on_threads),
         NumberRow("solids' shadows", "heights 1e-12 to 0.5 m", ratio, "relative", 1e-15, _shadow_of_nothing),
         NumberRow(
             "shadow height", "shadows of 0 to 40 m, altitude 0.3 to 200 m", mp, "relative", 1e-15, _shadow_height

@@ -1,0 +1,158 @@
+"""Measure every stage's time against its error, beside what a user would take instead, in one run and one form."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from auv_mcm.errors import UsageError
+from sim_replay.arguments import count
+from sim_replay.benches.every_stage.page import every_stage_page
+from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow
+from sim_replay.benches.every_stage.stages import STAGES
+from sim_replay.benches.run_time.bench import progress, write_result
+from sim_replay.benches.run_time.measure import BenchMachine, this_machine
+from sim_replay.benches.run_time.results import read_bench_file
+from sim_replay.text_tables import NOTHING, columns, markdown
+
+HEADER: Final = ("stage", "setting", "ms", "error", "unit", "alternative", "its ms", "its error", "")
+_FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
+_FAILED: Final = 5  # exit code of a check that fails
+_QUICK: Final = Amount(2, 1)
+_N_INPUTS: Final = 8  # regions, worlds and objects of a class per row; a minute in all
+_MIN_CHANGE: Final = 0.15  # of a time: what runs of the same program differ by on a computer that is not idle
+_SAME_ERROR: Final = 1e-9  # relative, and absolute: rounding is no change of an error
+
+
+class EveryStageResults(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold one run of the bench. n_inputs: per row; stages: by name."""
+
+    format_version: int = _FORMAT_VERSION
+    machine: BenchMachine
+    n_inputs: int
+    repeat: int
+    stages: tuple[str, ...]
+    rows: tuple[StageRow, ...]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `auv-mcm bench all`."""
+    parser.add_argument(
+        "--quick", action="store_true", help="few inputs, once each; ends with code 5 if an error exceeds its limit"
+    )
+    parser.add_argument("--stages", help=f"stages, with commas between (default: {','.join(STAGES)})")
+    parser.add_argument("--repeat", type=count, default=5, help="repetitions of every work, in turn (default 5)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plots and the table to FILE")
+    parser.add_argument(
+        "--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote"
+    )
+    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, print and write; returns 5 if an error exceeds its limit. Raises UsageError for unknown stages."""
+    for option, path in (("--json", arguments.json), ("--page", arguments.page)):
+        if path is not None and not path.parent.is_dir():
+            raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
+    chosen = tuple(arguments.stages.split(",")) if arguments.stages else tuple(STAGES)
+    unknown = [name for name in chosen if name not in STAGES]
+    if unknown:
+        raise UsageError(f"--stages: there is no '{unknown[0]}'; the stages are {', '.join(STAGES)}")
+    old = None if arguments.compare is None else _read(arguments.compare)
+    amount = _QUICK if arguments.quick else Amount(_N_INPUTS, arguments.repeat)
+    load, rows = os.getloadavg()[0], list[StageRow]()
+    for name in chosen:
+        progress(name)
+        rows += STAGES[name](amount)
+    progress("")
+    results = EveryStageResults(
+        machine=this_machine(load), n_inputs=amount.n, repeat=amount.repeat, stages=chosen, rows=tuple(rows)
+    )
+    machine = results.machine
+    print(f"{machine.processor}, {machine.cores} cores, kernels: {machine.kernels}, {machine.date}")
+    print(f"processor time of one thread, medians of {amount.repeat} repeats in turn\n")
+    print((markdown if arguments.markdown else columns)(HEADER, stage_cells(results.rows)))
+    for words in sorted({row.alternative.missing for row in rows if row.alternative and row.alternative.missing}):
+        print(f"not measured: {words}")
+    if old is not None:
+        print("\nmoved beyond noise:\n" + ("\n".join(moved_since(old, results)) or "nothing"))
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
+    page = every_stage_page(machine, results.rows, HEADER, stage_cells(results.rows))
+    write_result("--page", arguments.page, page.encode())
+    return 0 if all(row.holds for row in rows) else _FAILED
+
+
+def stage_cells(rows: Sequence[StageRow]) -> list[list[str]]:
+    """Write a row of text per row measured."""
+    written = []
+    for row in rows:
+        other = row.alternative or Alternative(name=NOTHING)
+        written.append(
+            [
+                row.stage,
+                row.setting,
+                f"{row.cost.ms:.2f}",
+                f"{row.error:.3g}",
+                row.unit,
+                other.name,
+                NOTHING if other.cost is None else f"{other.cost.ms:.2f}",
+                NOTHING if other.error is None else f"{other.error:.3g}",
+                "" if row.holds else "FAILED",
+            ]
+        )
+    return written
+
+
+def moved_since(old: EveryStageResults, new: EveryStageResults) -> list[str]:
+    """Say what moved beyond noise, a line each.
+
+    Times are compared in units of the alternative in the same run where there is one, since computers differ and are
+    busy. A time has moved where the ranges over the repeats do not overlap and medians differ by 15 % or more; an error
+    where it differs at all.
+    """
+    before = {_key(row): row for row in old.rows}
+    lines = []
+    for row in new.rows:
+        was = before.pop(_key(row), None)
+        name = f"{row.stage}, {row.setting}"
+        if was is None:
+            lines.append(f"{name}: new")
+            continue
+        if not math.isclose(was.error, row.error, rel_tol=_SAME_ERROR, abs_tol=_SAME_ERROR):
+            lines.append(f"{name}: error {was.error:.3g} -> {row.error:.3g} {row.unit}")
+        (then, low, high), (now, lowest, highest) = _times(was), _times(row)
+        if abs(math.log(now / then)) > _MIN_CHANGE and (lowest > high or highest < low):
+            beside = "ms" if _alternative_ms(row) is None else "of the alternative"
+            lines.append(f"{name}: time {then:.3g} -> {now:.3g} {beside} ({now / then - 1.0:+.0%})")
+    lines += [f"{row.stage}, {row.setting}: no longer measured" for row in before.values() if row.stage in new.stages]
+    return lines
+
+
+def _key(row: StageRow) -> tuple[str, ...]:
+    return row.stage, row.setting, row.unit, row.alternative.name if row.alternative else ""
+
+
+def _alternative_ms(row: StageRow) -> float | None:
+    return row.alternative.cost.ms if row.alternative and row.alternative.cost else None
+
+
+def _times(row: StageRow) -> tuple[float, float, float]:
+    """Take median, lowest and highest time, in units of the alternative where it was measured."""
+    own = row.cost
+    other = row.alternative.cost if row.alternative and row.alternative.cost else Cost((1.0,))
+    return (
+        own.ms / other.ms,
+        min(own.times_ms) / max(other.times_ms),
+        max(own.times_ms) / min(other.times_ms),
+    )
+
+
+def _read(path: Path) -> EveryStageResults:
+    return read_bench_file(path, EveryStageResults, _FORMAT_VERSION, "auv-mcm bench all --json FILE")

@@ -1,0 +1,97 @@
+"""`auv-mcm bench all`, as a person runs it: errors within limits, comparison, page. No time is judged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from auv_mcm.cli import main
+from auv_mcm.kernels.trws import energy_of, trws
+from sim_replay.benches.every_stage import bench, stages
+from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since
+from sim_replay.benches.every_stage.expansion import expanded
+from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow
+from sim_replay.benches.run_time.measure import BenchMachine
+
+
+def test_every_stage_errs_no_more_than_its_limit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same through all outputs; what was not measured is said."""
+    written, page = tmp_path / "found.json", tmp_path / "found.html"
+    assert main(["bench", "all", "--quick", "--json", str(written), "--page", str(page)]) == 0
+    found = json.loads(written.read_text())
+    assert {row["stage"].split()[0] for row in found["rows"]} == set(stages.STAGES)
+    assert found["machine"]["versions"]["numpy"] == np.__version__
+    assert page.read_text().count("<svg") > 9
+    printed = capsys.readouterr().out
+    for row in found["rows"]:
+        if row["alternative"] is not None and row["alternative"]["cost"] is None:
+            assert f"not measured: {row['alternative']['missing']}" in printed
+    assert main(["bench", "all", "--quick", "--stages", "waterfall", "--compare", str(written)]) == 0
+    assert "error" not in capsys.readouterr().out.partition("moved beyond noise:")[2]
+
+
+def test_a_stage_that_errs_more_than_its_limit_ends_with_code_5(monkeypatch: pytest.MonkeyPatch) -> None:
+    worse = row(error=2.0, limit=1.0)
+    monkeypatch.setattr(bench, "STAGES", {"made here": lambda _: [worse]})
+    assert main(["bench", "all", "--quick"]) == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(["--stages", "nothing"], "there is no 'nothing'"), (["--compare", "nowhere.json"], "cannot be read")],
+)
+def test_what_cannot_be_measured_is_refused(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bench", "all", *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+def row(*, error: float = 1.0, limit: float | None = None, times_ms: tuple[float, ...] = (9.0, 10.0, 11.0)) -> StageRow:
+    other = Alternative(name="other", cost=Cost((100.0,)), error=3.0)
+    return StageRow(
+        stage="made here",
+        setting="one",
+        cost=Cost(times_ms),
+        error=error,
+        unit="m",
+        limit=limit,
+        alternative=other,
+    )
+
+
+def results(*rows: StageRow) -> EveryStageResults:
+    machine = msgspec.convert(
+        {"processor": "", "cores": 1, "kernels": "c", "versions": {}, "date": "", "load": (0.0, 0.0)},
+        BenchMachine,
+    )
+    return EveryStageResults(machine=machine, n_inputs=1, repeat=3, stages=("made here",), rows=rows)
+
+
+@pytest.mark.parametrize(
+    ("now", "words"),
+    [
+        (row(), ""),
+        (row(times_ms=(10.5, 11.0, 13.0)), ""),  # the ranges overlap
+        (row(times_ms=(20.0, 21.0, 22.0)), "time 0.1 -> 0.21 of the alternative (+110%)"),
+        (row(error=1.5), "error 1 -> 1.5 m"),
+        (msgspec.structs.replace(row(), setting="two"), "made here, two: new"),
+    ],
+)
+def test_a_comparison_says_what_moved_and_nothing_else(now: StageRow, words: str) -> None:
+    said = "\n".join(moved_since(results(row()), results(now)))
+    assert (words in said) if words else said == ""
+
+
+def test_alpha_expansion_reaches_the_bound_of_easy_fields() -> None:
+    random = np.random.Generator(np.random.PCG64(1))
+    unary: Any = random.exponential(size=(12, 14, 3))
+    weight = np.array([0.1, 0.05, 0.1, 0.05])
+    found = energy_of(expanded(unary, weight), unary, weight)
+    bound = trws(unary, weight, 300)
+    assert bound.lower_bound - 1e-9 <= found <= 1.002 * bound.energy
