@@ -29,6 +29,7 @@ LINK_M: Final = 5.0
 """Distance in m up to which two contacts are parts of one structure: the 4 m up to which views may be of one object
 (`contacts.max_gate_m`), and half a metre for the reach of either."""
 MIN_MEMBERS: Final = 5  # contacts; fewer are objects that lie near one another
+_CELL_M: Final = 0.1  # m, far below LINK_M and the error of any contact
 _AROUND_M: Final = 25.0  # m: width of the ring whose contacts say how many there are by chance
 _MOST_BY_CHANCE: Final = 1e-3
 """Structures expected in a mission, if groups were chosen blindly; of 900 draws of 200 to 800 scattered contacts 8 have
@@ -86,25 +87,29 @@ def find_structures(contacts: Sequence[Member]) -> tuple[Structure, ...]:
 
     frame = LocalFrame(latitude_deg=placed[0].latitude_deg, longitude_deg=placed[0].longitude_deg)
     places = frame.to_enu([one.latitude_deg for one in placed], [one.longitude_deg for one in placed], 0.0)[:, :2]
-    tree = cKDTree(places)
+    # Contacts at one place make as many pairs as one.
+    cells, cell_of = np.unique(np.round(places / _CELL_M), axis=0, return_inverse=True)
+    pairs = cKDTree(cells * _CELL_M).query_pairs(LINK_M, output_type="ndarray")
     found = []
-    for group in _groups(tree.query_pairs(LINK_M, output_type="ndarray"), len(placed)):
+    for group in _groups(pairs, len(cells), cell_of.ravel()):
         if len(group) < MIN_MEMBERS:
             continue
         ring = _outline([placed[index] for index in group], places[group])
-        near = np.unique(np.concatenate(tree.query_ball_point(places[group], LINK_M + _AROUND_M)).astype(np.int64))
-        if not _by_chance(len(group), len(near) - len(group), ring, len(placed)):
+        away_m, _ = cKDTree(places[group]).query(places, distance_upper_bound=LINK_M + _AROUND_M)
+        n_near = int(np.count_nonzero(np.isfinite(away_m)))
+        if not _by_chance(len(group), n_near - len(group), ring, len(placed)):
             found.append((ring, [placed[index] for index in group]))
     found.sort(key=lambda one: (-len(one[1]), one[1][0].contact_id))
     return tuple(_structure(f"S{number:03d}", *one, frame) for number, one in enumerate(found, 1))
 
 
-def _groups(pairs: NDArray[np.int64], n: int) -> list[NDArray[np.int64]]:
+def _groups(pairs: NDArray[np.int64], n_cells: int, cell_of: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """List contacts by group. pairs: (k, 2) cells that are linked. cell_of: (n,) of each contact."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    linked = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, label = connected_components(linked, directed=False)
+    linked = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n_cells, n_cells))
+    label = connected_components(linked, directed=False)[1][cell_of]
     order = np.argsort(label, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 

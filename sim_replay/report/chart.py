@@ -17,6 +17,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
 from sim_replay.mosaic import Box
 from sim_replay.report.report_words import degrees_minutes
+from sim_replay.structures import Structure
 from sim_replay.verdicts import Verdict
 
 Points: TypeAlias = NDArray[np.float64]  # (n, 2) east, north in metres, or right, down in drawing units
@@ -74,6 +75,7 @@ class Chart(NamedTuple):
     coverage: str
     markers: tuple[Marker, ...]
     missed: tuple[Label, ...]
+    structures: tuple[tuple[str, str], ...]  # name and outline
     legs: tuple[LegLine, ...]
     graticule: str
     latitude_labels: tuple[Label, ...]
@@ -107,6 +109,7 @@ def draw_chart(
     waypoints: Sequence[Waypoint],
     box: Box | None = None,
     missed: Sequence[Verdict] = (),
+    structures: Sequence[Structure] = (),
 ) -> Chart | None:
     """Draw the map of a mission; None if it has no position at all.
 
@@ -118,6 +121,8 @@ def draw_chart(
         Outline of the sonar picture under the map.
     missed
         Objects that people saw and no contact stands for.
+    structures
+        Groups of these contacts.
     """
     located = [
         contact for contact in contacts if math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)
@@ -148,6 +153,7 @@ def draw_chart(
         coverage="".join(svg_path(drawn(ring)) + "Z" for ring in rings_deg),
         markers=_markers(located, drawn(contacts_deg), projection),
         missed=tuple(Label(one.object, *place) for one, place in zip(missed, drawn(missed_deg).tolist(), strict=True)),
+        structures=tuple((one.id, svg_path(drawn(one.outline_deg[:, ::-1])) + "Z") for one in structures),
         legs=_legs(waypoints, drawn(way_deg)),
         **_graticule(projection),
         **_scale_bar(projection.units_per_m),

@@ -25,6 +25,7 @@ from sim_replay.report.cards import Card, band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.map_picture import MapPicture
 from sim_replay.report.pictures import PictureCollector, PictureStrip
+from sim_replay.structures import Member, find_structures
 from sim_replay.verdict_layers import is_missed, sorted_verdicts
 from sim_replay.verdicts import CALLS, Place, Verdict
 
@@ -33,6 +34,7 @@ MAX_CARDS: Final = 100  # bounds the page: see MAX_ROWS
 MAX_ROWS: Final = 1000
 """Contacts in the table that have no card. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
 """
+MAX_STRUCTURES: Final = 50  # on the page, the largest: bounds it too
 MAX_MISSED: Final = 200  # objects that only people saw, on the page: bounds it too
 _SUMMARY_ORDER: Final[Mapping[str, int]] = {"mine_like": 0, "": 1, "undecided": 1, "not_mine_like": 2}
 """Order of the summary's contacts by verdict, empty for none."""
@@ -146,6 +148,10 @@ def _context(
     places = [Place(one.id, one.latitude_deg, one.longitude_deg, sigma_m(one)) for one in ranked]
     judged, alone = sorted_verdicts(mission.verdicts, places)
     missed = [verdict for verdict in alone if is_missed(verdict)]
+    structures = find_structures([_member(one) for one in ranked])[:MAX_STRUCTURES]
+    part_of = {member.contact_id: one.id for one in structures for member in one.members}
+    # Whatever somebody may have to act on has its own line.
+    own_line = {one.id for one in ranked if one.called or is_mine_like(one) or one.id in judged}
     listed = ranked[: MAX_CARDS + MAX_ROWS]
     listed += [one for one in ranked[len(listed) :] if one.id in judged][:MAX_ROWS]
     described = cards(listed[:MAX_CARDS], strips, waypoints)
@@ -175,6 +181,7 @@ def _context(
             waypoints,
             None if mission.map_picture is None else mission.map_picture.box,
             missed[:MAX_MISSED],
+            structures,
         ),
         "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
         "layers": _LAYERS,
@@ -189,6 +196,9 @@ def _context(
         "rows": rows,
         "first_rows": likely_rows[:_ONE_PAGE_ROWS],
         "judged": judged,
+        "structures": structures,
+        "part_of": part_of,
+        "grouped": set(part_of) - own_line,
         "calls": CALLS,
         "missed": missed,
         "most_missed": MAX_MISSED,
@@ -204,6 +214,12 @@ def _context(
         "costs": _costs(mission.costs),
         "words": words,
     }
+
+
+def _member(contact: Contact) -> Member:
+    return Member(
+        contact.id, contact.latitude_deg, contact.longitude_deg, contact.length_m, contact.p_mine, bool(contact.called)
+    )
 
 
 def _call(judged: Mapping[str, Verdict], row: ContactRow) -> str:

@@ -11,7 +11,7 @@
     try { target = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1))); } catch (error) { return; }
     if (!target) return;
     for (let part = target.closest('details'); part; part = part.parentElement.closest('details')) part.open = true;
-    if (target.hidden) { $('#filter').reset(); filter(); }
+    if (target.hidden) { form.reset(); ungroup(); }
     target.scrollIntoView();
   };
   addEventListener('hashchange', reveal);
@@ -24,13 +24,14 @@
     if (!form) return;
     const words = form.words.value.trim().toLowerCase().split(/\s+/).filter(Boolean);
     const least = Number(form.least.value), kind = form.kind.value, called = form.called.checked;
+    const grouped = form.grouped ? form.grouped.checked : false;
     const verdict = form.verdict ? form.verdict.value : '';
     $('#least-shown').textContent = least.toFixed(2);
     let n = 0;
     for (const row of rows) {
       const text = row.textContent.toLowerCase();
       const shown = Number(row.dataset.p) >= least && (!kind || row.dataset.kind === kind)
-        && (!called || row.dataset.called === 'yes')
+        && (!called || row.dataset.called === 'yes') && (!grouped || !row.dataset.grouped)
         && (!verdict || (verdict === 'judged' ? row.dataset.verdict !== 'none' : row.dataset.verdict === verdict)) && words.every((word) => text.includes(word));
       row.hidden = !shown;
       const mark = marks.get(row.dataset.id);
@@ -39,10 +40,14 @@
     }
     $('#shown').textContent = n + ' of ' + rows.length;
   };
+  const ungroup = () => {
+    if (form.grouped) form.grouped.checked = false;
+    filter();
+  };
   if (form) {
     form.hidden = false;
     form.addEventListener('input', filter);
-    form.addEventListener('reset', () => setTimeout(filter));
+    form.addEventListener('reset', () => setTimeout(ungroup));
     form.addEventListener('submit', (event) => event.preventDefault());
     filter();
   }

@@ -236,6 +236,24 @@ def test_verdicts_stay_text(said: str, tmp_path: Path) -> None:
     assert said in summary.text
 
 
+def test_a_crowd_is_one_structure_and_what_is_called_keeps_its_line(tmp_path: Path) -> None:
+    crowd = [
+        contact(f"C{n:04d}", 0.05, latitude_deg=55.0 + 2e-5 * n, called=n == 3, classification="clutter", views=())
+        for n in range(1, 11)
+    ]
+    far = [contact("C0011", 0.05, latitude_deg=55.01, classification="clutter", views=())]
+    write_report(tmp_path / "r.html", mission(), [*crowd, *far], [], [], [], {}, collected(1))
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    report, summary = Page(text), Page((tmp_path / "one-page.html").read_text(encoding="utf-8"))
+    assert report.ids.count("S001") == 1
+    assert text.count("<title>S001: structure</title>") == 1
+    assert "S001, 22 × 2 m, 10 contacts, 1 of them called." in summary.text
+    lines = dict(re.findall(r'<tr[^>]* data-id="(C\d+)"([^>]*)>', text))
+    assert len(lines) == 11  # every contact has its line
+    assert {name for name, rest in lines.items() if 'data-grouped="S001"' not in rest} == {"C0003", "C0011"}
+    assert Page(full_page()).text.count("Structure") == 0
+
+
 def test_without_verdicts_nothing_speaks_of_them() -> None:
     assert 'name="verdict"' not in full_page()
     assert "Missed" not in Page(full_page()).text
