@@ -17,7 +17,8 @@ from auv_mcm.shell.registry import COMMANDS, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
 _BENCH_EXTRA = {
-    "scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "h5py", "mcap_protobuf",
+    "scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "h5py", "mpmath",
+    "mcap_protobuf",
 }  # fmt: skip
 _EXTRAS = {"bench": _BENCH_EXTRA, "bench,view": {"aiohttp"}}
 

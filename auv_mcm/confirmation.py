@@ -182,6 +182,7 @@ def region_of(detection: Detection, surroundings: Surroundings, beam_width_rad: 
         row=surroundings.row,
         column=surroundings.column,
         beam_width_rad=beam_width_rad,
+        squint_rad=detection.squint_rad,
     )
 
 

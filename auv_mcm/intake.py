@@ -79,6 +79,7 @@ class Intake:
         self._refused: Counter[str] = Counter()  # by navigation buffers already put away
         self._pending: deque[Ping | SegmentEnd] = deque()
         self._run: list[Ping] = []  # of the pending pings, those that make the next block, once that is known
+        self._squint_rad: float | None = None  # of the newest ping
         self._newest_s = math.nan  # of the pings: one wrong stamp of navigation must not end all waiting for it
         self._leap: Ping | None = None  # after a hole in time, until another ping confirms its stamp
         self._longest_hole_s = max(_MIN_SEGMENT_GAP_S, config.navigation.max_gap_s)
@@ -125,12 +126,14 @@ class Intake:
 
     def _accept(self, ping: Ping) -> list[PingBlock | SegmentEnd]:
         step_s = ping.time_s - self._newest_s
-        if -_CLOCK_STEP_S < step_s <= 0.0:
+        looks_elsewhere = self._squint_rad not in (None, ping.squint_rad)
+        self._squint_rad = ping.squint_rad
+        if not looks_elsewhere and -_CLOCK_STEP_S < step_s <= 0.0:
             self._counters["ping.time_repeated" if step_s == 0.0 else "ping.time_backwards"] += 1
             return []
         done: list[PingBlock | SegmentEnd] = []
-        if step_s <= -_CLOCK_STEP_S:
-            self._counters["ping.clock_stepped_back"] += 1
+        if looks_elsewhere or step_s <= -_CLOCK_STEP_S:
+            self._counters["ping.sub_aperture" if looks_elsewhere else "ping.clock_stepped_back"] += 1
             done = [*self._release(everything=True), SegmentEnd()]
             self._refused += self._navigation.counters
             self._notices += self._navigation.take_notices()

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.budget import Allowance, pay_looks, tile_allowance
-from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.classify.odds import configured_odds
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.confirmation import confirm_detection, detector_p_mine, is_worth_confirming, without_confirmation
 from auv_mcm.contacts.background import shipped_background
@@ -43,6 +43,7 @@ from auv_mcm.records import (
     Contact,
     CoveragePatch,
     Detection,
+    Detector,
     EchoTrace,
     NavSample,
     Notice,
@@ -122,8 +123,15 @@ class Pipeline:
             side: Suppressor(config.detect, config.waterfall.row_spacing_m, self._counts) for side in SIDES
         }
         model, self._detector = fitting(configured_model(config), config)
-        # The gate forecasts what confirmation says.
+        detector: Detector = "contrast" if model is None else "cascade"
+        self._odds = configured_odds(config.confirm.odds, detector)
+        # The gate forecasts what confirmation says, and backgrounds are known in log-odds that it ends with.
         gate = shipped_gate() if config.confirm.enabled else None
+        background = shipped_background().prior(detector) if config.confirm.enabled else None
+        change = self._odds.recalibrated
+        if gate is not None and background is not None and change is not None:
+            gate = gate.recalibrated(change.slope, change.offset_nats)
+            background = background.recalibrated(change.slope, change.offset_nats, change.background_nats)
         if model is not None and "cascade-rejection" in without_skips:
             model = rejecting_last(model)
         own = partial(detect_tile, config=config, model=model, gate=gate, without_skips=without_skips)
@@ -134,7 +142,6 @@ class Pipeline:
         )
         self._room = 1.0
         self._n_new_samples = 0  # stored, since the last tiles
-        self._odds = shipped_odds("contrast" if model is None else "cascade")
         beam_width_rad = config.sonar.beam_width_rad
         self._look_closely = look or partial(
             confirm_detection,
@@ -144,10 +151,6 @@ class Pipeline:
             without_skips=without_skips,
         )
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
-        # What is known of backgrounds is in log-odds that confirmation ends with.
-        background = (
-            shipped_background().prior("contrast" if model is None else "cascade") if config.confirm.enabled else None
-        )
         self._calls = CallWatch(config.contacts, background)
         self.constants: dict[str, object] = {
             "config": config,

@@ -55,7 +55,9 @@ class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     `time_s` is UTC seconds since 1970 of the transmit instant; `place` names file and ping for messages.
 
-    transfer: what the samples are, where the sonar's own protocol says so.
+    transfer: what the samples are, where the sonar's own protocol says so. squint_rad: 0 for side scan and for a whole
+    synthetic aperture; middle of a sub-aperture's bearings, positive ahead of abeam. Pings are given a sub-aperture at
+    a time, each at its line's own time: what has another squint is another image of the same ground.
     """
 
     number: int
@@ -66,6 +68,7 @@ class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     altitude_m: float = NAN
     place: str = ""
     transfer: Literal["amplitude", "intensity"] | None = None
+    squint_rad: float = 0.0
 
 
 class NavSample(msgspec.Struct, frozen=True, kw_only=True):
@@ -149,7 +152,7 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     range of the first bottom return and its 1-sigma, (n_rows,) float64. ping_number: (n_rows,) int64, -1 where the row
     has no ping. level: (n_rows, n) float32, nats: the local mean that was divided out, against the mission's mean so
     far at the same grazing angle (that of logarithms, so that speckle adds its own constant), in n equal parts of the
-    columns, NaN where unknown; None for a tile by itself.
+    columns, NaN where unknown; None for a tile by itself. squint_rad: of its pings.
     """
 
     side: Side
@@ -166,6 +169,7 @@ class Tile(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     first_return_sigma_m: NDArray[np.float64]
     ping_number: NDArray[np.int64]
     level: NDArray[np.float32] | None = None
+    squint_rad: float = 0.0
 
 
 class Surroundings(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -244,7 +248,8 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     intensity around the object, near range left, earlier pings on top; snippet_row, snippet_column: the centroid inside
     it. covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone;
     p_by_step: after each step of confirmation (`detector`, `contours`, `shape`) that was taken. surroundings: until
-    then. confirmation: None if there was no confirmation; `reasons` states why.
+    then. confirmation: None if there was no confirmation; `reasons` states why. squint_rad: of the pings, 0 for side
+    scan.
     """
 
     side: Side
@@ -279,6 +284,7 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     confirmation: Confirmation | None = None
     cascade_score: float = NAN
     depth_m: float = NAN
+    squint_rad: float = 0.0
 
     @property
     def strength(self) -> float:

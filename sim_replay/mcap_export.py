@@ -19,6 +19,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.contact_picture import COLOURS, display_levels, encoded
 from auv_mcm.records import VALID, Side, Tile
 from sim_replay.mosaic_files import replaced_file
+from sim_replay.verdict_layers import MISSED, verdict_words
 
 if TYPE_CHECKING:
     from google.protobuf.timestamp_pb2 import Timestamp
@@ -52,7 +53,7 @@ def write_mcap(path: Path, tiles: Iterable[Tile], layers: Mapping[str, Sequence[
     """
     from mcap_protobuf.writer import Writer  # bench extra
 
-    views = _views(layers.get("contacts", ()))
+    views = [*_views(layers.get("contacts", ())), *_missed_views(layers.get(MISSED, ()))]
     next_fix_s = -math.inf
     side: Side | None = None
     with replaced_file(path) as temporary, open(temporary, "wb") as file, Writer(file) as writer:
@@ -158,9 +159,30 @@ def _views(contacts: Iterable[Feature]) -> list[_View]:
         for view in properties["views"]:
             if view["time"] is not None and view["ground_range_m"] is not None:
                 time_s = datetime.fromisoformat(view["time"]).timestamp()
-                text = f"{properties['id']} {p_mine:.2f}"
-                views.append(_View(view["side"], time_s, view["ground_range_m"], text, p_mine >= MINE_LIKE_P))
+                text = " ".join(filter(None, (f"{properties['id']} {p_mine:.2f}", verdict_words(properties))))
+                mine_like = p_mine >= MINE_LIKE_P or properties.get("verdict") == "mine_like"
+                views.append(_View(view["side"], time_s, view["ground_range_m"], text, mine_like))
     return views
+
+
+def _missed_views(missed: Iterable[Feature]) -> list[_View]:
+    """List where people drew what the chain has no contact of."""
+    views = []
+    for one in missed:
+        properties = one["properties"]
+        if properties["time"] and properties["side"] and properties["ground_range_m"] is not None:
+            time_s = _time_s(properties["time"])
+            text = f"{properties['id']} missed, {verdict_words(properties)}"
+            views.append(_View(properties["side"], time_s, properties["ground_range_m"], text, mine_like=True))
+    return views
+
+
+def _time_s(text: str) -> float:
+    """Read a time as UTC seconds since 1970, NaN where a person's file holds none."""
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        return math.nan
 
 
 def _stamp(time_s: float) -> Timestamp:

@@ -7,7 +7,7 @@ import os
 import secrets
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
@@ -80,10 +80,12 @@ def write_geotiff(path: Path, levels: Sequence[Level], max_sigma_m: float = math
             )
 
 
-def write_kmz(path: Path, levels: Sequence[Level], name: str, max_sigma_m: float = math.inf) -> None:
+def write_kmz(
+    path: Path, levels: Sequence[Level], name: str, max_sigma_m: float = math.inf, folders: Iterable[str] = ()
+) -> None:
     """Write the mosaic as a KMZ of ground overlays; a viewer loads finer pictures where it comes near.
 
-    Raises OSError.
+    folders: KML of what lies on it. Raises OSError.
     """
     with replaced_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as file:
         overlays = []
@@ -97,7 +99,7 @@ def write_kmz(path: Path, levels: Sequence[Level], name: str, max_sigma_m: float
                 overlays.append(_ground_overlay(level, key, picture.shape, inside, number))
         text = (
             '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>\n'
-            f"<name>{escape(clean(name))}</name>\n{''.join(overlays)}</Document>\n</kml>\n"
+            f"<name>{escape(clean(name))}</name>\n{''.join(overlays)}{''.join(folders)}</Document>\n</kml>\n"
         )
         file.writestr("doc.kml", text, zipfile.ZIP_DEFLATED)
 

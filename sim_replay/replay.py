@@ -45,6 +45,7 @@ from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, write_report
 from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
+from sim_replay.verdicts import read_verdicts
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
 
@@ -68,6 +69,7 @@ def replay(
     speed: float = math.inf,
     clock: Clock | None = None,
     progress: Progress = lambda fraction: None,
+    verdicts: Path | None = None,
 ) -> dict[str, Any]:
     """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`.
 
@@ -83,13 +85,16 @@ def replay(
         Times real time; inf does not wait.
     progress
         Called with the fraction done, 0..1.
+    verdicts
+        Folder with what people judged, which the report shows; None for that of the results.
 
     Raises
     ------
     UsageError
-        For a folder that cannot be written to, BadInputError if there is nothing to replay.
+        For a folder that cannot be written to, BadInputError if there is nothing to replay or a verdict is damaged.
     """
     clock = clock or SystemClock()
+    judged = read_verdicts(verdicts or folder)
     mission = open_mission(logs, config, chunk_bytes)
     return_large_arrays()
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
@@ -150,6 +155,7 @@ def replay(
         clearance_png=clearance_map,
         files=_FILES + (("clearance.png",) if clearance_map else ()),
         map_picture=map_picture(gathered.mosaic),
+        verdicts=judged,
     )
     write_report(
         folder / "report.html",

@@ -12,6 +12,9 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.structures import with_structures
+from sim_replay.verdict_layers import MISSED, verdict_words, with_verdicts
+from sim_replay.verdicts import read_verdicts
 
 _WHOLE: Final = ("contacts", "track", "coverage", "clearance")
 _WAYPOINTS: Final = "waypoints"
@@ -24,7 +27,8 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
     """Read the GeoJSON files of a folder of results: one layer each, way-points one for each purpose.
 
     `second_views` and `survey_legs` are lines, `waypoints_turn` and the like points. Files that are not there are left
-    out. Raises BadInputError for one that cannot be read, or if none is there.
+    out. Contacts carry the verdicts of people; `missed_contacts` are objects that only people saw, `structures`
+    contacts that crowd together. Raises BadInputError for a file that cannot be read, or if there are no results.
     """
     layers: dict[str, Sequence[Feature]] = {}
     for name in (*_WHOLE, _WAYPOINTS):
@@ -38,16 +42,20 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
             raise BadInputError(f"{path} cannot be read: {error}. Replay the log again.") from error
     if not layers:
         raise BadInputError(f"{results} holds no results yet. Replay the log, or wait until the session has ended.")
-    return layers
+    return with_structures(with_verdicts(layers, read_verdicts(results)))
 
 
 def write_gpx(path: Path, layers: Mapping[str, Sequence[Feature]], name: str) -> None:
-    """Write mine-like contacts as way-points, proposed legs as routes and the track as a track. Raises OSError."""
+    """Write mine-like contacts and missed ones as way-points, proposed legs as routes, the track. Raises OSError.
+
+    A contact that was judged not mine-like stays, and says so.
+    """
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<gpx version="1.1" creator="auv-mcm" xmlns="http://www.topografix.com/GPX/1/1">',
         f"<metadata><name>{_text(name)}</name><desc>{_DATUM}</desc></metadata>",
         *(_contact(feature) for feature in layers.get("contacts", ()) if _is_mine_like(feature)),
+        *map(_missed, layers.get(MISSED, ())),
         *_routes(layers),
         *(_track(feature["geometry"]) for feature in layers.get("track", ()) if feature["geometry"]),
         "</gpx>",
@@ -67,19 +75,31 @@ def _by_purpose(features: Iterable[Feature]) -> dict[str, Sequence[Feature]]:
 
 
 def _is_mine_like(feature: Feature) -> bool:
-    return feature["geometry"] is not None and (feature["properties"]["p_mine"] or 0.0) >= MINE_LIKE_P
+    properties = feature["properties"]
+    is_likely = (properties["p_mine"] or 0.0) >= MINE_LIKE_P or properties.get("verdict") == "mine_like"
+    return feature["geometry"] is not None and is_likely
 
 
 def _contact(feature: Feature) -> str:
     properties = feature["properties"]
     depth = "" if properties.get("depth_m") is None else f", depth {properties['depth_m']:.1f} m"
     kind = properties["class"].replace("_", " ")
-    what = f"p_mine {properties['p_mine']:.2f}, {kind}{depth}"
+    judged = verdict_words(properties)
+    what = f"p_mine {properties['p_mine'] or 0.0:.2f}, {kind}{depth}" + (f"; {judged}" if judged else "")
     called = "called contact" if properties.get("called") else "mine-like contact"
+    return _waypoint(feature, what, called)
+
+
+def _missed(feature: Feature) -> str:
+    return _waypoint(feature, verdict_words(feature["properties"]), "missed contact")
+
+
+def _waypoint(feature: Feature, what: str, kind: str) -> str:
+    properties = feature["properties"]
     return (
         f"<wpt {_at(feature['geometry']['coordinates'])}>"
         + (f"<time>{_text(properties['time'])}</time>" if properties["time"] else "")
-        + f"<name>{_text(properties['id'])}</name><desc>{_text(what)}</desc><type>{called}</type></wpt>"
+        + f"<name>{_text(properties['id'])}</name><desc>{_text(what)}</desc><type>{kind}</type></wpt>"
     )
 
 

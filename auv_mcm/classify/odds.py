@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import SHIPPED, read_model
 from auv_mcm.records import Detector, LookStep
 
 _TEMPER: Final = (
@@ -165,11 +166,32 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     calibration_error: _Share | None
 
 
+class Recalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Say how weights were changed by verdicts of people: log-odds became offset_nats + slope * log-odds.
+
+    detector: whose odds they are. background_nats: by which the logarithm of the background's density changed.
+    missions, n_mine_like, n_not_mine_like: what was judged. gain_nats, low_nats, high_nats: log-loss of a verdict less
+    than before on missions left out, with its 95 % interval.
+    """
+
+    detector: Detector
+    slope: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
+    offset_nats: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
+    background_nats: Annotated[float, msgspec.Meta(ge=-5.0, le=5.0)]
+    missions: tuple[str, ...]
+    n_mine_like: int
+    n_not_mine_like: int
+    gain_nats: float
+    low_nats: float
+    high_nats: float
+
+
 class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Hold the weights of each step.
 
     prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were. made_by: version and
     command that make the same file again. left_out: a row per domain, then per kind of domain, then of all.
+    recalibrated: None for weights that no verdict has changed.
     """
 
     fitted_on: str
@@ -179,6 +201,7 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     contours: Weights
     shape: Weights
     left_out: tuple[LeftOut, ...] = ()
+    recalibrated: Recalibration | None = None
 
     def log_ratio(self, step: LookStep, features: Mapping[str, float]) -> float:
         """Compute evidence in nats for a mine against anything else, without the prior, at most 12 either way.
@@ -202,6 +225,22 @@ def shipped_odds(detector: Detector) -> MineOdds:
     """Load the weights that ship with the package for detections of one of the detectors, once in a process."""
     name = f"mine_odds_{detector}.json"
     return parse_odds(resources.files("auv_mcm.classify").joinpath(name).read_bytes(), name)
+
+
+def configured_odds(name: str, detector: Detector) -> MineOdds:
+    """Read the weights that `confirm.odds` names, for detections of the detector that serves.
+
+    Raises BadInputError naming the file, for one that is damaged, is of the other detector, or was not made by
+    `auv-mcm calibrate odds --verdicts`, as the background belongs to the weights.
+    """
+    odds = read_model("confirm.odds", name, parse_odds, lambda: shipped_odds(detector))
+    if name != SHIPPED and (odds.recalibrated is None or odds.recalibrated.detector != detector):
+        made = "no verdicts were used" if odds.recalibrated is None else f"it is for the {odds.recalibrated.detector}"
+        raise BadInputError(
+            f"confirm.odds {name}: {made}, and the {detector} serves here. Name a file of 'auv-mcm calibrate odds "
+            f"--verdicts' on missions of this configuration, or '{SHIPPED}'"
+        )
+    return odds
 
 
 def parse_odds(data: bytes, place: str) -> MineOdds:

@@ -119,6 +119,7 @@ class _Look(NamedTuple):
 class _Pass(NamedTuple):
     side: Side
     look_rad: float
+    start_s: float
     stop_s: float
     number: int
 
@@ -186,13 +187,14 @@ class ClearanceMap:
         current = self._passes.get(patch.side)
         follows = (
             current is not None
-            and -_SAME_PASS_S <= patch.start_s - current.stop_s <= _SAME_PASS_S
+            # Sub-apertures of a pass come one after another, each from its beginning.
+            and current.start_s - _SAME_PASS_S <= patch.start_s <= current.stop_s + _SAME_PASS_S
             and abs(math.remainder(towards - current.look_rad, 2.0 * math.pi)) <= _SAME_LOOK_RAD
         )
         if current is None or not follows:
-            current = _Pass(patch.side, towards, patch.stop_s, self._n_passes)
+            current = _Pass(patch.side, towards, patch.start_s, patch.stop_s, self._n_passes)
             self._n_passes += 1
-        self._passes[patch.side] = current._replace(stop_s=patch.stop_s)
+        self._passes[patch.side] = current._replace(stop_s=max(current.stop_s, patch.stop_s))
         return current.number
 
     def _added_up(self, exponent: Array, look_rad: Array, first: NDArray[np.intp], n_looks: NDArray[np.intp]) -> Array:

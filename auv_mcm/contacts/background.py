@@ -49,6 +49,7 @@ _MAX_HALVINGS: Final = 30  # of one step: 1e-9 of it is left, below _SETTLED_NAT
 _SETTLED_NATS: Final = 1e-7  # nats of the density's logarithm: far below its error
 _HIGHEST_LOG_DENSITY: Final = 30.0  # keeps a step too far from overflowing
 _FILE: Final = "background.json"
+_MIN_VARIANCE: Final = 1e-3  # of a recalibrated prior along any axis: knots that fall between the same two go together
 
 _Nats = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
 
@@ -72,6 +73,22 @@ class BackgroundPrior(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         covariance = np.array(self.covariance)
         if not np.allclose(covariance, covariance.T) or not (np.linalg.eigvalsh(covariance) > 0.0).all():
             raise ValueError("the covariance is not symmetric and positive")
+
+    def recalibrated(self, slope: float, offset_nats: float, background_nats: float) -> BackgroundPrior:
+        """Compute the prior of log-odds that became offset + slope * log-odds, of a density exp(background) as great.
+
+        Between knots the logarithm of the density stays linear, so that what moves past a knot is rounded there.
+        """
+        weights = interpolation((KNOTS_NATS - offset_nats) / slope)
+        mean = weights @ np.array(self.mean) - math.log(slope) + background_nats
+        values, axes = np.linalg.eigh(weights @ np.array(self.covariance) @ weights.T)
+        covariance = (axes * np.maximum(values, _MIN_VARIANCE)) @ axes.T
+        return BackgroundPrior(
+            mean=tuple(mean.tolist()),
+            covariance=tuple(map(tuple, (0.5 * (covariance + covariance.T)).tolist())),
+            mine_mean_nats=offset_nats + slope * self.mine_mean_nats,
+            mine_sd_nats=slope * self.mine_sd_nats,
+        )
 
 
 class ReachedPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -196,12 +213,14 @@ def estimate_background(
     return Background(middle, low, high, math.exp(float(weight @ log_mines)))
 
 
-def known_background(counts: ArrayLike, area_km2: float, prior: BackgroundPrior) -> tuple[Array, Array]:
+def known_background(
+    counts: ArrayLike, area_km2: float, prior: BackgroundPrior, *, reported_from_nats: float = LOWEST_NATS
+) -> tuple[Array, Array]:
     """Estimate the background from contacts that are known not to be mines.
 
-    (n_knots,) log-densities and their covariance.
+    (n_knots,) log-densities and their covariance. reported_from_nats: as in `estimate_background`.
     """
-    n, observed_km2 = _observed(counts, area_km2, LOWEST_NATS)
+    n, observed_km2 = _observed(counts, area_km2, reported_from_nats)
     values, covariance, _ = _modes(n, observed_km2, np.zeros((1, N_BINS)), prior)
     return values[0], covariance[0]
 

@@ -243,6 +243,7 @@ def _view(view: Detection) -> dict[str, Json]:
         "log_ratio": rounded(close.log_ratio, METRE_DIGITS) if close else None,
         "belief": _belief(singleton_belief(bounded_by(close.mass, view.p_mine))) if close else None,
         "reasons": list(view_reasons(view)),
+        **({} if view.squint_rad == 0.0 else {"squint_deg": rounded(math.degrees(view.squint_rad), METRE_DIGITS)}),
     }
 
 

@@ -3,10 +3,10 @@
 Which detections are views of the same object, and what they show together.
 
 Two detections of one passage are two objects: suppression has already merged echoes of one, and nothing lies to port
-and to starboard at once. A detection of another passage joins a contact within the gate of Mahalanobis distance,
-one-to-one over what arrives together, or opens a new one. Of several contacts it joins the one that it fits best by
-place and by kind: the two ends of a cylinder may have made a likely mine and a speck beside it, and what now looks like
-a mine is another view of the former.
+and to starboard at once. Sub-apertures of a passage, known by their squints, are views of their own. A detection of
+another passage joins a contact within the gate of Mahalanobis distance, one-to-one over what arrives together, or opens
+a new one. Of several contacts it joins the one that it fits best by place and by kind: the two ends of a cylinder may
+have made a likely mine and a speck beside it, and what now looks like a mine is another view of the former.
 """
 
 from __future__ import annotations
@@ -212,10 +212,11 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
     What follows may show the same objects again.
     """
     passages: list[list[Detection]] = []
-    for detection in sorted(detections, key=lambda d: (d.time_s, d.side, d.column)):
+    for detection in sorted(detections, key=lambda d: (d.squint_rad, d.time_s, d.side, d.column)):
         passage = passages[-1] if passages else []
         if (
             passage
+            and detection.squint_rad == passage[-1].squint_rad
             and detection.time_s - passage[-1].time_s < _SAME_LOOK_S
             and _turned_rad(detection, passage[0]) < _SAME_LOOK_RAD
         ):
@@ -226,7 +227,8 @@ def _passages(detections: list[Detection]) -> list[list[Detection]]:
 
 
 def _same_look(a: Detection, b: Detection) -> bool:
-    return abs(a.time_s - b.time_s) < _SAME_LOOK_S and _turned_rad(a, b) < _SAME_LOOK_RAD
+    same_squint = a.squint_rad == b.squint_rad
+    return same_squint and abs(a.time_s - b.time_s) < _SAME_LOOK_S and _turned_rad(a, b) < _SAME_LOOK_RAD
 
 
 def _turned_rad(a: Detection, b: Detection) -> float:
@@ -238,7 +240,7 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
 
     prior: log-odds that each view's p_mine contains.
     """
-    latitude, longitude, covariance = _fused_position(views)
+    latitude, longitude, covariance = fused_position(views)
     verdict = fuse(views, prior)
     size = _dimensions(views, verdict.classification)
     reasons = (
@@ -270,9 +272,11 @@ def contact_from_views(name: str, views: tuple[Detection, ...], prior: float) ->
     )
 
 
-def _fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
-    """Average latitude and longitude of views by their inverse covariances; return them with the east/north
-    covariance."""
+def fused_position(views: tuple[Detection, ...]) -> tuple[float, float, NDArray[np.float64]]:
+    """Average latitude and longitude of views by their inverse covariances.
+
+    Returns both in degrees, and their east/north covariance (2, 2), m².
+    """
     if len(views) == 1:
         return views[0].latitude_deg, views[0].longitude_deg, views[0].covariance_m2
     frame = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg, height_m=0.0)

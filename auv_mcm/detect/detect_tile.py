@@ -159,7 +159,7 @@ def _placed(
     covariance = position_covariance(echoes, config.sonar, config.navigation, first_return_sigma_m)
     added_m2 = pose.position_sigma_m**2 + np.where(pose.stale, _STALE_SIGMA_M**2, 0.0)
     covariance += added_m2[:, np.newaxis, np.newaxis] * np.eye(2)
-    aspect = aspect_deg(echoes, config.sonar)
+    aspect = aspect_deg(echoes, config.sonar, tile.squint_rad)
     detections = []
     for index, (candidate, m) in enumerate(zip(candidates, measured, strict=True)):
         if not (math.isfinite(latitude[index]) and math.isfinite(longitude[index])):
@@ -204,6 +204,7 @@ def _placed(
                 row_spacing_m=tile.row_spacing_m,
                 column_spacing_m=tile.column_spacing_m,
                 surroundings=_surroundings(tile, candidate.peak, m),
+                squint_rad=tile.squint_rad,
             )
         )
     return tuple(detections)

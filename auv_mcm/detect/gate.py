@@ -48,6 +48,14 @@ class Forecast(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             total += weight * features[name]
         return total
 
+    def recalibrated(self, slope: float, offset_nats: float) -> Forecast:
+        """Forecast log-odds that became offset + slope * log-odds."""
+        return Forecast(
+            offset=offset_nats + slope * self.offset,
+            weights={name: slope * weight for name, weight in self.weights.items()},
+            margin_nats=slope * self.margin_nats,
+        )
+
 
 class Gate(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Hold a forecast from the cascade's score and the contrast, and one for contrasts without a cascade."""
@@ -55,6 +63,11 @@ class Gate(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     fitted_on: str
     both: Forecast
     contrast: Forecast
+
+    def recalibrated(self, slope: float, offset_nats: float) -> Gate:
+        """Forecast log-odds that became offset + slope * log-odds."""
+        both, contrast = (one.recalibrated(slope, offset_nats) for one in (self.both, self.contrast))
+        return Gate(fitted_on=self.fitted_on, both=both, contrast=contrast)
 
 
 def place_features(

@@ -15,6 +15,7 @@ otherwise.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import msgspec
@@ -60,10 +61,14 @@ def locate(
     return ecef_to_geodetic(vehicle + np.einsum("nij,nj->ni", rotation, enu))
 
 
-def aspect_deg(echoes: EchoGeometry, sonar: SonarConfig) -> NDArray[np.float64]:
-    """Compute the compass direction from the sonar to each echo, degrees in [0, 360), (n,)."""
+def aspect_deg(echoes: EchoGeometry, sonar: SonarConfig, squint_rad: float = 0.0) -> NDArray[np.float64]:
+    """Compute the compass direction from the sonar to each echo, degrees in [0, 360), (n,).
+
+    squint_rad: of a sub-aperture, which heard the echo from so far ahead of abeam.
+    """
     _, echo = _array_and_echo(echoes, sonar)
-    direction = np.mod(np.rad2deg(np.arctan2(echo[:, 1], echo[:, 0])), 360.0)
+    clockwise_deg = math.degrees(squint_rad) * (1.0 if echoes.side == "port" else -1.0)
+    direction = np.mod(np.rad2deg(np.arctan2(echo[:, 1], echo[:, 0])) + clockwise_deg, 360.0)
     return np.where(direction >= 360.0, 0.0, direction)  # mod rounds tiny negative angles up to 360
 
 

@@ -21,4 +21,6 @@ def shadow_height_m(altitude_m: float, top_m: float, end_m: float) -> float:
     end_m
         Ground range of the shadow's end.
     """
-    return altitude_m * (1.0 - math.hypot(top_m, altitude_m) / math.hypot(end_m, altitude_m))
+    top_slant_m, end_slant_m = math.hypot(top_m, altitude_m), math.hypot(end_m, altitude_m)
+    # The difference of squared ranges by its factors: that of the ranges themselves would cancel in short shadows.
+    return altitude_m * ((end_m - top_m) / end_slant_m) * ((end_m + top_m) / (end_slant_m + top_slant_m))

@@ -220,6 +220,14 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
     """Set confirmation of detections: contours, Markov field, shapes."""
 
     enabled: Annotated[bool, Meta(description="false: contacts carry the detector's p_mine and no class")] = True
+    odds: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="what measurements say about the odds of a mine, with the background of non-mines that belongs "
+            "to it: shipped, or the path of a file that 'auv-mcm calibrate odds --verdicts' wrote",
+        ),
+    ] = "shipped"
     min_p_mine: Annotated[
         float,
         Meta(

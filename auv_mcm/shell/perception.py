@@ -44,6 +44,7 @@ from auv_mcm.contacts.coverage_store import CoverageStore, StoredPatch, store_pa
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.frozen_state import StateError, freeze, thaw
+from auv_mcm.memory import return_freed_memory
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.records import (
     Contact,
@@ -551,8 +552,10 @@ def _work(
             connection.send(answer)
             for patch in answer.patches:
                 chain.coverage.keep(patch)
-            if chain.is_checkpoint_due(bool(answer.patches)) and chain.checkpoint(number):
-                connection.send(Checkpointed(number))
+            if chain.is_checkpoint_due(bool(answer.patches)):
+                if chain.checkpoint(number):
+                    connection.send(Checkpointed(number))
+                return_freed_memory()
         events = chain.pipeline.finish()
         _note_coverage(events, chain.searched, chain.area)
         connection.send(_answer(events, store, records))

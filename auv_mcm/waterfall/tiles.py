@@ -28,6 +28,8 @@ class TileCutter:
         self._n_rows = 0
         self._first_row = 0  # of the pieces
         self._core_row = 0  # next row not yet in any core
+        self.squint_rad = 0.0
+        """Of the pings of the segment under way."""
 
     def add(self, first_row: int, rows: Swath) -> list[Tile]:
         """Take finished rows, which continue those before; return the tiles they complete."""
@@ -126,6 +128,7 @@ class TileCutter:
             first_return_sigma_m=piece.first_return_sigma_m,
             ping_number=piece.ping_number,
             level=_level(image.offset, levelled.mean, levelled.known),
+            squint_rad=self.squint_rad,
         )
 
 

@@ -60,6 +60,7 @@ class Waterfall:
             self._config.sonar.max_range_m,
         )
         track = self._tracker.add([traces.get(side) for side in SIDES], block.poses.altitude_m, max_range_m)
+        self._cutter.squint_rad = block.pings[0].squint_rad  # a segment has one
         tiles = self._finish_block(track) if track is not None else []
         self._held = _HeldBlock(block, traces)
         return tiles

@@ -80,7 +80,7 @@ class PingWindow(NamedTuple):
 
     along_m: (n_pings,) float64 from the reference ping. turn_rad: (n_pings,) float64, heading against the reference
     ping's. height_m: (n_pings,) float64 of the sonar above the flat bottom. first_edge_m: slant range where sample 0
-    begins.
+    begins. beam_width_deg: 0 where resolution does not depend on range.
     """
 
     side: Side
@@ -182,7 +182,9 @@ def _beam_table(beam: BeamPattern) -> NDArray[np.float32]:
 
 
 def _lines(view: PingWindow, farthest_m: float) -> tuple[Lines, int]:
-    angle, share = beam_rays(Sonar(beam_width_deg=view.beam_width_deg, beam_lines=BEAM_LINES))
+    angle, share = np.zeros(1), np.ones(1)
+    if view.beam_width_deg > 0.0:
+        angle, share = beam_rays(Sonar(beam_width_deg=view.beam_width_deg, beam_lines=BEAM_LINES))
     shape = (len(view.along_m), len(angle))
     direction = view.turn_rad[:, None] + SIGN[view.side] * (0.5 * math.pi - angle[None, :])
 

@@ -11,6 +11,7 @@ from auv_mcm.errors import UsageError
 
 BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
     "chain": ("benches.run_time.bench", "run time against error of the whole chain, beside a plain script"),
+    "stability": ("benches.stability.bench", "the largest error of every numerical stage, against exact arithmetic"),
     "waterfall": ("benches.chain", "the whole chain, cost per stage"),
     "detect": ("benches.detect", "the detector's cost per tile"),
     "confirmation": ("benches.confirmation", "the cost of confirmation, step by step"),
@@ -20,6 +21,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "segmentation": ("studies.segmentation", "Markov-field segmentation, error beside time"),
     "snakes": ("studies.snakes", "contours, error beside time"),
     "shapes": ("studies.shapes", "classification by shape, error beside time"),
+    "sas": ("studies.sas_objects", "outlines and classes in synthetic aperture images of 1.5 to 10 cm"),
     "beliefs": ("studies.beliefs", "what belief several views lead to"),
     "images": ("studies.real_images", "outlines and calls on real pictures"),
     "cascade": ("benches.cascade", "the trained cascade's speed and budgets"),
@@ -40,6 +42,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
         "false alarms at the operating point against those requested, and Pd, on domains left out",
     ),
     "limit": ("benches.limit", "how far from the limit: an ideal observer beside the chain, and one view beside two"),
+    "apertures": ("benches.apertures", "sub-apertures of one pass beside further passes, on synthetic aperture"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "left-out": (
         "benches.left_out",

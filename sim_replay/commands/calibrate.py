@@ -162,12 +162,22 @@ def _add_odds(kinds: Commands) -> None:
         "weights fitted\n"
         "likewise do on scenes, recorders and recorded lines left out, and writes that into the file too. The same "
         "options make the\n"
-        "same weights.",
+        "same weights. --verdicts recalibrates those that ship instead, and refuses where missions left out gain "
+        "nothing.",
         [
             "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate odds --detector contrast --seeds 8 --crowded 5 --out odds.json",
             "auv-mcm calibrate odds --crowded 4 --drawn 60 --judged 1 --looks looks --out odds.json",
+            "auv-mcm calibrate odds --verdicts monday tuesday wednesday --out recalibrated.json",
         ],
+    )
+    parser.add_argument(
+        "--verdicts",
+        metavar="DIR",
+        nargs="+",
+        type=Path,
+        help="fly nothing: change the odds that ship by what people judged of these missions, folders of results or "
+        "sessions; 'confirm.odds' of the configuration loads the file. Other options but --out have no part in it",
     )
     parser.add_argument(
         "--detector",
@@ -311,6 +321,8 @@ def _run_gate(arguments: argparse.Namespace) -> int:
 
 
 def _run_odds(arguments: argparse.Namespace) -> int:
+    if arguments.verdicts:
+        return _run_verdicts(arguments)
     from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
 
     missions = Missions(
@@ -324,6 +336,29 @@ def _run_odds(arguments: argparse.Namespace) -> int:
         n_log_seeds=arguments.log_seeds,
     )
     fit_from_missions(arguments.out, missions, arguments.looks, arguments.workers, _show)
+    return 0
+
+
+def _run_verdicts(arguments: argparse.Namespace) -> int:
+    from auv_mcm import __version__
+    from auv_mcm.classify.odds import shipped_odds
+    from auv_mcm.contacts.background import shipped_background
+    from auv_mcm.errors import BadInputError
+    from sim_replay.fitting.fit_odds import written
+    from sim_replay.fitting.judged_missions import read_judged_missions
+    from sim_replay.fitting.recalibrate import recalibrated, refit, refit_words
+
+    _check_new(arguments.out)
+    missions = read_judged_missions(arguments.verdicts)
+    detector = missions[0].detector
+    found = refit(missions, shipped_background().prior(detector))
+    print("\n".join(refit_words(found)))
+    if found.refusal:
+        raise BadInputError(found.refusal)
+    names = " ".join(mission.name for mission in missions)
+    made_by = f"version {__version__}, auv-mcm calibrate odds --verdicts {names}"
+    write_new(arguments.out, written(recalibrated(shipped_odds(detector), found, made_by)).decode())
+    print("name it as confirm.odds in the configuration")
     return 0
 
 

@@ -29,12 +29,14 @@ def add(commands: Commands) -> None:
         "write a mission for other programs: mosaic, layers, MCAP",
         "SOURCE is a folder of results ('auv-mcm replay --out'), the folder of a session ('auv-mcm run', also while\n"
         "it runs), or logs. Positions are longitude and latitude, WGS 84 (EPSG:4326). The mosaic blends all passes\n"
-        "over a place, the better seen the more. GeoPackage and GPX need results: contacts, track, coverage and\n"
-        "proposed legs, each purpose in a layer of its own.",
+        "over a place, the better seen the more. GeoPackage, GPX, KML and GeoJSON need results: contacts with the\n"
+        "verdicts of 'auv-mcm view', objects that only people saw; track, coverage and proposed legs, each purpose in\n"
+        "a layer of its own.",
         [
             "auv-mcm export results --geotiff mosaic.tif --gpkg mission.gpkg --gpx mission.gpx",
             "auv-mcm export mission.xtf --geotiff mosaic.tif --kmz mosaic.kmz --resolution 0.1",
             "auv-mcm export auv-mcm-out/latest --kmz mosaic.kmz",
+            "auv-mcm export results --kml judged.kml --geojson judged.geojson",
             "auv-mcm export results --mcap mission.mcap",
         ],
     )
@@ -47,7 +49,9 @@ def add(commands: Commands) -> None:
         type=Path,
         help="mosaic with overviews: band 1 is the echo in dB, band 2 the 1-sigma error of position in m",
     )
-    parser.add_argument("--kmz", metavar="FILE", type=Path, help="mosaic as a ground overlay")
+    parser.add_argument(
+        "--kmz", metavar="FILE", type=Path, help="mosaic as a ground overlay, with contacts where there are results"
+    )
     parser.add_argument(
         "--mcap", metavar="FILE", type=Path, help="track, waterfall, contacts and maps as messages of Foxglove"
     )
@@ -55,6 +59,8 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--gpx", metavar="FILE", type=Path, help="mine-like contacts, proposed legs and the track, for a chart plotter"
     )
+    parser.add_argument("--kml", metavar="FILE", type=Path, help="contacts with verdicts, and missed ones")
+    parser.add_argument("--geojson", metavar="FILE", type=Path, help="the same as GeoJSON")
     parser.add_argument(
         "--resolution",
         metavar="M",
@@ -89,20 +95,17 @@ def _metres(low_m: float) -> Callable[[str], float]:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import find_source
 
-    wanted = [
-        path
-        for path in (arguments.geotiff, arguments.kmz, arguments.gpkg, arguments.gpx, arguments.mcap)
-        if path is not None
-    ]
+    vectors = (arguments.gpkg, arguments.gpx, arguments.kml, arguments.geojson)
+    wanted = [path for path in (arguments.geotiff, arguments.kmz, *vectors, arguments.mcap) if path is not None]
     if not wanted:
-        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg, --gpx or --mcap")
+        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg, --gpx, --kml, --geojson or --mcap")
     for path in wanted:
         if not path.absolute().parent.is_dir():
             raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
     source = find_source(arguments.source, None if arguments.config is None else read_config(arguments.config))
     name = source.config.mission or (source.results or source.logs[0]).resolve().stem
-    if arguments.gpkg is not None or arguments.gpx is not None:
-        _write_vectors(source, arguments.gpkg, arguments.gpx, name)
+    if any(path is not None for path in vectors):
+        _write_vectors(source, arguments, name)
     if arguments.geotiff is not None or arguments.kmz is not None:
         _write_mosaic(source, arguments, name)
     if arguments.mcap is not None:
@@ -112,20 +115,25 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write_vectors(source: ExportSource, gpkg: Path | None, gpx: Path | None, name: str) -> None:
+def _write_vectors(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
     from sim_replay.geopackage import write_geopackage
     from sim_replay.vector_layers import read_layers, write_gpx
+    from sim_replay.verdict_layers import write_geojson, write_kml
 
     if source.results is None:
         raise UsageError(
-            "GeoPackage and GPX are made of results: replay the log first ('auv-mcm replay LOG --out results'), and "
-            "export that folder."
+            "GeoPackage, GPX, KML and GeoJSON are made of results: replay the log first ('auv-mcm replay LOG --out "
+            "results'), and export that folder."
         )
     layers = read_layers(source.results)
-    if gpkg is not None:
-        write_geopackage(gpkg, layers)
-    if gpx is not None:
-        write_gpx(gpx, layers, name)
+    if arguments.gpkg is not None:
+        write_geopackage(arguments.gpkg, layers)
+    if arguments.gpx is not None:
+        write_gpx(arguments.gpx, layers, name)
+    if arguments.kml is not None:
+        write_kml(arguments.kml, layers, name, source.results)
+    if arguments.geojson is not None:
+        write_geojson(arguments.geojson, layers)
 
 
 def _write_mcap(source: ExportSource, path: Path) -> None:
@@ -146,8 +154,11 @@ def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str
         write_geotiff(arguments.geotiff, levels, arguments.max_sigma)
     if arguments.kmz is not None:
         from sim_replay.mosaic_files import write_kmz
+        from sim_replay.vector_layers import read_layers
+        from sim_replay.verdict_layers import kml_folders
 
-        write_kmz(arguments.kmz, levels, name, arguments.max_sigma)
+        folders = () if source.results is None else kml_folders(read_layers(source.results))
+        write_kmz(arguments.kmz, levels, name, arguments.max_sigma, folders)
 
 
 def _mosaic(source: ExportSource, resolution_m: float) -> list[Level]:

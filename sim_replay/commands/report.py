@@ -17,8 +17,8 @@ def add(commands: Commands) -> None:
         "report",
         "make the report of a session, also while it runs",
         "Replays what the session recorded so far, with the configuration it was recorded with, into SESSION/report/:\n"
-        "report.html and all other results of a replay. The session's own files stay as they are. A session that went\n"
-        "on after a cut has a recording, and a report, for each start.",
+        "report.html and all other results of a replay. What people judged of the session is in it. The session's own\n"
+        "files stay as they are. A session that went on after a cut has a recording, and a report, for each start.",
         [
             "auv-mcm report auv-mcm-out/latest",
             "auv-mcm report auv-mcm-out/latest --out report --threads 2",
@@ -48,7 +48,14 @@ def _run(arguments: argparse.Namespace) -> int:
         folder = out if number == 1 else out.with_name(f"{out.name}-{number}")
         config = given or logs_config([recording]) or read_config(None)
         with Progress("report") as progress:
-            summary = replay([recording], folder, config, threads=arguments.threads, progress=progress.show)
+            summary = replay(
+                [recording],
+                folder,
+                config,
+                threads=arguments.threads,
+                progress=progress.show,
+                verdicts=arguments.session,
+            )
         print(
             f"{summary['pings']} pings so far, {summary['contacts']} contacts, {summary['contacts_mine_like']} of them "
             f"mine-like: {clean(str(folder / 'report.html'))}"

@@ -253,6 +253,8 @@ def written(odds: MineOdds) -> bytes:
     if odds.left_out:
         rows = ",\n".join(f"  {msgspec.json.encode(row).decode()}" for row in odds.left_out)
         parts.append(f' "left_out": [\n{rows}\n ]')
+    if odds.recalibrated is not None:
+        parts.append(f' "recalibrated": {msgspec.json.encode(odds.recalibrated).decode()}')
     for step in STEPS:
         weighed: Weights = getattr(odds, step)
         weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())

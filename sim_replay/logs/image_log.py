@@ -1,4 +1,7 @@
-"""Read a sonar image with its sidecar as the pings that could have made it: one per line, in slant range."""
+"""Read a sonar image with its sidecar as the pings that could have made it: one per line, in slant range.
+
+Sub-apertures of a complex image come one after another, as if each were an image by itself.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from numpy.typing import NDArray
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import SonarConfig
-from sim_replay.logs.image_looks import OVERLAP_LINES, doppler_centroid, mean_of_looks
+from sim_replay.logs.image_looks import OVERLAP_LINES, doppler_centroid, mean_of_looks, sub_band
 from sim_replay.logs.image_pixels import DamagedPixelsError, Pixels, open_pixels
 from sim_replay.logs.image_place import Track, track_of
 from sim_replay.logs.image_sidecar import Sidecar, read_sidecar, sidecar_path
@@ -26,6 +29,15 @@ _WATER_M: Final = 2.0  # of slant range before the first return, from which an i
 _PROBE_LINES: Final = 64  # looked at for the water column
 _MIN_SPACING: Final = 0.25  # of the ground pixel: bounds the samples that near ranges cost
 _CENTROID_LINES: Final = 512  # that the middle of the Doppler spectrum is measured on
+
+
+def kind_disagrees(path: Path, sidecar: Sidecar, sonar: SonarConfig) -> Notice:
+    """Write the notice that the configured kind of sonar is not the sidecar's."""
+    text = (
+        f"the sidecar says `kind: {sidecar.kind}`, the configuration sonar.kind: {sonar.kind}. Correct the one that is "
+        "wrong"
+    )
+    return Notice(code="reader.kind_disagrees", text=text, place=str(path))
 
 
 class ImageLog:
@@ -75,23 +87,27 @@ class ImageLog:
         edges_m: NDArray[np.float64] = np.asarray(first_m + (np.arange(n_samples + 1) - 0.5) * spacing_m, np.float64)
         n_lines = self._pixels.n_lines
         block = max(1, min(_MAX_BLOCK_LINES, _BLOCK_VALUES // self._pixels.n_pixels))
-        for first in range(0, n_lines, block):
-            stop = min(first + block, n_lines)
-            try:
-                intensity = self._intensity(first, stop)
-            except DamagedPixelsError as error:
-                self.counters["reader.image_damaged"] += 1
-                text = f"{error}: the image is used up to line {first} of {n_lines}. Copy or export it again."
-                yield Notice(code="reader.image_damaged", text=text, place=str(self._path))
-                return
-            if self.sidecar.range == "ground":
-                intensity = self._to_slant(intensity, edges_m, self._track.altitude_m[first:stop])
-            for line, samples in enumerate(intensity, first):
-                yield from self._events(line, EchoTrace(samples=samples, first_range_m=first_m, spacing_m=spacing_m))
-            self._fraction = stop / n_lines
-        self.counters["reader.pings"] = n_lines
+        parts: list[int | None] = [None] if self.sidecar.sub_apertures is None else [*range(self.sidecar.sub_apertures)]
+        for n_read, part in enumerate(parts):
+            for first in range(0, n_lines, block):
+                stop = min(first + block, n_lines)
+                try:
+                    intensity = self._intensity(first, stop, part)
+                except DamagedPixelsError as error:
+                    self.counters["reader.image_damaged"] += not n_read
+                    text = f"{error}: the image is used up to line {first} of {n_lines}. Copy or export it again."
+                    if not n_read:
+                        yield Notice(code="reader.image_damaged", text=text, place=str(self._path))
+                    break
+                if self.sidecar.range == "ground":
+                    intensity = self._to_slant(intensity, edges_m, self._track.altitude_m[first:stop])
+                for line, samples in enumerate(intensity, first):
+                    trace = EchoTrace(samples=samples, first_range_m=first_m, spacing_m=spacing_m)
+                    yield from self._events(line, trace, part)
+                self.counters["reader.pings"] += stop - first
+                self._fraction = (n_read + stop / n_lines) / len(parts)
 
-    def _events(self, line: int, trace: EchoTrace) -> Iterator[SourceEvent]:
+    def _events(self, line: int, trace: EchoTrace, part: int | None) -> Iterator[SourceEvent]:
         sidecar, track = self.sidecar, self._track
         time_s = sidecar.start_s + line * sidecar.pixel_along_m / sidecar.speed_mps
         altitude_m = float(track.altitude_m[line])
@@ -107,24 +123,21 @@ class ImageLog:
         )
         is_port = sidecar.side == "port"
         yield Ping(
-            number=line,
+            number=line + (part or 0) * self._pixels.n_lines,
             time_s=time_s,
             port=trace if is_port else None,
             starboard=None if is_port else trace,
             sound_speed_mps=sidecar.sound_speed_mps,
             altitude_m=altitude_m,
-            place=f"{self._path.name}, line {line}",
+            place=f"{self._path.name}, line {line}" + ("" if part is None else f", sub-aperture {part + 1}"),
             transfer="intensity",
+            squint_rad=self._squint_rad(part),
         )
 
     def _notices(self) -> Iterator[Notice]:
         sidecar = self.sidecar
         if sidecar.kind != self._sonar.kind:
-            text = (
-                f"the sidecar says `kind: {sidecar.kind}`, the configuration sonar.kind: {self._sonar.kind}. Correct "
-                "the one that is wrong"
-            )
-            yield Notice(code="reader.kind_disagrees", text=text, place=str(self._path))
+            yield kind_disagrees(self._path, sidecar, self._sonar)
         far_m = sidecar.near_range_m + self._pixels.n_pixels * sidecar.pixel_across_m
         if far_m > self._sonar.max_range_m:
             text = (
@@ -133,11 +146,29 @@ class ImageLog:
             )
             yield Notice(code="reader.beyond_max_range", text=text, place=str(self._path))
 
-    def _intensity(self, first: int, stop: int) -> NDArray[np.float32]:
-        """Read lines [first, stop) as linear intensity, (stop - first, n_pixels)."""
+    def _squint_rad(self, part: int | None) -> float:
+        """Compute the middle of the bearings of a sub-aperture: over the aperture they grow with frequency, linearly up
+        to the cube of the angle."""
+        sidecar = self.sidecar
+        if part is None:
+            return math.radians(sidecar.squint_deg)
+        assert sidecar.sub_apertures is not None
+        assert sidecar.integration_deg is not None
+        middle = self._centroid / self._band + (part + 0.5) / sidecar.sub_apertures - 0.5
+        sign = 1.0 if sidecar.positive_doppler == "ahead" else -1.0
+        return math.radians(sidecar.squint_deg) + sign * middle * math.radians(sidecar.integration_deg)
+
+    @property
+    def _band(self) -> float:
+        """Return the share of the sampled spectrum that the aperture fills."""
+        sidecar = self.sidecar
+        return min(1.0, sidecar.pixel_along_m / (sidecar.resolution_along_m or sidecar.pixel_along_m))
+
+    def _intensity(self, first: int, stop: int, part: int | None = None) -> NDArray[np.float32]:
+        """Read lines [first, stop) as linear intensity, (stop - first, n_pixels), of a sub-aperture or of all."""
         sidecar = self.sidecar
         if sidecar.samples == "complex":
-            return self._of_complex(first, stop)
+            return self._of_complex(first, stop, part)
         stored = self._pixels.read(first, stop)
         if sidecar.samples == "amplitude":
             values = stored.astype(np.float32)
@@ -150,18 +181,21 @@ class ImageLog:
                 return np.power(10.0, np.clip(decibels / 10.0, -30.0, 30.0)).astype(np.float32)
         return stored.astype(np.float32)
 
-    def _of_complex(self, first: int, stop: int) -> NDArray[np.float32]:
+    def _of_complex(self, first: int, stop: int, part: int | None) -> NDArray[np.float32]:
         sidecar = self.sidecar
-        if sidecar.looks == 1:
+        if sidecar.looks == 1 and part is None:
             image = self._pixels.read(first, stop)
             return np.asarray(image.real.astype(np.float32) ** 2 + image.imag.astype(np.float32) ** 2)
         before, after = min(first, OVERLAP_LINES), min(self._pixels.n_lines - stop, OVERLAP_LINES)
         image = self._pixels.read(first - before, stop + after)
         if first == 0:
             self._centroid = doppler_centroid(image[:_CENTROID_LINES])
-        resolution_m = sidecar.resolution_along_m or sidecar.pixel_along_m
-        band = min(1.0, sidecar.pixel_along_m / resolution_m)
-        return mean_of_looks(image, sidecar.looks, self._centroid, band)[before : before + stop - first]
+        if part is None:
+            looks = mean_of_looks(image, sidecar.looks, self._centroid, self._band)
+        else:
+            assert sidecar.sub_apertures is not None
+            looks = sub_band(image, sidecar.sub_apertures, part, self._centroid, self._band)
+        return looks[before : before + stop - first]
 
     # --- ground range ---
 

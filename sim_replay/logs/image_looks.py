@@ -29,8 +29,17 @@ def doppler_centroid(image: NDArray[Any]) -> float:
     return math.atan2(total.imag, total.real) / math.tau
 
 
-def sub_bands(image: NDArray[Any], n: int, centroid: float, band: float) -> Iterator[NDArray[np.float32]]:
-    """Yield the intensity of each of n equal parts of the spectrum, lowest frequency first, (n_lines, n_pixels).
+def sub_band(image: NDArray[Any], n: int, part: int, centroid: float, band: float) -> NDArray[np.float32]:
+    """Form the intensity of one of n equal parts of the spectrum; see `sub_bands`, which counts them alike."""
+    return next(sub_bands(image, n, centroid, band, part))
+
+
+def sub_bands(
+    image: NDArray[Any], n: int, centroid: float, band: float, first: int = 0
+) -> Iterator[NDArray[np.float32]]:
+    """Yield the intensity of equal parts of the spectrum, lowest frequency first, (n_lines, n_pixels).
+
+    It is parted into n, of which those before `first` are left out.
 
     band: share of the sampled spectrum that the aperture fills, 0 to 1. Pixels that are not finite count as zero and
     come out as NaN. Sound beyond OVERLAP_LINES from either end of a longer image.
@@ -41,7 +50,7 @@ def sub_bands(image: NDArray[Any], n: int, centroid: float, band: float) -> Iter
     spectrum = np.fft.fft(np.where(finite, image, 0.0), n_padded, axis=0)
     frequency = (np.fft.fftfreq(n_padded) - centroid + 0.5) % 1.0 - 0.5
     width = band / n
-    for part in range(n):
+    for part in range(first, n):
         middle = (part + 0.5) * width - 0.5 * band
         off = np.abs((frequency - middle + 0.5) % 1.0 - 0.5) / width
         weight = np.clip((0.5 * (1.0 + _TAPER) - off) / _TAPER, 0.0, 1.0)

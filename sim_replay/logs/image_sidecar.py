@@ -48,7 +48,9 @@ class Sidecar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     where the last stored line was recorded first. speed_mps: at which lines follow each other in time. track: a CSV
     file with the position of the sonar by line; corners: of the image; neither for a GeoTIFF that holds its own. kind:
     of the sonar. resolution_along_m: of the processed aperture, the pixel size if not given. dataset: the one in an
-    HDF5 file.
+    HDF5 file. squint_deg: of an image of a sub-aperture, the middle of its bearings, positive ahead of abeam.
+    sub_apertures: formed from complex samples, each an image of its own; integration_deg, the bearings of the whole
+    aperture, and positive_doppler, where positive frequencies along the track look, give their squints.
     """
 
     side: Literal["port", "starboard"]
@@ -71,6 +73,10 @@ class Sidecar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     sound_speed_mps: Annotated[float, Meta(ge=1400.0, le=1600.0)] = 1500.0
     resolution_along_m: Pixel | None = None
     dataset: str | None = None
+    squint_deg: Annotated[float, Meta(gt=-45.0, lt=45.0)] = 0.0
+    sub_apertures: Annotated[int, Meta(ge=2, le=15)] | None = None
+    integration_deg: Annotated[float, Meta(gt=0.0, le=60.0)] | None = None
+    positive_doppler: Literal["ahead", "aft"] | None = None
 
     @property
     def start_s(self) -> float:
@@ -133,10 +139,29 @@ def _contradiction(sidecar: Sidecar) -> str:
         )
     if sidecar.samples != "log" and sidecar.db_per_count is not None:
         return f"`db_per_count` is given, but `samples` is {sidecar.samples}: use `samples: log`, or remove it."
+    if sidecar.sub_apertures is not None and (problem := _unformed(sidecar)):
+        return problem
     if sidecar.track is not None and sidecar.corners is not None:
         return "`track` and `corners` are both given: keep the one that is right."
     if not math.isfinite(sidecar.start_s):
         return f"`start_time` is {sidecar.start_time!r}: write a date and time, such as 2026-06-01T10:00:00Z."
+    return ""
+
+
+def _unformed(sidecar: Sidecar) -> str:
+    """Say why sub-apertures cannot be formed; empty if they can."""
+    if sidecar.samples != "complex":
+        return (
+            f"`sub_apertures` are formed from complex samples, and `samples` is {sidecar.samples}: export the complex "
+            "image, or give an image per sub-aperture with its `squint_deg`."
+        )
+    if sidecar.integration_deg is None or sidecar.positive_doppler is None:
+        return (
+            "`sub_apertures` needs `integration_deg`, the bearings of the whole aperture, and `positive_doppler`, "
+            "ahead or aft: where positive frequencies along the track look."
+        )
+    if sidecar.looks > 1:
+        return "`sub_apertures` and `looks` both part the spectrum: keep one."
     return ""
 
 

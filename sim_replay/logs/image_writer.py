@@ -87,7 +87,11 @@ def write_images(
 def _runs(pings: Sequence[Ping]) -> Iterator[Sequence[Ping]]:
     first = 0
     for number in range(1, len(pings) + 1):
-        if number == len(pings) or pings[number].time_s - pings[number - 1].time_s > _GAP_S:
+        if (
+            number == len(pings)
+            or pings[number].time_s - pings[number - 1].time_s > _GAP_S
+            or pings[number].squint_rad != pings[number - 1].squint_rad
+        ):
             yield pings[first:number]
             first = number
 
@@ -106,6 +110,7 @@ def _sidecar(run: Sequence[Ping], poses: PoseTrack, trace: EchoTrace, side: Side
         "start_time": datetime.fromtimestamp(run[0].time_s, UTC).isoformat(),
         "speed_mps": length_m / seconds,
         "sound_speed_mps": run[0].sound_speed_mps,
+        **({} if run[0].squint_rad == 0.0 else {"squint_deg": math.degrees(run[0].squint_rad)}),
     }
 
 

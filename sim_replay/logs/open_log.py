@@ -9,7 +9,7 @@ import math
 import re
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from msgspec import structs
 
@@ -18,6 +18,9 @@ from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, SonarName, SonarPortConfig
 from sim_replay.logs.log_reader import AddedFormat, AddedLog, Log, added_formats
+
+if TYPE_CHECKING:
+    from sim_replay.logs.image_sidecar import Sidecar
 
 CHUNK_BYTES: Final = 1 << 18  # bytes per read: bounds memory
 
@@ -148,8 +151,8 @@ def logs_config(paths: list[Path]) -> Config | None:
     for path in paths:
         if is_session(path):
             return recorded_config(Session(path))
-        if (kind := _image_kind(path)) is not None:
-            return Config(sonar=SonarConfig(kind=kind))
+        if (sidecar := _sidecar_of(path)) is not None:
+            return Config(sonar=SonarConfig(kind=sidecar.kind))
     return None
 
 
@@ -158,10 +161,11 @@ def kind_doubt(path: Path, config: Config) -> str:
 
     Raises BadInputError or UsageError as a replay would.
     """
-    found, kind = _image_kind(path), config.sonar.kind
-    if found is not None and found != kind:
-        return f"the sidecar says `kind: {found}`, the configuration sonar.kind: {kind}. Correct the one that is wrong"
-    if found is None and kind == "sas" and log_format(path) in ("xtf", "jsf", "svlog"):
+    if (sidecar := _sidecar_of(path)) is not None:
+        from sim_replay.logs.image_log import kind_disagrees
+
+        return "" if sidecar.kind == config.sonar.kind else kind_disagrees(path, sidecar, config.sonar).text
+    if config.sonar.kind == "sas" and log_format(path) in ("xtf", "jsf", "svlog"):
         return (
             "sonar.kind is sas, and logs of this format mostly hold side scan, whose resolution grows with range. Set "
             "sonar.kind: side_scan unless a processor wrote the log"
@@ -169,15 +173,15 @@ def kind_doubt(path: Path, config: Config) -> str:
     return ""
 
 
-def _image_kind(path: Path) -> Literal["side_scan", "sas"] | None:
-    """Read the kind of sonar from the sidecar of an image; None for other logs, and for what cannot be read."""
+def _sidecar_of(path: Path) -> Sidecar | None:
+    """Read the sidecar of an image; None for other logs, and for what cannot be read."""
     from sim_replay.logs.image_sidecar import read_sidecar
 
     try:
         is_image = log_format(path) in _IMAGE_FIRST.values()
     except (BadInputError, UsageError):
         return None
-    return read_sidecar(path).kind if is_image else None
+    return read_sidecar(path) if is_image else None
 
 
 def is_session(path: Path) -> bool:

@@ -17,6 +17,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
 from sim_replay.mosaic import Box
 from sim_replay.report.report_words import degrees_minutes
+from sim_replay.verdicts import Verdict
 
 Points: TypeAlias = NDArray[np.float64]  # (n, 2) east, north in metres, or right, down in drawing units
 
@@ -72,6 +73,7 @@ class Chart(NamedTuple):
     ends: tuple[tuple[float, float], ...]
     coverage: str
     markers: tuple[Marker, ...]
+    missed: tuple[Label, ...]
     legs: tuple[LegLine, ...]
     graticule: str
     latitude_labels: tuple[Label, ...]
@@ -104,6 +106,7 @@ def draw_chart(
     patches: Iterable[CoveragePatch],
     waypoints: Sequence[Waypoint],
     box: Box | None = None,
+    missed: Sequence[Verdict] = (),
 ) -> Chart | None:
     """Draw the map of a mission; None if it has no position at all.
 
@@ -113,6 +116,8 @@ def draw_chart(
         (n, 2) latitude, longitude, NaN where the track breaks.
     box
         Outline of the sonar picture under the map.
+    missed
+        Objects that people saw and no contact stands for.
     """
     located = [
         contact for contact in contacts if math.isfinite(contact.latitude_deg) and math.isfinite(contact.longitude_deg)
@@ -120,7 +125,8 @@ def draw_chart(
     contacts_deg = np.array([(contact.latitude_deg, contact.longitude_deg) for contact in located]).reshape(-1, 2)
     rings_deg = [ring[:, ::-1] for patch in patches for ring in patch.rings_deg if np.isfinite(ring).all()]
     way_deg = np.array([(point.latitude_deg, point.longitude_deg) for point in waypoints]).reshape(-1, 2)
-    everything = np.vstack([track_deg.reshape(-1, 2), contacts_deg, way_deg, *rings_deg])
+    missed_deg = np.array([(one.latitude_deg, one.longitude_deg) for one in missed]).reshape(-1, 2)
+    everything = np.vstack([track_deg.reshape(-1, 2), contacts_deg, missed_deg, way_deg, *rings_deg])
     everything = everything[np.isfinite(everything).all(axis=1)]
     if not len(everything):
         return None
@@ -141,6 +147,7 @@ def draw_chart(
         ends=tuple((float(right), float(down)) for right, down in (known[[0, -1]] if len(known) else known)),
         coverage="".join(svg_path(drawn(ring)) + "Z" for ring in rings_deg),
         markers=_markers(located, drawn(contacts_deg), projection),
+        missed=tuple(Label(one.object, *place) for one, place in zip(missed, drawn(missed_deg).tolist(), strict=True)),
         legs=_legs(waypoints, drawn(way_deg)),
         **_graticule(projection),
         **_scale_bar(projection.units_per_m),

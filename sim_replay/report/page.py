@@ -15,22 +15,27 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
-from auv_mcm.contacts.contact import depth_m, is_mine_like
+from auv_mcm.contacts.contact import depth_m, is_mine_like, sigma_m
 from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.contacts.export import snippet_path
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.report import report_words as words
-from sim_replay.report.cards import band, cards, place_m, strips_with
+from sim_replay.report.cards import Card, band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.map_picture import MapPicture
 from sim_replay.report.pictures import PictureCollector, PictureStrip
+from sim_replay.verdict_layers import is_missed, sorted_verdicts
+from sim_replay.verdicts import CALLS, Place, Verdict
 
 _NOTICES_PER_CODE: Final = 5  # shown, the others are counted
 MAX_CARDS: Final = 100  # bounds the page: see MAX_ROWS
 MAX_ROWS: Final = 1000
 """Contacts in the table that have no card. With MAX_CARDS and the limits of pictures the page stays below 5 MB.
 """
+MAX_MISSED: Final = 200  # objects that only people saw, on the page: bounds it too
+_SUMMARY_ORDER: Final[Mapping[str, int]] = {"mine_like": 0, "": 1, "undecided": 1, "not_mine_like": 2}
+"""Order of the summary's contacts by verdict, empty for none."""
 _LAYERS: Final = (
     ("mosaic", "sonar"),
     ("covered", "covered"),
@@ -42,6 +47,7 @@ _LAYERS: Final = (
 """Parts of the map that can be switched off: the style class of each and its name."""
 ONE_PAGE: Final = "one-page.html"
 _ONE_PAGE_ROWS: Final = 12  # contacts in the summary: more do not fit below the map on a page of A4
+_NAMED: Final = 5  # people named in the summary
 _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays visible
 
 
@@ -52,6 +58,7 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     track_longitude_deg: (n,) float64, a few thousand positions at most, NaN where the track breaks. costs: seconds per
     stage, in the order to show them. searched: what `search_totals` says, clearance_png: the picture of it; both empty
     if nothing was. files: names of the files beside the page, to link to. map_picture: the sonar picture under the map.
+    verdicts: of people, in the order of judging.
     """
 
     name: str
@@ -69,6 +76,7 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     clearance_png: bytes = b""
     files: tuple[str, ...] = ()
     map_picture: MapPicture | None = None
+    verdicts: tuple[Verdict, ...] = ()
 
 
 def write_report(
@@ -135,11 +143,21 @@ def _context(
     ranked = sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
+    places = [Place(one.id, one.latitude_deg, one.longitude_deg, sigma_m(one)) for one in ranked]
+    judged, alone = sorted_verdicts(mission.verdicts, places)
+    missed = [verdict for verdict in alone if is_missed(verdict)]
     listed = ranked[: MAX_CARDS + MAX_ROWS]
+    listed += [one for one in ranked[len(listed) :] if one.id in judged][:MAX_ROWS]
     described = cards(listed[:MAX_CARDS], strips, waypoints)
     notices = list(notices)
+
+    def is_shown_first(card: Card) -> bool:
+        verdict = judged.get(card.contact.id)
+        return card.mine_like or (verdict is not None and verdict.call == "mine_like")
+
     rows = [_contact_row(contact, strips, number < MAX_CARDS) for number, contact in enumerate(listed)]
-    likely_rows = [row for row in rows if is_mine_like(row.contact)]
+    likely_rows = [row for row in rows if is_mine_like(row.contact) or _call(judged, row) == "mine_like"]
+    likely_rows.sort(key=lambda row: _SUMMARY_ORDER[_call(judged, row)])
     return {
         "style": Markup((folder / "report.css").read_text(encoding="utf-8")),
         "title": mission.name or "Mission report",
@@ -151,7 +169,12 @@ def _context(
         "script": Markup(script),
         "script_sha256": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         "chart": draw_chart(
-            track_deg, listed, patches, waypoints, None if mission.map_picture is None else mission.map_picture.box
+            track_deg,
+            listed,
+            patches,
+            waypoints,
+            None if mission.map_picture is None else mission.map_picture.box,
+            missed[:MAX_MISSED],
         ),
         "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
         "layers": _LAYERS,
@@ -161,10 +184,15 @@ def _context(
         "mines_left": _mines_left(mission.searched),
         "clearance_map": base64.b64encode(mission.clearance_png).decode(),
         "band": band,
-        "likely": [card for card in described if card.mine_like],
-        "clutter": [card for card in described if not card.mine_like],
+        "likely": [card for card in described if is_shown_first(card)],
+        "clutter": [card for card in described if not is_shown_first(card)],
         "rows": rows,
         "first_rows": likely_rows[:_ONE_PAGE_ROWS],
+        "judged": judged,
+        "calls": CALLS,
+        "missed": missed,
+        "most_missed": MAX_MISSED,
+        "judgement": _judgement(judged.values(), missed),
         "n_more_likely": len(likely_rows[_ONE_PAGE_ROWS:]),
         "n_unlisted": len(ranked) - len(listed),
         "mine_like_p": MINE_LIKE_P,
@@ -176,6 +204,23 @@ def _context(
         "costs": _costs(mission.costs),
         "words": words,
     }
+
+
+def _call(judged: Mapping[str, Verdict], row: ContactRow) -> str:
+    verdict = judged.get(row.contact.id)
+    return "" if verdict is None else verdict.call
+
+
+def _judgement(judged: Iterable[Verdict], missed: Sequence[Verdict]) -> str:
+    """Sum up what people judged, empty if nobody did."""
+    verdicts = [*judged, *missed]
+    if not verdicts:
+        return ""
+    counts = (f"{sum(one.call == call for one in verdicts)} {words.call_name(call)}" for call in CALLS)
+    names = sorted({one.by for one in verdicts})
+    by = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    alone = f"; {len(missed)} of them missed: no contact stands for them" if missed else ""
+    return f"{', '.join(counts)}{alone}; judged by {by}."
 
 
 def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[str, str, str]]:

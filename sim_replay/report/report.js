@@ -24,12 +24,14 @@
     if (!form) return;
     const words = form.words.value.trim().toLowerCase().split(/\s+/).filter(Boolean);
     const least = Number(form.least.value), kind = form.kind.value, called = form.called.checked;
+    const verdict = form.verdict ? form.verdict.value : '';
     $('#least-shown').textContent = least.toFixed(2);
     let n = 0;
     for (const row of rows) {
       const text = row.textContent.toLowerCase();
       const shown = Number(row.dataset.p) >= least && (!kind || row.dataset.kind === kind)
-        && (!called || row.dataset.called === 'yes') && words.every((word) => text.includes(word));
+        && (!called || row.dataset.called === 'yes')
+        && (!verdict || (verdict === 'judged' ? row.dataset.verdict !== 'none' : row.dataset.verdict === verdict)) && words.every((word) => text.includes(word));
       row.hidden = !shown;
       const mark = marks.get(row.dataset.id);
       if (mark) mark.classList.toggle('out', !shown);

@@ -107,6 +107,7 @@ MEANINGS: Final = {
     "navigation.time_not_finite": "navigation samples without a usable time, dropped",
     "navigation.time_repeated": "navigation values with the time of the one before, dropped",
     "navigation.zero_with_position": "values of exactly zero that came with a position and were taken for not measured",
+    "ping.sub_aperture": "times the pings went on to another sub-aperture: a new stretch begins",
     "ping.clock_stepped_back": "times the ping clock stepped back for good: a new stretch begins",
     "ping.gap": "holes between pings: nothing there is covered",
     "ping.no_side_scan_channel": "pings without a side-scan channel, dropped",
@@ -266,6 +267,11 @@ def agreement(conflict: float) -> str:
 def listed(parts: Sequence[str], last: str = "and") -> str:
     """Join parts by commas, and the last by a word."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}" if parts else ""
+
+
+def call_name(call: str) -> str:
+    """Name a verdict as people write it."""
+    return {"mine_like": "mine-like", "not_mine_like": "not mine-like"}.get(call, call)
 
 
 def class_name(name: str) -> str:

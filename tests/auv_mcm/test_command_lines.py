@@ -40,6 +40,7 @@ from sim_replay.logs.image_writer import write_images
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
+from sim_replay.verdicts import Verdict, append_verdict
 from tests.manual_clock import ManualClock
 from tests.sim_replay.logs.sonar_logs import mission, run_of, write_jsf
 
@@ -178,8 +179,12 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(simulate(later, folder / "later").log, folder / "leg2.xtf")
     (folder / "vehicle.yaml").write_text(f"service: {{source: 'replay://{folder}/mission.xtf?speed=max'}}\n{PORTS}")
     assert main(["replay", str(folder / "mission.xtf"), "--out", str(folder / "results")]) == 0
-    for name in ("r1", "r2", "out-demo/results"):
+    for name in ("r1", "r2", "out-demo/results", "monday", "tuesday", "wednesday", "thursday"):
         shutil.copytree(folder / "results", folder / name)
+        if name.endswith("day"):
+            judged = "2026-05-04T10:00:00Z"
+            verdict = Verdict(object="V0001", time=judged, by="kim", latitude_deg=0.0, longitude_deg=0.0)
+            append_verdict(folder / name, verdict)
     for name in ("s1", "s2", "augmented", "out-demo/sim"):
         (folder / name).mkdir(parents=True, exist_ok=True)
         shutil.copy(folder / "sim" / "truth.json", folder / name / "truth.json")
@@ -232,6 +237,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.fitting.fit_background.run_tasks",
         "sim_replay.fitting.fit_gate.run_tasks",
         "sim_replay.fitting.looks.run_tasks",
+        "sim_replay.fitting.recalibrate.refit",
         "sim_replay.studies.contact_sheet.contact_sheet",
         *(f"sim_replay.{module}.run" for module, _ in BENCHES.values()),
     ):

@@ -35,6 +35,7 @@ from sim_replay.report.report_words import (
     is_loss,
     nice_step,
 )
+from sim_replay.verdicts import Verdict
 from tests.sim_replay.report_samples import (
     ROW_M,
     START_S,
@@ -190,6 +191,54 @@ def test_hostile_names_stay_text(name: str, tmp_path: Path) -> None:
     assert all(source.startswith("data:image/") for source in page.sources)
     assert name.replace("\ud800", "?") in page.text
     assert "49" not in re.findall(r"<h1>(.*?)</h1>", page.text)
+
+
+def verdict(number: int, latitude_deg: float, **more: Any) -> Verdict:
+    time = "2026-05-04T10:00:00Z"
+    return Verdict(
+        object=f"V{number:04d}", time=time, **({"by": "kim"} | more), latitude_deg=latitude_deg, longitude_deg=12.0
+    )
+
+
+def judged_page(tmp_path: Path, said: str) -> list[Page]:
+    """A report and its summary, of a contact judged against the chain either way, one not judged and a missed one."""
+    places = {"C0001": (0.9, 55.0), "C0002": (0.1, 55.001), "C0003": (0.6, 55.002)}
+    contacts = [contact(name, p, latitude_deg=lat) for name, (p, lat) in places.items()]
+    verdicts = (
+        verdict(1, 55.0, call="not_mine_like", type=said, comment=said, by=said),
+        verdict(2, 55.001, call="mine_like", comment=said),
+        verdict(3, 55.01, call="mine_like", drawn=True, type=said, comment=said),
+    )
+    write_report(tmp_path / "r.html", mission(verdicts=verdicts), contacts, [], [], [], {}, collected(1))
+    return [Page((tmp_path / name).read_text(encoding="utf-8")) for name in ("r.html", "one-page.html")]
+
+
+def test_the_report_and_its_summary_show_what_people_judged(tmp_path: Path) -> None:
+    report, summary = judged_page(tmp_path, "a cage")
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    calls = dict(re.findall(r'<tr[^>]* data-id="(C\d+)".*? data-verdict="(\w+)"', text))
+    assert calls == {"C0001": "not_mine_like", "C0002": "mine_like", "C0003": "none"}
+    assert "Judged not mine-like by a cage, 2026-05-04T10:00:00Z: a cage. a cage" in report.text
+    assert 'select name="verdict"' in text
+    assert text.count("<title>V0003: missed</title>") == 1
+    assert "V0003" in report.ids
+    assert "2 mine-like, 1 not mine-like, 0 undecided; 1 of them missed" in summary.text
+    shown = re.findall(r"<tr><td>(C\d+)</td>", (tmp_path / "one-page.html").read_text(encoding="utf-8"))
+    assert shown == ["C0002", "C0003", "C0001"]  # judged a mine first, judged none last, and all of them there
+
+
+@pytest.mark.parametrize("said", ["<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "{{ 7 * 7 }}"])
+def test_verdicts_stay_text(said: str, tmp_path: Path) -> None:
+    report, summary = judged_page(tmp_path, said)
+    assert (report.tags.count("script"), summary.tags.count("script")) == (1, 0)
+    assert all(source.startswith("data:image/") for source in report.sources)
+    assert report.text.count(said) >= 7
+    assert said in summary.text
+
+
+def test_without_verdicts_nothing_speaks_of_them() -> None:
+    assert 'name="verdict"' not in full_page()
+    assert "Missed" not in Page(full_page()).text
 
 
 def test_a_mission_without_anything_gives_a_proper_page() -> None:

@@ -12,7 +12,8 @@ from typing import Any, Final
 
 import pytest
 
-from tests.sim_replay.report_samples import contact
+from sim_replay.verdicts import Verdict
+from tests.sim_replay.report_samples import contact, mission
 from tests.sim_replay.test_report import full_page
 
 BROWSER: Final = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -29,6 +30,8 @@ const type = (name, value) => {
   form[name].dispatchEvent(new Event('input', {bubbles: true}));
 };
 type('words', 'c0002'); found.words = rows(); type('words', '');
+type('verdict', 'judged'); found.judged = rows(); type('verdict', 'none');
+found.not_judged = rows(); type('verdict', '');
 type('least', '0.5'); found.least = rows();
 found.out = Array.from(document.querySelectorAll('.chart a.out')).map((mark) => mark.dataset.id);
 const chart = document.querySelector('.chart'), before = chart.getAttribute('viewBox');
@@ -51,7 +54,8 @@ def shown(page: str, path: Path) -> str:
 
 def test_table_and_map_obey(tmp_path: Path) -> None:
     contacts = [contact("C0001", 0.9), contact("C0002", 0.3, classification="clutter"), contact("C0003", 0.6)]
-    page = full_page(contacts=contacts)
+    one = Verdict(object="V0001", time="2026-05-04T10:00:00Z", by="kim", latitude_deg=55.0, longitude_deg=12.0)
+    page = full_page(contacts=contacts, mission=mission(verdicts=(one,)))
     unlocked = re.sub(r'<meta http-equiv="Content-Security-Policy".*?>', "", page)
     probed = shown(unlocked.replace("</body>", f"<script>{PROBE}</script></body>"), tmp_path / "probed.html")
     (text,) = re.findall(r'data-found="(.*?)"', probed)
@@ -59,6 +63,7 @@ def test_table_and_map_obey(tmp_path: Path) -> None:
     assert found["first"] == found["by_p"] == ["C0001", "C0003", "C0002"]
     assert found["by_p_rising"] == ["C0002", "C0003", "C0001"]
     assert found["words"] == ["C0002"]
+    assert [len(found["judged"]), len(found["not_judged"])] == [1, 2]
     assert sorted(found["least"]) == ["C0001", "C0003"]
     assert found["out"] == ["C0002"]
     assert found["zoomed"] == pytest.approx(1.5)

@@ -9,6 +9,7 @@ import pytest
 from auv_mcm.cli import main
 from drivers.recording.session_layout import file_name
 from sim_replay.export_source import recordings_of
+from sim_replay.verdicts import VERDICTS_FILE, Verdict, append_verdict
 from tests.sim_replay.logs.sonar_logs import run_of, write_session
 
 
@@ -19,8 +20,13 @@ def test_a_session_that_still_runs_has_a_report_and_keeps_its_files(tmp_path: Pa
     recording = write_session(run_of("jsf"), session / "recording")
     whole = (recording / file_name(0)).read_bytes()
     (recording / file_name(0)).write_bytes(whole[: len(whole) * 3 // 4])  # the last chunk is being written
+    one = Verdict(
+        object="V0001", time="2026-05-04T10:00:00Z", by="kim", latitude_deg=0.0, longitude_deg=0.0, drawn=True
+    )
+    append_verdict(session, one)
     assert main(["report", str(session)]) == 0
-    assert {path.name for path in session.iterdir()} == {"contacts.jsonl", "recording", "report"}
+    assert {path.name for path in session.iterdir()} == {"contacts.jsonl", "recording", "report", VERDICTS_FILE}
+    assert "V0001" in (session / "report" / "report.html").read_text(encoding="utf-8")
     assert {"report.html", "one-page.html", "contacts.geojson"} <= {
         path.name for path in (session / "report").iterdir()
     }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -30,8 +29,7 @@ from auv_mcm.classify.beliefs import (
 )
 from auv_mcm.classify.evidence import ClassEvidence, appriou_mass, view_mass
 from auv_mcm.records import ContactClass
-
-GRID = 1 << 20  # masses that are multiples of 1 / GRID are whole numbers to the oracle
+from sim_replay.benches.stability.back_rows import GRID, whole_masses
 
 
 @pytest.fixture(autouse=True)
@@ -44,38 +42,8 @@ def generator(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
-def whole_masses(seed: int, n: int, ignorance: int = GRID // 20) -> list[list[int]]:
-    """n masses in units of 1 / GRID, every other one of a few sets only."""
-    random = generator(seed)
-    masses = []
-    for k in range(n):
-        weights = random.exponential(size=N_SUBSETS) ** 6 * (random.random(N_SUBSETS) < (1.0, 0.2)[k % 2])
-        weights[[0, EVERYTHING]] = 0.0
-        weights[1 + k % EVERYTHING] += 1.0
-        mass = np.floor(weights / weights.sum() * (GRID - ignorance)).astype(int).tolist()
-        mass[EVERYTHING] += GRID - sum(mass)
-        masses.append(mass)
-    return masses
-
-
-def exact_chain(masses: list[list[int]]) -> list[int]:
-    """Conjunctive sums of all masses, in units of GRID ** -len(masses)."""
-    joint = masses[0]
-    for mass in masses[1:]:
-        fused = [0] * N_SUBSETS
-        for a, share in enumerate(joint):
-            for b, other in enumerate(mass):
-                fused[a & b] += share * other
-        joint = fused
-    return joint
-
-
 def floats(masses: list[list[int]]) -> Array:
     return np.array(masses) / GRID
-
-
-def shares(joint: list[int], total: int) -> list[float]:
-    return [float(Fraction(share, total)) for share in joint]
 
 
 def seen(mass: Array, k: int, n: int) -> ViewMass:
@@ -84,23 +52,6 @@ def seen(mass: Array, k: int, n: int) -> ViewMass:
 
 SURE = {name: np.eye(N_SUBSETS)[subset(name)] for name in FRAME}
 ZADEH = 0.99 * SURE["cylinder"] + 0.01 * SURE["wedge"], 0.99 * SURE["clutter"] + 0.01 * SURE["wedge"]
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_sixty_views_are_exact_against_rational_arithmetic(seed: int) -> None:
-    masses = whole_masses(seed, 60)
-    joint = exact_chain(masses)
-    total = GRID ** len(masses)
-    fused = dempster(floats(masses))
-    np.testing.assert_allclose(fused.mass, shares([0, *joint[1:]], total - joint[0]), rtol=1e-12, atol=0)
-    unit = Fraction(total - joint[0], total)
-    assert fused.log_agreement == pytest.approx(math.log(unit.numerator) - math.log(unit.denominator), rel=1e-12)
-    np.testing.assert_allclose(
-        yager(floats(masses)),
-        shares([0, *joint[1:EVERYTHING], joint[EVERYTHING] + joint[0]], total),
-        rtol=1e-12,
-        atol=0,
-    )
 
 
 def test_a_thousand_views_neither_underflow_nor_drift() -> None:

@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
 from auv_mcm.detect.candidates import NO_FAINT_PLACES, STEP_M
 from auv_mcm.detect.cascade.bands import (
     WINDOW,
@@ -22,17 +21,16 @@ from auv_mcm.detect.cascade.bands import (
     WINDOW_SHADOWS,
     FeatureBox,
     areas,
-    band_edges,
     margins_px,
     pixel_boxes,
 )
 from auv_mcm.detect.cascade.codes import MAX_BOX_PX, box_sums, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
-from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane, tables_of
+from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane
 from auv_mcm.detect.detect_tile import TileDetections, detect_tile
-from auv_mcm.kernels.cascade import WindowField, open_windows, open_windows_numpy, run_groups, run_groups_numpy
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 from auv_mcm.settings.config import Config, DetectConfig
+from sim_replay.benches.stability.front_rows import drawn_model
 from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 Codes = NDArray[np.uint16]
@@ -70,29 +68,6 @@ def model_of(*groups: tuple[Stump, ...], reject: int = 0) -> CascadeModel:
 MODEL = model_of((ratio(HIGHLIGHT, BEFORE, 3.0),), (contrast(BEFORE, SHADOW, 0.5),), (ratio(HIGHLIGHT, SHADOW, 10.0),))
 """Bright before something dark."""
 ALL_PASS = msgspec.structs.replace(MODEL, reject=(ANY_SCORE,) * 3)
-
-
-def drawn_model(seed: int, n_stumps: int = 12, largest: float = 3.0) -> CascadeModel:
-    """Random comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest, that drop
-    nothing.
-    """
-    random = np.random.Generator(np.random.PCG64(seed))
-
-    def box() -> FeatureBox:
-        top, near = random.uniform(-1.0, 0.4, 2)
-        length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
-        return FeatureBox(
-            float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0))
-        )
-
-    stumps = []
-    for k in range(n_stumps):
-        threshold = float(largest ** random.uniform(-1.0, 1.0))
-        leaf = int(random.integers(-900, 900))
-        stumps.append(
-            ratio(box(), box(), threshold, leaf) if k % 2 else contrast(box(), box(), threshold - 1.0 / threshold, leaf)
-        )
-    return model_of(tuple(stumps), reject=ANY_SCORE)
 
 
 def looked_at(tile: Tile, model: CascadeModel = MODEL) -> TileDetections:
@@ -192,31 +167,6 @@ def test_the_largest_model_does_not_wrap() -> None:
         result = run(tile, model)
         assert set(result.scores.tolist()) == {sign * MAX_STUMPS * MAX_LEAF}
         assert set(model.calibration.log_odds_of(result.scores).tolist()) == {sign * 6.0}
-
-
-@pytest.mark.skipif(kernels.backend() != "c", reason="compares the C kernels with their twins")
-@settings(max_examples=20)
-@given(seed=st.integers(0, 2**32 - 1), largest=st.sampled_from([1.0, 3.0, 1e3]))
-def test_c_and_numpy_agree_on_ties_and_on_the_darkest_and_brightest_codes(seed: int, largest: float) -> None:
-    random = np.random.Generator(np.random.PCG64(seed))
-    codes = random.choice(np.array([0, 0, 1, 1024, 16383, 16384], dtype=np.uint16), (12, 40))
-    codes[:, 10:25] = random.choice([0, 1024, 16384])
-    everywhere = np.ones(codes.shape, dtype=np.bool_)
-    plane, model = (
-        make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35),
-        drawn_model(seed, largest=largest),
-    )
-    tables = tables_of(model, 0.3, 0.35, plane.sums.shape[1])
-    corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
-    field = WindowField(plane.sums, plane.counts, corner, plane.usable, band_edges(plane.first_return_m, 40, 0.35))
-    (windows, n_windows, _), twin = open_windows(field, tables, 1), open_windows_numpy(field, tables, 1)
-    assert n_windows == twin.n_windows
-    for one, other in zip(windows, twin.windows, strict=True):
-        np.testing.assert_array_equal(one, other)
-    again = windows._replace(score=np.zeros_like(windows.score))
-    (one_by_one, _), (slow, _) = (f(plane.sums, tables, again, 0, 1) for f in (run_groups, run_groups_numpy))
-    np.testing.assert_array_equal(one_by_one.score, slow.score)
-    np.testing.assert_array_equal(one_by_one.score, windows.score)
 
 
 # --- what may be done to a tile without a score changing ---

@@ -139,9 +139,16 @@ def _detector(config: Config) -> Iterator[Finding]:
 
 
 def _models(config: Config) -> Iterator[Finding]:
+    from auv_mcm.classify.odds import configured_odds
     from auv_mcm.clearance.detection_performance import configured_performance
+    from auv_mcm.detect.cascade.choose import configured_model, fitting
+    from auv_mcm.model_file import SHIPPED
+    from auv_mcm.records import Detector
     from auv_mcm.seabed.seabed_model import configured_seabed_model
 
+    if config.confirm.odds != SHIPPED:
+        detector: Detector = "contrast" if fitting(configured_model(config), config)[0] is None else "cascade"
+        yield Finding("recalibrated odds", "ok", configured_odds(config.confirm.odds, detector).fitted_on)
     yield Finding("seabed model", "ok", configured_seabed_model(config).fitted_on)
     yield Finding("performance tables", "ok", configured_performance(config).fitted_on)
 

@@ -202,6 +202,15 @@ def test_a_cell_seen_in_two_tiles_of_a_pass_is_seen_once() -> None:
     assert int(reported.looks.max()) == 1
 
 
+def test_sub_apertures_of_a_long_pass_are_one_look() -> None:
+    a_pass = [Reported(30.0 * k, "port", 90.0, [(k, 0, 1.0, 10.0)]) for k in range(8)]
+    reported = snapshot(*(patch(each) for each in 3 * a_pass))
+    assert int(reported.looks.max()) == 1
+    assert p_at(reported, 0, 0) == p_at(snapshot(*map(patch, a_pass)), 0, 0)
+    again = [each._replace(start_s=each.start_s + 600.0) for each in a_pass]
+    assert int(snapshot(*map(patch, a_pass + again)).looks.max()) == 2
+
+
 def test_the_surest_look_shows_the_sea_floor() -> None:
     place = [(0, 0, 1.0, 25.0)]
     reported = snapshot(

@@ -48,6 +48,9 @@ def view(
 ALL_REPORTED = ContactsConfig(min_p_mine=0.0)
 
 
+ROW = [(10.0, 0.0), (10.0, 3.0), (10.2, 6.0)]
+
+
 def ledger() -> Ledger:
     return Ledger(ALL_REPORTED)
 
@@ -89,6 +92,18 @@ def test_detections_of_one_passage_never_join_even_at_one_place() -> None:
     book.add([view(0.0, 0.0, 100.0), view(0.0, 0.1, 100.1)])
     book.add([view(0.0, 0.05, 101.0)])
     assert len(book.contacts) == 3
+
+
+def test_sub_apertures_of_one_passage_are_views_of_the_same_objects() -> None:
+    book = ledger()
+    for squint_rad in (-0.05, 0.0, 0.05):
+        book.add([view(e, n, 100.0 + n, score=float(k), squint_rad=squint_rad) for k, (e, n) in enumerate(ROW)])
+    assert objects_in(book.contacts) == [{0.0}, {1.0}, {2.0}]
+    assert [len(contact.views) for contact in book.contacts] == [3, 3, 3]
+    together = ledger()
+    squinted = [(e, n, s) for e, n in ROW for s in (-0.05, 0.0, 0.05)]
+    together.add([view(e, n, 100.0 + n, score=n, squint_rad=squint_rad) for e, n, squint_rad in squinted])
+    assert [len(contact.views) for contact in together.contacts] == [3, 3, 3]
 
 
 def test_numbers_that_are_reserved_are_given_to_no_contact() -> None:

@@ -93,6 +93,17 @@ def test_only_samples_of_footprint_and_shadow_change(log: Path) -> None:
     assert done.objects[0].looks[0].visible_fraction > 0.8
 
 
+def test_a_synthetic_aperture_has_no_beam_to_smear_objects(log: Path) -> None:
+    wide = msgspec.structs.replace(CONFIG, sonar=msgspec.structs.replace(CONFIG.sonar, beam_width_deg=6.0))
+    sas = msgspec.structs.replace(CONFIG, sonar=msgspec.structs.replace(wide.sonar, kind="sas"))
+    n_pings = {
+        name: np.ptp(np.nonzero(changes(log, augmented(log, box(), config=config), config)["starboard"])[0])
+        for name, config in (("wide", wide), ("sas", sas))
+    }
+    assert n_pings["sas"] <= 1.3 / STEP_M + 1.0
+    assert n_pings["wide"] > n_pings["sas"] + 0.5 / STEP_M
+
+
 def test_the_shadow_is_dark_and_the_highlight_bright(log: Path) -> None:
     done = augmented(log, box(contrast_db=20.0))
     after = log.with_name("bright.xtf")

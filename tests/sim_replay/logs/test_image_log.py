@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 import tifffile
 import yaml
+from msgspec import structs
 from numpy.typing import NDArray
 
 from auv_mcm.cli import main
+from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig
-from sim_replay.logs.image_looks import doppler_centroid, mean_of_looks, sub_bands
+from sim_replay.logs.image_looks import doppler_centroid, mean_of_looks, sub_band, sub_bands
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.image_writer import write_images
 from sim_replay.logs.open_log import describe_log, kind_doubt, logs_config, open_log
@@ -314,3 +316,66 @@ def test_utm_places_a_known_tower() -> None:
     assert utm_to_geodetic(630084.0, 4833438.0, 17, north=True) == pytest.approx((43.642567, -79.387139), abs=1.5e-5)
     north, south = utm_to_geodetic(400_000.0, 3e6, 31, north=True), utm_to_geodetic(400_000.0, 7e6, 31, north=False)
     assert south == pytest.approx((-north[0], north[1]), abs=1e-12)
+
+
+# --- sub-apertures ---
+
+SUB_APERTURES: dict[str, Any] = {
+    "samples": "complex",
+    "sub_apertures": 3,
+    "integration_deg": 12.0,
+    "positive_doppler": "ahead",
+}
+
+
+@pytest.mark.parametrize("positive", ["ahead", "aft"])
+def test_sub_apertures_of_a_complex_image_come_one_after_another_with_their_squints(
+    positive: str, tmp_path: Path
+) -> None:
+    tone = np.exp(2j * np.pi * (1.0 / 3.0) * np.arange(N_LINES))  # at an edge of the spectrum's highest third
+    np.save(tmp_path / "a.npy", (tone[:, np.newaxis] * np.ones(N_PIXELS) + 1.0).astype(np.complex64))
+    path = beside(tmp_path / "a.npy", **(SUB_APERTURES | {"positive_doppler": positive}))
+    found = pings(path)
+    assert len(found) == 3 * N_LINES
+    assert [ping.number for ping in found] == list(range(3 * N_LINES))
+    assert [ping.time_s for ping in found[:N_LINES]] == [ping.time_s for ping in found[N_LINES : 2 * N_LINES]]
+    squint_deg = np.degrees([found[k * N_LINES].squint_rad for k in range(3)])
+    assert np.allclose(np.diff(squint_deg), 4.0 if positive == "ahead" else -4.0)
+    centroid = doppler_centroid(np.load(tmp_path / "a.npy"))
+    assert squint_deg[1] == pytest.approx(12.0 * centroid * (1.0 if positive == "ahead" else -1.0))
+    image = np.load(tmp_path / "a.npy")
+    for part, formed in enumerate(sub_bands(image, 3, centroid, 1.0)):
+        assert np.array_equal(intensities(path)[part * N_LINES : (part + 1) * N_LINES], formed)
+        assert np.array_equal(sub_band(image, 3, part, centroid, 1.0), formed)
+
+
+@pytest.mark.parametrize(
+    ("changes", "asked"),
+    [
+        ({"samples": "amplitude"}, "squint_deg"),
+        ({"integration_deg": None}, "integration_deg"),
+        ({"positive_doppler": None}, "positive_doppler"),
+        ({"looks": 2}, "keep one"),
+        ({"sub_apertures": 1}, "sub_apertures"),
+    ],
+)
+def test_sub_apertures_that_cannot_be_formed_are_refused(changes: dict[str, Any], asked: str, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", plane().astype(np.complex64))
+    with pytest.raises(BadInputError, match=asked):
+        pings(beside(tmp_path / "a.npy", **(SUB_APERTURES | changes)))
+
+
+def test_images_of_sub_apertures_become_views_of_each_contact(tmp_path: Path) -> None:
+    squints_rad = (-0.04, 0.0, 0.04)
+    seen: list[NavSample | Ping] = [event for event in mission() if isinstance(event, NavSample)]
+    for squint_rad in squints_rad:
+        seen += [structs.replace(event, squint_rad=squint_rad) for event in mission() if isinstance(event, Ping)]
+    events = list(open_mission(write_images(tmp_path, seen), SAS).events())
+    found = [contact for contact in contacts_of(iter(events), SAS) if contact.p_mine > 0.25]
+    assert len(found) == 2
+    for contact in found:
+        views = sorted(contact.views, key=lambda view: view.squint_rad)
+        assert [view.squint_rad for view in views] == pytest.approx(squints_rad)
+        turned_deg = np.diff([view.aspect_deg for view in views])
+        ahead_is_clockwise = contact.views[0].side == "port"
+        assert np.allclose(turned_deg, math.degrees(0.04) * (1.0 if ahead_is_clockwise else -1.0), atol=0.2)

@@ -1,0 +1,753 @@
+"""Rows of confirmation, classification, contacts, geodesy and clearance."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+from fractions import Fraction
+from types import SimpleNamespace
+from typing import Any, Final
+
+import mpmath
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.classify.beliefs import EVERYTHING, N_SUBSETS, dempster, yager
+from auv_mcm.classify.fit import Effort, fit_shapes
+from auv_mcm.classify.likelihood import image_row_sums, labels_cost
+from auv_mcm.classify.odds import share_of_ratio, shipped_odds
+from auv_mcm.clearance.clearance_map import clearance_over, unsearched
+from auv_mcm.clearance.residual import SHAPE, remaining_about
+from auv_mcm.confirm.likelihoods import (
+    BackgroundLaw,
+    background_cost,
+    gamma_cost,
+    inverse_trigamma,
+    log_bessel_k,
+    trigamma,
+)
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
+from auv_mcm.confirm.snake import COARSE, snake_settings
+from auv_mcm.contacts import background
+from auv_mcm.contacts.assignment import cheapest_columns
+from auv_mcm.contacts.ledger import fused_position
+from auv_mcm.contacts.pairing import MIN_COVARIANCE_M2, squared_deviation
+from auv_mcm.detect.belief import odds_of, probability
+from auv_mcm.geometry.geodesy import (
+    FLATTENING,
+    SEMI_MAJOR_M,
+    LocalFrame,
+    ecef_to_geodetic,
+    geodetic_to_ecef,
+)
+from auv_mcm.geometry.shadow import shadow_height_m
+from auv_mcm.kernels import mean_field, pair_costs, shape, snake, snake_twin, soft_edges, speckle, trws
+from auv_mcm.kernels.shape import Solid
+from auv_mcm.solids.shapes import TruncatedCone, view_shape
+from sim_replay.benches.stability.rows import (
+    Exact,
+    Found,
+    NumberRow,
+    Watch,
+    absolute,
+    exact,
+    random_of,
+    relative,
+    unlike,
+)
+
+Values = NDArray[np.float64]
+
+GRID: Final = 1 << 20
+"""Masses that are multiples of 1 / GRID are whole numbers to the reference."""
+
+
+# --- confirmation
+
+
+def _bessel(watch: Watch, quick: bool) -> Found:
+    worst = 0.0
+    for order in (0.0, 0.7, 5.0, 49.5):
+        x = 10.0 ** np.linspace(-3.5, 5.5, 6 if quick else 40)
+        found = watch(log_bessel_k, order, x)
+        wanted = [mpmath.log(mpmath.besselk(mpmath.mpf(order), mpmath.mpf(value))) for value in x.tolist()]
+        worst = max(
+            worst,
+            absolute([f / max(abs(f), 1.0) for f in found.tolist()], [w / max(abs(float(w)), 1.0) for w in wanted]),
+        )
+    return Found(worst)
+
+
+def _trigamma(watch: Watch, quick: bool) -> Found:
+    x = (10.0 ** np.linspace(-4.0, 8.0, 12 if quick else 120)).tolist()
+    return Found(relative([watch(trigamma, value) for value in x], [mpmath.psi(1, mpmath.mpf(value)) for value in x]))
+
+
+def _inverse_trigamma(watch: Watch, quick: bool) -> Found:
+    """Compare the value at the place found with the value asked for."""
+    values = (10.0 ** np.linspace(-7.0, 7.0, 8 if quick else 60)).tolist()
+    found = [watch(inverse_trigamma, value) for value in values]
+    return Found(
+        max(abs(float(mpmath.psi(1, mpmath.mpf(x)) / value - 1)) for x, value in zip(found, values, strict=True))
+    )
+
+
+def _law_cost(nu: float, gain: float, watch: Watch, quick: bool) -> Found:
+    """Compare costs of intensities with the law's own, in nats or shares of the cost, whichever is more."""
+    looks = 1.7
+    intensity = 10.0 ** np.linspace(-6.5, 3.0, 12 if quick else 100) * gain
+    found = watch(background_cost, intensity, gain, BackgroundLaw(looks, nu))
+    if math.isinf(nu):
+        other = watch(gamma_cost, intensity, gain, looks)
+        found = np.where(found == other, found, np.nan)
+    wanted: list[mpmath.mpf] = []
+    log_mean = mpmath.log(mpmath.mpf(gain))
+    n = mpmath.mpf(looks)
+    for value in intensity.tolist():
+        ratio = mpmath.mpf(value) / mpmath.mpf(gain)
+        if math.isinf(nu):
+            wanted.append(n * (ratio + log_mean))
+            continue
+        v = mpmath.mpf(nu)
+        bessel = mpmath.log(mpmath.besselk(v - n, 2 * mpmath.sqrt(n * v * ratio)))
+        own = (n - v) / 2 * mpmath.log(ratio) - bessel - mpmath.log(2) + mpmath.loggamma(v)
+        wanted.append(own - (n + v) / 2 * mpmath.log(n * v) + n * mpmath.log(n) + n * log_mean)
+    scale = [max(abs(float(w)), 1.0) for w in wanted]
+    return Found(
+        absolute(
+            [f / s for f, s in zip(found.tolist(), scale, strict=True)],
+            [w / s for w, s in zip(wanted, scale, strict=True)],
+        )
+    )
+
+
+def _field(scale: float, watch: Watch, _: bool) -> Found:
+    """Hold energies to fractions, and bounds to the minimum over all labels of small fields."""
+    worst = 0.0
+    every = np.array(list(itertools.product(range(3), repeat=9)))
+    for seed in range(3):
+        random = random_of(seed)
+        unary = random.exponential(size=(3, 3, 3)) * scale
+        weight = random.exponential(size=4) * 0.5 * scale
+        found = watch(trws.trws, unary, weight, 60)
+        # Rounding of an extended number decides between no two labellings that differ.
+        energies = unary.reshape(9, 3).astype(np.longdouble)[np.arange(9), every].sum(axis=1)
+        for one, other, edge in _EDGES:
+            energies += np.longdouble(weight[edge]) * (every[:, one] != every[:, other])
+        best = _energy(every[int(energies.argmin())].tolist(), unary, weight)
+        own = _energy(found.labels.ravel().tolist(), unary, weight)
+        worst = max(worst, relative([found.energy, watch(trws.energy_of, found.labels, unary, weight)], [own, own]))
+        worst = max(worst, float((Fraction(found.lower_bound) - best) / best))
+    return Found(worst)
+
+
+_EDGES: Final = tuple(
+    (3 * row + column, 3 * (row + down) + column + right, edge)
+    for row, column in itertools.product(range(3), repeat=2)
+    for edge, (down, right) in enumerate(((0, 1), (1, -1), (1, 0), (1, 1)))
+    if row + down < 3 and 0 <= column + right < 3
+)
+"""Cells at both ends, and direction, of the edges of three by three cells."""
+
+
+def _energy(labels: list[int], unary: Values, weight: Values) -> Fraction:
+    total = sum((Fraction(float(unary[k // 3, k % 3, label])) for k, label in enumerate(labels)), Fraction(0))
+    return total + sum(Fraction(float(weight[edge])) * (labels[one] != labels[other]) for one, other, edge in _EDGES)
+
+
+def _softmin(scale: float, watch: Watch, quick: bool) -> Found:
+    cost = random_of(2).normal(size=(3, 4, 5 if quick else 60)) * scale
+    found = watch(mean_field.softmin, cost)
+    wanted = []
+    for cell in cost.reshape(3, -1).T.tolist():
+        weights = [mpmath.exp(-(mpmath.mpf(value) - mpmath.mpf(min(cell)))) for value in cell]
+        wanted.append([weight / sum(weights) for weight in weights])
+    return Found(absolute(found.reshape(3, -1).T.ravel().tolist(), [p for cell in wanted for p in cell]))
+
+
+def _field_twins(watch: Watch, _: bool) -> Found:
+    """Compare labels, energies and probabilities of C with those of numpy; what differs by labels counts whole."""
+    worst = 0.0
+    for seed, scale in enumerate((1e-30, 1.0, 1e6, 1e30)):
+        random = random_of(seed)
+        unary, weight = random.exponential(size=(9, 11, 3)) * scale, random.exponential(size=4) * 0.4 * scale
+        one, other = watch(trws.trws, unary, weight, 12), trws.trws_numpy(unary, weight, 12)
+        worst = max(worst, unlike(one.labels, other.labels), unlike(np.array(one[1:3]), np.array(other[1:3])))
+        labels = random.integers(0, 3, (9, 11)).astype(np.uint8)
+        worst = max(
+            worst, unlike(watch(trws.icm, unary, weight, labels, 9)[0], trws.icm_numpy(unary, weight, labels, 9)[0])
+        )
+        cost = np.ascontiguousarray(np.moveaxis(unary, 2, 0))
+        start = mean_field.softmin(cost)
+        found = watch(mean_field.sweep, cost, weight, 5, start)
+        worst = max(worst, float(np.abs(found - mean_field.sweep_numpy(cost, weight, 5, start)).max()))
+    return Found(worst)
+
+
+def _speckle_twins(watch: Watch, _: bool) -> Found:
+    """Compare half mean squared differences with sums of fractions; C and numpy are held to the same."""
+    worst = 0.0
+    for gain, offset in ((1e-30, 0.0), (1.0, 0.0), (1.0, 1e4), (1e30, 0.0)):
+        plane = (random_of(3).exponential(size=(12, 17)) + offset) * gain
+        usable = random_of(4).random(plane.shape) < 0.9
+        for kernel in (functools.partial(watch, speckle.half_differences), speckle.half_differences_numpy):
+            found = kernel(plane, usable, (1, 2), 3)
+            for axis, lag in itertools.product((0, 1), (1, 2)):
+                one, known = np.moveaxis(plane, axis, 0), np.moveaxis(usable, axis, 0)
+                pairs = known[lag:] & known[:-lag]
+                squares = [
+                    (Fraction(a) - Fraction(b)) ** 2
+                    for a, b in zip(one[lag:][pairs].tolist(), one[:-lag][pairs].tolist(), strict=True)
+                ]
+                wanted = sum(squares, Fraction(0)) / (2 * len(squares))
+                worst = max(worst, relative([float(found[axis, (1, 2).index(lag)])], [wanted]))
+    return Found(worst)
+
+
+def region_of(gain: float = 1.0, seed: int = 1) -> Region:
+    """Draw speckle with a highlight and a shadow, 30 rows of 12 cm and 60 columns of 6 cm."""
+    intensity = random_of(seed).exponential(size=(30, 60))
+    intensity[12:18, 18:24] *= 8.0
+    intensity[12:18, 24:44] *= 0.05
+    return Region(
+        intensity=intensity * gain,
+        valid=np.ones((30, 60), dtype=np.bool_),
+        altitude_m=6.0,
+        row_spacing_m=0.12,
+        column_spacing_m=0.06,
+        first_ground_range_m=16.0,
+        row=15.0,
+        column=22.0,
+        beam_width_rad=0.007,
+    )
+
+
+def _labels() -> NDArray[np.uint8]:
+    labels = np.full((30, 60), BACKGROUND, dtype=np.uint8)
+    labels[12:18, 18:24], labels[12:18, 24:44] = HIGHLIGHT, SHADOW
+    return labels
+
+
+def _box(top: float, near: float, foot: float, far: float) -> Values:
+    return np.array([[top, near], [top, far], [foot, far], [foot, near]])
+
+
+def _contours(gain: float, watch: Watch, _: bool) -> Found:
+    """Count nodes that differ from those of the Python twin, and from those at gain 1."""
+    ends = []
+    for factor in (gain, 1.0):
+        region = region_of(factor)
+        table = watch(snake.window_row_sums, region.intensity, region.valid).table
+        known = snake_settings(region, table, 1.5)
+        start = (_box(11, 17, 19, 24), _box(11, 24, 19, 42))
+        schedule = np.array(COARSE)
+        ends.append(watch(snake.move_pair, table, known, schedule, *start))
+        twin = snake_twin.move_pair(table, known, schedule, *start)
+        ends.append(twin)
+    first = ends[0]
+    return Found(sum(unlike(first.highlight, end.highlight) + unlike(first.shadow, end.shadow) for end in ends[1:]))
+
+
+def _window_sums(kind: str, watch: Watch, _: bool) -> Found:
+    """Hold a window's sums to those of its pixels rounded to 2^-20 of the mean."""
+    drawn = random_of(6).exponential(size=(20, 300))
+    intensity = {"gain 1e-30": drawn * 1e-30, "gain 1e30": drawn * 1e30, "offset 1e6": drawn + 1e6}[kind]
+    sums = watch(snake.window_row_sums, intensity, np.ones(drawn.shape, dtype=np.bool_))
+    mean = Fraction(math.fsum(intensity.ravel().tolist())) / intensity.size
+    wanted = [Fraction(math.fsum(row)) / mean for row in intensity.tolist()]
+    return Found(relative(sums.table[:, -1, 0].tolist(), wanted))
+
+
+def _soft_twins(watch: Watch, _: bool) -> Found:
+    """Count labels and costs that differ between C and numpy."""
+    n_unlike = 0.0
+    for seed, gain in enumerate((1e-30, 1.0, 1e30)):
+        region, labels = region_of(gain, seed), _labels()
+        level = np.array([1.0, 0.05, 8.0]) * gain
+        spread = soft_edges.point_spread(0.8)
+        arguments: dict[str, Any] = {
+            "level": level,
+            "spread_rows": spread,
+            "spread_columns": spread,
+            "weight": np.array([0.5, 0.3, 0.5, 0.3]),
+            "information": 0.7,
+            "n_sweeps": 3,
+        }
+        n_unlike += unlike(
+            watch(soft_edges.soft_edges, region.intensity, region.valid, labels, **arguments),
+            soft_edges.soft_edges_numpy(region.intensity, region.valid, labels, **arguments),
+        )
+        reach = np.full(60, 12, dtype=np.int64)
+        lack = pair_costs.Lack(4.0, 0.1)
+        n_unlike += unlike(
+            watch(pair_costs.pair_costs, labels, reach, 3, lack, lack),
+            pair_costs.pair_costs_numpy(labels, reach, 3, lack, lack),
+        )
+    return Found(n_unlike)
+
+
+# --- classification
+
+
+def _explained(gain: float, watch: Watch, _: bool) -> Found:
+    """Compare what labels explain with the same sums of 50 digits, in shares of the cost."""
+    region, labels = region_of(gain), _labels()
+    image = image_row_sums(region, 1.5)
+    found = watch(labels_cost, region, labels, 1.5)
+    assert image is not None
+    ordered = sorted(Fraction(value) for value in region.intensity.ravel().tolist())
+    floor = exact((ordered[899] + ordered[900]) / 2) * mpmath.power(1 - mpmath.mpf(1) / 9, -3)
+    capped = [min(exact(value) / floor, mpmath.mpf(3)) for value in region.intensity.ravel().tolist()]
+    mean_of_all = mpmath.fsum(capped) / len(capped)
+    cost = mpmath.mpf(0)
+    for label in (BACKGROUND, SHADOW, HIGHLIGHT):
+        values = [
+            value / mean_of_all for value, own in zip(capped, labels.ravel().tolist(), strict=True) if own == label
+        ]
+        mean = mpmath.fsum(values) / len(values)
+        cost += len(values) * mpmath.log(mean) + mpmath.fsum(values) / mean - len(values)
+    return Found(relative([found], [cost * mpmath.mpf(image.samples_per_pixel)]))
+
+
+_HYPOTHESES: Final[dict[Solid, tuple[float, ...]]] = {
+    "sphere": (1.8, 17.4, 1.0, 0.4, 0.1, 0.0, 0.0, 0.0),
+    "cylinder": (1.8, 17.4, 1.0, 0.25, 1.4, 0.4, 0.05, 0.0),
+    "truncated_cone": (1.8, 17.4, 1.0, 0.49, 0.25, 0.47, 0.0, 0.0),
+    "wedge": (1.8, 17.4, 1.0, 1.0, 0.7, 0.4, 0.3, 0.0),
+}
+
+
+def _solid_costs(kind: str, watch: Watch, quick: bool) -> Found:
+    """Compare costs of C with those of numpy, in nats per pixel."""
+    region = {
+        "one look": region_of(),
+        "constant": msgspec.structs.replace(region_of(), intensity=np.ones((30, 60))),
+    }.get(kind, region_of(1e30 if kind == "gain 1e30" else 1e-30))
+    image = image_row_sums(region, 1.5)
+    assert image is not None
+    beam = shape.Beam(np.array([-0.004, 0.0, 0.004]), np.array([0.2, 0.6, 0.2]))
+    worst = 0.0
+    for solid, fields in _HYPOTHESES.items():
+        drawn = np.array(fields) * random_of(5).uniform(0.8, 1.25, (20 if quick else 400, 8))
+        if kind == "near-zero heights":
+            drawn[:, 5] *= 1e-9
+        one, other = (
+            watch(shape.shape_costs, solid, drawn, image, beam),
+            shape.shape_costs_numpy(solid, drawn, image, beam),
+        )
+        worst = max(worst, float(np.abs(one.cost - other.cost).max()) / region.intensity.size)
+    return Found(worst)
+
+
+_QUICK: Final = Effort(48, 3, 3, 4, 1, 3, 4)  # a hundredth of the default's hypotheses: numpy takes long
+
+
+def _solid_fits(watch: Watch, quick: bool) -> Found:
+    """Compare sizes and places of fits on either kernel, in metres; another class counts as infinite."""
+    effort = _QUICK if quick else Effort()
+    seeds = (1,) if quick else (1, 2, 3, 4)
+    command = [sys.executable, "-m", __name__, str(int(quick)), *map(str, seeds)]
+    environment = {**os.environ, "AUV_MCM_KERNELS": "numpy"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=True)
+    worst = 0.0
+    for seed, other in zip(seeds, json.loads(done.stdout), strict=True):
+        one = watch(_fitted, seed, effort)
+        worst = max(worst, math.inf if one[0] != other[0] else float(np.abs(np.subtract(one[1], other[1])).max()))
+    return Found(worst)
+
+
+def _fitted(seed: int, effort: Effort) -> tuple[str, list[float]]:
+    """Fit solids to a region; returns the best class, and its sizes and place in metres."""
+    region = region_of(seed=seed)
+    best = fit_shapes(region, None, 1.5, effort=effort).fits[0]
+    sizes = [value for name, value in msgspec.structs.asdict(best.best.shape).items() if name.endswith("_m")]
+    return best.solid, [*sizes, best.best.ground_range_m, best.best.row * region.row_spacing_m]
+
+
+def _shadow_of_nothing(watch: Watch, _: bool) -> Found:
+    """Compare where shadows of cones of next to no height end with similar triangles, relative to the range."""
+    altitude_m, place_m, radius_m = 5.0, 20.0, 0.4
+    found, wanted = [], []
+    for height_m in (1e-12, 1e-9, 1e-6, 1e-3, 0.5):
+        cone = TruncatedCone(base_radius_m=radius_m, top_radius_m=radius_m, height_m=height_m)
+        view = watch(view_shape, cone, np.zeros(1), place_m, altitude_m)
+        found.append(float(view.shadow_end_m[0]))
+        wanted.append(
+            (Fraction(place_m) + Fraction(radius_m))
+            * Fraction(altitude_m)
+            / (Fraction(altitude_m) - Fraction(height_m))
+        )
+    return Found(relative(found, wanted))
+
+
+def _shadow_height(watch: Watch, _: bool) -> Found:
+    found, wanted, condition = [], [], 0.0
+    for altitude_m, top_m in itertools.product((0.3, 5.0, 200.0), (0.0, 0.1, 20.0, 150.0)):
+        for length_m in (0.0, 1e-9, 1e-6, 1e-3, 0.5, 40.0):
+            end_m = top_m + length_m
+            found.append(watch(shadow_height_m, altitude_m, top_m, end_m))
+            top, end = (mpmath.hypot(mpmath.mpf(place), mpmath.mpf(altitude_m)) for place in (top_m, end_m))
+            wanted.append(mpmath.mpf(altitude_m) * (1 - top / end))
+            if length_m > 0.0:
+                condition = max(condition, top_m / (end_m - top_m))
+    return Found(relative(found, wanted), condition=condition)
+
+
+def _mine_odds(watch: Watch, _: bool) -> Found:
+    """Compare log-odds of the shipped trees with sums of fractions, in nats."""
+    odds = shipped_odds("cascade")
+    worst = 0.0
+    for seed in range(3):
+        for weights in (odds.detector, odds.contours, odds.shape):
+            names = sorted(set(weights.weights) | {name for tree in weights.trees for name, *_ in tree.ask})
+            features = dict(zip(names, (10.0 ** random_of(seed).uniform(-30.0, 2.0, len(names))).tolist(), strict=True))
+            total = Fraction(weights.offset)
+            total += sum((Fraction(w) * Fraction(features[name]) for name, w in weights.weights.items()), Fraction(0))
+            for tree in weights.trees:
+                place = 0 if tree.ask else -1
+                while place >= 0:
+                    name, threshold, no, yes = tree.ask[place]
+                    place = yes if features[name] > threshold else no
+                total += Fraction(tree.nats[-1 - place])
+            worst = max(worst, absolute([watch(weights.log_odds, features)], [total]))
+    return Found(worst)
+
+
+def _probabilities(watch: Watch, _: bool) -> Found:
+    odds = [-700.0, -40.0, -12.0, -1e-9, 0.0, 1e-300, 3.0, 12.0, 40.0, 700.0]
+    found = [watch(probability, value) for value in odds] + [watch(share_of_ratio, 0.0)]
+    wanted: list[Exact] = [1 / (1 + mpmath.exp(-mpmath.mpf(value))) for value in odds]
+    back = [1e-6, 0.1, 0.5, 0.9]
+    found += [watch(odds_of, p) for p in back]
+    wanted += [Fraction(1, 2)] + [mpmath.log(mpmath.mpf(p) / (1 - mpmath.mpf(p))) for p in back]
+    return Found(relative(found, wanted))
+
+
+def _null(area_km2: float, gain: float, watch: Watch, _: bool) -> Found:
+    """Measure how far Newton's next step, of 50 digits, would move the background found, in nats at a knot."""
+    prior = background.shipped_background().cascade
+    counts = np.floor(random_of(1).exponential(3.0, background.N_BINS) * gain)
+    values, covariance = watch(background.known_background, counts, area_km2, prior)
+    weights = background.interpolation(background.LEVELS_NATS + 0.5 * background.BIN_NATS)
+    n_knots = len(values)
+    precision = mpmath.matrix(np.array(prior.covariance).tolist()) ** -1
+    off = mpmath.matrix([mpmath.mpf(a) - mpmath.mpf(b) for a, b in zip(values.tolist(), prior.mean, strict=True)])
+    gradient, information = -(precision * off), precision.copy()
+    for n, row in zip(counts.tolist(), weights.tolist(), strict=True):
+        known = [k for k in range(n_knots) if row[k] != 0.0]
+        level = mpmath.fsum(mpmath.mpf(row[k]) * mpmath.mpf(values[k]) for k in known)
+        expected = mpmath.mpf(area_km2) * mpmath.mpf(background.BIN_NATS) * mpmath.exp(level)
+        for k in known:
+            gradient[k] += (mpmath.mpf(n) - expected) * mpmath.mpf(row[k])
+            for j in known:
+                information[k, j] += expected * mpmath.mpf(row[k]) * mpmath.mpf(row[j])
+    step = mpmath.lu_solve(information, gradient)
+    return Found(float(max(abs(value) for value in step)), condition=float(np.linalg.cond(covariance)))
+
+
+def whole_masses(seed: int, n: int, ignorance: int = GRID // 20) -> list[list[int]]:
+    """Draw n masses in units of 1 / GRID, every other one of a few sets only."""
+    random = random_of(seed)
+    masses = []
+    for k in range(n):
+        weights = random.exponential(size=N_SUBSETS) ** 6 * (random.random(N_SUBSETS) < (1.0, 0.2)[k % 2])
+        weights[[0, EVERYTHING]] = 0.0
+        weights[1 + k % EVERYTHING] += 1.0
+        mass: list[int] = np.floor(weights / weights.sum() * (GRID - ignorance)).astype(int).tolist()
+        mass[EVERYTHING] += GRID - sum(mass)
+        masses.append(mass)
+    return masses
+
+
+def exact_chain(masses: list[list[int]]) -> list[int]:
+    """Combine masses conjunctively, in units of GRID ** -len(masses)."""
+    joint = masses[0]
+    for mass in masses[1:]:
+        fused = [0] * N_SUBSETS
+        for a, share in enumerate(joint):
+            for b, other in enumerate(mass):
+                fused[a & b] += share * other
+        joint = fused
+    return joint
+
+
+def _views(n: int, rule: str, watch: Watch, quick: bool) -> Found:
+    worst = 0.0
+    for seed in range(1 if quick else 4):
+        masses = whole_masses(seed, n)
+        joint, total = exact_chain(masses), GRID ** len(masses)
+        stack = np.array(masses) / GRID
+        if rule == "dempster":
+            found = watch(dempster, stack)
+            worst = max(worst, relative(found.mass.tolist(), [Fraction(m, total - joint[0]) for m in [0, *joint[1:]]]))
+            unit = mpmath.log(mpmath.mpf(total - joint[0]) / total)
+            worst = max(worst, relative([float(found.log_agreement)], [unit]))
+        else:
+            wanted = [0, *joint[1:EVERYTHING], joint[EVERYTHING] + joint[0]]
+            worst = max(worst, relative(watch(yager, stack).tolist(), [Fraction(m, total) for m in wanted]))
+    return Found(worst)
+
+
+# --- contacts, geodesy, clearance
+
+
+def _covariances(ratio: float, n: int) -> list[Values]:
+    """Draw covariances, m², whose axes are as far apart as the ratio."""
+    random = random_of(9)
+    drawn = []
+    for angle in random.uniform(0.0, math.pi, n).tolist():
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        both = turn @ np.diag([1.0, ratio]) @ turn.T
+        drawn.append(0.5 * (both + both.T))
+    return drawn
+
+
+def _deviation(ratio: float, watch: Watch, quick: bool) -> Found:
+    covariances = _covariances(ratio, 8 if quick else 80)
+    offsets = random_of(2).normal(size=(len(covariances), 2))
+    found, wanted, condition = [], [], 0.0
+    nothing = np.zeros((2, 2))
+    for one, offset in zip(covariances, offsets, strict=True):
+        found.append(watch(squared_deviation, offset, one, nothing))
+        (a, b), (_, d) = [[Fraction(v) for v in row] for row in (one + MIN_COVARIANCE_M2).tolist()]
+        x, y = (Fraction(v) for v in offset.tolist())
+        wanted.append((d * x * x - 2 * b * x * y + a * y * y) / (a * d - b * b))
+        condition = max(condition, float(np.linalg.cond(one + MIN_COVARIANCE_M2)))
+    return Found(relative(found, wanted), condition=condition)
+
+
+def _merged(latitude_deg: float, ratio: float, watch: Watch, quick: bool) -> Found:
+    """Compare the place merged from 60 views with the same sums of fractions in the same plane, m."""
+    n = 10 if quick else 60
+    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=179.99999)
+    offsets = random_of(4).normal(0.0, 2.0, (n, 2))
+    offsets[0] = 0.0
+    latitude, longitude, _ = frame.to_geodetic(np.column_stack([offsets, np.zeros(n)]))
+    covariances = _covariances(ratio, n)
+    views = tuple(
+        _view(lat, lon, covariance)
+        for lat, lon, covariance in zip(latitude.tolist(), longitude.tolist(), covariances, strict=True)
+    )
+    merged = watch(fused_position, views)
+    found = LocalFrame(latitude_deg=views[0].latitude_deg, longitude_deg=views[0].longitude_deg).to_enu(
+        merged[0], merged[1], 0.0
+    )[:2]
+    total, moment = [Fraction(0)] * 3, [Fraction(0)] * 2
+    for covariance, (x, y) in zip(covariances, offsets.tolist(), strict=True):
+        (a, b), (_, d) = [[Fraction(v) for v in row] for row in (covariance + MIN_COVARIANCE_M2).tolist()]
+        determinant = a * d - b * b
+        p, q, r = d / determinant, -b / determinant, a / determinant
+        total = [total[0] + p, total[1] + q, total[2] + r]
+        moment = [moment[0] + p * Fraction(x) + q * Fraction(y), moment[1] + q * Fraction(x) + r * Fraction(y)]
+    determinant = total[0] * total[2] - total[1] ** 2
+    wanted = [
+        (total[2] * moment[0] - total[1] * moment[1]) / determinant,
+        (total[0] * moment[1] - total[1] * moment[0]) / determinant,
+    ]
+    return Found(absolute(found.tolist(), wanted), condition=float(np.linalg.cond(covariances[0] + MIN_COVARIANCE_M2)))
+
+
+def _view(latitude_deg: float, longitude_deg: float, covariance: Values) -> Any:
+    return SimpleNamespace(latitude_deg=latitude_deg, longitude_deg=longitude_deg, covariance_m2=covariance)
+
+
+def _assignment(scale: float, watch: Watch, quick: bool) -> Found:
+    worst = 0.0
+    for seed in range(4 if quick else 40):
+        cost = random_of(seed).exponential(size=(5, 6)) * scale
+        chosen = watch(cheapest_columns, cost).tolist()
+        fractions = [[Fraction(v) for v in row] for row in cost.tolist()]
+        best = min(sum(fractions[k][c] for k, c in enumerate(way)) for way in itertools.permutations(range(6), 5))
+        own = sum(fractions[k][c] for k, c in enumerate(chosen))
+        worst = max(worst, float((own - best) / best))
+    return Found(worst)
+
+
+_LATITUDES_DEG: Final = (0.0, 1e-12, 43.0, 89.99, -89.99, 90.0)  # equator to poles, and next to both
+_LONGITUDES_DEG: Final = (0.0, 5.5, 179.9999999, -180.0)  # up to the antimeridian
+
+
+def _to_ecef(latitude_deg: float, longitude_deg: float, height_m: float) -> list[mpmath.mpf]:
+    latitude, longitude = (mpmath.mpf(angle) * mpmath.pi / 180 for angle in (latitude_deg, longitude_deg))
+    flattening, major = 1 / (1 / mpmath.mpf(FLATTENING)), mpmath.mpf(SEMI_MAJOR_M)
+    squared = flattening * (2 - flattening)
+    vertical = major / mpmath.sqrt(1 - squared * mpmath.sin(latitude) ** 2)
+    axis = (vertical + height_m) * mpmath.cos(latitude)
+    return [
+        axis * mpmath.cos(longitude),
+        axis * mpmath.sin(longitude),
+        (vertical * (1 - squared) + height_m) * mpmath.sin(latitude),
+    ]
+
+
+def _there(watch: Watch, _: bool) -> Found:
+    worst = 0.0
+    for place in itertools.product(_LATITUDES_DEG, _LONGITUDES_DEG, (-11_000.0, 0.0, 1000.0)):
+        worst = max(worst, absolute(watch(geodetic_to_ecef, *place).tolist(), _to_ecef(*place)))
+    return Found(worst)
+
+
+def _back(watch: Watch, _: bool) -> Found:
+    """Measure how far the place found lies from the one asked for, m."""
+    worst = 0.0
+    for place in itertools.product(_LATITUDES_DEG, _LONGITUDES_DEG, (-11_000.0, 0.0, 1000.0)):
+        ecef = geodetic_to_ecef(*place)
+        found = watch(ecef_to_geodetic, ecef)
+        worst = max(worst, absolute(ecef.tolist(), _to_ecef(*(float(part) for part in found))))
+    return Found(worst)
+
+
+def _plane(latitude_deg: float, watch: Watch, _: bool) -> Found:
+    """Compare a survey's places in its plane, out to 20 km, with 50 digits, m."""
+    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=179.9999)
+    rotation = _rotation(latitude_deg, 179.9999)
+    origin = _to_ecef(latitude_deg, 179.9999, 0.0)
+    worst = 0.0
+    for enu in ([1e-3, -1e-3, 0.0], [1000.0, 500.0, -30.0], [-20_000.0, 9000.0, 0.0]):
+        latitude, longitude, height = watch(frame.to_geodetic, np.array(enu))
+        place = float(latitude), float(longitude), float(height)
+        offset = [a - b for a, b in zip(_to_ecef(*place), origin, strict=True)]
+        wanted = [mpmath.fsum(axis[k] * offset[k] for k in range(3)) for axis in rotation]
+        worst = max(worst, absolute(watch(frame.to_enu, *place).tolist(), wanted), absolute(enu, wanted))
+    return Found(worst)
+
+
+def _rotation(latitude_deg: float, longitude_deg: float) -> list[list[mpmath.mpf]]:
+    latitude, longitude = (mpmath.mpf(angle) * mpmath.pi / 180 for angle in (latitude_deg, longitude_deg))
+    (s, c), (sl, cl) = ((mpmath.sin(angle), mpmath.cos(angle)) for angle in (latitude, longitude))
+    return [[-sl, cl, mpmath.mpf(0)], [-s * cl, -s * sl, c], [c * cl, c * sl, s]]
+
+
+def _remaining(watch: Watch, _: bool) -> Found:
+    """Compare the probability of no mine left, and hold quantiles to the exact sums of their probabilities."""
+    worst = 0.0
+    for expected in (0.0, 1e-12, 1e-3, 1.0, 30.0, 2000.0):
+        found = watch(remaining_about, expected)
+        none = mpmath.power(1 + mpmath.mpf(expected) / SHAPE, -SHAPE)
+        worst = max(worst, relative([found.p_none], [none]))
+        share, reached, total = mpmath.mpf(expected) / (mpmath.mpf(expected) + SHAPE), none, none
+        n = 0
+        while total < mpmath.mpf("0.95"):
+            reached *= share * (SHAPE + n) / (n + 1)
+            total += reached
+            n += 1
+        worst = max(worst, float(abs(n - found.at_most_95)))
+    return Found(worst)
+
+
+def _detected(watch: Watch, _: bool) -> Found:
+    """Compare the probability of detection of a cell with that of its miss exponent of 50 digits."""
+    ground = clearance_over(unsearched(43.0, 5.0, 4.0), 0, 0, (1, 60))
+    exponents = (10.0 ** np.linspace(-300.0, 3.0, 60)).tolist()
+    ground.exponent[0] = exponents
+    found = watch(lambda: ground.p_detected)[0]
+    return Found(relative(found.tolist(), [-mpmath.expm1(-mpmath.mpf(value)) for value in exponents]))
+
+
+def back_rows() -> list[NumberRow]:
+    """List the rows of confirmation and what follows."""
+    ratio, mp, twin = "fractions", "mpmath", "numpy twin"
+    part = functools.partial
+    return [
+        NumberRow("field's law", "ln K, orders 0 to 50, x 3e-4 to 3e5", mp, "of the value or 1", 1e-12, _bessel),
+        NumberRow("field's law", "trigamma, 1e-4 to 1e8", mp, "relative", 1e-10, _trigamma),
+        NumberRow("field's law", "inverse trigamma, 1e-7 to 1e7", mp, "relative", 1e-9, _inverse_trigamma),
+        *(
+            NumberRow(
+                "field's law",
+                f"{'no texture' if math.isinf(nu) else f'shape {nu:g}'}, gain {gain:g}",
+                mp,
+                "of the cost or 1",
+                1e-12 if math.isinf(nu) else 3e-4,
+                part(_law_cost, nu, gain),
+            )
+            for nu in (0.3, 5.0, math.inf)
+            for gain in (1e-30, 1.0, 1e30)
+        ),
+        *(
+            NumberRow("Markov field", f"costs times {scale:g}", ratio, "relative", 1e-14, part(_field, scale))
+            for scale in (1e-30, 1.0, 1e30)
+        ),
+        *(
+            NumberRow("mean field", f"costs times {scale:g}", mp, "absolute", 1e-14, part(_softmin, scale))
+            for scale in (1e-30, 1.0, 1e30)
+        ),
+        NumberRow("field kernels", "costs times 1e-30 to 1e30", twin, "absolute", 1e-12, _field_twins),
+        NumberRow("speckle", "gain 1e-30 to 1e30, offset 1e4", ratio, "relative", 1e-10, _speckle_twins),
+        *(
+            NumberRow("contours' sums", kind, ratio, "relative", 1e-5, part(_window_sums, kind))
+            for kind in ("gain 1e-30", "gain 1e30", "offset 1e6")
+        ),
+        *(
+            NumberRow(
+                "contours", f"gain {gain:g}", "numpy twin and gain 1", "numbers unlike", 0.0, part(_contours, gain)
+            )
+            for gain in (2.0**-100, 2.0**100)
+        ),
+        NumberRow("edges and pairs", "gain 1e-30 to 1e30", twin, "labels unlike", 0.0, _soft_twins),
+        *(
+            NumberRow("labels' likelihood", f"gain {gain:g}", mp, "relative", 1e-12, part(_explained, gain))
+            for gain in (1e-30, 1.0, 1e30)
+        ),
+        *(
+            NumberRow("solids' likelihood", kind, twin, "nats per pixel", 1e-12, part(_solid_costs, kind))
+            for kind in ("one look", "constant", "gain 1e-30", "gain 1e30", "near-zero heights")
+        ),
+        NumberRow("solids' fit", "C and numpy", twin, "m", 1e-3, _solid_fits),
+        NumberRow("solids' shadows", "heights 1e-12 to 0.5 m", ratio, "relative", 1e-15, _shadow_of_nothing),
+        NumberRow(
+            "shadow height", "shadows of 0 to 40 m, altitude 0.3 to 200 m", mp, "relative", 1e-15, _shadow_height
+        ),
+        NumberRow("odds", "shipped trees, features 1e-30 to 100", ratio, "nats", 1e-12, _mine_odds),
+        NumberRow("odds", "probabilities of -700 to 700 nats", mp, "relative", 1e-15, _probabilities),
+        *(
+            NumberRow("background", f"{area:g} km², counts times {gain:g}", mp, "nats", 1e-9, part(_null, area, gain))
+            for area, gain in ((1e-4, 0.0), (1e-4, 1.0), (0.1, 1.0), (100.0, 1000.0))
+        ),
+        *(
+            NumberRow("belief", f"60 views, {rule}", ratio, "relative", 1e-12, part(_views, 60, rule))
+            for rule in ("dempster", "yager")
+        ),
+        *(
+            NumberRow("association", f"axes 1 to {r:g} m²", ratio, "relative", 1e-9, part(_deviation, r))
+            for r in (1.0, 1e-6, 1e6)
+        ),
+        NumberRow("association", "axes 1 to 1e+12 m²", ratio, "relative", 1e-3, part(_deviation, 1e12)),
+        *(
+            NumberRow("association", f"costs times {s:g}", "all assignments", "relative", 1e-14, part(_assignment, s))
+            for s in (1e-30, 1.0, 1e30)
+        ),
+        *(
+            NumberRow(
+                "merging", f"latitude {latitude:g}°, axes 1 to {r:g} m²", ratio, "m", 1e-6, part(_merged, latitude, r)
+            )
+            for latitude, r in ((43.0, 1.0), (43.0, 1e6), (89.99, 1e6))
+        ),
+        NumberRow("merging", "latitude 43°, axes 1 to 1e+12 m²", ratio, "m", 1e-3, part(_merged, 43.0, 1e12)),
+        NumberRow("geodesy", "to Earth-centred, poles, antimeridian", mp, "m", 4e-9, _there),
+        NumberRow("geodesy", "from Earth-centred, poles, antimeridian", mp, "m", 8e-9, _back),
+        *(
+            NumberRow("projection", f"latitude {latitude:g}°", mp, "m", 1e-8, part(_plane, latitude))
+            for latitude in (0.0, 43.0, 89.99, -90.0)
+        ),
+        NumberRow("clearance", "0 to 2000 mines left", mp, "relative", 1e-12, _remaining),
+        NumberRow("clearance", "miss exponents 1e-300 to 1000", mp, "relative", 1e-15, _detected),
+    ]
+
+
+def main() -> int:
+    """Print fits of seeds on the kernels of this process as JSON."""
+    quick, *seeds = (int(text) for text in sys.argv[1:])
+    effort = _QUICK if quick else Effort()
+    print(json.dumps([_fitted(seed, effort) for seed in seeds]))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,578 @@
+"""Rows of the waterfall and of detection: transfer, range means, levelling, bottom, integral images, cascade, peaks."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any, Final
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.detect.cascade.bands import WINDOW, FeatureBox, band_edges
+from auv_mcm.detect.cascade.codes import make_plane
+from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
+from auv_mcm.detect.cascade.run import tables_of
+from auv_mcm.detect.ftest import equivalent_looks, f_deviate
+from auv_mcm.detect.integral import PaddedIntegral
+from auv_mcm.kernels import cascade, contrast, viterbi, waterfall
+from auv_mcm.kernels.contrast import Frame, TileSums
+from auv_mcm.records import VALID, Transfer
+from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
+from auv_mcm.waterfall.transfer import to_intensity
+from sim_replay.benches.stability.rows import Exact, Found, NumberRow, Watch, absolute, random_of, relative, unlike
+
+Plane = NDArray[np.float32]
+Values = NDArray[np.float64]
+
+_ROUNDED: Final = 1.8e-7  # 3 roundings of float32: of a sample, of its copy, and of their product
+_TILE: Final = (96, 160)  # pixels of a small tile
+_BIG_TILE: Final = (2048, 1024)  # of a tile as the chain cuts them at 1.5 cm
+_LONG_LINE_TILES: Final = 1_000_000  # of 512 x 512 pixels, a line of years
+
+
+def speckle(shape: tuple[int, ...], seed: int = 0) -> Plane:
+    """Draw single-look speckle of mean 1."""
+    return random_of(seed).exponential(size=shape).astype(np.float32)
+
+
+def _with_shadow(shape: tuple[int, ...]) -> Plane:
+    plane = speckle(shape)
+    plane[..., shape[-1] // 2 :] *= np.float32(1e-30)
+    return plane
+
+
+def _with_spike(shape: tuple[int, ...]) -> Plane:
+    plane = speckle(shape)
+    plane[..., shape[-1] - 1] = np.float32(65535.0**2)
+    return plane
+
+
+INTENSITIES: Final[dict[str, Callable[[tuple[int, ...]], Plane]]] = {
+    "one look": speckle,
+    "constant": lambda shape: np.full(shape, 0.3, dtype=np.float32),
+    "saturated": lambda shape: np.full(shape, 65535.0**2, dtype=np.float32),
+    "offset 1e6": lambda shape: np.float32(1e6) + speckle(shape),
+    "gain 1e-30": lambda shape: speckle(shape) * np.float32(1e-30),
+    "gain 1e30": lambda shape: speckle(shape) * np.float32(1e30),
+    "denormal": lambda shape: speckle(shape) * np.float32(1e-41),
+    "ring-down of 100 dB": lambda shape: speckle(shape) * np.where(np.arange(shape[-1]) < 9, 1e10, 1).astype("f4"),
+}
+"""Intensities (any shape) float32 by name."""
+
+
+# --- waterfall
+
+
+def _amplitudes(watch: Watch, _: bool) -> Found:
+    samples = 10.0 ** random_of(1).uniform(-15.0, 15.0, 200)
+    intensity, _ = watch(to_intensity, samples, Transfer("amplitude"))
+    return Found(relative(intensity.tolist(), [Fraction(value) ** 2 for value in samples.tolist()]))
+
+
+def _decibels(watch: Watch, _: bool) -> Found:
+    counts = np.arange(256, dtype=np.uint8)
+    intensity, _ = watch(to_intensity, counts, Transfer("log", 0.4))
+    exponents = [Fraction(count) * Fraction(float(np.float32(0.04))) - 10 for count in counts.tolist()]
+    return Found(
+        relative(intensity.tolist(), [mpmath.power(10, mpmath.mpf(e.numerator) / e.denominator) for e in exponents])
+    )
+
+
+def _range_mean(kind: str, watch: Watch, quick: bool) -> Found:
+    worst, single = 0.0, 0.0
+    for n_samples in (1, 2, 7, 1000, 65535):
+        intensity = np.tile(_with_spike((n_samples,)) if kind == "spike" else INTENSITIES[kind]((n_samples,)), (1, 1))
+        n_columns = min(n_samples, 8 if quick else 60)
+        edges_m = np.sort(random_of(n_samples).uniform(0.0, 0.01 * (n_samples - (kind == "spike")), n_columns + 1))
+        traces = watch(
+            make_traces, intensity, np.ones(intensity.shape, bool), np.zeros(intensity.shape, bool), 0.005, 0.01
+        )
+        found = watch(mean_between, traces, edges_m[np.newaxis])
+        wanted = _exact_means(intensity[0].astype(np.float64), edges_m)
+        kept = found.valid[0]
+        worst = max(
+            worst, relative(found.intensity[0][kept].tolist(), [w for w, k in zip(wanted, kept, strict=True) if k])
+        )
+        sums = np.concatenate(([0.0], np.cumsum(intensity[0]))).astype(np.float32)
+        low = np.float32(sums[n_samples // 2])
+        if n_samples > 2 and np.isfinite(sums).all():
+            true = float(intensity[0, n_samples // 2])
+            single = max(single, abs(float(sums[n_samples // 2 + 1] - low) - true) / true)
+    return Found(worst, single=single)
+
+
+def _exact_means(values: Values, edges_m: Values) -> list[Fraction]:
+    """Average samples that are constant over 1 cm each between edges, with every number as it is stored."""
+    spacing, first = Fraction(0.01), Fraction(0.005)
+    places = [(Fraction(edge) - first) / spacing + Fraction(1, 2) for edge in edges_m.tolist()]
+    means = []
+    for start, stop in itertools.pairwise(min(max(place, Fraction(0)), Fraction(len(values))) for place in places):
+        first_whole, last_whole = math.ceil(start), math.floor(stop)
+        if first_whole > last_whole:
+            means.append(Fraction(float(values[last_whole])))
+            continue
+        total = Fraction(math.fsum(values[first_whole:last_whole].tolist()))
+        if start < first_whole:
+            total += (first_whole - start) * Fraction(float(values[first_whole - 1]))
+        if stop > last_whole:
+            total += (stop - last_whole) * Fraction(float(values[last_whole]))
+        means.append(total / (stop - start) if stop > start else Fraction(0))
+    return means
+
+
+def _nadir(watch: Watch, _: bool) -> Found:
+    worst = 0.0
+    for first_return_m in (1e-9, 0.05, 5.0, 200.0):
+        for spacing_m in (1e-4, 0.06, 2.0):
+            edges = watch(ground_edges_m, np.array([first_return_m]), 40, spacing_m)[0]
+            places = (np.arange(41) * spacing_m).tolist()
+            worst = max(worst, relative(edges.tolist(), [mpmath.hypot(y, first_return_m) for y in places]))
+    return Found(worst)
+
+
+def _box_level(kind: str, watch: Watch, quick: bool) -> Found:
+    shape = _TILE if quick else _BIG_TILE
+    level = INTENSITIES[kind](shape)
+    half = (9, 11)
+    usable = np.ones(shape, dtype=np.bool_)
+    mean, known = watch(waterfall.box_level, level, usable, half, 0.25)
+    places = _places(shape, 40)
+    wanted = [Fraction(_box_sum(level, place, half)) / _box_count(shape, place, half) for place in places]
+    if not all(known[place] for place in places):
+        return Found(math.inf)
+    return Found(relative([float(mean[place]) for place in places], wanted))
+
+
+def _shadow_level(watch: Watch, quick: bool) -> Found:
+    """Measure how far levels in a shadow larger than the box are off, in shares of the floor's level."""
+    shape = _TILE if quick else _BIG_TILE
+    level = _with_shadow(shape)
+    mean, _ = watch(waterfall.box_level, level, np.ones(shape, dtype=np.bool_), (9, 11), 0.25)
+    places = _places(shape, 40)
+    wanted = [Fraction(_box_sum(level, place, (9, 11))) / _box_count(shape, place, (9, 11)) for place in places]
+    return Found(absolute([float(mean[place]) for place in places], wanted))
+
+
+def _places(shape: tuple[int, int], n: int) -> list[tuple[int, int]]:
+    """Draw pixels, the far corner with them."""
+    random = random_of(5)
+    rows, columns = random.integers(0, shape[0], n).tolist(), random.integers(0, shape[1], n).tolist()
+    return [(shape[0] - 1, shape[1] - 1), *zip(rows, columns, strict=True)]
+
+
+def _box_of(shape: tuple[int, int], place: tuple[int, int], half: tuple[int, int]) -> tuple[slice, slice]:
+    rows, columns = (slice(max(at - reach, 0), at + reach + 1) for at, reach in zip(place, half, strict=True))
+    return rows, columns
+
+
+def _box_sum(plane: NDArray[Any], place: tuple[int, int], half: tuple[int, int]) -> float:
+    return math.fsum(plane[_box_of(plane.shape, place, half)].astype(np.float64).ravel().tolist())
+
+
+def _box_count(shape: tuple[int, int], place: tuple[int, int], half: tuple[int, int]) -> int:
+    return math.prod(
+        min(at + reach, n - 1) - max(at - reach, 0) + 1 for at, reach, n in zip(place, half, shape, strict=True)
+    )
+
+
+def _angle_sums(offset: float, watch: Watch, quick: bool) -> Found:
+    n_pings, n_bins = (8, 30) if quick else (128, 180)
+    random = random_of(3)
+    angle = np.sort(random.uniform(0.0, n_bins, (n_pings, 400)), axis=1)
+    values = np.log(speckle((n_pings, 400)).astype(np.float64)) + offset
+    centre = np.full(n_bins, offset)
+    count, total = watch(
+        waterfall.angle_sums, angle, np.arange(n_pings), values, np.ones(values.shape, bool), n_bins, centre, 3.0
+    )
+    bins = np.minimum(angle.astype(np.int64), n_bins - 1)
+    clipped = np.clip(values - offset, -3.0, 3.0)
+    wanted = [Fraction(math.fsum(clipped[bins == k].tolist())) / max(int(count[k]), 1) for k in range(n_bins)]
+    return Found(absolute((total / np.maximum(count, 1)).tolist(), wanted))
+
+
+def _bottom(offset: float, watch: Watch, quick: bool) -> Found:
+    """Compare likelihood ratios of a bottom with sums of fractions, of pings as long as a ping can be."""
+    n_bins, window = (3000 if quick else 65_535), 10
+    values = np.log(speckle((1, n_bins)).astype(np.float64)) + offset
+    values[:, n_bins // 2 :] += 4.0
+    scores = watch(waterfall.step_ratios, values, np.ones(values.shape, bool), 4, window, math.log(2.0), 3.29)
+    bins = sorted({n_bins // 2, n_bins - window - 1, 7, *random_of(2).integers(7, n_bins - window, 60).tolist()})
+    exact_values = [Fraction(value) for value in values[0].tolist()]
+    sums = [Fraction(0)]
+    for value in exact_values:
+        sums.append(sums[-1] + value)
+    wanted = []
+    for k in bins:
+        near = k - max(k - window, 4)
+        after_mean, near_mean = (sums[k + window] - sums[k]) / window, (sums[k] - sums[k - near]) / near
+        rise, column = after_mean - near_mean, (sums[k] - sums[4]) / (k - 4)
+        ratio = Fraction(near * window, near + window) * rise**2 / Fraction(3.29)
+        wanted.append(ratio if rise > 0 and after_mean - column > Fraction(math.log(2.0)) else Fraction(0))
+    return Found(absolute([float(scores[0, k]) for k in bins], wanted))
+
+
+def _viterbi(scale: float, watch: Watch, quick: bool) -> Found:
+    """Compare the worth of the best path with whole numbers; scores are those times the scale."""
+    n_pings, n_bins, step = (12, 20, 2) if quick else (200, 120, 5)
+    whole = random_of(8).integers(0, 1 << 20, (n_pings, n_bins))
+    path = watch(viterbi.viterbi_path, whole * scale, step, 1000.0 * scale).tolist()
+    best = whole[0].tolist()
+    for scores in whole[1:].tolist():
+        best = [
+            scores[k] + max(best[j] - 1000 * abs(j - k) for j in range(max(k - step, 0), min(k + step, n_bins - 1) + 1))
+            for k in range(n_bins)
+        ]
+    worth = sum(int(whole[p, k]) for p, k in enumerate(path)) - 1000 * sum(
+        abs(b - a) for a, b in itertools.pairwise(path)
+    )
+    return Found(relative([float(worth)], [max(best)]))
+
+
+def _waterfall_twins(watch: Watch, _: bool) -> Found:
+    """Count the numbers that differ between C and numpy over all kinds of intensity."""
+    n_unlike = 0.0
+    random = random_of(11)
+    for make in INTENSITIES.values():
+        plane = np.ascontiguousarray(make((24, 90)))
+        usable = random.random(plane.shape) < 0.9
+        level = np.where(usable, plane, np.float32(0.0))
+        sums = watch(waterfall.sums_to_the_end, plane)
+        n_unlike += unlike(sums, waterfall.sums_to_the_end_numpy(plane))
+        sampled = waterfall.Sampled(sums, waterfall.sums_to_the_end_numpy(usable), None, 0.1, 0.07)
+        edges = np.sort(random.uniform(0.0, 7.0, (3, 20)), axis=1)
+        row = np.arange(24) % 3
+        n_unlike += unlike(watch(waterfall.means, sampled, edges, row), waterfall.means_numpy(sampled, edges, row))
+        logs = np.log(np.maximum(plane.astype(np.float64), 1e-300))
+        n_unlike += unlike(
+            watch(waterfall.step_ratios, logs, usable, 4, 6, 0.7, 3.3),
+            waterfall.step_ratios_numpy(logs, usable, 4, 6, 0.7, 3.3),
+        )
+        n_unlike += unlike(
+            watch(waterfall.box_level, level, usable, (4, 5), 0.25),
+            waterfall.box_level_numpy(level, usable, (4, 5), 0.25),
+        )
+        n_unlike += unlike(watch(waterfall.row_medians, logs, usable, 8), waterfall.row_medians_numpy(logs, usable, 8))
+    return Found(n_unlike)
+
+
+# --- detection
+
+
+def _boxes(kind: str, watch: Watch, quick: bool) -> Found:
+    shape = (256, 200) if quick else _BIG_TILE
+    plane = INTENSITIES[kind](shape)
+    found = watch(PaddedIntegral, plane, 4, 4).box(-4, 5, -4, 5)
+    places = _places(shape, 60)
+    wanted = [_box_sum(plane, place, (4, 4)) for place in places]
+    with np.errstate(all="ignore"):
+        coarse = np.zeros((shape[0] + 1, shape[1] + 1), dtype=np.float32)
+        coarse[1:, 1:] = plane.cumsum(axis=0, dtype=np.float32).cumsum(axis=1, dtype=np.float32)
+        single = max(
+            abs(_corner(coarse, place, shape) / true - 1.0) for place, true in zip(places, wanted, strict=True)
+        )
+    return Found(relative([float(found[place]) for place in places], wanted), single=single)
+
+
+def _corner(sums: Plane, place: tuple[int, int], shape: tuple[int, int]) -> float:
+    rows, columns = _box_of(shape, place, (4, 4))
+    bottom, right = min(rows.stop, shape[0]), min(columns.stop, shape[1])
+    return float(
+        sums[bottom, right] - sums[rows.start, right] - sums[bottom, columns.start] + sums[rows.start, columns.start]
+    )
+
+
+def _long_line(watch: Watch, quick: bool) -> Found:
+    """Start an integral image with the sum of a million tiles, as if it had never been started anew."""
+    shape = (256, 200) if quick else _BIG_TILE
+    plane = speckle(shape).astype(np.float64)
+    far = plane.copy()
+    far[0, 0] += _LONG_LINE_TILES * 512.0 * 512.0
+    found = watch(PaddedIntegral, far, 4, 4).box(-4, 5, -4, 5)
+    places = [place for place in _places(shape, 60) if min(place) > 4]
+    return Found(
+        relative([float(found[place]) for place in places], [_box_sum(plane, place, (4, 4)) for place in places])
+    )
+
+
+def _long_sum(watch: Watch, quick: bool) -> Found:
+    """Add up an integral image over as many pixels as memory holds and compare its last number with the exact sum."""
+    shape = (500, 400) if quick else (4000, 2500)
+    plane = speckle(shape)
+    found = watch(PaddedIntegral, plane, shape[0], 0).rows(-shape[0] + 1, 1)[-1, -1]
+    return Found(relative([float(found)], [math.fsum(plane.astype(np.float64).ravel().tolist())]))
+
+
+def _contrast_means(kind: str, watch: Watch, _: bool) -> Found:
+    plane = INTENSITIES[kind](_TILE)
+    mask = np.full(_TILE, VALID, dtype=np.uint8)
+    sums: TileSums = watch(contrast.image_sums, plane, mask, 3e38)
+    box = (-3, 4, -5, 6)
+    places = _places(_TILE, 40)
+    flat = np.array([row * _TILE[1] + column for row, column in places], dtype=np.int32)
+    means, _ = watch(contrast.box_means, sums, flat, np.tile(np.array(box, dtype=np.int32), (len(flat), 1)))
+    wanted = [Fraction(_box_sum(plane, place, (3, 5))) / _box_count(_TILE, place, (3, 5)) for place in places]
+    return Found(relative(means.tolist(), wanted))
+
+
+def _background(watch: Watch, _: bool) -> Found:
+    plane = _with_shadow(_TILE)
+    mask = np.full(_TILE, VALID, dtype=np.uint8)
+    outer, hollow = (np.array(box, dtype=np.int32) for box in ((-9, 10, -12, 13), (-3, 4, -4, 5)))
+    mean, known = watch(contrast.background, plane, mask, Frame(outer, hollow, 30.0), 10.0, np.float32(1e-6))
+    bounded = np.minimum(plane, np.float32(10.0))
+    found, wanted = [], []
+    for place in _places(_TILE, 60):
+        if known[place]:
+            total = Fraction(_box_sum(bounded, place, (9, 12))) - Fraction(_box_sum(bounded, place, (3, 4)))
+            found.append(float(mean[place]))
+            wanted.append(total / (_box_count(_TILE, place, (9, 12)) - _box_count(_TILE, place, (3, 4))))
+    return Found(relative(found, wanted))
+
+
+def _variances(offset: float, watch: Watch, _: bool) -> Found:
+    """Compare variances of deviates around an offset, which means of squares lose digits to."""
+    planes = (random_of(6).normal(offset, 1.0, (3, *_TILE))).astype(np.float32)
+    known = np.ones(_TILE, dtype=np.bool_)
+    found = watch(contrast.local_variances, planes, known, (0, _TILE[0]), (8, 9), 30.0, 1e-6)[0]
+    clipped = np.clip(planes[0], -30.0, 30.0)
+    places = _places(_TILE, 30)
+    wanted, condition = [], 0.0
+    for place in places:
+        values = [Fraction(value) for value in clipped[_box_of(_TILE, place, (8, 9))].astype(float).ravel().tolist()]
+        mean = sum(values, Fraction(0)) / len(values)
+        variance = sum((value * value for value in values), Fraction(0)) / len(values) - mean * mean
+        wanted.append(variance)
+        condition = max(condition, float(mean * mean / variance))
+    return Found(relative([float(found[place]) for place in places], wanted), condition=condition)
+
+
+def _f_deviates(watch: Watch, _: bool) -> Found:
+    """Compare deviates with the same formula of 50 digits, in standard deviations."""
+    random = random_of(7)
+    ratio, looks, background = (
+        (10.0 ** random.uniform(*powers, 400)).astype(np.float32) for powers in ((-30.0, 6.0), (-0.3, 3.0), (0.0, 4.0))
+    )
+    ratio[:20] = 0.0
+    found = watch(f_deviate, ratio, looks, background)
+    wanted: list[Exact] = []
+    ninth = mpmath.mpf(1) / 9
+    for r, n, m in zip(ratio.tolist(), looks.tolist(), background.tolist(), strict=True):
+        a, b, root = ninth / m, ninth / n, mpmath.cbrt(mpmath.mpf(r))
+        wanted.append(((1 - a) * root - (1 - b)) / mpmath.sqrt(a * root * root + b))
+    return Found(relative(found.tolist(), wanted))
+
+
+def _looks(watch: Watch, _: bool) -> Found:
+    variance = (10.0 ** random_of(9).uniform(-6.0, 3.0, 300)).astype(np.float32)
+    found = watch(equivalent_looks, variance)
+    wanted = [(1 + mpmath.sqrt(1 + 2 * mpmath.mpf(v))) / (2 * mpmath.mpf(v)) for v in variance.tolist()]
+    return Found(relative(found.tolist(), wanted))
+
+
+def _peaks(watch: Watch, _: bool) -> Found:
+    """Count peaks that differ from those found pixel by pixel; values are few, so that many are equal."""
+    n_unlike = 0.0
+    for gain in (np.float32(1e-30), np.float32(1.0), np.float32(1e30)):
+        plane = np.ascontiguousarray(random_of(4).integers(0, 5, (40, 50)).astype(np.float32) * gain)
+        found = watch(contrast.peaks, plane, (0, 40), 3, 4)
+        n_unlike += unlike(found, contrast.peaks_numpy(plane, (0, 40), 3, 4))
+        for place in found.tolist():
+            row, column = divmod(place, 50)
+            n_unlike += float(plane[row, column] < plane[_box_of((40, 50), (row, column), (3, 4))].max())
+    return Found(n_unlike)
+
+
+def _codes(watch: Watch, _: bool) -> Found:
+    """Count codes that differ from those of fractions, halves among them."""
+    values = np.concatenate(
+        [
+            (np.arange(0.0, 40.0, 0.5) / 1024.0).astype(np.float32),
+            (10.0 ** random_of(3).uniform(-38.0, 38.0, 300)).astype(np.float32),
+            np.array([0.0, 1e-45, np.inf], dtype=np.float32),
+        ]
+    )
+    codes, _ = watch(cascade.encode, values, np.ones(values.shape, dtype=np.uint8))
+    wanted = [16384 if math.isinf(v) else round(min(Fraction(v), Fraction(16)) * 1024) for v in values.tolist()]
+    return Found(float(sum(code != w for code, w in zip(codes.tolist(), wanted, strict=True))))
+
+
+def _code_sums(watch: Watch, quick: bool) -> Found:
+    """Count box sums modulo 2**32 that differ from whole numbers, of a tile full of the highest code."""
+    codes = np.full((200, 150) if quick else _BIG_TILE, 16384, dtype=np.uint16)
+    sums = watch(cascade.integral, codes, (0, 0, 0), 0)
+    boxes = [(0, 0, 9, 9), (3, 5, 190, 140), (codes.shape[0] - 130, 2, codes.shape[0], 130)]
+    n_unlike = 0
+    for top, left, bottom, right in boxes:
+        found = (
+            int(sums[bottom, right]) - int(sums[top, right]) - int(sums[bottom, left]) + int(sums[top, left])
+        ) % 2**32
+        n_unlike += found != 16384 * (bottom - top) * (right - left)
+    return Found(float(n_unlike))
+
+
+def _features(largest: float, watch: Watch, quick: bool) -> Found:
+    """Count window scores of drawn stumps that differ between C and numpy; codes are at both ends, and many tie."""
+    n_unlike = 0.0
+    for seed in range(2 if quick else 20):
+        random = random_of(seed)
+        codes = random.choice(np.array([0, 0, 1, 1024, 16383, 16384], dtype=np.uint16), (12, 40))
+        codes[:, 10:25] = random.choice([0, 1024, 16384])
+        everywhere = np.ones(codes.shape, dtype=np.bool_)
+        plane = make_plane(codes, everywhere, everywhere, np.full(12, 5.0), 0.3, 0.35)
+        tables = tables_of(drawn_model(seed, largest), 0.3, 0.35, plane.sums.shape[1])
+        corner = plane.margin_rows * plane.sums.shape[1] + plane.margin_near
+        edges = band_edges(plane.first_return_m, 40, 0.35)
+        field = cascade.WindowField(plane.sums, plane.counts, corner, plane.usable, edges)
+        opened, twin = watch(cascade.open_windows, field, tables, 1), cascade.open_windows_numpy(field, tables, 1)
+        n_unlike += unlike(tuple(opened.windows), tuple(twin.windows)) + (opened.n_windows != twin.n_windows)
+        again = opened.windows._replace(score=np.zeros_like(opened.windows.score))
+        for kernel in (functools.partial(watch, cascade.run_groups), cascade.run_groups_numpy):
+            n_unlike += unlike(kernel(plane.sums, tables, again, 0, 1)[0].score, opened.windows.score)
+    return Found(n_unlike)
+
+
+def drawn_model(seed: int, largest: float = 3.0, n_stumps: int = 12) -> CascadeModel:
+    """Draw comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest.
+
+    They drop nothing.
+    """
+    random = random_of(seed)
+
+    def box() -> FeatureBox:
+        top, near = random.uniform(-1.0, 0.4, 2)
+        length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
+        return FeatureBox(
+            float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0))
+        )
+
+    stumps = []
+    for k in range(n_stumps):
+        threshold = float(largest ** random.uniform(-1.0, 1.0))
+        leaf = int(random.integers(-900, 900))
+        if k % 2:
+            stumps.append(Stump(kind="ratio", a=box(), b=box(), threshold=threshold, below=-leaf, above=leaf))
+        else:
+            against = threshold - 1.0 / threshold
+            stumps.append(
+                Stump(kind="contrast", a=box(), b=box(), w=WINDOW, threshold=against, below=-leaf, above=leaf)
+            )
+    model = CascadeModel(
+        kind="soft",
+        trained_on="nothing",
+        training_sha256="",
+        row_spacing_m=(0.001, 10.0),
+        column_spacing_m=(0.001, 10.0),
+        calibration=Calibration(score=(-3 * SCORE_UNIT, 3 * SCORE_UNIT), log_odds=(-6.0, 6.0)),
+        reject=(-MAX_STUMPS * MAX_LEAF,),
+        groups=(tuple(stumps),),
+    )
+    check_model(model, "made here")
+    return model
+
+
+def _contrast_twins(watch: Watch, _: bool) -> Found:
+    """Count the numbers that differ between C and numpy over all kinds of intensity."""
+    n_unlike = 0.0
+    random = random_of(13)
+    boxes = np.array([(-2, 3, -3, 4), (-1, 2, 2, 9)], dtype=np.int32)
+    outer, hollow = (np.array(box, dtype=np.int32) for box in ((-7, 8, -9, 10), (-2, 3, -3, 4)))
+    frame = Frame(outer, hollow, 20.0)
+    for make in INTENSITIES.values():
+        plane = np.ascontiguousarray(make((30, 44)))
+        mask = np.where(random.random(plane.shape) < 0.9, VALID, 0).astype(np.uint8)
+        sums = watch(contrast.image_sums, plane, mask, 30.0)
+        n_unlike += unlike(tuple(sums), tuple(contrast.image_sums_numpy(plane, mask, 30.0)))
+        least = np.float32(1e-6)
+        level, known = watch(contrast.background, plane, mask, frame, 10.0, least)
+        n_unlike += unlike((level, known), contrast.background_numpy(plane, mask, frame, 10.0, least))
+        found = watch(contrast.ratios, sums, level, boxes, 1e-3)
+        n_unlike += unlike(found, contrast.ratios_numpy(sums, level, boxes, 1e-3))
+        three = np.stack([np.log(np.maximum(plane, np.float32(1e-37)))] * 3)
+        n_unlike += unlike(
+            watch(contrast.local_variances, three, known, (0, 30), (4, 5), 6.0, 1e-3),
+            contrast.local_variances_numpy(three, known, (0, 30), (4, 5), 6.0, 1e-3),
+        )
+        n_unlike += unlike(watch(cascade.encode, plane, mask), cascade.encode_numpy(plane, mask))
+    return Found(n_unlike)
+
+
+def front_rows() -> list[NumberRow]:
+    """List the rows of waterfall and detection."""
+    fsum, ratio, mp, twin = "exact summation", "fractions", "mpmath", "numpy twin"
+    part = functools.partial
+    return [
+        NumberRow("transfer", "amplitudes 1e-15 to 1e15", ratio, "relative", _ROUNDED, _amplitudes),
+        NumberRow("transfer", "decibel counts 0 to 255", mp, "relative", 1e-5, _decibels),
+        *(
+            NumberRow("range means", f"{kind}, 1 to 65,535 samples", ratio, "relative", 1e-11, part(_range_mean, kind))
+            for kind in INTENSITIES
+        ),
+        NumberRow(
+            "range means",
+            "96 dB spike in the last of 65,535 samples",
+            ratio,
+            "relative",
+            1e-4,
+            part(_range_mean, "spike"),
+        ),
+        NumberRow("ground range", "nadir to 80 m, first return 1e-9 to 200 m", mp, "relative", 4e-16, _nadir),
+        *(
+            NumberRow("levelling", kind, fsum, "relative", 1e-10, part(_box_level, kind))
+            for kind in INTENSITIES
+            if not kind.startswith("ring")
+        ),
+        NumberRow("levelling", "shadow of 1e-30 of the floor", fsum, "of the floor", 1e-10, _shadow_level),
+        *(
+            NumberRow("angle response", f"gain {gain:g}", fsum, "nats", 1e-11, part(_angle_sums, math.log(gain)))
+            for gain in (1e-30, 1.0, 1e30)
+        ),
+        *(
+            NumberRow(
+                "bottom tracking", f"gain {gain:g}, 65,535 bins", ratio, "nats", 1e-8, part(_bottom, math.log(gain))
+            )
+            for gain in (1e-30, 1.0, 1e30)
+        ),
+        *(
+            NumberRow("bottom path", f"scores times {scale:g}", "whole numbers", "relative", 0.0, part(_viterbi, scale))
+            for scale in (1e-30, 2.0**-20, 1e30)
+        ),
+        NumberRow("waterfall kernels", "all inputs above", twin, "numbers unlike", 0.0, _waterfall_twins),
+        *(
+            NumberRow("integral image", kind, fsum, "relative", 1e-10, part(_boxes, kind))
+            for kind in INTENSITIES
+            if not kind.startswith("ring")
+        ),
+        NumberRow("integral image", "begun 1e6 tiles before", fsum, "relative", 1e-5, _long_line),
+        NumberRow("integral image", "sum of all pixels", fsum, "relative", 1e-12, _long_sum),
+        *(
+            NumberRow("contrast means", kind, fsum, "relative", _ROUNDED, part(_contrast_means, kind))
+            for kind in ("one look", "constant", "saturated", "offset 1e6", "gain 1e30")
+        ),
+        NumberRow("contrast background", "shadow of 1e-30 of the floor", fsum, "relative", _ROUNDED, _background),
+        *(
+            NumberRow("contrast variances", f"offset {offset:g}", ratio, "relative", 1e-4, part(_variances, offset))
+            for offset in (0.0, 25.0)
+        ),
+        NumberRow("contrast deviates", "ratios 0 to 1e6, 0.5 to 10,000 looks", mp, "relative", 1e-4, _f_deviates),
+        NumberRow("contrast looks", "variances 1e-6 to 1e3", mp, "relative", 4e-7, _looks),
+        NumberRow("peaks", "five values, gain 1e-30 to 1e30", "search", "peaks unlike", 0.0, _peaks),
+        NumberRow("cascade codes", "1e-38 to 1e38, halves", ratio, "codes unlike", 0.0, _codes),
+        NumberRow("cascade sums", "saturated tile", "whole numbers", "sums unlike", 0.0, _code_sums),
+        *(
+            NumberRow(
+                "cascade features",
+                f"ties, thresholds to {largest:g}",
+                twin,
+                "numbers unlike",
+                0.0,
+                part(_features, largest),
+            )
+            for largest in (1.0, 3.0, 1e3)
+        ),
+        NumberRow("detection kernels", "all inputs above", twin, "numbers unlike", 0.0, _contrast_twins),
+    ]
