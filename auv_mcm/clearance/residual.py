@@ -17,12 +17,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MIN_P_MINE: Final = 0.01
+MIN_P_MINE: Final = 0.02
 """The lowest p_mine that counts, so that the estimate does not depend on how much less likely contacts are reported as
 well."""
-DOUBTFUL_SHARE: Final = 0.8
+DOUBTFUL_SHARE: Final = 0.87
 """Mines missed over the sum of p_mine of contacts not called, of MIN_P_MINE or more, on the named scenes, seeds 91001
-and 91002; 0.76 to 0.87 with one scene left out."""
+and 91002; 0.83 to 0.92 with one scene left out."""
 SHAPE: Final = 10.0
 """Of the Gamma distribution of mines left about that estimate, from mission to mission: a relative deviation of 0.32
 beside chance."""

@@ -26,7 +26,7 @@ from auv_mcm.records import Detector
 Array: TypeAlias = NDArray[np.float64]
 
 LOWEST_P_MINE: Final = 0.01
-"""What reaches this p_mine is fully observed: the gate before measuring drops what cannot (detect/gate.py)."""
+"""Where the model begins. A mission's own contacts count from `contacts.min_p_mine` on, where that is higher."""
 LOWEST_NATS: Final = math.log(LOWEST_P_MINE / (1.0 - LOWEST_P_MINE))
 BIN_NATS: Final = 0.25  # a tenth of what the density changes by e over, on the steepest of the named scenes
 N_BINS: Final = 44  # of BIN_NATS: they end at p_mine 0.998

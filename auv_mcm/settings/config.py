@@ -233,7 +233,7 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
         Meta(
             ge=0.0, le=1.0, description="threshold of p_mine, at any step, below which confirmation of a detection ends"
         ),
-    ] = 0.01
+    ] = 0.02
     max_per_tile: Annotated[
         int,
         Meta(
@@ -254,9 +254,9 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
             le=1.0,
             description="p_mine below which a contact is not reported; what cannot reach it is counted and neither "
             "measured nor confirmed; "
-            "0 reports everything; above 0.01 the estimate of mines left comes out too low",
+            "0 reports everything; above 0.02 the estimate of mines left comes out too low",
         ),
-    ] = 0.01
+    ] = 0.02
     gate_chi2: Annotated[
         float, Meta(gt=0.0, le=100.0, description="squared Mahalanobis distance up to which two views are one object")
     ] = 9.21

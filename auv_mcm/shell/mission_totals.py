@@ -13,7 +13,7 @@ from auv_mcm.clearance.area import area_state, over_area
 from auv_mcm.clearance.clearance_export import BANDS
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import remaining_mines
-from auv_mcm.contacts.background import LOWEST_P_MINE, FalseAlarms
+from auv_mcm.contacts.background import FalseAlarms
 from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.detect.belief import odds_of, probability
@@ -58,8 +58,7 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
             name: round(value, 3) for name, value in zip(("middle", "low", "high"), expected, strict=True)
         }
         totals["background_per_km2"] = {
-            f"{p:g}": round(point.background.false_alarms(odds_of(p)).per_km2, 3)
-            for p in (LOWEST_P_MINE, 0.1, 0.2, 0.5, 0.8)
+            f"{p:g}": round(point.background.false_alarms(odds_of(p)).per_km2, 3) for p in (0.02, 0.1, 0.2, 0.5, 0.8)
         }
     return {"operating_point": totals}
 

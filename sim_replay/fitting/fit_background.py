@@ -21,6 +21,7 @@ from auv_mcm.contacts.background import (
     BIN_NATS,
     KNOTS_NATS,
     LEVELS_NATS,
+    LOWEST_P_MINE,
     BackgroundModel,
     BackgroundPrior,
     LeftOutScene,
@@ -34,6 +35,7 @@ from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, Detector, PipelineEvent
+from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by
 from sim_replay.scoring.inputs import ScoredMission, Truth, parse_contacts, parse_truth
@@ -123,12 +125,21 @@ def flown(task: Task) -> SortedContacts:
 def flown_scene(name: str, scene: Scene, detector: Detector) -> SortedContacts:
     """Fly a mission of a domain and sort its contacts."""
     mission = Mission(scene)
-    pipeline = Pipeline(served_by(detector, config_for(scene)))
+    pipeline = Pipeline(_reporting_all(served_by(detector, config_for(scene))))
     seen = SeenMission()
     for event in mission.events():
         seen.take(pipeline.feed(event))
     seen.take(pipeline.finish())
     return sorted_contacts(name, pipeline.contacts, parse_truth(mission.truth(), name), seen.area.km2)
+
+
+def _reporting_all(config: Config) -> Config:
+    """Lower both thresholds of p_mine to where the model of the background begins."""
+    return msgspec.structs.replace(
+        config,
+        contacts=msgspec.structs.replace(config.contacts, min_p_mine=LOWEST_P_MINE),
+        confirm=msgspec.structs.replace(config.confirm, min_p_mine=LOWEST_P_MINE),
+    )
 
 
 def fit_prior(missions: Sequence[SortedContacts]) -> BackgroundPrior:

@@ -27,8 +27,7 @@ from sim_replay.simulator.scene_file import read_scene
 
 FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on
 LOST_SHARE: Final = 0.005
-"""Share of the detections to report that the gate may drop: 19 of 2232 in ten scenes, each judged by the nine others,
-none of which had p_mine 0.1 or more."""
+"""Share of the detections to report that the gate may drop on the missions that it is fitted on; chosen."""
 _FAR_BELOW_NATS: Final = 2.0  # under the lowest log-odds reported; from there down a detection counts a tenth
 _FAINT_WEIGHT: Final = 0.1  # of detections below _FAR_BELOW_NATS
 _LOWEST_NATS: Final = -9.2  # p_mine 1e-4: how much less does not matter
