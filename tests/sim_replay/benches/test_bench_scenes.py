@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.contacts.background import LOWEST_P_MINE
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.errors import UsageError
@@ -85,7 +86,7 @@ def test_a_synthetic_aperture_has_the_beam_of_its_resolution_at_half_range() -> 
 def looked_at(p_by_step: dict[LookStep, float]) -> Contact:
     """A contact of one view that went through these steps."""
     *_, last = p_by_step
-    ledger = Ledger(ContactsConfig(), PRIOR)
+    ledger = Ledger(ContactsConfig(min_p_mine=LOWEST_P_MINE), PRIOR)
     found = detection(p_mine=p_by_step[last], p_by_step=p_by_step, confirmation=confirmation(math.log(9.0)))
     (contact,) = ledger.add([found])
     return contact
