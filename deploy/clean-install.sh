@@ -1,12 +1,16 @@
 #!/bin/sh
 # Try the installation in a clean Debian 12 without a network: as root
-#     sh deploy/clean-install.sh [--arch aarch64] [--compiler] WHEELHOUSE
+#     sh deploy/clean-install.sh [--arch aarch64] [--compiler] [--replay LOG] WHEELHOUSE
 # WHEELHOUSE is a folder that deploy/wheelhouse.sh made for that architecture and Python 3.11. Makes the Debian by
 # debootstrap, with Python alone or with gcc too, below TMPDIR (1 GB); MIRROR names the source of its packages. Installs
 # by deploy/install.sh, checks as the user 'nobody', starts and ends the service, and removes everything. For the other
 # architecture qemu-user-static has to be registered with the kernel (binfmt_misc). Fails at the first step that does.
+# --replay: run this checkout's tests of the kernels there too, replay LOG, and print checksums of its results, to be
+# compared with those of another architecture; WHEELHOUSE then needs --with 'auv-mcm[bench]' --with pytest --with
+# hypothesis.
 set -eu
-arch=$(uname -m) include=python3,python3-venv wheelhouse=
+here=$(cd "$(dirname "$0")/.." && pwd)
+arch=$(uname -m) include=python3,python3-venv wheelhouse= log=
 
 fail() {
     echo "clean-install: $*" >&2
@@ -15,13 +19,16 @@ fail() {
 
 while [ $# -gt 0 ]; do
     case $1 in
-    --arch)
-        [ $# -gt 1 ] || fail "--arch wants a value"
-        arch=$2
+    --arch | --replay)
+        [ $# -gt 1 ] || fail "$1 wants a value"
+        case $1 in
+        --arch) arch=$2 ;;
+        --replay) log=$2 ;;
+        esac
         shift
         ;;
     --compiler) include=$include,gcc,libc6-dev ;;
-    -*) fail "$1 is not an option: --arch ARCH, --compiler" ;;
+    -*) fail "$1 is not an option: --arch ARCH, --compiler, --replay LOG" ;;
     *) wheelhouse=$1 ;;
     esac
     shift
@@ -33,6 +40,7 @@ aarch64) debian=arm64 ;;
 esac
 [ -f "$wheelhouse/deploy/install.sh" ] ||
     fail "name a folder that sh deploy/wheelhouse.sh --arch $arch --python 3.11 made"
+[ -z "$log" ] || [ -f "$log" ] || fail "there is no log $log"
 [ "$(id -u)" = 0 ] || fail "run it as root: debootstrap and chroot need it"
 command -v debootstrap >/dev/null || fail "no debootstrap: apt-get install debootstrap"
 
@@ -52,7 +60,11 @@ inside() { # COMMAND...: without a network
         exec chroot "$0" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/tmp LANG=C.UTF-8 "$@"' "$root" "$@"
 }
 
-inside sh /wheelhouse/deploy/install.sh
+if [ -n "$log" ]; then
+    inside sh /wheelhouse/deploy/install.sh --with 'auv-mcm[bench]' --with pytest --with hypothesis
+else
+    inside sh /wheelhouse/deploy/install.sh
+fi
 program=/opt/auv-mcm/current/bin/auv-mcm
 echo "clean-install: check"
 inside runuser -u nobody -- sh -c "cd /tmp && $program check"
@@ -60,4 +72,18 @@ echo "clean-install: start, and SIGTERM after 10 s"
 inside runuser -u nobody -- sh -euc "cd /tmp; $program run --example >vehicle.yaml
     timeout --signal=TERM --preserve-status 10 $program run --config vehicle.yaml
     $program status || true; test -f auv-mcm-out/latest/summary.json"
+if [ -n "$log" ]; then
+    echo "clean-install: tests of the kernels, and replay of $(basename "$log")"
+    mkdir "$root/checkout"
+    cp -R "$here/tests" "$here/pyproject.toml" "$root/checkout"
+    cp "$log" "$root/checkout/log.xtf"
+    for installed in "$root"/opt/auv-mcm/versions/*/lib/python*/site-packages/sim_replay; do
+        cp -R "$here/sim_replay/studies" "$installed" # a test draws its contours with one
+    done
+    inside sh -euc "cd /checkout
+        /opt/auv-mcm/current/bin/python -m pytest --quiet -p no:cacheprovider tests/auv_mcm/test_kernels.py \
+            tests/auv_mcm/*/test_*kernel*.py tests/auv_mcm/classify/test_likelihood.py
+        $program replay log.xtf --out results >/dev/null
+        cd results && sha256sum *.geojson *.csv *.kml"
+fi
 echo "clean-install: done"

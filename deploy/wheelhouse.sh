@@ -1,16 +1,18 @@
 #!/bin/sh
-# Make a folder that installs auv-mcm without a network: sh deploy/wheelhouse.sh [--arch ARCH] [--python X.Y] [FOLDER]
+# Make a folder that installs auv-mcm without a network:
+#     sh deploy/wheelhouse.sh [--arch ARCH] [--python X.Y] [--with PACKAGE] [FOLDER]
 # It holds this checkout's wheel with compiled kernels, the wheels of all packages that the base needs, and
 # deploy/install.sh with what that installs.
 # --arch: the vehicle's architecture, x86_64 or aarch64, default this computer's; for the other one a cross compiler has
 # to be here (Debian: gcc-aarch64-linux-gnu or gcc-x86-64-linux-gnu). --python: its Python, default this computer's; the
-# wheel of this checkout serves every one from 3.11 on, those of other packages do not. PYTHON names the interpreter
-# that builds, default python3. Needs a network and a C compiler here, and neither on the vehicle, which needs glibc
-# 2.28 or later (Debian 10, Ubuntu 20.04).
+# wheel of this checkout serves every one from 3.11 on, those of other packages do not. --with: fetch this package too,
+# such as one with a driver, or 'auv-mcm[bench]'; more than once for several. PYTHON names the interpreter that builds,
+# default python3. Needs a network and a C compiler here, and neither on the vehicle, which needs glibc 2.28 or later
+# (Debian 10, Ubuntu 20.04).
 set -eu
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
-arch=$(uname -m) release= out=
+arch=$(uname -m) release= out= with=
 
 fail() {
     echo "wheelhouse: $*" >&2
@@ -19,15 +21,16 @@ fail() {
 
 while [ $# -gt 0 ]; do
     case $1 in
-    --arch | --python)
+    --arch | --python | --with)
         [ $# -gt 1 ] || fail "$1 wants a value"
         case $1 in
         --arch) arch=$2 ;;
         --python) release=$2 ;;
+        --with) with="$with $2" ;;
         esac
         shift
         ;;
-    -*) fail "$1 is not an option: --arch ARCH, --python X.Y" ;;
+    -*) fail "$1 is not an option: --arch ARCH, --python X.Y, --with PACKAGE" ;;
     *) out=$1 ;;
     esac
     shift
@@ -76,7 +79,8 @@ done
 platforms="$platforms --platform manylinux2014_$arch"
 # shellcheck disable=SC2086 # options, one a word
 "$work/venv/bin/python" -m pip download --quiet --disable-pip-version-check --only-binary :all: \
-    --implementation cp --python-version "$release" $platforms --dest "$work/wheels" "$wheel"
+    --implementation cp --python-version "$release" $platforms --find-links "$work/wheels" --dest "$work/wheels" \
+    "$wheel" $with
 
 rm -rf "$out"
 mkdir -p "$out/deploy"
