@@ -7,6 +7,7 @@ auv-mcm bench soak --kills N [--seed N]          killed N times: at most a secon
                                                  contact may be lost
 auv-mcm bench soak --restarts N [--seed N]       cut off N times in every way and started again: the same contacts in
                                                  the end, each announced once
+auv-mcm bench soak --rising                      at twice the ping rate each time, until pings are lost
 
 Service, perception and devices are processes of their own on virtual ports, as of auv-mcm hil. Exit code 5 if anything
 has died or is lost.
@@ -35,6 +36,7 @@ from sim_replay.arguments import count, duration_min
 from sim_replay.benches.announced import CONTACT, not_in_journal
 from sim_replay.benches.long_mission import bench_long_mission
 from sim_replay.benches.restarts import WAYS, Cut, cut_off, keep_mission
+from sim_replay.benches.rising_rate import RATES_HZ, at_rising_rates
 from sim_replay.benches.stops import MAX_STOP_S, StopOutcome, stopped
 from sim_replay.benches.watched_service import (
     FLOWN_MPS,
@@ -110,6 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what.add_argument("--stops", type=count, help="request the service to stop so often, at random moments under load")
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")
+    what.add_argument("--rising", action="store_true", help="raise the ping rate until pings are lost")
     parser.add_argument(
         "--speed", type=int, choices=range(3, 13), default=6, help="speed of the mission, times real time (default 6)"
     )
@@ -121,8 +124,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises SelfCheckError for a task that died, or more lost than may be; UsageError for options that contradict.
     """
-    if arguments.minutes is not None and (arguments.kills is not None or arguments.stops is not None):
-        raise UsageError("--kills and --stops have missions of their own length: leave --minutes out")
+    if arguments.minutes is not None and (
+        arguments.kills is not None or arguments.stops is not None or arguments.rising
+    ):
+        raise UsageError("--kills, --stops and --rising have missions of their own length: leave --minutes out")
     with tempfile.TemporaryDirectory(prefix="auv-mcm-soak-") as name:
         if arguments.restarts is not None and arguments.minutes is None:
             _bench_restarts(arguments.restarts, arguments.seed, Path(name))
@@ -130,6 +135,8 @@ def run(arguments: argparse.Namespace) -> int:
             _bench_stops(arguments.stops, arguments.seed, Path(name))
         elif arguments.kills is not None:
             _bench_kills(arguments.kills, arguments.seed, Path(name))
+        elif arguments.rising:
+            _bench_rising(Path(name))
         else:
             minutes, n_restarts = arguments.minutes or _MINUTES, arguments.restarts or 0
             bench_long_mission(minutes, n_restarts, float(arguments.speed), arguments.seed, Path(name))
@@ -219,6 +226,37 @@ def _bench_stops(n_stops: int, seed: int, folder: Path) -> None:
     print(f"load of this computer: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     if n_bad := sum(bool(stop.problems) for stop in stops):
         raise SelfCheckError(f"{n_bad} of {n_stops} stops took more than {MAX_STOP_S:g} s or left something out")
+
+
+def _bench_rising(folder: Path) -> None:
+    """Print what each ping rate came to, and what gave first. Raises SelfCheckError for a loss that nobody reported."""
+    header = ("pings a second", "sent", "taken", "less work", "dropped", "waiting", "loop late, ms", "service %")
+    print("  ".join((*header, "perception %", "reported")))
+    gave = []
+    for row in at_rising_rates(RATES_HZ, folder):
+        cells = (
+            f"{row.rate_hz:g}",
+            f"{row.n_sent}",
+            f"{row.n_taken}",
+            f"{row.n_less_work}",
+            f"{row.n_dropped}",
+            f"{row.n_waiting}",
+            f"{1e3 * row.late_s:.0f}",
+            *(f"{100.0 * share:.0f}" for share in row.shares),
+        )
+        widths = [len(name) for name in (*header, "perception %")]
+        print(
+            "  ".join(cell.rjust(width) for cell, width in zip(cells, widths, strict=True)),
+            ", ".join(row.reported) or "nothing",
+            sep="  ",
+            flush=True,
+        )
+        if row.gave:
+            gave.append(f"at {row.rate_hz:g} pings a second {row.gave}")
+        if (row.n_dropped or row.n_less_work) and not row.reported:
+            raise SelfCheckError(f"at {row.rate_hz:g} pings a second {row.gave}, and nothing reported it")
+    print(f"\n{'; '.join(gave) or 'nothing gave'}")
+    print(f"load of this computer: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 
 
 def _kill(read: Read, folder: Path, awaited: str, wait_s: float) -> KillOutcome:

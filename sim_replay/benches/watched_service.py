@@ -44,6 +44,11 @@ SERVICE: Final[dict[str, Any]] = {
     ],
 }
 """A configuration of the service."""
+SONAR_AND_CAN: Final = {
+    "sonar": Device(device="ping_protocol", link="serial", baud=4_000_000),
+    "nav": Device(device="nmea2000", link="slcan", baud=4_000_000, bus_bitrate=1_000_000),
+}
+"""A sonar at a serial port, and navigation on a CAN bus."""
 _TARGET_EVERY_M: Final = 15.0  # m of a leg between targets
 
 
@@ -113,17 +118,18 @@ def read_mission(
     restarts_s: tuple[float, ...] = (),
     *,
     waits: bool = False,
+    devices: dict[str, Device] | None = None,
 ) -> Read:
-    """Follow the run of a mission to its end, and patience_s more; see `Scenario` for the rest."""
+    """Follow the run of a mission to its end, and patience_s more; see `Scenario` for the rest.
+
+    devices: `SONAR_AND_CAN` unless others are given.
+    """
     scenario = Scenario(
         about="a long run",
         log=str(log.resolve()),
         speed=speed,
         run_s=duration_s / speed + patience_s,
-        devices={
-            "sonar": Device(device="ping_protocol", link="serial", baud=4_000_000),
-            "nav": Device(device="nmea2000", link="slcan", baud=4_000_000, bus_bitrate=1_000_000),
-        },
+        devices=devices or SONAR_AND_CAN,
         service=service,
         restarts_s=restarts_s,
         waits=waits,
