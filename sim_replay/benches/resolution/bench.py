@@ -5,8 +5,8 @@ auv-mcm bench resolution --quick                 a few objects and no chain; end
 auv-mcm bench resolution --without-chain         the observer alone
 auv-mcm bench resolution --plot FILE             draws the curves, too (.png, .svg, .pdf)
 
-The observer knows floor, pose, place and the law of speckle, and has seen each rock and mine before; what it cannot
-distinguish no processing can. Pixels are independent samples as large as the resolution, in slant range and along the
+The observer knows floor, pose, place and the law of speckle, and has seen each rock and mine before; no processing errs
+less. Pixels are independent samples as large as the resolution, in slant range and along the
 track.
 """
 
@@ -169,6 +169,6 @@ def _draw(compared: dict[str, list[Distances]], path: Path) -> None:
         axes.axhline(least_nats, color="0.5", linewidth=1.0)
         axes.set(title=words, xlabel="pixel, cm", xticks=pixels_cm, xticklabels=[f"{size:g}" for size in pixels_cm])
         axes.minorticks_off()
-    figure.axes[0].set_ylabel(f"distance that {100.0 * SHARE:g} % of the mines exceed, nats")
+    figure.axes[0].set_ylabel(f"nats that {100.0 * SHARE:g} % exceed")
     figure.axes[-1].legend(fontsize=6)
     figure.savefig(path)
