@@ -165,14 +165,14 @@ def fly(seed: int) -> Flown:
     squinted: dict[int, list[NavSample | Ping]] = {3: [], 5: []}
     start_s = scene.track.start_time_s
     for number, heading_deg in enumerate(_HEADINGS_DEG):
-        strip = whole.strip(_leg(heading_deg), number)
+        strip = whole.strip(leg_through(heading_deg), number)
         poses = whole.poses(strip, start_s, 0, strip.n_lines)
         samples = [navigation.reported(pose, sea.altitude_m(pose)) for pose in poses]
-        passes.append(_events(whole, strip, start_s, samples, "full", 0.0))
+        passes.append(events_of(whole, strip, start_s, samples, "full", 0.0))
         if number == 0:
             for n, aperture in parted.items():
                 for view in range(n):
-                    squinted[n] += _events(aperture, strip, start_s, samples, view, aperture.squint_rad(view))
+                    squinted[n] += events_of(aperture, strip, start_s, samples, view, aperture.squint_rad(view))
         start_s = poses[-1].time_s + _TURN_S
     heard = {
         "1 pass": passes[0],
@@ -182,7 +182,7 @@ def fly(seed: int) -> Flown:
         "5 passes": [event for one in passes for event in one],
     }
     return Flown(
-        tuple(one.kind for one in scene.objects), {name: _judged(scene, events) for name, events in heard.items()}
+        tuple(one.kind for one in scene.objects), {name: judged(scene, events) for name, events in heard.items()}
     )
 
 
@@ -192,14 +192,16 @@ def _with_parts(sea: Sea, n_parts: int) -> Sea:
     return Sea(msgspec.structs.replace(scene, sonar=sonar))
 
 
-def _leg(heading_deg: float) -> Leg:
+def leg_through(heading_deg: float) -> Leg:
+    """Lay a leg through the middle of the disc."""
     heading, half_m = math.radians(heading_deg), _RADIUS_M + _BEYOND_M
     return Leg(-half_m * math.sin(heading), -half_m * math.cos(heading), heading, 2.0 * half_m)
 
 
-def _events(
+def events_of(
     aperture: Aperture, strip: Strip, start_s: float, samples: Sequence[NavSample], view: View, squint_rad: float
 ) -> list[NavSample | Ping]:
+    """List the lines of a pass, each after its sample of navigation."""
     events: list[NavSample | Ping] = []
     for first in range(0, strip.n_lines, 256):  # lines at once: bounds memory
         n_lines = min(256, strip.n_lines - first)
@@ -214,7 +216,8 @@ def _events(
     return events
 
 
-def _judged(scene: Scene, events: Sequence[NavSample | Ping]) -> Judged:
+def judged(scene: Scene, events: Sequence[NavSample | Ping]) -> Judged:
+    """Give the chain what was received, and sort its contacts on judged ground."""
     pipeline = Pipeline(reporting_everything(Config(sonar=SonarConfig(kind="sas"))))
     for event in events:
         pipeline.feed(event)
@@ -285,10 +288,10 @@ def scores_of(flights: Sequence[Flown], system: str, rule: Rule) -> Scores:
     """Give every target its likeliest contact; all contacts on nothing or on rocks are false alarms."""
     scores = Scores([], [], [])
     for flown in flights:
-        judged, n_targets = flown.systems[system], sum(kind != "rock" for kind in flown.kinds)
+        seen, n_targets = flown.systems[system], sum(kind != "rock" for kind in flown.kinds)
         best, named = np.full(n_targets, -math.inf), np.zeros(n_targets, dtype=np.bool_)
         wrong: dict[int, float] = {}
-        for number, (views, kind, on) in enumerate(zip(*judged, strict=True)):
+        for number, (views, kind, on) in enumerate(zip(*seen, strict=True)):
             odds = rule(views)
             if 0 <= on < n_targets:
                 if odds > best[on]:

@@ -23,6 +23,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "snakes": ("studies.snakes", "contours, error beside time"),
     "shapes": ("studies.shapes", "classification by shape, error beside time"),
     "sas": ("studies.sas_objects", "outlines and classes in synthetic aperture images of 1.5 to 10 cm"),
+    "filters": ("studies.speckle_filters", "speckle filters before detection: what they cost and what is found"),
     "beliefs": ("studies.beliefs", "what belief several views lead to"),
     "images": ("studies.real_images", "outlines and calls on real pictures"),
     "cascade": ("benches.cascade", "the trained cascade's speed and budgets"),
@@ -43,6 +44,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
         "false alarms at the operating point against those requested, and Pd, on domains left out",
     ),
     "limit": ("benches.limit", "how far from the limit: an ideal observer beside the chain, and one view beside two"),
+    "resolution": ("benches.resolution.bench", "pixels from 1.5 to 48 cm: the best observer, and the chain"),
     "apertures": ("benches.apertures", "sub-apertures of one pass beside further passes, on synthetic aperture"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "left-out": (
