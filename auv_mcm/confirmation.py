@@ -47,7 +47,7 @@ from auv_mcm.snippet import unpack_snippet
 _QUALITY: Final = 0.95  # of a view that nothing speaks against
 _POOR_QUALITY: Final = 0.6  # reliability of a poor view, where a good one has _QUALITY; chosen, not measured
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
-_NOT_LISTED: Final = -1.0  # nats by the mines expected from which the reasons say so: more than half of the odds
+_NOT_LISTED: Final = -0.5  # nats by the mines expected from which the reasons say so: a third of the odds
 _MIN_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]

@@ -43,6 +43,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
         "false alarms at the operating point against those requested, and Pd, on domains left out",
     ),
     "limit": ("benches.limit", "how far from the limit: an ideal observer beside the chain, and one view beside two"),
+    "library": ("benches.library", "what a list of the mines expected is worth: right, wrong, incomplete"),
     "apertures": ("benches.apertures", "sub-apertures of one pass beside further passes, on synthetic aperture"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "left-out": (

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.classify.targets import (
+    NOT_LISTED,
     ExpectedCylinder,
     ExpectedSphere,
     TargetLibrary,
@@ -22,7 +23,7 @@ def test_a_list_is_read_with_its_defaults(tmp_path: Path) -> None:
     path = tmp_path / "mines.yaml"
     path.write_text("mines:\n  - {kind: sphere, diameter_m: 0.9}\n  - {kind: cylinder, length_m: 1.6, share: 2}\n")
     assert configured_targets(str(path)) == TargetLibrary(
-        mines=(ExpectedSphere(diameter_m=0.9), ExpectedCylinder(length_m=1.6, share=2.0)), not_listed=0.1
+        mines=(ExpectedSphere(diameter_m=0.9), ExpectedCylinder(length_m=1.6, share=2.0)), not_listed=NOT_LISTED
     )
 
 

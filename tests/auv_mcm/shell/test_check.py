@@ -218,10 +218,8 @@ def test_a_list_of_mines_expected_is_shown_with_what_is_at_risk_where_it_is_inco
     finding = expected_mines(str(path), 0.02)
     assert finding.verdict == "ok"
     assert finding.detail.startswith("type A (cylinder): length 1.6 m, diameter 0.45 m, within 5 %. ")
-    assert (
-        "2.3 nats in one view, by not_listed 0.1: p_mine 0.9 to 0.47, 0.5 to 0.09, and below 0.17 to less than"
-        in finding.detail
-    )
+    assert "1.2 nats in one view, by not_listed 0.3: p_mine 0.9 to 0.73, 0.5 to 0.23" in finding.detail
+    assert "below 0.06 to less than contacts.min_p_mine" in finding.detail
     path.write_text("mines:\n  - {kind: sphere, diameter_m: 2.0}\n")
     unusual = expected_mines(str(path), 0.0)
     assert unusual.verdict == "warning"
