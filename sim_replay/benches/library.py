@@ -58,7 +58,7 @@ _SCENE_SIZE: Final = {"diameter_m": "width_m", "base_diameter_m": "width_m"}  # 
 _NONE: Final = -math.inf  # p_mine of what has no contact
 _N_RESAMPLES: Final = 2000  # of missions, for the interval of a difference
 _HEADER: Final = (
-    *("missions", "list", "targets", "km²"),
+    *("missions", "list", "targets", "km²", "reported"),
     *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2),
     "more at 100 than without a list",
     f"rocks called at Pd {ROCKS_PD:g}",
@@ -273,6 +273,7 @@ def report(flown: Sequence[FlownWithLists], *, in_markdown: bool = False) -> str
 def _row(title: str, flown: Sequence[FlownWithLists], name: str) -> list[str]:
     missions = [one.judged[name] for one in flown]
     n_targets = sum(len(one.targets) for one in missions)
+    n_reported = sum(int(np.count_nonzero(one.targets > _NONE)) for one in missions)
     more = NOTHING
     if name != LISTS[0] and len(flown) > 1:
         middle, low, high = gain(flown, name, LIMITS_PER_KM2[-1])
@@ -283,6 +284,7 @@ def _row(title: str, flown: Sequence[FlownWithLists], name: str) -> list[str]:
         name,
         str(n_targets),
         f"{sum(one.area_km2 for one in missions):.3f}",
+        share_cell(proportion(n_reported, n_targets)),
         *(share_cell(proportion(n_found(missions, limit), n_targets)) for limit in LIMITS_PER_KM2),
         more,
         NOTHING if rocks is None else share_cell(proportion(*rocks)),
