@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import vacuous
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
-from auv_mcm.classify.evidence import ClassEvidence, view_mass
+from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, view_mass
 from auv_mcm.classify.features import (
     Features,
     contour_features,
@@ -27,9 +27,11 @@ from auv_mcm.classify.features import (
     shape_features,
     with_shape,
 )
-from auv_mcm.classify.fit import Effort, ShapeFit, ShapeFits, fit_to
+from auv_mcm.classify.fit import USUAL_RANGES, Effort, SearchRanges, ShapeFit, ShapeFits, fit_to
 from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
+from auv_mcm.classify.size_evidence import NO_WEIGHT, SizeEvidence, SizeWeight, size_evidence
+from auv_mcm.classify.targets import shipped_targets
 from auv_mcm.confirm.mrf import DEFAULT_SWEEPS, Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import COARSE, FINE, Contours, converge_on, start_from_labels, survey
@@ -45,6 +47,7 @@ from auv_mcm.snippet import unpack_snippet
 _QUALITY: Final = 0.95  # of a view that nothing speaks against
 _POOR_QUALITY: Final = 0.6  # reliability of a poor view, where a good one has _QUALITY; chosen, not measured
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
+_NOT_LISTED: Final = -0.5  # nats by the mines expected from which the reasons say so: a third of the odds
 _MIN_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
@@ -93,6 +96,7 @@ def confirm_detection(
     config: ConfirmConfig,
     thoroughness: Thoroughness = _USUAL,
     without_skips: Skips = NO_SKIPS,
+    sizes: SizeEvidence | None = None,
 ) -> Detection:
     """Return the detection with p_mine after confirmation, without surroundings.
 
@@ -100,8 +104,15 @@ def confirm_detection(
 
     p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
     `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
-    without_skips: those that are switched off.
+
+    Parameters
+    ----------
+    without_skips
+        Those that are switched off.
+    sizes
+        Of the mines expected; any if None.
     """
+    sizes = size_evidence(shipped_targets()) if sizes is None else sizes
     p_detector = detector_p_mine(detection, odds)
     if detection.surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
         return without_confirmation(detection, odds, "not_looked_at")
@@ -115,17 +126,20 @@ def confirm_detection(
     min_p_mine = 0.0 if "contour-odds" in without_skips else config.min_p_mine
     if "hopeless-solids" in without_skips:
         thoroughness = thoroughness._replace(effort=thoroughness.effort._replace(refines_all=True))
-    examination = examine(detection, region, odds, min_p_mine, thoroughness=thoroughness)
+    examination = examine(detection, region, odds, min_p_mine, thoroughness=thoroughness, ranges=sizes.ranges)
     p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
     log_ratio = evidence_of(examination, odds)
+    weight = NO_WEIGHT
     if examination.fits is not None:
+        weight = sizes.weigh(examination.fits)
+        log_ratio = _seen(log_ratio + weight.nats, examination.contours)
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
         detection,
         p_mine=odds.p_mine(log_ratio),
         p_by_step=p_by_step,
         surroundings=None,
-        confirmation=_confirmation(detection, detection.surroundings, examination, log_ratio),
+        confirmation=_confirmation(detection, detection.surroundings, examination, log_ratio, weight),
     )
 
 
@@ -162,11 +176,12 @@ def evidence_of(examination: Examination, odds: MineOdds) -> float:
 
 
 def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
-    """Compute the evidence in nats.
+    """Compute the evidence in nats."""
+    return _seen(odds.log_ratio(step, features), contours)
 
-    In the shadow of another object there is none for a mine, since nothing can be seen.
-    """
-    ratio = odds.log_ratio(step, features)
+
+def _seen(ratio: float, contours: Contours) -> float:
+    """Leave no evidence for a mine in the shadow of another object, where nothing can be seen."""
     return min(ratio, 0.0) if "in_shadow" in contours.reasons else ratio
 
 
@@ -193,10 +208,16 @@ def examine(
     min_p_mine: float,
     done: Callable[[ExaminationStep], None] = lambda step: None,
     thoroughness: Thoroughness = _USUAL,
+    ranges: SearchRanges = USUAL_RANGES,
 ) -> Examination:
     """Run the steps until p_mine falls below `min_p_mine`; all steps if `odds` is None.
 
-    done: called after each step, for benches.
+    Parameters
+    ----------
+    done
+        Called after each step, for benches.
+    ranges
+        Of the parameters of solids that are searched.
     """
     coarse, fine, n_sweeps, effort = thoroughness
     area = grain_area(region.intensity, region.valid)
@@ -221,7 +242,7 @@ def examine(
             contours = again
     done("second contours")
     image = image_row_sums(region, area)
-    fits = fit_to(image, region, contour_cost(image, region, contours, area), effort)
+    fits = fit_to(image, region, contour_cost(image, region, contours, area), effort, ranges)
     done("solids")
     found = before | contour_features(contours) | outline_features(contours, region)
     features = with_shape(found, shape_features(fits, segmentation.labels))
@@ -265,27 +286,39 @@ def contour_cost(image: ImageRowSums | None, region: Region, contours: Contours,
     return labels_cost_of(image, region, labels) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))
 
 
-def shape_mass(fits: ShapeFits, poor: bool) -> NDArray[np.float64]:
+def shape_mass(fits: ShapeFits, poor: bool, weight: SizeWeight = NO_WEIGHT) -> NDArray[np.float64]:
     """Weigh which mines a view may show, (32,).
 
-    Clutter is weighed from everything together instead.
+    Clutter is weighed from everything together instead. weight: of the mines expected; a kind that it makes less
+    probable than the most expected one counts as that much less likely, before the masses are tempered.
     """
+    highest = max(weight.factors.values(), default=1.0)
     evidence: dict[ContactClass, ClassEvidence] = {
-        fit.solid: ClassEvidence(nll=fit.best.cost, plausibility=fit.plausibility) for fit in fits.fits
+        fit.solid: ClassEvidence(
+            nll=fit.best.cost - TEMPERATURE * math.log(weight.factors.get(fit.solid, 1.0) / highest),
+            plausibility=fit.plausibility,
+        )
+        for fit in fits.fits
     }
     return view_mass(evidence, _POOR_QUALITY if poor else _QUALITY) if evidence else vacuous()
 
 
 def _confirmation(
-    detection: Detection, surroundings: Surroundings, examination: Examination, log_ratio: float
+    detection: Detection,
+    surroundings: Surroundings,
+    examination: Examination,
+    log_ratio: float,
+    weight: SizeWeight,
 ) -> Confirmation:
     contours, fits = examination.contours, examination.fits
     best = fits.fits[0] if fits is not None and fits.fits else None
     reasons = (*contours.reasons, *(() if fits is None else fits.flags), *(() if best is None else best.flags))
     if examination.segmentation is not None:
         reasons = (*reasons, *examination.segmentation.flags)
+    if weight.nats <= _NOT_LISTED:
+        reasons = (*reasons, "not_listed")
     all_reasons = frozenset((*detection.reasons, *reasons))
-    mass = vacuous() if fits is None else shape_mass(fits, poor=not all_reasons.isdisjoint(_POOR))
+    mass = vacuous() if fits is None else shape_mass(fits, not all_reasons.isdisjoint(_POOR), weight)
     # Whole pixels lie between the two pictures.
     top = round(surroundings.row - detection.snippet_row)
     near = round(surroundings.column - detection.snippet_column)

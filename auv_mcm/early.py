@@ -20,6 +20,7 @@ import msgspec
 
 from auv_mcm.budget import Allowance, tile_allowance
 from auv_mcm.classify.odds import MineOdds
+from auv_mcm.classify.size_evidence import SizeEvidence
 from auv_mcm.confirmation import confirm_detection, is_worth_confirming
 from auv_mcm.contacts.ledger import contact_from_views
 from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
@@ -71,9 +72,15 @@ class EarlyLook:
     """Find early contacts, and report what became of each. Reads results of the chain and changes none."""
 
     def __init__(
-        self, config: Config, model: CascadeModel | None, gate: Gate | None, odds: MineOdds, prior: float
+        self,
+        config: Config,
+        model: CascadeModel | None,
+        gate: Gate | None,
+        odds: MineOdds,
+        prior: float,
+        sizes: SizeEvidence | None = None,
     ) -> None:
-        """model: the cascade; contrasts serve without one. odds, prior: of a mine, as for the finished tile."""
+        """model: the cascade; contrasts serve without one. odds, prior, sizes: as for the finished tile."""
         self.counters: Counter[str] = Counter()
         share = _STEP_M / (config.waterfall.tile_rows * config.waterfall.row_spacing_m)
         detect = msgspec.structs.replace(
@@ -90,7 +97,7 @@ class EarlyLook:
         )
         self._min_p_mine = least
         self._max_looks = math.ceil(config.confirm.max_per_tile * 2.0 * share)
-        self._model, self._gate, self._odds, self._prior = model, gate, odds, prior
+        self._model, self._gate, self._odds, self._prior, self._sizes = model, gate, odds, prior, sizes
         self._row_m = config.waterfall.row_spacing_m
         self._next_row = 0
         self._recent: dict[Side, list[Detection]] = {side: [] for side in SIDES}
@@ -164,7 +171,10 @@ class EarlyLook:
             best_first = sorted(worthwhile, key=lambda d: (-d.p_mine, d.row, d.column))[: min(self._max_looks, paid)]
             self.counters["early.looked_at"] += len(best_first)
             beam_width_rad = self._config.sonar.beam_width_rad
-            views = [confirm_detection(d, beam_width_rad, self._odds, self._config.confirm) for d in best_first]
+            views = [
+                confirm_detection(d, beam_width_rad, self._odds, self._config.confirm, sizes=self._sizes)
+                for d in best_first
+            ]
         return [msgspec.structs.replace(d, surroundings=None) for d in views if d.p_mine >= self._min_p_mine]
 
     def _is_known(self, detection: Detection) -> bool:

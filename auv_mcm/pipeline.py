@@ -23,6 +23,8 @@ import numpy as np
 
 from auv_mcm.budget import Allowance, pay_looks, tile_allowance
 from auv_mcm.classify.odds import configured_odds
+from auv_mcm.classify.size_evidence import size_evidence
+from auv_mcm.classify.targets import configured_targets
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.confirmation import confirm_detection, detector_p_mine, is_worth_confirming, without_confirmation
 from auv_mcm.contacts.background import shipped_background
@@ -93,7 +95,7 @@ class Pipeline:
     early: look at the newest rows before their tile is complete and announce early contacts; all else is the same
     without.
 
-    The models that `config.detect` names are read here, once. Raises BadInputError if one cannot be.
+    The models that `config` names are read here, once. Raises BadInputError or UsageError if one cannot be.
     """
 
     def __init__(
@@ -125,6 +127,7 @@ class Pipeline:
         model, self._detector = fitting(configured_model(config), config)
         detector: Detector = "contrast" if model is None else "cascade"
         self._odds = configured_odds(config.confirm.odds, detector)
+        sizes = size_evidence(configured_targets(config.confirm.targets))
         # The gate forecasts what confirmation says, and backgrounds are known in log-odds that it ends with.
         gate = shipped_gate() if config.confirm.enabled else None
         background = shipped_background().prior(detector) if config.confirm.enabled else None
@@ -149,6 +152,7 @@ class Pipeline:
             odds=self._odds,
             config=config.confirm,
             without_skips=without_skips,
+            sizes=sizes,
         )
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         self._calls = CallWatch(config.contacts, background)
@@ -158,6 +162,7 @@ class Pipeline:
             "gate": gate,
             "odds": self._odds,
             "background": background,
+            "sizes": sizes,
         }
         """What the state holds and never changes, by name; see `auv_mcm.frozen_state`."""
         # A model of the sea floor is read only where it is used, so that a new one can be fitted whatever the shipped
@@ -165,7 +170,7 @@ class Pipeline:
         self._seabed_of = seabed or partial(seabed_cells, model=configured_seabed_model(config))
         self._places = PlaceCounts()
         self._early = (
-            EarlyLook(config, model, gate, self._odds, self._odds.prior if config.confirm.enabled else 0.0)
+            EarlyLook(config, model, gate, self._odds, self._odds.prior if config.confirm.enabled else 0.0, sizes)
             if early
             else None
         )

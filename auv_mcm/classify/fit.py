@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Final, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -51,7 +52,7 @@ _TEMPER: Final = 4.0  # factor by which costs overstate the evidence: highlights
 _RESOLVED: Final = 0.15  # share of a resolution cell by which edges are uncertain
 _TOLERANCE: Final = 0.3  # beyond the usual sizes, relative, at which a size is not plausible at all
 _MIN_HIGHLIGHT: Final = 6.0  # independent samples below which a highlight is not evidence
-_WEDGE_M: Final = (1.02, 0.80, 0.385)  # at scale 1
+WEDGE_M: Final = (1.02, 0.80, 0.385)  # at scale 1
 _ALONG_M, _BEFORE_M, _BEHIND_M = 1.2, 0.5, 1.2  # how far from the highlight's centre an object's place may be
 _PLACE_GRAIN_M: Final = 0.05  # m to which a place is refined
 
@@ -148,13 +149,22 @@ class _Parameter(NamedTuple):
     usual: tuple[float, float] | None = None
 
 
+class ListedParameter(NamedTuple):
+    """Name a parameter of a class by its place among USUAL_RANGES, with a value that is to be searched."""
+
+    solid: Solid
+    place: int
+    value: float
+
+
 def _size(low: float, high: float, grain: float) -> _Parameter:
     return _Parameter((1.0 - _TOLERANCE) * low, (1.0 + _TOLERANCE) * high, grain, usual=(low, high))
 
 
 # Burial comes as a share of radius or height. Below 0 it stands for an altitude measured too high by that
 # share: both change the height seen.
-_PARAMETERS: Final[dict[Solid, tuple[_Parameter, ...]]] = {
+SearchRanges: TypeAlias = Mapping[Solid, tuple[_Parameter, ...]]
+USUAL_RANGES: Final[SearchRanges] = {
     "sphere": (_size(0.3, 0.5, 0.03), _Parameter(-0.15, 0.6, 0.15)),
     "cylinder": (
         _size(0.2, 0.32, 0.03),
@@ -179,7 +189,7 @@ _TERMS: Final[dict[Solid, Array]] = {
         [*_PLACE, (1.0, ONE, ONE), (1.0, _P2, ONE), (1.0, _P2, _P3), (2.0, _P2, _P4), _NONE, _NONE]
     ),
     "wedge": np.array(
-        [*_PLACE, _RATIO, *((size_m, _P2, ONE) for size_m in _WEDGE_M), (1.0, _P3, ONE), (_WEDGE_M[2], _P2, SUNK)]
+        [*_PLACE, _RATIO, *((size_m, _P2, ONE) for size_m in WEDGE_M), (1.0, _P3, ONE), (WEDGE_M[2], _P2, SUNK)]
     ),
 }
 
@@ -208,6 +218,7 @@ def fit_shapes(
     *,
     looks: float = 1.0,
     effort: Effort | None = None,
+    ranges: SearchRanges = USUAL_RANGES,
 ) -> ShapeFits:
     """Find the best solid of every class in a region.
 
@@ -220,6 +231,8 @@ def fit_shapes(
         encloses plus the code length of its nodes.
     correlation_area
         Pixels over which speckle is correlated, at least 1.
+    ranges
+        Of parameters that are searched.
 
     Raises
     ------
@@ -231,15 +244,22 @@ def fit_shapes(
         region,
         contour_cost,
         Effort() if effort is None else effort,
+        ranges,
     )
 
 
-def fit_to(image: ImageRowSums | None, region: Region, contour_cost: float | None, effort: Effort) -> ShapeFits:
+def fit_to(
+    image: ImageRowSums | None,
+    region: Region,
+    contour_cost: float | None,
+    effort: Effort,
+    ranges: SearchRanges = USUAL_RANGES,
+) -> ShapeFits:
     """Find the best solid of every class in a region whose `likelihood.image_row_sums` are known; see `fit_shapes`."""
     if image is None:
         return ShapeFits(fits=(), contour_cost=contour_cost, n_hypotheses=0, flags=("no_data",))
     beam = beam_of(region)
-    classes = [_look(solid, region, image, effort) for solid in SOLIDS]
+    classes = [_look(solid, region, image, effort, ranges[solid]) for solid in SOLIDS]
     n_tried = len(classes) * (effort.n_starts + effort.n_walks * effort.n_steps * effort.n_tries)
     classes = [entry for entry in classes if entry.found.cost[0] < FORBIDDEN]
     lowest = min((entry.found.cost[0] for entry in classes), default=math.inf)
@@ -252,18 +272,32 @@ def fit_to(image: ImageRowSums | None, region: Region, contour_cost: float | Non
         if final.found.cost[0] < FORBIDDEN:
             found.append(final)
     found.sort(key=lambda entry: float(entry.found.cost[0]))
-    fits = [_fit(entry, region, image) for entry in found]
+    fits = [_fit(entry, region, image, ranges) for entry in found]
     if fits:
         fits[0] = _look_closely(fits[0], found[0], region, image, beam)
     flags = ("clutter",) if clutter else ()
     return ShapeFits(fits=tuple(fits), contour_cost=contour_cost, n_hypotheses=n_tried, flags=flags)
 
 
-def plausibility(solid: Solid, sizes: Array) -> float:
+def ranges_with(listed: Iterable[ListedParameter]) -> SearchRanges:
+    """Widen the usual ranges as far as it takes for all values listed to be usual."""
+    ranges = dict(USUAL_RANGES)
+    for solid, place, value in listed:
+        parameter = ranges[solid][place]
+        if parameter.usual is None:
+            raise ValueError(f"parameter {place} of a {solid} is no size")
+        low, high = parameter.usual
+        if not low <= value <= high:
+            wider = _size(min(low, value), max(high, value), parameter.grain)
+            ranges[solid] = (*ranges[solid][:place], wider, *ranges[solid][place + 1 :])
+    return ranges
+
+
+def plausibility(solid: Solid, sizes: Array, ranges: SearchRanges = USUAL_RANGES) -> float:
     """Rate sizes in the order of the class's parameters, 1 within the usual, 0 at 30 % beyond."""
     known = [
         (value, parameter.usual)
-        for value, parameter in zip(sizes, _PARAMETERS[solid], strict=True)
+        for value, parameter in zip(sizes, ranges[solid], strict=True)
         if parameter.usual is not None
     ]
     values, usual = zip(*known, strict=True)
@@ -278,14 +312,14 @@ def hypotheses_of(solid: Solid, points: Array) -> Array:
     return hypotheses_at(_TERMS[solid], points)
 
 
-def _look(solid: Solid, region: Region, image: ImageRowSums, effort: Effort) -> _Class:
+def _look(solid: Solid, region: Region, image: ImageRowSums, effort: Effort, own: tuple[_Parameter, ...]) -> _Class:
     along_m = region.row * image.row_spacing_m
     across_m = image.first_ground_range_m + region.column * image.column_spacing_m
     place = (
         _Parameter(along_m - _ALONG_M, along_m + _ALONG_M, _PLACE_GRAIN_M),
         _Parameter(across_m - _BEFORE_M, across_m + _BEHIND_M, _PLACE_GRAIN_M),
     )
-    parameters = place + _PARAMETERS[solid]
+    parameters = place + own
     box = SearchBox(*(np.array([parameter[k] for parameter in parameters]) for k in (0, 1, 3, 2)))
     burial_sigma = math.inf if solid == "truncated_cone" else _BURIAL_SIGMA
     chart = WalkSpace(
@@ -300,12 +334,12 @@ def _refine(entry: _Class, image: ImageRowSums, beam: Beam, effort: Effort) -> _
     return entry._replace(found=refine_shapes(entry.chart, image, beam, entry.found, walk), refined=True)
 
 
-def _fit(entry: _Class, region: Region, image: ImageRowSums) -> ShapeFit:
+def _fit(entry: _Class, region: Region, image: ImageRowSums, ranges: SearchRanges) -> ShapeFit:
     point = entry.box.points(entry.found.unit[:1])
     return ShapeFit(
         solid=entry.solid,
         best=_optimum(entry.solid, hypotheses_of(entry.solid, point)[0], float(entry.found.cost[0]), region, image),
-        plausibility=plausibility(entry.solid, point[0, 2:]),
+        plausibility=plausibility(entry.solid, point[0, 2:], ranges),
         refined=entry.refined,
     )
 

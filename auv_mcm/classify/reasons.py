@@ -53,12 +53,14 @@ CLOSE_LOOK_REASONS: Final[dict[str, str]] = {
     "altitude": "a shape fits only for another altitude than was measured: heights are uncertain",
     "buried": "the best model lies partly buried",
     "cut_off": "the object or its shadow is cut off by the border of the region searched",
+    "not_listed": "kind and size as measured are on no line of the list of mines expected, which lowers its odds",
     "weak_highlight": "too little echo before the shadow to count: the shadow alone gives the shape",
 }
 
 _FOR: Final = frozenset({"highlight_and_shadow"})
 _AGAINST: Final = REJECTING | {
     *("no_highlight", "no_shadow", "too_large", "too_small", "implausible_height", "crowded", "extended", "clutter"),
+    "not_listed",
 }
 
 

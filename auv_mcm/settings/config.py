@@ -228,6 +228,14 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
             "to it: shipped, or the path of a file that 'auv-mcm calibrate odds --verdicts' wrote",
         ),
     ] = "shipped"
+    targets: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="the mines expected, by kind and size: shipped for any, or the path of a YAML list; a mine on "
+            "no line of the list keeps less of its odds",
+        ),
+    ] = "shipped"
     min_p_mine: Annotated[
         float,
         Meta(

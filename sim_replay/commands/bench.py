@@ -45,6 +45,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     ),
     "limit": ("benches.limit", "how far from the limit: an ideal observer beside the chain, and one view beside two"),
     "resolution": ("benches.resolution.bench", "pixels from 1.5 to 48 cm: the best observer, and the chain"),
+    "library": ("benches.library", "what a list of the mines expected is worth: right, wrong, incomplete"),
     "apertures": ("benches.apertures", "sub-apertures of one pass beside further passes, on synthetic aperture"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
     "left-out": (

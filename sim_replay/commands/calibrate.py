@@ -48,7 +48,9 @@ def add(commands: Commands) -> None:
         "              weights that ship were fitted so\n"
         "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
         "              'detect.performance' of the configuration loads the file\n"
-        "seabed:       how seabed types look, from simulated missions; 'detect.seabed_model' loads the file\n\n"
+        "seabed:       how seabed types look, from simulated missions; 'detect.seabed_model' loads the file\n"
+        "sizes:        how sizes of mines are measured, for lists of mines expected; the file that ships was fitted "
+        "so\n\n"
         "The detector's cascade has a command of its own, 'auv-mcm train'.",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
@@ -58,6 +60,7 @@ def add(commands: Commands) -> None:
             "auv-mcm calibrate odds --out odds.json",
             "auv-mcm calibrate performance --out performance.json",
             "auv-mcm calibrate seabed --out model.json",
+            "auv-mcm calibrate sizes --out size_law.json",
         ],
     )
     # As it was before there was a choice, and as scripts have it.
@@ -70,6 +73,7 @@ def add(commands: Commands) -> None:
     _add_odds(kinds)
     _add_performance(kinds)
     _add_seabed(kinds)
+    _add_sizes(kinds)
 
 
 def _add_background(kinds: Commands) -> None:
@@ -259,6 +263,29 @@ def _add_seabed(kinds: Commands) -> None:
     parser.set_defaults(command=_run_seabed)
 
 
+def _add_sizes(kinds: Commands) -> None:
+    parser = command(
+        kinds,
+        "sizes",
+        "measure how sizes of mines look",
+        "Flies simulated missions with mines of all sizes, and fits how the sizes of the solids in each look follow "
+        "from the true\n"
+        "ones, and the kind from what each solid explains. 'confirm.targets' goes by it. The same seeds make the same "
+        "file.",
+        ["auv-mcm calibrate sizes --out size_law.json", "auv-mcm calibrate sizes --seeds 13000-13009 --out law.json"],
+    )
+    parser.add_argument(
+        "--seeds",
+        metavar="FIRST-LAST",
+        type=_seeds,
+        default=range(13_000, 13_036),
+        help="seeds of the missions (default 13000-13035)",
+    )
+    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the law, JSON")
+    parser.set_defaults(command=_run_sizes)
+
+
 def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
     parser.add_argument("--out", metavar="FILE", type=Path, help="new file for the result, JSON")
     parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help=f"seeds of the missions (default {seeds})")
@@ -271,8 +298,8 @@ def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
 def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
         parser.error(
-            "choose what to calibrate: background, budget, gate, odds, performance or seabed; or give --speed for the "
-            "budget"
+            "choose what to calibrate: background, budget, gate, odds, performance, seabed or sizes; or give --speed "
+            "for the budget"
         )
     return _run_budget(arguments)
 
@@ -317,6 +344,17 @@ def _run_gate(arguments: argparse.Namespace) -> int:
 
     _check_new(arguments.out)
     write_new(arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, _show)))
+    return 0
+
+
+def _run_sizes(arguments: argparse.Namespace) -> int:
+    from auv_mcm import __version__
+    from sim_replay.fitting.fit_sizes import calibrate_sizes, size_model_json
+
+    _check_new(arguments.out)
+    seeds = arguments.seeds
+    made_by = f"version {__version__}, auv-mcm calibrate sizes --seeds {seeds[0]}-{seeds[-1]}"
+    write_new(arguments.out, size_model_json(calibrate_sizes(seeds, arguments.workers, made_by, _show)))
     return 0
 
 

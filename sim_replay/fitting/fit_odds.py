@@ -105,6 +105,7 @@ class _Label(NamedTuple):
     is_target: bool
     on_object: bool
     weight: float
+    nearest: int  # object
 
 
 def crowded(scene: Scene, times: int) -> Scene:
@@ -155,16 +156,7 @@ def examples_along(
     usual
         See Example.
     """
-    found: list[Detection] = []
-
-    def keep(detection: Detection) -> Detection:
-        found.append(detection)
-        return detection
-
-    pipeline = Pipeline(_looking_at_everything(config), look=keep)
-    for event in events:
-        pipeline.feed(event)
-    pipeline.finish()
+    found = _all_detections(config, events)
     beam_width_rad = config.sonar.beam_width_rad
     examples = []
     for detection, known in zip(found, _labels_of(found, objects()), strict=True):
@@ -186,6 +178,34 @@ def examples_along(
             )
         )
     return examples
+
+
+def looks_at_targets(
+    config: Config, events: Iterable[SourceEvent], objects: Callable[[], Sequence[dict[str, Any]]]
+) -> list[tuple[Detection, dict[str, Any]]]:
+    """Collect the detection that stands for each passage of a target, with the target; see `examples_along`."""
+    found = _all_detections(config, events)
+    known = objects()
+    return [
+        (detection, known[label.nearest])
+        for detection, label in zip(found, _labels_of(found, known), strict=True)
+        if label is not None and label.is_target
+    ]
+
+
+def _all_detections(config: Config, events: Iterable[SourceEvent]) -> list[Detection]:
+    """Collect all detections along a line, with their surroundings."""
+    found: list[Detection] = []
+
+    def keep(detection: Detection) -> Detection:
+        found.append(detection)
+        return detection
+
+    pipeline = Pipeline(_looking_at_everything(config), look=keep)
+    for event in events:
+        pipeline.feed(event)
+    pipeline.finish()
+    return found
 
 
 def look_table(examples: Sequence[Example]) -> LookTable:
@@ -305,7 +325,7 @@ def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]
             labels.append(None)
             continue
         is_target = stands and bool(objects[int(nearest[index])]["is_target"])
-        labels.append(_Label(is_target, stands, float(_FAINT_KEPT) if thins else 1.0))
+        labels.append(_Label(is_target, stands, float(_FAINT_KEPT) if thins else 1.0, int(nearest[index])))
     return labels
 
 

@@ -84,10 +84,11 @@ def _read(folder: Path) -> JudgedMission:
             "same folder: verdicts stay."
         )
     config = summary_config(summary, folder)
-    if not config.confirm.enabled or config.confirm.odds != SHIPPED:
+    if not config.confirm.enabled or {config.confirm.odds, config.confirm.targets} != {SHIPPED}:
         raise BadInputError(
-            f"{folder} was made with confirm.enabled {str(config.confirm.enabled).lower()} and confirm.odds "
-            f"{config.confirm.odds}. Replay it with true and '{SHIPPED}': verdicts change the odds that ship."
+            f"{folder} was made with confirm.enabled {str(config.confirm.enabled).lower()}, confirm.odds "
+            f"{config.confirm.odds} and confirm.targets {config.confirm.targets}. Replay it with true and twice "
+            f"'{SHIPPED}': verdicts change the odds that ship."
         )
     model, _ = fitting(configured_model(config), config)
     area_km2, asked_per_km2 = _searched(summary, folder)

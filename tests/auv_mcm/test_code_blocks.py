@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import pytest
 import yaml
 
+from auv_mcm.classify.targets import parse_targets
 from auv_mcm.settings.config import parse_config
 from auv_mcm.settings.plugins import GROUPS
 from auv_mcm.settings.strict_yaml import load_mapping
@@ -49,6 +50,7 @@ def parse_ports(text: str, place: str) -> None:
 
 # What reads a YAML block, by a key that only such a file has.
 READERS: Final[dict[str, Callable[[str, str], Any]]] = {
+    "mines": parse_targets,
     "expectations": parse_scenario,
     "track": parse_scene,
     "scenes": parse_training_spec,

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from auv_mcm.classify.beliefs import singleton_belief
 from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.classify.size_evidence import size_evidence
+from auv_mcm.classify.targets import NOT_LISTED, parse_targets
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirmation import confirm_detection, labels_near, region_of, without_confirmation
 from auv_mcm.records import NAN, Confirmation, Detection, Surroundings
@@ -92,6 +94,21 @@ def test_a_cylinder_is_called_one_and_a_mine(cylinder: Detection) -> None:
     assert max(belief, key=lambda name: belief[name]) == "cylinder"
     assert not found.confirmation.rejected
     assert found.p_mine > close_look(detection_in(bare_floor(3))).p_mine
+
+
+def test_a_list_takes_from_a_kind_that_it_does_not_hold_no_more_than_its_bound(cylinder: Detection) -> None:
+    before = confirmed(cylinder)
+    for text, is_listed in (
+        ("mines: [{kind: cylinder, length_m: 2.0, diameter_m: 0.52}]", True),
+        ("mines: [{kind: sphere, diameter_m: 0.6}]", False),
+    ):
+        sizes = size_evidence(parse_targets(text, "a list"))
+        found = confirm_detection(cylinder, BEAM_RAD, shipped_odds("contrast"), EVERYTHING, sizes=sizes).confirmation
+        assert found is not None
+        change = found.log_ratio - before.log_ratio
+        assert (change > 0.0) is is_listed
+        assert abs(change) <= -math.log(NOT_LISTED) + 1e-9
+        assert ("not_listed" in found.reasons) is (change <= -0.5)
 
 
 def test_what_is_drawn_lies_on_the_object_in_the_snippet(cylinder: Detection) -> None:

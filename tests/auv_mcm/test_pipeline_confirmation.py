@@ -9,6 +9,7 @@ import pytest
 
 from auv_mcm.classify.beliefs import FRAME
 from auv_mcm.classify.odds import MineOdds, Weights
+from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Notice, PipelineEvent, SourceEvent
 from auv_mcm.settings.config import Config, ConfirmConfig, ContactsConfig
@@ -104,3 +105,8 @@ def test_without_a_bound_every_detection_is_looked_at_whatever_features_the_odds
         pipeline.feed(event)
     pipeline.finish()
     assert len(seen) == sum(len(contact.views) for contact in pipeline.contacts) >= len(OBJECTS)
+
+
+def test_a_list_of_mines_expected_that_cannot_be_read_stops_the_chain_before_it_starts() -> None:
+    with pytest.raises(UsageError, match=r"confirm.targets: the list nowhere.yaml cannot be read"):
+        Pipeline(Config(confirm=ConfirmConfig(targets="nowhere.yaml")))

@@ -5,6 +5,7 @@ Only the standard library is imported before the packages have been checked, so 
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import sys
@@ -149,8 +150,39 @@ def _models(config: Config) -> Iterator[Finding]:
     if config.confirm.odds != SHIPPED:
         detector: Detector = "contrast" if fitting(configured_model(config), config)[0] is None else "cascade"
         yield Finding("recalibrated odds", "ok", configured_odds(config.confirm.odds, detector).fitted_on)
+    if config.confirm.targets != SHIPPED:
+        yield expected_mines(config.confirm.targets, config.contacts.min_p_mine)
     yield Finding("seabed model", "ok", configured_seabed_model(config).fitted_on)
     yield Finding("performance tables", "ok", configured_performance(config).fitted_on)
+
+
+def expected_mines(name: str, min_p_mine: float) -> Finding:
+    """Say which mines a list expects, and what is at risk where it is incomplete.
+
+    min_p_mine: the lowest that is reported.
+    """
+    from auv_mcm.classify.size_evidence import is_usual
+    from auv_mcm.classify.targets import configured_targets, mine_words
+    from auv_mcm.detect.belief import odds_of, probability
+
+    library = configured_targets(name)
+    lost_nats = -math.log(library.not_listed)
+    left = ", ".join(f"{p:g} to {probability(odds_of(p) - lost_nats):.2f}" for p in (0.9, 0.5))
+    unreported = ""
+    if min_p_mine > 0.0:
+        lowest = probability(odds_of(min_p_mine) + lost_nats)
+        unreported = f", and below {lowest:.2f} to less than contacts.min_p_mine, which is not reported"
+    words = (
+        f"{'; '.join(map(mine_words, library.mines))}. A mine on no line of the list may lose {lost_nats:.1f} nats in "
+        f"one view, by not_listed {library.not_listed:g}: p_mine {left}{unreported}. List every type that may lie there"
+    )
+    unusual = [mine_words(mine) for mine in library.mines if not is_usual(mine)]
+    if unusual:
+        words += (
+            f". Beyond the sizes that the odds of a mine were fitted on, so that none of this was measured: "
+            f"{'; '.join(unusual)}"
+        )
+    return Finding("mines expected", "warning" if unusual else "ok", words)
 
 
 def _kernels() -> Iterator[Finding]:

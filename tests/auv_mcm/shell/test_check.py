@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from auv_mcm.shell.check import expected_mines
 from auv_mcm.shell.check.host import (
     Discipline,
     clock_discipline,
@@ -209,3 +210,17 @@ def test_room_on_the_disk_is_judged(
 class _Usage:
     def __init__(self, free_bytes: int) -> None:
         self.free = free_bytes
+
+
+def test_a_list_of_mines_expected_is_shown_with_what_is_at_risk_where_it_is_incomplete(tmp_path: Path) -> None:
+    path = tmp_path / "mines.yaml"
+    path.write_text("mines:\n  - {name: type A, kind: cylinder, length_m: 1.6, diameter_m: 0.45}\n")
+    finding = expected_mines(str(path), 0.02)
+    assert finding.verdict == "ok"
+    assert finding.detail.startswith("type A (cylinder): length 1.6 m, diameter 0.45 m, within 5 %. ")
+    assert "1.2 nats in one view, by not_listed 0.3: p_mine 0.9 to 0.73, 0.5 to 0.23" in finding.detail
+    assert "below 0.06 to less than contacts.min_p_mine" in finding.detail
+    path.write_text("mines:\n  - {kind: sphere, diameter_m: 2.0}\n")
+    unusual = expected_mines(str(path), 0.0)
+    assert unusual.verdict == "warning"
+    assert "Beyond the sizes that the odds of a mine were fitted on" in unusual.detail
