@@ -9,7 +9,8 @@ not, and its shadow what lies behind it and gets less than half of the floor's s
 
 The second table asks what highlight and shadow are worth for the class, by resolution: every class is fitted by the
 likelihood of the highlight alone, of the shadow alone, and of both. The third asks what it costs that the solids of the
-chain cast sharp shadows: the same objects with the blur of a wide aperture, and with hardly any.
+chain cast sharp shadows: the same objects with the blur of a wide aperture, and with hardly any. The fourth asks what
+the solids' likelihood would gain by the number of looks averaged, which the chain takes to be 1.
 """
 
 from __future__ import annotations
@@ -62,6 +63,9 @@ _KHZ: Final = 300.0  # of the first two tables: apertures of 9.6 to 1.4 degrees
 _WIDE_KHZ: Final = 100.0  # three times as wide
 _SHARP_KHZ: Final = 1200.0  # a twelfth of that
 _WIDE_M: Final = (0.025, 0.05)  # m: resolutions whose blur is compared, over 17.2 and 8.6 degrees
+_LOOKS: Final = (1, 4)
+_LOOKS_M: Final = 0.05  # m: resolution at which looks are compared
+_MORE: Final = 4  # times the objects of the other tables: their fits are quick
 _ALTITUDE_M: Final = 9.0  # m above the floor
 _RANGE_M: Final = 28.0  # m, slant: beyond the longest shadow
 _LEG_M: Final = 5.0  # m of track: object, shadow and floor on both sides
@@ -102,8 +106,8 @@ class Drawn(NamedTuple):
     sizes_m: Array
 
 
-def draw(solid: Solid, resolution_m: float, frequency_khz: float, seed: int) -> Drawn:
-    """Draw an object of usual size; seed alone decides on size, place and direction."""
+def draw(solid: Solid, resolution_m: float, frequency_khz: float, seed: int, n_looks: int = 1) -> Drawn:
+    """Draw an object of usual size, with n_looks averaged; seed alone decides on size, place and direction."""
     random = np.random.Generator(np.random.PCG64(seed))
     range_m, azimuth_rad = float(random.uniform(_NEAREST_M, _FARTHEST_M)), float(random.uniform(-math.pi, math.pi))
     size, fields = _sized(solid, float(random.uniform(0.9, 1.1)), float(random.uniform(0.8, 1.2)), azimuth_rad)
@@ -133,7 +137,7 @@ def draw(solid: Solid, resolution_m: float, frequency_khz: float, seed: int) -> 
     mean = (aperture.mean_intensity(strip, 0, strip.n_lines, "full") + sea.noise)[:, 1]
     edge = round(_EDGE * strip.n_lines)
     energy = mean / np.concatenate((mean[:edge], mean[-edge:])).mean(axis=0)
-    speckled = _speckled(energy, random)
+    speckled = np.mean([_speckled(energy, random) for _ in range(n_looks)], axis=0)
     floor_m = scene.world.depth_m - strip.depth_m - sea.world.floor_m(range_m, along_m)
     first_m = range_m - _BEFORE_M
     last_m = range_m * floor_m / (floor_m - _HIGHEST_M) + _BEHIND_M
@@ -306,11 +310,11 @@ def part_costs(solid: Solid, points: Array, image: ImageRowSums) -> Array:
 # --- sharp shadows ---
 
 
-def fitted(drawn: Sequence[Drawn]) -> tuple[int, float, float]:
-    """Fit the solids of the chain: classes right, median error of sizes and of cost between classes in nats."""
+def fitted(drawn: Sequence[Drawn], looks: float = 1.0) -> tuple[int, float, float]:
+    """Fit the solids of the chain under a number of looks: classes right, median size error and margin in nats."""
     right, errors, margins = 0, [], []
     for one in drawn:
-        fits = fit_shapes(one.region, None, grain_area(one.region.intensity, one.region.valid))
+        fits = fit_shapes(one.region, None, grain_area(one.region.intensity, one.region.valid), looks=looks)
         right += best_class([fits]) == one.solid
         own = next((fit for fit in fits.fits if fit.solid == one.solid), None)
         if own is not None:
@@ -367,6 +371,23 @@ def shadows_compared(n: int) -> str:
     return "Solids with sharp shadows:\n\n" + markdown(header, rows)
 
 
+def looks_compared(n: int) -> str:
+    """Write the fourth table, of n objects per class."""
+    rows = []
+    for n_looks in _LOOKS:
+        drawn = [
+            draw(solid, _LOOKS_M, _KHZ, 4 * number + k, n_looks)
+            for number in range(n)
+            for k, solid in enumerate(SOLIDS)
+        ]
+        for taken in sorted({1, n_looks}):
+            right, error, margin = fitted(drawn, taken)
+            share = share_cell(proportion(right, len(drawn)))
+            rows.append([str(n_looks), str(taken), share, f"{error:.3f}", f"{margin:.0f}"])
+    header = ["looks averaged", "looks taken", "class found", "median size error", "margin, nats"]
+    return "Solids by number of looks:\n\n" + markdown(header, rows)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench sas`."""
     parser.add_argument("--objects", type=count, default=4, help="objects per class (default 4)")
@@ -376,5 +397,7 @@ def run(chosen: argparse.Namespace) -> int:
     """Print the tables; returns the exit code."""
     print(outlines_and_classes(chosen.objects), flush=True)
     print()
-    print(shadows_compared(chosen.objects))
+    print(shadows_compared(chosen.objects), flush=True)
+    print()
+    print(looks_compared(_MORE * chosen.objects))
     return 0

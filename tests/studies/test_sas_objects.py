@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.likelihood import image_row_sums
-from auv_mcm.confirm.region import HIGHLIGHT, SHADOW
+from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
 from auv_mcm.kernels.shape import Solid
 from sim_replay.scoring.overlap import overlap
 from sim_replay.studies.sas_objects import METHODS, draw, part_costs
@@ -51,3 +51,11 @@ def test_the_same_seed_draws_the_same_object_at_another_resolution() -> None:
     one, other = (draw("wedge", resolution_m, 300.0, 7) for resolution_m in (COARSE_M, 0.05))
     assert one.sizes_m.tolist() == other.sizes_m.tolist()
     assert math.isclose(one.ground_range_m, other.ground_range_m)
+
+
+def test_averaged_looks_show_the_same_object_with_less_speckle() -> None:
+    one, four = (draw("sphere", COARSE_M, 300.0, 7, n_looks) for n_looks in (1, 4))
+    assert np.array_equal(one.truth, four.truth)
+    floor = one.truth == BACKGROUND
+    # Speckle of n looks has the variance of single looks over n; relief of the floor adds the same to both.
+    assert four.region.intensity[floor].var() < 0.4 * one.region.intensity[floor].var()
