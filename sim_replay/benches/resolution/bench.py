@@ -13,7 +13,6 @@ track.
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from pathlib import Path
 from typing import Final
@@ -24,7 +23,15 @@ from auv_mcm.errors import SelfCheckError
 from sim_replay.arguments import count
 from sim_replay.benches.resolution.chain import FIRST_SEED, LIMIT_PER_KM2, SETTINGS, fly, rows
 from sim_replay.benches.resolution.distances import DISTINCT_NATS, ERRORS, FOUND_NATS
-from sim_replay.benches.resolution.observer import COARSER, Distances, observed, pixel_for, share_rows
+from sim_replay.benches.resolution.observer import (
+    COARSER,
+    Distances,
+    drawn_anew,
+    nats_of,
+    observed,
+    pixel_for,
+    share_rows,
+)
 from sim_replay.benches.resolution.pictures import FINE_M, MINES
 from sim_replay.text_tables import columns, markdown
 
@@ -118,18 +125,21 @@ def _pixel_row(
     words, name, least_nats = question
     cells = []
     for some in compared.values():
+        of_kind = [one for one in some if one.kind == kind]
         for views in (1, 2):
-            of_kind = [one for one in some if one.kind == kind]
-            pixel_m = pixel_for(of_kind, name, least_nats, views=views, looks=looks, share=SHARE)
-            finest, coarsest = FINE_M, FINE_M * COARSER[-1]
-            cells.append(
-                f"< {100 * finest:g}"
-                if math.isnan(pixel_m)
-                else f"> {100 * coarsest:g}"
-                if pixel_m >= coarsest
-                else f"{100.0 * pixel_m:.0f}"
-            )
+            nats = nats_of(of_kind, name, views=views, looks=looks)
+            drawn_m = np.nan_to_num(pixel_for(drawn_anew(nats), least_nats, share=SHARE), nan=0.0)
+            low, high = np.quantile(drawn_m, [0.025, 0.975]).tolist()
+            cells.append(f"{_in_cm(float(pixel_for(nats, least_nats, share=SHARE)))} ({_in_cm(low)}-{_in_cm(high)})")
     return [kind, words, *cells]
+
+
+def _in_cm(pixel_m: float) -> str:
+    """Write a pixel, cm; where none of the sizes tried is small enough, or all are, it says so."""
+    if not pixel_m >= FINE_M:
+        return f"< {100.0 * FINE_M:g}"
+    largest_m = FINE_M * COARSER[-1]
+    return f"> {100.0 * largest_m:g}" if pixel_m >= largest_m else f"{100.0 * pixel_m:.0f}"
 
 
 def chain_report(n_missions: int, first_seed: int, *, in_markdown: bool) -> str:

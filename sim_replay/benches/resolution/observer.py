@@ -20,6 +20,8 @@ COARSER: Final = (1, 2, 4, 8, 16, 24, 32)
 
 _SHIFT_PIXELS: Final = 8  # fine ones, 12 cm: steps in which a rock is moved below a mine
 _N_SHIFTS: Final = 3  # steps to either side: 36 cm
+_LEAST_NATS: Final = 1e-9  # nats, whose logarithm is taken for none
+_N_RESAMPLES: Final = 300  # of mines, for intervals; chosen for the run time
 _FIRST_ROCK: Final = 1000  # seed of the first rock: no mine has it
 
 
@@ -99,22 +101,29 @@ def share_rows(compared: Sequence[Distances], looks: int, *, views: int) -> Iter
             yield [kind, words, *cells]
 
 
-def pixel_for(
-    compared: Sequence[Distances], name: str, least_nats: float, *, views: int, looks: int, share: float
-) -> float:
+def nats_of(compared: Sequence[Distances], name: str, *, views: int, looks: int) -> Floats:
+    """List the distances of mines from `floor`, `rocks` or `others`, (n, pixel sizes) nats."""
+    return looks * np.stack([getattr(one, name)[views - 1] for one in compared])
+
+
+def drawn_anew(nats: Floats) -> Floats:
+    """Draw as many mines from these, (n, pixel sizes), again and again, (draws, n, pixel sizes), for intervals."""
+    random = np.random.Generator(np.random.PCG64(len(nats)))
+    return nats[random.integers(len(nats), size=(_N_RESAMPLES, len(nats)))]
+
+
+def pixel_for(nats: Floats, least_nats: float, *, share: float) -> Floats:
     """Find the largest pixel, m, with which a share of mines is beyond a distance, by interpolation; NaN for none.
 
-    Between pixel sizes the logarithm of a distance goes with that of the pixel.
+    nats: (..., n, pixel sizes); returns (...). Between pixel sizes the logarithm of a distance goes with that of the
+    pixel.
     """
-    nats = looks * np.stack([getattr(one, name)[views - 1] for one in compared])
-    needed = np.quantile(nats, 1.0 - share, axis=0)
     pixels = np.log([FINE_M * n for n in COARSER])
-    margin = np.log(np.maximum(needed, 1e-9) / least_nats)
-    if margin[0] < 0.0:
-        return float("nan")
-    below = np.flatnonzero(margin < 0.0)
-    if not below.size:
-        return FINE_M * COARSER[-1]
-    k = int(below[0])
-    part = margin[k - 1] / (margin[k - 1] - margin[k])
-    return float(np.exp(pixels[k - 1] + part * (pixels[k] - pixels[k - 1])))
+    margin = np.log(np.maximum(np.quantile(nats, 1.0 - share, axis=-2), _LEAST_NATS) / least_nats)
+    is_below = margin < 0.0
+    k = np.clip(is_below.argmax(axis=-1), 1, None)[..., np.newaxis]
+    before, after = (np.take_along_axis(margin, at, axis=-1)[..., 0] for at in (k - 1, k))
+    step = np.where(before > after, before - after, 1.0)
+    found = pixels[k[..., 0] - 1] + before / step * (pixels[k[..., 0]] - pixels[k[..., 0] - 1])
+    found = np.where(is_below.any(axis=-1), found, pixels[-1])
+    return np.asarray(np.where(is_below[..., 0], np.nan, np.exp(found)))

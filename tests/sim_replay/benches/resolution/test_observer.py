@@ -9,7 +9,15 @@ from auv_mcm.errors import SelfCheckError
 from sim_replay.benches.resolution.bench import check, observer_report
 from sim_replay.benches.resolution.chain import Setting, scene_at, share_above
 from sim_replay.benches.resolution.distances import DISTINCT_NATS
-from sim_replay.benches.resolution.observer import COARSER, Distances, observed, pixel_for, share_rows
+from sim_replay.benches.resolution.observer import (
+    COARSER,
+    Distances,
+    drawn_anew,
+    nats_of,
+    observed,
+    pixel_for,
+    share_rows,
+)
 from sim_replay.benches.resolution.pictures import FINE_M, MINES, Floor
 
 
@@ -24,16 +32,21 @@ def test_the_largest_pixel_is_where_the_distance_has_fallen_to_what_is_needed() 
     pixel_m = 0.1
     some = [compared("sphere", DISTINCT_NATS * (pixel_m / FINE_M) ** 2)]
     for views, looks, times in ((1, 1, 1.0), (2, 1, 2.0**0.5), (1, 4, 2.0)):
-        found_m = pixel_for(some, "rocks", DISTINCT_NATS, views=views, looks=looks, share=0.9)
-        assert found_m == pytest.approx(pixel_m * times)
+        nats = nats_of(some, "rocks", views=views, looks=looks)
+        assert float(pixel_for(nats, DISTINCT_NATS, share=0.9)) == pytest.approx(pixel_m * times)
 
 
 def test_a_pixel_that_no_size_reaches_is_none_and_one_beyond_all_is_the_largest() -> None:
-    assert np.isnan(pixel_for([compared("sphere", 1e-3)], "rocks", DISTINCT_NATS, views=1, looks=1, share=0.9))
-    assert (
-        pixel_for([compared("sphere", 1e9)], "rocks", DISTINCT_NATS, views=1, looks=1, share=0.9)
-        == FINE_M * COARSER[-1]
-    )
+    few, many = (nats_of([compared("sphere", nats)], "rocks", views=1, looks=1) for nats in (1e-3, 1e9))
+    assert np.isnan(pixel_for(few, DISTINCT_NATS, share=0.9))
+    assert float(pixel_for(many, DISTINCT_NATS, share=0.9)) == pytest.approx(FINE_M * COARSER[-1])
+
+
+def test_many_draws_give_what_each_gives_by_itself() -> None:
+    nats = nats_of([compared("wedge", level) for level in (30.0, 90.0, 400.0, 1e4)], "floor", views=1, looks=1)
+    drawn = drawn_anew(nats)[:50]
+    by_itself = [float(pixel_for(one, DISTINCT_NATS, share=0.9)) for one in drawn]
+    np.testing.assert_allclose(pixel_for(drawn, DISTINCT_NATS, share=0.9), by_itself)
 
 
 def test_a_sphere_looks_the_same_from_both_aspects_and_the_picture_is_that_of_its_seed() -> None:
