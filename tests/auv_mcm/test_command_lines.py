@@ -236,6 +236,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.view.show._serve",
         "sim_replay.fitting.fit_background.run_tasks",
         "sim_replay.fitting.fit_gate.run_tasks",
+        "sim_replay.fitting.fit_sizes.run_tasks",
         "sim_replay.fitting.looks.run_tasks",
         "sim_replay.fitting.recalibrate.refit",
         "sim_replay.studies.contact_sheet.contact_sheet",

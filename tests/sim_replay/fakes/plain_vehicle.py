@@ -16,6 +16,7 @@ class PlainController:
 
     def __init__(self) -> None:
         self.willing = True
+        self.forgets_s = FORGETS_S
         self.power_up(0.0)
         self.counters: Counter[str] = Counter()
         self.connections = 0
@@ -44,7 +45,7 @@ class PlainController:
         return health
 
     def tick(self, pose: NavSample, arrived: bool, now_s: float) -> list[bytes]:
-        if self.in_control and now_s - self._kept_s > FORGETS_S:
+        if self.in_control and now_s - self._kept_s > self.forgets_s:
             self.revoke(now_s)
             self.counters["vehicle.commands_expired"] += 1
         return [f"at {pose.latitude_deg:.8f} {pose.longitude_deg:.8f}\n".encode()] + [b"there\n"] * arrived

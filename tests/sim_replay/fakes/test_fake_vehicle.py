@@ -140,6 +140,7 @@ def goto(east_m: float, north_m: float) -> str:
 @pytest.mark.parametrize("link", ["tcp", "serial", "udp"])
 def test_it_flies_to_commanded_places_past_targets_and_then_its_own_plan(tmp_path: Path, link: Any) -> None:
     async def script(host: Host) -> None:
+        host.controller.forgets_s = PATIENCE_S
         host.write("REPORT 7 1 0.5")
         host.write("REPORT 7 1 0.5")
         host.write("FINE")
@@ -176,6 +177,7 @@ def test_a_payload_that_falls_silent_is_out_of_command(tmp_path: Path) -> None:
 
 def test_control_is_taken_back_and_not_given_while_it_is_unwilling(tmp_path: Path) -> None:
     async def script(host: Host) -> None:
+        host.controller.forgets_s = PATIENCE_S
         host.write("ASK")
         await until(lambda: host.reported("released"), host, "KEEP")
         host.write("ASK")
