@@ -19,7 +19,11 @@ _P_MINE_WITHIN: Final = 0.02  # two digits on the console, a byte on some wires
 
 
 def reported_in_time(rule: ReportedInTime, lines: Sequence[Line], reports: Sequence[Report]) -> Judged:
-    """Check that every contact came within its time; one that changed again by then may come in its later form."""
+    """Check that every contact came within its time; one that changed again by then may come in its later form.
+
+    The service reports to the vehicle before it prints, and a busy disk may come between: a report that is older than
+    its line is in time unless it was that of an earlier line of the contact.
+    """
     expected = f"every contact with p_mine >= {rule.min_p_mine:g} reaches '{rule.device}' within {rule.within_s:g} s"
     announced = [(line.at_s, int(found[1]), float(found[2])) for line in lines if (found := _CONTACT.match(line.text))]
     reported = [
@@ -30,18 +34,17 @@ def reported_in_time(rule: ReportedInTime, lines: Sequence[Line], reports: Seque
     late = []
     slowest_s = 0.0
     n_announced = 0
+    answered_s: dict[int, float] = {}
     for index, (at_s, number, p_mine) in enumerate(announced):
+        since_s = min(at_s - rule.within_s, answered_s.get(number, -math.inf))
         if p_mine < rule.min_p_mine + _P_MINE_WITHIN:
             continue
         n_announced += 1
-        after_s = [
-            t - at_s
-            for t, n, p in reported
-            if n == number and abs(p - p_mine) < _P_MINE_WITHIN and t > at_s - rule.within_s
-        ]
+        after_s = [t - at_s for t, n, p in reported if n == number and abs(p - p_mine) < _P_MINE_WITHIN and t > since_s]
         changed = any(n == number and t <= at_s + rule.within_s for t, n, _ in announced[index + 1 :])
         if after_s and min(after_s) <= rule.within_s:
             slowest_s = max(slowest_s, min(after_s))
+            answered_s[number] = at_s + min(after_s)
         elif not changed:
             late.append(f"C{number:05d} of {at_s:.1f} s" + (f" after {min(after_s):.1f} s" if after_s else " never"))
     outcome = "; ".join(late) or f"{n_announced} contacts, the slowest {slowest_s:.2f} s after it was announced"

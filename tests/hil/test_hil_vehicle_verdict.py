@@ -49,7 +49,9 @@ def command(latitude_deg: float = 43.05, longitude_deg: float = 5.05) -> Report:
     [
         ([line(5.0)], [contact(5.4)], True),
         ([line(5.0)], [contact(4.9)], True),
+        ([line(5.0)], [contact(2.0)], True),  # printed late
         ([line(5.0)], [contact(6.1)], False),
+        ([line(5.0), line(9.0, word="updated")], [contact(5.1)], False),
         ([line(5.0)], [], False),
         ([line(5.0)], [contact(5.1, number=13)], False),
         ([line(5.0)], [contact(5.1, p_mine=0.6)], False),
