@@ -216,6 +216,19 @@ def test_check_of_a_bad_configuration_is_exit_code_5_and_goes_on(
     assert "1 failed" in text
 
 
+def test_check_names_every_model_file_that_is_broken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "broken").write_text("x")
+    (tmp_path / "c.yaml").write_text(
+        "detect: {seabed_model: broken, performance: broken}\nconfirm: {targets: broken}".replace(
+            "broken", str(tmp_path / "broken")
+        )
+    )
+    assert main(["check", "--config", str(tmp_path / "c.yaml")]) == 5
+    failed = [line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines() if line.startswith("FAILED")]
+    for name in ("mines expected", "seabed model", "performance tables"):
+        assert any(line.startswith(name) for line in failed), name
+
+
 def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "c.yaml").write_text("ports: [{name: pilot, link: 'udp://0.0.0.0:6001', device: imc}]")
     main(["check", "--config", str(tmp_path / "c.yaml")])
@@ -237,7 +250,7 @@ def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsy
         ("service: {output_directory: /proc/self/status}", "output directory", "is not a directory"),
         (
             "detect: {performance: /no/such/tables.json}",
-            "models",
+            "performance tables",
             "detect.performance /no/such/tables.json: No such file",
         ),
         (

@@ -91,7 +91,7 @@ def _as_configured(config: Config | None) -> Iterator[Finding]:
     """Check what depends on the configuration, on the default one if there is none that can be read."""
     config = config or _default_config()
     yield from _looked_at("detector", partial(_detector, config))
-    yield from _looked_at("models", partial(_models, config))
+    yield from _models(config)
     gives_utc = any(port.navigation is not None and port.navigation.gives_utc for port in config.ports)
     yield clock_finding(time.time(), clock_discipline(), Path(__file__).parents[2], gives_utc)
     yield output_finding(Path(config.service.output_directory))
@@ -140,20 +140,32 @@ def _detector(config: Config) -> Iterator[Finding]:
 
 
 def _models(config: Config) -> Iterator[Finding]:
-    from auv_mcm.classify.odds import configured_odds
+    """Check each model file on its own, so that a broken one hides no other."""
     from auv_mcm.clearance.detection_performance import configured_performance
-    from auv_mcm.detect.cascade.choose import configured_model, fitting
     from auv_mcm.model_file import SHIPPED
-    from auv_mcm.records import Detector
     from auv_mcm.seabed.seabed_model import configured_seabed_model
 
     if config.confirm.odds != SHIPPED:
-        detector: Detector = "contrast" if fitting(configured_model(config), config)[0] is None else "cascade"
-        yield Finding("recalibrated odds", "ok", configured_odds(config.confirm.odds, detector).fitted_on)
+        yield from _looked_at("recalibrated odds", partial(_recalibrated_odds, config))
     if config.confirm.targets != SHIPPED:
-        yield expected_mines(config.confirm.targets, config.contacts.min_p_mine)
-    yield Finding("seabed model", "ok", configured_seabed_model(config).fitted_on)
-    yield Finding("performance tables", "ok", configured_performance(config).fitted_on)
+        yield from _looked_at(
+            "mines expected", lambda: [expected_mines(config.confirm.targets, config.contacts.min_p_mine)]
+        )
+    yield from _looked_at(
+        "seabed model", lambda: [Finding("seabed model", "ok", configured_seabed_model(config).fitted_on)]
+    )
+    yield from _looked_at(
+        "performance tables", lambda: [Finding("performance tables", "ok", configured_performance(config).fitted_on)]
+    )
+
+
+def _recalibrated_odds(config: Config) -> Iterator[Finding]:
+    from auv_mcm.classify.odds import configured_odds
+    from auv_mcm.detect.cascade.choose import configured_model, fitting
+    from auv_mcm.records import Detector
+
+    detector: Detector = "contrast" if fitting(configured_model(config), config)[0] is None else "cascade"
+    yield Finding("recalibrated odds", "ok", configured_odds(config.confirm.odds, detector).fitted_on)
 
 
 def expected_mines(name: str, min_p_mine: float) -> Finding:
