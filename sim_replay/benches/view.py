@@ -25,6 +25,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.config import Config
 from auv_mcm.snippet import unpack_snippet
 from sim_replay.benches.browser import BrowserPage, browser_page
+from sim_replay.benches.exact_shadows import exact_heights
 from sim_replay.replay import replay
 from sim_replay.scoring.inputs import TruthObject, read_truth
 from sim_replay.simulate import simulate
@@ -49,6 +50,7 @@ _BRIGHT_DB: Final = 3.0  # brighter is the object
 _REACH_M: Final = 9.0  # behind the object that a shadow is looked for: that of 0.8 m at 45 m, 5 m over the floor
 _GAP_M: Final = 0.4  # between the object and its shadow at most
 _MIN_SHADOW_M: Final = 0.5  # shorter ones are speckle
+_BESIDE_ROWS: Final = (-4, -2, 0, 2, 4)  # rows from a contact's at which its shadow is measured: over 1 m
 
 
 _HEIGHT_M: Final = 0.1  # m: error of a height that a decision can bear
@@ -124,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
         asyncio.run(_live_picture(arguments.out, arguments.pictures))
     missions: list[tuple[str, Path, tuple[TruthObject, ...]]] = []
     if arguments.legs:
-        scene = _scene(arguments.legs)
+        scene = _scene("ripple", arguments.legs)
         folder = arguments.out / "ripple"
         if not (folder / "truth.json").exists():
             simulate(scene, folder)
@@ -132,11 +134,16 @@ def run(arguments: argparse.Namespace) -> int:
     missions += [(log.stem, log, ()) for log in arguments.logs]
     judged = [_judge_mission(name, log, truth, arguments.out, arguments.pictures) for name, log, truth in missions]
     print(columns(_HEADER, [_line(one) for one in judged]))
+    for name in ("ripple", "flat") if arguments.legs else ():
+        n_legs = arguments.legs if name == "ripple" else None
+        print(f"edges known exactly, {name}: heights {_agreement(exact_heights(_scene(name, n_legs)))}")
     return 0
 
 
-def _scene(n_legs: int) -> Scene:
-    scene = read_scene("ripple")
+def _scene(name: str, n_legs: int | None) -> Scene:
+    scene = read_scene(name)
+    if n_legs is None:
+        return scene
     plan = msgspec.structs.replace(scene.track.plan, n_legs=n_legs)
     return msgspec.structs.replace(scene, track=msgspec.structs.replace(scene.track, plan=plan))
 
@@ -207,9 +214,10 @@ async def _judge_all(
         name = str(await page.evaluate("bench.selected"))
         target = near.get(name)
         if target is not None and target.height_m is not None:
-            ends = shadow_ends(mission.store, *places[name])
-            measured_m = None if ends is None else await _measure_shadow(page, ends)
-            if measured_m is not None:
+            row, across_m = places[name]
+            profiles = (shadow_ends(mission.store, row + beside, across_m) for beside in _BESIDE_ROWS)
+            if shadows := [ends for ends in profiles if ends is not None]:
+                measured_m = await _measure_shadows(page, shadows)
                 if pictures is not None and not heights:
                     await page.wait_for("!bench.busy")
                     await page.screenshot(pictures / "view-measure.webp", quality=30)
@@ -308,15 +316,17 @@ def _profile(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.f
     return np.asarray(10.0 * np.log10(np.maximum(smooth, 1e-3)), dtype=np.float64)
 
 
-async def _measure_shadow(page: BrowserPage, ends: tuple[float, float, float]) -> float | None:
-    """Measure with two clicks; returns the height that the page shows, m."""
-    row, *across_m = ends
+async def _measure_shadows(page: BrowserPage, shadows: Sequence[tuple[float, float, float]]) -> float:
+    """Measure each with two clicks; returns the height that the page takes from all of them, m."""
     await page.press("s")
-    for at in across_m:
-        place = await page.evaluate(f"bench.screenOf({row}, {at})")
-        await page.click(place["x"], place["y"])
-    line = "document.querySelector('#sizes').textContent"
-    text = str(await page.wait_for(f"{line}.includes('height') && {line}"))
+    text = ""
+    for number, (row, *across_m) in enumerate(shadows, 1):
+        for at in across_m:
+            place = await page.evaluate(f"bench.screenOf({row}, {at})")
+            await page.click(place["x"], place["y"])
+        line = "document.querySelector('#sizes').textContent"
+        awaited = "height" if number == 1 else f"median of {number},"
+        text = str(await page.wait_for(f"{line}.includes('{awaited}') && {line}"))
     await page.press("Escape")
     return float(text.partition("height ")[2].partition(" m")[0])
 
@@ -368,13 +378,10 @@ _HEADER: Final = (
     "found again",
     "marked",
     "heights",
-    "within 0.1 m",
-    "median error",
 )
 
 
 def _line(one: JudgedMission) -> list[str]:
-    error_m = np.abs(one.heights_m[:, 0] - one.heights_m[:, 1])
     return [
         one.name,
         f"{one.minutes:.0f}",
@@ -382,7 +389,14 @@ def _line(one: JudgedMission) -> list[str]:
         str(one.n_verdicts),
         str(one.n_found_again),
         str(one.n_marked),
-        str(len(error_m)),
-        str(np.count_nonzero(error_m <= _HEIGHT_M)),
-        f"{np.median(error_m):.2f} m" if len(error_m) else "-",
+        _agreement(one.heights_m),
     ]
+
+
+def _agreement(heights_m: NDArray[np.float64]) -> str:
+    """Say how many heights are true to 0.1 m, and by how much the median is off. heights_m: (n, 2)."""
+    if not len(heights_m):
+        return "-"
+    error_m = np.abs(heights_m[:, 0] - heights_m[:, 1])
+    n_true = np.count_nonzero(error_m <= _HEIGHT_M)
+    return f"{n_true} of {len(error_m)} within {_HEIGHT_M} m, median error {np.median(error_m):.2f} m"

@@ -8,7 +8,7 @@ const SIZES = {length_m: "length", width_m: "width", height_m: "height", shadow_
 
 export function contactCard(handlers) {
   const box = byId("card");
-  let shown = null, measured = {};
+  let shown = null, measured = {};  // what was measured by hand since the card opened: a list for each size
 
   const text = (value) => (value === null || value === undefined ? "?" : String(value));
   const row = (name, value) => [element("dt", {}, name), element("dd", {}, value)];
@@ -78,11 +78,20 @@ export function contactCard(handlers) {
   function drawSizes() {
     const line = byId("sizes");
     if (!line) return;
-    const parts = Object.entries(SIZES).filter(([key]) => sizes()[key] !== null).map(([key, name]) => `${name} ${metres(sizes()[key], 2)}`);
+    const parts = Object.entries(SIZES).filter(([key]) => sizes()[key] !== null).map(([key, name]) => `${name} ${metres(sizes()[key], 2)}${spread(measured[key])}`);
     line.textContent = parts.length ? `measured: ${parts.join(", ")}` : "nothing measured by hand yet";
+    if (Object.keys(measured).length) line.append(" ", element("button", {id: "forget", onclick: () => { measured = {}; drawSizes(); }}, "forget"));
   }
 
-  const sizes = () => Object.fromEntries(Object.keys(SIZES).map((key) => [key, measured[key] ?? shown.contact[key] ?? null]));
+  function median(values) {
+    const sorted = values.slice().sort((a, b) => a - b), middle = sorted.length >> 1;
+    return sorted.length % 2 ? sorted[middle] : (sorted[middle - 1] + sorted[middle]) / 2;
+  }
+
+  const spread = (values) => (values && values.length > 1 ? ` (median of ${values.length}, ${Math.min(...values).toFixed(2)} to ${Math.max(...values).toFixed(2)})` : "");
+
+  const rounded = (size) => Math.round(1000 * size) / 1000;
+  const sizes = () => Object.fromEntries(Object.keys(SIZES).map((key) => [key, measured[key] ? rounded(median(measured[key])) : shown.contact[key] ?? null]));
 
   function save(change) {
     const {contact} = shown;
@@ -118,7 +127,10 @@ export function contactCard(handlers) {
       drawSizes();
       return undefined;
     },
-    setMeasured(found) { measured = {...measured, ...found}; drawSizes(); },
+    addMeasured(found) {
+      for (const [key, size] of Object.entries(found)) measured[key] = [...(measured[key] || []), size];
+      drawSizes();
+    },
     judge(call) { if (shown) save({call}); },
     get current() { return shown && shown.contact; },
   };

@@ -170,15 +170,13 @@ async function measure(mode, ends, drawn) {
     const says = mode === "shadow" ? `shadow ${metres(found.length_m, 2)}, height ${metres(found.height_m, 2)}` : `${mode} ${metres(found.length_m, 2)}`;
     waterfall.addResult({mode, ends: drawn, text: says});
     if (found.length_m === null || (mode === "shadow" && !(found.height_m > 0))) return message("no size: click the object's far side, then the shadow's end, on one side of the track");
-    if (card.current) card.setMeasured(rounded(size));
+    if (card.current) card.addMeasured(size);
     else message("measured; choose a contact to keep it with a verdict");
   } catch (error) {
     message(error);
   }
   return undefined;
 }
-
-const rounded = (sizes) => Object.fromEntries(Object.entries(sizes).map(([name, value]) => [name, Math.round(1000 * value) / 1000]));
 
 async function drawMissed(point) {
   setMode("look");

@@ -82,11 +82,13 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
         await page.press("j")
         assert await page.evaluate("bench.selected") == "C00001"
         await page.wait_for("document.querySelector('#card h3') !== null")
-        # its shadow is measured with two clicks, and kept with the verdict
+        # its shadow is measured with two clicks, three times; the median is kept with the verdict
         await page.press("s")
-        for across_m in (OBJECT_M, SHADOW_M):
-            await click_at(page, OBJECT_ROW, across_m)
-        await page.wait_for("document.querySelector('#sizes').textContent.includes('height')")
+        for number, end_m in enumerate((SHADOW_M, SHADOW_M - 0.6, SHADOW_M), 1):
+            for across_m in (OBJECT_M, end_m):
+                await click_at(page, OBJECT_ROW, across_m)
+            awaited = "height" if number == 1 else f"median of {number},"
+            await page.wait_for(f"document.querySelector('#sizes').textContent.includes('{awaited}')")
         await page.press("Escape")
         await page.press("m")
         await page.wait_for("bench.contacts.find((one) => one.id === 'C00001').call === 'mine_like'")
