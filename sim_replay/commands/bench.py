@@ -22,7 +22,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "segmentation": ("studies.segmentation", "Markov-field segmentation, error beside time"),
     "snakes": ("studies.snakes", "contours, error beside time"),
     "shapes": ("studies.shapes", "classification by shape, error beside time"),
-    "sas": ("studies.sas_objects", "outlines and classes in synthetic aperture images of 1.5 to 10 cm"),
+    "sas": ("studies.sas", "outlines and classes in synthetic aperture images, simulated and recorded"),
     "filters": ("studies.speckle_filters", "speckle filters before detection: what they cost and what is found"),
     "beliefs": ("studies.beliefs", "what belief several views lead to"),
     "images": ("studies.real_images", "outlines and calls on real pictures"),

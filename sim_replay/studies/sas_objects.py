@@ -1,7 +1,5 @@
 """Segment, outline and classify mines in simulated synthetic aperture images of 1.5 to 10 cm.
 
-auv-mcm bench sas
-
 Objects lie by themselves on sand, rendered with the blur that the aperture gives to shadows, and with single-look
 speckle. The first table repeats figures 3 to 5 of the source paper: its Markov field, ours, and contours, on cylinders
 and spheres, as intersection over union with the truth. Its highlight is all that a solid shows the sonar, bright or
@@ -15,13 +13,13 @@ the solids' likelihood would gain by the number of looks averaged, which the cha
 
 from __future__ import annotations
 
-import argparse
 import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import cv2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
@@ -34,7 +32,6 @@ from auv_mcm.confirm.snake import Contours, converge_on, survey
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.kernels.shape import Array, ImageRowSums, Solid, intervals, up_to
-from sim_replay.arguments import count
 from sim_replay.scoring.intervals import proportion
 from sim_replay.scoring.overlap import overlap
 from sim_replay.simulator.aperture import Aperture
@@ -65,7 +62,8 @@ _SHARP_KHZ: Final = 1200.0  # a twelfth of that
 _WIDE_M: Final = (0.025, 0.05)  # m: resolutions whose blur is compared, over 17.2 and 8.6 degrees
 _LOOKS: Final = (1, 4)
 _LOOKS_M: Final = 0.05  # m: resolution at which looks are compared
-_MORE: Final = 4  # times the objects of the other tables: their fits are quick
+MORE: Final = 4
+"""Times the objects of the other tables, for looks: their fits are quick."""
 _ALTITUDE_M: Final = 9.0  # m above the floor
 _RANGE_M: Final = 28.0  # m, slant: beyond the longest shadow
 _LEG_M: Final = 5.0  # m of track: object, shadow and floor on both sides
@@ -106,9 +104,34 @@ class Drawn(NamedTuple):
     sizes_m: Array
 
 
+class Rendered(NamedTuple):
+    """Hold what a lone object on sand shows a synthetic aperture before speckle.
+
+    mean: intensity without noise, (n_lines, n_bins) over slant range. floor: (n_bins,), that of the floor alone; 0 in
+    the water column. noise: of both, where there is any. edges: of the region's columns, in bins. region: its geometry,
+    without sound. hypothesis: place along and across the track, m, and the fields of the solid.
+    """
+
+    solid: Solid
+    mean: Array
+    floor: Array
+    noise: float
+    edges: Array
+    region: Region
+    hypothesis: Array
+
+
 def draw(solid: Solid, resolution_m: float, frequency_khz: float, seed: int, n_looks: int = 1) -> Drawn:
     """Draw an object of usual size, with n_looks averaged; seed alone decides on size, place and direction."""
     random = np.random.Generator(np.random.PCG64(seed))
+    rendered = render(solid, resolution_m, frequency_khz, seed, random)
+    energy = (rendered.mean + rendered.noise) / (rendered.floor + rendered.noise)
+    intensity = np.mean([speckled(energy, random) for _ in range(n_looks)], axis=0)
+    return drawn_from(rendered, over_ground(rendered, intensity), over_ground(rendered, energy))
+
+
+def render(solid: Solid, resolution_m: float, frequency_khz: float, seed: int, random: np.random.Generator) -> Rendered:
+    """Render an object whose size, place and direction `random` gives."""
     range_m, azimuth_rad = float(random.uniform(_NEAREST_M, _FARTHEST_M)), float(random.uniform(-math.pi, math.pi))
     size, fields = _sized(solid, float(random.uniform(0.9, 1.1)), float(random.uniform(0.8, 1.2)), azimuth_rad)
     step_m = resolution_m / _PIXELS
@@ -134,17 +157,17 @@ def draw(solid: Solid, resolution_m: float, frequency_khz: float, seed: int, n_l
     sea = Sea(scene)
     aperture = Aperture(sea)
     strip = aperture.strip(planned_legs(scene.track.plan)[0], 0)
-    mean = (aperture.mean_intensity(strip, 0, strip.n_lines, "full") + sea.noise)[:, 1]
+    mean = aperture.mean_intensity(strip, 0, strip.n_lines, "full")[:, 1]
     edge = round(_EDGE * strip.n_lines)
-    energy = mean / np.concatenate((mean[:edge], mean[-edge:])).mean(axis=0)
-    speckled = np.mean([_speckled(energy, random) for _ in range(n_looks)], axis=0)
+    floor = np.concatenate((mean[:edge], mean[-edge:])).mean(axis=0)
     floor_m = scene.world.depth_m - strip.depth_m - sea.world.floor_m(range_m, along_m)
     first_m = range_m - _BEFORE_M
     last_m = range_m * floor_m / (floor_m - _HIGHEST_M) + _BEHIND_M
     edges = np.hypot(np.arange(first_m, last_m, step_m), floor_m) / aperture.bin_m
+    shape = len(mean), len(edges) - 1
     region = Region(
-        intensity=_resampled(speckled, edges),
-        valid=np.ones((len(energy), len(edges) - 1), dtype=np.bool_),
+        intensity=np.ones(shape),
+        valid=np.ones(shape, dtype=np.bool_),
         row_spacing_m=aperture.line_m,
         column_spacing_m=step_m,
         first_ground_range_m=first_m,
@@ -155,11 +178,24 @@ def draw(solid: Solid, resolution_m: float, frequency_khz: float, seed: int, n_l
     )
     place_m = along_m + 0.5 * aperture.line_m
     hypothesis = np.concatenate([[place_m, range_m, 1.0], fields, np.zeros(5 - len(fields))])
-    truth = _true_labels(solid, hypothesis, region, _resampled(energy, edges))
-    sizes_m = np.array(fields[: len(SIZES[solid])]) if solid != "truncated_cone" else np.array([fields[0], fields[2]])
-    if solid == "wedge":
-        sizes_m = np.array([fields[0], fields[2]])
-    return Drawn(solid, region, truth, place_m, range_m, sizes_m)
+    return Rendered(solid, mean, floor, sea.noise, edges, region, hypothesis)
+
+
+def over_ground(rendered: Rendered, plane: Array) -> Array:
+    """Average slant bins of a plane over the columns of the region."""
+    sums = np.concatenate((np.zeros((len(plane), 1)), np.cumsum(plane, axis=1)), axis=1)
+    ends = np.tile(rendered.edges, (len(plane), 1))
+    return np.asarray(np.diff(up_to(sums, ends), axis=1) / np.diff(rendered.edges))
+
+
+def drawn_from(rendered: Rendered, intensity: Array, energy: Array) -> Drawn:
+    """Give the region its sound, and label its pixels by the energy, both over the ground."""
+    region = msgspec.structs.replace(rendered.region, intensity=intensity)
+    fields = rendered.hypothesis[3:]
+    solid = rendered.solid
+    truth = _true_labels(solid, rendered.hypothesis, region, energy)
+    sizes_m = fields[: len(SIZES[solid])] if solid in ("sphere", "cylinder") else fields[[0, 2]]
+    return Drawn(solid, region, truth, float(rendered.hypothesis[0]), float(rendered.hypothesis[1]), sizes_m)
 
 
 def _sized(solid: Solid, scale: float, long: float, azimuth_rad: float) -> tuple[dict[str, Any], list[float]]:
@@ -179,7 +215,7 @@ def _sized(solid: Solid, scale: float, long: float, azimuth_rad: float) -> tuple
             return {"length_m": sides[0], "width_m": sides[1], "height_m": sides[2]}, [*sides, azimuth_rad, 0.0]
 
 
-def _speckled(energy: Array, random: np.random.Generator) -> Array:
+def speckled(energy: Array, random: np.random.Generator) -> Array:
     """Detect a smeared complex Gaussian field with this mean, of mean 1 where the energy is 1."""
     total = np.zeros(energy.shape)
     for _ in range(2):
@@ -187,12 +223,6 @@ def _speckled(energy: Array, random: np.random.Generator) -> Array:
         total += gaussian_filter(field, _SPREAD * _PIXELS) ** 2
     edge = round(_EDGE * len(energy))
     return np.asarray(total / np.concatenate((total[:edge], total[-edge:])).mean())
-
-
-def _resampled(plane: Array, edges: Array) -> Array:
-    """Average slant bins over the columns between edges, in bins."""
-    sums = np.concatenate((np.zeros((len(plane), 1)), np.cumsum(plane, axis=1)), axis=1)
-    return np.asarray(np.diff(up_to(sums, np.tile(edges, (len(plane), 1))), axis=1) / np.diff(edges))
 
 
 def _true_labels(solid: Solid, hypothesis: Array, region: Region, energy: Array) -> Labels:
@@ -330,21 +360,28 @@ def fitted(drawn: Sequence[Drawn], looks: float = 1.0) -> tuple[int, float, floa
 
 def outlines_and_classes(n: int) -> str:
     """Write the first two tables, of n objects per class and resolution."""
-    outlines, classes = [], []
-    for resolution_m in RESOLUTIONS_M:
-        drawn = [
+    by_resolution = {
+        resolution_m: [
             draw(solid, resolution_m, _KHZ, 4 * number + k) for number in range(n) for k, solid in enumerate(SOLIDS)
         ]
-        outlines += outline_rows(drawn, resolution_m)
+        for resolution_m in RESOLUTIONS_M
+    }
+    return tables_of(by_resolution, "resolution, cm")
+
+
+def tables_of(by_size: Mapping[float, Sequence[Drawn]], size: str) -> str:
+    """Write the overlaps of outlines and the classes found by each part, for objects by resolution or pixel, m."""
+    outlines, classes = [], []
+    for size_m, drawn in by_size.items():
+        outlines += outline_rows(drawn, size_m)
         chosen = [classes_by_part(one) for one in drawn]
         right = [sum(each[part] == one.solid for each, one in zip(chosen, drawn, strict=True)) for part in PARTS]
-        classes.append([f"{100.0 * resolution_m:g}", *(share_cell(proportion(some, len(drawn))) for some in right)])
-    header = ["resolution, cm", "object", "method", "shadow", "highlight"]
+        classes.append([f"{100.0 * size_m:g}", *(share_cell(proportion(some, len(drawn))) for some in right)])
     return (
         "Intersection over union, median (lower quartile):\n\n"
-        + markdown(header, outlines)
+        + markdown([size, "object", "method", "shadow", "highlight"], outlines)
         + "\n\nClass found:\n\n"
-        + markdown(["resolution, cm", *PARTS], classes)
+        + markdown([size, *PARTS], classes)
     )
 
 
@@ -386,18 +423,3 @@ def looks_compared(n: int) -> str:
             rows.append([str(n_looks), str(taken), share, f"{error:.3f}", f"{margin:.0f}"])
     header = ["looks averaged", "looks taken", "class found", "median size error", "margin, nats"]
     return "Solids by number of looks:\n\n" + markdown(header, rows)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `auv-mcm bench sas`."""
-    parser.add_argument("--objects", type=count, default=4, help="objects per class (default 4)")
-
-
-def run(chosen: argparse.Namespace) -> int:
-    """Print the tables; returns the exit code."""
-    print(outlines_and_classes(chosen.objects), flush=True)
-    print()
-    print(shadows_compared(chosen.objects), flush=True)
-    print()
-    print(looks_compared(_MORE * chosen.objects))
-    return 0
