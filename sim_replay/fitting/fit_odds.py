@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, get_args
 
 import msgspec
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.details import detection_details
 from auv_mcm.classify.features import Features, detector_features
 from auv_mcm.classify.odds import MineOdds, Tree, Weights
+from auv_mcm.confirm.region import Region
 from auv_mcm.confirmation import examine, region_of
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
@@ -101,7 +102,9 @@ class LookTable(NamedTuple):
         return LookTable(self.usual[chosen], self.is_target[chosen], self.on_object[chosen], self.weight[chosen], steps)
 
 
-class _Label(NamedTuple):
+class Label(NamedTuple):
+    """Hold what a detection is by the truth; fields as in Example."""
+
     is_target: bool
     on_object: bool
     weight: float
@@ -156,13 +159,9 @@ def examples_along(
     usual
         See Example.
     """
-    found = _all_detections(config, events)
-    beam_width_rad = config.sonar.beam_width_rad
     examples = []
-    for detection, known in zip(found, _labels_of(found, objects()), strict=True):
-        if known is None or detection.surroundings is None:
-            continue
-        looked = examine(detection, region_of(detection, detection.surroundings, beam_width_rad), None, 0.0)
+    for detection, region, known in labelled_regions(config, events, objects):
+        looked = examine(detection, region, None, 0.0)
         seen = detection_details(detection)
         details: dict[LookStep, Features] = {"detector": seen, "contours": seen, "shape": looked.details}
         examples.append(
@@ -178,6 +177,16 @@ def examples_along(
             )
         )
     return examples
+
+
+def labelled_regions(
+    config: Config, events: Iterable[SourceEvent], objects: Callable[[], Sequence[dict[str, Any]]]
+) -> Iterator[tuple[Detection, Region, Label]]:
+    """Find the detections that are examples, in order, each with the sea floor around it; see `examples_along`."""
+    found = _all_detections(config, events)
+    for detection, known in zip(found, _labels_of(found, objects()), strict=True):
+        if known is not None and detection.surroundings is not None:
+            yield detection, region_of(detection, detection.surroundings, config.sonar.beam_width_rad), known
 
 
 def looks_at_targets(
@@ -262,7 +271,7 @@ def fit_step(looks: LookTable, step: LookStep, n_trees: int, usual: LookTable) -
         weights = Weights(offset=round(offset, _DIGITS), weights={}, trees=grown)
     else:
         weights = _fit_sum(table, is_target, weight)
-    offset = weights.offset + _shift(log_odds_of(weights, usual.steps[step]), usual.is_target, usual.weight)
+    offset = weights.offset + offset_of(log_odds_of(weights, usual.steps[step]), usual.is_target, usual.weight)
     return msgspec.structs.replace(weights, offset=round(offset, _DIGITS))
 
 
@@ -291,7 +300,7 @@ def _looking_at_everything(config: Config) -> Config:
     return reporting_everything(msgspec.structs.replace(config, confirm=confirm))
 
 
-def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]]) -> list[_Label | None]:
+def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]]) -> list[Label | None]:
     """Label each detection by the truth; None for those that are not looked at."""
     if not detections:
         return []
@@ -316,7 +325,7 @@ def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]
             if key not in best or detection.p_mine > detections[best[key]].p_mine:
                 best[key] = index
     stands_for_it = set(best.values())
-    labels: list[_Label | None] = []
+    labels: list[Label | None] = []
     for index, detection in enumerate(detections):
         stands = index in stands_for_it
         beside = bool(on_object[index]) or bool(len(objects) and (distance_m[index] < _CLEAR_M + 0.5 * sizes).any())
@@ -325,7 +334,7 @@ def _labels_of(detections: Sequence[Detection], objects: Sequence[dict[str, Any]
             labels.append(None)
             continue
         is_target = stands and bool(objects[int(nearest[index])]["is_target"])
-        labels.append(_Label(is_target, stands, float(_FAINT_KEPT) if thins else 1.0, int(nearest[index])))
+        labels.append(Label(is_target, stands, float(_FAINT_KEPT) if thins else 1.0, int(nearest[index])))
     return labels
 
 
@@ -363,7 +372,7 @@ def _fit_trees(
     )
 
 
-def _shift(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
+def offset_of(odds: Array, is_target: NDArray[np.bool_], weight: Array) -> float:
     """Return the offset to log-odds (n,) with which their probabilities add up to the number of targets."""
     from scipy.optimize import brentq
 

@@ -9,7 +9,8 @@ import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -92,7 +93,7 @@ def all_looks(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{folder} cannot be made: {error.strerror}") from error
-    missing = [task for task in tasks if not _place(folder, task).exists()]
+    missing = [task for task in tasks if not place_of(folder, task).exists()]
     for done, mission in enumerate(run_tasks(fly_looks, missing, farm), 1):
         write_looks(mission, folder)
         show(done, len(missing))
@@ -104,21 +105,49 @@ def fly_looks(task: LookTask) -> MissionLooks:
 
     Raises BadInputError or UsageError for a recorded line, as augment does.
     """
+    with flight_of(task) as flight:
+        usual = task.times == 1 and task.source != DRAWN
+        examples = examples_along(flight.config, flight.events, flight.objects, usual=usual)
+        truth = flight.truth()
+    n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
+    return MissionLooks(task, flight.law, n_targets, float(truth["area_km2"]), look_table(examples))
+
+
+class Flight(NamedTuple):
+    """Hold a mission that is about to be flown.
+
+    law: how samples are stored. events: its pings and navigation, once. truth: returns its truth after the last event.
+    """
+
+    law: str
+    config: Config
+    events: Iterable[SourceEvent]
+    truth: Callable[[], dict[str, Any]]
+
+    def objects(self) -> list[dict[str, Any]]:
+        """Return the truth's objects, after the last event."""
+        return list(self.truth()["objects"])
+
+
+@contextmanager
+def flight_of(task: LookTask) -> Iterator[Flight]:
+    """Prepare a mission. Raises BadInputError or UsageError for a recorded line, as augment does."""
     if task.is_line:
         with tempfile.TemporaryDirectory() as folder:
             written = augment(Path(task.source), scattered(task.seed), Path(folder), Config())
             events = RecordedMission([written.log], Config()).events()
             config = served_by(task.detector, Config())
-            return _gathered(task, _NO_LAW, config, events, lambda: json.loads(written.truth.read_bytes()))
+            yield Flight(_NO_LAW, config, events, lambda: dict(json.loads(written.truth.read_bytes())))
+        return
     scene = _scene_of(task)
     mission = Mission(scene)
     config = served_by(task.detector, config_for(scene))
-    return _gathered(task, scene.sonar.recorder.samples, config, mission.events(), mission.truth)
+    yield Flight(scene.sonar.recorder.samples, config, mission.events(), mission.truth)
 
 
 def write_looks(mission: MissionLooks, folder: Path) -> None:
     """Write a mission into the folder, whole or not at all."""
-    place = _place(folder, mission.task)
+    place = place_of(folder, mission.task)
     arrays: dict[str, Any] = {name: getattr(mission.looks, name) for name in _ROWS}
     for step, table in mission.looks.steps.items():
         arrays |= {f"{step}_names": np.array(table.names), f"{step}_values": table.values}
@@ -138,7 +167,7 @@ def write_looks(mission: MissionLooks, folder: Path) -> None:
 
 def read_looks(task: LookTask, folder: Path) -> MissionLooks:
     """Read a mission from the folder. Raises BadInputError for a file that is not one of write_looks."""
-    place = _place(folder, task)
+    place = place_of(folder, task)
     try:
         with place.open("rb") as file, np.load(file) as stored:
             steps = {
@@ -166,7 +195,8 @@ def pooled(missions: Sequence[MissionLooks]) -> LookTable:
     return LookTable(usual, is_target, on_object, weight, steps)
 
 
-def _place(folder: Path, task: LookTask) -> Path:
+def place_of(folder: Path, task: LookTask) -> Path:
+    """Name the file of a mission in a folder."""
     parts = [task.domain, *([task.source] if task.recorder else []), f"x{task.times}", str(task.seed)]
     if task.detector != "cascade":
         parts.append(task.detector)
@@ -178,18 +208,3 @@ def _scene_of(task: LookTask) -> Scene:
         return drawn_scene(task.seed)
     scene = crowded(msgspec.structs.replace(read_scene(task.source), seed=task.seed), task.times)
     return scene if task.recorder is None else recorded_by(scene, RECORDERS[task.recorder])
-
-
-def _gathered(
-    task: LookTask, law: str, config: Config, events: Iterable[SourceEvent], truth_of: Callable[[], dict[str, Any]]
-) -> MissionLooks:
-    truth: dict[str, Any] = {}
-
-    def objects() -> list[dict[str, Any]]:
-        truth.update(truth_of())
-        return list(truth["objects"])
-
-    usual = task.times == 1 and task.source != DRAWN
-    examples = examples_along(config, events, objects, usual=usual)
-    n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
-    return MissionLooks(task, law, n_targets, float(truth["area_km2"]), look_table(examples))
