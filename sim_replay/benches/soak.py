@@ -114,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")
     what.add_argument("--rising", action="store_true", help="raise the ping rate until pings are lost")
     parser.add_argument(
-        "--speed", type=int, choices=range(3, 13), default=6, help="speed of the mission, times real time (default 6)"
+        "--speed", type=int, choices=range(3, 25), default=6, help="speed of the mission, times real time (default 6)"
     )
     parser.add_argument("--seed", type=count, default=1, help="seed of the moments of the kills (default 1)")
 
