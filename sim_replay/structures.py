@@ -175,7 +175,7 @@ def with_structures(layers: Mapping[str, Sequence[Feature]]) -> dict[str, Sequen
         for one in contacts
     ]
     named = {**layers, **({"contacts": parts} if "contacts" in layers else {})}
-    return named | ({STRUCTURES: [_feature(one) for one in found]} if found else {})
+    return named | ({STRUCTURES: [structure_feature(one) for one in found]} if found else {})
 
 
 def _member(feature: Feature) -> Member:
@@ -192,7 +192,8 @@ def _member(feature: Feature) -> Member:
     )
 
 
-def _feature(structure: Structure) -> dict[str, Any]:
+def structure_feature(structure: Structure) -> dict[str, Any]:
+    """Make a feature of GeoJSON: its outline, sizes and members."""
     pieces: list[Any] = [[positions_of(piece)] for piece in split_ring(structure.outline_deg)]
     properties = {
         "id": structure.id,

@@ -12,7 +12,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.structures import with_structures
+from sim_replay.structures import STRUCTURES, with_structures
 from sim_replay.verdict_layers import MISSED, verdict_words, with_verdicts
 from sim_replay.verdicts import read_verdicts
 
@@ -46,9 +46,9 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
 
 
 def write_gpx(path: Path, layers: Mapping[str, Sequence[Feature]], name: str) -> None:
-    """Write mine-like contacts and missed ones as way-points, proposed legs as routes, the track. Raises OSError.
+    """Write mine-like contacts, missed ones and structures as way-points, legs as routes, the track. Raises OSError.
 
-    A contact that was judged not mine-like stays, and says so.
+    A contact that was judged not mine-like stays, and says so. A structure stands at the middle of its outline.
     """
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
@@ -56,6 +56,7 @@ def write_gpx(path: Path, layers: Mapping[str, Sequence[Feature]], name: str) ->
         f"<metadata><name>{_text(name)}</name><desc>{_DATUM}</desc></metadata>",
         *(_contact(feature) for feature in layers.get("contacts", ()) if _is_mine_like(feature)),
         *map(_missed, layers.get(MISSED, ())),
+        *map(_structure, layers.get(STRUCTURES, ())),
         *_routes(layers),
         *(_track(feature["geometry"]) for feature in layers.get("track", ()) if feature["geometry"]),
         "</gpx>",
@@ -94,11 +95,23 @@ def _missed(feature: Feature) -> str:
     return _waypoint(feature, verdict_words(feature["properties"]), "missed contact")
 
 
+def _structure(feature: Feature) -> str:
+    properties = feature["properties"]
+    what = (
+        f"{properties['length_m']:.0f} x {properties['width_m']:.0f} m, {properties['n_contacts']} contacts, "
+        f"{properties['n_called']} of them called"
+    )
+    rings = feature["geometry"]["coordinates"]
+    outline = (rings[0] if feature["geometry"]["type"] == "Polygon" else rings[0][0])[:-1]
+    middle = [sum(axis) / len(outline) for axis in zip(*outline, strict=True)]
+    return _waypoint({**feature, "geometry": {"coordinates": middle}}, what, "structure")
+
+
 def _waypoint(feature: Feature, what: str, kind: str) -> str:
     properties = feature["properties"]
     return (
         f"<wpt {_at(feature['geometry']['coordinates'])}>"
-        + (f"<time>{_text(properties['time'])}</time>" if properties["time"] else "")
+        + (f"<time>{_text(properties['time'])}</time>" if properties.get("time") else "")
         + f"<name>{_text(properties['id'])}</name><desc>{_text(what)}</desc><type>{kind}</type></wpt>"
     )
 

@@ -16,6 +16,7 @@ from auv_mcm.contacts.export import iso_time
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Side
 from auv_mcm.shell import whole_files
+from sim_replay.structures import Member, find_structures, structure_feature
 from sim_replay.verdicts import (
     MAX_COMMENT,
     Call,
@@ -86,6 +87,8 @@ class ShownMission:
         self._contacts = ContactFile(folder)
         self._overviews: list[Overview] = []
         self._overview_version = -1
+        self._structures: list[dict[str, Any]] = []
+        self._part_of: dict[str, str] = {}
         self._verdicts = read_verdicts(folder)
         self._verdict_version = 0
         self._matched: tuple[tuple[int, int], dict[str, Verdict]] = ((-1, -1), {})
@@ -96,9 +99,27 @@ class ShownMission:
         self._contacts.refresh()
         if self._overview_version != self._contacts.version:
             self._overviews = [overview(feature) for feature in self._contacts.features.values()]
+            self._find_structures()
             self._overview_version = self._contacts.version
         if self.summary is None:
             self.summary = read_summary(self.folder)
+
+    def _find_structures(self) -> None:
+        members = [
+            Member(
+                contact_id=one.id,
+                latitude_deg=one.place.latitude_deg,
+                longitude_deg=one.place.longitude_deg,
+                length_m=one.length_m,
+                p_mine=one.p_mine,
+                called=one.called is True,
+            )
+            for one in self._overviews
+        ]
+        found = find_structures(members)
+        self._part_of = {member.contact_id: one.id for one in found for member in one.members}
+        features = map(structure_feature, found)
+        self._structures = [{**one["properties"], "geometry": one["geometry"]} for one in features]
 
     def state(self) -> dict[str, Any]:
         """Describe how far everything is; small, for it is asked for again and again."""
@@ -125,7 +146,7 @@ class ShownMission:
         }
 
     def contacts(self) -> dict[str, Any]:
-        """List all contacts as columns, and every object that people judged."""
+        """List all contacts as columns, every object that people judged, and structures that contacts are part of."""
         found = self._overviews
         rows = self._rows([contact.time_s for contact in found])
         by_contact = self.judged().by_contact
@@ -145,6 +166,8 @@ class ShownMission:
                 "across": [
                     -contact.ground_range_m if contact.side == "port" else contact.ground_range_m for contact in found
                 ],
+                "structure": [self._part_of.get(contact.id) for contact in found],
+                "structures": self._structures,
                 "verdicts": {name: _shown(verdict) for name, verdict in by_contact.items()},
                 "drawn": [{**_shown(verdict), "row": row} for verdict, row in zip(*self._drawn(shown), strict=True)],
             }

@@ -24,13 +24,17 @@ _MAX_JSON_BYTES: Final = 256 << 20  # bytes of one file: 100 000 contacts with a
 
 
 class Overview(NamedTuple):
-    """Hold a contact in short. time_s: of its best view's pass, which `side` and `ground_range_m` belong to."""
+    """Hold a contact in short; NaN for what is not known.
+
+    time_s: of its best view's pass, which `side` and `ground_range_m` belong to.
+    """
 
     id: str
     place: Place
     p_mine: float
     classification: str
     called: bool | None
+    length_m: float
     side: str
     ground_range_m: float
     time_s: float
@@ -105,6 +109,7 @@ def overview(feature: dict[str, Any]) -> Overview:
         p_mine=_number(properties.get("p_mine")),
         classification=clean(str(properties.get("class", "unknown"))),
         called=properties.get("called"),
+        length_m=_number(properties.get("length_m")),
         side=side if side in ("port", "starboard") else "",
         ground_range_m=_number(ground_range_m),
         time_s=time_s(shown.get("time") or properties.get("time")),

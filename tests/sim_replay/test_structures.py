@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from tests.sim_replay.test_vector_layers import gdal_layers
 
 Array = NDArray[np.float64]
 HOME = LocalFrame(latitude_deg=54.1, longitude_deg=10.2)
+GPX = "{http://www.topografix.com/GPX/1/1}"
 
 
 def members(places: Array, home: LocalFrame = HOME, length_m: float = 1.0, called: bool = False) -> list[Member]:
@@ -116,6 +118,21 @@ def test_members_stay_contacts_and_a_called_one_stays_called(results: Path) -> N
     (found,) = layers["structures"]
     assert found["properties"]["n_contacts"] == 15
     assert found["properties"]["called_contacts"] == ["C00015"]
+
+
+def test_a_chart_plotter_gets_a_structure_as_one_way_point_at_its_middle(results: Path, tmp_path: Path) -> None:
+    assert main(["export", str(results), "--gpx", str(tmp_path / "m.gpx")]) == 0
+    root = ElementTree.parse(tmp_path / "m.gpx").getroot()
+    (point,) = (one for one in root.iter(f"{GPX}wpt") if one.findtext(f"{GPX}type") == "structure")
+    (found,) = read_layers(results)["structures"]
+    sizes = found["properties"]
+    assert point.findtext(f"{GPX}name") == sizes["id"]
+    assert point.findtext(f"{GPX}desc") == (
+        f"{sizes['length_m']:.0f} x {sizes['width_m']:.0f} m, 15 contacts, 1 of them called"
+    )
+    longitude, latitude = np.array(found["geometry"]["coordinates"][0]).T
+    assert longitude.min() < float(point.attrib["lon"]) < longitude.max()
+    assert latitude.min() < float(point.attrib["lat"]) < latitude.max()
 
 
 def test_gdal_opens_structures_as_polygons(results: Path, tmp_path: Path) -> None:

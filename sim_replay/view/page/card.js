@@ -17,6 +17,10 @@ export function contactCard(handlers) {
   function facts(details, contact) {
     const list = element("dl");
     list.append(...row("position", position(contact.latitude, contact.longitude)));
+    if (contact.structure) {
+      const {id, length_m, width_m, n_contacts, n_called} = contact.structure;
+      list.append(...row("part of", `structure ${id}: ${metres(length_m)} × ${metres(width_m)}, ${n_contacts} contacts, ${n_called} called`));
+    }
     if (details) {
       list.append(
         ...row("error, depth", `${metres(details.sigma_m, 1)} (1 σ), ${metres(details.depth_m, 1)} deep`),

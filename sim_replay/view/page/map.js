@@ -13,7 +13,7 @@ export function mapView(tiles, handlers) {
   const box = byId("map-view"), picture = byId("map-picture");
   const view = {east: 0, north: 0, scale: 1};
   const layers = {mosaic: true, coverage: false, clearance: false, track: true, contacts: true, plan: true};
-  let home = null, grid = null, track = null, files = {}, shown = [], selected = null, drag = null, wasFitted = false, wasMoved = false;
+  let home = null, grid = null, track = null, files = {}, shown = [], structures = [], selected = null, drag = null, wasFitted = false, wasMoved = false;
   let strips = {rows: [], corners: []}, asking = false;
   const mosaic = {canvas: new OffscreenCanvas(1, 1), key: "", view: null, next: 0};
 
@@ -47,6 +47,7 @@ export function mapView(tiles, handlers) {
     if (layers.clearance && files.clearance) drawClearance(context, width, height);
     if (layers.track && track) drawTrack(context, width, height);
     if (layers.plan && files.waypoints) drawPlan(context, width, height);
+    if (layers.contacts) drawStructures(context, width, height);
     if (layers.contacts) drawContacts(context, width, height);
   }
 
@@ -214,6 +215,19 @@ export function mapView(tiles, handlers) {
     context.setLineDash([]);
   }
 
+  function drawStructures(context, width, height) {
+    context.lineWidth = 1.5;
+    for (const {id, geometry} of structures) {
+      for (const polygon of polygons(geometry)) {
+        context.beginPath();
+        ring(context, polygon[0], width, height);
+        context.strokeStyle = colour("ink");
+        context.stroke();
+        outlined(context, id, ...place(...polygon[0][0], width, height));
+      }
+    }
+  }
+
   function drawContacts(context, width, height) {
     let current = null;
     for (const likely of [false, true]) {
@@ -344,6 +358,7 @@ export function mapView(tiles, handlers) {
     setGrid(state) { grid = state; moreStrips(); },
     setTrack(found) { track = found; redraw(); },
     setLayers(found) { files = found; byId("clearance-layer").hidden = !found.clearance; redraw(); },
+    setStructures(found) { structures = found; },
     setContacts(contacts) { shown = contacts; redraw(); },
     select(key) { selected = key; bringIn(shown.find((one) => one.key === key)); redraw(); },
   };

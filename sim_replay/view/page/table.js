@@ -37,7 +37,7 @@ export function contactTable(handlers) {
 
   function arrange() {
     const wanted = SHOWN[byId("show").value], words = byId("search").value.toLowerCase().split(/\s+/).filter(Boolean);
-    const text = (one) => `${one.id} ${plain(one.class)} ${one.call ? CALLS[one.call] : ""} ${one.type} ${one.comment} ${one.by}`.toLowerCase();
+    const text = (one) => `${one.id} ${plain(one.class)} ${one.call ? CALLS[one.call] : ""} ${one.type} ${one.comment} ${one.by} ${one.structure ? one.structure.id : ""}`.toLowerCase();
     rows = all.filter((one) => wanted(one) && (!words.length || words.every((word) => text(one).includes(word))));
     const value = COLUMNS.find(([name]) => name === sorted)[2], sign = down ? -1 : 1;
     rows.sort((a, b) => {
@@ -69,7 +69,7 @@ export function contactTable(handlers) {
       onclick: () => handlers.select(one.key),
     },
     cell(one.id, one.drawn ? "missed" : ""), cell(one.p === null ? "–" : one.p.toFixed(2), one.likely ? "mine" : "soft"),
-    cell(plain(one.class)), cell(one.call ? CALLS[one.call] : "", kind),
+    cell(plain(one.class) + (one.structure ? ` · ${one.structure.id}` : "")), cell(one.call ? CALLS[one.call] : "", kind),
     cell([clock(one.time), plain(one.type), one.comment].filter(Boolean).join("  "), "soft"));
     made.style.top = `${index * ROW_PX}px`;
     return made;

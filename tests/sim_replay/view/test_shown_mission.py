@@ -23,6 +23,15 @@ def test_contacts_are_listed_with_their_place_in_the_waterfall(tmp_path: Path) -
     assert found["p"] == [0.1, 0.9]
 
 
+def test_contacts_that_crowd_together_are_shown_as_one_structure(tmp_path: Path) -> None:
+    wreck = [feature(number, 100.0 + 8.0 * (number % 3), 20.0 + number // 3) for number in range(1, 9)]
+    found = shown(write_results(tmp_path, [*wreck, feature(9, 600.0, -15.0)])).contacts()
+    (structure,) = found["structures"]
+    assert (structure["id"], structure["n_contacts"], structure["n_called"]) == ("S001", 8, 8)
+    assert structure["geometry"]["type"] == "Polygon"
+    assert found["structure"] == ["S001"] * 8 + [None]
+
+
 def test_a_card_has_the_depth_of_the_sea_floor_under_the_contact(tmp_path: Path) -> None:
     mission = shown(write_results(tmp_path, [feature(1)]))
     card = mission.contact("C00001")
