@@ -12,6 +12,7 @@ import asyncio
 import math
 import shutil
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -23,9 +24,10 @@ from numpy.typing import NDArray
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.config import Config
-from auv_mcm.snippet import unpack_snippet
 from sim_replay.benches.browser import BrowserPage, browser_page
 from sim_replay.benches.exact_shadows import exact_heights
+from sim_replay.benches.page_frames import HOURS, N_CONTACTS, bench_frames
+from sim_replay.benches.shadow_edges import ShadowEdges, clearest_shadow
 from sim_replay.replay import replay
 from sim_replay.scoring.inputs import TruthObject, read_truth
 from sim_replay.simulate import simulate
@@ -35,24 +37,14 @@ from sim_replay.text_tables import columns
 from sim_replay.verdicts import VERDICTS_FILE, match_verdicts, newest_verdicts, read_verdicts
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_files import ContactFile, overview, read_summary
+from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.server import MissionServer
 from sim_replay.view.show import open_shown, wait_for_session
-from sim_replay.view.waterfall_store import TILE_PX, WaterfallStore
 
 N_LEGS: Final = 14
 """Legs of the ripple scene, 290 m each at 2 m/s: 44 minutes with the turns, measured."""
+_FLAT_LEGS: Final = 6  # at most, of the scene `flat`, where no relief takes part in the heights: 17 minutes
 _GATE_M: Final = 3.0  # m from a target, within which a contact is judged mine-like
-_SMOOTH: Final = (5, 3)  # rows and columns that an eye averages over: 0.6 m by 0.18 m
-_DARK_DB: Final = -3.0  # of the sea floor: half its power, where an edge is taken
-_CLEAR_DB: Final = -6.0  # on average: a shadow that an analyst would measure
-_BRIDGE_M: Final = 0.3  # speckle in a shadow is shorter
-_BRIGHT_DB: Final = 3.0  # brighter is the object
-_REACH_M: Final = 9.0  # behind the object that a shadow is looked for: that of 0.8 m at 45 m, 5 m over the floor
-_GAP_M: Final = 0.4  # between the object and its shadow at most
-_MIN_SHADOW_M: Final = 0.5  # shorter ones are speckle
-_BESIDE_ROWS: Final = (-4, -2, 0, 2, 4)  # rows from a contact's at which its shadow is measured: over 1 m
-
-
 _HEIGHT_M: Final = 0.1  # m: error of a height that a decision can bear
 _LIVE_ROWS: Final = 600  # rows of 0.12 m of the live mission in the picture
 _LIVE_SCENE: Final = """\
@@ -114,6 +106,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", metavar="DIR", type=Path, required=True, help="folder for missions and results; what is there is used"
     )
     parser.add_argument("--pictures", metavar="DIR", type=Path, help="folder for screenshots of the documentation")
+    parser.add_argument(
+        "--frames",
+        action="store_true",
+        help=f"instead, count frames of a page with {HOURS:g} h and {N_CONTACTS} contacts",
+    )
     parser.add_argument("--legs", metavar="N", type=int, default=N_LEGS, help=f"legs to simulate (default {N_LEGS})")
 
 
@@ -122,28 +119,32 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0 <= arguments.legs <= 64:
         raise UsageError(f"--legs {arguments.legs} is not from 0 to 64")
     arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.frames:
+        with tempfile.TemporaryDirectory(dir=arguments.out) as name:
+            bench_frames(Path(name))
+        return 0
     if arguments.pictures is not None:
         asyncio.run(_live_picture(arguments.out, arguments.pictures))
     missions: list[tuple[str, Path, tuple[TruthObject, ...]]] = []
-    if arguments.legs:
-        scene = _scene("ripple", arguments.legs)
-        folder = arguments.out / "ripple"
+    scenes = {"ripple": arguments.legs, "flat": min(arguments.legs, _FLAT_LEGS)} if arguments.legs else {}
+    for name, n_legs in scenes.items():
+        folder = arguments.out / name
         if not (folder / "truth.json").exists():
-            simulate(scene, folder)
-        missions.append(("ripple", folder / "mission.xtf", read_truth(folder / "truth.json").objects))
+            simulate(_scene(name, n_legs), folder)
+        missions.append((name, folder / "mission.xtf", read_truth(folder / "truth.json").objects))
     missions += [(log.stem, log, ()) for log in arguments.logs]
-    judged = [_judge_mission(name, log, truth, arguments.out, arguments.pictures) for name, log, truth in missions]
+    judged = [
+        _judge_mission(name, log, truth, arguments.out, None if number else arguments.pictures)
+        for number, (name, log, truth) in enumerate(missions)
+    ]
     print(columns(_HEADER, [_line(one) for one in judged]))
-    for name in ("ripple", "flat") if arguments.legs else ():
-        n_legs = arguments.legs if name == "ripple" else None
+    for name, n_legs in scenes.items():
         print(f"edges known exactly, {name}: heights {_agreement(exact_heights(_scene(name, n_legs)))}")
     return 0
 
 
-def _scene(name: str, n_legs: int | None) -> Scene:
+def _scene(name: str, n_legs: int) -> Scene:
     scene = read_scene(name)
-    if n_legs is None:
-        return scene
     plan = msgspec.structs.replace(scene.track.plan, n_legs=n_legs)
     return msgspec.structs.replace(scene, track=msgspec.structs.replace(scene.track, plan=plan))
 
@@ -206,18 +207,21 @@ async def _judge_all(
     heights: list[tuple[float, float]] = []
     targets = [one for one in truth if one.is_target]
     contacts = mission.contacts()
-    places = dict(zip(contacts["id"], zip(contacts["row"], contacts["across"], strict=True), strict=True))
-    near = _nearest_target(contacts, targets)
+    near, measured = _nearest_target(contacts, targets), set[int]()
     await page.click_on("#table .head button:first-child")  # sorted by name: from start to end
     for _ in contacts["id"]:
         await page.press("j")
         name = str(await page.evaluate("bench.selected"))
         target = near.get(name)
-        if target is not None and target.height_m is not None:
-            row, across_m = places[name]
-            profiles = (shadow_ends(mission.store, row + beside, across_m) for beside in _BESIDE_ROWS)
-            if shadows := [ends for ends in profiles if ends is not None]:
-                measured_m = await _measure_shadows(page, shadows)
+        # A target that two contacts stand for is measured once.
+        if target is not None and target.height_m is not None and id(target) not in measured:
+            view, edges = clearest_shadow(mission.store, _views(mission, name))
+            if edges:
+                measured.add(id(target))
+                await page.wait_for("document.querySelector('#card h3') !== null")
+                buttons = "[...document.querySelectorAll('#card button')]"
+                await page.evaluate(f"{buttons}.find((one) => one.textContent === 'view {view + 1}').click()")
+                measured_m = await _measure_shadows(page, edges)
                 if pictures is not None and not heights:
                     await page.wait_for("!bench.busy")
                     await page.screenshot(pictures / "view-measure.webp", quality=30)
@@ -234,6 +238,18 @@ async def _judge_all(
             await page.screenshot(pictures / "view-judge.webp", quality=30)
             pictures = None
     return heights
+
+
+def _views(mission: ShownMission, name: str) -> list[WaterfallPoint]:
+    """Find where each view of a contact lies in the waterfall; NaN for a view that is not in it."""
+    card = mission.contact(name) or {}
+    return [
+        WaterfallPoint(
+            math.nan if row is None else row,
+            -view["ground_range_m"] if view["side"] == "port" else view["ground_range_m"],
+        )
+        for row, view in zip(card.get("view_rows", ()), card.get("views", ()), strict=True)
+    ]
 
 
 def _nearest_target(contacts: dict[str, list[float]], targets: Sequence[TruthObject]) -> dict[str, TruthObject]:
@@ -255,74 +271,13 @@ def _nearest_target(contacts: dict[str, list[float]], targets: Sequence[TruthObj
     }
 
 
-def shadow_ends(store: WaterfallStore, row: float, across_m: float) -> tuple[float, float, float] | None:
-    """Find a shadow's two ends behind a contact in the pixels of the waterfall.
-
-    Returns the row and both across-track places, m; None where there is no clear shadow.
-
-    Parameters
-    ----------
-    store
-        The waterfall.
-    row, across_m
-        The contact's highlight.
-    """
-    if not (math.isfinite(row) and math.isfinite(across_m)):
-        return None
-    column_m, sign = store.column_spacing_m, -1 if across_m < 0.0 else 1
-    level_db = _profile(store, row, across_m)
-    centre = round(1.5 / column_m)
-    bright = np.flatnonzero(level_db[: centre + round(1.0 / column_m)] > _BRIGHT_DB)
-    near = bright[np.abs(bright - centre) <= round(0.8 / column_m)]
-    if not len(near):
-        return None
-    gap = round(_BRIDGE_M / column_m)
-    lit = np.flatnonzero(level_db > _DARK_DB)
-    behind = np.arange(near[-1] + 1, near[-1] + 1 + round(_GAP_M / column_m))
-    start = next((int(at) for at in behind if not np.isin(at, lit)), None)
-    if start is None:
-        return None
-    # The first stretch of light that is longer than speckle ends the shadow.
-    end = next((int(at) for at in lit[lit > start] if np.isin(np.arange(at, at + gap + 1), lit).all()), None)
-    if end is None or (end - start) * column_m < _MIN_SHADOW_M or level_db[start:end].mean() > _CLEAR_DB:
-        return None
-    first_m = abs(across_m) - 1.5
-    return (
-        math.floor(row) + 0.5,
-        sign * (first_m + start * column_m),
-        sign * (first_m + end * column_m),
-    )
-
-
-def _profile(store: WaterfallStore, row: float, across_m: float) -> NDArray[np.float64]:
-    """Average what lies abeam of a contact, dB, (n,), from 1.5 m before it, going away from the sonar."""
-    first_row, first_column = math.floor(row) - 12, round((abs(across_m) - 1.5) / store.column_spacing_m)
-    n_columns = round((1.5 + _REACH_M) / store.column_spacing_m)
-    linear = np.zeros((25, n_columns), dtype=np.float32)
-    for tile_row in {first_row // TILE_PX, (first_row + 24) // TILE_PX}:
-        for tile_column in range(first_column // TILE_PX, (first_column + n_columns) // TILE_PX + 1):
-            if across_m < 0.0:
-                pixels = unpack_snippet(store.picture(0, max(tile_row, 0), -1 - tile_column))[:, ::-1]
-            else:
-                pixels = unpack_snippet(store.picture(0, max(tile_row, 0), tile_column))
-            top, left = tile_row * TILE_PX - first_row, tile_column * TILE_PX - first_column
-            rows = slice(max(top, 0), min(top + TILE_PX, 25))
-            cut = slice(max(left, 0), min(left + TILE_PX, n_columns))
-            if rows.start < rows.stop and cut.start < cut.stop:
-                linear[rows, cut] = pixels[rows.start - top : rows.stop - top, cut.start - left : cut.stop - left]
-    n_lines, n_smooth = _SMOOTH
-    middle = linear[12 - n_lines // 2 : 13 + n_lines // 2].mean(axis=0)
-    smooth = np.convolve(middle, np.full(n_smooth, 1.0 / n_smooth), mode="same")
-    return np.asarray(10.0 * np.log10(np.maximum(smooth, 1e-3)), dtype=np.float64)
-
-
-async def _measure_shadows(page: BrowserPage, shadows: Sequence[tuple[float, float, float]]) -> float:
+async def _measure_shadows(page: BrowserPage, shadows: Sequence[ShadowEdges]) -> float:
     """Measure each with two clicks; returns the height that the page takes from all of them, m."""
     await page.press("s")
     text = ""
-    for number, (row, *across_m) in enumerate(shadows, 1):
-        for at in across_m:
-            place = await page.evaluate(f"bench.screenOf({row}, {at})")
+    for number, edges in enumerate(shadows, 1):
+        for row, across_m in edges[:2]:
+            place = await page.evaluate(f"bench.screenOf({row}, {across_m})")
             await page.click(place["x"], place["y"])
         line = "document.querySelector('#sizes').textContent"
         awaited = "height" if number == 1 else f"median of {number},"
@@ -394,9 +349,10 @@ def _line(one: JudgedMission) -> list[str]:
 
 
 def _agreement(heights_m: NDArray[np.float64]) -> str:
-    """Say how many heights are true to 0.1 m, and by how much the median is off. heights_m: (n, 2)."""
+    """Say how many heights are true to 0.1 m, and by how much they are off. heights_m: (n, 2)."""
     if not len(heights_m):
         return "-"
     error_m = np.abs(heights_m[:, 0] - heights_m[:, 1])
     n_true = np.count_nonzero(error_m <= _HEIGHT_M)
-    return f"{n_true} of {len(error_m)} within {_HEIGHT_M} m, median error {np.median(error_m):.2f} m"
+    rms_m = float(np.sqrt(np.mean(error_m**2)))
+    return f"{n_true} of {len(error_m)} within {_HEIGHT_M} m, median {np.median(error_m):.2f} m, rms {rms_m:.2f} m"
