@@ -76,6 +76,34 @@ def test_a_line_is_no_faster_than_its_rate(tmp_path: Path) -> None:
     asyncio.run(scenario())
 
 
+def test_short_messages_without_a_break_come_at_the_rate_of_the_line_though_timers_wake_late(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def scenario() -> None:
+        port = FakePort(tmp_path / "can", 1_000_000)
+        port.plug()
+        now_s, yielded = 100.0, asyncio.sleep
+
+        async def wake_late(delay_s: float) -> None:
+            nonlocal now_s
+            now_s += delay_s + 0.001 if delay_s > 0.0 else 0.0
+            await yielded(0)
+
+        monkeypatch.setattr(asyncio.get_running_loop(), "time", lambda: now_s)
+        monkeypatch.setattr(asyncio, "sleep", wake_late)
+        for _ in range(100):
+            await port.send(bytes(27))
+        assert now_s - 100.0 == pytest.approx(100 * 27 * 10 / 1e6, abs=0.002)
+        now_s += 1.0  # a break gives no credit
+        before_s = now_s
+        await port.send(bytes(50))
+        assert now_s - before_s >= 0.0005
+        monkeypatch.undo()
+        port.unplug()
+
+    asyncio.run(scenario())
+
+
 def test_messages_sent_at_once_leave_one_after_the_other(tmp_path: Path) -> None:
     async def scenario() -> None:
         port = FakePort(tmp_path / "sonar", 921600)
