@@ -34,6 +34,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "ports": ("benches.ports", "the service at a full serial line: start, processor time, how late pings are"),
     "archive": ("benches.archive", "a batch that is killed on its way against one that is not: the same bytes"),
     "soak": ("benches.soak", "the service for long, and killed: memory, counters, what is lost"),
+    "load": ("benches.load", "the worst floors, ping by ping, and a ledger of 100,000 contacts"),
     "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
     "decibels": ("benches.decibels", "what wrong decibels per count cost in detection"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
