@@ -503,7 +503,7 @@ def planner_rows(amount: Amount) -> list[StageRow]:
                 cost=cost,
                 error=max(shares, default=0.0),
                 unit="of the optimum not gained, worst",
-                limit=0.2,
+                limit=1e-9,  # rounding
                 alternative=Alternative(name="exact enumeration", cost=other, error=0.0),
             )
         )
