@@ -369,6 +369,22 @@ def best_route(problem: Problem, legs: list[int], more_time: MoreTime) -> list[i
     return sailable(problem, route)
 
 
+def exact_route(problem: Problem) -> list[int] | None:
+    """Find the route that gains most, of equal ones the shortest, by every set and order of few contacts.
+
+    None where that would prove nothing: gains add up only without survey legs, and no route is shorter than connections
+    say, so that what is best by them is best if a fence lets it be sailed.
+    """
+    legs = np.flatnonzero(problem.other_side >= np.arange(problem.tracks.n_legs)).tolist()
+    if len(legs) > EXACT_LEGS or (problem.tracks.heading >= 0).any():
+        return None
+    cost, ways = _connections(problem, legs)
+    runs = problem.tracks.length_m[[way // 2 for way in ways]]
+    picked = richest_tour(cost, runs, problem.contact_m2[legs], problem.limits.budget_m)
+    route = [ways[way] for way in picked]
+    return route if sailable(problem, route) == route else None
+
+
 def _tour_m(tour: list[int], cost: Array, runs: Array) -> float:
     return tour_length(tour, cost) + float(runs[tour].sum())
 

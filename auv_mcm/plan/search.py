@@ -14,6 +14,7 @@ from auv_mcm.plan.orienteering import (
     Wanting,
     best_route,
     ends_of,
+    exact_route,
     greedy_legs,
     rough_way_m,
     route_length_m,
@@ -46,8 +47,11 @@ def searched(problem: Problem, more_time: MoreTime) -> tuple[SearchedRoute, list
     """Find the best route and the legs that it began with.
 
     Ladders and greedy choice make routes, in several proportions. Of the best route some legs in a row are taken out
-    and chosen anew.
+    and chosen anew. Few contacts alone are tried in every set and order instead.
     """
+    exact = exact_route(problem)
+    if exact is not None:
+        return SearchedRoute(problem, exact, _net_m2(problem, exact)), [way // 2 for way in exact]
     every = np.ones(problem.tracks.n_legs, dtype=np.bool_)
     fresh_m2 = 2.0 * (problem.limits.swath[1] - problem.limits.swath[0])  # that a metre sees at most
     best: SearchedRoute | None = None

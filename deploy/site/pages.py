@@ -23,7 +23,14 @@ from auv_mcm.shell.health.text import metric_name
 from auv_mcm.skips import SKIPS
 from deploy.site.raised import ROOT, counted_names, notices_by_code, raised_notices
 from drivers.describe import example_text, interface_text
-from sim_replay.benches.run_time.results import POINT_HEADER, point_rows, read_results
+from sim_replay.benches.every_stage.bench import read_every_stage, stage_history
+from sim_replay.benches.run_time.results import (
+    POINT_HEADER,
+    VERSION_HEADER,
+    point_rows,
+    read_results,
+    version_cells,
+)
 from sim_replay.commands.bench import BENCHES
 from sim_replay.report.report_words import MEANINGS
 from sim_replay.text_tables import markdown
@@ -252,18 +259,32 @@ def benchmarks_page(history: Path = HISTORY) -> str:
         "the ratio to the plain script: computers differ and are busy. [More points and targets](run-time.md).",
         "",
     ]
-    for path in sorted(
-        history.glob("*.json"), key=lambda path: [int(part) for part in path.stem.split(".")], reverse=True
-    ):
-        results = read_results(path)
+    found = {path.stem: read_results(path) for path in _by_version(history)}
+    lines += ["## Versions", "", "Those released, and the one in the making, at the default operating point.", ""]
+    lines += [markdown(VERSION_HEADER, [[version, *version_cells(run)] for version, run in found.items()]), ""]
+    stages = {path.stem: read_every_stage(path) for path in _by_version(history / "stages")}
+    if stages:
+        lines += [
+            "Of each stage at its last setting: time in units of [the alternative](every-stage.md), error of both, and",
+            "the error's unit. A dash stands for what was not measured. pyxtf's time ends where it fails.",
+            "",
+            markdown(("stage", *stages), stage_history(list(stages.values()))),
+            "",
+        ]
+    for version, results in found.items():
         machine = results.machine
-        lines += [f"## {path.stem}", ""]
+        lines += [f"## {version}", ""]
         lines.append(
             f"{machine.date}, {machine.processor}, {machine.cores} cores, kernels {machine.kernels}; "
             f"{', '.join(results.missions)};"
         )
         lines += [f"medians of {results.repeat} repeats.", "", markdown(POINT_HEADER, point_rows(results)), ""]
     return "\n".join(lines)
+
+
+def _by_version(folder: Path) -> list[Path]:
+    """List results of versions, the newest first."""
+    return sorted(folder.glob("*.json"), key=lambda path: [int(part) for part in path.stem.split(".")], reverse=True)
 
 
 def example_pages(documents: Path) -> dict[str, str]:

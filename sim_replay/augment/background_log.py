@@ -252,7 +252,7 @@ def sample_places(path: Path, pings: Sequence[Ping]) -> dict[tuple[int, Side], S
     with open_regular(path) as file:
         size = path.stat().st_size
         first = header_bytes(file, 0, size) or HEADER_BLOCK
-        packets = read_packets(file, first, size, (_SONAR_PACKET,), lambda data: None)
+        packets = read_packets(file, first, size, (_SONAR_PACKET,))
         channels = (
             (item.offset, item.data) for item in packets if isinstance(item, XtfPacket) and item.kind == _SONAR_PACKET
         )

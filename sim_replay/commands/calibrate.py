@@ -439,7 +439,7 @@ def _run_seabed(arguments: argparse.Namespace) -> int:
     seeds = arguments.seeds or FIT_SEEDS
     farm = Farm(arguments.workers, arguments.scheduler)
     samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: _show(done, len(seeds)))))
-    model = fit_seabed_model(samples, seabed_fit_words(seeds, samples))
+    model = fit_seabed_model(samples, seabed_fit_words(seeds, samples.shares))
     print(model.fitted_on)
     if arguments.out is not None:
         write_new(arguments.out, msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n")

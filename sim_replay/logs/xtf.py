@@ -310,7 +310,7 @@ class XtfLog:
 
     def _inventory(self, file: BinaryIO) -> str:
         kinds: Counter[str] = Counter()
-        for item in read_packets(file, self._first_packet, self.size_bytes, (), lambda _: None):
+        for item in read_packets(file, self._first_packet, self.size_bytes, ()):
             if isinstance(item, XtfPacket):
                 kinds[kind_name(item.kind)] += 1
         return ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items())) + " packets" if kinds else "no packets"
@@ -325,7 +325,7 @@ class XtfLog:
     # --- packets to raw pings ---
 
     def _raw_pings(self, file: BinaryIO) -> Iterator[_RawPing]:
-        for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR,), self._content_bytes):
+        for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR,)):
             self.bytes_read = item.offset
             if isinstance(item, DamagedBytes):
                 self._raise_damage_notice(item)
@@ -337,14 +337,6 @@ class XtfLog:
                 ping = self._raw_ping(item)
                 if ping is not None:
                     yield ping
-
-    def _content_bytes(self, data: bytes) -> int | None:
-        end = _PING_HEADER
-        for _, start, n_bytes, _ in self._extents(data):
-            if n_bytes is None:
-                return None
-            end = start + n_bytes
-        return end if end <= len(data) else None
 
     def _extents(self, data: bytes) -> Iterator[tuple[Channel | None, int, int | None, _ChannelHeader]]:
         """Find, per channel of a ping packet: its description, offset and length of its samples (None: beyond the

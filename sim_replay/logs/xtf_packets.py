@@ -8,7 +8,7 @@ an impossible length, the next trustworthy packet is searched for, byte by byte.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Container, Iterator
 from typing import BinaryIO, Final, NamedTuple, TypeAlias
 
 MAGIC: Final = b"\xce\xfa"
@@ -52,25 +52,18 @@ def read_packets(
     first_packet: int,
     size: int,
     wanted: Container[int],
-    content_bytes: Callable[[bytes], int | None],
 ) -> Iterator[Item]:
-    """Yield packets of `file` (seekable, `size` bytes) from offset `first_packet` on, in file order, one at a time.
-
-    content_bytes: length that a wanted packet's own channel headers add up to, None if they contradict it; after a
-    damaged packet length the search for the next packet starts there.
-    """
+    """Yield packets of `file` (seekable, `size` bytes) from offset `first_packet` on, in file order, one at a time."""
     position = first_packet
     search_from = first_packet  # no packet that was already delivered starts at or after this
-    newest_wanted: tuple[int, int] | None = (
-        None  # offset and length; how far its content goes is looked at only where damage follows
-    )
+    newest_wanted: int | None = None  # where it starts
     file.seek(position)
     while position < size:
         start = file.read(_START.size)
         fault, n_bytes, kind = _fault(start, position, size)
         if fault is None:
             if kind in wanted:
-                newest_wanted = (position, n_bytes)
+                newest_wanted = position
                 yield XtfPacket(position, kind, start + file.read(n_bytes - _START.size))
                 position += n_bytes
             else:
@@ -80,11 +73,7 @@ def read_packets(
                 file.seek(position)
             continue
         if newest_wanted is not None:
-            offset, n_bytes = newest_wanted
-            file.seek(offset)
-            content = content_bytes(file.read(n_bytes))
-            search_from = offset + (content if content is not None else len(MAGIC))
-            newest_wanted = None
+            search_from, newest_wanted = newest_wanted + len(MAGIC), None  # it may have lost bytes of its samples
         header = _file_header(file, position, size)
         if header is not None:
             yield header

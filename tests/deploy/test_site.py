@@ -147,6 +147,13 @@ def test_the_benchmark_history_has_this_version_and_every_file_of_it_can_be_comp
         found = read_results(path)
         assert found.missions == ("flat 9600", "mixed 9600")  # others cannot be compared
         assert found.point("default") is not None
+        assert f"\n| {path.stem} | {found.machine.date[:10]} | {found.machine.processor} |" in page
+
+
+def test_a_version_whose_stages_were_measured_has_a_column_of_them(tmp_path: Path) -> None:
+    (tmp_path / "stages").mkdir()
+    assert main(["bench", "all", "--quick", "--stages", "waterfall", "--json", f"{tmp_path}/stages/0.1.0.json"]) == 0
+    assert "| stage | 0.1.0 |\n| --- | --- |\n| waterfall | time " in benchmarks_page(tmp_path)
 
 
 def test_links_of_project_pages_hold_in_the_site() -> None:

@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     unknown = [name for name in chosen if name not in STAGES]
     if unknown:
         raise UsageError(f"--stages: there is no '{unknown[0]}'; the stages are {', '.join(STAGES)}")
-    old = None if arguments.compare is None else _read(arguments.compare)
+    old = None if arguments.compare is None else read_every_stage(arguments.compare)
     amount = _QUICK if arguments.quick else Amount(_N_INPUTS, arguments.repeat)
     load, rows = os.getloadavg()[0], list[StageRow]()
     for name in chosen:
@@ -108,6 +108,26 @@ def stage_cells(rows: Sequence[StageRow]) -> list[list[str]]:
             ]
         )
     return written
+
+
+def stage_history(runs: Sequence[EveryStageResults]) -> list[list[str]]:
+    """Write a row per stage of time in units of the alternative and errors, a cell per run."""
+    last = [
+        {row.stage: row for row in run.rows if row.alternative is not None and row.alternative.cost is not None}
+        for run in runs
+    ]
+    return [
+        [stage, *(_history_cell(rows[stage]) if stage in rows else NOTHING for rows in last)]
+        for stage in dict.fromkeys(stage for rows in last for stage in rows)
+    ]
+
+
+def _history_cell(row: StageRow) -> str:
+    other = row.alternative
+    assert other is not None
+    assert other.error is not None
+    ratio = _times(row)[0]
+    return f"time {ratio:.2g} of {other.name}; error {row.error:.3g}, its {other.error:.3g}: {row.unit}"
 
 
 def moved_since(old: EveryStageResults, new: EveryStageResults) -> list[str]:
@@ -154,5 +174,9 @@ def _times(row: StageRow) -> tuple[float, float, float]:
     )
 
 
-def _read(path: Path) -> EveryStageResults:
+def read_every_stage(path: Path) -> EveryStageResults:
+    """Read an older run.
+
+    Raises UsageError for a file that cannot be read, BadInputError for one that is no such run.
+    """
     return read_bench_file(path, EveryStageResults, _FORMAT_VERSION, "auv-mcm bench all --json FILE")

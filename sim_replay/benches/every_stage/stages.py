@@ -36,7 +36,9 @@ from sim_replay.augment.direct import invert
 from sim_replay.augment.forward import BeamPattern, SeafloorScene, render_image
 from sim_replay.benches import cascade, framers, simulate, tours
 from sim_replay.benches.every_stage.expansion import expanded
+from sim_replay.benches.every_stage.log_reading import log_rows
 from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow, timed
+from sim_replay.benches.every_stage.sea_floor import sea_floor_rows
 from sim_replay.scoring.overlap import overlap
 
 Plane = NDArray[np.float64]
@@ -503,7 +505,7 @@ def planner_rows(amount: Amount) -> list[StageRow]:
                 cost=cost,
                 error=max(shares, default=0.0),
                 unit="of the optimum not gained, worst",
-                limit=0.2,
+                limit=1e-9,  # rounding
                 alternative=Alternative(name="exact enumeration", cost=other, error=0.0),
             )
         )
@@ -567,6 +569,7 @@ def _lost(sent: list[Hashable], intact: list[bool], found: list[Hashable]) -> fl
 
 
 STAGES: Final[dict[str, Callable[[Amount], list[StageRow]]]] = {
+    "logs": log_rows,
     "waterfall": resampling_rows,
     "bottom": bottom_rows,
     "cascade": cascade_rows,
@@ -575,6 +578,7 @@ STAGES: Final[dict[str, Callable[[Amount], list[StageRow]]]] = {
     "solids": solid_rows,
     "simulator": simulator_rows,
     "inversion": inversion_rows,
+    "sea-floor": sea_floor_rows,
     "planner": planner_rows,
     "framers": framer_rows,
 }

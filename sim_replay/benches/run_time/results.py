@@ -46,6 +46,31 @@ POINT_HEADER: Final = (
 )
 
 
+VERSION_HEADER: Final = (
+    *("version", "date", "processor", "processor s per hour of sonar", "times real time", "of the plain script"),
+    *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2),
+    *("contacts per km²", "peak MB"),
+)
+
+
+def version_cells(results: RunTimeResults) -> list[str]:
+    """Write what a version did at the default operating point, after its name."""
+    machine, default, plain = results.machine, results.point(DEFAULT), results.point(PLAIN)
+    if default is None:
+        raise BadInputError(f"{machine.date}: the default operating point was not measured. Measure anew")
+    process_s = statistics.median(default.process_s())
+    return [
+        machine.date.partition(" ")[0],
+        machine.processor,
+        f"{3600.0 * process_s / results.sonar_s:.0f}",
+        f"{results.sonar_s / process_s:.0f}",
+        "-" if plain is None else _ratio_cell(default, plain),
+        *(share_cell(pd) for pd in default.pd),
+        density_cell(default.contacts),
+        f"{max(run.peak_memory_mb for run in default.runs.values()):.0f}",
+    ]
+
+
 def point_rows(results: RunTimeResults) -> list[list[str]]:
     """Write a row of text per operating point."""
     default, plain = results.point(DEFAULT), results.point(PLAIN)

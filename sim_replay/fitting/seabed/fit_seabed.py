@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.seabed.seabed_model import INPUTS, Layer, SeabedModel, as_stored, bounded, fitted_gaussian, standardised
@@ -44,24 +45,28 @@ def fit_seabed_model(samples: SeabedSamples, fitted_on: str) -> SeabedModel:
         learnt = fitted_gaussian(x, _SHRINKAGE, _RIDGE, _KEPT)
     except ValueError as error:
         raise BadInputError(f"{fitted_on}: {error}") from error
-    weight = (samples.shares @ (1.0 / (len(KINDS) * of_kind))).astype(np.float32)
-    network = fitted_network(
-        bounded(x).astype(np.float32),
-        samples.shares,
-        weight,
-        n_hidden=_HIDDEN,
-        epochs=_EPOCHS,
-        weight_decay=_WEIGHT_DECAY,
-        seed=_SEED,
-    )
     return SeabedModel(
         fitted_on=fitted_on,
         inputs=INPUTS,
         kinds=KINDS,
         centre=centre,
         scale=scale,
-        layers=tuple(_stored(units) for units in network),
+        layers=tuple(_stored(units) for units in fitted_to(bounded(x), samples.shares)),
         learnt=learnt,
+    )
+
+
+def fitted_to(x: NDArray[np.float64], shares: NDArray[np.float32]) -> list[NetworkLayer]:
+    """Fit the network to comparable inputs (n, n_inputs) and shares (n, len(KINDS)); all kinds weigh the same."""
+    of_kind = shares.mean(axis=0, dtype=np.float64)
+    return fitted_network(
+        x.astype(np.float32),
+        shares,
+        (shares @ (1.0 / (len(KINDS) * of_kind))).astype(np.float32),
+        n_hidden=_HIDDEN,
+        epochs=_EPOCHS,
+        weight_decay=_WEIGHT_DECAY,
+        seed=_SEED,
     )
 
 
@@ -70,9 +75,7 @@ def _stored(units: NetworkLayer) -> Layer:
     return Layer(weights=tuple(map(as_stored, weights)), constants=as_stored(constants))
 
 
-def seabed_fit_words(seeds: Sequence[int], samples: SeabedSamples) -> str:
-    """Describe the missions that a model was fitted on."""
-    counts = ", ".join(
-        f"{share:.0%} {kind}" for kind, share in zip(KINDS, samples.shares.mean(axis=0).tolist(), strict=True)
-    )
-    return f"{len(seeds)} simulated missions of seeds {seeds[0]} to {seeds[-1]}, {len(samples.shares)} cells: {counts}"
+def seabed_fit_words(seeds: Sequence[int], shares: NDArray[np.float32]) -> str:
+    """Describe the missions that a model was fitted on. shares: (n, len(KINDS)), of kinds in each cell."""
+    counts = ", ".join(f"{share:.0%} {kind}" for kind, share in zip(KINDS, shares.mean(axis=0).tolist(), strict=True))
+    return f"{len(seeds)} simulated missions of seeds {seeds[0]} to {seeds[-1]}, {len(shares)} cells: {counts}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -37,15 +38,22 @@ class SeabedSamples(NamedTuple):
 
 def samples_of(seed: int) -> SeabedSamples:
     """Fly the mission of a seed and take every third of its cells, those at borders between kinds as well."""
+    mission, sonar = drawn_mission(seed)
+    return pooled([tile_samples(tile, mission, sonar) for tile in tiles_of(mission, sonar)])
+
+
+def drawn_mission(seed: int) -> tuple[Mission, SonarConfig]:
+    """Prepare the mission of a seed, and its sonar's configuration."""
     scene = mission_scene(seed)
-    mission = Mission(scene)
-    config = Config(sonar=sonar_config(scene))
-    pipeline = Pipeline(config, detect=_nothing, seabed=lambda tile: None)
-    tiles: list[Tile] = []
+    return Mission(scene), sonar_config(scene)
+
+
+def tiles_of(mission: Mission, sonar: SonarConfig) -> Iterator[Tile]:
+    """Fly a mission and give its tiles one after another; nothing is detected in them."""
+    pipeline = Pipeline(Config(sonar=sonar), detect=_nothing, seabed=lambda tile: None)
     for event in mission.events():
-        tiles += [result for result in pipeline.feed(event) if isinstance(result, Tile)]
-    tiles += [result for result in pipeline.finish() if isinstance(result, Tile)]
-    return pooled([tile_samples(tile, mission, config.sonar) for tile in tiles])
+        yield from (result for result in pipeline.feed(event) if isinstance(result, Tile))
+    yield from (result for result in pipeline.finish() if isinstance(result, Tile))
 
 
 def tile_samples(tile: Tile, mission: Mission, sonar: SonarConfig) -> SeabedSamples:

@@ -13,8 +13,10 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.kernels.trws import energy_of, trws
 from sim_replay.benches.every_stage import bench, stages
-from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since
+from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since, stage_history
 from sim_replay.benches.every_stage.expansion import expanded
+from sim_replay.benches.every_stage.fit_grey_levels import fitted_model, share_wrong
+from sim_replay.benches.every_stage.grey_levels import grey_level_odds
 from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow
 from sim_replay.benches.run_time.measure import BenchMachine
 
@@ -24,7 +26,8 @@ def test_every_stage_errs_no_more_than_its_limit(tmp_path: Path, capsys: pytest.
     written, page = tmp_path / "found.json", tmp_path / "found.html"
     assert main(["bench", "all", "--quick", "--json", str(written), "--page", str(page)]) == 0
     found = json.loads(written.read_text())
-    assert {row["stage"].split()[0] for row in found["rows"]} == set(stages.STAGES)
+    first_words = {name.partition("-")[0] for name in stages.STAGES}
+    assert {row["stage"].split()[0] for row in found["rows"]} == first_words
     assert found["machine"]["versions"]["numpy"] == np.__version__
     assert page.read_text().count("<svg") > 9
     printed = capsys.readouterr().out
@@ -95,3 +98,25 @@ def test_alpha_expansion_reaches_the_bound_of_easy_fields() -> None:
     found = energy_of(expanded(unary, weight), unary, weight)
     bound = trws(unary, weight, 300)
     assert bound.lower_bound - 1e-9 <= found <= 1.002 * bound.energy
+
+
+def test_a_history_has_a_row_per_stage_and_a_dash_where_one_was_not_measured() -> None:
+    other = msgspec.structs.replace(row(), stage="another")
+    (first, *cells), (second, *dashed) = stage_history([results(row()), results(row(), other)])
+    assert (first, second) == ("made here", "another")
+    assert cells == ["time 0.1 of other; error 1, its 3: m"] * 2
+    assert dashed == ["-", cells[0]]
+
+
+def test_a_network_fitted_to_what_separates_kinds_separates_them() -> None:
+    random = np.random.Generator(np.random.PCG64(5))
+    kind = random.integers(0, 4, 3000)
+    inputs = 4.0 * np.eye(4)[kind] + random.normal(size=(3000, 4))
+    shares = np.eye(4, dtype=np.float32)[kind]
+    model = fitted_model(inputs[:2000], shares[:2000], "made here")
+    assert share_wrong(grey_level_odds(inputs[2000:], model).argmax(axis=1), shares[2000:]) < 0.05
+
+
+def test_the_share_wrong_weighs_all_kinds_alike() -> None:
+    shares = np.eye(4, dtype=np.float32)[[0, 0, 0, 1]]
+    assert share_wrong(np.array([0, 0, 0, 3]), shares) == 0.5

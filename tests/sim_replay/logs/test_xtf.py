@@ -494,3 +494,17 @@ def test_repairs_of_the_reader_are_for_the_record_and_its_requests_are_notices(t
         "reader.time_tied": True,
         "reader.mounting_not_applied": False,
     }
+
+
+@pytest.mark.parametrize("n_lost", [1, 40, 150])
+def test_a_ping_after_one_that_lost_bytes_of_its_samples_is_read(tmp_path: Path, n_lost: int) -> None:
+    """More bytes may be lost than the packet has padding: the next ping starts where samples were said to be."""
+    path = written(tmp_path / "log.xtf", 8)
+    sent = pings_of(read(path)[0])
+    data = path.read_bytes()
+    at = packet_offsets(data)[3] + 400
+    path.write_bytes(data[:at] + data[at + n_lost :])
+    got = {each.time_s: each for each in pings_of(read(path)[0])}
+    for intact in (*sent[:3], *sent[4:]):
+        assert same_trace(got[intact.time_s].port, intact.port)
+        assert same_trace(got[intact.time_s].starboard, intact.starboard)

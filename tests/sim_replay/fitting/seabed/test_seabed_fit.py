@@ -124,7 +124,7 @@ def test_cells_of_a_mission_are_what_the_simulator_put_there(monkeypatch: pytest
     assert len(reported.shares) > 20
     assert (reported.shares[:, KINDS.index("flat")] == 1.0).all()
     assert np.isfinite(reported.features).all()
-    assert seabed_fit_words([11], pooled([reported])).startswith("1 simulated missions of seeds 11 to 11, ")
+    assert seabed_fit_words([11], pooled([reported]).shares).startswith("1 simulated missions of seeds 11 to 11, ")
 
 
 def test_a_new_model_can_be_learnt_when_the_shipped_one_measures_something_else(

@@ -1,0 +1,95 @@
+"""Measure the live sea floor's time against its error, beside textures of grey levels of scikit-image."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import Tile
+from auv_mcm.seabed.seabed_cells import seabed_cells
+from auv_mcm.seabed.seabed_model import kind_indices, seabed_odds, shipped_seabed_model
+from auv_mcm.seabed.texture import Texture, measure_texture
+from sim_replay.benches.every_stage.fit_grey_levels import JUDGED_SEEDS, MIN_KNOWN, share_wrong
+from sim_replay.benches.every_stage.grey_levels import grey_level_inputs, grey_level_odds, shipped_grey_levels
+from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
+from sim_replay.fitting.seabed.samples import drawn_mission, tiles_of, true_shares
+
+_MAX_WRONG: Final = 0.3  # of cells of each kind; a check for what is broken, drawn missions differ much
+_OTHER: Final = "scikit-image grey-level co-occurrence"
+
+
+class _Judged(NamedTuple):
+    """Hold a tile, and its cells (n, 2) of which the truth is known with the shares of kinds in each."""
+
+    tile: Tile
+    texture: Texture
+    cells: NDArray[np.intp]
+    shares: NDArray[np.float64]
+
+
+def sea_floor_rows(amount: Amount) -> list[StageRow]:
+    """Classify tiles of held-out missions, with neighbours and without; instead, by co-occurrences of grey levels."""
+    judged = [_first_tile(seed) for seed in JUDGED_SEEDS[: amount.n]]
+    model, kinds = shipped_seabed_model(), kind_indices(shipped_seabed_model())
+    shares = np.concatenate([each.shares for each in judged])
+
+    def with_neighbours() -> list[NDArray[np.uint8]]:
+        return [seabed_cells(each.tile, model).kind for each in judged]
+
+    def alone() -> list[NDArray[np.uint8]]:
+        textures = [measure_texture(each.tile) for each in judged]
+        return [
+            kinds[
+                seabed_odds(found.features, np.broadcast_to(found.cot_grazing, found.features.shape[:2]), model)[
+                    0
+                ].argmax(axis=-1)
+            ]
+            for found in textures
+        ]
+
+    def by_grey_levels() -> list[NDArray[np.uint8]]:
+        other = shipped_grey_levels()
+        found = []
+        for tile, texture, cells, _ in judged:
+            kind = np.zeros(texture.features.shape[:2], dtype=np.uint8)
+            kind[tuple(cells.T)] = kinds[
+                grey_level_odds(grey_level_inputs(tile, cells, texture.cot_grazing), other).argmax(axis=1)
+            ]
+            found.append(kind)
+        return found
+
+    def wrong(found: list[NDArray[np.uint8]]) -> float:
+        taken = np.concatenate([kind[tuple(each.cells.T)] for kind, each in zip(found, judged, strict=True)])
+        place = np.full(256, -1)  # of `unknown`, which counts as wrong
+        place[kinds] = np.arange(len(kinds))
+        return share_wrong(place[taken], shares)
+
+    has_skimage = find_spec("skimage") is not None
+    done = timed(amount.repeat, alone, with_neighbours, *((by_grey_levels,) if has_skimage else ()))
+    other = Alternative(name=_OTHER, missing="scikit-image is not installed")
+    if has_skimage:
+        other = Alternative(name=_OTHER, cost=done[-1][1], error=wrong(done[-1][0]))
+    return [
+        StageRow(
+            stage="sea floor",
+            setting=f"{name}, {len(judged)} tiles, {len(shares)} cells",
+            cost=cost,
+            error=wrong(found),
+            unit="share of cells wrong, mean over kinds",
+            limit=_MAX_WRONG,
+            alternative=other,
+        )
+        for name, (found, cost) in zip(("each cell alone", "with neighbours"), done, strict=False)
+    ]
+
+
+def _first_tile(seed: int) -> _Judged:
+    mission, sonar = drawn_mission(seed)
+    tile = next(tiles_of(mission, sonar))
+    texture = measure_texture(tile)
+    shares = true_shares(tile, texture, mission, sonar)
+    cells = np.argwhere(np.isfinite(texture.features).all(axis=-1) & (shares.sum(axis=-1) >= MIN_KNOWN))
+    return _Judged(tile, texture, cells, shares[tuple(cells.T)])
