@@ -80,6 +80,7 @@ expectations:
 """
 
 
+_REPORT_PX: Final = (1000, 2000)  # width and height of the report's picture
 _TWO_FRAMES: Final = "new Promise((done) => setTimeout(() => requestAnimationFrame(done), 300))"  # 0.3 s for the map
 
 
@@ -160,6 +161,8 @@ def _judge_mission(
     mission.feed.join()
     heights_m = asyncio.run(_judge(mission, truth, pictures))
     mission.feed.close()
+    if pictures is not None:
+        asyncio.run(_report_picture(results, pictures))
     verdicts = read_verdicts(results)
     # Another detector finds other contacts under other numbers; the verdicts have to find them by place.
     if read_summary(again) is None:
@@ -298,6 +301,15 @@ async def _overview_pictures(page: BrowserPage, folder: Path) -> None:
         await page.evaluate(_TWO_FRAMES)
         if theme != "dusk":
             await page.screenshot(folder / f"view-{theme}.webp", quality=30)
+
+
+async def _report_picture(results: Path, folder: Path) -> None:
+    """Take the report from its head to the first contacts."""
+    folder.mkdir(parents=True, exist_ok=True)
+    async with browser_page(*_REPORT_PX) as page:
+        await page.open((results / "report.html").resolve().as_uri())
+        await page.evaluate(_TWO_FRAMES)
+        await page.screenshot(folder / "report.jpg", kind="jpeg", quality=60)
 
 
 async def _live_picture(out: Path, pictures: Path) -> None:

@@ -12,7 +12,7 @@ from sim_replay.benches.load import FLOORS, floor_cost, floor_events, ledger_ste
 
 @pytest.mark.parametrize("floor", FLOORS)
 def test_every_floor_goes_through_the_chain_without_a_defect(floor: str) -> None:
-    cost = floor_cost(floor, 160, 0.25)
+    cost = floor_cost(floor, 160, 0.05)
     assert len(cost.ping_ms) == 160
     assert not [code for code in cost.notices if "defect" in code or "failed" in code]
 
