@@ -40,6 +40,7 @@ from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.missions import config_for
 from sim_replay.scoring.baseline import baseline_contacts
+from sim_replay.scoring.froc import MIN_BOOTSTRAP_MISSIONS
 from sim_replay.scoring.inputs import ScoredMission, parse_contacts, parse_truth
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -52,7 +53,7 @@ FIRST_SEED: Final = 94_101  # on seeds from here on nothing was fitted or tried 
 LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0, 1000.0)  # false alarms per km² at which Pd is printed
 SYSTEMS: Final = {"chain": "chain", "plain": "plain threshold"}
 DIFFERENCE_PER_KM2: Final = 300.0  # at which systems are compared in pairs: two to three alarms on the recorded floors
-_N_DRAWS: Final = 12  # of objects per recorded line
+_N_DRAWS: Final = 4  # of objects per recorded line
 _HEADER: Final = (
     *("missions", "object", "system", "targets", "km²", "floor once, km²"),
     *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2),
@@ -184,7 +185,8 @@ def _rows(title: str, missions: Sequence[Flown], name: str, kinds: Sequence[str]
         area = f"{sum(one.area_km2 for one in own):.3f}"
         once = f"{floor_once_km2(missions):.3f}"
         rows.append([title, name, words, str(curve.n_targets), area, once, *cells, NOTHING])
-    rows[0][-1] = _more(missions, kinds)
+    if len(missions) >= MIN_BOOTSTRAP_MISSIONS:
+        rows[0][-1] = _more(missions, kinds)
     return rows
 
 

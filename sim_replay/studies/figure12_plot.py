@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -10,17 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
+from auv_mcm.shell.whole_files import write_file
 from sim_replay.studies.pfa import PAPER_PER_KM2, PAPER_PFA
 from sim_replay.studies.roc import Roc
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DRAWN_PER_KM2: Final = np.logspace(0.0, 4.0, 41)
+DRAWN_PER_KM2: Final = np.logspace(0.0, 4.0, 33)
 """False alarms per km² that curves are drawn at."""
 _COLOURS: Final = ("#1f4e79", "#c0392b")
 _SIZE_IN: Final = (2.9, 2.9)  # inches, of one diagram
 _DPI: Final = 120  # of a picture of pixels
+_DECIMALS: Final = re.compile(rb"(\d\.\d\d)\d+")
+"""Numbers of an SVG keep two decimals: a hundredth of a point is finer than any screen, and half as many bytes."""
 
 
 class Panel(NamedTuple):
@@ -66,9 +71,14 @@ def draw(panels: Sequence[Panel], path: Path) -> None:
         if column == 0:
             axes[row, column].set_ylabel(f"{one.title}\nprobability of detection", fontsize=8)
     axes[0, 0].legend(fontsize=7, loc="upper left", framealpha=1.0, edgecolor="none")
+    drawn = io.BytesIO()
+    with rc_context({"svg.hashsalt": "figure12", "svg.fonttype": "none"}):  # letters, not their outlines: small
+        figure.savefig(drawn, format=suffix, metadata={"Date": None} if suffix == "svg" else None)
+    data = drawn.getvalue()
+    if suffix == "svg":
+        data = _DECIMALS.sub(rb"\1", data)
     try:
-        with rc_context({"svg.hashsalt": "figure12", "svg.fonttype": "none"}):  # letters, not their outlines: small
-            figure.savefig(path, metadata={"Date": None} if suffix == "svg" else None)
+        write_file(path, data)
     except OSError as error:
         raise UsageError(f"--plot {path} cannot be written: {error.strerror}") from error
 

@@ -82,7 +82,7 @@ class ComplexImage(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench figure13`."""
-    parser.add_argument("--images", type=count, default=60, help="pictures, a seed each (default 60)")
+    parser.add_argument("--images", type=count, default=24, help="pictures, a seed each (default 24)")
     parser.add_argument(
         "--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first (default {FIRST_SEED})"
     )

@@ -21,7 +21,7 @@ _LEGEND_PX: Final = 30  # below the picture
 _WHITE: Final = (255, 255, 255)
 _OPTIONS: Final = {  # by format; speckle takes most of the bytes and loses nothing that can be seen
     ".jpg": [cv2.IMWRITE_JPEG_QUALITY, 55],
-    ".webp": [cv2.IMWRITE_WEBP_QUALITY, 50],
+    ".webp": [cv2.IMWRITE_WEBP_QUALITY, 35],
     ".png": [],
 }
 _STYLES: Final = {  # blue, green, red
