@@ -15,7 +15,7 @@ import json
 import math
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -148,14 +148,17 @@ def list_text(factor: float = 1.0, without: str = "", not_listed: float = NOT_LI
     return json.dumps({"not_listed": not_listed, "mines": mines})  # JSON is YAML
 
 
-def with_types(scene: Scene) -> Scene:
-    """Lay targets of TYPES alone, as many as the scene has, each as its kind lies there."""
+def with_types(scene: Scene, types: Mapping[str, Mapping[str, float]] = TYPES) -> Scene:
+    """Lay targets of these types alone, as many as the scene has, each as its kind lies there.
+
+    types: sizes by kind, m, each named as a list or as a scene names it.
+    """
     groups = [group for group in scene.scatter if group.kind in TARGET_KINDS]
     n_targets = sum(group.count for group in groups)
-    own = [group for group in groups if group.kind in TYPES]
+    own = [group for group in groups if group.kind in types]
     laid: list[Scatter] = []
     for number, group in enumerate(own):
-        sizes = {_SCENE_SIZE.get(name, name): (size_m, size_m) for name, size_m in TYPES[group.kind].items()}
+        sizes = {_SCENE_SIZE.get(name, name): (size_m, size_m) for name, size_m in types[group.kind].items()}
         bare = msgspec.structs.replace(group, length_m=None, width_m=None, height_m=None)
         n = n_targets // len(own) + (number < n_targets % len(own))
         laid.append(msgspec.structs.replace(bare, count=n, **sizes))

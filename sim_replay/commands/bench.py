@@ -59,6 +59,8 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
     "figure9": ("studies.figure9", "the source paper's examples of classical detection"),
+    "figure12": ("studies.figure12", "the source paper's detection against false alarms, with bands"),
+    "figure13": ("studies.figure13", "the source paper's cones in a complex scene, over many seeds"),
 }
 
 
