@@ -157,10 +157,12 @@ class Ledger:
     def _near(self, places_m: NDArray[np.float64]) -> dict[int, Contact]:
         """Find contacts within the gate of any of the places, (n, 2), by their place in the ledger, in its order."""
         positions_m, reach_m = self._positions_m[: self._n_contacts], self._config.max_gate_m + _SEARCH_M
-        around = (positions_m >= np.fmin.reduce(places_m) - reach_m) & (
-            positions_m <= np.fmax.reduce(places_m) + reach_m
-        )
-        candidates = np.flatnonzero(around.all(axis=1))
+        low_m, high_m = np.fmin.reduce(places_m) - reach_m, np.fmax.reduce(places_m) + reach_m
+        candidates = np.arange(self._n_contacts)
+        # One axis after the other: the second has few left to look at, of a mission's 100,000.
+        for axis in range(2):
+            axis_m = positions_m[candidates, axis] if axis else positions_m[:, axis]
+            candidates = candidates[(axis_m >= low_m[axis]) & (axis_m <= high_m[axis])]
         within = np.zeros(len(candidates), dtype=np.bool_)
         for place_m in places_m:
             offset = positions_m[candidates] - place_m

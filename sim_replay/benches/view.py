@@ -225,7 +225,7 @@ async def _judge_all(
                 buttons = "[...document.querySelectorAll('#card button')]"
                 await page.evaluate(f"{buttons}.find((one) => one.textContent === 'view {view + 1}').click()")
                 measured_m = await _measure_shadows(page, edges)
-                if pictures is not None and not heights:
+                if pictures is not None and len(heights) == 1:  # of the target that is seen judged below
                     await page.wait_for("!bench.busy")
                     await page.screenshot(pictures / "view-measure.webp", quality=30)
                 heights.append((measured_m, target.height_m - target.burial_m))
