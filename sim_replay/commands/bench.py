@@ -57,7 +57,8 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
-    "figure9": ("studies.figure9", "the source paper's examples of classical detection"),
+    "families": ("studies.families", "the source paper's classical detection: families of features, one by one"),
+    "collage": ("studies.floor_collage", "the source paper's targets on a collage of recorded sea floor"),
 }
 
 
