@@ -58,6 +58,8 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
     "families": ("studies.families", "the source paper's classical detection: families of features, one by one"),
+    "shadow": ("studies.shadow_normalisation", "chips whose shadow is scaled by range beside chips in plain metres"),
+    "fusion": ("studies.classifier_fusion", "several classifiers fused by simple rules, beside each and one of all"),
     "collage": ("studies.floor_collage", "the source paper's targets on a collage of recorded sea floor"),
 }
 

@@ -45,10 +45,10 @@ from sim_replay.studies.paper_candidates import (
     ImageCandidates,
     Sighting,
     TileCandidates,
+    fly_image,
     sightings,
-    tile_candidates,
 )
-from sim_replay.studies.paper_scenes import TYPES, image_line, surface_range_m, training_lines
+from sim_replay.studies.paper_scenes import TYPES, image_line, training_lines
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
 FEATURES: Final[Mapping[str, tuple[Family, ...]]] = MappingProxyType(
@@ -125,7 +125,7 @@ def run(arguments: argparse.Namespace) -> int:
                 if line.background.startswith("flat/") or not experiment.flat_only
             ]
         )
-        images = list(run_tasks(fly, image_lines(experiment, arguments.images), farm))
+        images = list(run_tasks(fly_image, image_lines(experiment, arguments.images), farm))
         flown.append((samples, images))
         models = models_of(samples, experiment.learned)
         print(f"\n{experiment.name}; {len(images)} images, {sum(image.area_km2() for image in images):.3f} km² in all")
@@ -150,14 +150,6 @@ def image_lines(experiment: Experiment, n_images: int) -> tuple[SimulatedLine, .
     )
 
 
-def fly(line: SimulatedLine) -> ImageCandidates:
-    """Fly over an image and find its candidates."""
-    surface_m = math.nan if line.scene.sonar.surface_echo_db is None else surface_range_m(line.scene)
-    return ImageCandidates(
-        line.background, tuple(tile_candidates(tile, line.config, surface_m) for tile in simulated_tiles(line))
-    )
-
-
 def models_of(samples: ChipSamples, learned: Sequence[str]) -> dict[str, ClassicalModel]:
     """Fit a model per feature set to the types of targets that are learned."""
     chosen = of_kinds(samples, [TYPES[name] for name in learned])
@@ -165,7 +157,10 @@ def models_of(samples: ChipSamples, learned: Sequence[str]) -> dict[str, Classic
 
 
 def judge_by(model: ClassicalModel, tile: TileCandidates, cut: str = NORMALISED) -> Array:
-    """Return a model's log-odds (n,) of a tile's candidates, -inf where too little of a chip is known."""
+    """Return a model's log-odds (n,) of a tile's candidates, -inf where too little of a chip is known.
+
+    cut: of the chips that the model learned from.
+    """
     chips = tile.chips[cut]
     return np.where(chips.known, score_contrast(model, chips.contrast.astype(np.float64)), -math.inf)
 

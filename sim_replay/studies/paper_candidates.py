@@ -18,8 +18,11 @@ from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.classical.chips import cut_chips, picture_of, reference_shadow_m
 from sim_replay.fitting.cascade.classical.classical_candidates import Candidates, pixels_of, unlabelled
+from sim_replay.fitting.cascade.spec import SimulatedLine
 from sim_replay.fitting.cascade.tiles import LabelledTile
+from sim_replay.fitting.cascade.training_images import simulated_tiles
 from sim_replay.fitting.left_out import Scored
+from sim_replay.studies.paper_scenes import surface_range_m
 
 Array: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -74,7 +77,7 @@ class TileCandidates(NamedTuple):
 
 
 class ImageCandidates(NamedTuple):
-    """Hold the tiles of one image. floor: scene or line that it shows."""
+    """Hold the tiles of one image. floor: "flat/9100", the scene and seed, or the recorded line that it shows."""
 
     floor: str
     tiles: tuple[TileCandidates, ...]
@@ -123,7 +126,7 @@ def tile_candidates(
         Ways of cutting chips by name, each the `shadow_m` of `cut_chips`.
     """
     found, odds = detected(tile, config)
-    rows, columns = found.rows + 0.5, found.columns + 0.5
+    rows, columns = found.rows.astype(np.float64) + 0.5, found.columns.astype(np.float64) + 0.5
     range_m, altitude_m = columns * tile.column_spacing_m, tile.first_return_m[found.rows]
     picture = picture_of(tile)
     chips = {}
@@ -151,6 +154,14 @@ def tile_candidates(
     )
 
 
+def fly_image(line: SimulatedLine, cuts: Mapping[str, float | None] = _ANY_CUT) -> ImageCandidates:
+    """Fly a mission and find its candidates. cuts: as in tile_candidates."""
+    surface_m = math.nan if line.scene.sonar.surface_echo_db is None else surface_range_m(line.scene)
+    return ImageCandidates(
+        line.background, tuple(tile_candidates(tile, line.config, surface_m, cuts) for tile in simulated_tiles(line))
+    )
+
+
 def sightings(
     tiles: Iterable[TileCandidates], judge: Judge, band_m: tuple[float, float] = EVERYWHERE
 ) -> list[Sighting]:
@@ -173,6 +184,18 @@ def sightings(
             if band_m[0] <= tile.ground_range_m[k] < band_m[1]
         ]
     return found
+
+
+def remembered(judge: Judge) -> Judge:
+    """Judge every tile once, however often it is asked for; tiles must stay in memory."""
+    answers: dict[int, Array] = {}
+
+    def answer(tile: TileCandidates) -> Array:
+        if id(tile) not in answers:
+            answers[id(tile)] = judge(tile)
+        return answers[id(tile)]
+
+    return answer
 
 
 def kept_places(tile: TileCandidates, odds: Array) -> list[int]:

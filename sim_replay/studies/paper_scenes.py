@@ -14,7 +14,7 @@ import msgspec
 
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.spec import Kind, SeedRange, Seeds, SimulatedLine, Spec, Targets, lines_of
-from sim_replay.missions import config_for
+from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.simulator.scene import EXACT, Lawnmower, ObjectKind, Scatter, Scene, TargetKind
 from sim_replay.simulator.scene_file import read_scene
 
@@ -25,6 +25,7 @@ FLOORS_LEFT_OUT: Final = ("boulders", "rough", "seagrass")
 
 _FIRST_TRAINING_SEED: Final = 600
 _LEG_M: Final = 120.0
+_TARGETS_PER_TYPE, _ROCKS = 5, 10  # of an image
 _IMAGE_ROWS: Final = 2048  # an image is one tile on each side
 
 
@@ -77,6 +78,17 @@ def image_line(
         navigation_error=EXACT,
     )
     return SimulatedLine(flown, in_one_tile(config_for(flown)), "test", f"{floor}/{seed}")
+
+
+def judged_lines(n_images: int) -> tuple[SimulatedLine, ...]:
+    """List images with as many targets of each type and as many rocks, so many over every sea floor, learned or not."""
+    objects: dict[ObjectKind, int] = {kind: _TARGETS_PER_TYPE for kind in TYPES.values()}
+    objects["rock"] = _ROCKS
+    return tuple(
+        image_line(floor, objects, {"rock"}, seed)
+        for floor in (*LEARNED_FLOORS, *FLOORS_LEFT_OUT)
+        for seed in range(FIRST_SEED, FIRST_SEED + n_images)
+    )
 
 
 def surface_range_m(scene: Scene) -> float:

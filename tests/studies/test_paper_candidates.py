@@ -76,7 +76,7 @@ def _candidates(object_index: list[int], covers: list[tuple[int, int]]) -> TileC
         columns=np.zeros(n, dtype=np.int32),
         chips={},
         detector_odds=np.zeros(n),
-        ground_range_m=10.0 * np.arange(n),
+        ground_range_m=10.0 * np.arange(n, dtype=np.float64),
         object_index=np.array(object_index),
         covers=covered,
         on_surface=np.arange(n) == n - 1,

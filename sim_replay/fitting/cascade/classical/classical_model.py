@@ -85,4 +85,4 @@ def score_contrast(model: ClassicalModel, contrast: Array) -> Array:
     templates = {name: np.array(rows_of) for name, rows_of in model.templates.items()}
     features = extract(contrast, model.families, templates)
     slopes = np.array([model.slopes[name] for name in feature_names(model.families, list(templates))])
-    return np.clip(model.offset + np.einsum("nk,k->n", features, slopes), -_BOUND, _BOUND)
+    return np.asarray(np.clip(model.offset + np.einsum("nk,k->n", features, slopes), -_BOUND, _BOUND))

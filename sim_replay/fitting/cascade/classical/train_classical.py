@@ -103,10 +103,10 @@ def samples_at(tile: LabelledTile, found: Candidates, shadow_m: float | None = N
             columns.append(found.columns[index])
             kind.append("")
             weight.append(1.0 if index < _FAINT_FROM else float(_FAINT_KEPT))
-    inside = [
+    inside_rows, inside_columns = (
         np.clip(np.array(at, dtype=np.int32), 0, n - 1) for at, n in zip((rows, columns), tile.codes.shape, strict=True)
-    ]
-    chips = cut_chips(picture_of(tile), *inside, shadow_m)
+    )
+    chips = cut_chips(picture_of(tile), inside_rows, inside_columns, shadow_m)
     known = np.flatnonzero(chips.known)
     return ChipSamples(
         chips.contrast[known].astype(np.float32),
