@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from auv_mcm.settings.config import Config
@@ -13,7 +14,18 @@ from sim_replay.fitting.cascade.classical.chips import N_COLUMNS, N_ROWS
 from sim_replay.fitting.cascade.classical.train_classical import ChipSamples
 from sim_replay.fitting.cascade.tiles import LabelledTile, TileObject
 from sim_replay.studies.families import models_of
-from sim_replay.studies.floor_collage import COLLAGE, Piece, PieceTask, collages_of, cut, draw, joined, pieces_of, table
+from sim_replay.studies.floor_collage import (
+    COLLAGE,
+    Piece,
+    PieceTask,
+    collages_of,
+    cut,
+    draw,
+    joined,
+    lines_table,
+    pieces_of,
+    table,
+)
 from sim_replay.studies.paper_candidates import ImageCandidates, tile_candidates
 from sim_replay.studies.paper_scenes import TYPES, in_one_tile
 
@@ -116,3 +128,16 @@ def test_pieces_of_a_recorded_line_hold_what_was_embedded(shared_data: Callable[
 
 def test_the_studies_of_the_paper_are_benches() -> None:
     assert {"families", "collage", "shadow", "fusion"} <= set(BENCHES)
+
+
+def test_pieces_without_any_candidate_are_judged_too() -> None:
+    kind = ("wedge", "") * 10
+    chips = np.random.Generator(np.random.PCG64(3)).normal(0.0, 1.0, (len(kind), N_ROWS, N_COLUMNS))
+    samples = ChipSamples(chips.astype(np.float32), kind, ("flat/600",) * len(kind), np.ones(len(kind)))
+    model = models_of(samples, tuple(TYPES))["all six"]
+    piece = next(cut(_tile("river", _object("wedge", 200.0))))
+    even = msgspec.structs.replace(piece.tile, codes=np.full_like(piece.tile.codes, 1024))
+    image = ImageCandidates("river", (tile_candidates(even, Config()),))
+    assert not len(image.tiles[0].rows)
+    header, rows = lines_table({"river": [image]}, model)
+    assert dict(zip(header, rows[0], strict=True))["B"].startswith("0.00")
