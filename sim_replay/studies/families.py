@@ -89,7 +89,7 @@ EXPERIMENTS: Final = (
     ),
     Experiment(
         "5 objects on rippled sea floor, learned from A, B and C on flat sea floor",
-        "all of A and B, and a false alarm on the object that is no target",
+        "all of A and B, and a false alarm on the object that is not a target",
         "ripple",
         {"truncated_cone": 1, "wedge": 3, "box": 1},
         frozenset({"box"}),

@@ -3,10 +3,11 @@
 auv-mcm bench collage --log LINE.xtf [--log LINE.xtf ...]                 judge many collages
 auv-mcm bench collage --log LINE.xtf --draw FILE.jpg                      draw one of them instead
 
-Each collage has an object of type A, three of type B and one that is no target, a box, as the paper's has. Objects are
-embedded in recorded side-scan lines; a piece of waterfall is cut around each, as wide as the swath, and five pieces are
-laid one behind the other along the track, so that ranges and altitudes stay those of the recording. All that is learned
-from is simulated flat sea floor. What lies on the recorded floor besides is not known: it counts as false alarms.
+Each collage has an object of type A, three of type B and one that is not a target, a box, as the paper's has. Objects
+are embedded in recorded side-scan lines; a piece of waterfall is cut around each, as wide as the swath, and five pieces
+are laid one behind the other along the track, so that ranges and altitudes stay those of the recording. All that is
+learned from is simulated flat sea floor. What lies on the recorded floor besides is not known: it counts as false
+alarms.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def image_line(
 
 def judged_lines(n_images: int) -> tuple[SimulatedLine, ...]:
     """List images with as many targets of each type and as many rocks, so many over every sea floor, learned or not."""
-    objects: dict[ObjectKind, int] = {kind: _TARGETS_PER_TYPE for kind in TYPES.values()}
+    objects: dict[ObjectKind, int] = dict.fromkeys(TYPES.values(), _TARGETS_PER_TYPE)
     objects["rock"] = _ROCKS
     return tuple(
         image_line(floor, objects, {"rock"}, seed)

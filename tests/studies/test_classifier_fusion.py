@@ -98,4 +98,4 @@ def test_every_rule_fuses_every_pool_and_finds_what_is_plain() -> None:
     column = next(name for name in header if name.startswith("left out, Pd at 1000"))
     for name in (TOGETHER, *(name for name in judges if " of six" in name or " on six" in name)):
         assert float(found[name][column].split()[0]) > 0.8, name
-    assert found[TOGETHER][f"learned, more than {TOGETHER}"] == ""
+    assert found[TOGETHER][f"left out, more than {TOGETHER}"] == ""
