@@ -58,7 +58,10 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
-    "figure9": ("studies.figure9", "the source paper's examples of classical detection"),
+    "families": ("studies.families", "the source paper's classical detection: families of features, one by one"),
+    "shadow": ("studies.shadow_normalisation", "chips whose shadow is scaled by range beside chips in plain metres"),
+    "fusion": ("studies.classifier_fusion", "several classifiers fused by simple rules, beside each and one of all"),
+    "collage": ("studies.floor_collage", "the source paper's targets on a collage of recorded sea floor"),
     "figure12": ("studies.figure12", "the source paper's detection against false alarms, with bands"),
     "figure13": ("studies.figure13", "the source paper's cones in a complex scene, over many seeds"),
 }

@@ -69,14 +69,21 @@ def render_line(line: SimulatedLine | AugmentedLine) -> Packed:
     if isinstance(line, SimulatedLine):
         return pack(simulated_tiles(line), line.split, line.background, "simulated")
     background, targets = _augmented_truth(line.folder / TRUTH_NAME)
-    events = RecordedMission([line.folder / background], line.config).events()
-    return pack(_labelled(events, targets, line.config, background, "augmented"), line.split, background, "augmented")
+    return pack(_augmented(line, background, targets), line.split, background, "augmented")
 
 
 def simulated_tiles(line: SimulatedLine) -> Iterator[LabelledTile]:
     """Fly a mission and yield its tiles, as they become final."""
     mission = Mission(line.scene)
     return _labelled(mission.events(), targets_of(mission), line.config, line.background, "simulated")
+
+
+def augmented_tiles(line: AugmentedLine) -> Iterator[LabelledTile]:
+    """Replay a recorded line with targets in it and yield its tiles.
+
+    Raises BadInputError for a folder that holds no augmented log.
+    """
+    return _augmented(line, *_augmented_truth(line.folder / TRUTH_NAME))
 
 
 def targets_of(mission: Mission) -> tuple[PlacedTarget, ...]:
@@ -202,6 +209,11 @@ def _check_room(line: SimulatedLine) -> None:
         place_objects(line.scene)
     except UsageError as error:
         raise UsageError(f"mission {line.background}: {error}") from error
+
+
+def _augmented(line: AugmentedLine, background: str, targets: Sequence[PlacedTarget]) -> Iterator[LabelledTile]:
+    events = RecordedMission([line.folder / background], line.config).events()
+    return _labelled(events, targets, line.config, background, "augmented")
 
 
 def _labelled(

@@ -87,15 +87,23 @@ def reference_shadow_m(ground_range_m: Array, first_return_m: Array) -> Array:
     return np.clip(REFERENCE_HEIGHT_M * ground_range_m / (height_m - REFERENCE_HEIGHT_M), *SHADOW_LIMITS_M)
 
 
-def cut_chips(source: ChipPicture, rows: Pixels, columns: Pixels) -> Chips:
+def cut_chips(source: ChipPicture, rows: Pixels, columns: Pixels, shadow_m: float | None = None) -> Chips:
     """Cut chips centred on the pixels (rows, columns), (n,) each, inside the tile.
 
     What lies beyond the tile is not known.
+
+    Parameters
+    ----------
+    shadow_m
+        Length, m, that the columns behind the object share at every range; the reference shadow's if None.
     """
-    shadow_m = reference_shadow_m(
-        (columns.astype(np.float64) + 0.5) * source.column_spacing_m, source.first_return_m[rows]
-    )
-    row_edges, column_edges = _edges(shadow_m, source.row_spacing_m, source.column_spacing_m)
+    if shadow_m is None:
+        lengths_m = reference_shadow_m(
+            (columns.astype(np.float64) + 0.5) * source.column_spacing_m, source.first_return_m[rows]
+        )
+    else:
+        lengths_m = np.full(len(columns), shadow_m)
+    row_edges, column_edges = _edges(lengths_m, source.row_spacing_m, source.column_spacing_m)
     row_edges, column_edges = row_edges + (rows[:, np.newaxis] + 0.5), column_edges + (columns[:, np.newaxis] + 0.5)
     total = _cell_sums(source.total, row_edges, column_edges)
     count = _cell_sums(source.n_valid, row_edges, column_edges)

@@ -77,8 +77,12 @@ def score_picture(model: ClassicalModel, source: ChipPicture, rows: Pixels, colu
     if len(rows) == 0:
         return np.zeros(0)
     chips = cut_chips(source, rows, columns)
+    return np.where(chips.known, score_contrast(model, chips.contrast), -math.inf)
+
+
+def score_contrast(model: ClassicalModel, contrast: Array) -> Array:
+    """Return (n,) float64 log-odds of a target in chips (n, N_ROWS, N_COLUMNS), however much of them is known."""
     templates = {name: np.array(rows_of) for name, rows_of in model.templates.items()}
-    features = extract(chips.contrast, model.families, templates)
+    features = extract(contrast, model.families, templates)
     slopes = np.array([model.slopes[name] for name in feature_names(model.families, list(templates))])
-    odds = np.clip(model.offset + np.einsum("nk,k->n", features, slopes), -_BOUND, _BOUND)
-    return np.where(chips.known, odds, -math.inf)
+    return np.asarray(np.clip(model.offset + np.einsum("nk,k->n", features, slopes), -_BOUND, _BOUND))

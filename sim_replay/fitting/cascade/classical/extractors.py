@@ -183,7 +183,7 @@ def histograms(contrast: Array) -> Array:
 
     The moments are standard deviation, skewness and excess kurtosis, the last two bounded.
     """
-    flat = contrast.reshape(len(contrast), -1)
+    flat = contrast.reshape(len(contrast), N_ROWS * N_COLUMNS)
     centred = flat - flat.mean(axis=1, keepdims=True)
     variance = (centred**2).mean(axis=1)
     safe = np.maximum(variance, _MIN_POWER)

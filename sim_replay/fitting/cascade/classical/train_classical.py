@@ -61,7 +61,7 @@ def train_classical(
 
 def collect(tiles: Iterable[LabelledTile], config: Config) -> ChipSamples:
     """Collect targets and others among the candidates in tiles. Raises UsageError if there are no tiles."""
-    return merged([_samples(tile, find_candidates(tile, config)) for tile in tiles])
+    return merged([samples_at(tile, find_candidates(tile, config)) for tile in tiles])
 
 
 def merged(parts: Sequence[ChipSamples]) -> ChipSamples:
@@ -87,20 +87,8 @@ def of_kinds(samples: ChipSamples, kinds: Collection[str]) -> ChipSamples:
     )
 
 
-def fit_classical_model(samples: ChipSamples, families: Sequence[Family] = FAMILIES) -> ClassicalModel:
-    """Fit a model to samples. Raises UsageError if they are all targets, or none is."""
-    is_target = np.array([kind != "" for kind in samples.kind], dtype=np.bool_)
-    contrast = samples.contrast.astype(np.float64)
-    templates = _templates(contrast, samples.kind) if "templates" in families else {}
-    features = extract(contrast, families, templates)
-    found = fit_calibrated(features, is_target, samples.weight, _RIDGE, samples.background)
-    n_targets, n_others = samples.weight[is_target].sum(), samples.weight[~is_target].sum()
-    return _model(
-        found, families, templates, f"{n_targets:.0f} targets ({_count(samples.kind)}), {n_others:.0f} others"
-    )
-
-
-def _samples(tile: LabelledTile, found: Candidates) -> ChipSamples:
+def samples_at(tile: LabelledTile, found: Candidates, shadow_m: float | None = None) -> ChipSamples:
+    """Collect targets and others among candidates in a tile. shadow_m: as in `cut_chips`."""
     labels = label(tile, found)
     rows, columns, kind, weight = [], [], [], []
     for index in np.flatnonzero(labels.object_index >= 0):
@@ -115,16 +103,29 @@ def _samples(tile: LabelledTile, found: Candidates) -> ChipSamples:
             columns.append(found.columns[index])
             kind.append("")
             weight.append(1.0 if index < _FAINT_FROM else float(_FAINT_KEPT))
-    inside = [
+    inside_rows, inside_columns = (
         np.clip(np.array(at, dtype=np.int32), 0, n - 1) for at, n in zip((rows, columns), tile.codes.shape, strict=True)
-    ]
-    chips = cut_chips(picture_of(tile), *inside)
+    )
+    chips = cut_chips(picture_of(tile), inside_rows, inside_columns, shadow_m)
     known = np.flatnonzero(chips.known)
     return ChipSamples(
         chips.contrast[known].astype(np.float32),
         tuple(kind[index] for index in known),
         (tile.background,) * len(known),
         np.array(weight)[known] if weight else np.zeros(0),
+    )
+
+
+def fit_classical_model(samples: ChipSamples, families: Sequence[Family] = FAMILIES) -> ClassicalModel:
+    """Fit a model to samples. Raises UsageError if they are all targets, or none is."""
+    is_target = np.array([kind != "" for kind in samples.kind], dtype=np.bool_)
+    contrast = samples.contrast.astype(np.float64)
+    templates = _templates(contrast, samples.kind) if "templates" in families else {}
+    features = extract(contrast, families, templates)
+    found = fit_calibrated(features, is_target, samples.weight, _RIDGE, samples.background)
+    n_targets, n_others = samples.weight[is_target].sum(), samples.weight[~is_target].sum()
+    return _model(
+        found, families, templates, f"{n_targets:.0f} targets ({_count(samples.kind)}), {n_others:.0f} others"
     )
 
 
