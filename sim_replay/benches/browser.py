@@ -19,6 +19,8 @@ from typing import Any, Final
 import aiohttp
 
 from auv_mcm.errors import HardwareError
+from sim_replay.view.mission import ShownMission
+from sim_replay.view.server import MissionServer
 
 _NAMES: Final = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
 _PATIENCE_S: Final = 60.0  # s for the browser to start, and for anything on the page to happen, on a busy computer
@@ -172,6 +174,23 @@ async def browser_page(width: int = 1440, height: int = 900) -> AsyncIterator[Br
             except TimeoutError:
                 process.kill()
                 await process.wait()
+
+
+@contextlib.asynccontextmanager
+async def mission_page(mission: ShownMission) -> AsyncIterator[BrowserPage]:
+    """Serve a mission and open its page, whose waterfall, contacts and pictures are there when the block begins."""
+    server = MissionServer(mission)
+    await server.open()
+    try:
+        async with browser_page() as page:
+            await page.open(server.url)
+            n_contacts = len(mission.contacts()["id"])
+            await page.wait_for(
+                f"window.bench && bench.state.done && bench.contacts.length >= {n_contacts} && !bench.busy"
+            )
+            yield page
+    finally:
+        await server.close()
 
 
 async def _debugging_port(profile: Path, is_alive: Callable[[], bool]) -> int:

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.export import iso_time
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SIDES, VALID, PoseTrack, Side, Tile
-from sim_replay.benches.browser import BrowserPage, browser_page
+from sim_replay.benches.browser import BrowserPage, mission_page
 from sim_replay.text_tables import columns
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import MissionFeed
-from sim_replay.view.server import MissionServer
 from sim_replay.view.waterfall_store import WaterfallStore
 
 HOURS: Final = 10.0
@@ -74,23 +73,13 @@ def long_mission(folder: Path, hours: float, n_contacts: int) -> ShownMission:
 
 async def frames(mission: ShownMission) -> list[Frames]:
     """Move the page in every way and count its frames."""
-    server = MissionServer(mission)
-    await server.open()
-    try:
-        async with browser_page() as page:
-            await page.open(server.url)
-            n_contacts = len(mission.contacts()["id"])
-            await page.wait_for(
-                f"window.bench && bench.state.done && bench.contacts.length >= {n_contacts} && !bench.busy"
-            )
-            await asyncio.sleep(1.0)  # the map is drawn a moment later
-            found = []
-            for movement, move in _MOVEMENTS.items():
-                await page.evaluate("bench.view.along = 3000, bench.view.across = 0, 0")
-                found.append(Frames(movement, await _counted(page, move)))
-            return found
-    finally:
-        await server.close()
+    async with mission_page(mission) as page:
+        await asyncio.sleep(1.0)  # the map is drawn a moment later
+        found = []
+        for movement, move in _MOVEMENTS.items():
+            await page.evaluate("bench.view.along = 3000, bench.view.across = 0, 0")
+            found.append(Frames(movement, await _counted(page, move)))
+        return found
 
 
 def bench_frames(folder: Path, hours: float = HOURS, n_contacts: int = N_CONTACTS) -> None:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.config import Config
-from sim_replay.benches.browser import BrowserPage, browser_page
+from sim_replay.benches.browser import BrowserPage, browser_page, mission_page
 from sim_replay.benches.exact_shadows import exact_heights
 from sim_replay.benches.page_frames import HOURS, N_CONTACTS, bench_frames
 from sim_replay.benches.shadow_edges import ShadowEdges, clearest_shadow
@@ -185,22 +185,12 @@ def _judge_mission(
 
 async def _judge(mission: ShownMission, truth: Sequence[TruthObject], pictures: Path | None) -> NDArray[np.float64]:
     """Go through all contacts at the page; returns heights measured and true, (n, 2)."""
-    server = MissionServer(mission)
-    await server.open()
-    try:
-        async with browser_page() as page:
-            await page.open(server.url)
-            n_contacts = len(mission.contacts()["id"])
-            await page.wait_for(
-                f"window.bench && bench.state.done && bench.contacts.length >= {n_contacts} && !bench.busy"
-            )
-            if pictures is not None and truth:
-                await _overview_pictures(page, pictures)
-            heights = await _judge_all(page, mission, truth, pictures)
-            if page.complaints:
-                raise RuntimeError(f"the page complains: {page.complaints[:3]}")
-    finally:
-        await server.close()
+    async with mission_page(mission) as page:
+        if pictures is not None and truth:
+            await _overview_pictures(page, pictures)
+        heights = await _judge_all(page, mission, truth, pictures)
+        if page.complaints:
+            raise RuntimeError(f"the page complains: {page.complaints[:3]}")
     return np.array(heights, dtype=np.float64).reshape(-1, 2)
 
 
