@@ -1,9 +1,10 @@
-"""Parse numbers on a bench's command line; reject those with which nothing can be measured."""
+"""Parse a bench's command line; reject numbers with which nothing can be measured, and files that cannot be made."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 from typing import Final
 
 _MOST: Final = 1_000_000  # beyond it a number is a slip, not a wish: it would run for years
@@ -25,3 +26,14 @@ def duration_min(text: str) -> float:
     if not 0.0 < minutes <= 1440.0:
         raise argparse.ArgumentTypeError(f"'{text}' is not a number of minutes above 0 and up to 1440")
     return minutes
+
+
+def new_file(text: str) -> Path:
+    """Parse the name of a file to write; its folder has to be there before anything is measured.
+
+    Raises ArgumentTypeError.
+    """
+    path = Path(text)
+    if not path.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{path}: there is no folder {path.parent}. Make it first")
+    return path

@@ -25,7 +25,7 @@ from sim_replay.adaptive.compare import Compared, compare, fly_comparison
 from sim_replay.adaptive.flight_picture import mission_png
 from sim_replay.adaptive.order import REQUIRED, SIDE_M, drawn_scene, usual_order
 from sim_replay.adaptive.summary import HEADER, planned_words, rows
-from sim_replay.arguments import count
+from sim_replay.arguments import count, new_file
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.text_tables import markdown
 
@@ -39,10 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--first-seed", type=count, default=FIRST_SEED, help=f"seed of the first world (default {FIRST_SEED})"
     )
     parser.add_argument("--workers", type=count, default=2, help="worlds flown at once (default 2)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result of each mission to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write the result of each mission to FILE")
     parser.add_argument(
         "--picture",
-        type=Path,
+        type=new_file,
         metavar="FILE",
         help="draw the first world, flown both ways, to FILE (PNG), and fly no other",
     )
@@ -50,9 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly, score and print; returns the exit code. Raises UsageError for files that cannot be written."""
-    for option, path in (("--json", arguments.json), ("--picture", arguments.picture)):
-        if path is not None and not path.parent.is_dir():
-            raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
     first = arguments.first_seed
     if arguments.picture is not None:
         order = usual_order()

@@ -33,6 +33,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, LookStep, NavSample, Ping, SourceEvent, Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.arguments import new_file
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.recorded_line import scattered
 from sim_replay.benches.mission_options import (
@@ -132,14 +133,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scheduler", metavar="tcp://HOST:PORT", help="fly on the cluster of this dask scheduler instead"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write all scores to FILE")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly, score and print; returns the exit code. Raises UsageError for scenes that are not there."""
     names, seeds = chosen_scenes(arguments.scenes), chosen_seeds(arguments)
-    if arguments.json is not None and not arguments.json.parent.is_dir():
-        raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
     lines: list[Line] = [HeldOutSimulatedLine(name, seed) for name in names for seed in seeds]
     lines += [HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in chosen_draws(arguments)]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from auv_mcm.clearance.detection_performance import Performance, parse_performance, shipped_performance
 from auv_mcm.errors import BadInputError, UsageError
-from sim_replay.arguments import count
+from sim_replay.arguments import count, new_file
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
 from sim_replay.fitting.detection_performance.fit_performance import outcomes
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
     parser.add_argument("--tables", type=Path, metavar="FILE", help="tables to judge (default: those that ship)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw predicted against realised, PNG")
+    parser.add_argument("--plot", type=new_file, metavar="FILE", help="draw predicted against realised, PNG")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
@@ -50,13 +50,10 @@ def run(arguments: argparse.Namespace) -> int:
     Raises UsageError for a plot that cannot be written, BadInputError for bad tables.
     """
     performance = _read(arguments.tables)
-    if arguments.plot is not None:
-        if arguments.plot.suffix.lower() != ".png":
-            raise UsageError(
-                f"--plot {arguments.plot}: '{arguments.plot.suffix}' is not drawn. Use a name that ends in .png"
-            )
-        if not arguments.plot.parent.is_dir():
-            raise UsageError(f"--plot {arguments.plot}: there is no folder {arguments.plot.parent}. Make it first")
+    if arguments.plot is not None and arguments.plot.suffix.lower() != ".png":
+        raise UsageError(
+            f"--plot {arguments.plot}: '{arguments.plot.suffix}' is not drawn. Use a name that ends in .png"
+        )
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     missions = fly_all(seeds, 1, Farm(arguments.workers, arguments.scheduler), _show)
     print(file=sys.stderr)

@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import msgspec
@@ -24,6 +23,7 @@ from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, Ping
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.arguments import new_file
 from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
 from sim_replay.missions import FIRST_SEED, config_for, served_by, untrained_alone
 from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
@@ -103,14 +103,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "model "
         "(default cascade)",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all scores to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write all scores to FILE")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly, score and print; returns the exit code. Raises UsageError for unknown scenes."""
     names = chosen_scenes(arguments.scenes)
-    if arguments.json is not None and not arguments.json.parent.is_dir():
-        raise UsageError(f"--json {arguments.json}: there is no folder {arguments.json.parent}. Make it first")
     seeds = chosen_seeds(arguments)
     flown: dict[str, list[FlownMission]] = {name: [] for name in names}
     for done, (name, mission) in enumerate(_fly_all(names, seeds, arguments.workers, arguments.detector), 1):

@@ -116,9 +116,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Judge a simulated mission and the logs; print a line for each."""
+    """Judge simulated missions and the logs; print a line for each. Raises UsageError for --out or --legs."""
     if not 0 <= arguments.legs <= 64:
         raise UsageError(f"--legs {arguments.legs} is not from 0 to 64")
+    if arguments.out.exists() and not arguments.out.is_dir():
+        raise UsageError(f"--out {arguments.out} is a file. Name a folder")
     arguments.out.mkdir(parents=True, exist_ok=True)
     if arguments.frames:
         with tempfile.TemporaryDirectory(dir=arguments.out) as name:

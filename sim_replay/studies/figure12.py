@@ -27,6 +27,7 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import Config
+from sim_replay.arguments import new_file
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.recorded_line import check_lines
 from sim_replay.benches.mission_options import (
@@ -76,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench figure12`."""
     add_scene_options(parser, FIRST_SEED)
     add_line_options(parser, _N_DRAWS)
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves (.png, .svg, .pdf)")
+    parser.add_argument("--plot", type=new_file, metavar="FILE", help="draw the curves (.png, .svg, .pdf)")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -25,7 +25,7 @@ import numpy as np
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Tile
-from sim_replay.arguments import count
+from sim_replay.arguments import count, new_file
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.missions import config_for
 from sim_replay.report.cards import place_m
@@ -89,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="draw the first seed's waterfall (.jpg, .webp, .png)"
+        "--picture", type=new_file, metavar="FILE", help="draw the first seed's waterfall (.jpg, .webp, .png)"
     )
 
 

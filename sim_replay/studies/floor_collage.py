@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.arguments import count
+from sim_replay.arguments import count, new_file
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.targets import EmbeddedKind, ScatteredTargets, TargetSpec
 from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel
@@ -96,7 +96,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=count, default=24, help=f"draws per line, seeds {FIRST_SEED} on (default 24)")
     parser.add_argument("--missions", type=count, default=4, help="flat missions to learn from (default 4)")
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--draw", type=Path, metavar="FILE", help="draw the first collage as a JPEG instead of tables")
+    parser.add_argument(
+        "--draw", type=new_file, metavar="FILE", help="draw the first collage as a JPEG instead of tables"
+    )
     parser.add_argument("--markdown", action="store_true", help="print the tables in Markdown")
 
 

@@ -12,7 +12,7 @@ from typing import Final
 import msgspec
 
 from auv_mcm.errors import UsageError
-from sim_replay.arguments import count
+from sim_replay.arguments import count, new_file
 from sim_replay.benches.every_stage.page import every_stage_page
 from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow
 from sim_replay.benches.every_stage.stages import STAGES
@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--stages", help=f"stages, with commas between (default: {','.join(STAGES)})")
     parser.add_argument("--repeat", type=count, default=5, help="repetitions of every work, in turn (default 5)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plots and the table to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write everything measured to FILE")
+    parser.add_argument("--page", type=new_file, metavar="FILE", help="write a page with plots and the table to FILE")
     parser.add_argument(
         "--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote"
     )
@@ -58,9 +58,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, print and write; returns 5 if an error exceeds its limit. Raises UsageError for unknown stages."""
-    for option, path in (("--json", arguments.json), ("--page", arguments.page)):
-        if path is not None and not path.parent.is_dir():
-            raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
     chosen = tuple(arguments.stages.split(",")) if arguments.stages else tuple(STAGES)
     unknown = [name for name in chosen if name not in STAGES]
     if unknown:

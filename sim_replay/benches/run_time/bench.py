@@ -15,7 +15,7 @@ import msgspec
 
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.arguments import count
+from sim_replay.arguments import count, new_file
 from sim_replay.benches.mission_options import add_line_options
 from sim_replay.benches.run_time.fallback import FALLBACK_HEADER, fallback_rows, measure_fallback
 from sim_replay.benches.run_time.latency import LATENCY_HEADER, WITHIN_M, WITHIN_S, latency_rows, measure_latency
@@ -86,8 +86,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="write a page with plot and tables to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write everything measured to FILE")
+    parser.add_argument("--page", type=new_file, metavar="FILE", help="write a page with plot and tables to FILE")
     parser.add_argument(
         "--compare", type=Path, metavar="OLD", help="say what moved beyond noise since a run that --json wrote"
     )
@@ -98,9 +98,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly, run, score and print; returns the exit code. Raises UsageError for scenes or knobs that are not there."""
     if arguments.quick:
         return _quick()
-    for option, path in (("--json", arguments.json), ("--page", arguments.page)):
-        if path is not None and not path.parent.is_dir():
-            raise UsageError(f"{option} {path}: there is no folder {path.parent}. Make it first")
     if (arguments.skips or arguments.scaling or arguments.latency or arguments.fallback) and (
         arguments.page is not None or arguments.compare is not None
     ):

@@ -17,6 +17,7 @@ import msgspec
 
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.arguments import new_file
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
 from sim_replay.benches.stability.back_rows import back_rows
 from sim_replay.benches.stability.front_rows import front_rows
@@ -50,15 +51,13 @@ class StabilityResults(msgspec.Struct, frozen=True, kw_only=True):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench stability`."""
     parser.add_argument("--quick", action="store_true", help="fewer inputs per row, as the tests try them")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write everything measured to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write everything measured to FILE")
     parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure every row and print the table; returns 5 if a row fails."""
     path: Path | None = arguments.json
-    if path is not None and not path.parent.is_dir():
-        raise UsageError(f"--json {path}: there is no folder {path.parent}. Make it first")
     load = os.getloadavg()[0]
     found = []
     for row in every_row():

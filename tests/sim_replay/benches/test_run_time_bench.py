@@ -220,7 +220,6 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
         (["--skips", "--page", "a.html"], "--page"),
         (["--fallback", "--page", "a.html"], "--fallback"),
         (["--knobs", "colour"], "colour"),
-        (["--json", "no/a"], "no"),
     ],
 )
 def test_what_is_not_there_is_refused(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:

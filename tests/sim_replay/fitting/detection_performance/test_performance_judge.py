@@ -148,7 +148,6 @@ def test_the_command_writes_tables_that_the_bench_judges(
         (["calibrate", "performance", "--out", "{none}/p.json"], 2, "Make it first"),
         (["bench", "performance", "--tables", "{none}"], 3, "cannot be read"),
         (["bench", "performance", "--tables", "{there}"], 3, "calibrate performance"),
-        (["bench", "performance", "--plot", "{none}/p.png"], 2, "Make it first"),
         (["bench", "performance", "--plot", "{there}.gif"], 2, "ends in .png"),
     ],
 )

@@ -1,0 +1,48 @@
+"""Numbers and files on a bench's command line."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.cli import main
+from sim_replay.arguments import count, duration_min, new_file
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "1.5", "1000001", "", "many", "²"])
+def test_what_is_no_count_is_rejected(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match="whole number from 1"):
+        count(text)
+
+
+@pytest.mark.parametrize("text", ["0", "nan", "inf", "1441", "-3", "long"])
+def test_what_is_no_duration_is_rejected(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match="number of minutes"):
+        duration_min(text)
+
+
+def test_a_file_is_taken_where_its_folder_is_there(tmp_path: Path) -> None:
+    assert (count("3"), duration_min("0.5")) == (3, 0.5)
+    assert new_file(str(tmp_path / "new.json")) == tmp_path / "new.json"
+    assert new_file("new.json") == Path("new.json")
+    with pytest.raises(argparse.ArgumentTypeError, match=r"there is no folder .*missing\. Make it first"):
+        new_file(str(tmp_path / "missing" / "new.json"))
+
+
+@pytest.mark.parametrize(
+    ("bench", "option"),
+    [
+        *(("chain", "--json"), ("chain", "--page"), ("all", "--json"), ("all", "--page"), ("adapt", "--json")),
+        *(("adapt", "--picture"), ("stability", "--json"), ("scenes", "--json"), ("performance", "--plot")),
+        *(("froc", "--json"), ("figure12", "--plot"), ("figure13", "--picture"), ("collage", "--draw")),
+    ],
+)
+def test_a_missing_folder_is_reported_before_anything_is_measured(
+    bench: str, option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", bench, option, str(tmp_path / "nowhere" / "file.png")])
+    assert ended.value.code == 2
+    assert f"{option}: " in capsys.readouterr().err
