@@ -20,7 +20,6 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from auv_mcm.classify.beliefs import EVERYTHING, MAX_RELIABILITY, MINES, N_SUBSETS, dempster
-from sim_replay.arguments import count
 from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel
 from sim_replay.fitting.cascade.classical.discriminant import Discriminant, fit_discriminant
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, extract
@@ -35,7 +34,6 @@ from sim_replay.fitting.cascade.spec import SimulatedLine
 from sim_replay.fitting.cascade.training_images import simulated_tiles
 from sim_replay.fitting.cascade.trees import boost, leaves
 from sim_replay.fitting.left_out import Scored
-from sim_replay.missions import FIRST_SEED
 from sim_replay.studies.families import judge_by
 from sim_replay.studies.paper_candidates import (
     NORMALISED,
@@ -50,7 +48,13 @@ from sim_replay.studies.paper_candidates import (
     scored_image,
     tile_candidates,
 )
-from sim_replay.studies.paper_scenes import FLOORS_LEFT_OUT, LEARNED_FLOORS, judged_lines, training_lines
+from sim_replay.studies.paper_scenes import (
+    FLOORS_LEFT_OUT,
+    LEARNED_FLOORS,
+    add_flight_options,
+    judged_lines,
+    training_lines,
+)
 from sim_replay.studies.shadow_normalisation import difference_cell, pd_cell, pd_words
 from sim_replay.text_tables import columns, markdown
 
@@ -99,12 +103,7 @@ class Calibration(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench fusion`."""
-    parser.add_argument(
-        "--images", type=count, default=6, help=f"images per sea floor, seeds {FIRST_SEED} on (default 6)"
-    )
-    parser.add_argument("--missions", type=count, default=2, help="missions per sea floor to learn from (default 2)")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+    add_flight_options(parser, "sea floor", 6, 2)
 
 
 def run(arguments: argparse.Namespace) -> int:

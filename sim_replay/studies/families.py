@@ -21,7 +21,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sim_replay.arguments import count
 from sim_replay.fitting.cascade.classical.classical_model import ClassicalModel, score_contrast
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family
 from sim_replay.fitting.cascade.classical.train_classical import (
@@ -48,7 +47,7 @@ from sim_replay.studies.paper_candidates import (
     fly_image,
     sightings,
 )
-from sim_replay.studies.paper_scenes import TYPES, image_line, training_lines
+from sim_replay.studies.paper_scenes import TYPES, add_flight_options, image_line, training_lines
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
 FEATURES: Final[Mapping[str, tuple[Family, ...]]] = MappingProxyType(
@@ -102,12 +101,7 @@ EXPERIMENTS: Final = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench families`."""
-    parser.add_argument(
-        "--images", type=count, default=30, help=f"images per experiment, seeds {FIRST_SEED} on (default 30)"
-    )
-    parser.add_argument("--missions", type=count, default=3, help="missions per sea floor to learn from (default 3)")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print the tables in Markdown")
+    add_flight_options(parser, "experiment", 30, 3)
 
 
 def run(arguments: argparse.Namespace) -> int:

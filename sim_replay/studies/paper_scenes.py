@@ -5,6 +5,7 @@ The paper does not state which shapes its types A, B and C are: here A is a trun
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -13,6 +14,7 @@ from typing import Final
 import msgspec
 
 from auv_mcm.settings.config import Config
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade.spec import Kind, SeedRange, Seeds, SimulatedLine, Spec, Targets, lines_of
 from sim_replay.missions import FIRST_SEED, config_for
 from sim_replay.simulator.scene import EXACT, Lawnmower, ObjectKind, Scatter, Scene, TargetKind
@@ -27,6 +29,24 @@ _FIRST_TRAINING_SEED: Final = 600
 _LEG_M: Final = 120.0
 _TARGETS_PER_TYPE, _ROCKS = 5, 10  # of an image
 _IMAGE_ROWS: Final = 2048  # an image is one tile on each side
+
+
+def add_flight_options(parser: argparse.ArgumentParser, images_of: str, n_images: int, n_missions: int) -> None:
+    """Add how much is flown.
+
+    Parameters
+    ----------
+    images_of
+        What so many images are for each of, in the help.
+    n_images, n_missions
+        Defaults: images to judge, and missions per sea floor to learn from.
+    """
+    images = f"images per {images_of}, seeds {FIRST_SEED} on (default {n_images})"
+    missions = f"missions per sea floor to learn from (default {n_missions})"
+    parser.add_argument("--images", type=count, default=n_images, help=images)
+    parser.add_argument("--missions", type=count, default=n_missions, help=missions)
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--markdown", action="store_true", help="print the tables in Markdown")
 
 
 def training_lines(n_missions: int, floors: tuple[str, ...] = LEARNED_FLOORS) -> tuple[SimulatedLine, ...]:

@@ -16,7 +16,6 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from sim_replay.arguments import count
 from sim_replay.fitting.cascade.classical.chips import reference_shadow_m
 from sim_replay.fitting.cascade.classical.classical_candidates import Candidates
 from sim_replay.fitting.cascade.classical.extractors import FAMILIES, Family
@@ -25,7 +24,6 @@ from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.cascade.spec import SimulatedLine
 from sim_replay.fitting.cascade.training_images import simulated_tiles
 from sim_replay.fitting.left_out import Scored, difference, pd_at
-from sim_replay.missions import FIRST_SEED
 from sim_replay.scoring.intervals import proportion
 from sim_replay.studies.families import judge_by
 from sim_replay.studies.paper_candidates import (
@@ -38,7 +36,7 @@ from sim_replay.studies.paper_candidates import (
     remembered,
     scored_image,
 )
-from sim_replay.studies.paper_scenes import judged_lines, training_lines
+from sim_replay.studies.paper_scenes import add_flight_options, judged_lines, training_lines
 from sim_replay.text_tables import columns, markdown, share_cell
 
 _SPLIT_M: Final = 20.0  # m of ground range: about half of the targets lie nearer
@@ -66,12 +64,7 @@ BandSamples: TypeAlias = dict[tuple[str, str], ChipSamples]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench shadow`."""
-    parser.add_argument(
-        "--images", type=count, default=6, help=f"images per sea floor, seeds {FIRST_SEED} on (default 6)"
-    )
-    parser.add_argument("--missions", type=count, default=2, help="missions per sea floor to learn from (default 2)")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+    add_flight_options(parser, "sea floor", 6, 2)
 
 
 def run(arguments: argparse.Namespace) -> int:
