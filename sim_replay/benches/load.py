@@ -54,7 +54,7 @@ _PING_RATE_HZ, _SPEED_MPS = 14.0, 2.0
 _START_S: Final = 1_780_000_000.0  # UTC seconds since 1970
 _HOME: Final = LocalFrame(latitude_deg=54.1, longitude_deg=10.2)
 _WATER: Final = 1e-3  # intensity in the water column over that of the floor: -30 dB
-_FULL_SCALE: Final = 32767.0
+_FULL_SCALE: Final = 32767.0  # counts, of 15 bits
 _COUNTS: Final = 1000.0  # amplitude of the floor, in counts of a recorder
 
 _PER_KM2: Final = 2000.0  # contacts: what a crowded sea floor gives
@@ -63,7 +63,7 @@ _APART_S: Final = 120.0  # s from tile to tile, so that none is of the passage b
 _STEPS: Final = 5  # sizes of the ledger that a row is printed for, a factor of ten apart
 _MEASURED: Final = 1000  # detections about each size whose cost is measured
 _KINDS: Final = ("geojson", "csv", "kml")  # of results that hold contacts
-_BYTES_PER_MB: Final = 1e6
+_BYTES_PER_MB: Final = 1e6  # bytes per megabyte
 
 
 class FloorCost(NamedTuple):

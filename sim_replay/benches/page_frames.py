@@ -29,12 +29,13 @@ from sim_replay.view.waterfall_store import WaterfallStore
 HOURS: Final = 10.0
 """h of mission, as long as an AUV's battery lasts."""
 N_CONTACTS: Final = 10_000
+"""Contacts: ten hours over crowded sea floor."""
 
 _ROW_M, _COLUMN_M, _N_COLUMNS = 0.12, 0.06, 833  # pixels of a 50 m swath, as the chain makes them
-_SPEED_MPS: Final = 2.0
+_SPEED_MPS: Final = 2.0  # m/s, of an AUV on survey
 _ALTITUDE_M, _DEPTH_M = 5.0, 15.0
 _LEG_M, _LEG_APART_M = 1000.0, 90.0  # of the track
-_TILE_ROWS: Final = 1024
+_TILE_ROWS: Final = 1024  # rows, made at once
 _START_S: Final = 1_780_000_000.0  # UTC seconds since 1970
 _MOVE_S: Final = 3.0  # s of each kind of movement
 _STEP_S: Final = 0.016  # s between two moves of the pointer: that of a screen

@@ -20,11 +20,11 @@ from sim_replay.benches.mutations import split
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_writer import write_xtf
 
-_PINGS_PER_INPUT: Final = 40
-_PINGS_PER_FAULT: Final = 20
+_PINGS_PER_INPUT: Final = 40  # a log of 320 takes some 10 ms
+_PINGS_PER_FAULT: Final = 20  # so that faults stand apart; chosen
 _N_SAMPLES: Final = 1000  # of a side
-_RANGE_M: Final = 50.0
-_PERIOD_S: Final = 0.1
+_RANGE_M: Final = 50.0  # m, to either side
+_PERIOD_S: Final = 0.1  # s from ping to ping
 _START_S: Final = 1_700_000_000.0  # UTC, s since 1970
 
 
