@@ -9,6 +9,18 @@ const SIZES = {length_m: "length", width_m: "width", height_m: "height", shadow_
 export function contactCard(handlers) {
   const box = byId("card");
   let shown = null, measured = {};  // what was measured by hand since the card opened: a list for each size
+  let drawn = "", isPressed = false, waiting = null;
+
+  // A button that is replaced between press and release is not clicked: the card is drawn anew after it.
+  box.addEventListener("pointerdown", () => { isPressed = true; });
+  const release = () => setTimeout(() => { // after the click
+    isPressed = false;
+    const last = waiting;
+    waiting = null;
+    if (last) show(...last);
+  });
+  window.addEventListener("pointerup", release);
+  window.addEventListener("pointercancel", release);
 
   const text = (value) => (value === null || value === undefined ? "?" : String(value));
   const row = (name, value) => [element("dt", {}, name), element("dd", {}, value)];
@@ -109,28 +121,53 @@ export function contactCard(handlers) {
     });
   }
 
+  // Both what the list has and what the results say; details come a moment later, or never for a drawn object.
+  function show(contact, details, max) {
+    if (isPressed) {
+      waiting = [contact, details, max];
+      return;
+    }
+    const isSame = shown && contact && shown.contact.key === contact.key;
+    if (!isSame) measured = {};
+    shown = contact ? {contact, details} : null;
+    box.hidden = !contact;
+    byId("card").parentElement.classList.toggle("has-card", Boolean(contact));
+    const next = JSON.stringify([contact, details]);
+    if (next === drawn) return;
+    drawn = next;
+    if (!contact) {
+      box.replaceChildren();
+      return;
+    }
+    const kept = isSame ? edited() : null;
+    const kind = contact.drawn ? "drawn by hand" : `p mine ${contact.p === null ? "?" : contact.p.toFixed(2)}, ${plain(contact.class)}${contact.called ? ", called" : ""}`;
+    const image = contact.drawn ? null : element("img", {src: `api/snippets/${contact.id}`, alt: `picture of ${contact.id}`, onerror: (event) => event.target.remove()});
+    box.replaceChildren(
+      element("div", {className: "top"}, element("h2", {}, contact.id), element("span", {className: contact.likely ? "mine" : "soft"}, kind),
+        element("span", {className: "space"}), element("button", {onclick: () => handlers.close()}, "close ", element("kbd", {}, "Esc"))),
+      ...form(contact, max),
+      element("div", {className: "columns"}, image, element("div", {}, facts(details, contact), ...history(details, contact), ...(details ? evidence(details) : []))),
+    );
+    if (kept) restore(kept);
+    drawSizes();
+  }
+
+  // What somebody is writing stays, and so does the cursor in it.
+  function edited() {
+    const fields = ["type", "comment"].map(byId).filter(Boolean).map((field) => [field.id, field.value, field.selectionStart, field.selectionEnd]);
+    return {fields, focus: box.contains(document.activeElement) ? document.activeElement.id : ""};
+  }
+
+  function restore({fields, focus}) {
+    for (const [id, value, start, end] of fields) {
+      byId(id).value = value;
+      byId(id).setSelectionRange(start, end);
+    }
+    if (focus && byId(focus)) byId(focus).focus();
+  }
+
   return {
-    // Both what the list has and what the results say; details come a moment later, or never for a drawn object.
-    show(contact, details, max) {
-      const isSame = shown && contact && shown.contact.key === contact.key;
-      if (!isSame) measured = {};
-      shown = contact ? {contact, details} : null;
-      box.hidden = !contact;
-      byId("card").parentElement.classList.toggle("has-card", Boolean(contact));
-      if (!contact) return box.replaceChildren();
-      const kept = isSame && byId("comment") ? [byId("type").value, byId("comment").value] : null;
-      const kind = contact.drawn ? "drawn by hand" : `p mine ${contact.p === null ? "?" : contact.p.toFixed(2)}, ${plain(contact.class)}${contact.called ? ", called" : ""}`;
-      const image = contact.drawn ? null : element("img", {src: `api/snippets/${contact.id}`, alt: `picture of ${contact.id}`, onerror: (event) => event.target.remove()});
-      box.replaceChildren(
-        element("div", {className: "top"}, element("h2", {}, contact.id), element("span", {className: contact.likely ? "mine" : "soft"}, kind),
-          element("span", {className: "space"}), element("button", {onclick: () => handlers.close()}, "close ", element("kbd", {}, "Esc"))),
-        ...form(contact, max),
-        element("div", {className: "columns"}, image, element("div", {}, facts(details, contact), ...history(details, contact), ...(details ? evidence(details) : []))),
-      );
-      if (kept && document.activeElement !== box) [byId("type").value, byId("comment").value] = kept;
-      drawSizes();
-      return undefined;
-    },
+    show,
     addMeasured(found) {
       for (const [key, size] of Object.entries(found)) measured[key] = [...(measured[key] || []), size];
       drawSizes();

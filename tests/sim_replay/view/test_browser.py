@@ -12,7 +12,7 @@ import pytest
 from auv_mcm.records import SIDES
 from sim_replay.benches.browser import BrowserPage, browser_page, find_browser
 from sim_replay.verdicts import read_verdicts
-from sim_replay.view.mission import ShownMission
+from sim_replay.view.mission import Judgement, ShownMission
 from sim_replay.view.server import MissionServer
 from sim_replay.view.waterfall_store import WaterfallStore
 from tests.sim_replay.view.shown_missions import feature, shown, tile, write_results
@@ -66,6 +66,7 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
     others = [feature(number, 10.0 + number * 0.04, -15.0, p_mine=0.05) for number in range(3, 10_000)]
     hostile = feature(2, 300.0, -8.0, p_mine=0.5, **{"class": SCRIPT, "reasons": [SCRIPT]})
     folder = write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M), hostile, *others])
+    mission = shown(folder, sea_floor())
 
     async def visit(page: BrowserPage) -> None:
         # a long table holds elements for what is in sight alone
@@ -97,6 +98,14 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
         await page.write(SCRIPT)
         await page.click_on("#save")
         await page.wait_for("document.querySelector('#card').textContent.includes('onerror')")
+        # a verdict from elsewhere draws the card anew; what is being written stays, and so does the cursor
+        await page.press("c")
+        await page.write("half ")
+        mission.judge(Judgement(contact_id="C00001", call="undecided", comment=SCRIPT))
+        await page.wait_for("document.querySelector('#call-undecided').getAttribute('aria-pressed') === 'true'")
+        await page.write("a sentence")
+        assert "half a sentence" in await page.evaluate("document.querySelector('#comment').value")
+        await page.press("Escape")
         # another contact, whose very class is markup
         await page.press("j")
         await page.wait_for("bench.selected === 'C00002' && document.querySelector('#card h3') !== null")
@@ -124,15 +133,16 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
         await page.wait_for("document.querySelector('#cursor').textContent.includes('depth 15.0 m')")
         assert "starboard" in await page.evaluate("document.querySelector('#cursor').textContent")
 
-    in_browser(shown(folder, sea_floor()), visit)
+    in_browser(mission, visit)
     verdicts = read_verdicts(folder)
     assert [(one.contact_id, one.call) for one in verdicts] == [
         ("C00001", "mine_like"),
         ("C00001", "mine_like"),
+        ("C00001", "undecided"),
         ("C00002", "not_mine_like"),
         ("", "mine_like"),
     ]
     assert verdicts[1].comment == SCRIPT
     assert verdicts[1].height_m == pytest.approx(HEIGHT_M, abs=0.03)  # a pixel of the screen is 4 cm there
-    assert verdicts[3].drawn
-    assert verdicts[3].ground_range_m == pytest.approx(6.0, abs=0.1)
+    assert verdicts[4].drawn
+    assert verdicts[4].ground_range_m == pytest.approx(6.0, abs=0.1)
