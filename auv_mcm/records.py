@@ -44,10 +44,20 @@ TransferKind: TypeAlias = Literal["amplitude", "intensity", "log"]
 
 
 class Transfer(NamedTuple):
-    """State how samples become intensity; `db_per_count` is NaN unless `kind` is "log"."""
+    """How samples become intensity.
+
+    db_per_count: NaN unless `kind` is "log". power: of linear samples, that is intensity, where it is not the 2 of an
+    amplitude or the 1 of an intensity; NaN otherwise.
+    """
 
     kind: TransferKind
     db_per_count: float = NAN
+    power: float = NAN
+
+    @property
+    def intensity_power(self) -> float:
+        """The power of linear samples that is intensity."""
+        return self.power if math.isfinite(self.power) else 1.0 if self.kind == "intensity" else 2.0
 
 
 class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -1,8 +1,8 @@
 """Decide what samples mean from the first pings, and keep checking while pings come.
 
 The decision depends on the pings alone, in their order, not on their delivery. Without a configured law, several
-hundred pings decide, or as many as come within half a minute where pings are rare. The law turns if later pings
-strongly contradict it.
+hundred pings decide, or as many as come within half a minute where pings are rare. What they leave open is read as
+linear amplitude, the commonest, and checked again. The law turns if later pings strongly contradict it.
 """
 
 from __future__ import annotations
@@ -16,31 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.kernels.ping_windows import BLOCK_PINGS
-from auv_mcm.records import NAN, EchoTrace, Notice, Ping, Transfer, TransferKind
+from auv_mcm.records import EchoTrace, Notice, Ping, Transfer, TransferKind
 from auv_mcm.settings.config import SonarConfig
-from auv_mcm.waterfall.decibels import USUAL_DB_PER_COUNT
-from auv_mcm.waterfall.law import LAWS, Law, LawOdds, weigh_laws
+from auv_mcm.waterfall.floor_speckle import floor_speckle
 from auv_mcm.waterfall.regions import Regions, measure_regions
-from auv_mcm.waterfall.speckle import summarise
+from auv_mcm.waterfall.sample_law import SampleLaw, same_picture, sample_law
 
 DECIDE_PINGS: Final = 256  # pings before the first verdict on the law, if they take long enough
-_MAX_PINGS: Final = 512  # where the first do not decide
+_MAX_PINGS: Final = 512  # where the first leave the law open
 _MIN_PINGS: Final = 64  # pings that a verdict needs, however long they took
-_LOOK_AGAIN_PINGS: Final = 128  # pings between checks after the first: each check costs 12 ms of processor time
 _DECIDE_S: Final = 30.0  # slow pings decide after this much time, so that contacts do not wait for minutes
-_MAX_S: Final = 60.0  # s after which it is taken with _MIN_PINGS: slow sonars
-_DECISIVE: Final = 0.99  # probability of the likeliest law, from which the verdict stands
-_NARROW_NATS: Final = 0.35  # between the ends of the interval of decibels per count; wider, more pings are awaited
-# Probability below which a law is contradicted: a notice, or a turn, must not come of an odd stretch of sea floor
-_STRONG: Final = 1e-3
-_TURN_NATS: Final = 0.2  # decibels per count that differ by less are not worth starting anew for
-_DOUBT_RATIO: Final = (
-    1.6  # beyond the interval of decibels per count: fields of boulders bring the estimate down by a third
-)
+_TURN_NATS: Final = math.log(1000.0)  # odds against the law in use from which it turns or is doubted
+_TURN_FACTOR_NATS: Final = 0.35  # decibels that differ by less are not worth starting statistics again. Chosen
+# Nats that configured decibels per count may differ from what speckle shows: smoothing and texture bring the estimate
+# off by a third.
+_DOUBT_NATS: Final = 0.7
 _GAP_S: Final = 2.0
 _GAP_STEPS: Final = 3.0  # of the time between pings: those of a long-range sonar come seconds apart
 _RECENT_BLOCKS: Final = 32  # 512 pings
-_WATCHED: Final = 2  # of so many blocks after the decision one is measured, at half the processor time
+_WATCHED: Final = 4  # of so many blocks after the decision one is measured, at a quarter of the processor time
 _SPREAD_BLOCKS: Final = 32
 
 
@@ -72,10 +66,9 @@ class LawWatch:
         self._last_s = math.nan
         self._step_s = math.inf  # between the last two pings, unknown at first
         self._transfer: Transfer | None = None
-        self._kind_known = False  # by configuration or protocol
+        self._known: TransferKind | None = None  # by configuration or protocol
         self._is_checked = False
         self._next_check = 0  # block count of the next check
-        self._next_decibels = 0
         self._in_doubt = False
 
     def add(self, ping: Ping) -> LawVerdict | None:
@@ -102,7 +95,7 @@ class LawWatch:
             self._blocks.clear()
             self._open = []
             self._n_blocks = 0
-            self._next_check = self._next_decibels = _MIN_PINGS // BLOCK_PINGS
+            self._next_check = _MIN_PINGS // BLOCK_PINGS
         if not math.isfinite(self._first_s):
             self._first_s = ping.time_s
         self._last_s = ping.time_s
@@ -136,116 +129,70 @@ class LawWatch:
         kind = ping.transfer if sonar.transfer == "auto" else sonar.transfer
         if kind is not None and (kind != "log" or sonar.db_per_count is not None):
             return True
-        lasted_s = abs(ping.time_s - self._first_s)
-        if self._n_pings >= _MAX_PINGS or (self._n_pings >= _MIN_PINGS and lasted_s >= _MAX_S):
+        if self._n_pings >= _MAX_PINGS:
             return True
         if self._n_pings % BLOCK_PINGS or self._n_pings < _MIN_PINGS:
             return False
-        if self._n_pings < DECIDE_PINGS and lasted_s < _DECIDE_S:
+        if self._n_pings < DECIDE_PINGS and abs(ping.time_s - self._first_s) < _DECIDE_S:
             return False
-        if self._n_pings > DECIDE_PINGS and self._n_pings % _LOOK_AGAIN_PINGS:
-            return False
-        odds = self._odds()
-        return max(odds.probability) >= _DECISIVE and (odds.likeliest != "log" or self._are_decibels_known(odds))
+        return kind is not None or self._law(None).is_sure
 
-    def _are_decibels_known(self, odds: LawOdds) -> bool:
-        low, high = odds.db_interval
-        return self._sonar.db_per_count is not None or math.log(high / low) <= _NARROW_NATS
-
-    def _odds(self) -> LawOdds:
-        return weigh_laws(summarise([block.regions for block in self._blocks]))
+    def _law(self, kind: TransferKind | None) -> SampleLaw:
+        law = sample_law(floor_speckle([block.regions for block in self._blocks]), kind)
+        if law.transfer.kind == "log" and self._sonar.db_per_count is not None:
+            return law._replace(transfer=Transfer("log", self._sonar.db_per_count))
+        return law
 
     def _decide(self, stated: TransferKind | None) -> LawVerdict:
-        known = stated if self._sonar.transfer == "auto" else self._sonar.transfer
-        odds = self._odds()
-        kind = odds.likeliest if known is None else known
-        self._kind_known = known is not None
-        self._transfer = Transfer(kind, self._db_per_count(odds) if kind == "log" else NAN)
-        self._is_checked = odds.n_regions > 0
+        self._known = stated if self._sonar.transfer == "auto" else self._sonar.transfer
+        law = self._law(self._known)
+        self._transfer = law.transfer
+        self._is_checked = law.n_regions > 0
         self._next_check = self._n_blocks + DECIDE_PINGS // BLOCK_PINGS
-        self._next_decibels = 2 * max(self._n_blocks, 1)
-        if self._kind_known:
-            return LawVerdict(self._transfer, self._doubts(odds, "") if self._is_checked else ())
+        if self._known is not None:
+            return LawVerdict(self._transfer, self._doubts("") if self._is_checked else ())
         if not self._is_checked:
-            return LawVerdict(self._transfer, (_unchecked(kind),))
-        return LawVerdict(self._transfer, (_chosen(self._transfer, odds, self._n_pings),))
+            return LawVerdict(self._transfer, (_unchecked(self._transfer.kind),))
+        return LawVerdict(self._transfer, (_chosen(law, self._n_pings),))
 
     def _check(self, place: str) -> LawVerdict | None:
         assert self._transfer is not None
-        odds = self._odds()
         self._is_checked = True
         self._next_check = self._n_blocks + DECIDE_PINGS // BLOCK_PINGS
-        if odds.n_regions == 0:
-            return None
-        if self._kind_known:
-            notices = self._doubts(odds, place)
+        if self._known is not None:
+            notices = self._doubts(place)
             return LawVerdict(None, notices) if notices else None
-        held, likeliest = self._transfer, odds.likeliest
-        if likeliest != held.kind:
-            if odds.of(held.kind) >= _STRONG:
-                return None
-        elif not self._decibels_turned(odds):
-            return None
-        if likeliest == "log" and held.kind != "log" and not self._are_decibels_known(odds):
-            # Reading on by the wrong law is worse than usual decibels until more pings have come.
-            self._transfer = Transfer(likeliest, USUAL_DB_PER_COUNT)
-            self._next_decibels = self._next_check
-        else:
-            self._transfer = Transfer(likeliest, self._db_per_count(odds) if likeliest == "log" else NAN)
-        # Older blocks may come from another recorder.
-        self._forget(DECIDE_PINGS // BLOCK_PINGS)
-        return LawVerdict(self._transfer, (_turned(held, self._transfer, odds, place),))
-
-    def _decibels_turned(self, odds: LawOdds) -> bool:
+        law = self._law(None)
         held = self._transfer
         if (
-            held is None
-            or held.kind != "log"
-            or self._sonar.db_per_count is not None
-            or self._n_blocks < self._next_decibels
+            law.n_regions == 0
+            or abs(law.linear_nats) < _TURN_NATS
+            or same_picture(held, law.transfer, _TURN_FACTOR_NATS)
         ):
-            return False
-        # Checked after twice as many pings each time: an estimate that wavers must not restart statistics again and
-        # again.
-        self._next_decibels = 2 * self._n_blocks
-        low, high = odds.db_interval
-        outside = not low <= held.db_per_count <= high
-        return outside and abs(math.log(odds.db_per_count / held.db_per_count)) > _TURN_NATS
+            return None
+        if held.kind == law.transfer.kind:
+            # Checked after twice as many pings each time: an estimate that wavers must not restart statistics often.
+            self._next_check = 2 * self._n_blocks
+        self._transfer = law.transfer
+        # Older blocks may come from another recorder.
+        self._forget(DECIDE_PINGS // BLOCK_PINGS)
+        return LawVerdict(self._transfer, (_turned(held, law, place),))
 
-    def _db_per_count(self, odds: LawOdds) -> float:
-        if self._sonar.db_per_count is not None:
-            return self._sonar.db_per_count
-        return odds.db_per_count if math.isfinite(odds.db_per_count) else USUAL_DB_PER_COUNT
-
-    def _doubts(self, odds: LawOdds, place: str) -> tuple[Notice, ...]:
+    def _doubts(self, place: str) -> tuple[Notice, ...]:
         """Report strong evidence against a configured or stated law, once until the evidence agrees again."""
-        assert self._transfer is not None
-        kind = self._transfer.kind
-        source = "the sonar's protocol states" if self._sonar.transfer == "auto" else "sonar.transfer is"
-        notices = []
-        if odds.of(kind) < _STRONG:
-            notices.append(
-                Notice(
-                    code="transfer.disagrees",
-                    text=f"{source} '{kind}' but the samples look like '{odds.likeliest}' (odds "
-                    f"{_odds_text(odds, odds.likeliest, kind)}). "
-                    "If that is wrong, contrast and false alarms suffer. Check the recorder's manual.",
-                    place=place,
-                )
-            )
-        configured, (low, high) = self._sonar.db_per_count, odds.db_interval
-        doubted = configured is not None and (configured < low / _DOUBT_RATIO or configured > high * _DOUBT_RATIO)
-        if not notices and kind == "log" and doubted:
-            notices.append(
-                Notice(
-                    code="transfer.db_per_count",
-                    text=f"sonar.db_per_count is {configured:g} but the samples look like {odds.db_per_count:.3f} "
-                    f"({low:.2f} to {high:.2f}). Check the recorder's manual.",
-                    place=place,
-                )
-            )
-        raised, self._in_doubt = self._in_doubt, bool(notices)
-        return () if raised else tuple(notices)
+        assert self._known is not None
+        law = sample_law(floor_speckle([block.regions for block in self._blocks]), None)
+        notice = None
+        if law.n_regions and abs(law.linear_nats) >= _TURN_NATS:
+            if (self._known == "log") != (law.seen == "log"):
+                source = "the sonar's protocol states" if self._sonar.transfer == "auto" else "sonar.transfer is"
+                notice = _disagrees(f"{source} '{self._known}'", law, place)
+            elif self._known == "log" and self._sonar.db_per_count is not None:
+                configured = Transfer("log", self._sonar.db_per_count)
+                if not same_picture(configured, law.transfer, _DOUBT_NATS):
+                    notice = _other_decibels(configured, law, place)
+        raised, self._in_doubt = self._in_doubt, notice is not None
+        return () if raised or notice is None else (notice,)
 
 
 def measure_block(pings: Sequence[Ping]) -> Regions:
@@ -254,22 +201,19 @@ def measure_block(pings: Sequence[Ping]) -> Regions:
     return measure_regions([np.stack([_samples(trace) for trace in side]) for side in sides if side[0] is not None])
 
 
-def weigh_pings(pings: Sequence[Ping]) -> LawOdds:
-    """Weigh the laws from up to 512 pings spread over those given, in blocks of 16 that follow each other."""
+def law_of_pings(pings: Sequence[Ping], sonar: SonarConfig) -> SampleLaw:
+    """Read the law from up to 512 pings spread over those given, in blocks of 16 that follow each other.
+
+    What `sonar` configures is kept.
+    """
     starts = np.linspace(0, max(len(pings) - BLOCK_PINGS, 0), _SPREAD_BLOCKS).astype(int)
     runs = [pings[start : start + BLOCK_PINGS] for start in sorted(set(starts.tolist()))]
     whole = [run for run in runs if len(run) == BLOCK_PINGS and len({_form(ping) for ping in run}) == 1]
-    return weigh_laws(summarise([measure_block(run) for run in whole]))
-
-
-def settled_transfer(sonar: SonarConfig, odds: LawOdds) -> Transfer:
-    """Give the configured transfer or, where that is left open, the likeliest."""
-    kind = odds.likeliest if sonar.transfer == "auto" else sonar.transfer
-    if kind != "log":
-        return Transfer(kind)
-    if sonar.db_per_count is not None:
-        return Transfer(kind, sonar.db_per_count)
-    return Transfer(kind, odds.db_per_count if math.isfinite(odds.db_per_count) else USUAL_DB_PER_COUNT)
+    kind = None if sonar.transfer == "auto" else sonar.transfer
+    law = sample_law(floor_speckle([measure_block(run) for run in whole]), kind)
+    if law.transfer.kind == "log" and sonar.db_per_count is not None:
+        return law._replace(transfer=Transfer("log", sonar.db_per_count))
+    return law
 
 
 def _samples(trace: EchoTrace | None) -> NDArray[Any]:
@@ -285,34 +229,33 @@ def _form(ping: Ping) -> tuple[object, ...]:
     )
 
 
-def _odds_text(odds: LawOdds, law: Law, other: Law) -> str:
-    ratio = odds.of(law) / max(odds.of(other), 1e-12)
+def _odds_text(law: SampleLaw) -> str:
+    ratio = math.exp(min(abs(law.linear_nats), 20.0))
     return "over 1000 to 1" if ratio > 1000.0 else f"{ratio:.0f} to 1" if ratio >= 9.5 else f"{ratio:.1f} to 1"
 
 
-def _detail(transfer: Transfer, odds: LawOdds) -> str:
-    low, high = odds.looks_interval
-    looks = (
-        f"about {low:.0f} looks averaged" if round(low) == round(high) else f"{low:.0f} to {high:.0f} looks averaged"
-    )
-    if transfer.kind != "log":
-        return looks
-    low, high = odds.db_interval
-    return f"{transfer.db_per_count:.3f} dB per count ({low:.2f} to {high:.2f}), {looks}"
+def _detail(transfer: Transfer) -> str:
+    if transfer.kind == "log":
+        return f"'log' of {transfer.db_per_count:.2f} dB per count"
+    power = transfer.intensity_power
+    return f"'{transfer.kind}'" + ("" if power in (1.0, 2.0) else f" whose power {power:.2f} is intensity")
 
 
-def _chosen(transfer: Transfer, odds: LawOdds, n_pings: int) -> Notice:
-    """State the choice and its odds; for the record only where it is decisive and no decibels had to be estimated."""
-    is_settled = transfer.kind != "log" and odds.of(transfer.kind) >= _DECISIVE
-    next_likeliest = max((law for law in LAWS if law != transfer.kind), key=odds.of)
-    keys = "sonar.transfer and sonar.db_per_count" if transfer.kind == "log" else "sonar.transfer"
-    return Notice(
-        code="transfer.chosen",
-        text=f"samples are taken as '{transfer.kind}': odds {_odds_text(odds, transfer.kind, next_likeliest)} against "
-        f"'{next_likeliest}' "
-        f"from {n_pings} pings; {_detail(transfer, odds)}. Set {keys} if the recorder's manual states otherwise.",
-        for_the_record=is_settled,
+def _chosen(law: SampleLaw, n_pings: int) -> Notice:
+    """State the choice; for the record only where it is sure."""
+    if law.is_sure:
+        text = (
+            f"samples are taken as {_detail(law.transfer)}: they are "
+            f"{'linear' if law.seen == 'amplitude' else 'logarithms'} by odds of {_odds_text(law)} from {n_pings} "
+            "pings. Set sonar.transfer if the recorder's manual states otherwise."
+        )
+        return Notice(code="transfer.chosen", text=text, for_the_record=True)
+    text = (
+        f"{n_pings} pings do not show whether samples are linear or logarithms (odds {_odds_text(law)} for "
+        f"'{law.seen}'). They are taken as linear amplitude, and later pings are checked. If the recorder stores "
+        "logarithms, set sonar.transfer to log and replay."
     )
+    return Notice(code="transfer.chosen", text=text)
 
 
 def _unchecked(kind: TransferKind) -> Notice:
@@ -320,19 +263,26 @@ def _unchecked(kind: TransferKind) -> Notice:
     return Notice(code="transfer.unchecked", text=text)
 
 
-def _turned(held: Transfer, transfer: Transfer, odds: LawOdds, place: str) -> Notice:
-    if held.kind == transfer.kind:
-        what = f"'log' samples look like {_detail(transfer, odds)} instead of {held.db_per_count:.3f} dB"
-    else:
-        what = (
-            f"samples look like '{transfer.kind}' instead of '{held.kind}' (odds "
-            f"{_odds_text(odds, transfer.kind, held.kind)}; "
-            f"{_detail(transfer, odds)})"
-        )
-    return Notice(
-        code="transfer.turned",
-        text=f"{what} and are taken so from here on; statistics of the sea floor start anew. Contacts before may be "
-        "wrong or missing: set "
-        "sonar.transfer and replay the record, and replay logs of different recorders apart.",
-        place=place,
+def _disagrees(source: str, law: SampleLaw, place: str) -> Notice:
+    text = (
+        f"{source} but the samples look like {_detail(law.transfer)} (odds {_odds_text(law)}). If that is wrong, "
+        "contrast and false alarms suffer. Check the recorder's manual."
     )
+    return Notice(code="transfer.disagrees", text=text, place=place)
+
+
+def _other_decibels(configured: Transfer, law: SampleLaw, place: str) -> Notice:
+    text = (
+        f"sonar.db_per_count is {configured.db_per_count:g} but the samples look like "
+        f"{law.transfer.db_per_count:.2f}. Check the recorder's manual."
+    )
+    return Notice(code="transfer.db_per_count", text=text, place=place)
+
+
+def _turned(held: Transfer, law: SampleLaw, place: str) -> Notice:
+    text = (
+        f"samples look like {_detail(law.transfer)} instead of {_detail(held)} (odds {_odds_text(law)}) and are taken "
+        "so from here on; statistics of the sea floor start again. Contacts before may be wrong or missing: set "
+        "sonar.transfer and replay the record, and replay logs of different recorders apart."
+    )
+    return Notice(code="transfer.turned", text=text, place=place)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace, Notice, Side
 
-# Intensities are squares of amplitudes in float32, which ends at 2^-126 and 2^127; 2^12 = 36 dB above and below the
-# middle sample fit.
-_MAX_EXPONENT: Final = 50
+# Intensities are powers of samples in float32, 3.64 at the maximum (`sample_law`), which ends at 2^-126 and 2^127:
+# 2^12 above and below the middle sample fit.
+_MAX_EXPONENT: Final = 22
 _N_SOME: Final = 128  # samples that give the exponent of the middle one
 _N_NEGATIVE: Final = 20  # traces in a row: two seconds at 10 Hz, so that a single damaged ping raises nothing
 
@@ -21,7 +21,7 @@ _N_NEGATIVE: Final = 20  # traces in a row: two seconds at 10 Hz, so that a sing
 class SampleCheck:
     """Check traces of one side in order; count in `counters`.
 
-    Floating-point samples are scaled by a power of two where their squares would not fit into float32: nothing depends
+    Floating-point samples are scaled by a power of two where their powers would not fit into float32: nothing depends
     on absolute gain.
     """
 
@@ -35,7 +35,7 @@ class SampleCheck:
         self._reported = False
 
     def scaled(self, trace: EchoTrace) -> EchoTrace:
-        """Scale the trace where its squares would not fit into float32."""
+        """Scale the trace where its powers would not fit into float32."""
         if not self._scales or trace.samples.dtype.kind != "f":
             return trace
         some = np.abs(trace.samples[:: max(trace.samples.shape[0] // _N_SOME, 1)]).astype(np.float64)

@@ -25,7 +25,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.bottom import BottomTrack, BottomTracker
 from auv_mcm.waterfall.grid import concatenate_poses
 from auv_mcm.waterfall.ground import Traces, make_traces
-from auv_mcm.waterfall.law_watch import settled_transfer, weigh_pings
+from auv_mcm.waterfall.law_watch import law_of_pings
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.transfer import to_intensity
 from sim_replay.logs.open_log import format_title, log_format
@@ -112,7 +112,7 @@ def read_survey(path: Path, config: Config) -> Survey:
             pings.append(event)
             released += intake.add_ping(event)
     released += intake.flush()
-    transfer = settled_transfer(config.sonar, weigh_pings(pings))
+    transfer = law_of_pings(pings, config.sonar).transfer
     full_scale = {side: _full_scale(pings, side, config.sonar.full_scale) for side in SIDES}
     stretches = tuple(_stretches(released, intake, transfer, config))
     if not stretches:

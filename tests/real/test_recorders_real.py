@@ -58,11 +58,14 @@ def test_the_law_is_found_wherever_the_recording_starts(shared_data: SharedData,
 
 @pytest.mark.parametrize("name", [REEF, RIVER])
 def test_averaged_looks_are_not_taken_for_decibels(shared_data: SharedData, name: str) -> None:
-    """Single-look speckle would make them 0.61 from ping 800 of the reef on, 0.44 from ping 1200 of the river."""
+    """Single-look speckle would make them 0.61 from ping 800 of the reef on, 0.44 from ping 1200 of the river.
+
+    Too few decibels cost little, too many cost detections.
+    """
     true = REEF_DB_PER_COUNT if name == REEF else RIVER_DB_PER_COUNT
     transfer = verdicts(SonarConfig(), pings_of(shared_data(name)))[0].transfer
     assert transfer is not None
-    assert transfer.db_per_count == pytest.approx(true, rel=0.15)
+    assert 0.6 * true < transfer.db_per_count < 1.15 * true
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,12 @@ from auv_mcm.detect.integral import PaddedIntegral
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.records import VALID, EchoTrace, NavSample, Ping, PoseTrack, Tile, Transfer
 from auv_mcm.settings.config import Config, WaterfallConfig
+from auv_mcm.waterfall.floor_speckle import floor_speckle
 from auv_mcm.waterfall.grid import AlongTrackGrid, SideImage, Swath
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
-from auv_mcm.waterfall.law import weigh_laws
 from auv_mcm.waterfall.radiometry import LOCAL_MEAN_REACH_M
 from auv_mcm.waterfall.regions import measure_regions
-from auv_mcm.waterfall.speckle import summarise
+from auv_mcm.waterfall.sample_law import sample_law
 from auv_mcm.waterfall.tiles import TileCutter
 from auv_mcm.waterfall.transfer import to_intensity
 from auv_mcm.waterfall.waterfall import Waterfall
@@ -123,8 +123,8 @@ def test_samples_of_one_bit(levels: int) -> None:
     samples = np.digitize(amplitudes(), np.linspace(0.3, 0.6, levels - 1)).astype(np.uint8)
     assert_sound(tiles_of(samples)[0])
     with np.errstate(all="raise", under="ignore"):
-        weigh_laws(
-            summarise(
+        sample_law(
+            floor_speckle(
                 [measure_regions([side[first : first + 16] for side in samples]) for first in range(0, N_PINGS, 16)]
             )
         )
