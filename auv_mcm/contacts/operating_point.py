@@ -1,4 +1,4 @@
-"""Call contacts mines where the expected non-mines as mine-like as they are stay within what the operator accepts."""
+"""Call contacts mines while the false alarms expected among them may stay within what the operator accepts."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from auv_mcm.contacts.background import (
     estimate_background,
     expected_background,
 )
+from auv_mcm.contacts.expected_alarms import called_from_nats, expected_alarms, is_short
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.detect.belief import odds_of
 from auv_mcm.records import NAN, Contact, CoveragePatch, Notice, contact_number
@@ -39,23 +40,23 @@ _CALLED: Final = 2  # announced as called
 
 
 class OperatingPoint(NamedTuple):
-    """Hold what is accepted, and the background that a mission has shown so far.
+    """What is accepted, and the false alarms that a mission's contacts make expect so far.
 
-    asked_per_km2: false alarms accepted. n_contacts, area_km2: what the background was estimated from. background: None
-    where there is no prior for the odds, as without confirmation; contacts of p_mine 0.2 or more are called then.
+    asked_per_km2: false alarms accepted. n_contacts, area_km2: what they are expected from. background: None where
+    p_mine is not calibrated, as without confirmation. level_nats: lowest log-odds called, those of p_mine 0.2 where
+    there is no background.
     """
 
     asked_per_km2: float
     n_contacts: int
     area_km2: float
     background: Background | None
+    level_nats: float = odds_of(MINE_LIKE_P)
 
     @property
-    def level_nats(self) -> float:
-        """Find the lowest log-odds called, those of p_mine 0.01 at the minimum; inf where nothing is called."""
-        if self.background is None:
-            return odds_of(MINE_LIKE_P)
-        return max(self.background.level_nats(self.asked_per_km2), LOWEST_NATS)
+    def is_short(self) -> bool:
+        """Whether the area searched allows fewer than one false alarm."""
+        return self.background is not None and is_short(self.area_km2, self.asked_per_km2)
 
     def calls(self, contact: Contact) -> bool:
         """Decide whether a contact is called a mine."""
@@ -175,14 +176,22 @@ class CallWatch:
         return self._n_changed > _GROWTH * before.n_contacts or self._area.km2 > (1.0 + _GROWTH) * before.area_km2
 
     def _estimated(self) -> OperatingPoint:
-        background = None
-        if self._prior is not None:
-            background = estimate_background(
-                self._counts, self._area.km2, self._prior, reported_from_nats=max(self._reported_from_nats, LOWEST_NATS)
-            )
-            self._compare(background, self._prior)
         self._n_changed = 0
-        return OperatingPoint(self._asked_per_km2, int(self._counts.sum()), self._area.km2, background)
+        area_km2 = self._area.km2
+        if self._prior is None:
+            return OperatingPoint(self._asked_per_km2, int(self._counts.sum()), area_km2, None)
+        seen = estimate_background(
+            self._counts, area_km2, self._prior, reported_from_nats=max(self._reported_from_nats, LOWEST_NATS)
+        )
+        self._compare(seen, self._prior)
+        log_odds = np.array(self._log_odds)
+        return OperatingPoint(
+            self._asked_per_km2,
+            int(self._counts.sum()),
+            area_km2,
+            expected_alarms(log_odds, area_km2),
+            called_from_nats(log_odds, area_km2, self._asked_per_km2),
+        )
 
     def _turned(self, margin_nats: float) -> list[int]:
         level, values = self.point.level_nats, np.array(self._log_odds)

@@ -276,12 +276,11 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
         Meta(
             gt=0.0,
             le=1e6,
-            description="false alarms per km2 that are acceptable: a contact is called a mine where no more non-mines "
-            "as "
-            "mine-like as it are to be expected, by the mission's own background; what is reported does not depend on "
-            "it",
+            description="false alarms per km2 that are acceptable: contacts are called mines from the likeliest down, "
+            "as long as the lower end of the false alarms expected among them stays within it; what is reported does "
+            "not depend on it",
         ),
-    ] = 30.0
+    ] = 100.0
 
 
 class PlanConfig(_Section, frozen=True, kw_only=True):

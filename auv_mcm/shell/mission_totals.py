@@ -38,10 +38,11 @@ def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch
 def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
     """State the operating point.
 
-    What was asked, from which p_mine on that calls, and the background of the mission behind it.
+    What was asked, from which p_mine on that calls, and the false alarms that are expected.
 
-    called_from_p_mine: None where no p_mine is high enough. expected_per_km2: false alarms among what is called, with
-    the 95 % interval. background_per_km2: non-mines that reach a p_mine.
+    called_from_p_mine: None where nothing is called. expected_per_km2: false alarms among what is called, with the 95 %
+    interval. background_per_km2: false alarms expected among contacts that reach a p_mine. area_too_small: what was
+    searched allows fewer than one false alarm.
     """
     if point is None:
         return {}
@@ -51,6 +52,7 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
         "called_from_p_mine": None if level == math.inf else round(probability(level), 6),
         "contacts_counted": point.n_contacts,
         "searched_km2": round(point.area_km2, 6),
+        "area_too_small": point.is_short,
     }
     if point.background is not None:
         expected = point.background.false_alarms(level) if level < math.inf else FalseAlarms(0.0, 0.0, 0.0)

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import gamma, norm
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.contacts.background import N_BINS, estimate_background, shipped_background
 from auv_mcm.contacts.contact import call_words
+from auv_mcm.contacts.expected_alarms import poisson_end
 from auv_mcm.contacts.ledger import contact_from_views
 from auv_mcm.contacts.operating_point import CallWatch, MarkedContacts, OperatingPoint
 from auv_mcm.detect.belief import odds_of, probability
@@ -68,19 +70,65 @@ def drawn(number: int, log_odds: float) -> Contact:
     return drawn_looks.contact(id=contact_id(number), p_mine=probability(log_odds), views=())
 
 
-def test_a_contact_is_called_where_no_more_false_alarms_than_asked_are_expected() -> None:
-    mission = Mission()
+def test_contacts_are_called_while_the_lower_end_of_the_expected_false_alarms_is_accepted() -> None:
+    """One standard deviation below the middle of a Poisson count: the Gamma quantile, by scipy."""
+    mission = Mission(ContactsConfig(false_alarms_per_km2=30.0))
     mission.search(0.05)
     announced = mission.see(*np.linspace(-4.5, 4.5, 40).tolist())
-    assert [contact.called for contact in announced] == [contact.false_alarms_per_km2 <= 30.0 for contact in announced]
+    expected = np.cumsum([1.0 - contact.p_mine for contact in announced[::-1]])[::-1]
+    accepted = gamma.ppf(norm.cdf(-1.0), expected) <= 30.0 * 0.05
+    assert [contact.called for contact in announced] == accepted.tolist()
     assert {contact.called for contact in announced} == {True, False}
     densities = [contact.false_alarms_per_km2 for contact in announced]
     assert densities == sorted(densities, reverse=True)
+    one_alarm = 1.0 / 0.05  # densities are read between levels of the odds
+    assert densities == pytest.approx((expected / 0.05).tolist(), abs=one_alarm)
     assert all(
         low <= contact.false_alarms_per_km2 <= high
         for contact in announced
         for low, high in [contact.false_alarms_95_per_km2]
     )
+
+
+def test_a_floor_rich_in_mines_does_not_turn_them_into_background() -> None:
+    """A test range: 25 likely mines on 0.035 km², where the middle of a mixture called a third of them background."""
+    mission = Mission()
+    mission.search(0.035)
+    mission.see(*np.linspace(odds_of(0.02), odds_of(0.15), 40).tolist())
+    mines = mission.see(*np.linspace(odds_of(0.45), odds_of(0.95), 25).tolist())
+    assert sum(bool(contact.called) for contact in mines if contact_number(contact.id) > 40) >= 15
+
+
+def test_scores_that_part_mines_from_rocks_keep_every_mine() -> None:
+    """Rocks below 0.1, mines from 0.15 on: the operating point may not throw away what the scores part."""
+    mission = Mission()
+    mission.search(0.08)
+    mission.see(*np.linspace(odds_of(0.02), odds_of(0.1), 20).tolist())
+    mines = mission.see(*np.linspace(odds_of(0.15), odds_of(0.8), 12).tolist())
+    assert [contact.called for contact in mines if contact_number(contact.id) > 20] == [True] * 12
+
+
+def test_a_line_too_short_for_the_rate_asked_still_calls_what_is_likely_and_says_so() -> None:
+    mission = Mission(ContactsConfig(false_alarms_per_km2=30.0))
+    mission.search(0.003)
+    unlikely, likely = mission.see(odds_of(0.05), odds_of(0.6))
+    assert likely.called
+    assert not unlikely.called
+    assert mission.watch.point.is_short
+    mission.search(0.5)
+    mission.end()
+    assert not mission.watch.point.is_short
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.floats(0.0, 200.0), min_size=1, max_size=8), st.floats(-2.5, 2.5).filter(lambda sigmas: sigmas != 0.0)
+)
+def test_ends_of_poisson_counts_are_the_quantiles_of_gamma(expected: list[float], sigmas: float) -> None:
+    shape = np.array(expected) + (sigmas > 0.0)
+    exact = gamma.ppf(norm.cdf(sigmas), np.maximum(shape, 1e-9))
+    np.testing.assert_allclose(poisson_end(expected, sigmas), exact, rtol=0.03, atol=0.06)
+    assert (np.diff(poisson_end(np.sort(expected), sigmas)) >= 0.0).all()
 
 
 def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
@@ -96,7 +144,7 @@ def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
 
 def test_a_call_that_turns_is_announced_again_and_nothing_else_is() -> None:
     mission = Mission()
-    mission.search(0.001)
+    mission.search(0.0001)
     (announced,) = mission.see(odds_of(0.4))
     assert announced.called is False
     mission.search(3.0)  # and hardly anything there
