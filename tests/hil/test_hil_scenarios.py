@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from sim_replay.hil.scenario import shipped
+from tests.golden.answers import read_stored
 
 # The longest first, for several at a time. One of each kind of fault, 20 s of processor time or less each. Vehicles on
 # other wires, a service killed under a vehicle and a mission without faults are in `auv-mcm hil --all`; kills are in
@@ -35,6 +36,9 @@ def test_the_service_meets_every_expectation(name: str, tmp_path: Path) -> None:
     assert (tmp_path / name / "verdict.json").exists(), run.stdout
     verdicts = json.loads((tmp_path / name / "verdict.json").read_bytes())
     assert [verdict for verdict in verdicts if not verdict["passed"]] == [], run.stdout
+    stored = read_stored("scenarios")
+    assert stored is not None
+    assert [verdict["test"] for verdict in verdicts] == [each["test"] for each in stored[name]]
     assert run.returncode == 0
     assert not [path for path in (tmp_path / name).iterdir() if path.is_symlink()], "a port is left behind"
 
