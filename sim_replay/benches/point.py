@@ -1,10 +1,9 @@
-"""Judge the operating point on missions that its prior was not fitted on: false alarms reached and requested, and Pd.
+"""Judge the operating point on missions that the odds were not fitted on: false alarms reached and requested, and Pd.
 
 auv-mcm bench point                               flies, judges and prints
 auv-mcm bench point --log LINE.xtf                the same with targets embedded in a recorded line
 
-A named scene is judged by the prior that the other scenes give; recorded lines by the one that ships, which was fitted
-on simulated missions alone.
+Contacts are called as the payload does, by the false alarms that their own odds make expect.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ from auv_mcm.contacts.background import (
     estimate_background,
     shipped_background,
 )
+from auv_mcm.contacts.expected_alarms import called_from_nats, expected_alarms
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
@@ -68,12 +68,11 @@ Line = tuple[str, int]
 
 
 class Judged(NamedTuple):
-    """Hold one mission, with the estimate from all of its contacts and that from those on no target."""
+    """Hold one mission, with the background that its contacts show by a prior that it was left out of."""
 
     mission: SortedContacts
     prior: BackgroundPrior
     background: Background
-    without_mines: Background
 
 
 class Reached(NamedTuple):
@@ -81,7 +80,7 @@ class Reached(NamedTuple):
 
     n_on_objects: false alarms on objects of the truth, such as rocks. n_without_mines: false alarms where mines'
     contacts are taken out. n_inside: missions whose false alarms lie in the 95 % interval of the estimate, of n_judged
-    that call some contacts and not all. best: targets that the best threshold of p_mine calls with as many false
+    that have some. best: targets that the best threshold of p_mine calls with as many false
     alarms.
     """
 
@@ -138,25 +137,22 @@ def fly_augmented(log: Path, seed: int) -> SortedContacts:
 def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
     """Estimate a mission's background by a prior that it was left out of."""
     prior = next((left.prior for left in model.left_out if left.scene == mission.scene), model.cascade)
-    whole, bare = (
-        estimate_background(counted_log_odds(log_odds), mission.area_km2, prior)
-        for log_odds in (mission.everything, mission.background)
-    )
-    return Judged(mission, prior, whole, bare)
+    return Judged(mission, prior, estimate_background(counted_log_odds(mission.everything), mission.area_km2, prior))
 
 
 def reached(missions: Sequence[Judged], asked_per_km2: float) -> Reached:
     """Call contacts of each mission at its own level, and pool."""
     n_asked, n_false_alarms, n_on_objects, n_without_mines, n_inside, n_judged, n_called = 0.0, 0, 0, 0, 0, 0, 0
     for one in missions:
-        level = one.background.level_nats(asked_per_km2)
+        level = called_from_nats(one.mission.everything, one.mission.area_km2, asked_per_km2)
         n = _reaching(one.mission.background, level)
         n_asked += asked_per_km2 * one.mission.truth_km2
         n_false_alarms += n
         n_on_objects += _reaching(one.mission.background[one.mission.on_objects], level)
         n_called += _reaching(one.mission.mines, level)
-        n_without_mines += _reaching(one.mission.background, one.without_mines.level_nats(asked_per_km2))
-        if np.isfinite(level):
+        bare = called_from_nats(one.mission.background, one.mission.area_km2, asked_per_km2)
+        n_without_mines += _reaching(one.mission.background, bare)
+        if n:
             n_judged += 1
             n_inside += _is_inside(n, one, level)
     false_alarms = np.sort(np.concatenate([one.mission.background for one in missions]))[::-1]
@@ -210,7 +206,7 @@ def _is_inside(n: int, one: Judged, level: float) -> bool:
     forty."""
     from scipy.special import pdtr
 
-    expected = one.background.false_alarms(level)
+    expected = expected_alarms(one.mission.everything, one.mission.area_km2).false_alarms(level)
     low, high = expected.low * one.mission.truth_km2, expected.high * one.mission.truth_km2
     too_many = n > 0 and 1.0 - pdtr(n - 1, high) < 0.025
     return not too_many and pdtr(n, low) >= 0.025

@@ -83,6 +83,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from sim_replay.closing_line import closing_line
     from sim_replay.logs.open_log import logs_config
     from sim_replay.logs.recorded import parse_speed
     from sim_replay.replay import replay
@@ -113,4 +114,5 @@ def _run(arguments: argparse.Namespace) -> int:
             + (f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else "")
         )
     print(f"report: {clean(str(arguments.out / 'report.html'))}")
+    print(closing_line(summary))
     return 0

@@ -27,9 +27,9 @@ from auv_mcm.contacts.background import (
     LeftOutScene,
     ReachedPoint,
     counted_log_odds,
-    estimate_background,
     known_background,
 )
+from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.errors import UsageError
@@ -168,12 +168,11 @@ def fit_prior(missions: Sequence[SortedContacts]) -> BackgroundPrior:
     return _prior(mean, _never_opposed(covariance), mines)
 
 
-def judged(missions: Sequence[SortedContacts], prior: BackgroundPrior, asked_per_km2: float) -> ReachedPoint:
+def judged(missions: Sequence[SortedContacts], asked_per_km2: float) -> ReachedPoint:
     """Call contacts at an operating point, mission by mission, and count."""
     n_asked, n_reached, n_called = 0.0, 0, 0
     for mission in missions:
-        background = estimate_background(counted_log_odds(mission.everything), mission.area_km2, prior)
-        level = background.level_nats(asked_per_km2)
+        level = called_from_nats(mission.everything, mission.area_km2, asked_per_km2)
         n_asked += asked_per_km2 * mission.truth_km2
         n_reached += int(np.count_nonzero(mission.background >= level))
         n_called += int(np.count_nonzero(mission.mines >= level))
@@ -193,7 +192,7 @@ def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
         prior = fit_prior([mission for mission in missions if mission.scene != scene])
         own = [mission for mission in missions if mission.scene == scene]
         found.append(
-            LeftOutScene(scene=scene, prior=prior, reached=tuple(judged(own, prior, asked) for asked in ASKED_PER_KM2))
+            LeftOutScene(scene=scene, prior=prior, reached=tuple(judged(own, asked) for asked in ASKED_PER_KM2))
         )
     return tuple(found)
 

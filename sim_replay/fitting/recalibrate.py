@@ -24,10 +24,9 @@ from auv_mcm.contacts.background import (
     LOWEST_NATS,
     N_BINS,
     BackgroundPrior,
-    counted_log_odds,
-    estimate_background,
     known_background,
 )
+from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.errors import BadInputError
 from sim_replay.fitting.fit_background import log_odds_of
 from sim_replay.fitting.judged_missions import MINE, NOT_MINE, JudgedMission
@@ -124,7 +123,7 @@ def _judged(
     """Judge each mission by the change that the others give."""
     lines = []
     for mission, others in zip(missions, left_out, strict=True):
-        before, after = (reached(mission, one, prior) for one in (Change(), others))
+        before, after = (reached(mission, one) for one in (Change(), others))
         lines.append(MissionLine(mission, before, after, log_loss(mission, Change()) - log_loss(mission, others)))
     gains = np.array([line.gain_nats for line in lines if math.isfinite(line.gain_nats)])
     return Refit(change, tuple(lines), *_interval(gains), "")
@@ -193,14 +192,10 @@ def log_loss(mission: JudgedMission, change: Change) -> float:
     return float((np.logaddexp(0.0, odds) - (mission.calls[judged] == MINE) * odds).mean())
 
 
-def reached(mission: JudgedMission, change: Change, prior: BackgroundPrior) -> Reached:
+def reached(mission: JudgedMission, change: Change) -> Reached:
     """Count what is called at the mission's operating point after a change."""
-    changed = prior if change == Change() else prior.recalibrated(*change)
     odds = change.applied(mission.log_odds)
-    reported_from = np.array([max(mission.reported_from_nats, LOWEST_NATS)])
-    lowest = max(LOWEST_NATS, float(change.applied(reported_from)[0]))
-    background = estimate_background(counted_log_odds(odds), mission.area_km2, changed, reported_from_nats=lowest)
-    is_called = odds >= max(background.level_nats(mission.asked_per_km2), LOWEST_NATS)
+    is_called = odds >= called_from_nats(odds, mission.area_km2, mission.asked_per_km2)
     is_mine, is_other = mission.calls == MINE, mission.calls == NOT_MINE
     return Reached(
         called=int(np.count_nonzero(is_mine & is_called)),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from auv_mcm.contacts.background import shipped_background
+from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.errors import BadInputError
 from sim_replay.benches import point
 from sim_replay.benches.point import judged, reached, report
@@ -25,7 +26,7 @@ def test_a_mission_is_judged_by_a_prior_that_it_was_left_out_of() -> None:
 def test_false_alarms_and_targets_are_counted_at_each_missions_own_level() -> None:
     some = [judged(drawn_mission(seed, "elsewhere"), shipped_background()) for seed in range(4)]
     found = reached(some, 100.0)
-    levels = [one.background.level_nats(100.0) for one in some]
+    levels = [called_from_nats(one.mission.everything, one.mission.area_km2, 100.0) for one in some]
     assert found.n_asked == pytest.approx(100.0 * 0.8)
     assert found.n_false_alarms == sum(
         np.count_nonzero(one.mission.background >= level) for one, level in zip(some, levels, strict=True)

@@ -1,0 +1,50 @@
+"""Sum up a replay in one line: what was found, how much floor was searched how well, and what to mend first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+_MEND: Final = {
+    "transfer.chosen": "set sonar.transfer, as the samples leave open what they are",
+    "transfer.unchecked": "set sonar.transfer, as too few samples show what they are",
+    "transfer.disagrees": "check sonar.transfer, as the samples look otherwise",
+    "transfer.turned": "replay logs of different recorders apart, or set sonar.transfer",
+    "contacts.background_unlike": "look at the pictures, as p_mine may be wrong on this floor",
+}
+"""What a person can do about notices that question the whole mission, by code; the first two found are named."""
+_MOST: Final = 2
+
+
+def closing_line(summary: Mapping[str, Any]) -> str:
+    """Write the line from what `summary.json` holds."""
+    n_called = int(summary.get("contacts_called", 0))
+    parts = [f"{n_called} contact{'' if n_called == 1 else 's'} called mine{'' if n_called == 1 else 's'}"]
+    point = summary.get("operating_point") or {}
+    expected = (point.get("expected_per_km2") or {}).get("middle")
+    if n_called and expected is not None:
+        parts[0] += f", of which {expected * point['searched_km2']:.0f} are expected to be none"
+    searched = summary.get("searched")
+    if searched:
+        parts.append(
+            f"{searched['km2']:.3g} km² searched, where {100.0 * searched['p_detected_mean']:.0f} % of mines are "
+            "expected to be found"
+        )
+    else:
+        parts.append("no sea floor searched")
+    line = "; ".join(parts) + "."
+    mend = to_mend(summary)
+    return line + (f" To mend: {'; '.join(mend)}." if mend else "")
+
+
+def to_mend(summary: Mapping[str, Any]) -> list[str]:
+    """List what a person should do first, most consequential first."""
+    codes = [notice["code"] for notice in summary.get("notices", ())]
+    found = [words for code, words in _MEND.items() if code in codes][:_MOST]
+    point = summary.get("operating_point") or {}
+    if point.get("area_too_small"):
+        found.append(
+            f"the area is too small for {point['asked_per_km2']:g} false alarms per km² to mean one; go by the order "
+            "of p_mine"
+        )
+    return found
