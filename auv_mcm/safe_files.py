@@ -19,16 +19,18 @@ from typing import BinaryIO, Final
 
 from auv_mcm.errors import BadInputError
 
+MAX_FILE_BYTES: Final = 1 << 28  # of results, models and tables: chosen, some ten times the largest
 _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 _UPDATED: Final = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{16}\.new")  # the name of a file that `replacing` writes
 _DIRECTORY: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 
 
-def read_regular(path: Path, max_bytes: int) -> bytes:
+def read_regular(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Read a regular file whole. Raises OSError, and BadInputError as `open_regular` does and for a larger file."""
     with open_regular(path) as file:
-        data = file.read(max_bytes + 1)
+        # No more room is taken than the file has bytes, and one that grows meanwhile is no endless one.
+        data = file.read(min(os.fstat(file.fileno()).st_size, max_bytes) + 1)
     if len(data) > max_bytes:
         raise BadInputError(
             f"{path} is larger than {max_bytes >> 10} KiB, the most that is read of such a file. Is it the right one?"

@@ -18,7 +18,7 @@ from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import read_regular
 
-MAX_TEXT_BYTES: Final = 1 << 20  # bytes of a file: chosen, a hundred times the largest example
+MAX_TEXT_BYTES: Final = 1 << 19  # bytes of a file: forty times all keys of a configuration; takes up to 8 s to read
 
 
 def read_text(path: Path, what: str) -> str:

@@ -95,7 +95,8 @@ class ImageLog:
             for first in range(0, n_lines, block):
                 stop = min(first + block, n_lines)
                 try:
-                    intensity = self._intensity(first, stop, part)
+                    with np.errstate(over="ignore", invalid="ignore"):  # of numbers that intake drops
+                        intensity = self._intensity(first, stop, part)
                 except DamagedPixelsError as error:
                     self.counters["reader.image_damaged"] += not n_read
                     text = f"{error}: the image is used up to line {first} of {n_lines}. Copy or export it again."
@@ -180,8 +181,7 @@ class ImageLog:
         if sidecar.samples == "log":
             assert sidecar.db_per_count is not None
             decibels = stored.astype(np.float64) * sidecar.db_per_count
-            with np.errstate(invalid="ignore"):
-                return np.power(10.0, np.clip(decibels / 10.0, -30.0, 30.0)).astype(np.float32)
+            return np.power(10.0, np.clip(decibels / 10.0, -30.0, 30.0)).astype(np.float32)
         return stored.astype(np.float32)
 
     def _of_complex(self, first: int, stop: int, part: int | None) -> NDArray[np.float32]:
@@ -252,7 +252,8 @@ class ImageLog:
         if sidecar.range != "slant" or sidecar.near_range_m > altitude_m - _WATER_M or sidecar.samples == "complex":
             return
         try:
-            lines = self._intensity(0, min(_PROBE_LINES, self._pixels.n_lines))
+            with np.errstate(over="ignore", invalid="ignore"):
+                lines = self._intensity(0, min(_PROBE_LINES, self._pixels.n_lines))
         except DamagedPixelsError as error:
             raise BadInputError(f"{self._path}: {error}. Copy or export it again.") from error
         evidence = port_order_evidence(np.nan_to_num(lines), None, sidecar.pixel_across_m, self._sonar.blank_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -30,6 +31,8 @@ _UNPACKED_BY: Final[dict[int, Callable[[bytes, int], bytes]]] = {
     32946: inflate,  # deflate as first written
     32773: unpack_bits,  # PackBits (TIFF 6.0)
 }
+
+logging.getLogger("tifffile").disabled = True  # it writes lines with what a damaged file holds, and raises besides
 
 _REMEDY: Final = "Write it without compression or with deflate: gdal_translate -co COMPRESS=DEFLATE IN.tif OUT.tif"
 
