@@ -72,9 +72,8 @@ def run_command(arguments: Sequence[str], folder: Path, scratch: Path) -> Ended:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(_PRELOADED))
     process = context.Process(target=_run, args=(list(arguments), folder, console, usage))
-    started_s = time.monotonic()
     process.start()
-    wall_s = 0.0
+    started_s, wall_s = time.monotonic(), 0.0  # once the server has loaded all that it shares
     while process.exitcode is None and wall_s <= MAX_WALL_S:
         process.join(_LOOK_S)
         wall_s = time.monotonic() - started_s - _kept_waiting_s(process)
