@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.safe_files import open_regular
+from auv_mcm.safe_files import read_regular
 
 SHIPPED: Final = "shipped"
 Model = TypeVar("Model")
@@ -32,8 +32,7 @@ def read_model(
     if name == SHIPPED:
         return shipped()
     try:
-        with open_regular(Path(name)) as file:
-            data = file.read()
+        data = read_regular(Path(name))
     except OSError as error:
         message = f"{key} {name}: {error.strerror}. Name a model file, or '{SHIPPED}' for the one of the package{else_}"
         raise BadInputError(message) from error

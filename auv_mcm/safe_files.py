@@ -1,9 +1,8 @@
-"""Open files so that no link, pipe or device stands in for them.
+"""Open files so that no link, pipe or device stands in for them: the one door for every file that a person names.
 
-Not for a result that is written, nor for a log that is read.
-
-Whoever may write to the directory of the results could otherwise put a link there and have the service overwrite
-another file.
+What is read is a regular file, and what is read whole has a size limit: a pipe would be waited for without end, a
+device read without end. What is written follows no link: whoever may write to the directory of the results could
+otherwise put one there and have the service overwrite another file.
 """
 
 from __future__ import annotations
@@ -20,25 +19,48 @@ from typing import BinaryIO, Final
 
 from auv_mcm.errors import BadInputError
 
+MAX_FILE_BYTES: Final = 1 << 28  # of results, models and tables: chosen, some ten times the largest
 _NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 _UPDATED: Final = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{16}\.new")  # the name of a file that `replacing` writes
 _DIRECTORY: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 
 
+def read_regular(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
+    """Read a regular file whole. Raises OSError, and BadInputError as `open_regular` does and for a larger file."""
+    with open_regular(path) as file:
+        # No more room is taken than the file has bytes, and one that grows meanwhile is no endless one.
+        data = file.read(min(os.fstat(file.fileno()).st_size, max_bytes) + 1)
+    if len(data) > max_bytes:
+        raise BadInputError(
+            f"{path} is larger than {max_bytes >> 10} KiB, the most that is read of such a file. Is it the right one?"
+        )
+    return data
+
+
 def open_regular(path: Path, buffering: int = -1) -> BinaryIO:
-    """Open a regular file for reading. Raises OSError, and BadInputError for a pipe, a socket or a device.
+    """Open a regular file for reading.
+
+    Raises OSError, and BadInputError for a pipe, a socket or a device, and for a name that no file can have.
 
     A pipe would make its reader wait for ever, and opening a device may change its state: neither is opened.
     """
-    _refuse_irregular(path, os.stat(path).st_mode)
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOCTTY | os.O_NONBLOCK)  # a pipe opens at once
     try:
-        _refuse_irregular(path, os.fstat(descriptor).st_mode)  # it may have been exchanged in between
-        return open(descriptor, "rb", buffering=buffering)
-    except BaseException:
-        os.close(descriptor)
-        raise
+        mode = os.stat(path).st_mode
+    except ValueError as error:  # a null character in it, or a half of a surrogate pair
+        raise BadInputError(f"{path} is not a name that a file can have ({error}). Correct it.") from error
+    _refuse_irregular(path, mode)
+
+    def opener(name: str, flags: int) -> int:
+        descriptor = os.open(name, flags | os.O_NOCTTY | os.O_NONBLOCK)  # a pipe opens at once
+        try:
+            _refuse_irregular(path, os.fstat(descriptor).st_mode)  # it may have been exchanged in between
+        except BaseException:
+            os.close(descriptor)
+            raise
+        return descriptor
+
+    return open(os.fspath(path), "rb", buffering=buffering, opener=opener)
 
 
 def _refuse_irregular(path: Path, mode: int) -> None:

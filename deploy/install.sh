@@ -1,15 +1,17 @@
 #!/bin/sh
 # Install auv-mcm on a vehicle, from a folder that deploy/wheelhouse.sh made, without a network: as root
-#     sh deploy/install.sh [--root DIR] [--with PACKAGE] [--keep-days N]    install this version, or upgrade to it
+#     sh deploy/install.sh [--root DIR] [--with PACKAGE] [--keep-days N] [--sum SHA256]
+#                                                                           install this version, or upgrade to it
 #     sh deploy/install.sh --rollback [--root DIR]                          go back to the version before
 # --root: install below DIR instead, as for an image; then nothing is started and no user is made. --with: install a
 # package with a driver too, whose wheel lies in wheels/; more than once for several. --keep-days: remove sessions that
-# were neither written nor read for N days. PYTHON names the interpreter, default python3.
+# were neither written nor read for N days. --sum: the checksum that deploy/wheelhouse.sh printed, brought by another way
+# than the folder; without it wheels are only held against the list that lies beside them. PYTHON names the interpreter, default python3.
 # Each version gets a folder of its own below /opt/auv-mcm; 'current' points to the one that runs, 'previous' to the one
 # before. Configuration, results and changed rules of udev are left as they are.
 set -eu
 here=$(cd "$(dirname "$0")/.." && pwd)
-root= keep_days= rollback= with=
+root= keep_days= rollback= with= sum=
 
 fail() {
     echo "install: $*" >&2
@@ -19,16 +21,17 @@ fail() {
 while [ $# -gt 0 ]; do
     case $1 in
     --rollback) rollback=yes ;;
-    --root | --with | --keep-days)
+    --root | --with | --keep-days | --sum)
         [ $# -gt 1 ] || fail "$1 wants a value"
         case $1 in
         --root) root=$2 ;;
         --with) with="$with $2" ;;
         --keep-days) keep_days=$2 ;;
+        --sum) sum=$2 ;;
         esac
         shift
         ;;
-    *) fail "$1 is not an option: --root DIR, --with PACKAGE, --keep-days N, --rollback" ;;
+    *) fail "$1 is not an option: --root DIR, --with PACKAGE, --keep-days N, --sum SHA256, --rollback" ;;
     esac
     shift
 done
@@ -74,6 +77,16 @@ esac
 set -- "$here"/wheels/auv_mcm-*.whl
 [ -f "$1" ] ||
     fail "$here/wheels holds no wheel of auv-mcm: where there is a network, sh deploy/wheelhouse.sh makes such a folder"
+list=$here/wheels.sha256
+[ -f "$list" ] || fail "$list is missing: copy the whole folder that deploy/wheelhouse.sh made"
+[ -z "$sum" ] || [ "$(sha256sum <"$list" | cut -d ' ' -f 1)" = "$sum" ] ||
+    fail "$list is not the one with --sum $sum: fetch the folder again"
+for wheel in "$here"/wheels/*; do
+    grep -q "^[0-9a-f]\{64\}  $(basename "$wheel" | sed 's/[.[*^$\\]/\\&/g')\$" "$list" ||
+        fail "$wheel is not in $list. If you put it there: (cd $here/wheels && sha256sum $(basename "$wheel")) >>$list"
+done
+(cd "$here/wheels" && sha256sum --check --strict --quiet "$list") ||
+    fail "a wheel is damaged or was changed: fetch the folder again"
 number=$(basename "$1" | cut -d - -f 2)
 # Two builds of one version number are two versions, as are two sets of packages.
 version=$number-$({ cat "$1" && ls "$here/wheels" && echo "$with"; } | cksum | cut -d ' ' -f 1)

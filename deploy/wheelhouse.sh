@@ -1,8 +1,9 @@
 #!/bin/sh
 # Make a folder that installs auv-mcm without a network:
 #     sh deploy/wheelhouse.sh [--arch ARCH] [--python X.Y] [--with PACKAGE] [FOLDER]
-# It holds this checkout's wheel with compiled kernels, the wheels of all packages that the base needs, and
-# deploy/install.sh with what that installs.
+# It holds this checkout's wheel with compiled kernels, the wheels of all packages that the base needs, their checksums
+# (wheels.sha256) and bill of materials (sbom.cdx.json, CycloneDX), and deploy/install.sh with what that installs. The
+# wheel is built twice and has to be the same to the byte; SOURCE_DATE_EPOCH is its time, default that of the last commit.
 # --arch: the vehicle's architecture, x86_64 or aarch64, default this computer's; for the other one a cross compiler has
 # to be here (Debian: gcc-aarch64-linux-gnu or gcc-x86-64-linux-gnu). --python: its Python, default this computer's; the
 # wheel of this checkout serves every one from 3.11 on, those of other packages do not. --with: fetch this package too,
@@ -51,13 +52,23 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 "$python" -m venv "$work/venv" || fail "no virtual environment: sudo apt-get install python3-venv"
 
-# From a copy: setuptools leaves its build folder behind, and an old one would go into the wheel.
-mkdir "$work/source"
-cp -R pyproject.toml setup.py README.md LICENSE auv_mcm drivers sim_replay "$work/source"
-find "$work/source" \( -name __pycache__ -o -name '*.so' \) -prune -exec rm -rf {} +
-echo "wheelhouse: building the wheel for $arch"
-"$work/venv/bin/python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work/wheels" \
-    "$work/source"
+# What builds is pinned, and so are times and permissions: whoever builds this checkout gets the same bytes.
+SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || echo 315532800)} # 1980, ZIP's first year
+export SOURCE_DATE_EPOCH
+umask 022
+"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement deploy/build-requirements.txt
+for build in wheels again; do
+    # From a copy: setuptools leaves its build folder behind, and an old one would go into the wheel.
+    mkdir "$work/$build-source"
+    cp -R pyproject.toml setup.py README.md LICENSE auv_mcm drivers sim_replay "$work/$build-source"
+    find "$work/$build-source" \( -name __pycache__ -o -name '*.so' \) -prune -exec rm -rf {} +
+    chmod -R u=rwX,go=rX "$work/$build-source"
+    echo "wheelhouse: building the wheel for $arch ($build)"
+    "$work/venv/bin/python" -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation \
+        --wheel-dir "$work/$build" "$work/$build-source"
+done
+cmp "$work"/wheels/auv_mcm-*.whl "$work"/again/auv_mcm-*.whl ||
+    fail "two builds of the wheel differ: this compiler writes the time or its folder into what it makes"
 wheel=$(echo "$work"/wheels/auv_mcm-*.whl)
 "$work/venv/bin/python" -m zipfile --list "$wheel" | grep 'auv_mcm/kernels/_kernels\.abi3\.so' >/dev/null ||
     fail "the kernels were not compiled: install a C compiler, e.g. sudo apt-get install gcc libc6-dev." \
@@ -85,6 +96,8 @@ platforms="$platforms --platform manylinux2014_$arch"
 rm -rf "$out"
 mkdir -p "$out/deploy"
 mv "$work/wheels" "$out/wheels"
+(cd "$out/wheels" && sha256sum -- *.whl) >"$out/wheels.sha256"
+"$work/venv/bin/python" deploy/sbom.py "$out/wheels" >"$out/sbom.cdx.json"
 cp -R deploy/install.sh deploy/systemd deploy/udev deploy/can deploy/examples deploy/auv_mcm.dbc "$out/deploy"
 echo "wheelhouse: $out for Python $release on $arch, $(du -sm "$out" | cut -f 1) MB. Copy it to the vehicle; there," \
-    "as root: sh deploy/install.sh"
+    "as root: sh deploy/install.sh --sum $(sha256sum <"$out/wheels.sha256" | cut -d ' ' -f 1)"

@@ -13,6 +13,7 @@ from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Tile
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import RECORDING, SUMMARY
 from sim_replay.logs.open_log import is_session, logs_config
@@ -84,7 +85,7 @@ def tiles(source: ExportSource, progress: Callable[[float], None] = lambda fract
 def _replayed(folder: Path, config: Config | None) -> ExportSource:
     path = folder / SUMMARY
     try:
-        summary = json.loads(path.read_bytes())
+        summary = json.loads(read_regular(path))
         logs = tuple(Path(log["path"]) for log in summary.get("logs", ()))
         used = config or (msgspec.convert(summary["config"], Config) if "config" in summary else Config())
     except (OSError, ValueError, KeyError, TypeError, AttributeError, msgspec.ValidationError) as error:

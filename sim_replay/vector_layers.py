@@ -11,6 +11,7 @@ from xml.sax.saxutils import escape, quoteattr
 from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
+from auv_mcm.safe_files import read_regular
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.structures import STRUCTURES, with_structures
 from sim_replay.verdict_layers import MISSED, verdict_words, with_verdicts
@@ -36,7 +37,7 @@ def read_layers(results: Path) -> dict[str, Sequence[Feature]]:
         if not path.is_file():
             continue
         try:
-            features: list[Feature] = json.loads(path.read_bytes())["features"]
+            features: list[Feature] = json.loads(read_regular(path))["features"]
             layers |= {name: features} if name != _WAYPOINTS else _by_purpose(features)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise BadInputError(f"{path} cannot be read: {error}. Replay the log again.") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -13,16 +14,22 @@ import msgspec
 import yaml
 from msgspec import inspect
 
-from auv_mcm.errors import UsageError
+from auv_mcm.clean_text import clean
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.safe_files import read_regular
+
+MAX_TEXT_BYTES: Final = 1 << 19  # bytes of a file: forty times all keys of a configuration; takes up to 8 s to read
 
 
 def read_text(path: Path, what: str) -> str:
     """Read the text of a file; `what` names the file's role in messages.
 
-    Raises UsageError if it cannot be read or is not UTF-8.
+    Raises UsageError if it cannot be read, is no regular file, is larger than MAX_TEXT_BYTES or is not UTF-8.
     """
     try:
-        return path.read_text("utf-8")
+        return read_regular(path, MAX_TEXT_BYTES).decode("utf-8")
+    except BadInputError as error:  # a pipe, a device, or too large
+        raise UsageError(f"{what} {error}") from error
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror}. Check the path") from error
     except UnicodeDecodeError as error:
@@ -34,8 +41,8 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
 
     `place` names the text in messages, `expected` describes what it should hold.
 
-    Raises UsageError for text that is not YAML, repeated keys, aliases, and numbers that are not finite, with the key's
-    path.
+    Raises UsageError for text that is not YAML, repeated keys, aliases, numbers that are not finite, and halves of
+    surrogate pairs, with the key's path.
     """
     try:
         data: Any = yaml.load(text, _Loader)
@@ -45,7 +52,7 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
         data = {}
     if not isinstance(data, dict):
         raise UsageError(f"{place}: got {type(data).__name__}; {expected}")
-    _refuse_non_finite(data, "", place)
+    _refuse_unusable(data, "", place)
     return data
 
 
@@ -77,6 +84,7 @@ def explain_validation_error(error: msgspec.ValidationError, kind: type) -> str:
 _PLACE: Final = re.compile(r" - at (?P<key>`key` in )?`\$(?P<path>[^`]*)`$")
 _UNKNOWN: Final = re.compile(r"Object contains unknown field `(?P<name>[^`]*)`")
 _WRONG_VALUE: Final = re.compile(r"Invalid (?:enum )?value '(?P<value>[^']*)'")
+_SURROGATE: Final = re.compile("[\ud800-\udfff]")
 _STEP: Final = re.compile(r"\.(?P<name>\w+)|\[(?P<index>\d+|\.\.\.)\]")
 
 
@@ -162,8 +170,8 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         mapping = super().construct_mapping(node, deep)
         if len(mapping) < len(node.value):
-            keys = [self.construct_object(key) for key, _ in node.value]
-            repeated = next(key for i, key in enumerate(keys) if key in keys[:i])
+            given = Counter(self.construct_object(key) for key, _ in node.value)
+            repeated = next(key for key, n in given.items() if n > 1)
             raise yaml.constructor.ConstructorError(None, None, f"key {repeated!r} is given twice", node.start_mark)
         return mapping
 
@@ -184,9 +192,15 @@ for _tag, _pattern, _first in (
     )
 
 
-def _refuse_non_finite(data: Any, path: str, place: str) -> None:
+def _refuse_unusable(data: Any, path: str, place: str) -> None:
+    """Refuse what has no meaning further on: numbers that are not finite, and text that no encoding takes."""
     if isinstance(data, float) and not math.isfinite(data):
         raise UsageError(f"{place}: Expected a finite number, got {data} - at `{path}`")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for key, value in items:
-        _refuse_non_finite(value, f"{path}.{key}" if path else str(key), place)
+    if isinstance(data, str) and (half := _SURROGATE.search(data)) is not None:
+        at = f" - at `{path}`" if path else ""
+        raise UsageError(f"{place}: {clean(half[0])} is half a character: write the whole one as it is{at}")
+    for key, value in data.items() if isinstance(data, dict) else ():
+        _refuse_unusable(key, path, place)
+        _refuse_unusable(value, f"{path}.{key}" if path else str(key), place)
+    for index, value in enumerate(data if isinstance(data, list) else ()):
+        _refuse_unusable(value, f"{path}.{index}" if path else str(index), place)

@@ -20,6 +20,7 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.georeference import EchoGeometry, locate
 from auv_mcm.geometry.navigation import slice_pose
 from auv_mcm.records import Side
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.transfer import to_intensity
@@ -33,6 +34,7 @@ from sim_replay.augment.targets import Placement
 from sim_replay.augment.track import SIGN, PingTrack
 from sim_replay.simulator.objects import PlacedObject
 
+_MAX_LOG_BYTES: Final = 1 << 30  # of a survey, held in memory: chosen
 _COLUMN_M: Final = 0.1  # of the image that is inverted, which shows no relief finer than that
 _AROUND_M: Final = 3.0  # of sea floor recovered before and after an object
 _BEFORE_M: Final = 8.0  # and towards the sonar, whence it may be hidden
@@ -108,7 +110,7 @@ def embed(
     recover: the inversion. Equal logs, placements and seeds give equal bytes. Raises BadInputError where samples cannot
     be overwritten.
     """
-    data = bytearray(survey.path.read_bytes())
+    data = bytearray(read_regular(survey.path, _MAX_LOG_BYTES))
     places = sample_places(survey.path, [ping for stretch in survey.stretches for ping in stretch.pings])
     lines: dict[tuple[int, Side], SampleScatter] = {}
     done: list[Embedded] = []

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.safe_files import read_regular
+from auv_mcm.settings.strict_yaml import MAX_TEXT_BYTES
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import is_session
 
@@ -32,6 +34,8 @@ def logs_of(source: Path, out: Path) -> list[ArchivedLog]:
     """
     try:
         paths = _below(source, out.resolve()) if source.is_dir() else _listed(source)
+    except BadInputError as error:  # a pipe, a device, or too large
+        raise UsageError(f"{error} Give a folder, or a text file with a path a line") from error
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
         raise UsageError(
@@ -64,7 +68,7 @@ def _raise(error: OSError) -> None:
 
 
 def _listed(file: Path) -> list[Path]:
-    lines = [line.strip() for line in file.read_text("utf-8").splitlines()]
+    lines = [line.strip() for line in read_regular(file, MAX_TEXT_BYTES).decode("utf-8").splitlines()]
     paths = [Path(os.path.normpath(file.parent.absolute() / line)) for line in lines if line and line[0] != "#"]
     if twice := sorted({str(path) for path in paths if paths.count(path) > 1}):
         raise UsageError(f"{file} names {twice[0]} twice. Name each log once")

@@ -21,6 +21,7 @@ from auv_mcm.contacts.geojson import (
     geojson_point,
     rounded,
 )
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import ContactsConfig
 from auv_mcm.shell.whole_files import write_file, write_parts
 from sim_replay.batch.missions import MISSIONS, MissionOutcome, summary_of
@@ -84,7 +85,7 @@ def _indexed(name: str, folder: Path) -> IndexedMission:
 
 def _patches(folder: Path) -> Iterator[tuple[dict[str, Any], list[Any]]]:
     """Read the patches of a mission one by one: their properties, and outlines (n, 2) of longitude and latitude."""
-    for patch in json.loads((folder / "coverage.geojson").read_bytes())["features"]:
+    for patch in json.loads(read_regular(folder / "coverage.geojson"))["features"]:
         geometry = patch["geometry"]
         if geometry is None:
             polygons = []
@@ -103,7 +104,7 @@ def _coverage(folder: Path) -> list[CoveredPatch]:
 
 def _contacts(folder: Path) -> tuple[SeenContact, ...]:
     contacts = []
-    for found in json.loads((folder / "contacts.geojson").read_bytes())["features"]:
+    for found in json.loads(read_regular(folder / "contacts.geojson"))["features"]:
         properties = found["properties"]
         covariance = np.array(properties["covariance_m2"], dtype=np.float64)
         if found["geometry"] is None or not np.isfinite(covariance).all():

@@ -17,8 +17,8 @@ import msgspec
 
 from auv_mcm import __version__
 from auv_mcm.commands import read_config
-from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
-from auv_mcm.safe_files import remove_unfinished
+from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
+from auv_mcm.safe_files import read_regular, remove_unfinished
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import finite, make_directory
 from sim_replay.batch.archive import ArchivedLog
@@ -137,8 +137,8 @@ def is_replayed(folder: Path, config: Config) -> bool:
 def summary_of(folder: Path) -> dict[str, Any] | None:
     """Read the summary of a mission, which is written last; None if it is not there or damaged."""
     try:
-        summary = json.loads((folder / SUMMARY).read_bytes())
-    except (OSError, ValueError):
+        summary = json.loads(read_regular(folder / SUMMARY))
+    except (OSError, ValueError, BadInputError):
         return None
     return summary if isinstance(summary, dict) else None
 

@@ -66,6 +66,7 @@ from auv_mcm.kernels.cascade import (
     open_windows_numpy,
 )
 from auv_mcm.records import VALID, PoseTrack, Tile
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import DetectConfig
 from sim_replay.arguments import count
 from sim_replay.fitting.cascade.opencv_xml import opencv_cascade
@@ -460,7 +461,7 @@ def _drawn_stump(random: np.random.Generator) -> Stump:
 
 def _read(path: Path) -> CascadeModel:
     try:
-        return parse_model(path.read_bytes(), str(path))
+        return parse_model(read_regular(path), str(path))
     except OSError as error:
         raise BadInputError(f"{path}: {error.strerror}. Name a model file, or none to take the drawn one") from error
 

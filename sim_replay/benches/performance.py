@@ -12,6 +12,7 @@ import numpy as np
 
 from auv_mcm.clearance.detection_performance import Performance, parse_performance, shipped_performance
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.safe_files import read_regular
 from sim_replay.arguments import count, new_file
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
@@ -153,7 +154,7 @@ def _read(path: Path | None) -> Performance:
     if path is None:
         return shipped_performance()
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise BadInputError(f"--tables {path} cannot be read: {error.strerror}. Check the path") from error
     return parse_performance(data, str(path))

@@ -26,6 +26,7 @@ from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedCells, Tile
+from auv_mcm.safe_files import read_regular
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped_seabed_model
 from auv_mcm.shell.whole_files import write_file
@@ -176,7 +177,7 @@ def _model_bytes(path: Path | None) -> bytes:
     if path is None:
         return msgspec.json.encode(shipped_seabed_model())
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise BadInputError(f"--model {path} cannot be read: {error.strerror}. Check the path") from error
     parse_seabed_model(data, str(path))

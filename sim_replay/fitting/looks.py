@@ -19,6 +19,7 @@ import numpy as np
 
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Detector, SourceEvent
+from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.recorded_line import scattered
@@ -169,7 +170,7 @@ def read_looks(task: LookTask, folder: Path) -> MissionLooks:
     """Read a mission from the folder. Raises BadInputError for a file that is not one of write_looks."""
     place = place_of(folder, task)
     try:
-        with place.open("rb") as file, np.load(file) as stored:
+        with open_regular(place) as file, np.load(file) as stored:
             steps = {
                 step: StepTable(tuple(stored[f"{step}_names"].tolist()), int(n), stored[f"{step}_values"])
                 for step, n in zip(STEPS, stored["n_summed"], strict=True)

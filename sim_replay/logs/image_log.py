@@ -18,9 +18,10 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.image_looks import OVERLAP_LINES, doppler_centroid, mean_of_looks, sub_band
-from sim_replay.logs.image_pixels import DamagedPixelsError, Pixels, open_pixels
+from sim_replay.logs.image_pixels import Pixels, open_pixels
 from sim_replay.logs.image_place import Track, track_of
 from sim_replay.logs.image_sidecar import Sidecar, read_sidecar, sidecar_path
+from sim_replay.logs.image_stored import DamagedPixelsError
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
 
 _BLOCK_VALUES: Final = 1 << 21  # pixels worked on at once: bounds memory at some 100 MB, complex and float64
@@ -28,6 +29,7 @@ _MAX_BLOCK_LINES: Final = 1024  # lines read at once: narrow images gain nothing
 _WATER_M: Final = 2.0  # of slant range before the first return, from which an image shows the water column
 _PROBE_LINES: Final = 64  # looked at for the water column
 _MIN_SPACING: Final = 0.25  # of the ground pixel: bounds the samples that near ranges cost
+_MAX_SPREAD: Final = 8  # samples a ground pixel: twice what _MIN_SPACING needs at one altitude, bounds memory
 _CENTROID_LINES: Final = 512  # that the middle of the Doppler spectrum is measured on
 
 
@@ -59,6 +61,7 @@ class ImageLog:
         self._track: Track = track_of(
             path, self.sidecar, self._pixels.n_lines, self._pixels.n_pixels, self._pixels.geo_tags
         )
+        self._grid = self._slant_grid()
         self._refuse_turned()
         self.counters: Counter[str] = Counter()
         self._fraction = 0.0
@@ -83,7 +86,7 @@ class ImageLog:
     def __iter__(self) -> Iterator[SourceEvent]:
         self.counters.clear()
         yield from self._notices()
-        spacing_m, first_m, n_samples = self._slant_grid()
+        spacing_m, first_m, n_samples = self._grid
         edges_m: NDArray[np.float64] = np.asarray(first_m + (np.arange(n_samples + 1) - 0.5) * spacing_m, np.float64)
         n_lines = self._pixels.n_lines
         block = max(1, min(_MAX_BLOCK_LINES, _BLOCK_VALUES // self._pixels.n_pixels))
@@ -92,7 +95,8 @@ class ImageLog:
             for first in range(0, n_lines, block):
                 stop = min(first + block, n_lines)
                 try:
-                    intensity = self._intensity(first, stop, part)
+                    with np.errstate(over="ignore", invalid="ignore"):  # of numbers that intake drops
+                        intensity = self._intensity(first, stop, part)
                 except DamagedPixelsError as error:
                     self.counters["reader.image_damaged"] += not n_read
                     text = f"{error}: the image is used up to line {first} of {n_lines}. Copy or export it again."
@@ -177,8 +181,7 @@ class ImageLog:
         if sidecar.samples == "log":
             assert sidecar.db_per_count is not None
             decibels = stored.astype(np.float64) * sidecar.db_per_count
-            with np.errstate(invalid="ignore"):
-                return np.power(10.0, np.clip(decibels / 10.0, -30.0, 30.0)).astype(np.float32)
+            return np.power(10.0, np.clip(decibels / 10.0, -30.0, 30.0)).astype(np.float32)
         return stored.astype(np.float32)
 
     def _of_complex(self, first: int, stop: int, part: int | None) -> NDArray[np.float32]:
@@ -200,7 +203,7 @@ class ImageLog:
     # --- ground range ---
 
     def _slant_grid(self) -> tuple[float, float, int]:
-        """Choose spacing, first range and number of samples of all lines."""
+        """Choose spacing, first range and number of samples of all lines. Raises BadInputError for too many."""
         sidecar, altitude_m = self.sidecar, self._track.altitude_m
         if sidecar.range == "slant":
             spacing_m = sidecar.pixel_across_m
@@ -210,7 +213,13 @@ class ImageLog:
         far_slant_m = math.hypot(far_m, float(altitude_m.max()))
         finest = max(near_m / math.hypot(near_m, float(altitude_m.max())), _MIN_SPACING)
         spacing_m = sidecar.pixel_across_m * finest
-        return spacing_m, near_slant_m + 0.5 * spacing_m, math.ceil((far_slant_m - near_slant_m) / spacing_m)
+        n_samples = math.ceil((far_slant_m - near_slant_m) / spacing_m)
+        if n_samples > max(_MAX_SPREAD * self._pixels.n_pixels, _BLOCK_VALUES // _MAX_BLOCK_LINES):
+            raise BadInputError(
+                f"{self._path}: with altitudes from {altitude_m.min():g} to {altitude_m.max():g} m a line of "
+                f"{self._pixels.n_pixels} pixels reaches over {n_samples} samples in slant range. Correct the altitude."
+            )
+        return spacing_m, near_slant_m + 0.5 * spacing_m, n_samples
 
     def _to_slant(
         self, intensity: NDArray[np.float32], edges_m: NDArray[np.float64], altitude_m: NDArray[np.float64]
@@ -243,7 +252,8 @@ class ImageLog:
         if sidecar.range != "slant" or sidecar.near_range_m > altitude_m - _WATER_M or sidecar.samples == "complex":
             return
         try:
-            lines = self._intensity(0, min(_PROBE_LINES, self._pixels.n_lines))
+            with np.errstate(over="ignore", invalid="ignore"):
+                lines = self._intensity(0, min(_PROBE_LINES, self._pixels.n_lines))
         except DamagedPixelsError as error:
             raise BadInputError(f"{self._path}: {error}. Copy or export it again.") from error
         evidence = port_order_evidence(np.nan_to_num(lines), None, sidecar.pixel_across_m, self._sonar.blank_m)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
+from array import array
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
-from sim_replay.logs.image_sidecar import Corners, Sidecar
+from auv_mcm.safe_files import read_regular
+from sim_replay.logs.image_sidecar import MAX_LENGTH_M, Corners, Sidecar
 from sim_replay.logs.transverse_mercator import utm_to_geodetic
 
 Floats = NDArray[np.float64]
@@ -22,6 +26,9 @@ _ANGLE_TOLERANCE_DEG: Final = 10.0  # degrees between the line of sight and abea
 _GEOGRAPHIC: Final = 4326  # EPSG: WGS 84
 _UTM_NORTH, _UTM_SOUTH = 32600, 32700  # EPSG: WGS 84 / UTM zone 1 is one more
 _N_ZONES: Final = 60  # of UTM
+_UTM_EAST_M, _UTM_NORTH_M = 2e6, 1e7  # m: beyond any zone, whose eastings span 1e6 m and northings 1e7 m
+_TRACK_COLUMNS: Final = ("line", "latitude_deg", "longitude_deg", "heading_deg", "altitude_m")  # the first three needed
+_MAX_TRACK_BYTES: Final = 1 << 26  # of a track: chosen, a million lines with all columns
 
 
 class Track(NamedTuple):
@@ -59,7 +66,7 @@ def ground_range_m(range_m: float, altitude_m: float, sidecar: Sidecar) -> float
 
 
 def _require_length(image: Path, direction: str, placed_m: float, by_pixels_m: float) -> None:
-    if not abs(placed_m - by_pixels_m) <= _LENGTH_TOLERANCE * by_pixels_m:
+    if not (by_pixels_m > 0.0 and abs(placed_m - by_pixels_m) <= _LENGTH_TOLERANCE * by_pixels_m):
         raise BadInputError(
             f"{image}: by `pixel_{direction}_m` the image is {by_pixels_m:.1f} m {direction} the track, by its "
             f"positions {placed_m:.1f} m. The sidecar may belong to another image, or a pixel size is "
@@ -71,32 +78,8 @@ def _require_length(image: Path, direction: str, placed_m: float, by_pixels_m: f
 
 
 def _from_table(path: Path, sidecar: Sidecar, n_lines: int) -> Track:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            names = reader.fieldnames or []
-            if missing := [name for name in ("line", "latitude_deg", "longitude_deg") if name not in names]:
-                raise BadInputError(
-                    f"{path} has no column {missing[0]}: its first row must name line, latitude_deg, longitude_deg, "
-                    "and may name heading_deg and altitude_m."
-                )
-            rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BadInputError(f"{path}, the track of a sidecar, cannot be read: {error}. Check `track`.") from error
-
-    def column(name: str) -> Floats:
-        try:
-            values = np.array([float(row[name]) for row in rows])
-        except (TypeError, ValueError) as error:
-            raise BadInputError(f"{path}: column {name} holds what is no number ({error}). Correct it.") from error
-        if not np.isfinite(values).all():
-            row = int(np.flatnonzero(~np.isfinite(values))[0]) + 2
-            raise BadInputError(
-                f"{path}, row {row}: {name} is not finite. Leave such rows out; lines between are filled."
-            )
-        return values
-
-    line, latitude, longitude = column("line"), column("latitude_deg"), column("longitude_deg")
+    columns = _read_table(path)
+    line, latitude, longitude = columns["line"], columns["latitude_deg"], columns["longitude_deg"]
     if (np.abs(latitude) > 90.0).any() or (np.abs(longitude) > 180.0).any():
         raise BadInputError(f"{path}: a latitude or longitude is beyond 90 or 180 degrees. Correct it.")
     if line.size < 2 or (np.diff(line) <= 0.0).any():
@@ -110,14 +93,51 @@ def _from_table(path: Path, sidecar: Sidecar, n_lines: int) -> Track:
     stored = recorded if sidecar.lines == "forward" else n_lines - 1 - recorded
     longitude = np.unwrap(longitude, period=360.0)
     placed = [np.interp(stored, line, values) for values in (latitude, longitude)]
-    if "heading_deg" in names:
-        heading = np.interp(stored, line, np.unwrap(np.radians(column("heading_deg"))))
+    if "heading_deg" in columns:
+        heading = np.interp(stored, line, np.unwrap(np.radians(columns["heading_deg"])))
     else:
         heading = _course_rad(*placed)
     altitude = np.full(n_lines, sidecar.sonar_altitude_m)
-    if "altitude_m" in names:
-        altitude = np.interp(stored, line, column("altitude_m"))
+    if "altitude_m" in columns:
+        lowest_m, highest_m = float(columns["altitude_m"].min()), float(columns["altitude_m"].max())
+        if not 0.0 < lowest_m <= highest_m <= MAX_LENGTH_M:
+            raise BadInputError(
+                f"{path}: altitude_m reaches from {lowest_m:g} to {highest_m:g} m, and must lie above 0 and below "
+                f"{MAX_LENGTH_M:g} m. Correct it."
+            )
+        altitude = np.interp(stored, line, columns["altitude_m"])
     return Track(placed[0], placed[1], heading, altitude)
+
+
+def _read_table(path: Path) -> dict[str, Floats]:
+    """Read the columns of a track that are known, all of one length, each number finite."""
+    columns: dict[str, array[float]] = {}
+    try:
+        text = io.StringIO(read_regular(path, _MAX_TRACK_BYTES).decode("utf-8"), newline="")
+        reader = csv.reader(text)
+        names = {name: place for place, name in enumerate(next(reader, []))}
+        if missing := [name for name in _TRACK_COLUMNS[:3] if name not in names]:
+            raise BadInputError(
+                f"{path} has no column {missing[0]}: its first row must name line, latitude_deg, longitude_deg, "
+                "and may name heading_deg and altitude_m."
+            )
+        columns = {name: array("d") for name in _TRACK_COLUMNS if name in names}
+        for row in filter(None, reader):
+            for name, values in columns.items():
+                values.append(_number(path, name, row, names[name], reader.line_num))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadInputError(f"{path}, the track of a sidecar, cannot be read: {error}. Check `track`.") from error
+    return {name: np.array(values) for name, values in columns.items()}
+
+
+def _number(path: Path, name: str, row: list[str], place: int, line: int) -> float:
+    try:
+        value = float(row[place])
+    except (IndexError, ValueError) as error:
+        raise BadInputError(f"{path}: column {name} holds what is no number ({error}). Correct it.") from error
+    if not math.isfinite(value):
+        raise BadInputError(f"{path}, row {line}: {name} is not finite. Leave such rows out; lines between are filled.")
+    return value
 
 
 def _course_rad(latitude_deg: Floats, longitude_deg: Floats) -> Floats:
@@ -171,7 +191,15 @@ def _from_corners(image: Path, corners: Corners, sidecar: Sidecar, n_lines: int,
 
 def _geotiff_corners(image: Path, sidecar: Sidecar, n_lines: int, n_pixels: int, tags: dict[str, Any]) -> Corners:
     """Place the corners by a GeoTIFF's tags (OGC 19-008r4)."""
-    affine = _affine(tags)
+    try:
+        affine = _affine(tags)
+        is_point = int(tags.get("GTRasterTypeGeoKey", 1)) == 2
+        system = int(tags.get("ProjectedCSTypeGeoKey", tags.get("GeographicTypeGeoKey", 0)))
+    except (TypeError, ValueError) as error:  # damaged tags hold any number of any type
+        raise BadInputError(
+            f"{image}: its georeference cannot be read ({clean(str(error))}). Export it again, or give `corners` or "
+            "`track` in the sidecar."
+        ) from error
     if affine is None:
         raise BadInputError(
             f"{image} does not hold its place: give `corners` (latitude and longitude of near_first, near_last, "
@@ -183,13 +211,13 @@ def _geotiff_corners(image: Path, sidecar: Sidecar, n_lines: int, n_pixels: int,
             "`track` in the sidecar."
         )
     lines_are_rows = sidecar.near_edge in ("left", "right")
-    half = -0.5 if int(tags.get("GTRasterTypeGeoKey", 1)) == 2 else 0.0  # pixel is point: the tie lies in its middle
+    half = -0.5 if is_point else 0.0  # the tie lies in the middle of a pixel
     across_m = (n_pixels, 0.0) if sidecar.near_edge in ("right", "bottom") else (0.0, n_pixels)
 
     def place(line: float, pixel: float) -> tuple[float, float]:
         column, row = (pixel, line) if lines_are_rows else (line, pixel)
         x, y = affine @ np.array([column + half, row + half, 1.0])
-        return _geodetic(image, float(x), float(y), tags)
+        return _geodetic(image, float(x), float(y), system)
 
     return Corners(
         near_first=place(0.0, across_m[0]),
@@ -208,15 +236,15 @@ def _affine(tags: dict[str, Any]) -> Floats | None:
     if scale is None or ties is None or len(ties) < 6:
         return None
     column, row, _, x, y = ties[:5]
+    scale = np.asarray(scale, dtype=np.float64)[:2]
     return np.array([[scale[0], 0.0, x - column * scale[0]], [0.0, -scale[1], y + row * scale[1]]])
 
 
-def _geodetic(image: Path, x: float, y: float, tags: dict[str, Any]) -> tuple[float, float]:
-    system = int(tags.get("ProjectedCSTypeGeoKey", tags.get("GeographicTypeGeoKey", 0)))
+def _geodetic(image: Path, x: float, y: float, system: int) -> tuple[float, float]:
     if system == _GEOGRAPHIC and abs(x) <= 180.0 and abs(y) <= 90.0:
         return y, x
     for first, north in ((_UTM_NORTH, True), (_UTM_SOUTH, False)):
-        if 1 <= system - first <= _N_ZONES:
+        if 1 <= system - first <= _N_ZONES and abs(x) <= _UTM_EAST_M and abs(y) <= _UTM_NORTH_M:
             return utm_to_geodetic(x, y, system - first, north=north)
     raise BadInputError(
         f"{image}: its coordinate system (EPSG {system}) is not WGS 84 in degrees (4326) or UTM (32601 to 32760), or "

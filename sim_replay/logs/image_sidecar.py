@@ -15,7 +15,8 @@ from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping,
 from auv_mcm.settings.vehicle_settings import Latitude, Longitude
 
 Corner = tuple[Latitude, Longitude]
-Length = Annotated[float, Meta(gt=0.0, le=10_000.0)]
+MAX_LENGTH_M: Final = 10_000.0  # m: beyond the range of any such sonar
+Length = Annotated[float, Meta(gt=0.0, le=MAX_LENGTH_M)]
 Pixel = Annotated[float, Meta(ge=0.001, le=2.0)]  # m: from finer than any sonar to coarser than any mine
 
 _ASKED: Final = {
@@ -58,7 +59,7 @@ class Sidecar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     pixel_along_m: Pixel
     pixel_across_m: Pixel
     range: Literal["slant", "ground"]
-    near_range_m: Annotated[float, Meta(ge=0.0, le=10_000.0)]
+    near_range_m: Annotated[float, Meta(ge=0.0, le=MAX_LENGTH_M)]
     samples: Literal["amplitude", "intensity", "log", "complex"]
     start_time: str
     altitude_m: Length | None = None

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from auv_mcm.records import NAN
+from auv_mcm.safe_files import read_regular
 from sim_replay.scoring.inputs import ScoredMission
 from sim_replay.scoring.intervals import Density, Proportion, density, proportion
 from sim_replay.scoring.layout import MissionLayout, Outcome, State, lay_out, nothing_called, states
@@ -73,7 +74,7 @@ def asked_beside(contacts: Path) -> float:
     NaN where there is none, or it does not state it.
     """
     try:
-        asked = json.loads(contacts.with_name(_SUMMARY).read_bytes())["operating_point"]["asked_per_km2"]
+        asked = json.loads(read_regular(contacts.with_name(_SUMMARY)))["operating_point"]["asked_per_km2"]
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return NAN
     return float(asked) if isinstance(asked, int | float) and not isinstance(asked, bool) else NAN

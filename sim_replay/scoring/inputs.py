@@ -20,6 +20,7 @@ from msgspec import Meta
 from auv_mcm.clean_text import clean
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NAN
+from auv_mcm.safe_files import read_regular
 from sim_replay.scoring.seabed_map import SeabedMap, decode
 
 LatitudeDeg = Annotated[float, Meta(ge=-90.0, le=90.0)]
@@ -194,7 +195,7 @@ def _or_nan(value: float | None) -> float:
 
 def _read_json(path: Path, hint: str) -> Any:
     try:
-        return json.loads(path.read_bytes())
+        return json.loads(read_regular(path))
     except OSError as error:
         raise BadInputError(f"{path} cannot be read: {error.strerror}. Check the path") from error
     except (ValueError, RecursionError) as error:

@@ -5,9 +5,11 @@ A stand-in for Python makes the environments: making real ones takes half a minu
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -39,7 +41,9 @@ def bundle(tmp_path: Path) -> Path:
 def release(bundle: Path, version: str) -> None:
     for old in (bundle / "wheels").iterdir():
         old.unlink()
-    (bundle / "wheels" / f"auv_mcm-{version}-cp311-cp311-linux_x86_64.whl").write_text(version)
+    name = f"auv_mcm-{version}-cp311-cp311-linux_x86_64.whl"
+    (bundle / "wheels" / name).write_text(version)
+    (bundle / "wheels.sha256").write_text(f"{hashlib.sha256(version.encode()).hexdigest()}  {name}\n")
 
 
 def install(bundle: Path, *options: str) -> subprocess.CompletedProcess[str]:
@@ -139,3 +143,47 @@ def test_a_python_in_a_home_folder_is_refused_because_the_service_cannot_see_it(
 def test_a_folder_without_wheels_names_what_makes_one(bundle: Path) -> None:
     shutil.rmtree(bundle / "wheels")
     assert "sh deploy/wheelhouse.sh makes such a folder" in install(bundle).stderr
+
+
+# --- checksums ---
+
+
+def damaged(bundle: Path) -> str:
+    (bundle / "wheels" / "auv_mcm-1.0.0-cp311-cp311-linux_x86_64.whl").write_text("1.0.1")
+    return "a wheel is damaged or was changed"
+
+
+def one_more(bundle: Path) -> str:
+    (bundle / "wheels" / "numpy-9.0-py3-none-any.whl").write_text("not numpy")
+    return "numpy-9.0-py3-none-any.whl is not in"
+
+
+def similar_name(bundle: Path) -> str:
+    """A name that a pattern made of the listed one would match."""
+    (bundle / "wheels" / "auv_mcm-1x0.0-cp311-cp311-linux_x86_64.whl").write_text("1.0.0")
+    return "auv_mcm-1x0.0-cp311-cp311-linux_x86_64.whl is not in"
+
+
+def one_less(bundle: Path) -> str:
+    with (bundle / "wheels.sha256").open("a") as file:
+        file.write(f"{'0' * 64}  numpy-2.0-py3-none-any.whl\n")
+    return "a wheel is damaged or was changed"
+
+
+def no_list(bundle: Path) -> str:
+    (bundle / "wheels.sha256").unlink()
+    return "copy the whole folder"
+
+
+@pytest.mark.parametrize("change", [damaged, one_more, similar_name, one_less, no_list])
+def test_wheels_that_are_not_those_of_the_list_are_not_installed(change: Callable[[Path], str], bundle: Path) -> None:
+    said = change(bundle)
+    done = install(bundle)
+    assert (done.returncode, said in done.stderr) == (1, True), done.stderr
+    assert not (bundle.parent / "root").exists()
+
+
+def test_a_list_that_is_not_the_one_that_was_made_is_refused(bundle: Path) -> None:
+    made = hashlib.sha256((bundle / "wheels.sha256").read_bytes()).hexdigest()
+    assert "fetch the folder again" in install(bundle, "--sum", "0" * 64).stderr
+    assert install(bundle, "--sum", made).returncode == 0

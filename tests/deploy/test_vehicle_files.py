@@ -58,7 +58,7 @@ def test_names_of_ports_in_the_examples_are_those_that_the_rules_give() -> None:
 def test_the_container_file_copies_what_the_wheel_is_built_from() -> None:
     steps = (DEPLOY / "Containerfile").read_text().splitlines()
     copied = {name for step in steps if step.startswith("COPY ") for name in step.split()[1:-1]}
-    (built_from,) = re.findall(r'cp -R (pyproject.*) "\$work/source"', (DEPLOY / "wheelhouse.sh").read_text())
+    (built_from,) = re.findall(r'cp -R (pyproject.*) "\$work/\$build-source"', (DEPLOY / "wheelhouse.sh").read_text())
     assert copied == set(built_from.split())
     assert not [name for name in copied if not (DEPLOY.parent / name).exists()]
 

@@ -11,6 +11,7 @@ from typing import Final, TypeVar
 import msgspec
 
 from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.safe_files import read_regular
 from sim_replay.benches.run_time.measure import LIMITS_PER_KM2, BenchMachine, SettingResult, median_ratio
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.points import PLAIN, REASON
@@ -155,7 +156,7 @@ def read_bench_file(path: Path, kind: type[_Results], format_version: int, made_
         For another kind or version.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise UsageError(f"--compare {path} cannot be read: {error.strerror}") from error
     try:

@@ -12,8 +12,9 @@ import io
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from io import BufferedReader
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Side
+from auv_mcm.safe_files import open_regular, read_regular
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.cascade.tiles import LabelledTile, Origin, Split, TileObject
 
@@ -146,7 +148,7 @@ def read_manifest(folder: Path) -> Manifest:
     """Read a manifest. Raises BadInputError where there is none, or one that does not agree with itself."""
     path = folder / MANIFEST_NAME
     try:
-        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+        manifest = msgspec.json.decode(read_regular(path), type=Manifest)
     except OSError as error:
         raise BadInputError(
             f"{path} cannot be read: {error.strerror}. Name the folder that a training set was rendered into"
@@ -174,13 +176,13 @@ def read_shard(folder: Path, shard: Shard) -> Iterator[LabelledTile]:
     """
     path = folder / shard.file
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             n_bytes = path.stat().st_size
             if n_bytes != shard.n_bytes:
                 raise BadInputError(
                     f"{path} has {n_bytes} bytes, not {shard.n_bytes}: it was cut off or replaced. {_REMEDY}"
                 )
-            if hashlib.file_digest(file, "sha256").hexdigest() != shard.sha256:
+            if hashlib.file_digest(cast(BufferedReader, file), "sha256").hexdigest() != shard.sha256:
                 raise BadInputError(f"{path} was changed after it was written. {_REMEDY}")
             file.seek(0)
             with zipfile.ZipFile(file) as archive:

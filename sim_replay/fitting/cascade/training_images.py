@@ -27,6 +27,7 @@ from auv_mcm.detect.detect_tile import TileDetections, worth_looking
 from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, SourceEvent, Tile
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory
 from sim_replay.arguments import count
@@ -239,7 +240,7 @@ def _nothing(tile: Tile) -> TileDetections:
 
 def _augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
     try:
-        truth = msgspec.json.decode(path.read_bytes(), type=_AugmentedTruth)
+        truth = msgspec.json.decode(read_regular(path), type=_AugmentedTruth)
     except OSError as error:
         raise BadInputError(
             f"{path} cannot be read: {error.strerror}. Name a folder that `auv-mcm augment` wrote"

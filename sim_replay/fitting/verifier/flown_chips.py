@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
+from auv_mcm.safe_files import open_regular
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_odds import labelled_regions
 from sim_replay.fitting.looks import LookTask, MissionLooks, flight_of, place_of
@@ -71,7 +72,7 @@ def _write(flown: MissionChips, folder: Path) -> None:
 def _read(mission: MissionLooks, folder: Path) -> Chips:
     place = _place(folder, mission.task)
     try:
-        with place.open("rb") as file, np.load(file) as stored:
+        with open_regular(place) as file, np.load(file) as stored:
             chips, is_target = np.asarray(stored["chips"], dtype=np.float16), stored["is_target"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise BadInputError(f"{place} holds no chips: {error}. Remove it, and it is flown anew") from error
