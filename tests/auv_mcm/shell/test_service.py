@@ -36,7 +36,7 @@ from auv_mcm.shell.service import Service
 from auv_mcm.shell.sources import parse_source_uri
 from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth, VehiclePilot
 from drivers.recording.session_recorder import SessionRecorder
-from sim_replay.export_source import recordings_of
+from sim_replay.logs.session_parts import recordings_of
 from sim_replay.logs.session_reader import Session
 from tests.auv_mcm.shell import fake_pipelines as fake
 
