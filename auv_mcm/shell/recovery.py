@@ -38,6 +38,12 @@ RECORDS: Final = "records.bin"
 SUMMARY: Final = "summary.json"
 """The file that is written last: its presence shows that the session came to its end."""
 
+LOST_PINGS: Final = {
+    "service.ping_dropped": "came faster than perception worked",
+    "service.ping_too_large": "are larger than the memory between the processes",
+}
+"""Counters of pings that did not come to perception, and why."""
+
 BALLAST_BYTES: Final = 16 << 20  # contacts.geojson takes about 1 kB a contact, contacts.csv 0.2 kB
 _MAX_NAMED: Final = 20  # contacts in one notice
 _MIN_BALLAST_BYTES: Final = 1 << 16  # bytes; where less than this can be had, none is held
@@ -218,6 +224,18 @@ def in_journal(folder: Path, names: Sequence[str]) -> Notice:
         f"{_replay_advice(folder)}"
     )
     return Notice(code="contacts_in_journal", text=text)
+
+
+def pings_lost(n_lost: Mapping[str, int], is_recording: bool) -> Notice:
+    """Report pings that did not come to perception. n_lost: by counter, of `LOST_PINGS`."""
+    whys = " and ".join(f"{n} {LOST_PINGS[name]}" for name, n in n_lost.items() if n)
+    rest = "A replay of the recording takes them." if is_recording else "They are gone: service.record is off."
+    text = (
+        f"{sum(n_lost.values())} pings so far were lost: {whys}. What only they show is not found. {rest} Set "
+        "budget.duty to what this computer affords, lower the sonar's ping rate or samples, or see what else keeps the "
+        "computer busy."
+    )
+    return Notice(code="service.pings_lost", text=text)
 
 
 def all_written(writers: Mapping[str, Callable[[], None]]) -> dict[str, OSError]:

@@ -59,6 +59,7 @@ from auv_mcm.shell.perception import CHECKPOINT_S, Finished, Keeping, MakePipeli
 from auv_mcm.shell.recovery import (
     EARLY_JOURNAL,
     JOURNAL,
+    LOST_PINGS,
     RECORDING,
     RECORDS,
     STATE,
@@ -68,6 +69,7 @@ from auv_mcm.shell.recovery import (
     all_written,
     in_journal,
     in_recording,
+    pings_lost,
     remove_state,
     results_missing,
     write_memory,
@@ -142,6 +144,7 @@ class Service:
         self._recorder: Recorder | None = None
         self._vehicle_link: VehicleLink | None = None
         self._n_dropped_reported = 0
+        self._n_lost_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
         self._publishing: asyncio.Task[None] | None = None
         self._is_cut_short = False
@@ -296,6 +299,7 @@ class Service:
             if not self._is_finished and self._recorder.counters["session.bytes_recorded"]:
                 why = "the stop came before all was worked off" if self._is_cut_short else _NO_END
                 self._announce(in_recording(self._folder, why, is_gone_on_with=self._is_cut_short))
+        self._report_lost_pings()
         self._disk.shutdown()
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)  # it may have been removed
@@ -584,10 +588,18 @@ class Service:
         except HardwareError as error:  # the mission does not need it
             self._announce(Notice(code="service.health_port", text=f"no health over HTTP: {error}"))
 
+    def _report_lost_pings(self) -> None:
+        """Report pings that did not come to perception, whatever the cause: the first, and each time ten times more."""
+        n_lost = sum(self._counters[name] for name in LOST_PINGS)
+        if n_lost >= max(1, 10 * self._n_lost_reported):
+            self._n_lost_reported = n_lost
+            self._announce(pings_lost({name: self._counters[name] for name in LOST_PINGS}, self._recorder is not None))
+
     async def _report_health(self, queue: EventQueue, perception: LastingPerception) -> None:
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
             self._report_recording()
+            self._report_lost_pings()
             line = await self._show_health(queue, perception)
             log.info("health %s", line)
             report(f"STATUS={line}")
