@@ -33,7 +33,7 @@ from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.operating_point import MarkedContacts, OperatingPoint
 from auv_mcm.contacts.record_file import open_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError
-from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
+from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_id, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import newest_checkpoint
 from auv_mcm.shell.event_queue import EventQueue
@@ -45,6 +45,7 @@ from auv_mcm.shell.health.measure import measure_computer, measure_process, perc
 from auv_mcm.shell.health.record import Health
 from auv_mcm.shell.health.text import health_line
 from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.journal_contacts import contacts_in
 from auv_mcm.shell.journal_stream import is_journal, journal_console
 from auv_mcm.shell.lasting_perception import LastingPerception
 from auv_mcm.shell.mission_totals import (
@@ -304,8 +305,7 @@ class Service:
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)  # it may have been removed
         self._ballast.release()
-        if lost := [name for name in self._clutter_before if contact_number(name) not in self._contacts]:
-            self._announce(in_journal(self._folder, lost))
+        self._take_from_journal()
         try:
             missing = self._write()
         finally:
@@ -320,6 +320,24 @@ class Service:
             except OSError as error:  # as on a full disk; what is known is still worth writing
                 log.error("%s: %s", what, error)
         return missing
+
+    def _take_from_journal(self) -> None:
+        """Take contacts that were announced, and that the disk does not give back, from the journal."""
+        unreadable = frozenset(self._contacts.unreadable())
+        announced = [number for number, as_what in enumerate(self._announced_as) if as_what]
+        lost = [number for number in announced if number in unreadable or number not in self._contacts]
+        if not lost:
+            return
+        journalled: dict[int, Contact] = {}
+        with contextlib.suppress(OSError):
+            journalled = contacts_in(self._folder / JOURNAL, frozenset(lost))
+        for contact in journalled.values():
+            self._contacts.keep(contact, None)
+        names = {number: contact_id(number) for number in lost}
+        names |= {contact_number(name): name for name in self._clutter_before}
+        names |= {number: contact.id for number, contact in journalled.items()}
+        gone = [names[number] for number in lost if number not in journalled]
+        self._announce(in_journal(self._folder, [names[number] for number in lost], gone))
 
     def _start_vehicle_link(self) -> None:
         if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
