@@ -26,6 +26,7 @@ from auv_mcm.classify.odds import configured_odds
 from auv_mcm.classify.size_evidence import size_evidence
 from auv_mcm.classify.targets import configured_targets
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
+from auv_mcm.clearance.sampling import Sampling
 from auv_mcm.confirmation import confirm_detection, detector_p_mine, is_worth_confirming, without_confirmation
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.contacts.ledger import Contacts, Ledger
@@ -39,6 +40,7 @@ from auv_mcm.detect.place_counts import PlaceCounts
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.early import EarlyLook
 from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.geometry.navigation_watch import NavigationWatch
 from auv_mcm.intake import Intake, PingBlock, SegmentEnd
 from auv_mcm.records import (
     SIDES,
@@ -67,6 +69,8 @@ from auv_mcm.waterfall.waterfall import Waterfall
 _STATE: Final = (
     "_counts",
     "_intake",
+    "_navigation_watch",
+    "_sampling",
     "_samples",
     "_law",
     "_undecided",
@@ -117,6 +121,8 @@ class Pipeline:
         self._counts: Counter[str] = Counter()
         self.costs_s: dict[str, float] = {}
         self._intake = Intake(config, self._counts)
+        self._navigation_watch = NavigationWatch()
+        self._sampling = Sampling()
         self._samples = {side: SampleCheck(side, config.sonar.full_scale, self._counts) for side in SIDES}
         self._law = LawWatch(config.sonar)
         self._undecided: list[Ping] = []  # pings whose samples cannot be read yet
@@ -233,7 +239,7 @@ class Pipeline:
             return [event]
         if isinstance(event, NavSample):
             with self._timed("intake"):
-                return list(self._intake.add_navigation(event))
+                return [*self._intake.add_navigation(event), *self._navigation_watch.add(event)]
         self._counts["ping.received"] += 1
         prepared = self._prepare(event)
         if prepared is None:
@@ -241,7 +247,7 @@ class Pipeline:
         self._n_new_samples += sum(
             trace.samples.size for trace in (prepared.port, prepared.starboard) if trace is not None
         )
-        events: list[PipelineEvent] = [*self._check_samples(prepared)]
+        events: list[PipelineEvent] = [*self._check_samples(prepared), *self._sampling.add(prepared)]
         with self._timed("law"):
             verdict = self._law.add(prepared)
         if self._waterfall is None:
@@ -403,7 +409,8 @@ class Pipeline:
         with self._timed("seabed"):
             seabed = None if grid is None else self._seabed_of(tile)
         with self._timed("coverage"):
-            return cover_tile(tile, self._config.sonar, evaluated, grid, seabed)
+            coarse_rows = self._sampling.coarse_rows(tile)
+            return cover_tile(tile, self._config.sonar, evaluated, grid, seabed, coarse_rows)
 
     def _failed(self, defect: Defect, what: str, tile: Tile) -> list[PipelineEvent]:
         """Count a piece that could not be processed; the first one of each kind of work is reported."""

@@ -15,9 +15,10 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Tile
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.recovery import RECORDING, SUMMARY
-from sim_replay.logs.open_log import is_session, logs_config
+from auv_mcm.shell.recovery import SUMMARY
+from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.recorded import open_mission
+from sim_replay.logs.session_parts import recordings_of, session_of
 
 CONTACTS: Final = "contacts.geojson"
 
@@ -38,27 +39,16 @@ def find_source(paths: Sequence[Path], config: Config | None) -> ExportSource:
 
     config: serves in place of that of the replay or the session. Raises UsageError or BadInputError.
     """
-    folder = paths[0]
-    if len(paths) == 1 and (recordings := recordings_of(folder)):
-        used = config or logs_config(recordings) or Config()
-        return ExportSource(tuple(recordings), used, folder if (folder / CONTACTS).is_file() else None)
+    folder = session_of(paths[0])
+    if len(paths) == 1 and recordings_of(folder):
+        used = config or logs_config([folder]) or Config()
+        return ExportSource((folder,), used, folder if (folder / CONTACTS).is_file() else None)
     if len(paths) == 1 and (folder / SUMMARY).is_file():
         return _replayed(folder, config)
     for path in paths:
         if (path / SUMMARY).is_file():
             raise UsageError(f"{path} is a folder of results, which is exported by itself. Name it alone.")
     return ExportSource(tuple(paths), config or logs_config(list(paths)) or Config(), None)
-
-
-def recordings_of(session: Path) -> list[Path]:
-    """List the recordings of a session, one for each start of the service, in order; empty if it is no session."""
-    found = [path for path in session.glob(f"{RECORDING}*") if path.is_dir() and _start(path) is not None]
-    return sorted(found, key=lambda path: _start(path) or 0)
-
-
-def _start(recording: Path) -> int | None:
-    number = recording.name.removeprefix(RECORDING)
-    return 1 if not number else int(number[1:]) if number[0] == "-" and number[1:].isdecimal() else None
 
 
 def tiles(source: ExportSource, progress: Callable[[float], None] = lambda fraction: None) -> Iterator[Tile]:
@@ -71,15 +61,12 @@ def tiles(source: ExportSource, progress: Callable[[float], None] = lambda fract
         raise BadInputError(
             f"{missing[0]}, which these results were made of, is not there any more. Name the log itself."
         )
-    # Recordings of ports are read one by one, logs of pings as one mission.
-    parts = [(log,) for log in source.logs] if is_session(source.logs[0]) else [source.logs]
-    for number, logs in enumerate(parts):
-        mission = open_mission(logs, source.config)
-        pipeline = Pipeline(source.config, detect=lambda tile: TileDetections((), 0, 0), seabed=lambda tile: None)
-        for event in mission.events():
-            yield from (made for made in pipeline.feed(event) if isinstance(made, Tile))
-            progress((number + mission.fraction_done) / len(parts))
-        yield from (made for made in pipeline.finish() if isinstance(made, Tile))
+    mission = open_mission(source.logs, source.config)
+    pipeline = Pipeline(source.config, detect=lambda tile: TileDetections((), 0, 0), seabed=lambda tile: None)
+    for event in mission.events():
+        yield from (made for made in pipeline.feed(event) if isinstance(made, Tile))
+        progress(mission.fraction_done)
+    yield from (made for made in pipeline.finish() if isinstance(made, Tile))
 
 
 def _replayed(folder: Path, config: Config | None) -> ExportSource:

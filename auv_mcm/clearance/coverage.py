@@ -35,13 +35,14 @@ def cover_tile(
     evaluated_fraction: float = 1.0,
     grid: CoverageGrid | None = None,
     seabed: SeabedCells | None = None,
+    coarse_rows: NDArray[np.bool_] | None = None,
 ) -> CoveragePatch:
     """Compute the coverage of a tile's core.
 
-    A pixel covers if it is valid, not of low resolution, not in a turn, its row's navigation is fresh, it is not
-    saturated, since among clipped echoes no highlight stands out, and it does not lie in the large shadow of something
-    high. Of the area so covered only the evaluated fraction counts, since the detector's budget did not allow for the
-    rest.
+    A pixel covers if it is valid, neither of low resolution nor of a ping whose samples are too far apart, not in a
+    turn, its row's navigation is fresh, it is not saturated, since among clipped echoes no highlight stands out, and it
+    does not lie in the large shadow of something high. Of the area so covered only the evaluated fraction counts, since
+    the detector's budget did not allow for the rest.
 
     The outlines follow the near and far end of the covered range in strips of five metres along track; they end where
     rows that cover less than a fifth of the range lie for more than half a metre.
@@ -52,12 +53,16 @@ def cover_tile(
         The cells to lay the same area out in.
     seabed
         What kind of sea floor it is.
+    coarse_rows
+        Rows of pings whose samples are too far apart for a mine to be seen, (n_rows,); None for none.
     """
     core = slice(tile.core_start, tile.core_stop)
     mask = tile.mask[core]
     stale = (tile.pose.stale | ~placed_rows(tile))[core, None]
     valid = (mask & VALID) != 0
     coarse = valid & ((mask & LOW_RESOLUTION) != 0)
+    if coarse_rows is not None:
+        coarse |= valid & coarse_rows[core, None]
     turn = valid & ~coarse & ((mask & TURN) != 0)
     lost_position = valid & ~coarse & ~turn & stale
     clipped = valid & ~coarse & ~turn & ~stale & ((mask & SATURATED) != 0)

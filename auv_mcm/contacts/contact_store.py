@@ -100,6 +100,16 @@ class ContactStore:
         views = tuple(self._file.read(place, self._view_decoder) for place in version.views)
         return msgspec.structs.replace(version.head, views=views)
 
+    def unreadable(self) -> list[int]:
+        """List the numbers of contacts that are known and that the disk does not give back."""
+        unreadable = []
+        for number in self._versions.numbers().tolist():
+            try:
+                self[number]
+            except OSError:
+                unreadable.append(number)
+        return unreadable
+
     def in_order(self) -> Iterable[Contact]:
         """Iterate over all contacts in the order in which they are exported; may be repeated."""
         numbers = self._versions.numbers()

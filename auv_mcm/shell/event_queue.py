@@ -20,23 +20,24 @@ class Queued(NamedTuple):
 
 
 class EventQueue:
-    """Hold events between source and perception: at most `max_pings` pings and a proportionate number of others.
+    """Hold events between source and perception: at most `max_pings` pings and, apart from them, sixteen times as many
+    others. However much comes of one kind, the other keeps its room.
 
     A source that can wait puts its events in and is held back while there is no room. A live source cannot wait and
     pushes them: the oldest event of the same kind is dropped, counted as `service.ping_dropped` or
-    `service.event_dropped`, because the newest gives the vehicle's present position. One task takes events out.
+    `service.event_dropped`, because the newest gives the vehicle's present position. One task takes events out, in the
+    order in which they came.
     """
 
     def __init__(
         self, max_pings: int, counters: Counter[str], see: Callable[[SourceEvent], int] = lambda event: 0
     ) -> None:
         """see: is given every event as it comes, before it waits or is dropped, and returns its number."""
-        self._max_pings = max_pings
-        self._max_events = max_pings * (1 + _OTHERS_PER_PING)
         self._counters = counters
         self._see = see
-        self._events: deque[Queued] = deque()
-        self._pings = 0
+        self._pings = _Room("service.ping_dropped", max_pings)
+        self._others = _Room("service.event_dropped", max_pings * _OTHERS_PER_PING)
+        self._n_taken_in = 0
         self._closed = False
         self._filled = asyncio.Event()
         self._emptied = asyncio.Event()
@@ -44,32 +45,34 @@ class EventQueue:
     @property
     def pings(self) -> int:
         """Count the pings that wait."""
-        return self._pings
+        return len(self._pings.waiting)
 
     async def put(self, event: SourceEvent) -> None:
         """Append an event once there is room."""
         queued = Queued(self._see(event), event)
-        while self._is_full(isinstance(event, Ping)):
+        room = self._room(event)
+        while room.is_full:
             self._emptied.clear()
             await self._emptied.wait()
-        self._append(queued)
+        self._append(room, queued)
 
     def push(self, event: SourceEvent) -> None:
         """Append an event at once; drop the oldest of its kind if there is no room."""
         queued = Queued(self._see(event), event)
-        if self._is_full(isinstance(event, Ping)):
-            self._drop(isinstance(event, Ping))
-        self._append(queued)
+        room = self._room(event)
+        if room.is_full:
+            room.waiting.popleft()
+            self._counters[room.dropped] += 1
+        self._append(room, queued)
 
     async def get(self) -> Queued | None:
         """Take the next event; None once the queue is closed and empty."""
-        while not self._events:
+        while not (rooms := [room for room in (self._pings, self._others) if room.waiting]):
             if self._closed:
                 return None
             self._filled.clear()
             await self._filled.wait()
-        queued = self._events.popleft()
-        self._pings -= isinstance(queued.event, Ping)
+        _, queued = min(rooms, key=lambda room: room.waiting[0][0]).waiting.popleft()
         self._emptied.set()
         return queued
 
@@ -78,17 +81,26 @@ class EventQueue:
         self._closed = True
         self._filled.set()
 
-    def _append(self, queued: Queued) -> None:
-        self._events.append(queued)
-        self._pings += isinstance(queued.event, Ping)
+    def _room(self, event: SourceEvent) -> _Room:
+        return self._pings if isinstance(event, Ping) else self._others
+
+    def _append(self, room: _Room, queued: Queued) -> None:
+        room.waiting.append((self._n_taken_in, queued))
+        self._n_taken_in += 1
         self._filled.set()
 
-    def _is_full(self, is_ping: bool) -> bool:
-        return len(self._events) >= self._max_events or (is_ping and self._pings >= self._max_pings)
 
-    def _drop(self, is_ping: bool) -> None:
-        oldest = next((i for i, queued in enumerate(self._events) if isinstance(queued.event, Ping) == is_ping), 0)
-        dropped_ping = isinstance(self._events[oldest].event, Ping)
-        self._counters["service.ping_dropped" if dropped_ping else "service.event_dropped"] += 1
-        self._pings -= dropped_ping
-        del self._events[oldest]
+class _Room:
+    """Hold the events of one kind, each with its place in the order in which all came.
+
+    dropped: name of the counter of those that found no room.
+    """
+
+    def __init__(self, dropped: str, max_events: int) -> None:
+        self.dropped = dropped
+        self.waiting: deque[tuple[int, Queued]] = deque()
+        self._max_events = max_events
+
+    @property
+    def is_full(self) -> bool:
+        return len(self.waiting) >= self._max_events

@@ -22,6 +22,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import time
 import traceback
 from collections import Counter, deque
@@ -292,7 +293,14 @@ class Perception:
     async def start(self) -> Started:
         """Spawn the process and wait until it is ready. Raises PerceptionError if it cannot start."""
         context = multiprocessing.get_context("spawn")
-        shared = context.RawArray(ctypes.c_ubyte, self._ring.n_bytes)
+        try:
+            shared = context.RawArray(ctypes.c_ubyte, self._ring.n_bytes)
+        except OSError as error:
+            raise PerceptionError(
+                f"no {self._ring.n_bytes / 1e6:.0f} MB can be had that both processes share: {error.strerror}. They "
+                f"are a file in {tempfile.gettempdir()} without a name: raise the largest size of a file (ulimit -f, "
+                "LimitFSIZE= of a unit) above that, or make room."
+            ) from error
         self._memory = np.frombuffer(memoryview(shared), np.uint8)
         self._connection, theirs = context.Pipe()
         self._process = context.Process(

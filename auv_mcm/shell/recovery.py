@@ -21,6 +21,7 @@ from auv_mcm.plan.look_again import LooksSoFar
 from auv_mcm.records import Notice
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.journal_contacts import id_in
 from auv_mcm.shell.whole_files import write_file
 
 RECORDING: Final = "recording"
@@ -37,6 +38,12 @@ RECORDS: Final = "records.bin"
 """The file in it of contacts and coverage."""
 SUMMARY: Final = "summary.json"
 """The file that is written last: its presence shows that the session came to its end."""
+
+LOST_PINGS: Final = {
+    "service.ping_dropped": "came faster than perception worked",
+    "service.ping_too_large": "are larger than the memory between the processes",
+}
+"""Counters of pings that did not come to perception, and why."""
 
 BALLAST_BYTES: Final = 16 << 20  # contacts.geojson takes about 1 kB a contact, contacts.csv 0.2 kB
 _MAX_NAMED: Final = 20  # contacts in one notice
@@ -82,6 +89,10 @@ def unfinished_session(parent: Path) -> Notice | None:
     except (OSError, AuvMcmError):  # there is no such session, or it has no recording
         return None
     return in_recording(last, f"the session before, in {last}, was cut off")
+
+
+_ADDRESSES: Final = ((None, "link"), ("sonar", "command_link"), ("navigation", "pulse_link"))
+"""Keys of a port, by section, that say where its device is and not what it sends."""
 
 
 class SessionMemory(msgspec.Struct, frozen=True, kw_only=True):
@@ -175,8 +186,12 @@ def read_announced(folder: Path) -> Announced:
             continue
         with path.open("rb") as file:
             for text in file:
-                with contextlib.suppress(msgspec.MsgspecError):
+                try:
                     line = decoder.decode(text)
+                except msgspec.MsgspecError:  # a bad block: the contact is known all the same
+                    if name == JOURNAL and (contact := id_in(text)):
+                        is_clutter.setdefault(contact, False)
+                else:
                     properties = line.contact.properties
                     known.add((line.event, properties.id, line.state))
                     if name == JOURNAL:
@@ -185,8 +200,15 @@ def read_announced(folder: Path) -> Announced:
 
 
 def session_kind(config: Config) -> str:
-    """Name what a state fits: this version, these kernels, and this configuration but for queues and folders."""
-    of_chain = msgspec.structs.replace(config, service=ServiceConfig())
+    """Name what a state fits: this version, these kernels, and what the configuration makes of bytes.
+
+    Queues and folders are left out, and the addresses of ports: a device that moved to another socket sends the same.
+    """
+    of_chain = msgspec.to_builtins(msgspec.structs.replace(config, service=ServiceConfig()))
+    for port in of_chain["ports"]:
+        for section, address in _ADDRESSES:
+            of = port if section is None else port.get(section) or {}
+            of.pop(address, None)
     digest = hashlib.sha256(msgspec.json.encode(of_chain, order="deterministic")).hexdigest()
     return f"{__version__} {kernels.backend()} {digest}"
 
@@ -209,15 +231,31 @@ def in_recording(folder: Path, why: str, *, is_gone_on_with: bool = False) -> No
     return Notice(code="contacts_in_recording", text=text)
 
 
-def in_journal(folder: Path, names: Sequence[str]) -> Notice:
-    """Report that contacts which a run before has announced are in the journal alone: a power cut took the rest."""
+def in_journal(folder: Path, names: Sequence[str], gone: Sequence[str] = ()) -> Notice:
+    """Report that contacts which were announced are in the journal alone: a power cut or a bad disk took the rest.
+
+    gone: those of them that the journal does not give back either.
+    """
     first = ", ".join(names[:_MAX_NAMED]) + (f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else "")
     text = (
-        f"{first} were announced before the session was cut off, and the disk did not keep what they were seen in. "
-        f"They are in {JOURNAL} of {folder} and in no other result; no other contact has their numbers. "
-        f"{_replay_advice(folder)}"
+        f"{first} were announced, and the disk did not keep what they were seen in. The results have them as {JOURNAL} "
+        f"of {folder} does, without views and picture; no other contact has their numbers. "
+        + (f"Of {', '.join(gone[:_MAX_NAMED])} the number alone is left. " if gone else "")
+        + f"Check the disk. {_replay_advice(folder)}"
     )
     return Notice(code="contacts_in_journal", text=text)
+
+
+def pings_lost(n_lost: Mapping[str, int], is_recording: bool) -> Notice:
+    """Report pings that did not come to perception. n_lost: by counter, of `LOST_PINGS`."""
+    whys = " and ".join(f"{n} {LOST_PINGS[name]}" for name, n in n_lost.items() if n)
+    rest = "A replay of the recording takes them." if is_recording else "They are gone: service.record is off."
+    text = (
+        f"{sum(n_lost.values())} pings so far were lost: {whys}. What only they show is not found. {rest} Set "
+        "budget.duty to what this computer affords, lower the sonar's ping rate or samples, or see what else keeps the "
+        "computer busy."
+    )
+    return Notice(code="service.pings_lost", text=text)
 
 
 def all_written(writers: Mapping[str, Callable[[], None]]) -> dict[str, OSError]:

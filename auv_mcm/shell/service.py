@@ -33,7 +33,7 @@ from auv_mcm.contacts.export import contact_feature, iso_time
 from auv_mcm.contacts.operating_point import MarkedContacts, OperatingPoint
 from auv_mcm.contacts.record_file import open_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError
-from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_number
+from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_id, contact_number
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import newest_checkpoint
 from auv_mcm.shell.event_queue import EventQueue
@@ -45,6 +45,7 @@ from auv_mcm.shell.health.measure import measure_computer, measure_process, perc
 from auv_mcm.shell.health.record import Health
 from auv_mcm.shell.health.text import health_line
 from auv_mcm.shell.journal import Journal
+from auv_mcm.shell.journal_contacts import contacts_in
 from auv_mcm.shell.journal_stream import is_journal, journal_console
 from auv_mcm.shell.lasting_perception import LastingPerception
 from auv_mcm.shell.mission_totals import (
@@ -59,6 +60,7 @@ from auv_mcm.shell.perception import CHECKPOINT_S, Finished, Keeping, MakePipeli
 from auv_mcm.shell.recovery import (
     EARLY_JOURNAL,
     JOURNAL,
+    LOST_PINGS,
     RECORDING,
     RECORDS,
     STATE,
@@ -68,6 +70,7 @@ from auv_mcm.shell.recovery import (
     all_written,
     in_journal,
     in_recording,
+    pings_lost,
     remove_state,
     results_missing,
     write_memory,
@@ -142,6 +145,7 @@ class Service:
         self._recorder: Recorder | None = None
         self._vehicle_link: VehicleLink | None = None
         self._n_dropped_reported = 0
+        self._n_lost_reported = 0
         self._disk = ThreadPoolExecutor(1, "disk")
         self._publishing: asyncio.Task[None] | None = None
         self._is_cut_short = False
@@ -296,12 +300,12 @@ class Service:
             if not self._is_finished and self._recorder.counters["session.bytes_recorded"]:
                 why = "the stop came before all was worked off" if self._is_cut_short else _NO_END
                 self._announce(in_recording(self._folder, why, is_gone_on_with=self._is_cut_short))
+        self._report_lost_pings()
         self._disk.shutdown()
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)  # it may have been removed
         self._ballast.release()
-        if lost := [name for name in self._clutter_before if contact_number(name) not in self._contacts]:
-            self._announce(in_journal(self._folder, lost))
+        self._take_from_journal()
         try:
             missing = self._write()
         finally:
@@ -316,6 +320,24 @@ class Service:
             except OSError as error:  # as on a full disk; what is known is still worth writing
                 log.error("%s: %s", what, error)
         return missing
+
+    def _take_from_journal(self) -> None:
+        """Take contacts that were announced, and that the disk does not give back, from the journal."""
+        unreadable = frozenset(self._contacts.unreadable())
+        announced = [number for number, as_what in enumerate(self._announced_as) if as_what]
+        lost = [number for number in announced if number in unreadable or number not in self._contacts]
+        if not lost:
+            return
+        journalled: dict[int, Contact] = {}
+        with contextlib.suppress(OSError):
+            journalled = contacts_in(self._folder / JOURNAL, frozenset(lost))
+        for contact in journalled.values():
+            self._contacts.keep(contact, None)
+        names = {number: contact_id(number) for number in lost}
+        names |= {contact_number(name): name for name in self._clutter_before}
+        names |= {number: contact.id for number, contact in journalled.items()}
+        gone = [names[number] for number in lost if number not in journalled]
+        self._announce(in_journal(self._folder, [names[number] for number in lost], gone))
 
     def _start_vehicle_link(self) -> None:
         if isinstance(self._source, LiveSource) and self._source.vehicle is not None:
@@ -584,10 +606,18 @@ class Service:
         except HardwareError as error:  # the mission does not need it
             self._announce(Notice(code="service.health_port", text=f"no health over HTTP: {error}"))
 
+    def _report_lost_pings(self) -> None:
+        """Report pings that did not come to perception, whatever the cause: the first, and each time ten times more."""
+        n_lost = sum(self._counters[name] for name in LOST_PINGS)
+        if n_lost >= max(1, 10 * self._n_lost_reported):
+            self._n_lost_reported = n_lost
+            self._announce(pings_lost({name: self._counters[name] for name in LOST_PINGS}, self._recorder is not None))
+
     async def _report_health(self, queue: EventQueue, perception: LastingPerception) -> None:
         while True:
             await asyncio.sleep(self._config.service.health_period_s)
             self._report_recording()
+            self._report_lost_pings()
             line = await self._show_health(queue, perception)
             log.info("health %s", line)
             report(f"STATUS={line}")

@@ -36,6 +36,7 @@ from drivers.navigation.health import Fallback, UnitHealth
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
+from drivers.navigation.thinning import Thinning
 
 Event: TypeAlias = NavSample | Notice
 
@@ -109,8 +110,8 @@ class NavMerge:
     """Merge several units' fixes into one stream of samples.
 
     `counters`, by quantity and source: nav.impossible.*, .same_instant.*, .jump.*, .refix.*, .gnss_<doubt>.*,
-    .disagree.*; by source: nav.not_valid.*, .clock_anchored_anew.*; nav.unknown_source, .too_late, .lever_arm_unknown,
-    .reckoned.
+    .disagree.*, .thinned.*; by source: nav.not_valid.*, .clock_anchored_anew.*; nav.unknown_source, .too_late,
+    .lever_arm_unknown, .reckoned.
     """
 
     def __init__(self, settings: NavMergeSettings) -> None:
@@ -124,6 +125,7 @@ class NavMerge:
         self._n_impossible: dict[tuple[Quantity, str], int] = {}  # in a row
         self._impossible_reported: set[tuple[Quantity, str]] = set()
         self._reckoner = Reckoner()
+        self._thinning = Thinning()
         self._lost: set[Quantity] = set()
         self._reckoned_s = -math.inf
         self._position_s = -math.inf  # of the newest position, measured or reckoned
@@ -183,10 +185,9 @@ class NavMerge:
                 events += self._compare(quantity, channel)
             if quantity in served:
                 self._reckon_with(quantity, time_s, reading)
-        if leap is not None:
-            self._put(time_s, _sample(utc_s, {**served, "position": leap}, position_leaps=True))
-        elif served:
-            self._put(time_s, _sample(utc_s, served))
+        given = self._thinned(time_s, served if leap is None else {**served, "position": leap}, fix.source)
+        if given:
+            self._put(time_s, _sample(utc_s, given, position_leaps=leap is not None and "position" in given))
         if "position" in served:
             self._position_s, self.position_sigma_m = time_s, served["position"].sigma_m
             events += self._position_back()
@@ -484,6 +485,13 @@ class NavMerge:
         return [
             Notice(code="nav_position_back", text=f"positions come{name} again, 1-sigma {self.position_sigma_m:.1f} m")
         ]
+
+    def _thinned(self, time_s: float, served: dict[Quantity, Any], source: str) -> dict[Quantity, Any]:
+        """Leave out what comes more often than it can be used: a chatty unit must not take the room of pings."""
+        taken = {quantity: reading for quantity, reading in served.items() if self._thinning.takes(quantity, time_s)}
+        for quantity in served.keys() - taken.keys():
+            self.counters[f"nav.thinned.{quantity}.{source}"] += 1
+        return taken
 
     def _put(self, time_s: float, sample: NavSample) -> None:
         if time_s < self._released_s:

@@ -35,6 +35,15 @@ class Recorded(NamedTuple):
     data: bytes
 
 
+class PartEnd(NamedTuple):
+    """Mark, between recordings of one session, that its service ended and was started again.
+
+    is_cut_off: it was killed or lost its power, so that decoders lost what they held.
+    """
+
+    is_cut_off: bool
+
+
 class PortDescription(msgspec.Struct, frozen=True, kw_only=True):
     """Describe a port, by its name in the configuration. uri: where it is; device: the name of its driver."""
 

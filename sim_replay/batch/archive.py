@@ -11,11 +11,11 @@ from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.strict_yaml import MAX_TEXT_BYTES
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import is_session
+from sim_replay.logs.session_parts import recordings_of, start_of
 
 LOG_SUFFIXES: Final = frozenset({".xtf", ".jsf", ".svlog", ".mcap"})
 _IMAGE_SUFFIXES: Final = frozenset({".tif", ".tiff", ".png", ".npy", ".h5", ".nc"})
 """Of files that are taken for logs in a folder; their format is recognised by content. A list may name any file."""
-RECORDING: Final = "recording"  # folder of a session recorded by `auv-mcm run`, a mission as a whole
 
 
 class ArchivedLog(NamedTuple):
@@ -52,11 +52,11 @@ def _below(folder: Path, out: Path) -> list[Path]:
     found: list[Path] = []
     for parent, folders, files in os.walk(folder, onerror=_raise):
         here = Path(parent)
-        if here.name == RECORDING and is_session(here):
-            found.append(here)
-            folders.clear()
-            continue
-        folders[:] = [name for name in folders if (here / name).resolve() != out]
+        if here == folder and start_of(here) and is_session(here):
+            return [here]
+        parts = [part for part in recordings_of(here) if is_session(part)]
+        found += parts[:1]  # the first start's stands for all
+        folders[:] = [name for name in folders if here / name not in parts and (here / name).resolve() != out]
         found += [here / name for name in files if Path(name).suffix.lower() in LOG_SUFFIXES]
         images = [here / name for name in files if Path(name).suffix.lower() in _IMAGE_SUFFIXES]
         found += [image for image in images if sidecar_path(image).name in files]

@@ -23,7 +23,8 @@ from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import finite, make_directory
 from sim_replay.batch.archive import ArchivedLog
 from sim_replay.fitting.cascade.farm import AHEAD, Farm, run_tasks
-from sim_replay.logs.open_log import logs_config
+from sim_replay.logs.open_log import is_session, logs_config
+from sim_replay.logs.session_parts import JoinedSession
 from sim_replay.replay import replay
 
 MISSIONS: Final = "missions"
@@ -114,7 +115,7 @@ def replay_mission(task: MissionTask) -> MissionOutcome:
     try:
         recorded = logs_config([task.log.path]) if task.config is None else None
         config = task.config or recorded or read_config(None)
-        if not is_replayed(task.folder, config):
+        if not is_replayed(task.folder, config) or _has_grown(task):
             replay([task.log.path], task.folder, config)
     except AuvMcmError as error:
         return MissionOutcome(task.log, task.folder, str(error), error.exit_code)
@@ -141,6 +142,14 @@ def summary_of(folder: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, BadInputError):
         return None
     return summary if isinstance(summary, dict) else None
+
+
+def _has_grown(task: MissionTask) -> bool:
+    """Check whether a session went on since its results were made, into files that they do not name."""
+    if not is_session(task.log.path):
+        return False
+    made_of = {entry["path"] for entry in (summary_of(task.folder) or {}).get("logs", ())}
+    return made_of != set(map(str, JoinedSession(task.log.path).sizes_bytes))
 
 
 def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:

@@ -76,6 +76,7 @@ _EXPECTED: Final = {  # counters of a sound run between these devices
     "service.work_shed": "the computer was too slow for the speed of the mission",
     "budget.*": "less work on tiles, where it was shed",
     "navigation.time_repeated": "position and attitude of one instant come as messages of their own",
+    "nav.thinned.*": "position and attitude of one instant come as messages of their own",
     "navigation.speed_unknown": "before the first message with a speed",
     "port.*.link.bytes_*": "traffic",
     "port.*.link.reads": "traffic",

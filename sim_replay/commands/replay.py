@@ -24,13 +24,13 @@ def add(commands: Commands) -> None:
         "(TIFF, PNG, npy, HDF5) need a sidecar, as the page 'Replay a SAS image' says. A session that\n"
         "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with "
         "unless\n"
-        "another is given.",
+        "another is given; if it was cut off and went on, all its recordings are one mission.",
         [
             "auv-mcm replay mission.xtf --out results",
             "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
             "auv-mcm replay survey.jsf --out results",
             "auv-mcm replay port.tif starboard.tif --out results",
-            "auv-mcm replay auv-mcm-out/latest/recording --out results",
+            "auv-mcm replay auv-mcm-out/latest --out results",
         ],
     )
     parser.add_argument(
@@ -39,8 +39,8 @@ def add(commands: Commands) -> None:
         nargs="+",
         type=Path,
         help=(
-            "XTF, JSF or svlog file, sonar image, or a recorded session: its folder or an .mcap file of it; the "
-            "format is recognised by content"
+            "XTF, JSF or svlog file, sonar image, or a recorded session: its folder, a recording in it, an .mcap file; "
+            "the format is recognised by content"
         ),
     )
     parser.add_argument(

@@ -18,7 +18,7 @@ def add(commands: Commands) -> None:
         "make the report of a session, also while it runs",
         "Replays what the session recorded so far, with the configuration it was recorded with, into SESSION/report/:\n"
         "report.html and all other results of a replay. What people judged of the session is in it. The session's own\n"
-        "files stay as they are. A session that went on after a cut has a recording, and a report, for each start.",
+        "files stay as they are. A session that went on after a cut is one mission: its recordings are joined.",
         [
             "auv-mcm report auv-mcm-out/latest",
             "auv-mcm report auv-mcm-out/latest --out report --threads 2",
@@ -32,32 +32,29 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.export_source import recordings_of
     from sim_replay.logs.open_log import logs_config
+    from sim_replay.logs.session_parts import recordings_of, session_of
     from sim_replay.replay import replay
 
-    recordings = recordings_of(arguments.session)
-    if not recordings:
+    session = session_of(arguments.session)
+    if not recordings_of(session):
         raise UsageError(
-            f"{arguments.session} holds no recording. Name the folder of a session that reads ports; of a log, "
-            f"'auv-mcm replay {arguments.session} --out results' makes the report."
+            f"{session} holds no recording. Name the folder of a session that reads ports; of a log, "
+            f"'auv-mcm replay {session} --out results' makes the report."
         )
-    given = None if arguments.config is None else read_config(arguments.config)
-    out = arguments.out or arguments.session / "report"
-    for number, recording in enumerate(recordings, 1):
-        folder = out if number == 1 else out.with_name(f"{out.name}-{number}")
-        config = given or logs_config([recording]) or read_config(None)
-        with Progress("report") as progress:
-            summary = replay(
-                [recording],
-                folder,
-                config,
-                threads=arguments.threads,
-                progress=progress.show,
-                verdicts=arguments.session,
-            )
-        print(
-            f"{summary['pings']} pings so far, {summary['contacts']} contacts, {summary['contacts_mine_like']} of them "
-            f"mine-like: {clean(str(folder / 'report.html'))}"
+    config = read_config(arguments.config) if arguments.config is not None else None
+    out = arguments.out or session / "report"
+    with Progress("report") as progress:
+        summary = replay(
+            [session],
+            out,
+            config or logs_config([session]) or read_config(None),
+            threads=arguments.threads,
+            progress=progress.show,
+            verdicts=session,
         )
+    print(
+        f"{summary['pings']} pings so far, {summary['contacts']} contacts, {summary['contacts_mine_like']} of them "
+        f"mine-like: {clean(str(out / 'report.html'))}"
+    )
     return 0

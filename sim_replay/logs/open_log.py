@@ -61,8 +61,8 @@ _UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from 
 def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
     """Open a recorded log of any known format.
 
-    It is an XTF, JSF or svlog file, a recorded session (its folder, or one .mcap file of it), a sonar image with its
-    sidecar, or a file of a format that another package reads.
+    It is an XTF, JSF or svlog file, a recorded session (the session's folder, a recording in it, or one .mcap file of
+    that), a sonar image with its sidecar, or a file of a format that another package reads.
 
     Ports are decoded as `config` states, a session's as they were recorded where it is silent. `chunk_bytes` sizes the
     read buffer of built-in formats and nothing else. Raises BadInputError for what is none of these or holds no side
@@ -93,9 +93,10 @@ def log_format(path: Path) -> LogFormat | AddedFormat:
     Raises BadInputError for other files and unreadable ones, UsageError where several packages read the format.
     """
     from drivers.recording.session_layout import FILE_PATTERN
+    from sim_replay.logs.session_parts import parts_of
 
     if path.is_dir():
-        if any(path.glob(FILE_PATTERN)):
+        if parts_of(path):
             return "session"
         raise BadInputError(f"{path} is a directory without a recorded session ({FILE_PATTERN}). Name a log inside it.")
     if not path.exists():
@@ -146,11 +147,12 @@ def logs_config(paths: list[Path]) -> Config | None:
 
     A session brings the one it was recorded with, an image the kind of sonar in its sidecar. Raises BadInputError.
     """
-    from sim_replay.logs.session_reader import Session, recorded_config
+    from sim_replay.logs.session_parts import JoinedSession
+    from sim_replay.logs.session_reader import recorded_config
 
     for path in paths:
         if is_session(path):
-            return recorded_config(Session(path))
+            return recorded_config(JoinedSession(path).sessions[0])
         if (sidecar := _sidecar_of(path)) is not None:
             return Config(sonar=SonarConfig(kind=sidecar.kind))
     return None
@@ -250,11 +252,16 @@ def _open_svlog(path: Path, config: Config, chunk_bytes: int) -> Log:
 def _open_session(path: Path, config: Config) -> Log:
     from drivers.port_intake import PortIntake
     from sim_replay.logs.port_log import PortLog
-    from sim_replay.logs.session_reader import Session, recorded_config
+    from sim_replay.logs.session_parts import JoinedSession
+    from sim_replay.logs.session_reader import recorded_config
 
-    session = Session(path)
-    used = config if config.ports else structs.replace(config, ports=recorded_config(session).ports)
-    return PortLog(session, lambda: PortIntake(used))
+    session = JoinedSession(path)
+    # A start may have had other links than the first; a configuration that is given serves all of them.
+    first = recorded_config(session.sessions[0]) if not config.ports or len(session.sessions) > 1 else config
+    if config.ports and config.ports != first.ports:
+        return PortLog(session, lambda: PortIntake(config))
+    ports = [first.ports, *(recorded_config(part).ports for part in session.sessions[1:])]
+    return PortLog(session, lambda: PortIntake(structs.replace(config, ports=ports[session.part])))
 
 
 def _only(config: Config, device: str) -> PortConfig | None:

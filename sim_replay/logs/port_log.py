@@ -15,7 +15,7 @@ from typing import Protocol
 from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from drivers.recording.session_layout import Recorded
+from drivers.recording.session_layout import PartEnd, Recorded
 
 
 class PortDecoding(Protocol):
@@ -39,7 +39,8 @@ class PortDecoding(Protocol):
 class PortRecording(Protocol):
     """Hold the bytes that ports received.
 
-    Iterate for it in the order of recording; every iteration starts anew, with new counters and notices.
+    Iterate for it in the order of recording; every iteration starts anew, with new counters and notices. A mark stands
+    where the computer that recorded was started again.
     """
 
     @property
@@ -59,7 +60,7 @@ class PortRecording(Protocol):
         """List the notices in the order in which they arose."""
         ...
 
-    def __iter__(self) -> Iterator[Recorded]: ...
+    def __iter__(self) -> Iterator[Recorded | PartEnd]: ...
 
 
 class PortLog:
@@ -68,7 +69,8 @@ class PortLog:
     def __init__(
         self, recording: PortRecording, make_intake: Callable[[], PortDecoding], *, pause_s: float = math.inf
     ) -> None:
-        """Store the recording. make_intake: a new intake, from the same configuration as the recorded one.
+        """Store the recording. make_intake: a new intake, from the same configuration as the recorded one; called where
+        a part of the recording begins.
 
         pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
         infinite for stamps of one computer's monotonic clock.
@@ -101,11 +103,18 @@ class PortLog:
         )
 
     def __iter__(self) -> Iterator[SourceEvent]:
+        chunks = iter(self._recording)
         self._intake, self._finished = self._make_intake(), Counter()
         n_notices, last_ns = 0, None
-        for recorded in self._recording:
+        for recorded in chunks:
             yield from self._recording.notices[n_notices:]
             n_notices = len(self._recording.notices)
+            if isinstance(recorded, PartEnd):
+                if not recorded.is_cut_off:
+                    yield from self._intake.finish()
+                self._begin_intake()
+                last_ns = None
+                continue
             if recorded.direction != "in":
                 continue
             if (
@@ -114,12 +123,15 @@ class PortLog:
                 and not 0 <= recorded.stamp.mono_ns - last_ns <= self._pause_ns
             ):
                 yield from self._intake.finish()
-                self._finished += self._intake.counters
-                self._intake = self._make_intake()
+                self._begin_intake()
             last_ns = recorded.stamp.mono_ns
             yield from self._intake.feed(recorded.port, recorded.data, recorded.stamp)
         yield from self._recording.notices[n_notices:]
         yield from self._intake.finish()
+
+    def _begin_intake(self) -> None:
+        self._finished += self._intake.counters
+        self._intake = self._make_intake()
 
 
 class SonarLog(PortLog):

@@ -17,19 +17,28 @@ from auv_mcm.settings.config import Config
 from auv_mcm.source import EventSink, SourceUri
 from sim_replay.logs.log_reader import Log
 from sim_replay.logs.open_log import CHUNK_BYTES, is_session, open_log
+from sim_replay.logs.session_parts import recordings_of
 
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
 _BATCH: Final = 32  # events read at once off the event loop
 
 
 def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> RecordedMission:
-    """Open logs of pings, or one recorded session of ports, as one mission. Raises UsageError or BadInputError."""
+    """Open logs of pings, or one recorded session of ports, as one mission.
+
+    The recordings of one session, all named, are that session. Raises UsageError or BadInputError.
+    """
     sessions = [path for path in paths if is_session(path)]
-    if sessions and len(paths) > 1:
+    if not sessions or len(paths) == 1:
+        return RecordedMission(paths, config, chunk_bytes)
+    _refuse_repeated(paths)
+    folder = sessions[0].resolve().parent
+    if sorted(path.resolve() for path in paths) != sorted(filter(is_session, recordings_of(folder))):
         raise UsageError(
-            f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart."
+            f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart; of "
+            "a session that was started several times name its folder, which stands for all its recordings."
         )
-    return RecordedMission(paths, config, chunk_bytes)
+    return RecordedMission([folder], config, chunk_bytes)
 
 
 class RecordedMission:

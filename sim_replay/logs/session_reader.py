@@ -102,10 +102,15 @@ class Session:
         self.counters: Counter[str] = Counter()
         self.notices: list[Notice] = list(self._left_out)
         self.bytes_read = 0
+        self.is_cut_off = False
+        """Whether the recording ends within its last file: it was not ended in order."""
         self._next_sequence = 0 if self._whole else None
 
     def __iter__(self) -> Iterator[Recorded]:
         self._begin()
+        return self._read()
+
+    def _read(self) -> Iterator[Recorded]:
         for file in self._files:
             read_before = self.bytes_read
             with open_regular(file.path) as opened:
@@ -118,6 +123,7 @@ class Session:
 
     def _chunks(self, stream: _WholeReads, file: _File) -> Iterator[Chunk]:
         whole_bytes = 0
+        self.is_cut_off = False
         try:
             for record in _records(stream):
                 whole_bytes = stream.n_bytes
@@ -125,6 +131,7 @@ class Session:
                     yield record
         except _UNREADABLE:
             torn_bytes = file.size_bytes - whole_bytes
+            self.is_cut_off = True
             self.counters["session.files_unfinished"] += 1
             self.counters["session.bytes_torn"] += torn_bytes
             text = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import struct
 import threading
 from collections import Counter
@@ -18,7 +17,8 @@ from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Notice
 from auv_mcm.safe_files import open_regular
-from drivers.recording.session_layout import FILE_PATTERN, LOST_TOPIC, Direction, Recorded
+from drivers.recording.session_layout import FILE_PATTERN, LOST_TOPIC, Direction, PartEnd, Recorded
+from sim_replay.logs.session_parts import recordings_of
 from sim_replay.logs.session_reader import Session
 
 POLL_S: Final = 0.25  # s between two looks for new bytes; the recorder makes them durable twice a second
@@ -29,7 +29,8 @@ _UNREADABLE: Final = (McapError, struct.error, ValueError, EOFError)
 class GrowingSession:
     """Read what a session's folder holds and then what comes, until the service has written its summary.
 
-    Several recordings, of a session that was gone on with, follow one another. What cannot be read ends its file.
+    Several recordings, of a session that was gone on with, follow one another, with a mark between them. What cannot be
+    read ends its file.
     """
 
     def __init__(self, folder: Path, stop: threading.Event) -> None:
@@ -39,6 +40,7 @@ class GrowingSession:
         self.bytes_read = 0
         self.counters: Counter[str] = Counter()
         self.notices: list[Notice] = []
+        self._is_cut_off = False  # the file read last
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
@@ -48,7 +50,7 @@ class GrowingSession:
     def wait_for_head(self) -> Session | None:
         """Wait until the recording has begun; None if it was stopped before."""
         while not self._stop.is_set():
-            for recording in self._recordings():
+            for recording in recordings_of(self._folder):
                 try:
                     return Session(recording)
                 except BadInputError:
@@ -58,13 +60,17 @@ class GrowingSession:
             self._stop.wait(POLL_S)
         return None
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[Recorded | PartEnd]:
         done: set[Path] = set()
+        recording: Path | None = None
         while True:
             ended = self._stop.is_set() or self._has_ended()  # before looking: what came until then is read
             new = [path for path in self._files() if path not in done]
             for path in new:
                 done.add(path)
+                if recording not in (None, path.parent):
+                    yield PartEnd(is_cut_off=self._is_cut_off)
+                recording = path.parent
                 yield from self._messages(path)
                 if self._stop.is_set():
                     return
@@ -75,6 +81,7 @@ class GrowingSession:
 
     def _messages(self, path: Path) -> Iterator[Recorded]:
         channels: dict[int, Channel] = {}
+        self._is_cut_off = False
         with open_regular(path, buffering=0) as file:
             stream = _PatientReads(file, lambda: self._end_of(path), lambda: self._stop.wait(POLL_S))
             try:
@@ -89,6 +96,7 @@ class GrowingSession:
                         elif isinstance(held, Message):
                             yield from _recorded(held, channels)
             except _UNREADABLE as error:
+                self._is_cut_off = True
                 if self._stop.is_set():
                     return
                 self.notices.append(
@@ -107,12 +115,8 @@ class GrowingSession:
     def _has_ended(self) -> bool:
         return (self._folder / "summary.json").exists()
 
-    def _recordings(self) -> list[Path]:
-        found = [path for path in self._folder.glob("recording*") if path.is_dir()]
-        return sorted(found, key=lambda path: int(re.sub(r"\D", "", path.name) or "1"))
-
     def _files(self) -> list[Path]:
-        return [path for recording in self._recordings() for path in sorted(recording.glob(FILE_PATTERN))]
+        return [path for recording in recordings_of(self._folder) for path in sorted(recording.glob(FILE_PATTERN))]
 
 
 class _PatientReads:

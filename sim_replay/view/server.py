@@ -20,6 +20,8 @@ from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.shell.whole_files import finite
 from sim_replay.view.mission import MAX_POINTS, Judgement, MeasuredQuantity, ShownMission
+from sim_replay.view.patience import BODY_S, Patience
+from sim_replay.view.patience import log as http_log
 from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.waterfall_store import MAX_LEVEL
 
@@ -64,8 +66,13 @@ class _Ends(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class MissionServer:
     """Answer a browser, as long as it is open."""
 
-    def __init__(self, mission: ShownMission, host: str = LOOPBACK, port: int = 0) -> None:
-        """host: address to listen at; port: 0 for any that is free. Only browsers that ask for `host` are answered."""
+    def __init__(
+        self, mission: ShownMission, host: str = LOOPBACK, port: int = 0, patience: Patience | None = None
+    ) -> None:
+        """host: address to listen at; port: 0 for any that is free. Only browsers that ask for `host` are answered.
+
+        patience: with clients that hold connections and do nothing; None for the usual one.
+        """
         self._mission = mission
         self._host, self._port = host, port
         self._tiles: OrderedDict[tuple[int, int, int], bytes] = OrderedDict()
@@ -90,7 +97,11 @@ class MissionServer:
             access_log=None,
             max_line_size=_MAX_HEAD_BYTES,
             max_field_size=_MAX_HEAD_BYTES,
+            logger=http_log,
         )
+        self._patience = patience or Patience()
+        self._listening: asyncio.Server | None = None
+        self._watching: asyncio.Task[None] | None = None
 
     @property
     def url(self) -> str:
@@ -102,22 +113,32 @@ class MissionServer:
         """Listen. Raises HardwareError for an address that cannot be had."""
         await self._runner.setup()
         try:
-            await web.TCPSite(self._runner, self._host, self._port).start()
+            assert self._runner.server is not None
+            server = self._runner.server
+            self._listening = await asyncio.get_running_loop().create_server(
+                lambda: self._patience.accept(server), self._host, self._port
+            )
         except OSError as error:
             await self._runner.cleanup()
             raise HardwareError(
                 f"{self._host}, port {self._port} cannot be opened: {error.strerror or error}. Choose another --port: "
                 "'ss -ltn' lists those that are taken."
             ) from error
-        self._port = int(self._runner.addresses[0][1])
+        self._port = int(self._listening.sockets[0].getsockname()[1])
+        self._watching = asyncio.create_task(self._patience.watch(server))
 
     async def close(self) -> None:
         """Stop listening."""
+        if self._watching is not None:
+            self._watching.cancel()
+        if self._listening is not None:
+            self._listening.close()
         await self._runner.cleanup()
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Refuse whoever did not come by this server's own address, and answer errors as JSON."""
+        self._patience.begin(request)
         try:
             response = self._refusal(request) or await handler(request)
         except web.HTTPException as error:
@@ -126,6 +147,8 @@ class MissionServer:
             response = _error(400, str(error))
         except OSError as error:
             response = _error(507, f"{error.filename or 'the disk'}: {error.strerror}")
+        finally:
+            self._patience.end(request)
         response.headers.update(_HEADERS)
         return response
 
@@ -241,7 +264,9 @@ class MissionServer:
 
 async def _body(request: web.Request, kind: type[_Body]) -> _Body:
     try:
-        return msgspec.json.decode(await request.read(), type=kind)
+        return msgspec.json.decode(await asyncio.wait_for(request.read(), BODY_S), type=kind)
+    except TimeoutError as error:
+        raise BadInputError(f"the request did not come whole within {BODY_S:g} s") from error
     except msgspec.MsgspecError as error:
         raise BadInputError(f"not understood: {clean(str(error))}") from error
 

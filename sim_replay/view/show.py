@@ -15,6 +15,7 @@ from auv_mcm.clean_text import clean
 from auv_mcm.commands import read_config
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.settings.config import Config
+from sim_replay.logs.session_parts import recordings_of, session_of
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import MissionFeed, OpenedMission, follow_session, open_logs
 from sim_replay.view.mission_files import CONTACTS, JOURNAL, SUMMARY, read_summary, summary_config
@@ -98,8 +99,8 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
         For a folder that shows nothing.
     """
     # 'latest' may point to another session later; this one is shown to its end.
-    folder = folder.resolve()
-    recordings = [path for path in folder.glob("recording*") if path.is_dir()] if folder.is_dir() else []
+    folder = session_of(folder).resolve()
+    recordings = recordings_of(folder) if folder.is_dir() else []
     if not recordings and not any((folder / name).exists() for name in (SUMMARY, CONTACTS, JOURNAL)):
         raise BadInputError(
             f"{folder} holds neither results nor a session. Name a folder that auv-mcm replay or auv-mcm run wrote, "

@@ -8,7 +8,7 @@ import pytest
 
 from auv_mcm.cli import main
 from drivers.recording.session_layout import file_name
-from sim_replay.export_source import recordings_of
+from sim_replay.logs.session_parts import recordings_of
 from sim_replay.verdicts import VERDICTS_FILE, Verdict, append_verdict
 from tests.sim_replay.logs.sonar_logs import run_of, write_session
 

@@ -160,7 +160,9 @@ def test_a_contact_of_which_a_view_cannot_be_read_is_left_out_and_counted_once(
             lambda file, size, start: read(file, size, start) if start else bytes(size),
         )
         assert [contact_number(contact.id) for contact in store.in_order()] == [2, 3]
-    assert records.n_unreadable == 1
+        assert records.n_unreadable == 1
+        assert store.unreadable() == [1]
+    assert store.unreadable() == []
     assert [contact_number(contact.id) for contact in store.in_order()] == [1, 2, 3]
 
 

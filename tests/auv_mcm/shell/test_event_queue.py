@@ -5,6 +5,10 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from itertools import zip_longest
+
+from hypothesis import given
+from hypothesis import strategies as st
 
 from auv_mcm.records import NavSample, Ping, SourceEvent
 from auv_mcm.shell.event_queue import EventQueue, Queued
@@ -43,6 +47,36 @@ def test_the_oldest_ping_is_dropped_and_everything_else_is_bounded_too() -> None
     assert navigation == [*range(152, 200)]
     assert counters == {"service.ping_dropped": 2, "service.event_dropped": 105 - len(navigation)}
     assert len(seen) == 110, "what is dropped was seen all the same"
+
+
+@given(st.lists(st.booleans(), max_size=300), st.integers(1, 6), st.lists(st.integers(0, 3), max_size=300))
+def test_a_chatty_navigation_wire_displaces_no_ping(is_ping: list[bool], max_pings: int, n_taken: list[int]) -> None:
+    """Pings and others come and are taken in any order: each kind keeps the newest that fit in its own room."""
+
+    async def run() -> None:
+        counters: Counter[str] = Counter()
+        queue = EventQueue(max_pings, counters)
+        expected: list[tuple[int, bool]] = []
+        n_dropped: Counter[str] = Counter()
+        for number, (ping, n) in enumerate(zip_longest(is_ping, n_taken)):
+            if ping is None:
+                break
+            queue.push(fake.ping(number) if ping else fake.navigation(number))
+            expected.append((number, ping))
+            of_kind = [entry for entry in expected if entry[1] == ping]
+            if len(of_kind) > max_pings * (1 if ping else 16):
+                expected.remove(of_kind[0])
+                n_dropped["service.ping_dropped" if ping else "service.event_dropped"] += 1
+            for _ in range(min(n or 0, len(expected))):
+                taken = await queue.get()
+                assert taken is not None
+                number, was_ping = expected.pop(0)
+                assert taken.event.time_s == fake.START_S + number  # type: ignore[union-attr]
+                assert isinstance(taken.event, Ping) == was_ping
+        assert counters == n_dropped
+        assert queue.pings == sum(ping for _, ping in expected)
+
+    asyncio.run(run())
 
 
 def test_a_source_that_can_wait_is_held_back_and_loses_nothing() -> None:

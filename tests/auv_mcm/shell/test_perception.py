@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 from collections import deque
 from collections.abc import Sequence
 from contextlib import closing
@@ -215,3 +217,15 @@ def test_closing_what_never_started_or_still_works_ends_at_once() -> None:
         perception.close()
 
     asyncio.run(run())
+
+
+def test_a_limit_on_the_size_of_files_ends_the_start_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The memory that both processes share is a file without a name, which 'ulimit -f' bounds too."""
+
+    def too_large(*_: object) -> None:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+
+    monkeypatch.setattr("multiprocessing.context.SpawnContext.RawArray", too_large)
+    with pytest.raises(PerceptionError, match=r"File too large.*ulimit -f") as failed:
+        asyncio.run(Perception(Config(), fake.Base).start())
+    assert failed.value.exit_code == 4

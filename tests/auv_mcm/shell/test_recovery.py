@@ -1,4 +1,6 @@
-"""Disk space held for the results is there, gets smaller on a small disk, and leaves nothing behind."""
+"""Disk space held for the results is there, gets smaller on a small disk, and leaves nothing behind.
+
+A session goes on where its state fits."""
 
 from __future__ import annotations
 
@@ -7,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.shell.recovery import Ballast
+from auv_mcm.settings.config import parse_config
+from auv_mcm.shell.recovery import Ballast, session_kind
 
 
 def test_ballast_is_space_on_the_disk_without_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,3 +42,26 @@ def test_a_small_disk_gives_what_it_has_and_a_full_one_nothing(tmp_path: Path, m
 
     assert [of_free(1 << 20), of_free(300_000), of_free(10_000)] == [1 << 20, 1 << 18, 0]
     assert Ballast(tmp_path / "not there").n_bytes == 0
+
+
+PORTS = """
+ports:
+  - {name: sonar, link: "tcp://192.168.2.92:51200", device: ping_protocol, sonar: {range_m: 30}}
+  - {name: nav, link: "udp://0.0.0.0:6001?peer=192.168.2.10:6002", device: nmea0183, navigation: {priority: 1}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("was", "is_now", "goes_on"),
+    [
+        ("peer=192.168.2.10:6002", "peer=192.168.2.11:7002", True),
+        ("udp://0.0.0.0:6001?peer=192.168.2.10:6002", "serial:///dev/ttyUSB0?baud=38400", True),
+        ("range_m: 30", "range_m: 40", False),
+        ("priority: 1", "priority: 1, lever_arm_m: [1, 0, 0]", False),
+        ("nmea0183", "pd6", False),
+    ],
+)
+def test_a_changed_address_does_not_end_a_session(was: str, is_now: str, goes_on: bool) -> None:
+    before, after = parse_config(PORTS, "vehicle.yaml"), parse_config(PORTS.replace(was, is_now), "vehicle.yaml")
+    assert before != after
+    assert (session_kind(before) == session_kind(after)) == goes_on

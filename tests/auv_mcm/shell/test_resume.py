@@ -133,6 +133,31 @@ def test_contacts_whose_events_are_lost_keep_their_numbers_to_themselves(tmp_pat
     assert "C0000, C0003, C0006" in summary(after.folder)["notices"][0]["text"]
 
 
+def test_announced_contacts_whose_record_is_damaged_come_from_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bad block in the records, and another one in a line of the journal."""
+    folder = cut_off(tmp_path, events(0, 12), "C0009")
+    journal_path = folder / "contacts.jsonl"
+    data = journal_path.read_bytes()
+    at = data.index(b'"coordinates"', data.index(b'"C0003"'))
+    journal_path.write_bytes(data[:at] + bytes(4) + data[at + 4 :])
+    monkeypatch.setattr("auv_mcm.contacts.contact_store.ContactStore.unreadable", lambda store: [0, 6])
+    after = serve(tmp_path, events(12, 24))
+    assert after.folder.resolve() == folder
+    assert ids(after.folder) == EXPECTED
+    features = json.loads((after.folder / "contacts.geojson").read_bytes())["features"]
+    journalled = {
+        feature["properties"]["id"]: feature["properties"]["p_mine"]
+        for feature in features
+        if "journalled" in feature["properties"]["reasons"]
+    }
+    assert journalled == {"C0000": 0.25, "C0006": 0.25}
+    (notice,) = summary(after.folder)["notices"]
+    assert notice["code"] == "contacts_in_journal"
+    assert notice["text"].startswith("C0000, C0006 were announced")
+
+
 @pytest.mark.parametrize("why", ["it is 13 h old", "its configuration is another one"])
 def test_a_session_that_cannot_go_on_is_left_and_that_is_said(why: str, tmp_path: Path) -> None:
     folder = cut_off(tmp_path, events(0, 9), "C0006")

@@ -36,7 +36,7 @@ from auv_mcm.shell.service import Service
 from auv_mcm.shell.sources import parse_source_uri
 from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth, VehiclePilot
 from drivers.recording.session_recorder import SessionRecorder
-from sim_replay.export_source import recordings_of
+from sim_replay.logs.session_parts import recordings_of
 from sim_replay.logs.session_reader import Session
 from tests.auv_mcm.shell import fake_pipelines as fake
 
@@ -398,10 +398,14 @@ def test_a_slow_pipeline_makes_a_lossless_source_wait(tmp_path: Path) -> None:
 
 
 def test_a_slow_pipeline_makes_a_live_source_lose_pings_and_counts_them(tmp_path: Path) -> None:
-    results = serve(tmp_path, Events(mission(300), lossless=False), fake.Slow, queue_pings=1)
+    lines: list[str] = []
+    results = serve(tmp_path, Events(mission(300), lossless=False), fake.Slow, queue_pings=1, console=lines.append)
     counters = summary(results)["counters"]
     assert counters["ping.received"] + counters["service.ping_dropped"] == 300
     assert counters["service.ping_dropped"] > 0
+    said = [line for line in lines if line.startswith("notice service.pings_lost")]
+    assert said
+    assert f"{counters['service.ping_dropped']} came faster than perception worked" in said[-1]
 
 
 @pytest.mark.parametrize("lossless", [True, False])

@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 from auv_mcm.clock import Stamp
-from drivers.recording.session_layout import PortDescription, Recorded, SessionDescription
+from drivers.recording.session_layout import PartEnd, PortDescription, Recorded, SessionDescription
 from drivers.recording.session_writer import SessionWriter
 from sim_replay.view.growing_session import GrowingSession
 
@@ -22,9 +22,9 @@ def chunk(number: int) -> Recorded:
     return Recorded("sonar", "in", Stamp(number, number), b"%d" % number)
 
 
-def follow(folder: Path) -> tuple[threading.Thread, list[Recorded], threading.Event, threading.Semaphore]:
+def follow(folder: Path) -> tuple[threading.Thread, list[Recorded | PartEnd], threading.Event, threading.Semaphore]:
     stop, came = threading.Event(), threading.Semaphore(0)
-    session, found = GrowingSession(folder, stop), list[Recorded]()
+    session, found = GrowingSession(folder, stop), list[Recorded | PartEnd]()
 
     def run() -> None:
         for recorded in session:
@@ -62,10 +62,11 @@ def test_a_session_that_was_gone_on_with_is_followed_into_its_next_recording(tmp
     second.add(chunk(1))
     second.flush()
     assert came.acquire(timeout=20)
+    assert came.acquire(timeout=20)
     second.close()
     (tmp_path / "summary.json").write_text("{}")
     thread.join(20)
-    assert found == [chunk(0), chunk(1)]
+    assert found == [chunk(0), PartEnd(is_cut_off=True), chunk(1)]
 
 
 def test_following_ends_when_nobody_wants_it(tmp_path: Path) -> None:
