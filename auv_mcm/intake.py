@@ -183,7 +183,7 @@ class Intake:
 
     def _is_ready(self, last_s: float) -> bool:
         """Check whether navigation around a ping is final, or has been waited for long enough."""
-        if self._newest_s >= last_s + self._max_wait_s:
+        if self._newest_s >= last_s + max(self._max_wait_s, self._navigation.wait_s + _RATE_HALF_SPAN_S):
             return True
         final_s = last_s + _RATE_HALF_SPAN_S
         # Nothing is final beyond the newest sample, which takes less to find out.
