@@ -74,7 +74,7 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
         case "xtf":
             from sim_replay.logs.xtf import XtfLog
 
-            return XtfLog(path, config.sonar, chunk_bytes=chunk_bytes)
+            return XtfLog(path, config.sonar, epsg=config.navigation.epsg, chunk_bytes=chunk_bytes)
         case "jsf":
             return _open_jsf(path, config, chunk_bytes)
         case "svlog":
