@@ -217,6 +217,7 @@ class XtfLog:
         self._n_samples: dict[str, tuple[int, np.dtype[Any]]] = {}
         self._last_navigation: tuple[float, ...] = ()
         self._project: Place | None = None if epsg is None else projection(epsg)
+        self._units_by_value = False  # degrees, although the header says metres
         self._packets = PacketQueue()
         self._watch = SensorWatch()
         with self._open() as file:
@@ -338,6 +339,17 @@ class XtfLog:
                     "Export the log without slant-range correction."
                 )
 
+        joined_in_metres = offset > 0 and header.NavUnits != LATITUDE_LONGITUDE
+        if joined_in_metres and self._project is None and not self._units_by_value:
+            raise BadInputError(f"{place}: {self._metres_text()}")
+
+    def _metres_text(self) -> str:
+        return (
+            f"positions are projected coordinates in metres (NavUnits {self._file_header.NavUnits}) and the "
+            "projection is not given. Set navigation.epsg to its EPSG code (32632 for UTM zone 32 north), or export "
+            "the log with latitude and longitude (NavUnits 3)."
+        )
+
     def _check_units(self, file: BinaryIO) -> None:
         """Find whether positions that are said to be metres are degrees. Raises BadInputError where they are not."""
         units = self._file_header.NavUnits
@@ -346,14 +358,16 @@ class XtfLog:
         positions: list[tuple[float, float, float]] = []
         for number, raw in enumerate(islice(self._raw_pings(file), PROBE_PINGS)):
             header, time_s = raw.header, raw.time_s if math.isfinite(raw.time_s) else float(number)
-            positions.append((time_s, header.SensorXcoordinate, header.SensorYcoordinate))
-        positions += [(packet.time_s, packet.x, packet.y) for packet in self._packets.positions]
+            sensor = header.SensorXcoordinate, header.SensorYcoordinate
+            ship = header.ShipXcoordinate, header.ShipYcoordinate
+            positions.append((time_s, *(ship if sensor == (0.0, 0.0) else sensor)))
+        positions += [
+            (packet.time_s if math.isfinite(packet.time_s) else float(number), packet.x, packet.y)
+            for number, packet in enumerate(self._packets.positions)
+        ]
         if any(position[1:] != (0.0, 0.0) for position in positions) and not are_degrees(positions):
-            raise BadInputError(
-                f"{self._path}: positions are projected coordinates in metres (NavUnits {units}) and the "
-                "projection is not given. Set navigation.epsg to its EPSG code (32632 for UTM zone 32 north), or "
-                "export the log with latitude and longitude (NavUnits 3)."
-            )
+            raise BadInputError(f"{self._path}: {self._metres_text()}")
+        self._units_by_value = True
 
     def _inventory(self, file: BinaryIO) -> str:
         kinds: Counter[str] = Counter()

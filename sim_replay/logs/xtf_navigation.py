@@ -172,7 +172,8 @@ class PacketQueue:
                 and (packet.x, packet.y) not in (self._last, (0, 0))
             ):
                 self._last = packet.x, packet.y
-                latitude, longitude = place(packet.x, packet.y)
+                is_degrees = packet.kind == SERIAL  # as sentences are, whatever the log's own units
+                latitude, longitude = (packet.y, packet.x) if is_degrees else place(packet.x, packet.y)
             level = wanted.level and self._serves("level", packet)
             heading = wanted.heading and self._serves("heading", packet)
             yield NavSample(
