@@ -44,6 +44,8 @@ MAX_TIME_LEAP_S: Final = (
     60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
 )
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
+_CHORD_PER_SCATTER: Final = 15.0  # chords are so many times the scatter of fixes, which turns a course by 5 degrees
+_CHORD_MAX_M: Final = 5.0  # but no longer: over it a vehicle turns
 CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
 CHORD_MAX_S: Final = 4.0  # a vehicle that covers less than CHORD_M in this time has a speed but no course
 # s that pings wait for the next fix where heading and speed go on; more where fixes were seen to be farther apart.
@@ -127,6 +129,7 @@ class NavBuffer:
         self._last_speed_mps = NAN
         self._has_speed = False  # other than zero
         self._new_fixes: list[tuple[Fix, bool]] = []  # accepted, not used for the speed yet; joined to the one before?
+        self._chord_m = CHORD_M
         self._lend_s = max(_LEND_S, limits.look_ahead_s)  # as long as the position waits for a later fix
         self._n_unbridged = 0
         self._newest_s = -math.inf
@@ -365,6 +368,8 @@ class NavBuffer:
                 self._use_estimate(estimate)
 
     def _use_estimate(self, estimate: SpeedEstimate) -> None:
+        if estimate.scatter_m == estimate.scatter_m:
+            self._chord_m = min(max(CHORD_M, _CHORD_PER_SCATTER * estimate.scatter_m), _CHORD_MAX_M)
         if estimate.middle_s > self._track_speed.last_s:
             self._track_speed.append(estimate.middle_s, estimate.speed_mps)
         is_off = self._speed_check.is_off(estimate, self._speed_is_off.newest)
@@ -556,7 +561,7 @@ class NavBuffer:
             self._chord_start = fix
             return
         distance, duration = chord_m(start, fix), fix.time_s - start.time_s
-        if duration < CHORD_MIN_S or (distance < CHORD_M and duration < CHORD_MAX_S):
+        if duration < CHORD_MIN_S or (distance < self._chord_m and duration < CHORD_MAX_S):
             return
         self._chord_start = fix
         middle_s = 0.5 * (start.time_s + fix.time_s)

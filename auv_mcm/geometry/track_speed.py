@@ -47,7 +47,7 @@ class SpeedEstimate(NamedTuple):
     """Hold the speed over ground of a line through fixes, and the measured one over the same time; m/s.
 
     measured_mps: NaN where none was measured. elapsed_s: since the estimate before. is_straight: by the
-    heading, if it is known.
+    heading, if it is known. scatter_m: of the fixes about the line, per axis; NaN of two fixes.
     """
 
     middle_s: float
@@ -56,6 +56,7 @@ class SpeedEstimate(NamedTuple):
     measured_mps: float
     elapsed_s: float
     is_straight: bool
+    scatter_m: float
 
     @property
     def is_good(self) -> bool:
@@ -127,6 +128,7 @@ class TrackSpeed:
             measured_mps=measured_mps,
             elapsed_s=end_s - since_s,
             is_straight=bool(is_straight),
+            scatter_m=sigma_mps * math.sqrt(0.5 * spread) if n_free else math.nan,
         )
 
 
