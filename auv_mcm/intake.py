@@ -22,6 +22,8 @@ from auv_mcm.settings.config import Config
 BLOCK_PINGS: Final = 32  # pings processed at once: more delays tiles, fewer cost time per ping
 _RATE_HALF_SPAN_S: Final = 1.0  # rotation rates are taken over two seconds: fixes and compasses are coarser than that
 _CLOCK_STEP_S: Final = 1.0  # s: a step back of less is a late ping, of more a clock that was set
+_MAX_HELD: Final = 1024  # navigation samples kept until pings step back too, or do not: 20 s of 50 Hz
+_MIN_HELD: Final = 3  # in a row, by which navigation has stepped back: one or two are late, or a glitch
 _MIN_SEGMENT_GAP_S: Final = 2.0  # s without a ping that end a segment, whatever navigation may bridge
 _MIN_STEP_M: Final = 1e-3  # m between pings: keeps distances along the track increasing when the vehicle stands
 _UNKNOWN_SPEED_MPS: Final = 1.5  # m/s, a usual survey speed; spaces pings whose speed is not known
@@ -71,6 +73,7 @@ class Intake:
         self._counters = counters
         self._raised: set[str] = set()  # codes of notices about navigation
         self._navigation = NavBuffer(config.navigation, self._raised)
+        self._held: deque[NavSample] = deque(maxlen=_MAX_HELD)  # that stepped back, in a row, until pings do too
         self._altitude_check = AltitudeCheck()
         self._beyond_range: Notice | None = None
         self._last_beyond = (math.nan, math.nan, "")  # altitude and range in metres, place
@@ -96,9 +99,38 @@ class Intake:
         return self._refused + self._navigation.counters
 
     def add_navigation(self, sample: NavSample) -> list[Notice]:
-        """Take a sample; return the notices about navigation that it raises."""
-        self._navigation.add(sample)
+        """Take a sample; return the notices about navigation that it raises.
+
+        Samples that step back wait until pings do: where a clock is set back, both go on in its new time, and what
+        still comes in the old one is refused.
+        """
+        newest_s = self._navigation.span_s[1]
+        if not newest_s - sample.time_s > _CLOCK_STEP_S:
+            self._refuse_held()
+            self._navigation.add(sample)
+            return self.take_notices()
+        if self._held and sample.time_s < self._held[-1].time_s:
+            self._refuse_held()
+        if len(self._held) == _MAX_HELD:
+            self._refused["navigation.time_backwards"] += 1
+        self._held.append(sample)
+        if len(self._held) >= _MIN_HELD and abs(self._newest_s - sample.time_s) < abs(self._newest_s - newest_s):
+            self._renew_navigation()  # the pings stepped back before: what came since then was late
         return self.take_notices()
+
+    def _refuse_held(self) -> None:
+        if self._held:
+            self._refused["navigation.time_backwards"] += len(self._held)
+            self._held.clear()
+
+    def _renew_navigation(self) -> None:
+        """Begin navigation anew, with the samples that stepped back."""
+        self._refused += self._navigation.counters
+        self._notices += self._navigation.take_notices()
+        self._navigation, self._n_steps = NavBuffer(self._config.navigation, self._raised), 0
+        for sample in self._held:
+            self._navigation.add(sample)
+        self._held.clear()
 
     def take_notices(self) -> list[Notice]:
         """Return the notices about pings and navigation raised since the last call."""
@@ -135,9 +167,7 @@ class Intake:
         if looks_elsewhere or step_s <= -_CLOCK_STEP_S:
             self._counters["ping.sub_aperture" if looks_elsewhere else "ping.clock_stepped_back"] += 1
             done = [*self._release(everything=True), SegmentEnd()]
-            self._refused += self._navigation.counters
-            self._notices += self._navigation.take_notices()
-            self._navigation, self._n_steps = NavBuffer(self._config.navigation, self._raised), 0
+            self._renew_navigation()
         elif step_s > self._longest_hole_s:
             self._counters["ping.gap"] += 1
             self._pending.append(SegmentEnd())
@@ -183,7 +213,7 @@ class Intake:
 
     def _is_ready(self, last_s: float) -> bool:
         """Check whether navigation around a ping is final, or has been waited for long enough."""
-        if self._newest_s >= last_s + self._max_wait_s:
+        if self._newest_s >= last_s + max(self._max_wait_s, self._navigation.wait_s + _RATE_HALF_SPAN_S):
             return True
         final_s = last_s + _RATE_HALF_SPAN_S
         # Nothing is final beyond the newest sample, which takes less to find out.

@@ -236,7 +236,9 @@ def _nmea0183(is_of_burst: bool) -> Iterable[MessageLayout]:
     for key, kind in sentences.SENTENCES.items():
         if is_of_burst and not (key.startswith("PIXSE") or key == "HDT"):
             continue
-        yield MessageLayout(f"${key}" if key.startswith("P") else f"$--{key}", kind.make, _sentence_fields(kind))
+        yield MessageLayout(
+            f"${key}" if key.startswith(("P", "OHPR")) else f"$--{key}", kind.make, _sentence_fields(kind)
+        )
 
 
 def _sentence_fields(kind: sentences.Sentence[Any]) -> list[str]:

@@ -16,6 +16,7 @@ from drivers.links.can_frame import CanFrame
 from drivers.navigation.n2k_bus import N2kBus
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_protocols import CAN_PROTOCOL, text_decoder
+from drivers.navigation.nmea_unit import NmeaUnit
 from drivers.ports import PortSettings
 from drivers.reading_watch import ReadingWatch
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply
@@ -151,10 +152,13 @@ class _UnitReader:
         return _messages_in(self._decoder.counters)
 
     def feed(self, data: bytes, stamp: Stamp) -> list[Decoded]:
-        return [*self._decoder.feed(data, stamp)]
+        return [*self._decoder.feed(data, stamp), *self._notices()]
 
     def finish(self) -> list[Decoded]:
-        return [*self._decoder.finish()]
+        return [*self._decoder.finish(), *self._notices()]
+
+    def _notices(self) -> list[Notice]:
+        return self._decoder.take_notices() if isinstance(self._decoder, NmeaUnit) else []
 
 
 class _BusReader:

@@ -13,6 +13,9 @@ from drivers.navigation.nav_decoder import NavFix
 from drivers.ports import PortSettings
 
 _LOST_NS: Final = 10_000_000_000  # ns without a pulse or a sentence, after which UTC counts as lost
+_EPOCH_S: Final = 1024 * 7 * 86_400  # s: GPS counts weeks modulo 1024; a receiver that missed a turn dates this early
+_MAX_EPOCHS: Final = 2  # GPS began in 1980: a third turn is in 2038
+_RELEASED_S: Final = 1_767_225_600  # 2026-01-01: no sound clock shows less
 _AGREE_NS: Final = 200_000_000  # units send a sentence as late as that
 
 
@@ -23,7 +26,8 @@ class UtcReference:
     goes on from its last reading by the monotonic clock, which a crystal keeps within 0.1 ms per second: this
     computer's own may never have been set. Both raise a notice.
 
-    counters: utc.readings, utc.refused (in disagreement), utc.pulse.* of `PulseLabels`, utc.clock.* of `DeviceClock`.
+    counters: utc.readings, utc.refused (in disagreement), utc.epochs_added
+    (times 1024 weeks), utc.pulse.* of `PulseLabels`, utc.clock.* of `DeviceClock`.
     """
 
     def __init__(self, unit: PortSettings | None) -> None:
@@ -43,6 +47,8 @@ class UtcReference:
         self._is_taken = False
         self._is_lost = False
         self._last_ns: int | None = None
+        self._own_offset_ns = 0  # UTC of this computer minus monotonic time
+        self._n_epochs: int | None = None  # that are added to the unit's time
 
     @property
     def counters(self) -> Counter[str]:
@@ -56,6 +62,7 @@ class UtcReference:
         stamp: by this computer's own clocks.
         """
         notices: list[Notice | None] = []
+        self._own_offset_ns = host_offset_ns(stamp)
         if not self._is_taken:
             notices.append(self.anchor.follow(host_offset_ns(stamp), stamp.mono_ns))
         if self._unit is not None:
@@ -79,21 +86,39 @@ class UtcReference:
         if not self._agrees(round(fix.time_utc_s * 1e9) - fix.received.mono_ns):
             self._own["refused"] += 1
             return []
+        notices: list[Notice | None] = [self._rolled_over(fix.time_utc_s, fix.received.mono_ns, self._unit)]
+        time_utc_s = fix.time_utc_s + (self._n_epochs or 0) * _EPOCH_S
         if self._has_pulse:
-            offset_ns = self._labels.offset_ns(fix.time_utc_s, fix.received)
+            offset_ns = self._labels.offset_ns(time_utc_s, fix.received)
         else:
             delay_s = self._delay_s + wire_delay_s(fix.n_bytes, self._unit.baud)
-            offset_ns = sentence_offset_ns(self._clock, fix.time_utc_s, fix.received, delay_s=delay_s)
+            offset_ns = sentence_offset_ns(self._clock, time_utc_s, fix.received, delay_s=delay_s)
         if offset_ns is None:
-            return []
+            return [notice for notice in notices if notice is not None]
         self._own["readings"] += 1
         mono_ns = fix.received.mono_ns
         if self._is_taken:
-            notices = [self.anchor.follow(offset_ns, mono_ns), self._back(self._unit)]
+            notices += [self.anchor.follow(offset_ns, mono_ns), self._back(self._unit)]
         else:
-            notices = [self._take(offset_ns, mono_ns, self._unit)]
+            notices.append(self._take(offset_ns, mono_ns, self._unit))
         self._last_ns = mono_ns
         return [notice for notice in notices if notice is not None]
+
+    def _rolled_over(self, time_utc_s: float, mono_ns: int, unit: PortSettings) -> Notice | None:
+        """Find, at the first reading, how many times 1024 weeks the unit is back."""
+        if self._n_epochs is not None:
+            return None
+        own_s = max((mono_ns + self._own_offset_ns) * 1e-9, _RELEASED_S)
+        self._n_epochs = min(max(round((own_s - time_utc_s) / _EPOCH_S), 0), _MAX_EPOCHS)
+        if not self._n_epochs:
+            return None
+        self._own["epochs_added"] = self._n_epochs
+        text = (
+            f"the date of '{unit.name}' is {self._n_epochs * 1024} weeks back, as of a receiver that missed a turn of "
+            "the GPS week: they are added, to come nearest to this computer's clock. Check that clock, and the "
+            "receiver's firmware."
+        )
+        return Notice(code="utc_rollover", text=text, place=unit.name)
 
     def _agrees(self, offset_ns: int) -> bool:
         """Check a reading before it goes into any clock, for one that is wrong would stay there."""

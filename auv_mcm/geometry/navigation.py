@@ -18,10 +18,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_mcm.geometry.bridging import MAX_HOLE_S, STEADY_RAD, Hole, Odometer, bridge
 from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
 from auv_mcm.geometry.geodesy import ecef_to_geodetic, geodetic_to_ecef
-from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES, HeadingCheck
+from auv_mcm.geometry.navigation_checks import MAX_ZERO_OFFSET_DEG, ZERO_ALTITUDES, HeadingCheck, ZeroHeadingCheck
+from auv_mcm.geometry.track_speed import SpeedCheck, SpeedEstimate, TrackPoint, TrackSpeed, Verdicts
 from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
 from auv_mcm.settings.config import NavigationConfig
 
@@ -42,8 +44,15 @@ MAX_TIME_LEAP_S: Final = (
     60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
 )
 CHORD_M: Final = 2.0  # course and speed come from fixes this far apart, well above the rounding of coarse logs (0.1 m)
+_CHORD_PER_SCATTER: Final = 15.0  # chords are so many times the scatter of fixes, which turns a course by 5 degrees
+_CHORD_MAX_M: Final = 5.0  # but no longer: over it a vehicle turns
 CHORD_MIN_S: Final = 0.5  # and this long apart, so that JUMP_SLACK_M is no great speed
 CHORD_MAX_S: Final = 4.0  # a vehicle that covers less than CHORD_M in this time has a speed but no course
+# s that pings wait for the next fix where heading and speed go on; more where fixes were seen to be farther apart.
+_LEND_S: Final = 4.0
+_LEND_FACTOR: Final = 1.25  # of the longest time between fixes seen: it varies
+_GIVE_UP_S: Final = 8.0  # s of navigation after which a speed or heading that nothing was compared with is believed
+_SPARSE_INSTANTS: Final = 64  # in holes that nothing bridges, before a notice: a fix that is lost once is no habit
 _ROOM: Final = 128  # values a channel has room for at first, and gathers at once
 _CLOCK_S: Final = 1e-6  # s: float64 UTC seconds resolve 0.24 microseconds; limits hold to this
 
@@ -102,14 +111,27 @@ class NavBuffer:
         chord_s = CHORD_MAX_S + config.max_gap_s
         chord_limits = _Limits(chord_s, chord_s, chord_s)
         self._position = _Channel(
-            limits, width=5
-        )  # Earth-centred metres, doubt in metres, 1 where the position is disputed
+            limits, width=6
+        )  # Earth-centred metres, doubt in metres, 1 where the position is disputed, how far back it lends, s
         self._heading = _Channel(limits)
         self._pitch, self._roll, self._depth, self._altitude, self._speed = (_Channel(limits) for _ in range(5))
         self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)  # in the order of _FIELDS
         self._course = _Channel(chord_limits)
         self._track_speed = _Channel(chord_limits)
-        self._all = (self._position, self._heading, *self._plain, self._course, self._track_speed)
+        self._way = _Channel(limits, width=4)  # as WayMade
+        self._all = (self._position, self._heading, *self._plain, self._course, self._track_speed, self._way)
+        self._odometer = Odometer(config.max_gap_s)
+        self._line = TrackSpeed()
+        self._speed_check = SpeedCheck()
+        self._speed_is_off = Verdicts()
+        self._zero_heading = ZeroHeadingCheck()
+        self._heading_is_empty = Verdicts()
+        self._last_speed_mps = NAN
+        self._has_speed = False  # other than zero
+        self._new_fixes: list[tuple[Fix, bool]] = []  # accepted, not used for the speed yet; joined to the one before?
+        self._chord_m = CHORD_M
+        self._lend_s = max(_LEND_S, limits.look_ahead_s)  # as long as the position waits for a later fix
+        self._n_unbridged = 0
         self._newest_s = -math.inf
         self._oldest_s = -math.inf
         self._last_heading: float | None = None
@@ -185,16 +207,23 @@ class NavBuffer:
         """
         newest_s = self._newest_s
         next_fix_s = min(newest_s, self._agreement.waiting_since_s)  # fixes not decided yet may still be accepted
-        # Later chords have their middle at or after this instant; the next fix after a hole starts a new chord.
+        # Later chords and lines have their middle at or after this instant; the next fix after a hole starts anew.
         next_chord_s = next_fix_s
         start, last = self._chord_start, self._last_fix
         if start is not None and last is not None and next_fix_s - last.time_s <= self._position.limits.bridge_s:
             next_chord_s = 0.5 * (start.time_s + next_fix_s)
-        derived_s = min(self._course.final_until(next_chord_s), self._track_speed.final_until(next_chord_s))
+        next_line_s = self._line.earliest_middle_s(next_fix_s)
+        course_s = self._course.final_until(next_chord_s)
+        track_speed_s = self._track_speed.final_until(next_line_s)
+        if self._is_undecided():
+            return -math.inf
         ready_s = min(channel.final_until(newest_s) for channel in (self._heading, *self._plain))
-        ready_s = min(ready_s, self._position.final_until(next_fix_s))
-        for channel in (self._heading, self._speed):
-            if channel.has_hole(derived_s, newest_s):
+        ready_s = min(ready_s, max(self._position.last_s, next_fix_s - self._lend_s - 2 * _CLOCK_S))
+        for channel, derived_s, verdicts in (
+            (self._heading, course_s, self._heading_is_empty),
+            (self._speed, track_speed_s, self._speed_is_off),
+        ):
+            if channel.has_hole(derived_s, newest_s) or verdicts.holds_after(derived_s):
                 ready_s = min(ready_s, derived_s)
         return ready_s
 
@@ -211,19 +240,25 @@ class NavBuffer:
         accepted, the best track is accepted.
         """
         times = np.array(times_s, dtype=np.float64)
-        if not self._agreement.is_decided and times.size and float(times.max()) > self.ready_until_s:
-            self._decide(self._agreement.decide())
+        if times.size and float(times.max()) > self.ready_until_s:
+            self._decide_now()
         position = self._position.at(times)
         heading, heading_fresh = self._measured_or_derived(
-            self._heading, self._course, "navigation.heading_from_course", times
+            (self._heading, self._course), self._heading_is_empty, "navigation.heading_from_course", times
         )
-        speed, _ = self._measured_or_derived(self._speed, self._track_speed, "navigation.speed_from_fixes", times)
-        latitude, longitude, _ = ecef_to_geodetic(position.values[:, :3])
+        speed, _ = self._measured_or_derived(
+            (self._speed, self._track_speed), self._speed_is_off, "navigation.speed_from_fixes", times
+        )
+        if not self._has_speed and not math.isnan(self._last_speed_mps):
+            speed = np.where(np.isnan(speed), 0.0, speed)
+        place, bridged_sigma_m, bridged = self._bridged(times, position)
+        latitude, longitude, _ = ecef_to_geodetic(place)
         doubt_m, disputed = np.nan_to_num(position.values[:, 3]), position.values[:, 4] > 0.0
         doubt_m = np.where(
             times >= self._agreement.waiting_since_s, np.maximum(doubt_m, self._agreement.waiting_apart_m), doubt_m
         )
-        drift_m = np.where(position.fresh, 0.0, position.age_s * np.fmax(np.abs(speed), DRIFT_MPS))
+        drift_m = np.where(bridged, bridged_sigma_m, 0.0)
+        drift_m = np.where(position.fresh | bridged, drift_m, position.age_s * np.fmax(np.abs(speed), DRIFT_MPS))
         return PoseTrack(
             time_s=times,
             latitude_deg=latitude,
@@ -234,14 +269,21 @@ class NavBuffer:
             roll_rad=self._or_level(self._roll, "navigation.roll_absent", times),
             speed_mps=speed,
             altitude_m=self._altitude.at(times).values[:, 0],
-            stale=~(position.fresh & heading_fresh) | disputed,
+            stale=~((position.fresh | bridged) & heading_fresh) | disputed,
             position_sigma_m=np.hypot(doubt_m, np.where(np.isfinite(drift_m), drift_m, 0.0)),
         )
 
     def forget_before(self, time_s: float) -> None:
         """Drop what no pose at `time_s` or later needs, so that memory does not grow with the mission."""
         for channel in self._all:
-            channel.forget_before(time_s)
+            if channel is not self._way:
+                channel.forget_before(time_s)
+        self._way.forget_before(min(time_s, self._position.first_s))
+
+    @property
+    def wait_s(self) -> float:
+        """Give how long a later fix may be worth waiting for, s."""
+        return self._lend_s
 
     def _restart(self) -> None:
         self._newest_s = self._oldest_s = -math.inf
@@ -251,6 +293,9 @@ class NavBuffer:
         self._last_offered_s = -math.inf
         self._last_fix = self._chord_start = None
         self._last_heading = self._last_course = None
+        self._line.clear()
+        self._new_fixes.clear()
+        self._odometer = Odometer(self._heading.limits.bridge_s)
 
     def _store(self, sample: NavSample) -> None:
         time_s = sample.time_s
@@ -282,15 +327,149 @@ class NavBuffer:
                 self.counters[f"navigation.{name}_out_of_range"] += 1
                 if channel is self._altitude and value == 0.0:
                     self._count_zero_altitude(time_s)
+            elif channel is self._speed and value == 0.0 and not self._has_speed:
+                self._last_speed_mps = 0.0  # never filled, or the vehicle stands: positions say which
             elif channel.last_s == time_s:
                 self.counters["navigation.time_repeated"] += 1
             elif channel is self._heading:
                 self._last_heading = self._unwrap(value, time_s)
                 channel.append(time_s, self._last_heading)
+                if not self._zero_heading.add(value):
+                    self._heading_is_empty.decide(time_s, False)
             else:
                 channel.append(time_s, value)
                 if channel is self._altitude:
                     self._n_zero_altitudes = 0
+                elif channel is self._speed:
+                    self._last_speed_mps, self._has_speed = value, True
+        self._run(time_s)
+
+    def _run(self, time_s: float) -> None:
+        """Add the way made until now; judge speed and heading by new fixes."""
+        heading_rad = NAN
+        if self._last_heading is not None and time_s - self._heading.last_s <= self._heading.limits.bridge_s:
+            heading_rad = self._last_heading
+        speed_mps = self._last_speed_mps
+        if self._has_speed and time_s - self._speed.last_s > self._speed.limits.bridge_s:
+            speed_mps = NAN
+        if speed_mps == speed_mps:
+            self._way.append(time_s, self._odometer.go_to(time_s, heading_rad, speed_mps))
+        self._judge_speed()
+        if self._is_undecided() and time_s - self._oldest_s > _GIVE_UP_S:
+            self._believe()
+
+    def _judge_speed(self) -> None:
+        """Lay lines through new fixes; compare the measured speed with them."""
+        new, self._new_fixes = self._new_fixes, []
+        for fix, joined in new:
+            made = self._way.at(np.array([fix.time_s])).values[0]
+            estimate = self._line.add(TrackPoint(fix, *made.tolist()), joined=joined)
+            if estimate is not None:
+                self._use_estimate(estimate)
+
+    def _use_estimate(self, estimate: SpeedEstimate) -> None:
+        if estimate.scatter_m == estimate.scatter_m:
+            self._chord_m = min(max(CHORD_M, _CHORD_PER_SCATTER * estimate.scatter_m), _CHORD_MAX_M)
+        if estimate.middle_s > self._track_speed.last_s:
+            self._track_speed.append(estimate.middle_s, estimate.speed_mps)
+        is_off = self._speed_check.is_off(estimate, self._speed_is_off.newest)
+        if is_off is not None:
+            self._speed_is_off.decide(self._newest_s, is_off)
+        ways_m = self._speed_check.reported(estimate)
+        if ways_m is None:
+            return
+        by_track_m, measured_m = ways_m
+        text = (
+            f"the measured speed makes {measured_m:.0f} m where positions moved {by_track_m:.0f} m: along-track scale "
+            "and coverage come from the positions. Check the speed's source and its unit (knots or m/s)."
+        )
+        if measured_m == 0.0:
+            text = (
+                f"speed is 0 while positions moved {by_track_m:.0f} m: along-track scale and coverage come from the "
+                "positions. Check that the speed is logged and its sensor works."
+            )
+        self._raise_once("navigation.speed_off_track", text, estimate.middle_s)
+
+    def _is_undecided(self) -> bool:
+        """Check whether it has to be found out yet if measured speed and heading can be used."""
+        has_speed = not math.isnan(self._last_speed_mps)
+        return (has_speed and not self._speed_is_off.is_decided) or (
+            self._zero_heading.is_all_zero and not self._heading_is_empty.is_decided
+        )
+
+    def _believe(self) -> None:
+        """Use measured speed and heading until something speaks against them."""
+        for verdicts in (self._speed_is_off, self._heading_is_empty):
+            if not verdicts.is_decided:
+                verdicts.decide(self._newest_s, False)
+
+    def _decide_now(self) -> None:
+        """Decide what is open, because a caller cannot wait."""
+        if not self._agreement.is_decided:
+            self._decide(self._agreement.decide())
+            self._judge_speed()
+        if not self._speed_is_off.is_decided or not math.isfinite(self._track_speed.last_s):
+            estimate = self._line.at_end()
+            if estimate is not None:
+                self._use_estimate(estimate)
+        if self._is_undecided():
+            self._believe()
+
+    def _bridged(
+        self, times: NDArray[np.float64], position: _Values
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Place instants in holes between fixes by the way made; return places, 1-sigma, m, and which were placed."""
+        place, sigma_m = position.values[:, :3].copy(), np.zeros(times.shape)
+        bridged = np.zeros(times.shape, dtype=np.bool_)
+        hole = self._position.holes(times)
+        if self._lend_s > max(_LEND_S, self._position.limits.look_ahead_s):
+            self._carry_on(times, place, sigma_m, bridged)
+        if hole is None:
+            return place, sigma_m, bridged
+        rows, left_s, right_s, left, right = hole
+        usable = (right_s - left_s <= MAX_HOLE_S + _CLOCK_S) & (right_s - times[rows] < right[:, 5])
+        headings = [self._heading.at(left_s + share * (right_s - left_s)) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+        turned = np.ptp([heading.values[:, 0] for heading in headings], axis=0)
+        steady = np.all([heading.fresh for heading in headings], axis=0) & (turned <= STEADY_RAD)
+        made, until, before = (self._way.at(when).values for when in (times[rows], right_s, left_s))
+        fraction = (times[rows] - left_s) / (right_s - left_s)
+        placed, placed_sigma_m, known = bridge(Hole(left[:, :3], right[:, :3], fraction, made, until, before, steady))
+        chosen = known & usable
+        place[rows[chosen]], sigma_m[rows[chosen]] = placed[chosen], placed_sigma_m[chosen]
+        bridged[rows[chosen]] = True
+        self._count_unbridged(int(np.count_nonzero(usable & ~known)), times, float(np.max(right_s - left_s)))
+        return place, sigma_m, bridged
+
+    def _carry_on(
+        self,
+        times: NDArray[np.float64],
+        place: NDArray[np.float64],
+        sigma_m: NDArray[np.float64],
+        bridged: NDArray[np.bool_],
+    ) -> None:
+        """Place instants behind the last fix by the way made since then, where fixes are known to be far apart."""
+        last_s = self._position.last_s
+        rows = np.flatnonzero((times > last_s) & (times - last_s <= self._lend_s))
+        if not rows.size:
+            return
+        last = self._position.at(np.full(rows.size, last_s)).values[:, :3]
+        made, before = self._way.at(times[rows]).values, self._way.at(np.full(rows.size, last_s)).values
+        placed, placed_sigma_m, known = bridge(
+            Hole(last, last, np.zeros(rows.size), made, before, before, np.zeros(rows.size, dtype=np.bool_))
+        )
+        place[rows[known]], sigma_m[rows[known]], bridged[rows[known]] = placed[known], placed_sigma_m[known], True
+
+    def _count_unbridged(self, n_instants: int, times: NDArray[np.float64], hole_s: float) -> None:
+        self._n_unbridged += n_instants
+        if self._n_unbridged < _SPARSE_INSTANTS:
+            return
+        limit_s = self._position.limits.bridge_s
+        text = (
+            f"positions come as far as {hole_s:.1f} s apart, and heading and speed do not bridge the time between: "
+            f"nothing there counts as covered. Record heading and speed, or raise navigation.max_gap_s ({limit_s:g} s) "
+            "if the track is straight."
+        )
+        self._raise_once("navigation.fixes_sparse", text, float(times[0]))
 
     def _count_zero_altitude(self, time_s: float) -> None:
         self._n_zero_altitudes += 1
@@ -372,24 +551,39 @@ class NavBuffer:
 
     def _accept(self, fix: Fix, joined: bool, doubt: tuple[float, float]) -> None:
         """Take a fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
-        self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt), joined)
         start, last = self._chord_start, self._last_fix
+        self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt, self._lend_s), joined)
+        self._new_fixes.append((fix, joined))
+        if joined and last is not None and self._position.limits.bridge_s < fix.time_s - last.time_s <= MAX_HOLE_S:
+            self._lend_s = min(max(self._lend_s, _LEND_FACTOR * (fix.time_s - last.time_s)), MAX_HOLE_S)
         self._last_fix = fix
         if start is None or last is None or not joined or fix.time_s - last.time_s > self._position.limits.bridge_s:
             self._chord_start = fix
             return
         distance, duration = chord_m(start, fix), fix.time_s - start.time_s
-        if duration < CHORD_MIN_S or (distance < CHORD_M and duration < CHORD_MAX_S):
+        if duration < CHORD_MIN_S or (distance < self._chord_m and duration < CHORD_MAX_S):
             return
         self._chord_start = fix
         middle_s = 0.5 * (start.time_s + fix.time_s)
-        self._track_speed.append(middle_s, distance / duration)
         if distance >= CHORD_M:
             self._last_course = self._unwrap(course_rad(start, fix), fix.time_s)
             self._course.append(middle_s, self._last_course)
             self._check_heading(middle_s, self._last_course)
 
     def _check_heading(self, time_s: float, course_rad: float) -> None:
+        course_deg = self._zero_heading.off_course_deg(course_rad)
+        if course_deg is not None:
+            is_empty = abs(course_deg) > MAX_ZERO_OFFSET_DEG
+            self._heading_is_empty.decide(self._newest_s, is_empty)
+            if is_empty:
+                text = (
+                    f"heading is 0 in every sample while the vehicle makes good a course of {course_deg % 360.0:.0f} "
+                    "degrees: it is taken as unknown, and the course is used. Check that a compass is connected and "
+                    "logged."
+                )
+                self._raise_once("navigation.heading_zero", text, time_s)
+        if self._heading_is_empty.newest:
+            return
         heading = self._heading.at(np.array([time_s]))
         if not heading.fresh[0]:
             return
@@ -410,24 +604,31 @@ class NavBuffer:
 
         A track may change between them.
         """
-        compass_speaks = time_s - self._heading.last_s <= self._heading.limits.bridge_s
+        compass_speaks = (
+            time_s - self._heading.last_s <= self._heading.limits.bridge_s and not self._heading_is_empty.newest
+        )
         last = self._last_heading if compass_speaks or self._last_course is None else self._last_course
         return angle_rad if last is None else angle_rad + 2 * math.pi * round((last - angle_rad) / (2 * math.pi))
 
     def _measured_or_derived(
-        self, measured: _Channel, derived: _Channel, counter: str, times: NDArray[np.float64]
+        self, channels: tuple[_Channel, _Channel], is_off: Verdicts, counter: str, times: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Give fresh measured values, else fresh derived ones, else the nearest known; and which are fresh."""
-        first = measured.at(times)
-        if first.fresh.all():
+        """Give fresh measured values, else fresh derived ones, else the nearest known; and which are fresh.
+
+        Where the measured ones are off, only derived ones, if there are any.
+        """
+        measured, derived = channels
+        first, off = measured.at(times), is_off.at(times)
+        if first.fresh.all() and not off.any():
             return first.values[:, 0], first.fresh
         second = derived.at(times)
         use_derived = ~first.fresh & (second.fresh | np.isnan(first.values[:, 0]))
+        use_derived |= off & ~np.isnan(second.values[:, 0])
         values = np.where(use_derived, second.values[:, 0], first.values[:, 0])
         count = int(np.count_nonzero(use_derived & ~np.isnan(values)))
         if count:
             self.counters[counter] += count
-        return values, first.fresh | second.fresh
+        return values, (first.fresh & ~off) | second.fresh
 
     def _or_level(self, channel: _Channel, counter: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
         values = channel.at(times).values[:, 0]
@@ -487,6 +688,16 @@ class _Values(NamedTuple):
     values: NDArray[np.float64]
     fresh: NDArray[np.bool_]
     age_s: NDArray[np.float64]
+
+
+class _Holes(NamedTuple):
+    """Hold instants between values too far apart to interpolate: their rows, and the times and values of both."""
+
+    rows: NDArray[np.intp]
+    left_s: NDArray[np.float64]
+    right_s: NDArray[np.float64]
+    left: NDArray[np.float64]
+    right: NDArray[np.float64]
 
 
 class _Channel:
@@ -566,6 +777,30 @@ class _Channel:
         )
         values = np.where(np.isfinite(distance)[:, np.newaxis], values, NAN)
         return _Values(values, bridged | (distance <= limits.fresh_s + _CLOCK_S), distance)
+
+    @property
+    def first_s(self) -> float:
+        """Give the time of the oldest value that is kept; inf without one."""
+        self._gather()
+        return float(self._times[self._start]) if self._stop > self._start else math.inf
+
+    def holes(self, times: NDArray[np.float64]) -> _Holes | None:
+        """Find the instants in holes too long to interpolate, but joined; None if there are none."""
+        self._gather()
+        known_s = self._times[self._start : self._stop]
+        if known_s.size < 2 or not times.size:
+            return None
+        right = np.searchsorted(known_s, times, side="right")
+        rows = np.flatnonzero((right > 0) & (right < known_s.size))
+        right = right[rows]
+        is_hole = (known_s[right] - known_s[right - 1] > self.limits.bridge_s + _CLOCK_S) & self._joined[
+            self._start + right
+        ]
+        if not is_hole.any():
+            return None
+        rows, right = rows[is_hole], right[is_hole]
+        known = self._values[self._start : self._stop]
+        return _Holes(rows, known_s[right - 1], known_s[right], known[right - 1], known[right])
 
     def forget_before(self, time_s: float) -> None:
         """Keep the last sample at or before `time_s`, as left neighbour, and all later ones."""

@@ -46,6 +46,39 @@ class HeadingCheck:
         return offset_rad if abs(mean) >= _MIN_RESULTANT and abs(offset_rad) > _MAX_OFFSET_RAD else None
 
 
+MAX_ZERO_OFFSET_DEG: Final = 5.0
+"""Between a heading of 0 in every sample and the course, degrees: a compass never reads exactly 0 for long."""
+_MIN_ZERO_HEADINGS: Final = 20  # before a verdict: a compass in steps of a degree may read 0 for a second
+_ZERO_CHORDS: Final = 3  # newest chords, 6 m or more, whose mean course is compared
+
+
+class ZeroHeadingCheck:
+    """Find a heading that is 0 in every sample although the vehicle goes elsewhere: a field that was never filled."""
+
+    def __init__(self) -> None:
+        self._n_zeros = 0
+        self._is_filled = False
+        self._courses: deque[complex] = deque(maxlen=_ZERO_CHORDS)
+
+    @property
+    def is_all_zero(self) -> bool:
+        """Check whether there were headings, all of them 0."""
+        return self._n_zeros > 0 and not self._is_filled
+
+    def add(self, heading_rad: float) -> bool:
+        """Take a heading; return whether all were 0 until now."""
+        self._is_filled = self._is_filled or heading_rad != 0.0
+        self._n_zeros += not self._is_filled
+        return not self._is_filled
+
+    def off_course_deg(self, course_rad: float) -> float | None:
+        """Take a chord's course; return the mean course if it can be compared with a heading of 0, else None."""
+        self._courses.append(cmath.rect(1.0, course_rad))
+        if self._is_filled or self._n_zeros < _MIN_ZERO_HEADINGS or len(self._courses) < _ZERO_CHORDS:
+            return None
+        return math.degrees(cmath.phase(sum(self._courses)))
+
+
 class AltitudeCheck:
     """Compare the measured altitude with the range of the sonar, ping by ping."""
 

@@ -120,6 +120,15 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
     max_speed_mps: Annotated[
         float, Meta(gt=0.0, le=30.0, description="ports only: reject fixes that imply a higher speed, m/s")
     ] = 6.0
+    epsg: Annotated[
+        Annotated[int, Meta(ge=1024, le=998_999)] | None,
+        Meta(
+            description=(
+                "logs only: EPSG code of the projection in which an XTF log holds its positions in metres, such as "
+                "32632 for UTM zone 32 north; empty for degrees"
+            )
+        ),
+    ] = None
     recover_s: Annotated[
         float,
         Meta(ge=0.0, le=600.0, description="ports only: a better unit is used again after being healthy this long, s"),

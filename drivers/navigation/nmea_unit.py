@@ -7,18 +7,40 @@ from collections import Counter
 from typing import Any, Final
 
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NAN
+from auv_mcm.records import NAN, Notice
 from drivers.framing import StampedFramer, StampedMessage
 from drivers.navigation.device_date import DeviceDate
+from drivers.navigation.heading_choice import HeadingChoice
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nmea0183 import NmeaGrammar
 from drivers.navigation.pixse import PIXSE_RECORDS, Burst
-from drivers.navigation.sentences import Dbt, Dpt, Gga, Gll, Hdt, Pashr, Prdid, Rmc, Vtg, Zda, parse
+from drivers.navigation.sentences import (
+    Avr,
+    Dbt,
+    Dpt,
+    Gga,
+    Gll,
+    Gpatt,
+    Hdg,
+    Hdm,
+    Hdt,
+    Hpr,
+    Ohpr,
+    Pashr,
+    Prdid,
+    Rmc,
+    Ths,
+    Vtg,
+    Zda,
+    key_of,
+    parse,
+)
 
 # How many sentences of other kinds may pass before a heading is taken not to belong to an inertial unit's bursts.
 _BURST_SENTENCES: Final = 32
 _GGA_NOT_MEASURED: Final = (0.0, 7.0, 8.0)
 _GGA_ESTIMATED: Final = 6.0
+_THS_NOT_MEASURED: Final = frozenset("MSV")
 _MODES_NOT_MEASURED: Final = frozenset("NMS")
 
 
@@ -26,7 +48,7 @@ class NmeaUnit:
     """Decode one link's sentences to fixes. Never raises, whatever the bytes.
 
     `counters`: those of the framer (`nmea.*`), `nmea.malformed` (checksum right, fields impossible), `nmea.ignored`
-    (kinds not known here).
+    (kinds not known here), `nmea.heading_not_used` (a better heading comes as well).
     """
 
     def __init__(self, source: str) -> None:
@@ -36,6 +58,7 @@ class NmeaUnit:
         self._date = DeviceDate()
         self._burst = Burst(source, self._date)
         self._since_burst = _BURST_SENTENCES
+        self._headings = HeadingChoice(source)
 
     @property
     def counters(self) -> Counter[str]:
@@ -49,6 +72,10 @@ class NmeaUnit:
         """Return what still waited at the end of a log or link."""
         return [fix for arrived in self._framer.finish() for fix in self._fixes(arrived)] + self._burst.end()
 
+    def take_notices(self) -> list[Notice]:
+        """Take the notices about headings raised since the last call."""
+        return self._headings.take_notices()
+
     def _fixes(self, arrived: StampedMessage[str]) -> list[NavFix]:
         try:
             record = parse(arrived.message)
@@ -58,19 +85,17 @@ class NmeaUnit:
         self._since_burst += 1
         if record is None:
             self._own["nmea.ignored"] += 1
+            self._headings.ignored(key_of(arrived.message.split(",")))
             return []
         if isinstance(record, PIXSE_RECORDS):
             self._since_burst = 0
         if self._since_burst == 0 or (isinstance(record, Hdt) and self._since_burst < _BURST_SENTENCES):
             return self._burst.add(record, arrived)
-        return [
-            NavFix(
-                source=self._source,
-                received=arrived.received,
-                n_bytes=arrived.n_bytes,
-                **self._fix_fields(record, arrived.received),
-            )
-        ]
+        fields = self._fix_fields(record, arrived.received)
+        if not self._headings.serves(record, fields.get("heading_rad", NAN)):
+            self._own["nmea.heading_not_used"] += 1
+            fields["heading_rad"] = NAN
+        return [NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **fields)]
 
     def _fix_fields(self, record: Any, stamp: Stamp) -> dict[str, Any]:
         """Return the fields of a fix that a sentence fills."""
@@ -84,6 +109,7 @@ class NmeaUnit:
             case Rmc():
                 fix_fields = _judged(record.status, record.mode)
                 fix_fields["time_utc_s"] = self._date.dated(record.date_days, record.time_of_day_s, stamp)
+                self._headings.vary(record.variation_rad)
                 if fix_fields["valid"]:
                     fix_fields.update(
                         _place(record.latitude_deg, record.longitude_deg),
@@ -97,6 +123,19 @@ class NmeaUnit:
                 if fix_fields["valid"]:
                     fix_fields.update(_place(record.latitude_deg, record.longitude_deg))
                 return fix_fields
+            case Ths():
+                sound = record.mode not in _THS_NOT_MEASURED and not math.isnan(record.heading_rad)
+                return {"heading_rad": record.heading_rad if sound else NAN, "valid": sound}
+            case Hdg() | Hdm():
+                heading_rad = self._headings.true_rad(record)
+                return {"heading_rad": heading_rad, "valid": not math.isnan(heading_rad)}
+            case Hpr() | Avr():
+                fix_fields = {"time_utc_s": self._date.nearest(record.time_of_day_s, stamp)}
+                if isinstance(record, Avr) and record.quality == 0.0:
+                    return {**fix_fields, "valid": False}
+                return {**fix_fields, **_attitude(record.heading_rad, record.pitch_rad, record.roll_rad)}
+            case Gpatt() | Ohpr():
+                return _attitude(record.heading_rad, record.pitch_rad, record.roll_rad)
             case Hdt():
                 return {"heading_rad": record.heading_rad, "valid": not math.isnan(record.heading_rad)}
             case Vtg():
@@ -128,6 +167,14 @@ class NmeaUnit:
 
 def _judged(status: str, mode: str) -> dict[str, Any]:
     return {"valid": status == "A" and mode not in _MODES_NOT_MEASURED, "estimated": mode == "E"}
+
+
+def _attitude(heading_rad: float, pitch_rad: float, roll_rad: float) -> dict[str, Any]:
+    """Return the fields of an attitude; a unit of two antennas gives pitch or roll alone, and the other is level."""
+    if math.isnan(pitch_rad) != math.isnan(roll_rad):
+        pitch_rad, roll_rad = (0.0 if math.isnan(angle) else angle for angle in (pitch_rad, roll_rad))
+    fields = {"heading_rad": heading_rad % math.tau, "pitch_rad": pitch_rad, "roll_rad": roll_rad}
+    return {**fields, "valid": not all(map(math.isnan, fields.values()))}
 
 
 def _place(latitude_deg: float, longitude_deg: float) -> dict[str, Any]:

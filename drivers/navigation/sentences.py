@@ -2,8 +2,8 @@
 
 Angles are radians, speeds m/s, times of day seconds since midnight UTC, dates days since 1970-01-01; an empty field is
 NaN or "". Signs are those of the wire. Fields missing at the end count as empty, since older units send fewer. Layouts:
-IEC 61162-1 for the standard ones, the makers' published descriptions for PASHR, PRDID (TSS1/Teledyne RDI) and PIXSE
-(iXblue).
+IEC 61162-1 for the standard ones, the makers' published descriptions for PASHR, PRDID (TSS1/Teledyne RDI), PIXSE
+(iXblue), PSAT (Hemisphere), PTNL (Trimble), PFEC (Furuno) and OHPR (OceanServer).
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from auv_mcm.records import NAN
 KNOT_MPS: Final = 1852.0 / 3600.0  # m/s: a nautical mile in an hour
 _FOOT_M: Final = 0.3048  # m, the international foot
 _FATHOM_M: Final = 1.8288  # m: six feet
+_SUBTYPED: Final = ("PIXSE", "PSAT", "PTNL", "PFEC")  # makers whose second field says what a sentence is
+_OCEANSERVER: Final = "OHPR"  # without a talker, though it does not begin with P
 _EPOCH: Final = date(1970, 1, 1)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
 _CLOCK: Final = re.compile(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)")
@@ -53,7 +55,8 @@ class Gga(NamedTuple):
 class Rmc(NamedTuple):
     """Hold position, speed and date (RMC).
 
-    status: A valid, V not. mode: A autonomous, D differential, E dead reckoning, M by hand, S simulated, N none.
+    status: A valid, V not. variation_rad: magnetic, positive to the east. mode: A autonomous, D differential, E dead
+    reckoning, M by hand, S simulated, N none.
     """
 
     time_of_day_s: float
@@ -63,6 +66,7 @@ class Rmc(NamedTuple):
     speed_mps: float
     course_rad: float
     date_days: float
+    variation_rad: float = NAN
     mode: str = ""
 
 
@@ -80,6 +84,70 @@ class Hdt(NamedTuple):
     """Hold a true heading (HDT)."""
 
     heading_rad: float
+
+
+class Ths(NamedTuple):
+    """Hold a true heading and its status (THS).
+
+    mode: A autonomous, E estimated, M by hand, S simulated, V not valid.
+    """
+
+    heading_rad: float
+    mode: str = ""
+
+
+class Hdg(NamedTuple):
+    """Hold a magnetic heading with the compass's deviation and the magnetic variation, positive to the east (HDG)."""
+
+    heading_rad: float
+    deviation_rad: float = NAN
+    variation_rad: float = NAN
+
+
+class Hdm(NamedTuple):
+    """Hold a magnetic heading (HDM)."""
+
+    heading_rad: float
+
+
+class Hpr(NamedTuple):
+    """Hold true heading, pitch and roll of a satellite compass (PSAT,HPR). kind: N of satellites, G of a gyro."""
+
+    time_of_day_s: float
+    heading_rad: float
+    pitch_rad: float
+    roll_rad: float
+    kind: str = ""
+
+
+class Avr(NamedTuple):
+    """Hold true heading, pitch and roll between two antennas (PTNL,AVR).
+
+    quality: 0 none, 1 autonomous, 2 and 3 RTK, 4 differential.
+    """
+
+    time_of_day_s: float
+    heading_rad: float
+    pitch_rad: float
+    roll_rad: float
+    distance_m: float = NAN
+    quality: float = NAN
+
+
+class Gpatt(NamedTuple):
+    """Hold true heading, pitch and roll of a satellite compass (PFEC,GPatt)."""
+
+    heading_rad: float
+    pitch_rad: float
+    roll_rad: float
+
+
+class Ohpr(NamedTuple):
+    """Hold heading, pitch and roll of a magnetic compass (OHPR); the heading is true where its declination is set."""
+
+    heading_rad: float
+    pitch_rad: float
+    roll_rad: float
 
 
 class Vtg(NamedTuple):
@@ -200,6 +268,13 @@ Record: TypeAlias = (
     | Rmc
     | Gll
     | Hdt
+    | Ths
+    | Hdg
+    | Hdm
+    | Hpr
+    | Avr
+    | Gpatt
+    | Ohpr
     | Vtg
     | Zda
     | Dpt
@@ -233,12 +308,12 @@ class Sentence(NamedTuple, Generic[R]):
 def key_of(fields: Sequence[str]) -> str:
     """Return the key of the sentence that a body's fields form.
 
-    The type without its talker, a proprietary one whole, iXblue's with its second field.
+    The type without its talker, a proprietary one whole, of some makers with its second field.
     """
     address = fields[0]
-    if address == "PIXSE":
-        return f"PIXSE,{fields[1]}" if len(fields) > 1 else address
-    return address if address.startswith("P") else address[2:]
+    if address in _SUBTYPED:
+        return f"{address},{fields[1]}" if len(fields) > 1 else address
+    return address if address.startswith("P") or address == _OCEANSERVER else address[2:]
 
 
 def parse(body: str) -> Record | None:
@@ -270,7 +345,7 @@ def parse(body: str) -> Record | None:
 def body_of(record: Record, talker: str = "GP") -> str:
     """Encode a record as a body; talker: for standard sentences."""
     kind = _BY_RECORD[type(record)]
-    fields = [kind.key if kind.key.startswith("P") else talker + kind.key]
+    fields = [kind.key if kind.key.startswith(("P", _OCEANSERVER)) else talker + kind.key]
     values = iter(record)
     for codec in kind.codecs:
         fields += [""] if codec is None else codec.write(next(values))
@@ -317,6 +392,36 @@ def _with_unit(number: Codec, unit: str) -> Codec:
         return value
 
     return Codec(2, read, lambda value: (*number.write(value), unit))
+
+
+def _named(number: Codec, name: str) -> Codec:
+    """Make the codec of a number and the name of what it is, which is not there where the number is not."""
+
+    def read(fields: Sequence[str]) -> float:
+        if fields[1].lower() not in ("", name.lower()):
+            raise ValueError(f"{fields[1]} where {name} belongs")
+        value: float = number.read(fields)
+        return value
+
+    def write(value: float) -> Sequence[str]:
+        return ("", "") if math.isnan(value) else (*number.write(value), name)
+
+    return Codec(2, read, write)
+
+
+def _east_or_west(number: Codec) -> Codec:
+    """Make the codec of an angle and the letter of its side; positive to the east."""
+
+    def read(fields: Sequence[str]) -> float:
+        if len(fields[1]) > 1 or fields[1] not in "EW":
+            raise ValueError(f"not E or W: {fields[1]}")
+        value: float = number.read(fields)
+        return -value if fields[1] == "W" else value
+
+    def write(value: float) -> Sequence[str]:
+        return ("", "") if math.isnan(value) else (*number.write(abs(value)), "W" if value < 0.0 else "E")
+
+    return Codec(2, read, write)
 
 
 def _degrees_and_minutes(n_degree_digits: int, hemispheres: str) -> Codec:
@@ -422,7 +527,8 @@ def _write_depths(depth_m: float) -> Sequence[str]:
 
 _DEGREE: Final = math.pi / 180.0
 _COUNT, _TENTHS, _CENTI, _MILLI = (_number(decimals) for decimals in range(4))
-_ANGLE_CENTI, _ANGLE_MILLI = _number(2, _DEGREE), _number(3, _DEGREE)
+_ANGLE_TENTHS, _ANGLE_CENTI, _ANGLE_MILLI = (_number(decimals, _DEGREE) for decimals in (1, 2, 3))
+_VARIATION: Final = _east_or_west(_ANGLE_CENTI)
 _DECIMAL_DEGREES: Final = _number(8)
 _LATITUDE, _LONGITUDE = _degrees_and_minutes(2, "NS"), _degrees_and_minutes(3, "EW")
 _TIME: Final = _clock(3)
@@ -445,12 +551,30 @@ SENTENCES: Final[dict[str, Sentence[Any]]] = {
                 _number(3, KNOT_MPS),
                 _ANGLE_CENTI,
                 Codec(1, _read_six_digit_date, _write_six_digit_date),
-                *_SKIPPED * 2,  # magnetic variation
+                _VARIATION,
                 _MODE,
             ),
         ),
         Sentence("GLL", Gll, (_LATITUDE, _LONGITUDE, _TIME, _STATUS, _MODE)),
         Sentence("HDT", Hdt, (_with_unit(_ANGLE_MILLI, "T"),)),
+        Sentence("THS", Ths, (_ANGLE_MILLI, _letter("AEMSV"))),
+        Sentence("HDG", Hdg, (_ANGLE_MILLI, _VARIATION, _VARIATION)),
+        Sentence("HDM", Hdm, (_with_unit(_ANGLE_MILLI, "M"),)),
+        Sentence("PSAT,HPR", Hpr, (_TIME, *(_ANGLE_MILLI,) * 3, _letter("NG"))),
+        Sentence(
+            "PTNL,AVR",
+            Avr,
+            (
+                _TIME,
+                _named(_ANGLE_MILLI, "Yaw"),
+                _named(_ANGLE_MILLI, "Tilt"),
+                _named(_ANGLE_MILLI, "Roll"),
+                _MILLI,
+                _COUNT,
+            ),
+        ),
+        Sentence("PFEC,GPatt", Gpatt, (_ANGLE_TENTHS,) * 3),
+        Sentence("OHPR", Ohpr, (_ANGLE_TENTHS,) * 3),
         Sentence(
             "VTG",
             Vtg,

@@ -34,6 +34,7 @@ from drivers.sonar.jsf_messages import (
     decode_data,
     read_time,
     set_value,
+    sound_speed_in,
 )
 from drivers.sonar.pairing import SidePairer
 from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
@@ -151,9 +152,9 @@ class JsfDecoder:
     """Decode data messages of one subsystem to frames of amplitude, both sides joined, and answers to replies.
 
     Ranges are made with the sound speed that the sonar measured, changed only when it moved by half a metre per second,
-    so that consecutive pings keep one sample layout; 1500 m/s where it reports none. Messages repeat the position until
-    the topside has a new one: a repeated one is not taken as a fix for 1.25 s, so that the track runs between fixes and
-    not in steps.
+    so that consecutive pings keep one sample layout; with that of a pressure sensor or Doppler log where it reports
+    none; with 1500 m/s without either. Messages repeat the position until the topside has a new one: a repeated one is
+    not taken as a fix for 1.25 s, so that the track runs between fixes and not in steps.
     """
 
     def __init__(self, *, subsystem: int = HIGH_FREQUENCY) -> None:
@@ -162,6 +163,7 @@ class JsfDecoder:
         self._pairer = SidePairer(self._framer.counters)
         self._subsystem = subsystem
         self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
+        self._sensor_speed_mps: float | None = None  # of sound, by a sensor's own message
         self._fix: tuple[int, int, float] | None = None  # longitude, latitude, and when they were first reported
 
     @property
@@ -181,6 +183,7 @@ class JsfDecoder:
             if message.command in (Command.REPLY, Command.ERROR):
                 found.append(_reply(arrived))
             elif message.message_type != SIDE_SCAN:
+                self._sensor_speed_mps = sound_speed_in(message) or self._sensor_speed_mps
                 self.counters["jsf.other_messages"] += 1
             elif message.subsystem != self._subsystem or message.channel not in (PORT, STARBOARD):
                 name = (
@@ -205,7 +208,7 @@ class JsfDecoder:
             samples=amplitude(data), first_range_m=header.start_depth_samples * spacing_m, spacing_m=spacing_m
         )
         to_port = arrived.message.channel == PORT
-        time_s = header.utc_s if header.time_s > 0 else None
+        time_s = header.utc_s if header.utc_s > 0.0 else None
         altitude_m = _valued(header, Validity.ALTITUDE, 1e-3 * header.altitude_mm)
         frame = SonarFrame(
             number=header.ping_number,
@@ -235,7 +238,8 @@ class JsfDecoder:
         sound_speed_mps = header.sound_speed_mps
         if not (header.validity & Validity.SOUND_SPEED and 1300.0 <= sound_speed_mps <= 1700.0):
             self.counters["jsf.sound_speed_not_told"] += 1
-        elif abs(sound_speed_mps - self._sound_speed_mps) >= _SAME_SPEED_MPS:
+            sound_speed_mps = self._sensor_speed_mps or self._sound_speed_mps
+        if abs(sound_speed_mps - self._sound_speed_mps) >= _SAME_SPEED_MPS:
             self._sound_speed_mps = sound_speed_mps
         return self._sound_speed_mps
 

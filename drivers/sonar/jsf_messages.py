@@ -6,6 +6,7 @@ properties give them their units. A log (.jsf) is the same stream, stored.
 
 from __future__ import annotations
 
+from datetime import date
 from enum import IntEnum
 from struct import Struct
 from typing import Final, NamedTuple
@@ -156,16 +157,47 @@ class SideScanHeader(NamedTuple):
 
     @property
     def utc_s(self) -> float:
-        """Return the time of the ping, UTC seconds since 1970."""
-        return self.time_s + 1e-3 * (self.milliseconds_today % 1000)
+        """Return the time of the ping, UTC seconds since 1970; 0 where the sonar's clock was never set.
+
+        Seconds since 1970 came with version 8 of the protocol; before it, year, day of the year and time tell.
+        """
+        milliseconds = 1e-3 * (self.milliseconds_today % 1000)
+        if self.time_s > 0:
+            return self.time_s + milliseconds
+        year = self.year + (0 if self.year >= 100 or self.year <= 0 else 1900 if self.year >= 80 else 2000)
+        is_date = _FIRST_YEAR <= year <= _LAST_YEAR and 1 <= self.day_of_year <= 366
+        if not is_date or not (0 <= self.hour < 24 and 0 <= self.minute < 60 and 0 <= self.second <= 60):
+            return 0.0
+        days = date(year, 1, 1).toordinal() - _EPOCH_DAYS + self.day_of_year - 1
+        return 86_400.0 * days + 3600.0 * self.hour + 60.0 * self.minute + self.second + milliseconds
 
 
 DATA_HEADER: Final = Struct(
     "<iII4x3H6xhHxxh2h4xff24xfiih24sHIHh2xHHHiiHHiff5hhhhHhh4xhH6xhh4xIH4x6s4xH4xhf4xH2x",
 )
 DATA_HEADER_BYTES: Final = DATA_HEADER.size
+_FIRST_YEAR, _LAST_YEAR = 1980, 2200  # of dates: what is outside was never set, or is damage
+_EPOCH_DAYS: Final = date(1970, 1, 1).toordinal()
 _DATA_FORMAT: Final = Struct("<h")
 _SAMPLES: Final = Struct("<H96xH")  # msb at 16, low 16 bits at 114
+
+
+PRESSURE, DOPPLER = 2060, 2080
+_SOUND_SPEED_IN: Final = {PRESSURE: Struct("<32xI"), DOPPLER: Struct("<56xH")}
+_SOUND_SPEED_UNITS_MPS: Final = (1.0, 1e-3)  # m/s per count: the description says mm/s, and writers use m/s as well
+
+
+def sound_speed_in(message: JsfMessage) -> float | None:
+    """Read the sound speed, m/s, in a pressure sensor's or a Doppler log's message; None where it holds none.
+
+    Believed by its value alone, since revisions of the description differ about the flags.
+    """
+    field = _SOUND_SPEED_IN.get(message.message_type)
+    if field is None or len(message.body) < field.size:
+        return None
+    (count,) = field.unpack_from(message.body)
+    possible = (unit * count for unit in _SOUND_SPEED_UNITS_MPS)
+    return next((speed_mps for speed_mps in possible if 1300.0 <= speed_mps <= 1700.0), None)
 
 
 class SideScanData(NamedTuple):

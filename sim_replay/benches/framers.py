@@ -237,7 +237,7 @@ def _nmea_messages(random: np.random.Generator, n: int) -> list[bytes]:
         elif number % 4 == 1:
             records.append(
                 sentences.Rmc(
-                    time_of_day_s, "A", latitude_deg, longitude_deg, 2.0, random.uniform(0.0, 6.0), 19_700.0, "A"
+                    time_of_day_s, "A", latitude_deg, longitude_deg, 2.0, random.uniform(0.0, 6.0), 19_700.0, 0.02, "A"
                 )
             )
         elif number % 4 == 2:

@@ -18,17 +18,21 @@ from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NAN, Notice
 from drivers.navigation.nmea0183 import sentence
-from drivers.navigation.sentences import Pashr, body_of
+from drivers.navigation.sentences import Dpt, Pashr, Record, Vtg, body_of
 from drivers.recording.session_layout import Recorded
 from drivers.sonar.jsf import SIDE_SCAN_SUBSYSTEMS, JsfGrammar
 from drivers.sonar.jsf_messages import (
     DATA_HEADER,
+    DOPPLER,
     PORT,
+    PRESSURE,
     SIDE_SCAN,
     STARBOARD,
     Command,
     JsfMessage,
     SideScanHeader,
+    Validity,
+    sound_speed_in,
     to_wire,
 )
 from sim_replay.logs.log_order import TimeOrder
@@ -37,6 +41,7 @@ from sim_replay.logs.message_file import MessageFile
 SONAR_PORT: Final = "sonar"
 NMEA_PORT: Final = "nmea"
 MOTION_PORT: Final = "motion"
+DOPPLER_PORT: Final = "doppler"
 NO_NAVIGATION: Final = (
     "neither its side-scan messages (type 80, validity bit 0, in minutes of arc: metres of an unknown projection do "
     "not serve) nor NMEA strings (type 2002) give one. Record with the navigation connected to the sonar, or replay "
@@ -48,12 +53,20 @@ NMEA_STRING, PITCH_ROLL = 2002, 2020
 _TIME: Final = Struct("<ii")  # seconds since 1970, milliseconds: the first fields of types 2002 and 2020
 _STRING_AT: Final = 12  # byte of a message where its text begins (JSF description)
 _ATTITUDE: Final = Struct("<24xhh6xHI")  # pitch, roll: 180 / 32768 deg, bow up, port up; heading: 0.01 deg; validity
+# Validity; distances to the bottom, cm; velocity to starboard and ahead over the bottom, mm/s; pitch, roll and heading,
+# 0.01 deg.
+_DOPPLER: Final = Struct("<12xI4i2h10x2hH")
+_MOVES, _ABOVE_BOTTOM = 1 << 0, 1 << 6
+_HEADS, _PITCHES, _ROLLS = 1 << 7, 1 << 8, 1 << 9
+_FIRST_S: Final = 315_532_800  # 1980-01-01, s since 1970: before it a clock was never set
 _PITCH_VALID, _ROLL_VALID, _HEADING_VALID = 1 << 6, 1 << 7, 1 << 9
 
 _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
 _PROBE_MESSAGES: Final = 400  # looked at to find which sonars a log holds
 _STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
+_MIN_INTERVAL_S: Final = 0.02  # s between pings of which neither time nor range tells
+_CLOCK_NOT_SET: Final = "the sonar's clock was never set: the date is unknown and times count from 1970"
 _DAY_S: Final = 86_400.0  # seconds per day
 
 
@@ -64,8 +77,12 @@ class JsfRecording:
     time, left out), reader.short (too short for their type), and those of `MessageFile` and `TimeOrder`.
     """
 
-    def __init__(self, path: Path, subsystem: int | None, chunk_bytes: int) -> None:
+    def __init__(
+        self, path: Path, subsystem: int | None, chunk_bytes: int, *, sound_speed_is_set: bool = False
+    ) -> None:
         """Select the subsystem to use; None for the only one that the file holds.
+
+        sound_speed_is_set: by the configuration, so that the log need not say it.
 
         Raises BadInputError for a file without side-scan messages, UsageError where the subsystem is not there or has
         to be chosen.
@@ -73,6 +90,11 @@ class JsfRecording:
         self._file = MessageFile(path, JsfGrammar(), chunk_bytes)
         self._own: Counter[str] = Counter()
         self.notices: list[Notice] = []
+        self._sound_speed_is_set = sound_speed_is_set
+        self._has_clock = False
+        self._last_ns: int | None = None  # of the newest ping
+        self._n_pings = 0
+        self._n_without_speed = 0
         self.subsystem = self._chosen(subsystem)
 
     @property
@@ -91,12 +113,19 @@ class JsfRecording:
     def __iter__(self) -> Iterator[Recorded]:
         self._own = Counter()
         self.notices = []
+        self._last_ns, self._n_pings, self._n_without_speed = None, 0, 0
         order = TimeOrder(self._own)
         for framed in self._file:
             recorded = self._recorded(framed.message, framed.offset)
             if recorded is not None:
                 yield from order.add(recorded)
         yield from order.finish()
+        if self._n_pings and self._n_without_speed == self._n_pings and not self._sound_speed_is_set:
+            text = (
+                "no message says how fast sound is: 1500 m/s is assumed. Set sonar.sound_speed_mps to what was "
+                "measured, since ranges are off by as much as it is"
+            )
+            self._notify("reader.sound_speed_assumed", text, self._file.path.name)
         if (damage := self._file.damage()) is not None:
             self.notices.append(damage)
         if n_back := self._own["reader.time_backwards"]:
@@ -130,6 +159,8 @@ class JsfRecording:
         for framed in self._file:
             if _is_side_scan(framed.message):
                 seen[framed.message.subsystem] += 1
+                header = SideScanHeader(*DATA_HEADER.unpack_from(framed.message.body))
+                self._has_clock = self._has_clock or header.utc_s > 0.0
                 if seen.total() >= _PROBE_MESSAGES or framed.offset > _PROBE_BYTES:
                     break
         needed = _STRAY_FRACTION * max(seen.values(), default=0)
@@ -159,18 +190,64 @@ class JsfRecording:
             return self._of_string(message.body, offset)
         if message.message_type == PITCH_ROLL:
             return self._of_motion(message.body, offset)
+        if sound_speed_in(message) is not None:
+            self._n_without_speed -= self._n_without_speed == self._n_pings
+        if message.message_type == PRESSURE and self._last_ns is not None:
+            return _received(SONAR_PORT, to_wire(message), self._last_ns)
+        if message.message_type == DOPPLER and self._last_ns is not None:
+            return self._of_doppler(message)
         self._own["reader.other_messages"] += 1
         return None
 
     def _of_ping(self, message: JsfMessage, offset: int) -> Recorded | None:
         header = SideScanHeader(*DATA_HEADER.unpack_from(message.body))
-        time_ns = self._time_ns(header.time_s, header.milliseconds_today, offset)
-        if time_ns is None:
-            return None
+        self._n_pings += 1
+        self._n_without_speed += not header.validity & Validity.SOUND_SPEED
         echo_s = (header.start_depth_samples + header.n_samples - 0.5) * header.sample_interval_s
         if not 0.0 < echo_s < _MAX_ECHO_S:
             echo_s = 0.0
-        return _received(SONAR_PORT, to_wire(message), time_ns + round(1e9 * echo_s))
+        if not self._has_clock:
+            header = self._counted(header, echo_s, offset)
+            message = message._replace(body=DATA_HEADER.pack(*header) + message.body[DATA_HEADER.size :])
+        time_ns = self._time_ns(int(header.utc_s), header.milliseconds_today, offset)
+        if time_ns is None:
+            return None
+        if time_ns < _FIRST_S * 1_000_000_000:
+            self._notify_once("reader.time_unknown", _CLOCK_NOT_SET, offset)
+        self._last_ns = time_ns + round(1e9 * echo_s)
+        return _received(SONAR_PORT, to_wire(message), self._last_ns)
+
+    def _counted(self, header: SideScanHeader, echo_s: float, offset: int) -> SideScanHeader:
+        """Time a message whose date is unknown: by the milliseconds of the day, else by the number of its ping."""
+        milliseconds = header.milliseconds_today
+        if milliseconds <= 0:
+            self._notify_once("reader.time_unknown", f"{_CLOCK_NOT_SET}, by the echo time from ping to ping", offset)
+            milliseconds = round(1e3 * header.ping_number * max(echo_s, _MIN_INTERVAL_S))
+        return header._replace(time_s=1 + milliseconds // 1000, milliseconds_today=milliseconds)
+
+    def _of_doppler(self, message: JsfMessage) -> Recorded | None:
+        """Put a Doppler log's speed, altitude and attitude into sentences, stamped with the ping before."""
+        if len(message.body) < _DOPPLER.size or self._last_ns is None:
+            self._own["reader.short"] += 1
+            return None
+        validity, *values = _DOPPLER.unpack_from(message.body)
+        distances_cm, (starboard, ahead, pitch, roll, heading) = values[:4], values[4:]
+        records: list[Record] = []
+        if validity & _MOVES:
+            records.append(Vtg(NAN, 1e-3 * math.hypot(starboard, ahead)))
+        beams_cm = [distance for distance in distances_cm if distance > 0]
+        if validity & _ABOVE_BOTTOM and beams_cm:
+            records.append(Dpt(0.01 * sum(beams_cm) / len(beams_cm)))
+        if validity & (_HEADS | _PITCHES | _ROLLS):
+            records.append(
+                Pashr(
+                    time_of_day_s=1e-9 * self._last_ns % _DAY_S,
+                    heading_rad=math.radians(0.01 * heading) if validity & _HEADS else NAN,
+                    roll_rad=math.radians(0.01 * roll) if validity & _ROLLS else NAN,
+                    pitch_rad=math.radians(0.01 * pitch) if validity & _PITCHES else NAN,
+                )
+            )
+        return _received(DOPPLER_PORT, b"".join(sentence(body_of(record)) for record in records), self._last_ns)
 
     def _of_string(self, body: bytes, offset: int) -> Recorded | None:
         if len(body) <= _STRING_AT:
@@ -203,11 +280,17 @@ class JsfRecording:
         """Return the time since 1970; None, counted, for a clock that was never set."""
         if seconds > 0:
             return seconds * 1_000_000_000 + milliseconds % 1000 * 1_000_000
+        if self._last_ns is not None:
+            return self._last_ns  # strings of sonars without a clock, or before version 8, carry no time
         self._own["reader.time_invalid"] += 1
         if self._own["reader.time_invalid"] == 1:
             text = "a message has no time; such messages are left out and counted: set the sonar's clock"
             self._notify("reader.time_invalid", text, f"{self._file.path.name}, byte {offset}")
         return None
+
+    def _notify_once(self, code: str, text: str, offset: int) -> None:
+        if not any(notice.code == code for notice in self.notices):
+            self._notify(code, text, f"{self._file.path.name}, byte {offset}")
 
     def _notify(self, code: str, text: str, place: str) -> None:
         self.notices.append(Notice(code=code, text=text, place=place))

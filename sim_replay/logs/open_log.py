@@ -74,7 +74,7 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
         case "xtf":
             from sim_replay.logs.xtf import XtfLog
 
-            return XtfLog(path, config.sonar, chunk_bytes=chunk_bytes)
+            return XtfLog(path, config.sonar, epsg=config.navigation.epsg, chunk_bytes=chunk_bytes)
         case "jsf":
             return _open_jsf(path, config, chunk_bytes)
         case "svlog":
@@ -215,11 +215,20 @@ def _format_of(head: bytes) -> LogFormat | None:
 
 def _open_jsf(path: Path, config: Config, chunk_bytes: int) -> Log:
     from drivers.port_intake import PortIntake
-    from sim_replay.logs.jsf_recording import MOTION_PORT, NMEA_PORT, NO_NAVIGATION, SONAR_PORT, JsfRecording
+    from sim_replay.logs.jsf_recording import (
+        DOPPLER_PORT,
+        MOTION_PORT,
+        NMEA_PORT,
+        NO_NAVIGATION,
+        SONAR_PORT,
+        JsfRecording,
+    )
     from sim_replay.logs.log_order import PAUSE_S
     from sim_replay.logs.port_log import SonarLog
 
-    recording = JsfRecording(path, config.sonar.subsystem, chunk_bytes)
+    recording = JsfRecording(
+        path, config.sonar.subsystem, chunk_bytes, sound_speed_is_set=config.sonar.sound_speed_mps is not None
+    )
     given = _only(config, "jsf")
     header = NavUnitSettings(priority=_HEADER_PRIORITY if given is None else _UNWANTED_PRIORITY)
     if given is not None and given.navigation is not None:
@@ -228,6 +237,10 @@ def _open_jsf(path: Path, config: Config, chunk_bytes: int) -> Log:
         _sonar_port(SONAR_PORT, "jsf", given, header),
         _nmea_port(NMEA_PORT, _nmea_settings(config)),
         _nmea_port(MOTION_PORT, NavUnitSettings(priority=_MOTION_PRIORITY, delivers=("heading", "attitude"))),
+        _nmea_port(
+            DOPPLER_PORT,
+            NavUnitSettings(priority=_MOTION_PRIORITY, delivers=("heading", "attitude", "altitude", "speed")),
+        ),
     )
     used = structs.replace(config, ports=ports, sonar=structs.replace(config.sonar, subsystem=recording.subsystem))
     return SonarLog(recording, lambda: PortIntake(used), path, NO_NAVIGATION, PAUSE_S)

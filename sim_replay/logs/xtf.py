@@ -13,7 +13,6 @@ import os
 import struct
 from collections import Counter, deque
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -26,6 +25,7 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import SonarConfig
+from drivers.navigation.corrections import offset_m
 from sim_replay.logs.ping_clock import spread_ties
 from sim_replay.logs.port_order import DECISIVE, PortOrderEvidence, port_order_evidence
 from sim_replay.logs.xtf_header import (
@@ -38,6 +38,17 @@ from sim_replay.logs.xtf_header import (
     header_channel,
     kind_name,
     name_channels,
+)
+from sim_replay.logs.xtf_navigation import (
+    NAVIGATION_KINDS,
+    PacketQueue,
+    Place,
+    SensorWatch,
+    Wanted,
+    are_degrees,
+    behind,
+    projection,
+    utc_seconds,
 )
 from sim_replay.logs.xtf_packets import (
     FILE_FORMAT,
@@ -55,6 +66,12 @@ PROBE_PINGS: Final = 50  # looked at before the first is given, to learn what al
 _SONAR: Final = 0  # packet type: side scan and sub-bottom
 _PING_HEADER: Final = 256  # bytes (XTF)
 _CHANNEL_HEADER: Final = 64  # bytes (XTF)
+_DAY_S: Final = 86_400.0  # seconds per day
+_FIRST_YEAR: Final = 1980  # before it there was no recorder of this format: a clock that was never set
+_MAX_INTERVAL_S: Final = 2.0  # s between pings: at 750 m of range a second passes
+_NOMINAL_SOUND_SPEED_MPS: Final = 1500.0  # m/s, for the time between pings of which nothing else is known
+_MAX_LAYBACK_M: Final = 5000.0  # m: longer than any tow cable lets a sonar hang behind
+_CLOCK_NOT_SET: Final = "the recorder's clock was never set: the date is unknown and times count from 1970"
 _MAX_DAMAGE_NOTICES: Final = 10  # of a file; further damage is only counted
 # What the reader mends, leaves out and counts, or was set to do: nobody has to act.
 _MENDED: Final = frozenset(
@@ -97,6 +114,7 @@ class _PingHeader(NamedTuple):
     SensorSpeed: float
     SensorYcoordinate: float
     SensorXcoordinate: float
+    Layback: float
     SensorDepth: float
     SensorPrimaryAltitude: float
     SensorPitch: float
@@ -147,6 +165,8 @@ class _RawPing(NamedTuple):
     interval_s: float
     port: _Trace | None
     starboard: _Trace | None
+    day_s: float = NAN  # since midnight, by a clock whose date may be impossible
+    year: int = 0
 
 
 class _Habits(NamedTuple):
@@ -156,6 +176,7 @@ class _Habits(NamedTuple):
     ship_position: bool
     ship_gyro: bool
     ship_speed: bool
+    wanted: Wanted  # of navigation packets
 
 
 class XtfLog:
@@ -170,11 +191,20 @@ class XtfLog:
     zero is delivered as it is, and refused by intake.
     """
 
-    def __init__(self, path: str | os.PathLike[str], sonar: SonarConfig, *, chunk_bytes: int = 1 << 18) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        sonar: SonarConfig,
+        *,
+        epsg: int | None = None,
+        chunk_bytes: int = 1 << 18,
+    ) -> None:
         """Open and check the file header. `chunk_bytes` sizes the read buffer and nothing else.
 
+        epsg: of the projection of positions in metres; None for degrees.
+
         Raises BadInputError for anything but an XTF file with side-scan channels in slant range and geographic
-        coordinates.
+        coordinates, UsageError for an `epsg` that cannot be used.
         """
         self._path = Path(path)
         self._sonar = sonar
@@ -186,6 +216,10 @@ class XtfLog:
         self._reference_weight: dict[str, int] = {}
         self._n_samples: dict[str, tuple[int, np.dtype[Any]]] = {}
         self._last_navigation: tuple[float, ...] = ()
+        self._project: Place | None = None if epsg is None else projection(epsg)
+        self._units_by_value = False  # degrees, although the header says metres
+        self._packets = PacketQueue()
+        self._watch = SensorWatch()
         with self._open() as file:
             self.size_bytes = os.fstat(file.fileno()).st_size
             self._first_packet, header = self._read_file_header(file)
@@ -195,6 +229,7 @@ class XtfLog:
                 raise BadInputError(
                     f"{error} It holds {self._inventory(file)}. Give a log recorded with side scan switched on."
                 ) from error
+            self._check_units(file)
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
@@ -216,11 +251,12 @@ class XtfLog:
         self._reference_weight.clear()
         self._n_samples.clear()
         self._last_navigation = ()
+        self._packets, self._watch = PacketQueue(), SensorWatch()
         with self._open() as file:
             _, header = self._read_file_header(file)
             self._use_header(header, 0)
             self._raise_other_channels_notice(header)
-            raw_pings = self._raw_pings(file)
+            raw_pings = self._timed(self._raw_pings(file))
             probe = list(islice(raw_pings, PROBE_PINGS))
             if not probe:
                 raise BadInputError(self._no_ping_text())
@@ -229,6 +265,7 @@ class XtfLog:
                 if self._notices:
                     yield from self._notices
                     self._notices.clear()
+                yield from self._packets.until(time_s, habits.wanted, self._place_deg)
                 navigation = self._navigation(raw, time_s, habits)
                 if navigation is not None:
                     yield navigation
@@ -301,12 +338,36 @@ class XtfLog:
                     "range is needed. "
                     "Export the log without slant-range correction."
                 )
-        if header.NavUnits != LATITUDE_LONGITUDE:
-            raise BadInputError(
-                f"{place}: positions are projected coordinates in metres (NavUnits {header.NavUnits}) and the "
-                "projection is not given. "
-                "Export the log with latitude and longitude (NavUnits 3)."
-            )
+
+        joined_in_metres = offset > 0 and header.NavUnits != LATITUDE_LONGITUDE
+        if joined_in_metres and self._project is None and not self._units_by_value:
+            raise BadInputError(f"{place}: {self._metres_text()}")
+
+    def _metres_text(self) -> str:
+        return (
+            f"positions are projected coordinates in metres (NavUnits {self._file_header.NavUnits}) and the "
+            "projection is not given. Set navigation.epsg to its EPSG code (32632 for UTM zone 32 north), or export "
+            "the log with latitude and longitude (NavUnits 3)."
+        )
+
+    def _check_units(self, file: BinaryIO) -> None:
+        """Find whether positions that are said to be metres are degrees. Raises BadInputError where they are not."""
+        units = self._file_header.NavUnits
+        if units == LATITUDE_LONGITUDE or self._project is not None:
+            return
+        positions: list[tuple[float, float, float]] = []
+        for number, raw in enumerate(islice(self._raw_pings(file), PROBE_PINGS)):
+            header, time_s = raw.header, raw.time_s if math.isfinite(raw.time_s) else float(number)
+            sensor = header.SensorXcoordinate, header.SensorYcoordinate
+            ship = header.ShipXcoordinate, header.ShipYcoordinate
+            positions.append((time_s, *(ship if sensor == (0.0, 0.0) else sensor)))
+        positions += [
+            (packet.time_s if math.isfinite(packet.time_s) else float(number), packet.x, packet.y)
+            for number, packet in enumerate(self._packets.positions)
+        ]
+        if any(position[1:] != (0.0, 0.0) for position in positions) and not are_degrees(positions):
+            raise BadInputError(f"{self._path}: {self._metres_text()}")
+        self._units_by_value = True
 
     def _inventory(self, file: BinaryIO) -> str:
         kinds: Counter[str] = Counter()
@@ -325,13 +386,15 @@ class XtfLog:
     # --- packets to raw pings ---
 
     def _raw_pings(self, file: BinaryIO) -> Iterator[_RawPing]:
-        for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR,)):
+        for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR, *NAVIGATION_KINDS)):
             self.bytes_read = item.offset
             if isinstance(item, DamagedBytes):
                 self._raise_damage_notice(item)
             elif isinstance(item, FileHeader):
                 self._raise_joined_notice(item)
             elif item.kind != _SONAR:
+                if item.kind in NAVIGATION_KINDS:
+                    self._packets.add(item.kind, item.data)
                 self.counters[f"reader.packet_not_side_scan.{kind_name(item.kind)}"] += 1
             else:
                 ping = self._raw_ping(item)
@@ -409,25 +472,58 @@ class XtfLog:
             )
         clock = _PingTime._make(_TIME_FIELDS.unpack_from(data))
         time_s = _utc_seconds(clock)
-        if time_s is None:
-            self.counters["reader.time_invalid"] += 1
-            self._raise_notice_once(
-                "reader.time_invalid",
-                f"a ping's date or time is impossible ({clock.Year}-{clock.Month}-{clock.Day} "
-                f"{clock.Hour}:{clock.Minute}:{clock.Second}); such pings are skipped and counted: set the recorder's "
-                "clock",
-                self._place(packet.offset),
-            )
-            return None
+        day_s = 3600.0 * clock.Hour + 60.0 * clock.Minute + clock.Second + 0.01 * clock.HSeconds
         ping_header = _PingHeader._make(_PING_FIELDS.unpack_from(data))
         return _RawPing(
             packet.offset,
             ping_header,
-            time_s,
+            NAN if time_s is None else time_s,
             interval,
             traces.get(self._port_number),
             traces.get(self._starboard_number),
+            day_s,
+            clock.Year,
         )
+
+    def _timed(self, raw_pings: Iterator[_RawPing]) -> Iterator[_RawPing]:
+        """Leave out pings without a time; where the clock was never set, count all from 1970."""
+        probe = list(islice(raw_pings, PROBE_PINGS))
+        if not probe:
+            return
+        place = self._place(probe[0].offset)
+        pings = chain(probe, raw_pings)
+        if all(math.isnan(raw.time_s) for raw in probe):
+            yield from self._counted(probe, pings, place)
+            return
+        year = probe[0].year
+        if 0 < year < 100:
+            text = f"years have two digits ({year:02d}) and are taken as 1980 to 2079; check the dates of contacts"
+            self._raise_notice_once("reader.time_two_digits", text, place)
+        elif year < _FIRST_YEAR:
+            self._raise_notice_once("reader.time_unknown", f"{_CLOCK_NOT_SET} (year {year})", place)
+        for raw in pings:
+            if not math.isnan(raw.time_s):
+                yield raw
+                continue
+            self.counters["reader.time_invalid"] += 1
+            self._raise_notice_once(
+                "reader.time_invalid",
+                f"a ping's date or time is impossible (year {raw.year}); such pings are skipped and counted: set the "
+                "recorder's clock",
+                self._place(raw.offset),
+            )
+
+    def _counted(self, probe: list[_RawPing], pings: Iterator[_RawPing], place: str) -> Iterator[_RawPing]:
+        """Time pings without a date, by the time of day if it goes on, else by their interval."""
+        runs = len({raw.day_s for raw in probe}) > 1
+        interval_s = _interval_s(probe)
+        how = "the time of day" if runs else f"{interval_s:.3g} s from ping to ping"
+        self._raise_notice_once("reader.time_unknown", f"{_CLOCK_NOT_SET}, by {how}", place)
+        midnights, last_s = 0, -math.inf
+        for number, raw in enumerate(pings):
+            midnights += runs and raw.day_s < last_s - 0.5 * _DAY_S
+            last_s = raw.day_s
+            yield raw._replace(time_s=midnights * _DAY_S + raw.day_s if runs else number * interval_s)
 
     # --- evidence of the first pings ---
 
@@ -444,10 +540,37 @@ class XtfLog:
             all_unknown("SensorYcoordinate") and all_unknown("SensorXcoordinate") and any_known("ShipYcoordinate")
         )
         if ship_position:
+            layback = any_known("Layback")
             self._raise_notice_once(
                 "reader.ship_position",
-                "the log has no sensor positions; the vessel's are used, without layback. For a towed sonar log "
-                "sensor positions",
+                f"the log has no sensor positions; the vessel's are used, {'with the' if layback else 'without'} "
+                f"layback{' logged for each ping' if layback else ''}. For a towed sonar log sensor positions, or set "
+                "sonar.lever_arm_m to the sonar's place from the vessel's reference ([-30, 0, 0] for 30 m astern)",
+                self._place(probe[0].offset),
+            )
+        has_position = ship_position or any_known("SensorYcoordinate") or any_known("SensorXcoordinate")
+        wanted = Wanted(
+            position=not has_position,
+            heading=all_unknown("SensorHeading") and all_unknown("ShipGyro"),
+            level=all_unknown("SensorPitch") and all_unknown("SensorRoll"),
+        )
+        used = ", ".join(
+            f"{quantity} from packets {kind}"
+            for quantity, kind in self._packets.kinds.items()
+            if getattr(wanted, quantity)
+        )
+        if used:
+            self._raise_notice(
+                "reader.navigation_packets",
+                f"ping headers lack what packets of their own hold: {used}",
+                self._place(probe[0].offset),
+                for_the_record=True,
+            )
+        if self._file_header.NavUnits != LATITUDE_LONGITUDE and self._project is None and has_position | bool(used):
+            self._raise_notice_once(
+                "reader.units_by_value",
+                f"the log says that positions are metres (NavUnits {self._file_header.NavUnits}), and their values are "
+                "degrees: they are read as degrees. Check a contact's place; have the writer state NavUnits 3",
                 self._place(probe[0].offset),
             )
         return _Habits(
@@ -455,6 +578,7 @@ class XtfLog:
             ship_position=ship_position,
             ship_gyro=all_unknown("SensorHeading") and any_known("ShipGyro"),
             ship_speed=all_unknown("SensorSpeed") and any_known("ShipSpeed"),
+            wanted=wanted,
         )
 
     def _port_order(self, probe: list[_RawPing]) -> str:
@@ -493,9 +617,8 @@ class XtfLog:
 
     def _navigation(self, raw: _RawPing, time_s: float, habits: _Habits) -> NavSample | None:
         h = raw.header
-        latitude = h.ShipYcoordinate if habits.ship_position else h.SensorYcoordinate
-        longitude = h.ShipXcoordinate if habits.ship_position else h.SensorXcoordinate
         heading = h.ShipGyro if habits.ship_gyro else h.SensorHeading
+        latitude, longitude = self._header_place(raw, time_s, habits, heading)
         speed = h.ShipSpeed if habits.ship_speed else h.SensorSpeed
         values: tuple[float, ...] = (
             latitude,
@@ -511,7 +634,8 @@ class XtfLog:
         if not is_whole:
             values = tuple(map(_number, values))
         latitude, longitude, heading, pitch, roll, depth, altitude, speed = values
-        if latitude == longitude == heading == altitude == 0.0:
+        by_packet = habits.wanted.position and "position" in self._packets.kinds
+        if latitude == longitude == heading == altitude == 0.0 and not by_packet:
             self.counters["reader.zero_navigation"] += 1
             text = "a ping has no navigation (all zero); it is taken as unknown"
             self._raise_notice_once("reader.zero_navigation", text, self._place(raw.offset))
@@ -520,18 +644,26 @@ class XtfLog:
             self.counters["reader.nan_navigation"] += 1
             text = "navigation holds NaN or infinity; those quantities are taken as unknown"
             self._raise_notice_once("reader.nan_navigation", text, self._place(raw.offset))
-        if latitude == longitude == 0.0:
+        if by_packet:
+            latitude = longitude = NAN
+        elif latitude == longitude == 0.0:
             self.counters["reader.zero_position"] += 1
             text = "a ping has heading or altitude but no position (0, 0); the position is taken as unknown"
             self._raise_notice_once("reader.zero_position", text, self._place(raw.offset))
             latitude = longitude = NAN
         elif abs(latitude) > 90.0 or abs(longitude) > 360.0:
             self.counters["reader.impossible_position"] += 1
-            text = f"impossible position {latitude}, {longitude}; taken as unknown"
+            text = (
+                f"impossible position {latitude}, {longitude}; taken as unknown. If these are metres of a projection, "
+                "set navigation.epsg"
+            )
             self._raise_notice_once("reader.impossible_position", text, self._place(raw.offset))
             latitude = longitude = NAN
         elif not -180.0 <= longitude < 180.0:
             longitude = (longitude + 180.0) % 360.0 - 180.0
+        if habits.wanted.heading and "heading" in self._packets.kinds:
+            heading = NAN
+            values = (*values[:2], NAN, *values[3:])
         last = self._last_navigation
         self._last_navigation = (latitude, longitude, *values[2:])
         if last and _all_alike(last, self._last_navigation):
@@ -552,6 +684,35 @@ class XtfLog:
             altitude_m=altitude,
             speed_mps=speed * KNOT_MPS,
         )
+
+    def _place_deg(self, x: float, y: float) -> tuple[float, float]:
+        """Convert stored coordinates, as far as they are metres, to latitude and longitude."""
+        if self._project is None or (x, y) == (0.0, 0.0) or not math.isfinite(x + y):
+            return y, x
+        is_degrees = self._file_header.NavUnits == LATITUDE_LONGITUDE and abs(x) <= 360.0 and abs(y) <= 90.0
+        return (y, x) if is_degrees else self._project(x, y)
+
+    def _header_place(self, raw: _RawPing, time_s: float, habits: _Habits, heading_deg: float) -> tuple[float, float]:
+        """Find the latitude and longitude of a ping's header: the sensor's, or the ship's where that stands still."""
+        h = raw.header
+        if habits.ship_position:
+            ship = self._place_deg(h.ShipXcoordinate, h.ShipYcoordinate)
+            return behind(ship, h.Layback, h.ShipGyro or heading_deg) if 0.0 < h.Layback < _MAX_LAYBACK_M else ship
+        sensor = self._place_deg(h.SensorXcoordinate, h.SensorYcoordinate)
+        if h.ShipYcoordinate == h.ShipXcoordinate == 0.0:
+            return sensor
+        ship = self._place_deg(h.ShipXcoordinate, h.ShipYcoordinate)
+        place = self._watch.look(time_s, sensor, ship, heading_deg)
+        if self._watch.is_still:
+            self.counters["reader.sensor_position_still"] += 1
+            self._raise_notice_once(
+                "reader.sensor_position_still",
+                "the sensor's position stands still while the ship's moves: the ship's is used, with the sensor where "
+                "it last was from it. For a towed sonar set sonar.lever_arm_m if it never was known; check the "
+                "positioning of the sensor",
+                self._place(raw.offset),
+            )
+        return place
 
     def _ping(self, raw: _RawPing, time_s: float, number: int, habits: _Habits) -> Ping:
         place = self._place(raw.offset)
@@ -741,18 +902,24 @@ def _number(value: float) -> float:
 
 
 def _utc_seconds(clock: _PingTime) -> float | None:
-    if clock.HSeconds > 99 or clock.Year < 1980:
-        return None
-    try:
-        whole = datetime(
-            clock.Year, clock.Month, clock.Day, clock.Hour, clock.Minute, min(clock.Second, 59), tzinfo=UTC
-        )
-    except ValueError:
-        return None
-    if clock.Second > 60:
-        return None
-    leap = 1 if clock.Second == 60 else 0
-    return whole.timestamp() + leap + clock.HSeconds / 100.0
+    return utc_seconds(
+        clock.Year, clock.Month, clock.Day, (clock.Hour, clock.Minute, clock.Second), 0.01 * clock.HSeconds
+    )
+
+
+def _interval_s(probe: list[_RawPing]) -> float:
+    """Find the time between pings without a clock: as logged, else by way and speed, else by the range."""
+    logged = [raw.interval_s for raw in probe if 0.0 < raw.interval_s <= _MAX_INTERVAL_S]
+    if logged:
+        return float(np.median(logged))
+    first, last = probe[0].header, probe[-1].header
+    speed_mps = KNOT_MPS * float(np.median([raw.header.SensorSpeed or raw.header.ShipSpeed for raw in probe]))
+    ends = ((first.SensorYcoordinate, first.SensorXcoordinate), (last.SensorYcoordinate, last.SensorXcoordinate))
+    way_m = math.hypot(*offset_m(*ends)) if all(abs(y) <= 90.0 and abs(x) <= 360.0 for y, x in ends) else 0.0
+    if len(probe) > 1 and speed_mps > 0.0 and 0.0 < way_m / speed_mps / (len(probe) - 1) <= _MAX_INTERVAL_S:
+        return way_m / speed_mps / (len(probe) - 1)
+    ranges_m = [trace.range_m for raw in probe for trace in (raw.port, raw.starboard) if trace is not None]
+    return 2.0 * max(ranges_m) / _NOMINAL_SOUND_SPEED_MPS
 
 
 def _probe_port_order(probe: list[_RawPing], blank_m: float) -> PortOrderEvidence | None:

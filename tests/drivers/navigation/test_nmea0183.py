@@ -23,11 +23,17 @@ from drivers.navigation.nmea0183 import MAX_SENTENCE_BYTES, NmeaGrammar, sentenc
 from drivers.navigation.nmea_unit import NmeaUnit
 from drivers.navigation.sentences import (
     SENTENCES,
+    Avr,
     Dbt,
     Dpt,
     Gga,
     Gll,
+    Gpatt,
+    Hdg,
+    Hdm,
     Hdt,
+    Hpr,
+    Ohpr,
     Pashr,
     PixseAttitude,
     PixseAttitudeSigma,
@@ -40,6 +46,7 @@ from drivers.navigation.sentences import (
     Prdid,
     Record,
     Rmc,
+    Ths,
     Vtg,
     Zda,
     body_of,
@@ -61,9 +68,16 @@ METRES, SIGMA = number(-500.0, 500.0), number(0.0, 50.0)
 STATUS, MODE = st.sampled_from("AV"), st.sampled_from(["", *"ADEFMNPRS"])
 RECORDS: st.SearchStrategy[Record] = st.one_of(
     st.builds(Gga, TIME, LATITUDE, LONGITUDE, COUNT, COUNT, SIGMA, METRES, METRES),
-    st.builds(Rmc, TIME, STATUS, LATITUDE, LONGITUDE, SIGMA, ANGLE, DATE, MODE),
+    st.builds(Rmc, TIME, STATUS, LATITUDE, LONGITUDE, SIGMA, ANGLE, DATE, number(-0.5, 0.5), MODE),
     st.builds(Gll, LATITUDE, LONGITUDE, TIME, STATUS, MODE),
     st.builds(Hdt, ANGLE),
+    st.builds(Ths, ANGLE, st.sampled_from(["", *"AEMSV"])),
+    st.builds(Hdg, ANGLE, number(-0.5, 0.5), number(-0.5, 0.5)),
+    st.builds(Hdm, ANGLE),
+    st.builds(Hpr, TIME, ANGLE, SIGNED, SIGNED, st.sampled_from(["", "N", "G"])),
+    st.builds(Avr, TIME, ANGLE, SIGNED, SIGNED, SIGMA, COUNT),
+    st.builds(Gpatt, ANGLE, SIGNED, SIGNED),
+    st.builds(Ohpr, ANGLE, SIGNED, SIGNED),
     st.builds(Vtg, ANGLE, SIGMA, MODE),
     st.builds(Zda, TIME, DATE),
     st.builds(Dpt, SIGMA, METRES, SIGMA),
@@ -79,6 +93,7 @@ RECORDS: st.SearchStrategy[Record] = st.one_of(
     st.builds(PixsePositionSigma, SIGMA, SIGMA, SIGMA),
     st.builds(PixseSpeedSigma, SIGMA, SIGMA, SIGMA),
 )
+HEADINGS = (Ths, Hdg, Hdm, Hpr, Avr, Gpatt, Ohpr)  # which the other reader names otherwise, or does not know
 GGA = b"$GPGGA,123519.25,4807.0380,N,01131.0000,W,1,08,0.9,545.4,M,46.9,M,,"
 PHINS = (
     "HEHDT,123.400,T",
@@ -154,7 +169,9 @@ def test_positions_are_written_to_millimetres(latitude_deg: float, longitude_deg
 
 @given(
     RECORDS.filter(
-        lambda record: not isinstance(record, (PixseAttitude, PixsePosition, PixseSpeed, PixseHeave, PixseTime, Prdid))
+        lambda record: (
+            not isinstance(record, (PixseAttitude, PixsePosition, PixseSpeed, PixseHeave, PixseTime, Prdid, *HEADINGS))
+        )
     )
 )
 def test_another_reader_sees_the_same_numbers(record: Record) -> None:
@@ -434,3 +451,54 @@ def test_a_recorded_log_is_read_whole(shared_data: Callable[[str], Path]) -> Non
     assert sum(steps_m) == pytest.approx(sum(speeds) / len(speeds) * 3545 * 2.0, rel=0.05), (
         "way made is speed times the 2 s between fixes"
     )
+
+
+@pytest.mark.parametrize(
+    ("bodies", "expected_deg"),
+    [
+        (["GNTHS,123.4,A"], 123.4),
+        (["HCHDG,100.0,2.0,W,12.0,E"], 110.0),
+        (["HCHDG,350.0,,,12.0,E"], 2.0),
+        (["GPRMC,101530,A,4300.0,N,00500.0,E,3.0,90.0,010124,5.0,W,A", "HCHDM,100.0,M"], 95.0),
+        (["HCHDM,100.0,M"], 100.0),
+        (["PSAT,HPR,101530.00,77.5,1.5,,N"], 77.5),
+        (["PTNL,AVR,181059.6,+149.4688,Yaw,+0.0134,Tilt,,,60.191,3,2.5,6"], 149.4688),
+        (["PFEC,GPatt,210.5,-1.0,2.0"], 210.5),
+        (["OHPR,301.2,1.0,-2.0,21.5"], 301.2),
+    ],
+)
+def test_every_sentence_of_a_heading_is_read(bodies: list[str], expected_deg: float) -> None:
+    fix = read(b"".join(map(sentence, bodies)))[-1]
+    assert math.degrees(fix.heading_rad) == pytest.approx(expected_deg, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "body", ["GNTHS,123.4,V", "PTNL,AVR,181059.6,+149.4,Yaw,+0.01,Tilt,,,60.1,0,2.5,6", "GNTHS,,V"]
+)
+def test_a_heading_that_the_unit_calls_bad_is_none(body: str) -> None:
+    fix = read(sentence(body))[-1]
+    assert math.isnan(fix.heading_rad)
+    assert not fix.valid
+
+
+def test_of_several_headings_of_a_unit_the_true_one_serves_alone() -> None:
+    unit = NmeaUnit("n")
+    fixes = unit.feed(b"".join(map(sentence, ["GPHDT,100.0,T", "HCHDG,95.0,,,,", "HCHDM,95.0,M"] * 9)), T0)
+    headings = {fix.heading_rad for fix in fixes if not math.isnan(fix.heading_rad)}
+    assert headings == {math.radians(100.0)}
+    assert unit.counters["nmea.heading_not_used"] == 18
+    assert unit.take_notices() == []
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        ("HCHDM,95.0,M", "nav_heading_magnetic"),
+        ("VWVHW,95.0,T,90.0,M,3.0,N,5.5,K", "nav_heading_not_read"),
+        ("GNTHS,,V", "nav_heading_not_valid"),
+    ],
+)
+def test_a_heading_that_is_not_as_good_as_it_looks_is_reported_once(body: str, code: str) -> None:
+    unit = NmeaUnit("n")
+    unit.feed(sentence(body) * 100, T0)
+    assert [notice.code for notice in unit.take_notices()] == [code]

@@ -110,7 +110,18 @@ def test_ground_range_samples(tmp_path: Path) -> None:
 def test_projected_coordinates(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
     edit_file_header(path, lambda header: setattr(header, "NavUnits", 0))
-    assert "NavUnits 0" in refusal(path)
+    edit_headers(path, lambda _, header: setattr(header, "SensorYcoordinate", 4_771_000.0))
+    text = refusal(path)
+    assert "NavUnits 0" in text
+    assert "navigation.epsg" in text
+
+
+def test_degrees_that_are_said_to_be_metres_are_read_with_a_notice(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf")
+    edit_file_header(path, lambda header: setattr(header, "NavUnits", 0))
+    events, _ = read(path)
+    assert len(pings_of(events)) == 8
+    assert "reader.units_by_value" in codes_of(events)
 
 
 @pytest.mark.parametrize(("sample_format", "width"), [(1, 4), (0, 3), (0, 0)])
@@ -127,7 +138,11 @@ def test_unreadable_sample_format(tmp_path: Path, sample_format: int, width: int
 def test_only_impossible_dates(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
     edit_headers(path, lambda _, header: setattr(header, "Month", 13))
-    assert "reader.time_invalid 8" in refusal(path)
+    events, log = read(path)
+    assert [ping.time_s for ping in pings_of(events)] == sorted(ping.time_s for ping in pings_of(events))
+    assert len(pings_of(events)) == 8
+    assert "reader.time_unknown" in codes_of(events)
+    assert log.counters["reader.time_invalid"] == 0
 
 
 # --- these are read as far as they are sound ---
