@@ -192,6 +192,16 @@ class InsideFence(_Rule, frozen=True, kw_only=True, tag="inside_fence"):
     device: str
 
 
+class AboveFloor(_Rule, frozen=True, kw_only=True, tag="above_floor"):
+    """Expect every commanded depth and altitude to lie this high over the true sea floor below the vehicle.
+
+    It has to be commanded once or more.
+    """
+
+    device: str
+    min_altitude_m: Annotated[float, Meta(gt=0.0)]
+
+
 class OwnPlanAtEnd(_Rule, frozen=True, kw_only=True, tag="own_plan_at_end"):
     """Expect no command to the vehicle in the last seconds of the run."""
 
@@ -221,9 +231,20 @@ Counted: TypeAlias = (
     | Passed
     | Sharper
 )
-VehicleRule: TypeAlias = ReportRule | ReportedInTime | Passed | Sharper | InsideFence | OwnPlanAtEnd | Silence
+VehicleRule: TypeAlias = (
+    ReportRule | ReportedInTime | Passed | Sharper | InsideFence | AboveFloor | OwnPlanAtEnd | Silence
+)
 Rule: TypeAlias = (
-    Counted | ExitCode | AnswersStop | Reopened | AsReplayed | ReportedInTime | InsideFence | OwnPlanAtEnd | Silence
+    Counted
+    | ExitCode
+    | AnswersStop
+    | Reopened
+    | AsReplayed
+    | ReportedInTime
+    | InsideFence
+    | AboveFloor
+    | OwnPlanAtEnd
+    | Silence
 )
 
 

@@ -9,12 +9,13 @@ from itertools import pairwise
 from typing import Any, Final, TypeAlias
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, ReportedInTime, Silence
+from sim_replay.hil.scenario import AboveFloor, OwnPlanAtEnd, Passed, ReportedInTime, Silence
 
 Judged: TypeAlias = tuple[str, str, bool]
 """What was expected, what was found, and whether it is that."""
 
 _CONTACT: Final = re.compile(r"^contact C(\d+) (?:new|updated): \w+, p_mine (\d\.\d+),")
+_FLOOR_WITHIN_S: Final = 1.5  # s around a command whose poses give the floor below it; one comes each second
 _P_MINE_WITHIN: Final = 0.02  # two digits on the console, a byte on some wires
 
 
@@ -95,6 +96,27 @@ def inside_fence(fence_deg: Sequence[tuple[float, float]], reports: Sequence[Rep
         found,
         n_outside == (0, 0) and bool(commands),
     )
+
+
+def above_floor(rule: AboveFloor, reports: Sequence[Report]) -> Judged:
+    """Check that no command led below a minimum altitude over the true floor, the shallowest of poses around it."""
+    expected = f"commands stay {rule.min_altitude_m:g} m above the true sea floor"
+    floors = [
+        (report.at_s, report.details["depth_m"] + report.details["altitude_m"])
+        for report in reports
+        if report.what == "pose"
+    ]
+    heights_m = []
+    for report in reports:
+        if report.what == "command":
+            reference, value_m = report.details["vertical"]
+            below_m = [floor_m for at_s, floor_m in floors if abs(at_s - report.at_s) <= _FLOOR_WITHIN_S]
+            heights_m.append(value_m if reference == "altitude" else min(below_m, default=-math.inf) - value_m)
+    if not heights_m:
+        return expected, "it was never commanded", False
+    n_low = sum(not height_m >= rule.min_altitude_m for height_m in heights_m)
+    found = f"{n_low} of {len(heights_m)} commands lower, the lowest {min(heights_m):.1f} m above it"
+    return expected, found, not n_low
 
 
 def own_plan_at_end(rule: OwnPlanAtEnd, reports: Sequence[Report]) -> Judged:

@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.scenario import (
+    AboveFloor,
     AnswersStop,
     AsReplayed,
     Counted,
@@ -40,6 +41,7 @@ from sim_replay.hil.scenario import (
     Window,
 )
 from sim_replay.hil.vehicle_verdict import (
+    above_floor,
     inside_fence,
     n_passed,
     n_sharper,
@@ -219,6 +221,8 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return reported_in_time(rule, evidence.lines, evidence.reports[rule.device])
         case InsideFence():
             return inside_fence(evidence.fence_deg, evidence.reports[rule.device])
+        case AboveFloor():
+            return above_floor(rule, evidence.reports[rule.device])
         case OwnPlanAtEnd():
             return own_plan_at_end(rule, evidence.reports[rule.device])
         case Silence():

@@ -17,6 +17,7 @@ from sim_replay.hil.scenario import shipped
 # test_hil_kill.py, protocols in tests/drivers/vehicle.
 QUICK = (
     "vehicle_imc",
+    "vehicle_iver_no_floor",
     "vehicle_flood",
     "garbage",
     "nav_lost",

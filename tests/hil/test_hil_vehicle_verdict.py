@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, ReportedInTime, Silence
+from sim_replay.hil.scenario import AboveFloor, OwnPlanAtEnd, Passed, ReportedInTime, Silence
 from sim_replay.hil.vehicle_verdict import (
+    above_floor,
     inside_fence,
     n_passed,
     n_sharper,
@@ -134,3 +135,29 @@ def test_a_vehicle_is_on_its_own_at_the_end() -> None:
     assert own_plan_at_end(rule, [pose(1.0), pose(9.0, in_control=False), pose(10.0, in_control=False)])[2]
     assert not own_plan_at_end(rule, [pose(1.0, in_control=False), pose(9.0), pose(10.0, in_control=False)])[2]
     assert not own_plan_at_end(rule, [])[2]
+
+
+def command(at_s: float, reference: str, value_m: float) -> Report:
+    return Report(at_s, "command", {"kind": "Steer", "vertical": [reference, value_m]})
+
+
+def floor_at(at_s: float, floor_m: float) -> Report:
+    return Report(at_s, "pose", {"depth_m": floor_m - 5.0, "altitude_m": 5.0, "in_control": True})
+
+
+@pytest.mark.parametrize(
+    ("commands", "holds"),
+    [
+        ([], False),
+        ([command(5.0, "depth", 13.0)], True),
+        ([command(5.0, "depth", 93.0)], False),
+        ([command(5.0, "depth", 16.1), command(5.5, "depth", 7.0)], False),
+        ([command(7.4, "depth", 13.5)], False),  # the floor rises to 15 m
+        ([command(99.0, "depth", 1.0)], False),  # nobody saw the floor then
+        ([command(5.0, "altitude", 2.0)], True),
+        ([command(5.0, "altitude", 1.9)], False),
+    ],
+)
+def test_commands_are_held_against_the_true_floor_around_them(commands: list[Report], holds: bool) -> None:
+    poses = [floor_at(float(at_s), 18.0 if at_s < 8 else 15.0) for at_s in range(12)]
+    assert above_floor(AboveFloor(device="vehicle", min_altitude_m=2.0), [*poses, *commands])[2] is holds
