@@ -188,7 +188,7 @@ class Guard:
         return (
             self._readable(command)
             or self._speed(command.speed_mps)
-            or self._vertical(command.vertical, floor)
+            or self.vertical(command.vertical, floor)
             or self._horizontal(command, state)
         )
 
@@ -222,8 +222,8 @@ class Guard:
             return None
         return Refusal("speed", f"speed {speed_mps:g} m/s is not within 0 and speed_mps ({max_mps:g})")
 
-    def _vertical(self, vertical: Vertical | None, floor: SeaFloor) -> Refusal | None:
-        """Check a depth or an altitude against both bounds.
+    def vertical(self, vertical: Vertical | None, floor: SeaFloor) -> Refusal | None:
+        """Return why a depth or an altitude must not be sent: it is held against both bounds.
 
         The floor is the one that the command is nearer to: a depth has to clear the shallowest, and an altitude must
         not lead too deep over the deepest.

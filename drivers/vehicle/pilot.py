@@ -356,8 +356,9 @@ class Pilot(Generic[W]):
             return refusal
         if self._may_steer and not math.isfinite(state.heading_rad):
             return Refusal("heading_unknown", "the vehicle's heading is not known")
-        if in_control:
-            return None
+        if in_control:  # where the floor is lost the plan is kept
+            refusal = self._guard.vertical(self._vertical(now_s), self._floor.at(now_s))
+            return refusal if refusal is not None and refusal.code == "floor_unknown" else None
         first = self._plan.waypoints[self._plan.entry((state.latitude_deg, state.longitude_deg))]
         go_to = self._go_to(first.latitude_deg, first.longitude_deg, self._vertical(now_s))
         return self._guard.command(numbers_of(go_to), state, self._floor.at(now_s))

@@ -178,7 +178,10 @@ class Passed(_Count, frozen=True, kw_only=True, tag="passed"):
 
 
 class Sharper(_Count, frozen=True, kw_only=True, tag="sharper"):
-    """Count contacts that a vehicle received with one view first and more last, then with a p_mine farther from 0.5."""
+    """Count contacts that a vehicle received with one view first and more last, then nearer to the truth.
+
+    That is a higher p_mine at a target of the scene, a lower one elsewhere. If one at a target got lower, none counts.
+    """
 
     device: str
 

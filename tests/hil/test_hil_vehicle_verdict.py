@@ -28,8 +28,14 @@ def line(at_s: float, number: int = 12, p_mine: float = 0.5, word: str = "new") 
     return Line(at_s, f"contact C{number:05d} {word}: cylinder, p_mine {p_mine:.2f}, 43.0 5.0, 1 views")
 
 
-def contact(at_s: float, number: int = 12, p_mine: float = 0.5, n_views: int = 1) -> Report:
-    return Report(at_s, "contact", {"number": number, "p_mine": p_mine, "n_views": n_views})
+def contact(
+    at_s: float, number: int = 12, p_mine: float = 0.5, n_views: int = 1, latitude_deg: float = 43.05
+) -> Report:
+    place = {"latitude_deg": latitude_deg, "longitude_deg": 5.05}
+    return Report(at_s, "contact", {"number": number, "p_mine": p_mine, "n_views": n_views, **place})
+
+
+CLUTTER = (contact(1.0, 13, 0.4, 1, 43.06), contact(2.0, 13, 0.2, 2, 43.06))
 
 
 def passed(look_deg: float, ground_range_m: float = 12.0, number: int = 0, *, in_control: bool = True) -> Report:
@@ -88,15 +94,21 @@ def test_passes_under_command_from_another_side_count(reports: list[Report], n: 
     ("reports", "n"),
     [
         ([contact(1.0), contact(2.0, p_mine=0.9, n_views=2)], 1),
-        ([contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.2, n_views=2)], 1),
-        ([contact(1.0, p_mine=0.9), contact(2.0, p_mine=0.6, n_views=2)], 0),
+        ([contact(1.0, p_mine=0.2), contact(2.0, p_mine=0.4, n_views=2)], 1),
+        ([contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.2, n_views=2)], 0),
         ([contact(1.0), contact(2.0, p_mine=0.9)], 0),
         ([contact(2.0, p_mine=0.9, n_views=2)], 0),
         ([contact(1.0), contact(2.0, number=13, p_mine=0.9, n_views=2)], 0),
+        ([CLUTTER[0], contact(2.0, 13, 0.2, 2, 43.06)], 1),
+        ([CLUTTER[0], contact(2.0, 13, 0.9, 2, 43.06)], 0),
+        ([*CLUTTER, contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.5, n_views=2)], 0),
+        ([*CLUTTER, contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.7, n_views=2)], 2),
     ],
 )
-def test_contacts_with_a_second_view_that_decides_count(reports: list[Report], n: int) -> None:
-    assert n_sharper(reports) == n
+def test_contacts_that_a_second_view_brings_nearer_to_the_truth_count_unless_a_mine_is_talked_down(
+    reports: list[Report], n: int
+) -> None:
+    assert n_sharper(reports, [(43.05, 5.05)]) == n
 
 
 @pytest.mark.parametrize(
@@ -137,7 +149,7 @@ def test_a_vehicle_is_on_its_own_at_the_end() -> None:
     assert not own_plan_at_end(rule, [])[2]
 
 
-def command(at_s: float, reference: str, value_m: float) -> Report:
+def ordered(at_s: float, reference: str, value_m: float) -> Report:
     return Report(at_s, "command", {"kind": "Steer", "vertical": [reference, value_m]})
 
 
@@ -149,13 +161,13 @@ def floor_at(at_s: float, floor_m: float) -> Report:
     ("commands", "holds"),
     [
         ([], False),
-        ([command(5.0, "depth", 13.0)], True),
-        ([command(5.0, "depth", 93.0)], False),
-        ([command(5.0, "depth", 16.1), command(5.5, "depth", 7.0)], False),
-        ([command(7.4, "depth", 13.5)], False),  # the floor rises to 15 m
-        ([command(99.0, "depth", 1.0)], False),  # nobody saw the floor then
-        ([command(5.0, "altitude", 2.0)], True),
-        ([command(5.0, "altitude", 1.9)], False),
+        ([ordered(5.0, "depth", 13.0)], True),
+        ([ordered(5.0, "depth", 93.0)], False),
+        ([ordered(5.0, "depth", 16.1), ordered(5.5, "depth", 7.0)], False),
+        ([ordered(7.4, "depth", 13.5)], False),  # the floor rises to 15 m
+        ([ordered(99.0, "depth", 1.0)], False),  # nobody saw the floor then
+        ([ordered(5.0, "altitude", 2.0)], True),
+        ([ordered(5.0, "altitude", 1.9)], False),
     ],
 )
 def test_commands_are_held_against_the_true_floor_around_them(commands: list[Report], holds: bool) -> None:

@@ -257,3 +257,16 @@ def test_numbers_that_are_not_encoded_yet_are_judged_by_the_same_rules() -> None
     assert numbers_of(steer) == WireCommand(heading_rad=1.0, vertical=Vertical("depth", 5.0), speed_mps=1.5)
     go_to = GoTo(48.0, -68.0, Vertical("altitude", 5.0), 1.5, 3.0)
     assert numbers_of(go_to).place_deg == (48.0, -68.0)
+
+
+@DEPTHS_ALONE
+def test_a_plan_outlives_the_loss_of_the_floor(name: str) -> None:
+    voyage = Voyage(name, ask_again_s=5.0)
+    voyage.run(8.0)
+    glitch(voyage, depth_m=10.0, altitude_m=0.0, for_s=4.0)
+    assert voyage.pilot.authority != "granted"
+    n_commands = len(voyage.commands)
+    voyage.run(15.0)
+    assert voyage.pilot.authority == "granted"
+    assert len(voyage.commands) > n_commands
+    assert voyage.last_depth_m == pytest.approx(FLOOR_M - 5.0, abs=0.1)

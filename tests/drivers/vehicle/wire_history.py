@@ -305,10 +305,13 @@ def main(n_histories: int) -> int:
     counts: Counter[str] = Counter()
     wrong: list[str] = []
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for some, faults in pool.map(_voyage, range(-(-n_histories // N_TOGETHER)), chunksize=5):
+        voyages = pool.map(_voyage, range(-(-n_histories // N_TOGETHER)), chunksize=5)
+        for number, (some, faults) in enumerate(voyages, start=1):
             counts.update(some)
             wrong += faults
             print(*faults, sep="\n", end="\n" if faults else "", flush=True)
+            if number % 50 == 0:
+                print(f"{number * N_TOGETHER} histories, {len(wrong)} commands wrong", flush=True)
     for what, count in sorted(counts.items()):
         print(f"{what}: {count}")
     print(f"{len(wrong)} commands were wrong in {sum(counts[f'{name} histories'] for name in VEHICLES)} histories")
