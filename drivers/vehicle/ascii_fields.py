@@ -44,10 +44,15 @@ class Table:
         Fields missing at the end count as empty; codecs that need a value refuse that.
         """
         fields = body.split(",")
+        kind = self.kind_of(fields)
+        return None if kind is None else kind.make(*_values(kind, fields[kind.key.count(",") + 1 :]))
+
+    def kind_of(self, fields: Sequence[str]) -> Sentence[Any] | None:
+        """Return the kind of a sentence by the fields of its body; None for an unknown one."""
         for n_key in range(min(_MAX_KEY_FIELDS, len(fields)), 0, -1):
             kind = self._by_key.get(",".join(fields[:n_key]))
             if kind is not None:
-                return kind.make(*_values(kind, fields[n_key:]))
+                return kind
         return None
 
     def body_of(self, record: Any) -> str:

@@ -7,6 +7,7 @@ from typing import Final
 
 from drivers.vehicle.can_messages import CLASSES, REFERENCES, GoToMessage, HealthText, ReportMessage, SteerMessage
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Steer, Vertical
+from drivers.vehicle.wire_steps import shallower, slower
 
 TEXT_BYTES: Final = 44  # of a text message: 7 parts of 6 bytes and one of 2
 _TEXT_PART_BYTES: Final = (6, 6, 6, 6, 6, 6, 6, 2)  # bytes of each field of a text message
@@ -16,19 +17,21 @@ _MAX_SIZE_M: Final = 65.53  # m: the largest value of 16 bits of mm that is not 
 _MAX_SIGMA_M: Final = 655.0  # m: below the largest value of 16 bits of cm
 _MAX_DEPTH_M: Final = 12_000.0  # m: deeper than any sea
 _MAX_VIEWS: Final = 255  # of 8 bits
-_STEPS_PER_M: Final = 1000.0  # per metre: depths go in mm
+_VERTICAL_STEP_M: Final = 1e-3  # m, of depths and altitudes on the bus
+_SPEED_STEP_MPS: Final = 0.01  # m/s, of speeds on the bus
 
 
 def command_message(
     command: Command, valid_s: float, command_number: int, request_number: int
 ) -> GoToMessage | SteerMessage:
-    """Translate a command. Depths and altitudes are rounded to the shallower, so that bounds stay kept."""
-    vertical_m = _shallower(command.vertical)
+    """Translate a command. Depths and altitudes are rounded up in the water, speeds down, so that bounds stay kept."""
+    vertical_m = shallower(command.vertical, _VERTICAL_STEP_M).value_m
+    speed_mps = slower(command.speed_mps, _SPEED_STEP_MPS)
     reference = REFERENCES.index(command.vertical.reference)
     if isinstance(command, GoTo):
         return GoToMessage(
             latitude_deg=command.latitude_deg,
-            speed_mps=command.speed_mps,
+            speed_mps=speed_mps,
             longitude_deg=command.longitude_deg,
             radius_m=command.radius_m,
             vertical_m=vertical_m,
@@ -42,7 +45,7 @@ def command_message(
         vertical_reference=reference,
         valid_s=valid_s,
         heading_rad=command.heading_rad % _TURN,
-        speed_mps=command.speed_mps,
+        speed_mps=speed_mps,
         command_number=command_number,
         request_number=request_number,
     )
@@ -126,16 +129,6 @@ def text_of(message: HealthText) -> str:
     """Read the text of a message."""
     data = b"".join(part.to_bytes(n_bytes, "little") for part, n_bytes in zip(message, _TEXT_PART_BYTES, strict=True))
     return data.rstrip(b"\0").decode("utf-8", "replace")
-
-
-def _shallower(vertical: Vertical) -> float:
-    if not math.isfinite(vertical.value_m):
-        return vertical.value_m
-    steps = vertical.value_m * _STEPS_PER_M
-    nearest = round(steps)
-    if abs(steps - nearest) > 1e-6:
-        nearest = math.ceil(steps) if vertical.reference == "altitude" else math.floor(steps)
-    return nearest / _STEPS_PER_M
 
 
 def _within(value: float, largest: float) -> float:

@@ -30,6 +30,7 @@ class Capability(enum.Flag):
     CONTACT = enum.auto()  # it takes reports of contacts
     ACKNOWLEDGED = enum.auto()  # and acknowledges them
     HEALTH = enum.auto()  # it takes the payload's health
+    DEPTHS_ALONE = enum.auto()  # it holds depths and no altitudes: it is commanded depths
 
 
 class Vertical(NamedTuple):
@@ -58,6 +59,32 @@ class Steer(NamedTuple):
 
 
 Command: TypeAlias = GoTo | Steer
+
+
+class WireCommand(NamedTuple):
+    """Hold the numbers by which an outgoing message commands, None for what it leaves as it was.
+
+    place_deg: latitude, longitude. holds_s: how long the vehicle obeys it. All None: a message that cannot be read.
+    """
+
+    place_deg: tuple[float, float] | None = None
+    radius_m: float | None = None
+    heading_rad: float | None = None
+    vertical: Vertical | None = None
+    speed_mps: float | None = None
+    holds_s: float | None = None
+
+
+def numbers_of(command: Command) -> WireCommand:
+    """Return the numbers of a command that is not encoded yet."""
+    if isinstance(command, Steer):
+        return WireCommand(heading_rad=command.heading_rad, vertical=command.vertical, speed_mps=command.speed_mps)
+    return WireCommand(
+        place_deg=(command.latitude_deg, command.longitude_deg),
+        radius_m=command.radius_m,
+        vertical=command.vertical,
+        speed_mps=command.speed_mps,
+    )
 
 
 class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -224,9 +251,9 @@ class Talker(Protocol[W]):
 
     It opens no port, reads no clock and never raises.
 
-    It decides how messages are sent, acknowledged, repeated and kept alive; whether they may be sent at all is decided
-    before. The messages to be sent come out of `take_outgoing`, called after every call and at least ten times a
-    second.
+    It decides how messages are sent, acknowledged, repeated and kept alive; whether a command may be given is decided
+    before, and whether it may leave is judged by its bytes after, see `ReadsBack`. The messages to be sent come out of
+    `take_outgoing`, called after every call and at least ten times a second.
 
     silent_after_s: a vehicle not heard for so long is taken for gone. command_period_s: a command that holds is given
     again so often, well within the time after which the vehicle itself forgets it. counters: by dotted name, besides
@@ -291,4 +318,19 @@ class Talker(Protocol[W]):
 
     def take_outgoing(self, now_s: float) -> list[W]:
         """Return what is to be sent now: answers, heartbeats, repetitions."""
+        ...
+
+
+@runtime_checkable
+class ReadsBack(Protocol[Wntra]):
+    """Read the commands in what a talker sends, from its bytes or frames alone.
+
+    A talker that has this method is judged by what it sends; another one by what it was given.
+    """
+
+    def commands_in(self, outgoing: Sequence[Wntra]) -> list[WireCommand | None]:
+        """Return the command of each item, None for one that commands nothing. A message of several items is in each.
+
+        Whatever is not known for harmless is a command; one that cannot be read has no numbers.
+        """
         ...

@@ -1,6 +1,7 @@
 """Refuse commands that lead out of the fence, too low or too deep, or that are too old.
 
-Current and the vehicle's way of turning are not known here; `fence_margin_m` is there for both.
+What is judged are the numbers that a command has on the wire, see `dialect.ReadsBack`. Current and the vehicle's way of
+turning are not known here; `fence_margin_m` is there for both.
 """
 
 from __future__ import annotations
@@ -12,11 +13,15 @@ from typing import Final, NamedTuple
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.vehicle_settings import VehicleConfig
-from drivers.vehicle.dialect import Command, GoTo, ReportedState, Steer, Vertical
+from drivers.vehicle.dialect import ReportedState, Vertical, WireCommand
 from drivers.vehicle.plane import LocalPlane, Point, distance_m, distance_to_line_m
+from drivers.vehicle.sea_floor import SeaFloor
 
 MAX_FENCE_RADIUS_M: Final = 50_000.0  # farther out a flat chart bends straight lines
-_ROUNDING_M: Final = 1e-3  # m: places on a border count as inside whatever the rounding
+_ROUNDING_M: Final = 1e-2  # m: places on a border count as inside; a place in steps of 1e-7 degrees is 8 mm off
+_SAME_CORNER_M: Final = 1e-3  # m between corners of a fence: nearer ones are one
+_VERTICAL_ROUNDING_M: Final = 1e-3  # m: a depth or an altitude on its bound is within, whatever feet make of it
+_SPEED_ROUNDING: Final = 1e-9  # of a speed: one on its bound is within, whatever knots make of it
 _TOUCH_M: Final = 1e-6  # a way through a corner may be out of the fence behind it
 _TURN: Final = 2.0 * math.pi
 
@@ -46,7 +51,7 @@ class Fence:
         ring = [
             corner
             for before, corner in zip([corners[-1], *corners], corners, strict=False)
-            if distance_m(before, corner) > _ROUNDING_M
+            if distance_m(before, corner) > _SAME_CORNER_M
         ]
         self._edges = list(zip(ring, [*ring[1:], *ring[:1]], strict=True))
         if len(ring) < 3 or _cross_themselves(self._edges) or abs(_area_m2(ring)) < 1.0:
@@ -125,10 +130,24 @@ class Guard:
 
     def state(self, state: ReportedState | None) -> Refusal | None:
         """Return why a vehicle in this state must not be commanded. Unknown quantities are refused."""
+        if (refusal := self._position(state)) is not None or state is None:
+            return refusal
+        return self._height(state) or self._outside(state)
+
+    def _position(self, state: ReportedState | None) -> Refusal | None:
         if self._fence is None:
             return _NO_FENCE
         if state is None or not math.isfinite(state.latitude_deg + state.longitude_deg):
             return Refusal("position_unknown", "the vehicle's position is not known")
+        return None
+
+    def _outside(self, state: ReportedState) -> Refusal | None:
+        assert self._fence is not None  # else the position was refused
+        if not self._fence.inside(self._fence.point(state.latitude_deg, state.longitude_deg)):
+            return Refusal("outside_fence", "the vehicle is outside the fence")
+        return None
+
+    def _height(self, state: ReportedState) -> Refusal | None:
         if not math.isfinite(state.depth_m):
             return Refusal("depth_unknown", "the vehicle's depth is not known")
         if not math.isfinite(state.altitude_m):
@@ -142,9 +161,6 @@ class Guard:
             return Refusal(
                 "too_deep", f"depth {state.depth_m:.1f} m is beyond max_depth_m ({self._config.max_depth_m:g})"
             )
-        here = self._fence.point(state.latitude_deg, state.longitude_deg)
-        if not self._fence.inside(here):
-            return Refusal("outside_fence", "the vehicle is outside the fence")
         return None
 
     def age(self, age_s: float) -> Refusal | None:
@@ -164,54 +180,91 @@ class Guard:
             )
         return None
 
-    def command(self, command: Command, state: ReportedState | None) -> Refusal | None:
-        """Return why a command must not be sent to a vehicle in this state."""
+    def command(self, command: WireCommand, state: ReportedState | None, floor: SeaFloor) -> Refusal | None:
+        """Return why a command must not be sent to a vehicle in this state, over this floor."""
         if (refusal := self.state(state)) is not None:
             return refusal
         assert state is not None  # else refused above
-        assert self._fence is not None
         return (
-            self._speed(command)
-            or self._vertical(command.vertical, state)
-            or (
-                self._steer(command, state, self._fence)
-                if isinstance(command, Steer)
-                else self._go_to(command, state, self._fence)
-            )
+            self._readable(command)
+            or self._speed(command.speed_mps)
+            or self.vertical(command.vertical, floor)
+            or self._horizontal(command, state)
         )
 
-    def _speed(self, command: Command) -> Refusal | None:
-        if not 0.0 < command.speed_mps <= self._config.speed_mps:
-            return Refusal(
-                "speed", f"speed {command.speed_mps:g} m/s is not within 0 and speed_mps ({self._config.speed_mps:g})"
-            )
+    def ascent(self, command: WireCommand, state: ReportedState | None, safe_depth_m: float) -> Refusal | None:
+        """Return why a command that is to lead up, before control goes back, must not be sent.
+
+        It need not be known how deep the vehicle is, nor how high.
+        """
+        if (refusal := self._position(state)) is not None or state is None:
+            return refusal
+        vertical = command.vertical
+        if vertical is not None and not (
+            vertical.reference == "depth" and 0.0 <= vertical.value_m <= safe_depth_m + _VERTICAL_ROUNDING_M
+        ):
+            return Refusal("commands_too_low", f"{vertical.reference} {vertical.value_m:g} m does not lead up")
+        return (
+            self._outside(state)
+            or self._readable(command)
+            or self._speed(command.speed_mps)
+            or self._horizontal(command, state)
+        )
+
+    def _readable(self, command: WireCommand) -> Refusal | None:
+        if command == WireCommand():
+            return Refusal("unreadable", "a message to the vehicle cannot be read, and might command it")
         return None
 
-    def _vertical(self, vertical: Vertical, state: ReportedState) -> Refusal | None:
-        """Check a depth or an altitude against both bounds, over the sea floor below the vehicle."""
+    def _speed(self, speed_mps: float | None) -> Refusal | None:
+        max_mps = self._config.speed_mps
+        if speed_mps is None or 0.0 < speed_mps <= max_mps * (1.0 + _SPEED_ROUNDING):
+            return None
+        return Refusal("speed", f"speed {speed_mps:g} m/s is not within 0 and speed_mps ({max_mps:g})")
+
+    def vertical(self, vertical: Vertical | None, floor: SeaFloor) -> Refusal | None:
+        """Return why a depth or an altitude must not be sent: it is held against both bounds.
+
+        The floor is the one that the command is nearer to: a depth has to clear the shallowest, and an altitude must
+        not lead too deep over the deepest.
+        """
+        if vertical is None:
+            return None
+        is_depth = vertical.reference == "depth"
+        floor_m = floor.shallowest_m if is_depth else floor.deepest_m
+        if not math.isfinite(floor_m):
+            return Refusal(
+                "floor_unknown",
+                "the sea floor below the vehicle is not known: its depth and altitude are not of one moment, or change "
+                "faster than they can",
+            )
         if not 0.0 <= vertical.value_m < math.inf:
             return Refusal("vertical", f"{vertical.reference} {vertical.value_m:g} m is not valid")
-        floor_m = state.depth_m + state.altitude_m
-        altitude_m = vertical.value_m if vertical.reference == "altitude" else floor_m - vertical.value_m
-        depth_m = vertical.value_m if vertical.reference == "depth" else floor_m - vertical.value_m
-        if not altitude_m >= self._config.min_altitude_m:
+        altitude_m = floor_m - vertical.value_m if is_depth else vertical.value_m
+        depth_m = vertical.value_m if is_depth else floor_m - vertical.value_m
+        if not altitude_m >= self._config.min_altitude_m - _VERTICAL_ROUNDING_M:
             return Refusal(
                 "commands_too_low",
                 f"altitude {altitude_m:.1f} m would be below min_altitude_m ({self._config.min_altitude_m:g})",
             )
-        if not depth_m <= self._config.max_depth_m:
+        if not depth_m <= self._config.max_depth_m + _VERTICAL_ROUNDING_M:
             return Refusal(
                 "commands_too_deep", f"depth {depth_m:.1f} m would be beyond max_depth_m ({self._config.max_depth_m:g})"
             )
         return None
 
-    def _go_to(self, command: GoTo, state: ReportedState, fence: Fence) -> Refusal | None:
-        if not 0.0 < command.radius_m < math.inf:
+    def _horizontal(self, command: WireCommand, state: ReportedState) -> Refusal | None:
+        assert self._fence is not None  # else the state was refused
+        if command.radius_m is not None and not 0.0 < command.radius_m < math.inf:
             return Refusal("radius", f"radius {command.radius_m:g} m is not valid")
-        here, there = (
-            fence.point(state.latitude_deg, state.longitude_deg),
-            fence.point(command.latitude_deg, command.longitude_deg),
-        )
+        if command.place_deg is not None:
+            return self._go_to(command.place_deg, state, self._fence)
+        if command.heading_rad is not None:
+            return self._steer(command.heading_rad, command, state, self._fence)
+        return None
+
+    def _go_to(self, place_deg: tuple[float, float], state: ReportedState, fence: Fence) -> Refusal | None:
+        here, there = fence.point(state.latitude_deg, state.longitude_deg), fence.point(*place_deg)
         if (refusal := self._way(here, there, fence)) is not None:
             return refusal
         if not fence.clearance_m(there, there) >= self._config.fence_margin_m - _ROUNDING_M:
@@ -220,16 +273,16 @@ class Guard:
             )
         return None
 
-    def _steer(self, command: Steer, state: ReportedState, fence: Fence) -> Refusal | None:
+    def _steer(self, heading_rad: float, command: WireCommand, state: ReportedState, fence: Fence) -> Refusal | None:
+        """Check where a heading leads, at the speed and for as long as the vehicle may hold it."""
         if not math.isfinite(state.heading_rad):
             return Refusal("heading_unknown", "the vehicle's heading is not known")
-        if not 0.0 <= command.heading_rad < _TURN:
-            return Refusal("heading", f"heading {command.heading_rad:g} rad is not within 0 and 2 pi")
+        if not 0.0 <= heading_rad < _TURN:
+            return Refusal("heading", f"heading {heading_rad:g} rad is not within 0 and 2 pi")
         here = fence.point(state.latitude_deg, state.longitude_deg)
-        reach_m = command.speed_mps * self._config.command_valid_s
-        return self._way(
-            here, fence.ahead(state.latitude_deg, state.longitude_deg, command.heading_rad, reach_m), fence
-        )
+        speed_mps = self._config.speed_mps if command.speed_mps is None else command.speed_mps
+        reach_m = speed_mps * max(self._config.command_valid_s, command.holds_s or 0.0)
+        return self._way(here, fence.ahead(state.latitude_deg, state.longitude_deg, heading_rad, reach_m), fence)
 
     def _way(self, here: Point, there: Point, fence: Fence) -> Refusal | None:
         """Return why a heading must not be held. A vehicle within the margin may leave it, but not approach the

@@ -36,7 +36,7 @@ from drivers.vehicle.ascii_fields import (
 )
 from drivers.vehicle.dialect import ContactReport
 
-_METRES_SINCE: Final = 5  # version of Remote Helm
+METRES_SINCE: Final = 5  # version of Remote Helm
 _COMPASS: Final = re.compile(r"C([\d.+-]+)P([\d.+-]+)R([\d.+-]+)T([\d.+-]+)D([\d.+-]+)")
 
 
@@ -109,7 +109,7 @@ class IverGrammar(NmeaGrammar):
 
 def table_of(settings: IverSettings) -> Table:
     """Make the table of this vehicle's sentences."""
-    depth_unit_m = 1.0 if settings.remote_helm_version >= _METRES_SINCE else FOOT_M
+    depth_unit_m = 1.0 if settings.remote_helm_version >= METRES_SINCE else FOOT_M
     state: tuple[Codec | None, ...] = (
         None,  # fins and motor
         needed(TEXT),

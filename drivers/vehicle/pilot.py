@@ -1,8 +1,10 @@
 """Communicate with a vehicle: contacts and health always, commands only while the vehicle grants control.
 
-No ports and no clocks: what is heard is handed in, what is to be sent is fetched. Control is wanted only while there is
-a plan ahead that may be flown, and goes back as soon as that ends, for whatever reason. Where the payload died or the
-wire broke, the vehicle takes control back by itself once commands stay away; that is why every dialect repeats them.
+No ports and no clocks: what is heard is handed in, what is to be sent is fetched. The guard stands last: it judges the
+bytes that a talker made of a command, by the numbers in them, and what it refuses is not sent. Control is wanted only
+while there is a plan ahead that may be flown, and goes back as soon as that ends, for whatever reason. Where the
+payload died or the wire broke, the vehicle takes control back by itself once commands stay away; that is why every
+dialect repeats them.
 """
 
 from __future__ import annotations
@@ -10,7 +12,8 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, Generic, NamedTuple, TypeVar
 
 from auv_mcm.clock import Stamp
@@ -26,18 +29,22 @@ from drivers.vehicle.dialect import (
     Granted,
     PayloadHealth,
     PlaceReached,
+    ReadsBack,
     Rejected,
     ReportedState,
     Steer,
     Talker,
     VehicleMessage,
     Vertical,
+    WireCommand,
     Withheld,
+    numbers_of,
 )
 from drivers.vehicle.guard import Guard, Refusal
 from drivers.vehicle.guidance import LineOfSight, WaypointTrack
 from drivers.vehicle.report_queue import ReportQueue
 from drivers.vehicle.runs import ON_LEG, with_points_on_legs
+from drivers.vehicle.sea_floor import FloorBelow
 from drivers.vehicle.whereabouts import Whereabouts
 
 log = logging.getLogger(__name__)
@@ -51,6 +58,12 @@ _STEER_AGAIN_S: Final = (
     0.2  # not sooner with another heading, so that a slow wire is not asked for more than it carries
 )
 _STEER_STEP_RAD: Final = math.radians(1.0)  # a heading that differs less waits for the next repetition
+_NOT_GRANTED: Final = Refusal("not_granted", "a command was to be sent without a grant")
+# refusals after which a vehicle that is commanded depths is led up: it would hold the last one until it times out
+_LEADING_UP: Final = frozenset(
+    {"altitude_unknown", "depth_unknown", "floor_unknown", "too_low", "too_deep", "commands_too_low"}
+    | {"commands_too_deep"}
+)
 
 
 class _Plan(NamedTuple):
@@ -89,8 +102,8 @@ class Pilot(Generic[W]):
     water.
 
     counters: those of the talker; vehicle.refused.REASON (what was not to be sent, once per plan and reason),
-    vehicle.requested, .granted, .withheld, .returned, .commands, .plans, .plans_flown, .doubted, and those of
-    `ReportQueue`.
+    vehicle.requested, .granted, .withheld, .returned, .commands, .led_up (a safe depth before control goes back),
+    .plans, .plans_flown, .doubted, and those of `FloorBelow` and `ReportQueue`.
 
     Raises UsageError for a fence that encloses no area.
     """
@@ -105,6 +118,10 @@ class Pilot(Generic[W]):
             silent_after_s=talker.silent_after_s, ask_again_s=config.ask_again_s, max_control_s=config.max_control_s
         )
         self._guard = Guard(config)
+        self._floor = FloorBelow(speed_mps=config.speed_mps, valid_s=config.state_valid_s)
+        self._read_back = talker.commands_in if isinstance(talker, ReadsBack) else None
+        self._holds_s = config.command_valid_s  # for which the vehicle may obey the last command
+        self._last_words: list[W] = []  # to be sent before control goes back
         self._report_queue = ReportQueue(
             session=session,
             min_p_mine=config.report_min_p_mine,
@@ -133,7 +150,7 @@ class Pilot(Generic[W]):
 
     @property
     def counters(self) -> Counter[str]:
-        return self._own + self._report_queue.counters + self._talker.counters
+        return self._own + self._floor.counters + self._report_queue.counters + self._talker.counters
 
     def health(self) -> str:
         """Return one line for people and for the health line."""
@@ -176,6 +193,7 @@ class Pilot(Generic[W]):
             match event:
                 case ReportedState():
                     self._whereabouts.hear(event, now_s)
+                    self._floor.hear(event.depth_m, event.altitude_m, now_s)
                 case Granted():
                     self._authority.granted(event.reason, now_s)
                 case Withheld():
@@ -199,10 +217,11 @@ class Pilot(Generic[W]):
         was_up = self._authority.state != "down"
         self._end_plan(now_s)
         state = self._whereabouts.at(now_s)
-        refusal = self._why_not(state, age_s)
+        refusal = self._why_not(state, age_s, now_s)
         if refusal is not None:
-            self._refused(refusal)
-            self._do(self._authority.give_back(refusal.text, now_s, pause=True), now_s)
+            if refusal.code != "floor_unknown" or not self._floor.settles(now_s):
+                self._refused(refusal)
+            self._give_back(refusal, now_s, pause=True)
         self._do(self._authority.step(self._plan is not None and refusal is None, now_s), now_s)
         if self._authority.state != "granted":
             self._joined = False
@@ -214,8 +233,10 @@ class Pilot(Generic[W]):
         if up and Capability.CONTACT in self._talker.capabilities:
             for report, ticket in self._report_queue.take_due(now_s):
                 self._talker.report(report, ticket, now_s)
+        outgoing = self._fetched(partial(self._why_not_sent, state, now_s), now_s)
         self._notice_authority()
-        return self._talker.take_outgoing(now_s) if self._wire_open else []
+        last_words, self._last_words = self._last_words, []
+        return [*last_words, *outgoing]
 
     def go_on(self, session: int, n_starts: int) -> None:
         """Report contacts under the numbers of a session that n_starts runs before this one began."""
@@ -280,7 +301,52 @@ class Pilot(Generic[W]):
         elif (refusal := self._guard.plan_age(now_s - self._plan.approved_s)) is not None:
             self._drop_plan(refusal, now_s)
 
-    def _why_not(self, state: ReportedState | None, age_s: float) -> Refusal | None:
+    def _fetched(self, why_not: Callable[[WireCommand], Refusal | None], now_s: float) -> list[W]:
+        """Fetch what is to be sent, without commands that must not be: then control goes back, too.
+
+        why_not: returns why a command with these numbers must not be sent.
+        """
+        if not self._wire_open:
+            return []
+        outgoing = self._talker.take_outgoing(now_s)
+        if self._read_back is None:
+            return outgoing
+        commands = self._read_back(outgoing)
+        refusals = [refusal for command in commands if command is not None and (refusal := why_not(command))]
+        if not refusals:
+            holds_s = [command.holds_s or 0.0 for command in commands if command is not None]
+            self._holds_s = max(self._config.command_valid_s, *holds_s) if holds_s else self._holds_s
+            return outgoing
+        rest = [item for item, command in zip(outgoing, commands, strict=True) if command is None]
+        self._drop_plan(refusals[0], now_s)
+        after = self._talker.take_outgoing(now_s)
+        return rest + [item for item, command in zip(after, self._read_back(after), strict=True) if command is None]
+
+    def _why_not_sent(self, state: ReportedState | None, now_s: float, command: WireCommand) -> Refusal | None:
+        if self._authority.state != "granted":
+            return _NOT_GRANTED
+        return self._guard.command(command, state, self._floor.at(now_s))
+
+    def _give_back(self, refusal: Refusal, now_s: float, *, pause: bool) -> None:
+        """Release control, and lead a vehicle up before that is commanded depths and whose floor is not known."""
+        if refusal.code in _LEADING_UP and self._authority.state == "granted":
+            self._lead_up(now_s)
+        self._do(self._authority.give_back(refusal.text, now_s, pause=pause), now_s)
+
+    def _lead_up(self, now_s: float) -> None:
+        last = self._command
+        if Capability.DEPTHS_ALONE not in self._talker.capabilities or not isinstance(last, Steer):
+            return
+        self._command = None
+        safe_depth_m = min(
+            last.vertical.value_m, self._floor.safe_depth_m(self._config.altitude_m, now_s, self._holds_s)
+        )
+        self._talker.command(last._replace(vertical=Vertical("depth", safe_depth_m)), now_s)
+        self._own["vehicle.led_up"] += 1
+        state = self._whereabouts.at(now_s)
+        self._last_words += self._fetched(lambda command: self._guard.ascent(command, state, safe_depth_m), now_s)
+
+    def _why_not(self, state: ReportedState | None, age_s: float, now_s: float) -> Refusal | None:
         """Return why no command may be sent now; before a grant, also why the first would be refused."""
         if self._plan is None or self._authority.state == "down":
             return None
@@ -290,10 +356,12 @@ class Pilot(Generic[W]):
             return refusal
         if self._may_steer and not math.isfinite(state.heading_rad):
             return Refusal("heading_unknown", "the vehicle's heading is not known")
-        if in_control:
-            return None
+        if in_control:  # where the floor is lost the plan is kept
+            refusal = self._guard.vertical(self._vertical(now_s), self._floor.at(now_s))
+            return refusal if refusal is not None and refusal.code == "floor_unknown" else None
         first = self._plan.waypoints[self._plan.entry((state.latitude_deg, state.longitude_deg))]
-        return self._guard.command(self._go_to(first.latitude_deg, first.longitude_deg), state)
+        go_to = self._go_to(first.latitude_deg, first.longitude_deg, self._vertical(now_s))
+        return self._guard.command(numbers_of(go_to), state, self._floor.at(now_s))
 
     def _fly(self, plan: _Plan, state: ReportedState, now_s: float) -> None:
         """Return the next command, if it may be given."""
@@ -311,22 +379,25 @@ class Pilot(Generic[W]):
             heading_rad = self._line_of_sight.heading_rad(
                 plan.track, position_deg, self._whereabouts.position_s, state.heading_rad, now_s
             )
-            command = Steer(heading_rad, self._vertical, self._config.speed_mps)
+            command = Steer(heading_rad, self._vertical(now_s), self._config.speed_mps)
         else:
-            command = self._go_to(*plan.track.target_deg)
-        if (refusal := self._guard.command(command, state)) is not None:
+            command = self._go_to(*plan.track.target_deg, self._vertical(now_s))
+        if (refusal := self._guard.command(numbers_of(command), state, self._floor.at(now_s))) is not None:
             self._drop_plan(refusal, now_s)
         elif self._due(command, now_s):
             self._command, self._commanded_s = command, now_s
             self._own["vehicle.commands"] += 1
             self._talker.command(command, now_s)
 
-    @property
-    def _vertical(self) -> Vertical:
-        return Vertical("altitude", self._config.altitude_m)
+    def _vertical(self, now_s: float) -> Vertical:
+        """Return the altitude to command, or, to a vehicle that holds depths alone, the depth over the floor below."""
+        altitude_m = self._config.altitude_m
+        if Capability.DEPTHS_ALONE not in self._talker.capabilities:
+            return Vertical("altitude", altitude_m)
+        return Vertical("depth", max(self._floor.at(now_s).shallowest_m - altitude_m, 0.0))
 
-    def _go_to(self, latitude_deg: float, longitude_deg: float) -> GoTo:
-        return GoTo(latitude_deg, longitude_deg, self._vertical, self._config.speed_mps, self._config.arrival_radius_m)
+    def _go_to(self, latitude_deg: float, longitude_deg: float, vertical: Vertical) -> GoTo:
+        return GoTo(latitude_deg, longitude_deg, vertical, self._config.speed_mps, self._config.arrival_radius_m)
 
     def _due(self, command: Command, now_s: float) -> bool:
         """Return whether the command differs enough, or the last one is old enough to be repeated."""
@@ -359,7 +430,7 @@ class Pilot(Generic[W]):
     def _drop_plan(self, refusal: Refusal, now_s: float) -> None:
         self._plan = None
         self._refused(refusal)
-        self._do(self._authority.give_back(refusal.text, now_s, pause=False), now_s)
+        self._give_back(refusal, now_s, pause=False)
 
     def _refused(self, refusal: Refusal) -> None:
         """Report a refusal once per plan and reason, since commands are checked ten times a second."""

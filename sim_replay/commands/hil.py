@@ -20,9 +20,9 @@ def add(commands: Commands) -> None:
         "at which\n"
         "virtual ports, what goes wrong when, and what is expected of the service then. Service and devices run as "
         "processes\n"
-        "of their own, and all are gone when the command ends. One line per expectation, and verdict.json for scripts; "
-        "exit\n"
-        "code 5 if any is not met.",
+        "of their own, and all are gone when the command ends. One line per expectation, verdict.json for scripts and "
+        "junit.xml\n"
+        "for CI servers; exit code 5 if any is not met.",
         [
             "auv-mcm hil --list",
             "auv-mcm hil clean",
@@ -59,9 +59,9 @@ def _run(arguments: argparse.Namespace) -> int:
     if not names:
         raise UsageError("a SCENARIO is needed; 'auv-mcm hil --list' shows those that ship with the package")
 
-    from auv_mcm.shell.whole_files import write_json
+    from auv_mcm.shell.whole_files import write_file, write_json
     from sim_replay.hil.run import run_scenario  # needs the bench extra, which a list does not
-    from sim_replay.hil.verdict import as_table, judge
+    from sim_replay.hil.verdict import as_junit, as_table, judge
 
     failed = []
     for read in [read_scenario(name) for name in names]:
@@ -71,6 +71,7 @@ def _run(arguments: argparse.Namespace) -> int:
         verdicts = [judge(expectation, evidence) for expectation in read.scenario.expectations]
         print(as_table(verdicts), end="\n\n", flush=True)
         write_json(folder / "verdict.json", [verdict._asdict() for verdict in verdicts])
+        write_file(folder / "junit.xml", as_junit(read.name, verdicts))
         if not all(verdict.passed for verdict in verdicts):
             failed.append(
                 f"{read.name} ({sum(not verdict.passed for verdict in verdicts)} of {len(verdicts)}; see {folder})"

@@ -27,6 +27,7 @@ from sim_replay.fakes.job import (
     Freeze,
     Garbage,
     Job,
+    Misreport,
     Nonsense,
     Offset,
     PowerOff,
@@ -101,6 +102,7 @@ class FakeDevice:
         self._has_power = True
         self._freeze = False
         self._offset = Offset(at_s=0.0)
+        self._misreports: list[Misreport] = []
         self._reported: NavSample | None = None
         self._tasks: asyncio.TaskGroup | None = None
 
@@ -181,7 +183,7 @@ class FakeDevice:
             assert self._sonar is not None
             return self._sonar.ping(event, self._time(self._start_s + at_s))
         if not self._freeze or self._reported is None:
-            self._reported = _wrong_by(event, self._offset)
+            self._reported = _misreported(_wrong_by(event, self._offset), self._misreports)
         messages: list[Message] = []
         utc_s = self._time(self._start_s + self._reported.time_s).utc_s
         if self._navigation is not None:
@@ -266,6 +268,8 @@ class FakeDevice:
             case Nonsense():
                 assert self._controller is not None
                 self._controller.is_talking_nonsense = on
+            case Misreport():
+                self._misreports = [other for other in self._misreports if other is not fault] + [fault] * on
 
     async def _send_garbage(self) -> None:
         while True:
@@ -313,4 +317,14 @@ def _wrong_by(sample: NavSample, offset: Offset) -> NavSample:
         frame = LocalFrame(latitude_deg=sample.latitude_deg, longitude_deg=sample.longitude_deg)
         latitude_deg, longitude_deg, _ = frame.to_geodetic((offset.east_m, offset.north_m, 0.0))
         sample = structs.replace(sample, latitude_deg=float(latitude_deg), longitude_deg=float(longitude_deg))
+    return sample
+
+
+def _misreported(sample: NavSample, faults: Sequence[Misreport]) -> NavSample:
+    for fault in faults:
+        sample = structs.replace(
+            sample,
+            depth_m=sample.depth_m + fault.depth_by_m,
+            altitude_m=math.nan if fault.no_altitude else sample.altitude_m + fault.altitude_by_m,
+        )
     return sample

@@ -89,6 +89,14 @@ class Nonsense(_Fault, frozen=True, kw_only=True, tag="nonsense"):
     """Repeat every message, cut short or changed. Vehicles only."""
 
 
+class Misreport(_Fault, frozen=True, kw_only=True, tag="misreport"):
+    """Report a depth or an altitude that is wrong, or no altitude, as without bottom lock. Vehicles only."""
+
+    depth_by_m: Annotated[float, Meta(ge=-1e4, le=1e4)] = 0.0
+    altitude_by_m: Annotated[float, Meta(ge=-1e4, le=1e4)] = 0.0
+    no_altitude: bool = False
+
+
 class Flood(_Fault, frozen=True, kw_only=True, tag="flood"):
     """Send, from the device's own address and besides its messages, the input that costs its decoder the maximum."""
 
@@ -96,7 +104,19 @@ class Flood(_Fault, frozen=True, kw_only=True, tag="flood"):
 
 
 Fault: TypeAlias = (
-    Unplug | PowerOff | Stall | Garbage | Damage | WrongBaud | ClockStep | Freeze | Offset | Revoke | Nonsense | Flood
+    Unplug
+    | PowerOff
+    | Stall
+    | Garbage
+    | Damage
+    | WrongBaud
+    | ClockStep
+    | Freeze
+    | Offset
+    | Revoke
+    | Nonsense
+    | Misreport
+    | Flood
 )
 
 
@@ -137,10 +157,10 @@ class Device(_Record, frozen=True, kw_only=True):
                 raise ValueError(
                     f"a device '{self.device}' is not a navigation unit; freeze and offset need one. Remove the fault"
                 )
-            if not self.is_vehicle and (isinstance(fault, Revoke | Nonsense) or fault.after == "grant"):
+            if not self.is_vehicle and (isinstance(fault, Revoke | Nonsense | Misreport) or fault.after == "grant"):
                 raise ValueError(
-                    f"a device '{self.device}' is not a vehicle; revoke, nonsense and 'after: grant' need one. Remove "
-                    "the fault"
+                    f"a device '{self.device}' is not a vehicle; revoke, nonsense, misreport and 'after: grant' need "
+                    "one. Remove the fault"
                 )
         if self.beside is not None and (not self.is_vehicle or (self.beside in CAN_DEVICES) != (self.link == "slcan")):
             raise ValueError(

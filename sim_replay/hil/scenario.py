@@ -178,7 +178,10 @@ class Passed(_Count, frozen=True, kw_only=True, tag="passed"):
 
 
 class Sharper(_Count, frozen=True, kw_only=True, tag="sharper"):
-    """Count contacts that a vehicle received with one view first and more last, then with a p_mine farther from 0.5."""
+    """Count contacts that a vehicle received with one view first and more last, then nearer to the truth.
+
+    That is a higher p_mine at a target of the scene, a lower one elsewhere. If one at a target got lower, none counts.
+    """
 
     device: str
 
@@ -190,6 +193,16 @@ class InsideFence(_Rule, frozen=True, kw_only=True, tag="inside_fence"):
     """
 
     device: str
+
+
+class AboveFloor(_Rule, frozen=True, kw_only=True, tag="above_floor"):
+    """Expect every commanded depth and altitude to lie this high over the true sea floor below the vehicle.
+
+    It has to be commanded once or more.
+    """
+
+    device: str
+    min_altitude_m: Annotated[float, Meta(gt=0.0)]
 
 
 class OwnPlanAtEnd(_Rule, frozen=True, kw_only=True, tag="own_plan_at_end"):
@@ -221,9 +234,20 @@ Counted: TypeAlias = (
     | Passed
     | Sharper
 )
-VehicleRule: TypeAlias = ReportRule | ReportedInTime | Passed | Sharper | InsideFence | OwnPlanAtEnd | Silence
+VehicleRule: TypeAlias = (
+    ReportRule | ReportedInTime | Passed | Sharper | InsideFence | AboveFloor | OwnPlanAtEnd | Silence
+)
 Rule: TypeAlias = (
-    Counted | ExitCode | AnswersStop | Reopened | AsReplayed | ReportedInTime | InsideFence | OwnPlanAtEnd | Silence
+    Counted
+    | ExitCode
+    | AnswersStop
+    | Reopened
+    | AsReplayed
+    | ReportedInTime
+    | InsideFence
+    | AboveFloor
+    | OwnPlanAtEnd
+    | Silence
 )
 
 

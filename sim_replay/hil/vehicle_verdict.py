@@ -9,12 +9,15 @@ from itertools import pairwise
 from typing import Any, Final, TypeAlias
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, ReportedInTime, Silence
+from sim_replay.hil.scenario import AboveFloor, OwnPlanAtEnd, Passed, ReportedInTime, Silence
 
 Judged: TypeAlias = tuple[str, str, bool]
 """What was expected, what was found, and whether it is that."""
 
 _CONTACT: Final = re.compile(r"^contact C(\d+) (?:new|updated): \w+, p_mine (\d\.\d+),")
+_FLOOR_WITHIN_S: Final = 1.5  # s around a command whose poses give the floor below it; one comes each second
+_AT_TARGET_M: Final = 5.0  # m from a target of the truth: chosen, five times what contacts are off under command
+_M_PER_DEG: Final = 111_195.0  # m, of latitude on a sphere of 6371 km
 _P_MINE_WITHIN: Final = 0.02  # two digits on the console, a byte on some wires
 
 
@@ -65,15 +68,33 @@ def n_passed(rule: Passed, reports: Sequence[Report]) -> int:
     return len(numbers)
 
 
-def n_sharper(reports: Sequence[Report]) -> int:
-    """Count contacts that got a second view and a p_mine farther from undecided."""
+def n_sharper(reports: Sequence[Report], targets_deg: Sequence[tuple[float, float]]) -> int:
+    """Count contacts that a second view brought nearer to the truth; 0 if it talked one of a target down.
+
+    A contact at a target of the truth has to get likelier to be a mine, any other less likely.
+    """
     reported: dict[int, list[Mapping[str, Any]]] = {}
     for details in _details(reports, "contact"):
         reported.setdefault(details["number"], []).append(details)
     ends = [(reports_of_one[0], reports_of_one[-1]) for reports_of_one in reported.values()]
-    return sum(
-        first["n_views"] == 1 and last["n_views"] >= 2 and abs(last["p_mine"] - 0.5) > abs(first["p_mine"] - 0.5)
+    rises = [
+        (last["p_mine"] - first["p_mine"], _is_at_one(last, targets_deg))
         for first, last in ends
+        if first["n_views"] == 1 and last["n_views"] >= 2
+    ]
+    if any(rise < 0.0 and is_target for rise, is_target in rises):
+        return 0
+    return sum(rise > 0.0 if is_target else rise < 0.0 for rise, is_target in rises)
+
+
+def _is_at_one(contact: Mapping[str, Any], targets_deg: Sequence[tuple[float, float]]) -> bool:
+    """Find whether a contact lies at a target, by a plane that is exact enough for metres."""
+    latitude_deg, longitude_deg = contact["latitude_deg"], contact["longitude_deg"]
+    m_per_deg_east = _M_PER_DEG * math.cos(math.radians(latitude_deg))
+    return any(
+        math.hypot(_M_PER_DEG * (latitude_deg - target[0]), m_per_deg_east * (longitude_deg - target[1]))
+        <= _AT_TARGET_M
+        for target in targets_deg
     )
 
 
@@ -95,6 +116,27 @@ def inside_fence(fence_deg: Sequence[tuple[float, float]], reports: Sequence[Rep
         found,
         n_outside == (0, 0) and bool(commands),
     )
+
+
+def above_floor(rule: AboveFloor, reports: Sequence[Report]) -> Judged:
+    """Check that no command led below a minimum altitude over the true floor, the shallowest of poses around it."""
+    expected = f"commands stay {rule.min_altitude_m:g} m above the true sea floor"
+    floors = [
+        (report.at_s, report.details["depth_m"] + report.details["altitude_m"])
+        for report in reports
+        if report.what == "pose"
+    ]
+    heights_m = []
+    for report in reports:
+        if report.what == "command":
+            reference, value_m = report.details["vertical"]
+            below_m = [floor_m for at_s, floor_m in floors if abs(at_s - report.at_s) <= _FLOOR_WITHIN_S]
+            heights_m.append(value_m if reference == "altitude" else min(below_m, default=-math.inf) - value_m)
+    if not heights_m:
+        return expected, "it was never commanded", False
+    n_low = sum(not height_m >= rule.min_altitude_m for height_m in heights_m)
+    found = f"{n_low} of {len(heights_m)} commands lower, the lowest {min(heights_m):.1f} m above it"
+    return expected, found, not n_low
 
 
 def own_plan_at_end(rule: OwnPlanAtEnd, reports: Sequence[Report]) -> Judged:

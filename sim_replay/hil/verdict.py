@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, Final, NamedTuple
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.hil.evidence import Line, Report, Restart
 from sim_replay.hil.scenario import (
+    AboveFloor,
     AnswersStop,
     AsReplayed,
     Counted,
@@ -40,6 +42,7 @@ from sim_replay.hil.scenario import (
     Window,
 )
 from sim_replay.hil.vehicle_verdict import (
+    above_floor,
     inside_fence,
     n_passed,
     n_sharper,
@@ -106,6 +109,18 @@ def as_table(verdicts: Sequence[Verdict]) -> str:
     return "\n".join(
         "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]) for row in rows
     )
+
+
+def as_junit(name: str, verdicts: Sequence[Verdict]) -> bytes:
+    """Format the verdicts of a scenario as a JUnit test suite: a test case each, failures with what was found."""
+    n_failed = sum(not verdict.passed for verdict in verdicts)
+    suite = Element("testsuite", name=name, tests=str(len(verdicts)), failures=str(n_failed), errors="0", skipped="0")
+    for verdict in verdicts:
+        case = SubElement(suite, "testcase", classname=f"hil.{name}", name=verdict.test)
+        if not verdict.passed:
+            SubElement(case, "failure", message=f"expected: {verdict.expected}; found: {verdict.found}")
+    document: bytes = tostring(suite, encoding="utf-8", xml_declaration=True)
+    return document
 
 
 def contacts_of(geojson: Mapping[str, Any]) -> list[Placed]:
@@ -213,12 +228,15 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             )
             return _limited(rule, n_passed(rule, evidence.reports[rule.device]), what)
         case Sharper():
-            what = "contacts with one view first, with more last, and then farther from 0.5"
-            return _limited(rule, n_sharper(evidence.reports[rule.device]), what)
+            what = "contacts with one view first, with more last, and then nearer to the truth; no mine talked down"
+            targets_deg = [target[:2] for target in evidence.targets]
+            return _limited(rule, n_sharper(evidence.reports[rule.device], targets_deg), what)
         case ReportedInTime():
             return reported_in_time(rule, evidence.lines, evidence.reports[rule.device])
         case InsideFence():
             return inside_fence(evidence.fence_deg, evidence.reports[rule.device])
+        case AboveFloor():
+            return above_floor(rule, evidence.reports[rule.device])
         case OwnPlanAtEnd():
             return own_plan_at_end(rule, evidence.reports[rule.device])
         case Silence():

@@ -62,3 +62,15 @@ def test_the_one_tcp_port_that_is_listened_on_is_for_monitors_of_this_computer()
 def test_what_is_opened_at_the_end_of_a_wire_is_only_what_the_page_lists() -> None:
     binding = [path.name for path in ON_THE_VEHICLE if ".bind(" in path.read_text("utf-8")]
     assert binding == ["udp.py"]
+
+
+def test_every_test_and_scenario_that_the_page_names_is_there() -> None:
+    page = (ROOT / "auv_mcm" / "docs" / "security.md").read_text("utf-8")
+    tests = {path.name: path.read_text("utf-8") for path in (ROOT / "tests").rglob("test_*.py")}
+    files = set(re.findall(r"`(test_\w+\.py)`", page))
+    assert files
+    assert files <= set(tests)
+    functions = set(re.findall(r"`(test_\w+)`", page))
+    assert functions <= set(re.findall(r"^def (test_\w+)\(", "\n".join(tests.values()), re.MULTILINE))
+    scenarios = {path.stem for path in (ROOT / "sim_replay" / "hil" / "scenarios").glob("*.yaml")}
+    assert {name for names in re.findall(r"`auv-mcm hil ([\w ]+)`", page) for name in names.split()} <= scenarios

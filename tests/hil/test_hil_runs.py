@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -74,6 +75,12 @@ def test_failed_expectations_are_printed_and_set_the_exit_code(
     assert [row.split()[0] for row in rows if row.startswith(("passed", "FAILED"))] == ["passed", "FAILED"]
     verdicts = json.loads((tmp_path / "short" / "verdict.json").read_bytes())
     assert [verdict["passed"] for verdict in verdicts] == [True, False]
+    suite = ElementTree.parse(tmp_path / "short" / "junit.xml").getroot()
+    assert (suite.tag, suite.get("name"), suite.get("tests"), suite.get("failures")) == ("testsuite", "short", "2", "1")
+    assert [case.get("name") for case in suite] == [verdict["test"] for verdict in verdicts]
+    assert [failure.get("message") for failure in suite.iter("failure")] == [
+        f"expected: {verdicts[1]['expected']}; found: {verdicts[1]['found']}"
+    ]
 
 
 def test_a_service_that_refuses_its_configuration_is_quoted(tmp_path: Path) -> None:

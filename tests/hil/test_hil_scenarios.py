@@ -18,6 +18,7 @@ from tests.golden.answers import read_stored
 # test_hil_kill.py, protocols in tests/drivers/vehicle.
 QUICK = (
     "vehicle_imc",
+    "vehicle_iver_no_floor",
     "vehicle_flood",
     "garbage",
     "nav_lost",

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from sim_replay.hil.evidence import Line, Report
-from sim_replay.hil.scenario import OwnPlanAtEnd, Passed, ReportedInTime, Silence
+from sim_replay.hil.scenario import AboveFloor, OwnPlanAtEnd, Passed, ReportedInTime, Silence
 from sim_replay.hil.vehicle_verdict import (
+    above_floor,
     inside_fence,
     n_passed,
     n_sharper,
@@ -27,8 +28,14 @@ def line(at_s: float, number: int = 12, p_mine: float = 0.5, word: str = "new") 
     return Line(at_s, f"contact C{number:05d} {word}: cylinder, p_mine {p_mine:.2f}, 43.0 5.0, 1 views")
 
 
-def contact(at_s: float, number: int = 12, p_mine: float = 0.5, n_views: int = 1) -> Report:
-    return Report(at_s, "contact", {"number": number, "p_mine": p_mine, "n_views": n_views})
+def contact(
+    at_s: float, number: int = 12, p_mine: float = 0.5, n_views: int = 1, latitude_deg: float = 43.05
+) -> Report:
+    place = {"latitude_deg": latitude_deg, "longitude_deg": 5.05}
+    return Report(at_s, "contact", {"number": number, "p_mine": p_mine, "n_views": n_views, **place})
+
+
+CLUTTER = (contact(1.0, 13, 0.4, 1, 43.06), contact(2.0, 13, 0.2, 2, 43.06))
 
 
 def passed(look_deg: float, ground_range_m: float = 12.0, number: int = 0, *, in_control: bool = True) -> Report:
@@ -87,15 +94,21 @@ def test_passes_under_command_from_another_side_count(reports: list[Report], n: 
     ("reports", "n"),
     [
         ([contact(1.0), contact(2.0, p_mine=0.9, n_views=2)], 1),
-        ([contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.2, n_views=2)], 1),
-        ([contact(1.0, p_mine=0.9), contact(2.0, p_mine=0.6, n_views=2)], 0),
+        ([contact(1.0, p_mine=0.2), contact(2.0, p_mine=0.4, n_views=2)], 1),
+        ([contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.2, n_views=2)], 0),
         ([contact(1.0), contact(2.0, p_mine=0.9)], 0),
         ([contact(2.0, p_mine=0.9, n_views=2)], 0),
         ([contact(1.0), contact(2.0, number=13, p_mine=0.9, n_views=2)], 0),
+        ([CLUTTER[0], contact(2.0, 13, 0.2, 2, 43.06)], 1),
+        ([CLUTTER[0], contact(2.0, 13, 0.9, 2, 43.06)], 0),
+        ([*CLUTTER, contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.5, n_views=2)], 0),
+        ([*CLUTTER, contact(1.0, p_mine=0.6), contact(2.0, p_mine=0.7, n_views=2)], 2),
     ],
 )
-def test_contacts_with_a_second_view_that_decides_count(reports: list[Report], n: int) -> None:
-    assert n_sharper(reports) == n
+def test_contacts_that_a_second_view_brings_nearer_to_the_truth_count_unless_a_mine_is_talked_down(
+    reports: list[Report], n: int
+) -> None:
+    assert n_sharper(reports, [(43.05, 5.05)]) == n
 
 
 @pytest.mark.parametrize(
@@ -134,3 +147,29 @@ def test_a_vehicle_is_on_its_own_at_the_end() -> None:
     assert own_plan_at_end(rule, [pose(1.0), pose(9.0, in_control=False), pose(10.0, in_control=False)])[2]
     assert not own_plan_at_end(rule, [pose(1.0, in_control=False), pose(9.0), pose(10.0, in_control=False)])[2]
     assert not own_plan_at_end(rule, [])[2]
+
+
+def ordered(at_s: float, reference: str, value_m: float) -> Report:
+    return Report(at_s, "command", {"kind": "Steer", "vertical": [reference, value_m]})
+
+
+def floor_at(at_s: float, floor_m: float) -> Report:
+    return Report(at_s, "pose", {"depth_m": floor_m - 5.0, "altitude_m": 5.0, "in_control": True})
+
+
+@pytest.mark.parametrize(
+    ("commands", "holds"),
+    [
+        ([], False),
+        ([ordered(5.0, "depth", 13.0)], True),
+        ([ordered(5.0, "depth", 93.0)], False),
+        ([ordered(5.0, "depth", 16.1), ordered(5.5, "depth", 7.0)], False),
+        ([ordered(7.4, "depth", 13.5)], False),  # the floor rises to 15 m
+        ([ordered(99.0, "depth", 1.0)], False),  # nobody saw the floor then
+        ([ordered(5.0, "altitude", 2.0)], True),
+        ([ordered(5.0, "altitude", 1.9)], False),
+    ],
+)
+def test_commands_are_held_against_the_true_floor_around_them(commands: list[Report], holds: bool) -> None:
+    poses = [floor_at(float(at_s), 18.0 if at_s < 8 else 15.0) for at_s in range(12)]
+    assert above_floor(AboveFloor(device="vehicle", min_altitude_m=2.0), [*poses, *commands])[2] is holds

@@ -1,15 +1,15 @@
-"""Share what the talkers of sentences have in common: the state of control, paced reports, and the sea floor."""
+"""Share what the talkers of sentences have in common: the state of control, reading back, and paced reports."""
 
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NAN
 from drivers.vehicle.ascii_fields import Table, plain_text
 from drivers.vehicle.dialect import (
     Capability,
@@ -21,11 +21,10 @@ from drivers.vehicle.dialect import (
     Steer,
     VehicleEvent,
     VehicleMessage,
-    Vertical,
+    WireCommand,
     Withheld,
 )
 
-_FLOOR_S: Final = 3.0  # s that an altitude heard counts for the depth of the sea floor
 _REPORT_EVERY_S: Final = 0.2  # 250 bytes take 0.13 s at 19200 baud, and commands go between them
 _HEALTH_TEXT: Final = 60  # characters
 
@@ -39,6 +38,11 @@ class AsciiTalker(ABC):
 
     silent_after_s: float = 5.0
     command_period_s: float = 1.0
+    one_sentence: re.Pattern[bytes] = re.compile(
+        rb"\$([\x20-\x23\x25-\x29\x2b-\x7e]*)\*[0-9A-F]{2}\r\n"
+    )  # its group: the body
+    commanding: frozenset[type] = frozenset()  # records of the table that command
+    harmless: frozenset[type] = frozenset()  # records of the table that this talker sends besides
 
     def __init__(self, name: str, table: Table, capabilities: Capability) -> None:
         self.capabilities = capabilities
@@ -101,6 +105,23 @@ class AsciiTalker(ABC):
     def take_outgoing(self, now_s: float) -> list[bytes]:
         return self._outgoing(now_s) if self._open else []
 
+    def commands_in(self, outgoing: Sequence[bytes]) -> list[WireCommand | None]:
+        """Read the commands in sentences; see `ReadsBack`."""
+        return [self._command_in(line) for line in outgoing]
+
+    def _command_in(self, line: bytes) -> WireCommand | None:
+        match = self.one_sentence.fullmatch(line)
+        body = "" if match is None else match[1].decode("ascii")
+        kind = self._table.kind_of(body.split(","))
+        if kind is not None and kind.make in self.harmless:
+            return None
+        if kind is None or kind.make not in self.commanding:
+            return WireCommand()
+        try:
+            return self._numbers(self._table.parse(body))
+        except (ValueError, OverflowError):
+            return WireCommand()
+
     def _grant(self, reason: str) -> list[VehicleEvent]:
         if not self._wanted or self._granted:
             return []
@@ -142,6 +163,10 @@ class AsciiTalker(ABC):
         """Send a command of finite numbers, while granted."""
 
     @abstractmethod
+    def _numbers(self, record: Any) -> WireCommand:
+        """Return the numbers of a record that commands."""
+
+    @abstractmethod
     def _stop_commanding(self) -> None:
         """Drop the command that was not sent yet."""
 
@@ -174,36 +199,3 @@ class PacedReports:
             return None
         self._next_s = now_s + _REPORT_EVERY_S
         return self._waiting.pop(next(iter(self._waiting)))
-
-
-class FloorBelow:
-    """Track the sea floor under the vehicle, for vehicles that hold depths alone.
-
-    It is depth plus altitude, the minimum of the last 3 s, so that one echo too long leads nobody into the ground.
-    """
-
-    def __init__(self) -> None:
-        self._heard: deque[tuple[float, float]] = deque()  # monotonic time, depth of the floor
-
-    def clear(self) -> None:
-        """Forget all altitudes."""
-        self._heard.clear()
-
-    def heard(self, depth_m: float, altitude_m: float, now_s: float) -> None:
-        """Take both as the vehicle reported them; NaN if it did not."""
-        if math.isfinite(depth_m + altitude_m):
-            self._heard.append((now_s, depth_m + altitude_m))
-        self._drop_old(now_s)
-
-    def depth_m(self, vertical: Vertical, now_s: float) -> float:
-        """Return the depth to command, not below 0; NaN for an altitude over an unknown floor."""
-        if vertical.reference == "depth":
-            return max(vertical.value_m, 0.0)
-        self._drop_old(now_s)
-        if not self._heard:
-            return NAN
-        return max(min(floor_m for _, floor_m in self._heard) - vertical.value_m, 0.0)
-
-    def _drop_old(self, now_s: float) -> None:
-        while self._heard and now_s - self._heard[0][0] > _FLOOR_S:
-            self._heard.popleft()

@@ -40,12 +40,16 @@ from drivers.vehicle.dialect import (
     ReportedState,
     Steer,
     VehicleEvent,
+    Vertical,
+    WireCommand,
 )
 from drivers.vehicle.talkers.ascii_talker import AsciiTalker
+from drivers.vehicle.wire_steps import shallower, slower
 
 RESEND_S: Final = 5.0  # s without an answer, after which a sentence is sent again
 ATTEMPTS: Final = 3  # of one sentence, after which it is given up
 _HEARTBEAT_S: Final = 1.0  # s between two
+_STEP: Final = 0.01  # m of depth or altitude, and m/s, of the wire
 _COMMAND_VALID_S: Final = 2.0  # one that could not be sent by then is old
 _PENDING_FOR_S: Final = 60.0  # s that a sentence may stay pending with the vehicle before it is given up
 _TIME_STEP_S: Final = (
@@ -90,6 +94,9 @@ class BluefinTalker(AsciiTalker):
     Counts also bluefin.resent, .unanswered (given up after three times), .unexpected_answer, .refused_NAME (what the
     vehicle did not take).
     """
+
+    commanding = frozenset({BluefinSteer})
+    harmless = frozenset({BluefinCancel, BluefinContact, BluefinLog, BluefinStatus})
 
     def __init__(self, settings: BluefinSettings) -> None:
         optional = Capability.CONTACT if settings.contact_sentence else Capability(0)
@@ -169,8 +176,13 @@ class BluefinTalker(AsciiTalker):
 
     def _steer(self, steer: Steer, now_s: float) -> None:
         mode = "1" if steer.vertical.reference == "altitude" else "0"
-        order = BluefinSteer(NAN, steer.heading_rad, steer.vertical.value_m, mode, steer.speed_mps)
+        vertical_m = shallower(steer.vertical, _STEP).value_m
+        order = BluefinSteer(NAN, steer.heading_rad, vertical_m, mode, slower(steer.speed_mps, _STEP))
         self._put(_Item("RMB", order, expires_s=now_s + _COMMAND_VALID_S))
+
+    def _numbers(self, record: BluefinSteer) -> WireCommand:
+        vertical = Vertical("altitude" if record.vertical_mode == "1" else "depth", record.vertical_m)
+        return WireCommand(heading_rad=record.heading_rad, vertical=vertical, speed_mps=record.speed_mps)
 
     def _stop_commanding(self) -> None:
         """Stop the last command, which the vehicle may still hold, unless it took control back itself."""

@@ -15,6 +15,7 @@ from drivers.links.can_frame import CanFrame
 from drivers.vehicle.can_messages import (
     ANSWERS,
     AUTHORITY_STATES,
+    BY_RECORD,
     COMMAND_PERIOD_S,
     COMMAND_STATES,
     COMMAND_VALID_S,
@@ -23,14 +24,21 @@ from drivers.vehicle.can_messages import (
     HEALTH_STATES,
     N_NUMBERS,
     REASONS,
+    REFERENCES,
     STATUS_PERIOD_S,
     VEHICLE_SILENT_S,
+    GoToMessage,
+    HealthText,
     PayloadStatus,
     ReportAnswer,
+    ReportMessage,
+    SteerMessage,
     VehicleStatus,
     encode,
     goes_on,
+    number_and_address,
 )
+from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.can_translation import command_message, report_message, text_message
 from drivers.vehicle.dialect import (
     Acknowledged,
@@ -43,6 +51,8 @@ from drivers.vehicle.dialect import (
     Rejected,
     VehicleEvent,
     VehicleMessage,
+    Vertical,
+    WireCommand,
     Withheld,
 )
 
@@ -54,6 +64,7 @@ _REPEATS_S: Final = (1.0, 2.0, 4.0, 8.0)  # after the first time a report was se
 _BETWEEN_REPORTS_S: Final = 0.05  # 13 % of a bus of 250 kbit/s, however many wait
 _CRC_PART: Final = 0xFFFF  # the low half of the checksum, by which an answer names the report
 _S_PER_NS: Final = 1e-9  # seconds per nanosecond
+_HARMLESS: Final = frozenset(BY_RECORD[kind].number for kind in (PayloadStatus, ReportMessage, HealthText))
 
 
 class _Report(msgspec.Struct):
@@ -215,6 +226,24 @@ class CanTalker:
             frames += encode(text_message(self._health.text), self._address, self._next_report_sequence())
         return frames
 
+    def commands_in(self, outgoing: Sequence[CanFrame]) -> list[WireCommand | None]:
+        """Read the commands in frames; see `ReadsBack`."""
+        receiver = CanReceiver(_NAME, "payload", self._address, Counter())
+        commands: list[WireCommand | None] = [None] * len(outgoing)
+        begun: list[int] = []  # frames of a command whose last one has not come
+        for index, frame in enumerate(outgoing):
+            number, _ = number_and_address(frame.can_id) or (None, None)
+            if number in _HARMLESS:
+                continue
+            commands[index] = WireCommand()
+            begun.append(index)
+            received = receiver.add(frame, 0.0)
+            if received is not None and isinstance(received.record, GoToMessage | SteerMessage):
+                for part in begun:
+                    commands[part] = _numbers(received.record)
+                begun.clear()
+        return commands
+
     def _drop_control(self) -> None:
         link = self._link
         link.is_granted = link.has_arrived = False
@@ -321,3 +350,11 @@ class CanTalker:
 
 def _reason(code: int) -> str:
     return REASONS[code] if code < len(REASONS) else f"reason {code}"
+
+
+def _numbers(message: GoToMessage | SteerMessage) -> WireCommand:
+    vertical = Vertical(REFERENCES[message.vertical_reference], message.vertical_m)
+    numbers = WireCommand(vertical=vertical, speed_mps=message.speed_mps, holds_s=message.valid_s)
+    if isinstance(message, SteerMessage):
+        return numbers._replace(heading_rad=message.heading_rad)
+    return numbers._replace(place_deg=(message.latitude_deg, message.longitude_deg), radius_m=message.radius_m)

@@ -38,8 +38,10 @@ from drivers.vehicle.dialect import (
     ReportedState,
     VehicleEvent,
     VehicleMessage,
+    WireCommand,
     Withheld,
 )
+from drivers.vehicle.imc_command import command_in
 from drivers.vehicle.imc_contact import imc_contact_of, target_of
 from drivers.vehicle.imc_messages import (
     EntityStatus,
@@ -252,6 +254,10 @@ class ImcTalker:
         to = ANYONE if self._vehicle is None else self._vehicle
         time_s = 0.0 if self._utc_ahead_s is None else now_s + self._utc_ahead_s
         return [packed(message, self._settings.source_id, entity=_ENTITY, to=to, time_s=time_s) for message in messages]
+
+    def commands_in(self, outgoing: Sequence[bytes]) -> list[WireCommand | None]:
+        """Read the commands in packets; see `ReadsBack`."""
+        return [command_in(packet, self._settings.control_timeout_s) for packet in outgoing]
 
     def _start_is_due(self, now_s: float) -> bool:
         wanted = self._stage == "requested" and self._settings.own_plan and self._vehicle is not None

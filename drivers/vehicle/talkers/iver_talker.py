@@ -2,7 +2,7 @@
 
 The vehicle is polled by `$OSD`; `$OSI` reports its state and `$C` its compass, `$OMS` steers it. There is no handshake:
 the vehicle's mode says whether it obeys, and a command is void after the time that it carries, so control is given back
-by saying nothing. Only depths can be commanded; an altitude becomes the depth of the sea floor below less the altitude.
+by saying nothing. Only depths can be commanded.
 """
 
 from __future__ import annotations
@@ -12,8 +12,19 @@ from typing import Any, Final
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import IverSettings
-from drivers.vehicle.dialect import Capability, ContactReport, ReportedState, Steer, VehicleEvent
+from drivers.navigation.sentences import KNOT_MPS
+from drivers.vehicle.ascii_fields import FOOT_M
+from drivers.vehicle.dialect import (
+    Capability,
+    ContactReport,
+    ReportedState,
+    Steer,
+    VehicleEvent,
+    Vertical,
+    WireCommand,
+)
 from drivers.vehicle.iver_sentences import (
+    METRES_SINCE,
     IverContact,
     IverHealth,
     IverPoll,
@@ -22,7 +33,8 @@ from drivers.vehicle.iver_sentences import (
     line_of,
     table_of,
 )
-from drivers.vehicle.talkers.ascii_talker import AsciiTalker, FloorBelow, PacedReports
+from drivers.vehicle.talkers.ascii_talker import AsciiTalker, PacedReports
+from drivers.vehicle.wire_steps import shallower, slower
 
 _HEALTH_EVERY_S: Final = 1.0  # s between two reports of health
 _MODES: Final = {
@@ -35,21 +47,26 @@ _MODES: Final = {
     "W": "mission",
 }
 _OBEYING: Final = frozenset("NAW")
+_STEPS: Final = 10  # of the wire in a metre or foot of depth, and in a knot
 
 
 class IverTalker(AsciiTalker):
     """Talk to an Iver under Remote Helm.
 
-    Counts also iver.command_without_floor: altitudes that no depth could be made of.
+    Counts also iver.command_without_floor: altitudes, which it cannot be commanded (not sent).
     """
+
+    commanding = frozenset({IverSteer})
+    harmless = frozenset({IverPoll, IverHealth, IverContact})
 
     def __init__(self, settings: IverSettings) -> None:
         optional = Capability.CONTACT | Capability.HEALTH if settings.contact_sentence else Capability(0)
-        super().__init__("iver", table_of(settings), Capability.NAVIGATION | Capability.STEERING | optional)
+        always = Capability.NAVIGATION | Capability.STEERING | Capability.DEPTHS_ALONE
+        super().__init__("iver", table_of(settings), always | optional)
         self.command_period_s = min(1.0, settings.command_timeout_s / 4)
         self._settings = settings
         self._reports = PacedReports()
-        self._floor = FloorBelow()
+        self._depth_step_m = (1.0 if settings.remote_helm_version >= METRES_SINCE else FOOT_M) / _STEPS
         self._mode = ""
         self._order: IverSteer | None = None
         self._poll_s = self._health_s = 0.0
@@ -63,7 +80,6 @@ class IverTalker(AsciiTalker):
 
     def _forget(self) -> None:
         self._reports.clear()
-        self._floor.clear()
         self._order = None
         self._mode = ""
 
@@ -71,7 +87,6 @@ class IverTalker(AsciiTalker):
         if isinstance(record, IverState):
             yield from self._judge(record.mode[0])
         if state is not None:
-            self._floor.heard(state.depth_m, state.altitude_m, 1e-9 * received.mono_ns)
             yield state
 
     def _judge(self, mode: str) -> list[VehicleEvent]:
@@ -83,13 +98,24 @@ class IverTalker(AsciiTalker):
         self._poll_s = now_s
 
     def _steer(self, steer: Steer, now_s: float) -> None:
-        depth_m = self._floor.depth_m(steer.vertical, now_s)
-        if depth_m != depth_m:
+        if steer.vertical.reference != "depth":
             self._own["iver.command_without_floor"] += 1
             return
         settings = self._settings
         self._order = IverSteer(
-            steer.heading_rad, depth_m, settings.max_pitch_deg, steer.speed_mps, settings.command_timeout_s
+            steer.heading_rad,
+            max(shallower(steer.vertical, self._depth_step_m).value_m, 0.0),
+            settings.max_pitch_deg,
+            slower(steer.speed_mps, KNOT_MPS / _STEPS),
+            settings.command_timeout_s,
+        )
+
+    def _numbers(self, record: IverSteer) -> WireCommand:
+        return WireCommand(
+            heading_rad=record.heading_rad,
+            vertical=Vertical("depth", record.depth_m),
+            speed_mps=record.speed_mps,
+            holds_s=record.timeout_s,
         )
 
     def _stop_commanding(self) -> None:

@@ -2,17 +2,26 @@
 
 `#S` reports the state, with a time of day in UTC. `#E,1` engages an override and `#E,0` ends it; `#C` sets its goals
 and `#V`, whose text is free and reports health here, keeps the connection alive while there are none. Only depths are
-commanded; an altitude becomes the depth of the sea floor below less the altitude.
+commanded.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any, Final
 
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ReconSettings
-from drivers.vehicle.dialect import Capability, ContactReport, ReportedState, Steer, VehicleEvent
+from drivers.vehicle.dialect import (
+    Capability,
+    ContactReport,
+    ReportedState,
+    Steer,
+    VehicleEvent,
+    Vertical,
+    WireCommand,
+)
 from drivers.vehicle.recon_sentences import (
     ReconAlive,
     ReconContact,
@@ -26,7 +35,8 @@ from drivers.vehicle.recon_sentences import (
     frame,
     table_of,
 )
-from drivers.vehicle.talkers.ascii_talker import AsciiTalker, FloorBelow, PacedReports
+from drivers.vehicle.talkers.ascii_talker import AsciiTalker, PacedReports
+from drivers.vehicle.wire_steps import shallower, slower
 
 _IN_MISSION: Final = 0x01  # bits of the vehicle's mode (RECON interface)
 _SUSPENDED: Final = 0x02  # see _IN_MISSION
@@ -38,24 +48,27 @@ _NOT_ALLOWED: Final = 0x80  # see _IN_MISSION
 
 _KEEP_ALIVE_S: Final = 1.0  # s between two messages, minimum, that keep the connection alive
 _ENGAGE_EVERY_S: Final = 1.0  # s between two requests for the override
+_STEP: Final = 0.01  # m of depth, and m/s, of the wire
 _ENGAGE_FOR_S: Final = 10.0  # s without the override, after which the request is given up
 
 
 class ReconTalker(AsciiTalker):
-    """Talk to a REMUS by RECON. Counts also recon.command_without_floor: altitudes that no depth could be made of.
+    """Talk to a REMUS by RECON. Counts also recon.command_without_floor: altitudes, which it cannot be commanded.
 
     An override that is active while it was not requested, as one left by a payload that died or whose end was lost, is
     ended.
     """
 
+    one_sentence = re.compile(rb"#([\x20-\x22\x24-\x29\x2b-\x7e]*),\*[0-9A-F]{2}\n")
+    commanding = frozenset({ReconHeading, ReconDepth, ReconSpeed})
+    harmless = frozenset({ReconAlive, ReconContact, ReconEngage, ReconQuery})
+
     def __init__(self, settings: ReconSettings) -> None:
         optional = Capability.CONTACT if settings.contact_type else Capability(0)
-        super().__init__(
-            "recon", table_of(settings), Capability.NAVIGATION | Capability.STEERING | Capability.HEALTH | optional
-        )
+        always = Capability.NAVIGATION | Capability.STEERING | Capability.DEPTHS_ALONE | Capability.HEALTH
+        super().__init__("recon", table_of(settings), always | optional)
         self._reports_wanted = bool(settings.contact_type)
         self._reports = PacedReports()
-        self._floor = FloorBelow()
         self._orders: list[Any] = []  # to be sent next, in this order
         self._asked_s = self._engage_s = self._alive_s = self._disengage_s = 0.0
 
@@ -68,7 +81,6 @@ class ReconTalker(AsciiTalker):
 
     def _forget(self) -> None:
         self._reports.clear()
-        self._floor.clear()
         self._orders.clear()
 
     def _heard(self, record: Any, state: ReportedState | None, received: Stamp) -> Iterable[VehicleEvent]:
@@ -78,7 +90,6 @@ class ReconTalker(AsciiTalker):
         elif isinstance(record, ReconState):
             yield from self._judge(record.mode, now_s)
         if state is not None:
-            self._floor.heard(state.depth_m, state.altitude_m, now_s)
             yield state
 
     def _judge(self, mode: int, now_s: float) -> list[VehicleEvent]:
@@ -109,12 +120,22 @@ class ReconTalker(AsciiTalker):
             self._asked_s = self._engage_s = now_s
 
     def _steer(self, steer: Steer, now_s: float) -> None:
-        depth_m = self._floor.depth_m(steer.vertical, now_s)
-        if depth_m != depth_m:
+        if steer.vertical.reference != "depth":
             self._own["recon.command_without_floor"] += 1
             return
         self._alive_s = now_s + 2.0 * _KEEP_ALIVE_S  # until then the command keeps the connection alive
-        self._orders = [ReconHeading(steer.heading_rad), ReconDepth(depth_m), ReconSpeed(steer.speed_mps)]
+        depth_m = max(shallower(steer.vertical, _STEP).value_m, 0.0)
+        speed_mps = slower(steer.speed_mps, _STEP)
+        self._orders = [ReconHeading(steer.heading_rad), ReconDepth(depth_m), ReconSpeed(speed_mps)]
+
+    def _numbers(self, record: ReconHeading | ReconDepth | ReconSpeed) -> WireCommand:
+        match record:
+            case ReconHeading(heading_rad):
+                return WireCommand(heading_rad=heading_rad)
+            case ReconDepth(depth_m):
+                return WireCommand(vertical=Vertical("depth", depth_m))
+            case ReconSpeed(speed_mps):
+                return WireCommand(speed_mps=speed_mps)
 
     def _stop_commanding(self) -> None:
         self._orders.clear()

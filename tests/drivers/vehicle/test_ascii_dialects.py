@@ -13,9 +13,17 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from drivers.navigation.nmea0183 import sentence
-from drivers.vehicle.dialect import GoTo, PayloadHealth, ReportedState, Steer, Vertical, Withheld
+from drivers.vehicle.dialect import (
+    Capability,
+    GoTo,
+    PayloadHealth,
+    ReportedState,
+    Steer,
+    Vertical,
+    WireCommand,
+    Withheld,
+)
 from drivers.vehicle.recon_sentences import frame
-from drivers.vehicle.talkers.ascii_talker import FloorBelow
 from tests.drivers.vehicle.ascii_loop import (
     COMMANDS,
     PAIRS,
@@ -230,35 +238,53 @@ def test_commands_that_cannot_be_sent_are_counted_and_not_sent(name: str) -> Non
     assert loop.dialect.counters[f"{name}.command_unfit"] == 3
 
 
-@every_dialect
-def test_altitudes_are_flown(name: str) -> None:
-    loop = in_control(name)
+def test_a_bluefin_flies_altitudes() -> None:
+    loop = in_control("bluefin")
     loop.steer = Steer(1.0, Vertical("altitude", 5.0), 1.5)
     loop.run(2.0)
-    flown = loop.vehicle.command
-    assert flown is not None
-    wanted = Vertical("altitude", 5.0) if name == "bluefin" else Vertical("depth", 12.34 + 6.5 - 5.0)
-    assert flown.vertical.reference == wanted.reference
-    assert flown.vertical.value_m == pytest.approx(wanted.value_m, abs=0.06)
+    assert loop.vehicle.command is not None
+    assert loop.vehicle.command.vertical == Vertical("altitude", 5.0)
 
 
 @pytest.mark.parametrize("name", ["iver", "recon"])
-def test_an_altitude_over_an_unknown_floor_is_not_commanded(name: str) -> None:
+def test_a_vehicle_that_holds_depths_alone_is_sent_no_altitude(name: str) -> None:
     loop = in_control(name)
-    loop.pose = structs.replace(POSE, altitude_m=math.nan)
-    loop.steer = None
-    loop.run(3.2)
     n_sent, loop.steer = len(loop.commands()), Steer(1.0, Vertical("altitude", 5.0), 1.5)
     loop.run(1.1)
+    assert Capability.DEPTHS_ALONE in loop.dialect.capabilities
     assert len(loop.commands()) == n_sent
     assert loop.dialect.counters[f"{name}.command_without_floor"] == 1
 
 
-def test_one_long_echo_leads_nobody_into_the_ground() -> None:
-    floor = FloorBelow()
-    for i, altitude_m in enumerate((6.0, 6.1, 60.0, 6.2)):
-        floor.heard(10.0, altitude_m, float(i) * 0.5)
-        assert floor.depth_m(Vertical("altitude", 5.0), float(i) * 0.5) == pytest.approx(11.0)
-    assert floor.depth_m(Vertical("depth", 30.0), 1.5) == 30.0
-    assert floor.depth_m(Vertical("altitude", 90.0), 1.5) == 0.0
-    assert math.isnan(floor.depth_m(Vertical("altitude", 5.0), 9.0))
+@every_dialect
+def test_depths_and_speeds_go_out_no_deeper_and_no_faster_than_commanded(name: str) -> None:
+    loop = in_control(name)
+    for depth_m, speed_mps in ((7.1234567, 1.2345678), (7.05, 0.5144), (0.04, 2.999999)):
+        loop.steer = Steer(1.0, Vertical("depth", depth_m), speed_mps)
+        loop.run(2.0)
+        flown = loop.vehicle.command
+        assert flown is not None
+        assert depth_m - 0.1 <= flown.vertical.value_m <= depth_m + 1e-9
+        assert speed_mps - 0.06 <= flown.speed_mps <= speed_mps + 1e-9
+
+
+@every_dialect
+def test_all_that_a_dialect_sends_is_read_back_and_commands_are_known_for_such(name: str) -> None:
+    loop = in_control(name)
+    loop.dialect.report(REPORT, 5, loop.now_s)
+    loop.dialect.report_health(PayloadHealth("failure", "no sonar, *no* pings"), loop.now_s)
+    loop.run(3.0)
+    loop.dialect.release("done", loop.now_s)
+    loop.run(6.0)
+    lines = [line for _, line in loop.sent]
+    read = loop.dialect.commands_in(lines)
+    assert [number is not None for number in read] == [line.startswith(COMMANDS) for line in lines]
+    assert WireCommand() not in read
+    assert {number.vertical for number in read if number is not None} - {None} == {Vertical("depth", 7.5)}
+
+
+@every_dialect
+@pytest.mark.parametrize("line", [b"", b"\x00", b"$OMSTOP*00\r\n", b"$BPRMB*00\r\n", b"#C,Depth,Depth,x,*00\n"])
+def test_a_line_that_cannot_be_read_counts_as_a_command(name: str, line: bytes) -> None:
+    two_in_one = sentence("OSD,G,C,S,P,,,,") + sentence("OMS,123.0,99.0,15.0,2.9,2")
+    assert PAIRS[name][0]().commands_in([line, two_in_one]) == [WireCommand(), WireCommand()]

@@ -104,7 +104,8 @@ def test_the_dbc_file_writes_and_reads_every_bit_as_we_do(record: can.Record, se
             name = placed.signal.name
             if name in reported and not math.isnan(values[name]):
                 assert reported[name] == values[name]
-                assert placed.signal.low <= reported[name] <= placed.signal.high * (1.0 + 1e-12)
+                step = placed.signal.scale or 1  # whole numbers of steps: 15710 steps of 1e-4 are not 1.571 in binary
+                assert round(placed.signal.low / step) <= raw[name] <= round(placed.signal.high / step)
             elif name in reported:
                 assert str(theirs.decode(frame.data)[name]) == "not available"
             reported.pop(name, None)

@@ -19,8 +19,9 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved
-from drivers.vehicle.dialect import GoTo, ReportedState, Steer, Vertical
+from drivers.vehicle.dialect import GoTo, ReportedState, Steer, Vertical, WireCommand, numbers_of
 from drivers.vehicle.guard import Fence, Guard
+from drivers.vehicle.sea_floor import SeaFloor
 
 HOME_DEG = (54.0, 8.0)
 SQUARE_M = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))
@@ -66,8 +67,13 @@ def go_to(place_m: Metres, home_deg: Metres = HOME_DEG) -> GoTo:
     return GoTo(*place_deg(place_m, home_deg), Vertical("altitude", 5.0), 1.5, 3.0)
 
 
-def code(guard: Guard, command: GoTo | Steer, vehicle: ReportedState | None) -> str | None:
-    refusal = guard.command(command, vehicle)
+def code(
+    guard: Guard, command: GoTo | Steer | WireCommand, vehicle: ReportedState | None, floor: SeaFloor | None = None
+) -> str | None:
+    """Judge a command over the floor that depth and altitude give, unless another one is known."""
+    floor_m = math.nan if vehicle is None else vehicle.depth_m + vehicle.altitude_m
+    numbers = command if isinstance(command, WireCommand) else numbers_of(command)
+    refusal = guard.command(numbers, vehicle, floor or SeaFloor(floor_m, floor_m))
     return None if refusal is None else refusal.code
 
 
@@ -111,7 +117,7 @@ def test_no_go_to_leads_out_of_the_fence(
     corners_m: tuple[Metres, ...], start_m: Metres, end_m: Metres, home_deg: Metres
 ) -> None:
     guard = Guard(config(corners_m, home_deg))
-    if guard.command(go_to(end_m, home_deg), state(start_m, home_deg)) is None:
+    if code(guard, go_to(end_m, home_deg), state(start_m, home_deg)) is None:
         assert inside(walked(start_m, end_m), corners_m).all()
         assert nearest_m(np.array([end_m]), corners_m) >= 4.9
 
@@ -123,7 +129,7 @@ def test_no_steering_leads_out_of_the_fence_while_it_is_valid(
 ) -> None:
     bounds = config(corners_m, home_deg)
     here = state(start_m, home_deg)
-    if Guard(bounds).command(Steer(heading_rad, Vertical("altitude", 5.0), 1.5), here) is None:
+    if code(Guard(bounds), Steer(heading_rad, Vertical("altitude", 5.0), 1.5), here) is None:
         reach_m = 1.5 * bounds.command_valid_s
         north = LocalFrame(latitude_deg=here.latitude_deg, longitude_deg=here.longitude_deg)
         there = north.to_geodetic([reach_m * math.sin(heading_rad), reach_m * math.cos(heading_rad), 0.0])
@@ -219,6 +225,59 @@ def test_what_is_no_number_is_refused_wherever_it_stands(value: Any) -> None:
 )
 def test_depth_and_altitude_are_judged_by_the_same_floor(vertical: Vertical, wanted: str | None) -> None:
     assert code(Guard(config()), go_to((10.0, 10.0))._replace(vertical=vertical), state((0.0, 0.0))) == wanted
+
+
+def test_a_depth_clears_the_shallowest_floor_and_an_altitude_is_not_too_deep_over_the_deepest() -> None:
+    guard, here, floor = Guard(config()), state((0.0, 0.0)), SeaFloor(shallowest_m=20.0, deepest_m=48.0)
+    assert code(guard, Steer(1.0, Vertical("depth", 18.0), 1.5), here, floor) is None
+    assert code(guard, Steer(1.0, Vertical("depth", 18.1), 1.5), here, floor) == "commands_too_low"
+    assert code(guard, Steer(1.0, Vertical("altitude", 8.0), 1.5), here, floor) is None
+    assert code(guard, Steer(1.0, Vertical("altitude", 7.9), 1.5), here, floor) == "commands_too_deep"
+    unknown = SeaFloor(math.nan, math.nan)
+    assert code(guard, Steer(1.0, Vertical("depth", 1.0), 1.5), here, unknown) == "floor_unknown"
+    assert code(guard, Steer(1.0, Vertical("altitude", 8.0), 1.5), here, unknown) == "floor_unknown"
+
+
+def test_every_number_of_a_message_is_judged_also_alone() -> None:
+    guard, here = Guard(config()), state((0.0, 0.0))
+    assert code(guard, WireCommand(heading_rad=1.0), here) is None
+    assert code(guard, WireCommand(heading_rad=7.0), here) == "heading"
+    assert code(guard, WireCommand(heading_rad=1.0), state((99.0, 0.0))) == "leads_out"
+    assert code(guard, WireCommand(speed_mps=1.51), here) == "speed"
+    assert code(guard, WireCommand(vertical=Vertical("depth", 27.0)), here) == "commands_too_low"
+    assert code(guard, WireCommand(place_deg=place_deg((98.0, 0.0))), here) == "leads_out"
+    assert code(guard, WireCommand(radius_m=0.0, speed_mps=1.0), here) == "radius"
+    assert code(guard, WireCommand(), here) == "unreadable"
+
+
+def test_a_heading_is_held_inside_the_fence_for_as_long_as_its_time_out() -> None:
+    guard, here = Guard(config()), state((0.0, 0.0))
+    east = WireCommand(heading_rad=math.pi / 2.0, speed_mps=1.5)
+    assert code(guard, east._replace(holds_s=60.0), here) is None  # 90 m of 100
+    assert code(guard, east._replace(holds_s=65.0), here) == "leads_out"
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({}, None),
+        ({"vertical": Vertical("depth", 9.1)}, "commands_too_low"),
+        ({"vertical": Vertical("altitude", 9.0)}, "commands_too_low"),
+        ({"vertical": Vertical("depth", math.nan)}, "commands_too_low"),
+        ({"heading_rad": math.nan}, "heading"),
+        ({"speed_mps": 1.6}, "speed"),
+        ({"holds_s": 100.0}, "leads_out"),
+    ],
+)
+def test_an_ascent_is_let_through_without_depth_or_altitude_and_leads_up_alone(
+    changes: dict[str, Any], wanted: str | None
+) -> None:
+    guard, here = Guard(config()), state((0.0, 0.0), depth_m=math.nan, altitude_m=math.nan)
+    command = WireCommand(heading_rad=1.0, vertical=Vertical("depth", 9.0), speed_mps=1.5)._replace(**changes)
+    refusal = guard.ascent(command, here, safe_depth_m=9.0)
+    assert (None if refusal is None else refusal.code) == wanted
+    assert guard.ascent(command, None, 9.0) is not None
+    assert guard.ascent(command, state((120.0, 0.0)), 9.0) is not None
 
 
 @pytest.mark.parametrize(

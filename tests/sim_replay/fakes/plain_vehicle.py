@@ -20,6 +20,7 @@ class PlainController:
         self.power_up(0.0)
         self.counters: Counter[str] = Counter()
         self.connections = 0
+        self.poses: list[NavSample] = []
 
     def power_up(self, now_s: float) -> None:
         self.in_control = False
@@ -45,6 +46,7 @@ class PlainController:
         return health
 
     def tick(self, pose: NavSample, arrived: bool, now_s: float) -> list[bytes]:
+        self.poses.append(pose)
         if self.in_control and now_s - self._kept_s > self.forgets_s:
             self.revoke(now_s)
             self.counters["vehicle.commands_expired"] += 1

@@ -22,7 +22,18 @@ from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_protocols import text_decoder
 from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
 from drivers.sonar.sonars import sonar_named
-from sim_replay.fakes.job import Device, Fault, Nonsense, PowerOff, Revoke, Stall, Unplug, VehicleJob, read_job
+from sim_replay.fakes.job import (
+    Device,
+    Fault,
+    Misreport,
+    Nonsense,
+    PowerOff,
+    Revoke,
+    Stall,
+    Unplug,
+    VehicleJob,
+    read_job,
+)
 from sim_replay.fakes.vehicle_device import FakeVehicle, passes
 from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.plan import local_frame
@@ -223,6 +234,21 @@ def test_nonsense_comes_beside_its_messages(tmp_path: Path) -> None:
     assert len(sound) >= 5
 
 
+def test_it_reports_a_wrong_depth_and_no_altitude_while_it_is_to(tmp_path: Path) -> None:
+    async def script(host: Host) -> None:
+        await until(lambda: len(host.reported("mended")) == 2 and len(host.controller.poses) > 12, host)
+
+    faults = Misreport(at_s=0.2, for_s=0.3, depth_by_m=80.0), Misreport(at_s=0.4, for_s=0.3, no_altitude=True)
+    host = flown(tmp_path, script, *faults, link="udp")
+    true_m = host.controller.poses[0].depth_m
+    wrong = [pose for pose in host.controller.poses if pose.depth_m > true_m + 70.0]
+    lost = [pose for pose in host.controller.poses if math.isnan(pose.altitude_m)]
+    assert wrong
+    assert lost
+    assert host.controller.poses[-1].depth_m == pytest.approx(true_m, abs=3.0)
+    assert math.isfinite(host.controller.poses[-1].altitude_m)
+
+
 def pose(east_m: float, north_m: float, heading_rad: float = 0.0, time_s: float = 0.0) -> SonarPose:
     return SonarPose(time_s, east_m, north_m, 10.0, heading_rad, 0.0, 0.0, heading_rad, 4.0, -1)
 
@@ -248,6 +274,7 @@ def test_a_target_is_passed_where_it_comes_abeam_on_a_straight_run() -> None:
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: revoke, at_s: 1}]}}", "not a vehicle"),
         ("{a: {device: imc}, nav: {device: pd6, faults: [{do: stall, at_s: 1, after: grant}]}}", "not a vehicle"),
         ("{a: {device: imc, faults: [{do: freeze, at_s: 1}]}}", "not a navigation unit"),
+        ("{a: {device: imc}, nav: {device: pd6, faults: [{do: misreport, at_s: 1}]}}", "not a vehicle"),
     ],
 )
 def test_a_vehicle_that_cannot_be_is_refused(devices: str, named: str, tmp_path: Path) -> None:

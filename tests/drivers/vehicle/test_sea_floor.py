@@ -1,0 +1,121 @@
+"""A floor is believed only where depth and altitude are of one moment and go on from what was reported before."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from drivers.vehicle.sea_floor import BELIEVED_S, FloorBelow
+
+NAN = math.nan
+
+
+def floor_after(*reports: tuple[float, float], every_s: float = 0.5) -> tuple[FloorBelow, float]:
+    """Report depth and altitude in turn, after 18 m of water for 5 s."""
+    floor, now_s = FloorBelow(speed_mps=1.5, valid_s=3.0), 100.0
+    for depth_m, altitude_m in (*((10.0, 8.0),) * 11, *reports):
+        floor.hear(depth_m, altitude_m, now_s)
+        now_s += every_s
+    return floor, now_s - every_s
+
+
+def test_a_floor_is_believed_once_reports_have_followed_one_another_for_two_seconds() -> None:
+    floor = FloorBelow(speed_mps=1.5, valid_s=3.0)
+    known = []
+    for i in range(6):
+        floor.hear(10.0, 8.0, 0.5 * i)
+        known.append(floor.at(0.5 * i).shallowest_m)
+    assert known[:4] == [pytest.approx(NAN, nan_ok=True)] * 4
+    assert known[4:] == [18.0, 18.0]
+    assert floor.at(0.0).deepest_m == 18.0
+
+
+def test_reports_that_do_not_follow_one_another_make_no_floor() -> None:
+    floor = FloorBelow(speed_mps=1.5, valid_s=3.0)
+    for i in range(20):
+        floor.hear(10.0 + 40.0 * (i % 2), 8.0, 0.5 * i)
+    assert math.isnan(floor.at(9.5).shallowest_m)
+    assert floor.settles(5.0)
+    assert not floor.settles(6.0)
+
+
+def test_a_false_depth_or_one_long_echo_makes_no_deeper_floor() -> None:
+    for wrong in ((90.0, 8.0), (10.0, 60.0), (5000.0, 8.0)):
+        floor, now_s = floor_after(*(wrong,) * 6)
+        assert floor.at(now_s).shallowest_m == 18.0
+        assert floor.counters["vehicle.floors_rejected"] == 6
+        assert floor.at(now_s).deepest_m == sum(wrong)
+        assert math.isnan(floor.at(now_s + 0.1).shallowest_m), "nor any floor, once the last good one is old"
+
+
+def test_a_false_depth_that_lasts_is_followed_no_faster_than_a_floor_can_fall() -> None:
+    floor, now_s = floor_after()
+    believed = []
+    for step in range(300):
+        floor.hear(90.0, 8.0 + 0.01 * (step % 2), now_s + 0.5 * step)
+        believed.append(floor.at(now_s + 0.5 * step).shallowest_m)
+    first_s = 0.5 * next(step for step, floor_m in enumerate(believed) if floor_m > 18.0)
+    assert first_s == pytest.approx((98.0 - 18.0 - 1.0) / (0.5 * 1.5), abs=3.0)
+
+
+def test_small_steps_do_not_add_up_to_a_leap() -> None:
+    floor, now_s = floor_after()
+    for step in range(100):
+        now_s += 0.1
+        floor.hear(10.0 + 0.9 * step, 8.0 + 0.01 * (step % 2), now_s)
+        assert not floor.at(now_s).shallowest_m > 18.0 + 1.0 + 0.75 * 0.1 * (step + 1)
+
+
+def test_a_shallower_floor_counts_at_once_and_one_short_echo_is_over_with_it() -> None:
+    floor, now_s = floor_after((10.0, 3.0))
+    assert floor.at(now_s).shallowest_m == 13.0
+    floor, now_s = floor_after((10.0, 3.0), *((10.0, 8.0),) * 6)
+    assert floor.at(now_s).shallowest_m == 13.0
+    floor.hear(10.0, 8.0, now_s + 0.5)
+    assert floor.at(now_s + 0.5).shallowest_m == 18.0
+
+
+def test_a_wall_is_followed_up_and_a_slope_down() -> None:
+    floor, now_s = floor_after(*((10.0, 3.0),) * 40)
+    assert floor.at(now_s).shallowest_m == 13.0
+    floor, now_s = floor_after(*((10.0, 8.0 + 0.3 * step) for step in range(40)))
+    assert floor.at(now_s).shallowest_m == pytest.approx(18.0 + 0.3 * 39 - 0.3 * 6)
+
+
+def test_depth_and_altitude_of_two_moments_make_no_floor() -> None:
+    floor = FloorBelow(speed_mps=1.5, valid_s=3.0)
+    for i in range(40):
+        floor.hear(*((10.0, NAN) if i % 2 else (NAN, 8.0)), 0.6 * i)
+    assert math.isnan(floor.at(23.4).shallowest_m)
+    assert math.isnan(floor.at(23.4).deepest_m)
+    together = FloorBelow(speed_mps=1.5, valid_s=3.0)
+    for i in range(40):
+        together.hear(*((10.0, NAN) if i % 2 else (NAN, 8.0)), 0.3 * i)
+    assert together.at(11.7).shallowest_m == 18.0
+
+
+def test_an_altitude_that_stands_still_while_the_depth_changes_makes_no_floor() -> None:
+    floor, now_s = floor_after(*((10.0 + 0.3 * step, 8.0) for step in range(40)))
+    assert math.isnan(floor.at(now_s).shallowest_m)
+    assert floor.counters["vehicle.altitudes_frozen"] > 30
+    floor, now_s = floor_after(*((10.0 + 0.3 * step, 8.0) for step in range(10)), *((10.0, 8.0),) * 9)
+    assert math.isnan(floor.at(now_s).shallowest_m), "it is still the same altitude"
+    for step in range(7):
+        floor.hear(10.0, 7.9 + 0.01 * step, now_s + 0.5 * step)
+    assert floor.at(now_s + 3.0).shallowest_m == pytest.approx(17.9)
+
+
+def test_what_is_not_known_changes_nothing() -> None:
+    floor, now_s = floor_after(*((NAN, NAN), (NAN, 5.0), (math.inf, 8.0), (-math.inf, 8.0)))
+    assert floor.at(now_s).shallowest_m == 18.0, "an altitude of a second after the last depth is of another moment"
+
+
+@pytest.mark.parametrize(("since_s", "holds_s", "wanted_m"), [(0.0, 0.0, 13.0), (4.0, 4.0, 7.0), (60.0, 5.0, 0.0)])
+def test_a_safe_depth_stays_above_what_the_floor_can_have_risen_to(
+    since_s: float, holds_s: float, wanted_m: float
+) -> None:
+    floor, now_s = floor_after()
+    assert floor.safe_depth_m(5.0, now_s + since_s, holds_s) == pytest.approx(wanted_m)
+    assert FloorBelow(speed_mps=1.5, valid_s=3.0).safe_depth_m(5.0, 0.0, 0.0) == 0.0
+    assert BELIEVED_S < 4.0
