@@ -14,8 +14,8 @@ _SOURCES = {
     "sim_replay.simulator._simulator": sorted(glob("sim_replay/simulator/*.c")),
 }
 
-# -fno-math-errno and -fno-trapping-math let the compiler use vector instructions; neither changes a result. The last one leaves out
-# what debuggers read, in which the folder of the build stands: the same sources give the same bytes.
+# -fno-math-errno and -fno-trapping-math let the compiler use vector instructions; neither changes a result. -g0 leaves
+# out what debuggers read, in which the folder of the build stands: the same sources give the same bytes.
 _FLAGS = ["-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-g0"]
 
 _HEADERS = sorted(glob("auv_mcm/kernels/*.h"))

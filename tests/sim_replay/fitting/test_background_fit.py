@@ -56,7 +56,7 @@ def test_a_scene_is_judged_by_what_the_others_give() -> None:
         own = [mission for mission in missions if mission.scene == one.scene]
         others = [mission for mission in missions if mission.scene != one.scene]
         assert one.prior == fit_prior(others)
-        assert one.reached == tuple(judged(own, one.prior, point.asked_per_km2) for point in one.reached)
+        assert one.reached == tuple(judged(own, point.asked_per_km2) for point in one.reached)
         assert all(point.n_targets == 66 for point in one.reached)
 
 
