@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.records import EchoTrace, Notice, Side
 
-# Intensities are powers of samples in float32, 3.64 at the maximum (`sample_law`), which ends at 2^-126 and 2^127:
+# Intensities are powers of samples in float32, 2.86 at the maximum (`sample_law`), which ends at 2^-126 and 2^127:
 # 2^12 above and below the middle sample fit.
 _MAX_EXPONENT: Final = 22
 _N_SOME: Final = 128  # samples that give the exponent of the middle one

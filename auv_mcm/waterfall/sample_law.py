@@ -39,11 +39,11 @@ _SINGLE_LOOK_SPREAD: Final = 0.6
 # The shape of Weibull's distribution, which powers of single-look speckle have, follows its relative spread by this
 # exponent within 3 % between a spread of 0.3 and 1.3.
 _WEIBULL_EXPONENT: Final = 1.08
-# Skewness over relative spread: amplitude of 1 to 8 looks keeps above 1.02 by theory and on floors; its power 0.7 is at
-# 0.63 by Weibull's distribution, and at 0.9 with texture, where it is stretched less than it could be.
-_ROOT_RATIO: Final = 1.05
-_ROOT_SLOPE: Final = 0.714  # of the exponent against that ratio, through 0.7 at 0.63
-_LOWEST_EXPONENT: Final = 0.55  # of stored amplitude. Chosen: a fourth root of intensity
+# Skewness over relative spread from which samples are no root of amplitude: 0.91 at a spread of 0.19 (eight looks), 1.07
+# from 0.38 on. Drawn amplitudes without smoothing stay above; the power 0.7 of single looks is at 0.6 to 1.0.
+_ROOT_RATIO: Final = (0.75, 0.85, 1.07)  # at no spread, per spread, maximum
+_ROOT_SLOPE: Final = 3.0  # of the exponent against that ratio. Chosen: from no root to the power 0.7 within a tenth
+_LOWEST_EXPONENT: Final = 0.7  # of stored amplitude. Chosen: lower roots are read too flat
 
 # Spread in decibels of logarithmic speckle by its skewness, from drawn recorders: hypot(2, 5.4 skewness), within a
 # third for nine in ten. Pure speckle of a single look has 5.57 dB at -1.14, that of four looks 2.3 dB at -0.53, which
@@ -51,8 +51,8 @@ _LOWEST_EXPONENT: Final = 0.55  # of stored amplitude. Chosen: a fourth root of 
 _SMOOTH_DB: Final = 2.0
 _DB_PER_SKEWNESS: Final = 5.4
 _SINGLE_LOOK_DB: Final = 5.8  # maximum; 5.57 dB with the texture of even regions
-_SPREAD_SIGMAS: Final = (0.15, 0.35)  # nats that this is off by at the skewness of a single look and at none
-_SINGLE_LOOK_SKEWNESS: Final = 0.9  # as found in even regions, less than the 1.14 of pure speckle
+_SPREAD_SIGMAS: Final = (0.08, 0.35)  # nats that this is off by at the skewness of a single look and at none
+_SINGLE_LOOK_SKEWNESS: Final = 0.95  # as found in even regions, less than the 1.14 of pure speckle
 USUAL_DB_PER_COUNT: Final = 0.3
 """Decibels per count of an 8-bit logarithm: 8 bits span 50 to 130 dB."""
 _USUAL_SIGMA: Final = 0.3  # nats of that
@@ -122,7 +122,8 @@ def _power(speckle: FloorSpeckle) -> float:
     if speckle.relative_spread > _SINGLE_LOOK_SPREAD:
         return float(2.0 * (_SINGLE_LOOK_SPREAD / speckle.relative_spread) ** _WEIBULL_EXPONENT)
     ratio = speckle.relative_skewness / speckle.relative_spread
-    exponent = 1.0 - _ROOT_SLOPE * (_ROOT_RATIO - ratio)
+    low, per_spread, high = _ROOT_RATIO
+    exponent = 1.0 - _ROOT_SLOPE * (min(low + per_spread * speckle.relative_spread, high) - ratio)
     return 2.0 / min(max(exponent, _LOWEST_EXPONENT), 1.0)
 
 

@@ -44,7 +44,7 @@ def test_any_power_of_single_look_intensity_is_the_same_picture_at_any_gain(prof
 @pytest.mark.parametrize("looks", [1, 2, 4, 8])
 @pytest.mark.parametrize("profile", PROFILES)
 def test_amplitude_of_any_looks_is_taken_as_it_is(looks: int, profile: str) -> None:
-    assert stretched(np.sqrt(intensity_pings(looks, profile)), 0.5) == pytest.approx(1.0, abs=0.15)
+    assert stretched(np.sqrt(intensity_pings(looks, profile)), 0.5) == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("looks", [1, 2, 4, 8])
@@ -184,7 +184,7 @@ def test_what_the_data_leave_open_is_linear_amplitude_and_no_picture_is_stretche
     elif law.transfer.kind == "log":
         assert law.transfer.db_per_count * spread_counts <= 5.8 + 1e-9
     else:
-        assert 0.0 < law.transfer.intensity_power <= 2.0 / 0.55 + 1e-9
+        assert 0.0 < law.transfer.intensity_power <= 2.0 / 0.7 + 1e-9
         if spread > 0.6:
             assert law.transfer.intensity_power < 2.0
     assert math.isfinite(law.linear_nats)
