@@ -39,8 +39,10 @@ class _Moment(NamedTuple):
 
 
 class NavigationWatch:
-    """Raise notices, each once in a mission: a heading that drifts away from the course, a position that stands still
-    at a reported speed, a time that leaps ahead while the vehicle went on, altitudes below 0, depths above the surface.
+    """Raise notices about navigation that cannot go on so, each once in a mission.
+
+    A heading that drifts away from the course, a position that stands still at a reported speed, a time that leaps
+    ahead while the vehicle went on, altitudes below 0, and depths above the surface.
     """
 
     def __init__(self) -> None:
