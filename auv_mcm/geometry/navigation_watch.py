@@ -39,8 +39,10 @@ class _Moment(NamedTuple):
 
 
 class NavigationWatch:
-    """Raise notices, each once in a mission: a heading that drifts away from the course, a position that stands still
-    at a reported speed, a time that leaps ahead while the vehicle went on, altitudes below 0, depths above the surface.
+    """Raise notices about navigation that cannot go on so, each once in a mission.
+
+    A heading that drifts away from the course, a position that stands still at a reported speed, a time that leaps
+    ahead while the vehicle went on, altitudes below 0, and depths above the surface.
     """
 
     def __init__(self) -> None:
@@ -86,23 +88,25 @@ class NavigationWatch:
 
     def _check_vertical(self, sample: NavSample) -> list[Notice]:
         found = []
-        for name, value_m, low_m in (
-            ("altitude", sample.altitude_m, 0.0),
-            ("depth", sample.depth_m, -_ABOVE_SURFACE_M),
-        ):
-            if not math.isfinite(value_m):
-                continue
-            self._n_below[name] = self._n_below[name] + 1 if value_m < low_m else 0
-            if self._n_below[name] == _IN_A_ROW:
-                text = {
-                    "altitude": "and is taken as unknown: the sea floor is found from the echoes alone. Check the "
-                    "altimeter's sign, unit and offset.",
-                    "depth": "above the surface: depths of contacts are wrong by as much. Check the depth cell's sign, "
-                    "unit and offset.",
-                }[name]
-                text = f"{name} was {value_m:.1f} m, the last of {_IN_A_ROW} samples in a row below {low_m:g} m, {text}"
-                found.append(Notice(code=f"navigation.{name}_negative", text=text))
+        if self._is_below("altitude", sample.altitude_m, 0.0):
+            text = (
+                f"altitude was below 0 in {_IN_A_ROW} samples in a row, the last {sample.altitude_m:.1f} m, and counts "
+                "as unknown: the sea floor is found from the echoes alone. Check the altimeter's sign, unit and offset."
+            )
+            found.append(Notice(code="navigation.altitude_negative", text=text))
+        if self._is_below("depth", sample.depth_m, -_ABOVE_SURFACE_M):
+            text = (
+                f"depth was above the surface in {_IN_A_ROW} samples in a row, the last {sample.depth_m:.1f} m: depths "
+                "of contacts are wrong by as much. Check the depth cell's sign, unit and offset."
+            )
+            found.append(Notice(code="navigation.depth_negative", text=text))
         return found
+
+    def _is_below(self, name: str, value_m: float, low_m: float) -> bool:
+        """Check whether this is the last of so many values in a row below a limit; NaN is none."""
+        if math.isfinite(value_m):
+            self._n_below[name] = self._n_below[name] + 1 if value_m < low_m else 0
+        return math.isfinite(value_m) and self._n_below[name] == _IN_A_ROW
 
     def _check_heading(self, fix: Fix) -> list[Notice]:
         if not math.isfinite(self._heading_rad):

@@ -20,8 +20,10 @@ class Queued(NamedTuple):
 
 
 class EventQueue:
-    """Hold events between source and perception: at most `max_pings` pings and, apart from them, sixteen times as many
-    others. However much comes of one kind, the other keeps its room.
+    """Hold events between source and perception, pings and others in rooms of their own.
+
+    There is room for `max_pings` pings and sixteen times as many others: however much comes of one kind, the other
+    keeps its room.
 
     A source that can wait puts its events in and is held back while there is no room. A live source cannot wait and
     pushes them: the oldest event of the same kind is dropped, counted as `service.ping_dropped` or

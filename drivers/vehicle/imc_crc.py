@@ -75,11 +75,17 @@ class RunningRemainder:
 def _powers(data: NDArray[np.uint8], phase: int) -> NDArray[np.uint16]:
     """Compute what each byte adds to the running remainder, (n,) uint16. phase: number of the first byte."""
     low, high = _nibble_tables()
-    rows = np.arange(phase % _PERIOD, phase % _PERIOD + len(data))
-    if phase % _PERIOD + len(data) > _PERIOD:
-        rows %= _PERIOD
-    rows *= _NIBBLE
+    first = phase % _PERIOD
+    rows = _rows()[first : first + len(data)]
+    if len(rows) < len(data):
+        rows = _NIBBLE * (np.arange(first, first + len(data)) % _PERIOD)
     return low[rows + (data & 15)] ^ high[rows + (data >> 4)]
+
+
+@cache
+def _rows() -> NDArray[np.int64]:
+    """Return where the tables hold the bytes from any phase on, for two periods: datagrams are much shorter."""
+    return _NIBBLE * (np.arange(2 * _PERIOD) % _PERIOD)
 
 
 @cache

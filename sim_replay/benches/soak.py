@@ -7,6 +7,9 @@ auv-mcm bench soak --kills N [--seed N]          killed N times: at most a secon
                                                  contact may be lost
 auv-mcm bench soak --restarts N [--seed N]       cut off N times in every way and started again: the same contacts in
                                                  the end, each announced once
+auv-mcm bench soak --joined N --recording SESSION
+                                                 a recording cut N times as kills and power cuts do: the joined replay
+                                                 is the undisturbed mission
 auv-mcm bench soak --rising                      at twice the ping rate each time, until pings are lost
 
 Service, perception and devices are processes of their own on virtual ports, as of auv-mcm hil. Exit code 5 if anything
@@ -34,6 +37,7 @@ from auv_mcm.errors import HardwareError, SelfCheckError, UsageError
 from auv_mcm.records import Ping
 from sim_replay.arguments import count, duration_min
 from sim_replay.benches.announced import CONTACT, not_in_journal
+from sim_replay.benches.joined import joined_outcomes
 from sim_replay.benches.long_mission import bench_long_mission
 from sim_replay.benches.restarts import WAYS, Cut, cut_off, keep_mission
 from sim_replay.benches.rising_rate import RATES_HZ, at_rising_rates
@@ -112,10 +116,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what.add_argument("--stops", type=count, help="request the service to stop so often, at random moments under load")
     what.add_argument("--kills", type=count, help="kill the service so often instead, at random moments")
+    what.add_argument("--joined", type=count, help="cut a recording so often and compare its joined replay")
     what.add_argument("--rising", action="store_true", help="raise the ping rate until pings are lost")
     parser.add_argument(
         "--speed", type=int, choices=range(3, 25), default=6, help="speed of the mission, times real time (default 6)"
     )
+    parser.add_argument("--recording", type=Path, help="session whose recording --joined cuts")
     parser.add_argument("--seed", type=count, default=1, help="seed of the moments of the kills (default 1)")
 
 
@@ -128,11 +134,15 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.kills is not None or arguments.stops is not None or arguments.rising
     ):
         raise UsageError("--kills, --stops and --rising have missions of their own length: leave --minutes out")
+    if (arguments.joined is None) != (arguments.recording is None):
+        raise UsageError("--joined and --recording go together: name the session whose recording is cut")
     with tempfile.TemporaryDirectory(prefix="auv-mcm-soak-") as name:
         if arguments.restarts is not None and arguments.minutes is None:
             _bench_restarts(arguments.restarts, arguments.seed, Path(name))
         elif arguments.stops is not None:
             _bench_stops(arguments.stops, arguments.seed, Path(name))
+        elif arguments.joined is not None:
+            _bench_joined(arguments.recording, arguments.joined, arguments.seed, Path(name))
         elif arguments.kills is not None:
             _bench_kills(arguments.kills, arguments.seed, Path(name))
         elif arguments.rising:
@@ -176,6 +186,23 @@ def _bench_kills(n_kills: int, seed: int, folder: Path) -> None:
     )
     if n_bad:
         raise SelfCheckError(f"{n_bad} of {n_kills} kills cost more than they may; the table says what")
+
+
+def _bench_joined(recording: Path, n_cuts: int, seed: int, folder: Path) -> None:
+    outcomes = []
+    for outcome in joined_outcomes(recording, n_cuts, seed, folder):
+        outcomes.append(outcome)
+        print(
+            f"session {len(outcomes)}: {outcome.n_kills} kills, {outcome.n_power_cuts} power cuts, "
+            f"{outcome.n_events} events, {outcome.n_contacts} contacts: "
+            f"{'; '.join(outcome.problems) or 'as its undisturbed twin'}",
+            flush=True,
+        )
+    n_kills, n_power_cuts = (sum(getattr(one, name) for one in outcomes) for name in ("n_kills", "n_power_cuts"))
+    n_bad = sum(bool(one.problems) for one in outcomes)
+    print(f"\n{n_kills} kills and {n_power_cuts} power cuts in {len(outcomes)} sessions, {n_bad} not as undisturbed")
+    if n_bad:
+        raise SelfCheckError(f"the joined replay of {n_bad} sessions is not that of their undisturbed twins")
 
 
 def _bench_restarts(n_cuts: int, seed: int, folder: Path) -> None:

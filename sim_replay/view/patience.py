@@ -24,6 +24,7 @@ class NotBadRequests(logging.Filter):
     """Leave out of the log what clients sent wrong: they get an answer, and nobody here has to do anything."""
 
     def filter(self, record: logging.LogRecord) -> bool:
+        """Check whether a record is about anything but a bad request."""
         return not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
 
 
