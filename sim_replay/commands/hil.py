@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
             "auv-mcm hil --list",
             "auv-mcm hil clean",
             "auv-mcm hil sonar_replug my-scenario.yaml --out hil",
-            "auv-mcm hil --all                                     every scenario that ships, 16 minutes in all",
+            "auv-mcm hil --all                                     every scenario that ships, 20 minutes in all",
         ],
     )
     parser.add_argument(
