@@ -153,6 +153,7 @@ def write_jsf(path: Path, values: dict[str, str]) -> None:
     parts: list[bytes] = []
     sample = NavSample(time_s=UTC_S)
     start_s = line().events[0].time_s
+    held, held_s = sample, -math.inf
     samples = {round(e.time_s - start_s, 3): e for e in line().events if isinstance(e, NavSample)}
     for at_s, port, data in _arrivals("jsf", {**values, "position": "10_hz", "heading": "absent"}, 0):
         if port == "nav":
@@ -160,7 +161,9 @@ def write_jsf(path: Path, values: dict[str, str]) -> None:
             parts += _jsf_navigation(sample, values, at_s)
         else:
             for framed in Framer(JsfGrammar()).feed(data + bytes(16)):
-                parts.append(_jsf_ping(framed.message, sample, values))
+                if values["position"] == "header" or at_s - held_s >= 5.0:
+                    held, held_s = sample, at_s
+                parts.append(_jsf_ping(framed.message, sample, held, values))
     path.write_bytes(b"".join(parts))
 
 
@@ -182,13 +185,14 @@ def _jsf_navigation(sample: NavSample, values: dict[str, str], at_s: float) -> l
     return parts
 
 
-def _jsf_ping(message: JsfMessage, sample: NavSample, values: dict[str, str]) -> bytes:
+def _jsf_ping(message: JsfMessage, sample: NavSample, held: NavSample, values: dict[str, str]) -> bytes:
+    """Fill in what a sonar's message says of the vehicle; held: the newest position that it was given."""
     header = SideScanHeader(*DATA_HEADER.unpack_from(message.body))
     validity = header.validity
-    if values["position"] == "header":
+    if values["position"].startswith("header"):
         validity |= Validity.POSITION
         header = header._replace(
-            longitude=round(600_000 * sample.longitude_deg), latitude=round(600_000 * sample.latitude_deg)
+            longitude=round(600_000 * held.longitude_deg), latitude=round(600_000 * held.latitude_deg)
         )
     if values["heading"] in ("right", "zero"):
         validity |= Validity.HEADING
