@@ -95,7 +95,7 @@ def _arrivals(kind: str, values: dict[str, str], seed: int) -> Iterator[tuple[fl
 ports:
   - {{name: sonar, link: "tcp://192.168.2.92:1", device: {kind}, sonar: {{range_m: {RANGE_M}, n_samples: 500}}}}
 """
-    sonar, random = SONARS[kind](), np.random.default_rng(seed)  # type: ignore[index]  # a name of a sonar
+    sonar, random = SONARS[kind](), np.random.default_rng(seed)
     for command in read_ports(parse_config(text, "odd.yaml"))[0].commands:
         sonar.heard(command, DeviceTime(0.0, UTC_S))
     events = line().events
