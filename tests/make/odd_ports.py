@@ -40,8 +40,8 @@ _KNOT_MPS: Final = 1852.0 / 3600.0
 
 
 def scattered(sample: NavSample, random: np.random.Generator) -> NavSample:
-    """Move a position by 0.2 m on each axis or so."""
-    east_m, north_m = random.normal(0.0, 0.2, 2)
+    """Move a position by 0.1 m on each axis or so."""
+    east_m, north_m = random.normal(0.0, 0.1, 2)
     latitude, longitude = moved(sample.latitude_deg, sample.longitude_deg, float(east_m), float(north_m))
     return structs.replace(sample, latitude_deg=latitude, longitude_deg=longitude)
 
