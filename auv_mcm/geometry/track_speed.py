@@ -26,6 +26,7 @@ _MIN_SPEED_MPS: Final = 0.3  # m/s: slower, a vehicle stands, or its position st
 _MAX_SIGMA: Final = 0.1  # of the speed: lines with a larger 1-sigma judge no measured speed
 _MIN_STRAIGHTNESS: Final = 0.97  # of the way made, against its chord: an arc of 50 degrees; turns judge no speed
 _OFF: Final = math.log(1.2)  # a measured speed further off is not used
+_N_SIGMA: Final = 2.0  # of the line's own error, beyond which a difference is not the fixes' scatter
 _BACK: Final = math.log(1.1)  # one that comes as near as that is used again
 _COMPARED_M: Final = 50.0  # m of way, by the longer of both, over which a difference is reported
 
@@ -142,7 +143,8 @@ class SpeedCheck:
         """Judge the measured speed by one estimate; None where it cannot be judged."""
         if not estimate.is_good or math.isnan(estimate.measured_mps):
             return None
-        return abs(_log_ratio(estimate.speed_mps, estimate.measured_mps)) > (_BACK if was_off else _OFF)
+        limit = _BACK if was_off else _OFF + _N_SIGMA * estimate.sigma_mps / estimate.speed_mps
+        return abs(_log_ratio(estimate.speed_mps, estimate.measured_mps)) > limit
 
     def reported(self, estimate: SpeedEstimate) -> tuple[float, float] | None:
         """Return both ways, m, by positions and by the measured speed, where they differ by a fifth over 50 m."""

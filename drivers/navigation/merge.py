@@ -44,6 +44,7 @@ _QUEUE_SLACK_S: Final = 0.25  # beyond the longest latency, for links of unequal
 _RECKONING_PERIOD_S: Final = 0.1  # s between reckoned positions
 _RECKONING_STEPS_M: Final = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # 1-sigma at which a person should know
 _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or reckoned
+_RECKONED_SHARE: Final = 0.2  # of the way: a speed or course that far off is wrong, whatever the current
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a notice is raised; as many that agree end it
 _N_SIGMA: Final = 3.0  # standard deviations: of sound values one in 370 is further off
@@ -132,6 +133,7 @@ class NavMerge:
         self._reckoning = False
         self._position_lost = False
         self._n_steps_reported = 0
+        self._reckoned_off = False  # reported that dead reckoning ended far from the next position
         self._now_s = -math.inf
         self._hold_s = _QUEUE_SLACK_S + max((unit.latency_s for unit in settings.units.values()), default=0.0)
         self._queue: list[tuple[float, int, NavSample]] = []
@@ -184,6 +186,7 @@ class NavMerge:
             else:
                 events += self._compare(quantity, channel)
             if quantity in served:
+                events += self._compare_reckoned(reading) if quantity == "position" else []
                 self._reckon_with(quantity, time_s, reading)
         given = self._thinned(time_s, served if leap is None else {**served, "position": leap}, fix.source)
         if given:
@@ -420,6 +423,22 @@ class NavMerge:
             f"'{serving.source}' is used. "
         )
         return [Notice(code="nav_disagreement", text=text + "Check signs, offsets and mounting of both.")]
+
+    def _compare_reckoned(self, position: Position) -> list[Event]:
+        """Report once that dead reckoning ended far from where the vehicle is, by more than both errors."""
+        reckoned = self._reckoner.position() if self._reckoning and not self._reckoned_off else None
+        if reckoned is None:
+            return []
+        off_m = math.hypot(*offset_m(reckoned[1][:2], position[:2]))
+        way_m = self._reckoner.way_m()
+        if off_m <= _N_SIGMA * position.sigma_m + _RECKONED_SHARE * way_m:
+            return []
+        self._reckoned_off = True
+        text = (
+            f"dead reckoning over {way_m:.0f} m ended {off_m:.0f} m from the next position: contacts between may be "
+            "off by as much. Check the speed's source and unit, and the heading."
+        )
+        return [Notice(code="nav_reckoning_off", text=text)]
 
     def _reckon_with(self, quantity: Quantity, time_s: float, reading: Any) -> None:
         if quantity == "heading":

@@ -40,6 +40,7 @@ class Reckoner:
         self._velocity: tuple[float, float] | None = None  # east, north
         self._heading: tuple[float, HeadingReading] | None = None
         self._speed: tuple[float, SpeedReading] | None = None
+        self._has_run = False  # a speed of 0 in every message is a field that was never filled
         self._leg = 0
         self._east_m = self._north_m = self._distance_m = 0.0
         self._anchor: _Anchor | None = None
@@ -56,11 +57,16 @@ class Reckoner:
 
     def run(self, time_s: float, speed: SpeedReading) -> None:
         self._speed = time_s, speed
+        self._has_run = self._has_run or speed.speed_mps != 0.0
         self._go_to(time_s)
 
     def fix(self, time_s: float, position: Position) -> None:
         """Start from a measured position."""
         self._anchor = _Anchor(time_s, position, self.travelled, self._distance_m)
+
+    def way_m(self) -> float:
+        """Return the way made since the last measured position."""
+        return 0.0 if self._anchor is None else self._distance_m - self._anchor.distance_m
 
     def position(self) -> tuple[float, Position] | None:
         """Return time and place by reckoning.
@@ -71,6 +77,7 @@ class Reckoner:
         if (
             anchor is None
             or self._velocity is None
+            or not self._has_run
             or anchor.travelled.leg != self._leg
             or self._heading is None
             or self._speed is None

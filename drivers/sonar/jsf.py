@@ -61,6 +61,11 @@ _REPEATED_S: Final = (
     1.25  # between the second of slow receivers and the 1.5 s after which a unit without a new position counts as lost
 )
 
+_REPEATED_MOVING_S: Final = 15.0  # s, while the vehicle moves: acoustic positioning comes as seldom as that
+_MOVING_DKN: Final = 6  # tenths of a knot, 0.3 m/s: a place then changes by its last digit, 0.2 m, each second
+
+_SPARSE_APART: Final = 15  # 1e-4 minutes of arc, 3 m: a place that changes so far at once came late
+
 # Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below
 # _MAX_BODY_BYTES.
 _AFTER_SYNC: Final = (
@@ -154,7 +159,8 @@ class JsfDecoder:
     Ranges are made with the sound speed that the sonar measured, changed only when it moved by half a metre per second,
     so that consecutive pings keep one sample layout; with that of a pressure sensor or Doppler log where it reports
     none; with 1500 m/s without either. Messages repeat the position until the topside has a new one: a repeated one is
-    not taken as a fix for 1.25 s, so that the track runs between fixes and not in steps.
+    not taken as a fix for 1.25 s, or for 15 s while the speed says that the vehicle moves, so that the track runs
+    between fixes and not in steps.
     """
 
     def __init__(self, *, subsystem: int = HIGH_FREQUENCY) -> None:
@@ -164,6 +170,8 @@ class JsfDecoder:
         self._subsystem = subsystem
         self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
         self._sensor_speed_mps: float | None = None  # of sound, by a sensor's own message
+        self._place_since_s = math.inf
+        self._is_sparse = False  # positions were seen to come seldom, and far apart
         self._fix: tuple[int, int, float] | None = None  # longitude, latitude, and when they were first reported
 
     @property
@@ -228,9 +236,18 @@ class JsfDecoder:
     def _is_fix(self, header: SideScanHeader) -> bool:
         """Return whether a message's position is new, not that of an earlier message repeated."""
         place = header.longitude, header.latitude
-        if self._fix is not None and self._fix[:2] == place and 0.0 < header.utc_s - self._fix[2] < _REPEATED_S:
+        moves = self._is_sparse or (header.validity & Validity.SPEED and header.speed_dkn >= _MOVING_DKN)
+        limit_s = _REPEATED_MOVING_S if moves else _REPEATED_S
+        if self._fix is not None and self._fix[:2] == place and 0.0 < header.utc_s - self._fix[2] < limit_s:
             self.counters["jsf.repeated_position"] += 1
             return False
+        if self._fix is None or self._fix[:2] != place:
+            stood_s, self._place_since_s = header.utc_s - self._place_since_s, header.utc_s
+        else:
+            stood_s = 0.0
+        if self._fix is not None and stood_s > _REPEATED_S:
+            apart = max(abs(now - before) for now, before in zip(place, self._fix, strict=False))
+            self._is_sparse = self._is_sparse or apart >= _SPARSE_APART
         self._fix = *place, header.utc_s
         return True
 

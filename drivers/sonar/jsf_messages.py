@@ -159,7 +159,7 @@ class SideScanHeader(NamedTuple):
     def utc_s(self) -> float:
         """Return the time of the ping, UTC seconds since 1970; 0 where the sonar's clock was never set.
 
-        Seconds since 1970 came with version 8 of the protocol; before it, year, day of the year and time tell.
+        Seconds since 1970 came with version 8 of the protocol; before it, year, day of the year and time serve.
         """
         milliseconds = 1e-3 * (self.milliseconds_today % 1000)
         if self.time_s > 0:

@@ -65,7 +65,7 @@ _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequenc
 _PROBE_MESSAGES: Final = 400  # looked at to find which sonars a log holds
 _STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
-_MIN_INTERVAL_S: Final = 0.02  # s between pings of which neither time nor range tells
+_MIN_INTERVAL_S: Final = 0.02  # s between pings whose time and range are unknown
 _CLOCK_NOT_SET: Final = "the sonar's clock was never set: the date is unknown and times count from 1970"
 _DAY_S: Final = 86_400.0  # seconds per day
 

@@ -40,8 +40,8 @@ _KNOT_MPS: Final = 1852.0 / 3600.0
 
 
 def scattered(sample: NavSample, random: np.random.Generator) -> NavSample:
-    """Move a position by 0.2 m on each axis or so."""
-    east_m, north_m = random.normal(0.0, 0.2, 2)
+    """Move a position by 0.1 m on each axis or so."""
+    east_m, north_m = random.normal(0.0, 0.1, 2)
     latitude, longitude = moved(sample.latitude_deg, sample.longitude_deg, float(east_m), float(north_m))
     return structs.replace(sample, latitude_deg=latitude, longitude_deg=longitude)
 
@@ -95,7 +95,7 @@ def _arrivals(kind: str, values: dict[str, str], seed: int) -> Iterator[tuple[fl
 ports:
   - {{name: sonar, link: "tcp://192.168.2.92:1", device: {kind}, sonar: {{range_m: {RANGE_M}, n_samples: 500}}}}
 """
-    sonar, random = SONARS[kind](), np.random.default_rng(seed)  # a name of a sonar
+    sonar, random = SONARS[kind](), np.random.default_rng(seed)
     for command in read_ports(parse_config(text, "odd.yaml"))[0].commands:
         sonar.heard(command, DeviceTime(0.0, UTC_S))
     events = line().events
@@ -153,6 +153,7 @@ def write_jsf(path: Path, values: dict[str, str]) -> None:
     parts: list[bytes] = []
     sample = NavSample(time_s=UTC_S)
     start_s = line().events[0].time_s
+    held, held_s = sample, -math.inf
     samples = {round(e.time_s - start_s, 3): e for e in line().events if isinstance(e, NavSample)}
     for at_s, port, data in _arrivals("jsf", {**values, "position": "10_hz", "heading": "absent"}, 0):
         if port == "nav":
@@ -160,7 +161,9 @@ def write_jsf(path: Path, values: dict[str, str]) -> None:
             parts += _jsf_navigation(sample, values, at_s)
         else:
             for framed in Framer(JsfGrammar()).feed(data + bytes(16)):
-                parts.append(_jsf_ping(framed.message, sample, values))
+                if values["position"] == "header" or at_s - held_s >= 5.0:
+                    held, held_s = sample, at_s
+                parts.append(_jsf_ping(framed.message, sample, held, values))
     path.write_bytes(b"".join(parts))
 
 
@@ -182,13 +185,14 @@ def _jsf_navigation(sample: NavSample, values: dict[str, str], at_s: float) -> l
     return parts
 
 
-def _jsf_ping(message: JsfMessage, sample: NavSample, values: dict[str, str]) -> bytes:
+def _jsf_ping(message: JsfMessage, sample: NavSample, held: NavSample, values: dict[str, str]) -> bytes:
+    """Fill in what a sonar's message says of the vehicle; held: the newest position that it was given."""
     header = SideScanHeader(*DATA_HEADER.unpack_from(message.body))
     validity = header.validity
-    if values["position"] == "header":
+    if values["position"].startswith("header"):
         validity |= Validity.POSITION
         header = header._replace(
-            longitude=round(600_000 * sample.longitude_deg), latitude=round(600_000 * sample.latitude_deg)
+            longitude=round(600_000 * held.longitude_deg), latitude=round(600_000 * held.latitude_deg)
         )
     if values["heading"] in ("right", "zero"):
         validity |= Validity.HEADING

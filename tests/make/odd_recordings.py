@@ -45,7 +45,7 @@ PROPERTIES: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "jsf": {
         "speed": ("right", "zero", "thrice", "absent"),
         "heading": ("right", "zero", "absent", "sentence"),
-        "position": ("header", "sentence"),
+        "position": ("header", "header_each_5_s", "sentence"),
         "clock": ("right", "version_7", "never_set"),
         "sound_speed": ("message", "pressure_sensor"),
     },
@@ -62,7 +62,7 @@ PROPERTIES: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     },
 }
 NAMED_BY: Final[dict[str, frozenset[str]]] = {
-    "speed": frozenset({"navigation.speed_off_track"}),
+    "speed": frozenset({"navigation.speed_off_track", "nav_reckoning_off"}),
     "heading": frozenset(
         {
             "navigation.heading_zero",

@@ -51,7 +51,8 @@ def test_the_object_is_found_and_the_floor_that_was_passed_is_covered(
     shared_data: Located, name: str, least_m2: float, code: str | None
 ) -> None:
     result = result_of(shared_data(f"wild/{name}"))
-    assert [round(off_m(contact)) for contact in result.contacts if contact.p_mine > 0.5] == [0]
+    (contact,) = (contact for contact in result.contacts if contact.p_mine > 0.5)
+    assert off_m(contact) < 0.8  # of the sound copies: 0.44 m, as JSF 0.50 m
     assert least_m2 <= result.area_m2 <= 1.05 * COVERED_M2
     assert code is None or code in result.codes
 

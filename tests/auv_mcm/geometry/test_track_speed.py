@@ -1,0 +1,109 @@
+"""Speed over ground by positions: where the measured one is wrong, and how much the positions may scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.geometry.navigation import NavBuffer
+from auv_mcm.records import NAN, NavSample, PoseTrack
+from auv_mcm.settings.config import NavigationConfig
+
+START_S = 1_700_000_000.0
+FRAME = LocalFrame(latitude_deg=43.7, longitude_deg=10.3)
+HEADING_RAD = math.radians(70.0)
+SPEED_MPS = 1.6
+
+
+def samples(
+    speed_mps: float, *, period_s: float = 0.1, fix_s: float = 0.1, scatter_m: float = 0.0, stands: bool = False
+) -> Iterator[NavSample]:
+    """A minute straight ahead, or standing; a fix every fix_s, which scatters on both axes."""
+    random = np.random.default_rng(3)
+    last_fix_s = -math.inf
+    for number in range(round(60.0 / period_s)):
+        at_s = number * period_s
+        way_m = 0.0 if stands else SPEED_MPS * at_s
+        east, north = way_m * math.sin(HEADING_RAD), way_m * math.cos(HEADING_RAD)
+        latitude = longitude = NAN
+        if at_s - last_fix_s >= fix_s - 1e-6:
+            last_fix_s = at_s
+            east, north = np.array([east, north]) + random.normal(0.0, scatter_m, 2)
+            latitude, longitude = (float(angle) for angle in FRAME.to_geodetic(np.array([east, north, 0.0]))[:2])
+        yield NavSample(
+            time_s=START_S + at_s,
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            heading_rad=HEADING_RAD,
+            speed_mps=speed_mps,
+        )
+
+
+def flown(buffer: NavBuffer, *events: NavSample) -> PoseTrack:
+    for event in events:
+        buffer.add(event)
+    return buffer.interpolate(START_S + np.arange(0.0, 59.0, 0.5))
+
+
+def codes(buffer: NavBuffer) -> list[str]:
+    return [notice.code for notice in buffer.take_notices()]
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, 0.5144 * SPEED_MPS, 3.0 * SPEED_MPS])
+@pytest.mark.parametrize(("fix_s", "scatter_m"), [(0.1, 0.0), (0.1, 0.3), (1.0, 0.1)])
+def test_a_wrong_speed_gives_way_to_the_positions(speed_mps: float, fix_s: float, scatter_m: float) -> None:
+    buffer = NavBuffer(NavigationConfig())
+    track = flown(buffer, *samples(speed_mps, fix_s=fix_s, scatter_m=scatter_m))
+    assert track.speed_mps.mean() == pytest.approx(SPEED_MPS, rel=0.03)
+    np.testing.assert_allclose(track.speed_mps, SPEED_MPS, rtol=0.15)
+    assert codes(buffer) == ["navigation.speed_off_track"]
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
+@pytest.mark.parametrize(("fix_s", "scatter_m"), [(0.1, 0.4), (1.0, 0.2)])
+def test_a_sound_speed_is_used_as_it_is(factor: float, fix_s: float, scatter_m: float) -> None:
+    buffer = NavBuffer(NavigationConfig())
+    track = flown(buffer, *samples(factor * SPEED_MPS, fix_s=fix_s, scatter_m=scatter_m))
+    np.testing.assert_array_equal(track.speed_mps, factor * SPEED_MPS)
+    assert codes(buffer) == []
+
+
+@pytest.mark.parametrize("scatter_m", [0.0, 0.5])
+def test_positions_that_stand_still_judge_no_speed(scatter_m: float) -> None:
+    buffer = NavBuffer(NavigationConfig())
+    track = flown(buffer, *samples(SPEED_MPS, scatter_m=scatter_m, stands=True))
+    np.testing.assert_array_equal(track.speed_mps, SPEED_MPS)
+    assert "navigation.speed_off_track" not in codes(buffer)
+
+
+def test_a_vehicle_that_stands_and_says_so_makes_no_way() -> None:
+    track = flown(NavBuffer(NavigationConfig()), *samples(0.0, scatter_m=0.3, stands=True))
+    assert track.speed_mps.max() < 0.3
+
+
+@pytest.mark.parametrize("speed_mps", [SPEED_MPS, 3.0 * SPEED_MPS])
+def test_fixes_five_seconds_apart_are_bridged(speed_mps: float) -> None:
+    track = flown(NavBuffer(NavigationConfig()), *samples(speed_mps, fix_s=5.0))
+    places = FRAME.to_enu(track.latitude_deg, track.longitude_deg, 0.0)[:, :2]
+    way_m = SPEED_MPS * np.arange(0.0, 59.0, 0.5)
+    expected = way_m[:, None] * np.array([math.sin(HEADING_RAD), math.cos(HEADING_RAD)])
+    bridged = ~track.stale
+    assert bridged[4:110].all()
+    np.testing.assert_allclose(places[4:110], expected[4:110], atol=0.05)
+    assert 0.0 < track.position_sigma_m[bridged].max() < 1.0
+
+
+def test_a_heading_of_zero_everywhere_gives_way_to_the_course() -> None:
+    buffer = NavBuffer(NavigationConfig())
+    events = [NavSample(**{**_fields(event), "heading_rad": 0.0}) for event in samples(SPEED_MPS)]
+    track = flown(buffer, *events)
+    np.testing.assert_allclose(track.heading_rad, HEADING_RAD, atol=math.radians(2.0))
+    assert codes(buffer) == ["navigation.heading_zero"]
+
+
+def _fields(event: NavSample) -> dict[str, float]:
+    return {name: getattr(event, name) for name in ("time_s", "latitude_deg", "longitude_deg", "speed_mps")}
