@@ -71,7 +71,7 @@ def test_a_pipe_a_device_and_a_file_that_is_too_large_are_refused_at_once(tmp_pa
             read_text(path, "configuration")
 
 
-@pytest.mark.parametrize("command", [["replay", "x.xtf", "--config"], ["simulate"]])
+@pytest.mark.parametrize("command", [["run", "--config"], ["simulate"]])
 def test_commands_end_with_bad_usage_where_a_pipe_is_named(command: list[str], tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.yaml")
     assert main([*command, str(tmp_path / "pipe.yaml")]) == 2
