@@ -120,7 +120,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(line)
     failed = sum(bool(mutant.failures) for mutant in mutants)
     if failed:
-        raise SelfCheckError(f"{failed} of {len(mutants)} damaged files did not pass")
+        what = "files" if arguments.all else "logs"
+        raise SelfCheckError(f"{failed} of {len(mutants)} damaged {what} did not pass")
     return 0
 
 
