@@ -46,7 +46,7 @@ def load_mapping(text: str, place: str, expected: str) -> dict[Any, Any]:
     """
     try:
         data: Any = yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise UsageError(f"{place}: not valid YAML: {error}") from error
     if data is None:
         data = {}
@@ -84,6 +84,7 @@ def explain_validation_error(error: msgspec.ValidationError, kind: type) -> str:
 _PLACE: Final = re.compile(r" - at (?P<key>`key` in )?`\$(?P<path>[^`]*)`$")
 _UNKNOWN: Final = re.compile(r"Object contains unknown field `(?P<name>[^`]*)`")
 _WRONG_VALUE: Final = re.compile(r"Invalid (?:enum )?value '(?P<value>[^']*)'")
+_MAX_DEPTH: Final = 64  # levels: chosen, ten times a configuration's; each deeper one costs as much as all before it
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 _STEP: Final = re.compile(r"\.(?P<name>\w+)|\[(?P<index>\d+|\.\.\.)\]")
 
@@ -160,12 +161,19 @@ class _Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 (PyYAML's own class attribute)
 
+    _depth = 0
+
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.composer.ComposerError(
                 None, None, "aliases are not supported here: write the value out", self.get_mark()
             )
-        return super().compose_node(parent, index)
+        if self._depth >= _MAX_DEPTH:
+            raise yaml.composer.ComposerError(None, None, f"more than {_MAX_DEPTH} levels deep", self.get_mark())
+        self._depth += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         mapping = super().construct_mapping(node, deep)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 MAX_CPU_S: Final = 20.0  # s of processor time of one run, beyond which it fails
-MAX_WALL_S: Final = 30.0  # s of wall clock less what it waited for a processor, beyond which it is ended and fails
+MAX_WALL_S: Final = 30.0  # s of wall clock asleep, beyond which it is ended and fails
 
 # spares the computer where a mutant takes all; numpy and OpenCV reserve 2 GB that they do not use
 _ADDRESS_SPACE_BYTES: Final = 6 << 30
@@ -30,20 +30,20 @@ _LOOK_S: Final = 1.0  # between looks at how long a run has waited
 class Ended(NamedTuple):
     """Hold how a run ended: its exit code, negative if a signal ended it, what it printed, and what it cost.
 
-    cpu_s and rss_mb are NaN if a signal ended it. wall_s: less what it waited for a processor.
+    cpu_s and rss_mb are NaN if a signal ended it. asleep_s: of wall clock, without using a processor.
     """
 
     code: int | None
     said: str
     cpu_s: float
     rss_mb: float
-    wall_s: float
+    asleep_s: float
 
     def failures(self, good_codes: Sequence[int], max_rss_mb: float) -> list[str]:
         """List what it did that no input may lead to."""
         failures = []
-        if self.wall_s > MAX_WALL_S:
-            failures.append(f"still waiting after {self.wall_s:.0f} s of wall clock")
+        if self.asleep_s > MAX_WALL_S:
+            failures.append(f"still waiting after {self.asleep_s:.0f} s of wall clock")
         elif self.code not in good_codes:
             failures.append(f"exit code {self.code}")
         if "Traceback" in self.said:
@@ -73,26 +73,33 @@ def run_command(arguments: Sequence[str], folder: Path, scratch: Path) -> Ended:
     context.set_forkserver_preload(list(_PRELOADED))
     process = context.Process(target=_run, args=(list(arguments), folder, console, usage))
     process.start()
-    started_s, wall_s = time.monotonic(), 0.0  # once the server has loaded all that it shares
-    while process.exitcode is None and wall_s <= MAX_WALL_S:
+    asleep_s, used_s, looked_s = 0.0, 0, time.monotonic()
+    while process.exitcode is None and asleep_s <= MAX_WALL_S:
         process.join(_LOOK_S)
-        wall_s = time.monotonic() - started_s - _kept_waiting_s(process)
+        before_s, looked_s = looked_s, time.monotonic()
+        before_used_s = used_s
+        is_asleep, used_s = _asleep(process)
+        if is_asleep and used_s == before_used_s:
+            asleep_s += looked_s - before_s
     if process.exitcode is None:
         process.kill()
         process.join()
-    else:
-        wall_s = min(wall_s, MAX_WALL_S)  # it ended while it was looked at
     said = console.read_text("utf-8", "replace") if console.exists() else ""
     cpu_s, rss_mb = json.loads(usage.read_text()) if usage.exists() else (math.nan, math.nan)
-    return Ended(process.exitcode, said, cpu_s, rss_mb, wall_s)
+    return Ended(process.exitcode, said, cpu_s, rss_mb, asleep_s)
 
 
-def _kept_waiting_s(process: BaseProcess) -> float:
-    """Measure how long a process was ready to run and others ran: 0 for one that has ended."""
+def _asleep(process: BaseProcess) -> tuple[bool, int]:
+    """Look whether a process sleeps, and what processor time it has used, in ticks; neither once it has ended.
+
+    Waiting for the disk or for a processor is not sleep: a loaded computer makes no run fail.
+    """
     try:
-        return int(Path(f"/proc/{process.pid}/schedstat").read_text("ascii").split()[1]) / 1e9
-    except (OSError, IndexError):
-        return 0.0
+        text = Path(f"/proc/{process.pid}/stat").read_text("ascii", "replace")
+    except OSError:
+        return False, 0
+    state, *fields = text.rpartition(")")[2].split()
+    return state == "S", int(fields[10]) + int(fields[11])
 
 
 def _run(arguments: list[str], folder: Path, console: Path, usage: Path) -> None:

@@ -6,9 +6,9 @@ auv-mcm bench mutants --all [--mutants N] [--seed N] [--jobs N] [--keep DIR]
 Every mutant is read by a process of its own: XTF logs of yours, or with --all a small file of every format and of all
 that a person writes by hand (configuration, scene, mine list, sidecar, track), and files that only look like one. It
 passes if that ends with code 0 or 3, also 2 for what is written by hand, within 20 s of processor time, 30 s of wall
-clock (less what it waits for a processor) and 1 GB, 400 MB for XTF logs of yours, without a traceback or a failed tile,
-and if what it writes is strict JSON with finite numbers and every contact lies near a position of the log, within three
-of its sigmas. A log without side scan passes with code 3. Exit code 5 if a mutant fails.
+clock asleep (a loaded computer makes none fail) and 1 GB, 400 MB for XTF logs of yours, without a traceback or a failed
+tile, and if what it writes is strict JSON with finite numbers and every contact lies near a position of the log, within
+three of its sigmas. A log without side scan passes with code 3. Exit code 5 if a mutant fails.
 """
 
 from __future__ import annotations
@@ -120,7 +120,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(line)
     failed = sum(bool(mutant.failures) for mutant in mutants)
     if failed:
-        raise SelfCheckError(f"{failed} of {len(mutants)} damaged files did not pass")
+        what = "files" if arguments.all else "logs"
+        raise SelfCheckError(f"{failed} of {len(mutants)} damaged {what} did not pass")
     return 0
 
 

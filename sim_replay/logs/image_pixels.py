@@ -146,7 +146,7 @@ def _png_picture(path: Path, file: BinaryIO, size: int) -> bytearray:
     kept, kind = bytearray(_PNG_SIGNATURE), b""
     file.seek(len(_PNG_SIGNATURE))
     while kind != b"IEND":
-        at = file.tell()
+        at = file.seek(0, os.SEEK_CUR)
         length, kind = (
             _PNG_CHUNK.unpack(head) if len(head := file.read(_PNG_CHUNK.size)) == _PNG_CHUNK.size else (0, b"")
         )
@@ -179,7 +179,7 @@ def _open_npy(path: Path) -> Stored:
         else:
             shape, by_columns, dtype = npy.read_array_header_2_0(file)
         require_size(path, shape, dtype.itemsize, size)
-        start = file.tell()
+        start = file.seek(0, os.SEEK_CUR)
         stop = start + shape[0] * shape[1] * dtype.itemsize
         if stop > size:
             raise BadInputError(

@@ -6,9 +6,18 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from auv_mcm.errors import BadInputError
-from auv_mcm.safe_files import open_for_append, open_regular, own_directory, remove_unfinished, replacing
+from auv_mcm.safe_files import (
+    open_for_append,
+    open_regular,
+    own_directory,
+    read_regular,
+    remove_unfinished,
+    replacing,
+)
 
 
 def test_a_regular_file_is_read_also_through_a_link(tmp_path: Path) -> None:
@@ -29,6 +38,32 @@ def test_what_is_no_regular_file_is_refused_at_once(kind: str, tmp_path: Path) -
         path.symlink_to("pipe")
     with pytest.raises(BadInputError, match=f"{path} is not a regular file"):
         open_regular(path)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "\ud800"])
+def test_a_name_that_no_file_can_have_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="is not a name that a file can have"):
+        open_regular(tmp_path / name)
+
+
+@given(n_bytes=st.integers(0, 3000), max_bytes=st.integers(0, 3000))
+def test_a_file_is_read_whole_or_refused_by_its_size(
+    n_bytes: int, max_bytes: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "sized"
+    path.write_bytes(b"x" * n_bytes)
+    if n_bytes <= max_bytes:
+        assert read_regular(path, max_bytes) == b"x" * n_bytes
+    else:
+        with pytest.raises(BadInputError, match="is larger than"):
+            read_regular(path, max_bytes)
+
+
+def test_a_huge_file_is_refused_without_taking_its_room(tmp_path: Path) -> None:
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(BadInputError, match="larger than 4 KiB"):
+        read_regular(tmp_path / "huge", 4096)
 
 
 def test_a_directory_is_an_error_of_the_system(tmp_path: Path) -> None:

@@ -74,3 +74,35 @@ def test_every_test_and_scenario_that_the_page_names_is_there() -> None:
     assert functions <= set(re.findall(r"^def (test_\w+)\(", "\n".join(tests.values()), re.MULTILINE))
     scenarios = {path.stem for path in (ROOT / "sim_replay" / "hil" / "scenarios").glob("*.yaml")}
     assert {name for names in re.findall(r"`auv-mcm hil ([\w ]+)`", page) for name in names.split()} <= scenarios
+
+
+# What is read past the door, which names no file of a person: the kernel's, the service's own state, the package's own.
+PAST_THE_DOOR = {
+    "auv_mcm/shell/checkpoint.py": "the state of a session",
+    "auv_mcm/shell/event_spool.py": "the state of a session",
+    "auv_mcm/shell/recovery.py": "the state of a session and its journals",
+    "auv_mcm/shell/health/measure.py": "the kernel",
+    "auv_mcm/shell/perception.py": "the kernel",
+    "drivers/port_check.py": "the kernel",
+    "sim_replay/fitting/cascade/farm.py": "the sources of the package",
+    "sim_replay/fitting/looks.py": "a mission that was simulated just before",
+    "sim_replay/report/page.py": "a part of the package",
+    "sim_replay/view/server.py": "a part of the package",
+}
+
+
+def test_one_module_opens_every_file_that_a_person_names() -> None:
+    """Benches, studies, fakes and HIL read what they wrote into folders of their own."""
+    reading = re.compile(
+        r"""\.read_text\(|\.read_bytes\(|np\.fromfile|imread\(|open\([^)]*["']rb?["']|\.open\(newline"""
+    )
+    shipped = re.compile(r"resources\.files|_SHIPPED|_DEFAULT")
+    own = ("docs", "benches", "studies", "fakes", "hil")
+    names = {
+        path.relative_to(ROOT).as_posix()
+        for package in ("auv_mcm", "drivers", "sim_replay")
+        for path in (ROOT / package).rglob("*.py")
+        if not set(own) & set(path.relative_to(ROOT).parts)
+        if any(reading.search(line) and not shipped.search(line) for line in path.read_text("utf-8").splitlines())
+    }
+    assert names - {"auv_mcm/safe_files.py"} == set(PAST_THE_DOOR)

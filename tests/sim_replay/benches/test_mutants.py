@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,14 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError, SelfCheckError
+from auv_mcm.records import Ping
 from auv_mcm.settings.config import Config
-from sim_replay.benches import mutants
-from sim_replay.benches.mutants import judge_mutant, kinds_of, table, wrong_results
+from sim_replay.benches import mutant_runs, mutants
+from sim_replay.benches.mutant_seeds import Seed, write_seeds
+from sim_replay.benches.mutant_traps import traps_of
+from sim_replay.benches.mutants import Case, cases_of, judge_case, judge_mutant, kinds_of, table, wrong_results
 from sim_replay.benches.mutations import CHANGES, FILE_HEADER_BYTES, JUMPS, mutated, split
+from sim_replay.logs.open_log import FORMAT_NAMES, log_format, open_log
 from sim_replay.replay import replay
 from tests.sim_replay.logs.xtf_logs import navigated, ping, written
 
@@ -144,3 +149,78 @@ def test_the_table_has_a_line_per_kind_and_one_for_all() -> None:
         ["b", "1", "0", "1", "0", "1.5", "100"],
         ["all", "3", "2", "1", "0", "3.0", "100"],
     ]
+
+
+# --- every format ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Seed]:
+    return {seed.name: seed for seed in write_seeds(tmp_path_factory.mktemp("seeds"))}
+
+
+def test_there_is_a_seed_of_every_format_that_is_read_and_of_all_that_people_write(seeds: dict[str, Seed]) -> None:
+    read = {log_format(seed.folder / seed.file) for seed in seeds.values() if seed.role in ("log", "image")}
+    assert read == set(FORMAT_NAMES)
+    assert {seed.role for seed in seeds.values()} >= {"sidecar", "track", "configuration", "scene", "mine list"}
+
+
+def test_seeds_are_sound(seeds: dict[str, Seed]) -> None:
+    for seed in seeds.values():
+        if seed.role in ("log", "image"):
+            assert any(isinstance(event, Ping) for event in open_log(seed.folder / seed.file, Config())), seed.name
+
+
+def test_mutants_are_the_same_for_the_same_seed_and_every_trap_is_among_them(seeds: dict[str, Seed]) -> None:
+    chosen = [seeds[name] for name in ("npy", "svlog", "sidecar", "scene")]
+    first, again = (cases_of(chosen, 200, 5) for _ in range(2))
+    assert [case.kinds for case in first] == [case.kinds for case in again]
+    for seed in chosen:
+        assert set(traps_of(seed)) <= {case.kinds[0] for case in first if case.seed is seed}
+
+
+@pytest.mark.parametrize(
+    ("name", "trap", "code"),
+    [
+        ("npy", "a sidecar that is a pipe", 3),
+        ("HDF5", "pixels in /etc/passwd", 3),
+        ("PNG, 8 bits", "a text of 2 GiB that is not there", 3),
+        ("configuration", "half a surrogate pair as a key", 2),
+        ("scene", "a pipe in its place", 2),
+    ],
+)
+def test_a_trap_passes(name: str, trap: str, code: int, seeds: dict[str, Seed], tmp_path: Path) -> None:
+    write, refused = traps_of(seeds[name])[trap]
+    mutant = judge_case(Case(0, seeds[name], (trap,), write, refused), tmp_path / "run")
+    assert (mutant.failures, mutant.code) == ((), code)
+
+
+def test_what_must_be_refused_and_is_taken_fails_and_is_kept(seeds: dict[str, Seed], tmp_path: Path) -> None:
+    sound = Case(7, seeds["npy"], ("none",), lambda path: None, refused=True)
+    mutant = judge_case(sound, tmp_path / "run", tmp_path / "keep")
+    assert (mutant.failures, mutant.code) == (("it was taken, and must be refused",), 0)
+    assert (tmp_path / "keep" / "mutant-7" / "files" / "plain.npy").exists()
+
+
+def wait_for_ever(arguments: list[str], folder: Path, console: Path, usage: Path) -> None:
+    """Stand in for a command that waits for a pipe."""
+    threading.Event().wait()
+
+
+def test_a_run_that_waits_is_ended_and_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mutant_runs, "_run", wait_for_ever)
+    monkeypatch.setattr(mutant_runs, "MAX_WALL_S", 0.5)
+    ended = mutant_runs.run_command(("replay", "x"), tmp_path, tmp_path)
+    assert ended.code is not None
+    assert ended.code < 0
+    assert "still waiting" in ended.failures((0, 3), 400.0)[0]
+
+
+def test_neither_logs_nor_all_is_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "mutants"]) == 2
+    assert "name XTF logs to damage, or give --all" in capsys.readouterr().err
+
+
+def test_all_is_run_from_the_command_line_some_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "mutants", "--all", "--mutants", "2", "--jobs", "2"]) == 0
+    assert "code 2" in capsys.readouterr().out
