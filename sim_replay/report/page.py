@@ -17,6 +17,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
 from auv_mcm.contacts.contact import depth_m, is_mine_like, sigma_m
 from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.contacts.contact_words import ContactWords, contact_words
 from auv_mcm.contacts.export import snippet_path
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
@@ -185,7 +186,8 @@ def _context(
         ),
         "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
         "layers": _LAYERS,
-        "kinds": sorted({contact.classification for contact in listed}),
+        "kinds": sorted({row.said.label for row in rows}),
+        "said": {row.contact.id: row.said for row in rows},
         "chart_width": WIDTH,
         "searched": _searched(mission.searched),
         "mines_left": _mines_left(mission.searched),
@@ -270,6 +272,7 @@ class ContactRow(NamedTuple):
     contact: Contact
     carded: bool
     called: str
+    said: ContactWords
     length: str
     size: str
     depth: str
@@ -286,6 +289,7 @@ def _contact_row(contact: Contact, strips: Sequence[PictureStrip], carded: bool)
         contact,
         carded=carded,
         called="" if contact.called is None else "yes" if contact.called else "no",
+        said=contact_words(contact),
         length=sizes[0],
         size=" × ".join(size or "?" for size in sizes),
         depth=_number(depth_m(contact), 1),
@@ -344,7 +348,7 @@ def _period(mission: MissionRecord) -> str:
 
 def _bands(contacts: Sequence[Contact]) -> list[tuple[str, str, int, float]]:
     counted = [sum(band(contact.p_mine) == name for contact in contacts) for name in ("p4", "p3", "p2", "p1")]
-    texts = ("0.8 and above", "0.5 to 0.8", "0.2 to 0.5", "below 0.2")
+    texts = ("80 % and above", "50 to 79 %", "20 to 49 %", "below 20 %")
     most = max(1, *counted)
     return [
         (name, text, n, 100.0 * n / most)

@@ -159,7 +159,8 @@ class ShownMission:
                 "longitude": [contact.place.longitude_deg for contact in found],
                 "sigma": [contact.place.sigma_m for contact in found],
                 "p": [contact.p_mine for contact in found],
-                "class": [contact.classification for contact in found],
+                "percent": [contact.said.percent for contact in found],
+                "label": [contact.said.label for contact in found],
                 "called": [contact.called for contact in found],
                 "time": [contact.time_s for contact in found],
                 "row": rows,
@@ -188,6 +189,7 @@ class ShownMission:
                 **feature["properties"],
                 "coordinates": (feature.get("geometry") or {}).get("coordinates"),
                 "depth_m": depth_m,
+                "said": msgspec.structs.asdict(place.said),
                 "view_rows": self._rows([time_s(time) for time in times]),
                 "history": [msgspec.to_builtins(verdict) for verdict in verdicts],
             }

@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from auv_mcm.clean_text import clean
+from auv_mcm.contacts.contact_words import ContactWords, feature_words
 from auv_mcm.errors import AuvMcmError, BadInputError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
@@ -32,7 +33,7 @@ class Overview(NamedTuple):
     id: str
     place: Place
     p_mine: float
-    classification: str
+    said: ContactWords
     called: bool | None
     length_m: float
     side: str
@@ -107,7 +108,7 @@ def overview(feature: dict[str, Any]) -> Overview:
         id=name,
         place=Place(name, _number(latitude), _number(longitude), _number(properties.get("sigma_m"))),
         p_mine=_number(properties.get("p_mine")),
-        classification=clean(str(properties.get("class", "unknown"))),
+        said=feature_words(properties),
         called=properties.get("called"),
         length_m=_number(properties.get("length_m")),
         side=side if side in ("port", "starboard") else "",

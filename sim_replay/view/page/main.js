@@ -95,13 +95,13 @@ async function loadContacts() {
   const structures = Object.fromEntries(found.structures.map((one) => [one.id, one]));
   contacts = found.id.map((id, index) => ({
     key: id, id, drawn: false, latitude: found.latitude[index], longitude: found.longitude[index], p: found.p[index],
-    class: found.class[index], called: found.called[index], time: found.time[index], row: found.row[index], across: found.across[index],
+    percent: found.percent[index], label: found.label[index], called: found.called[index], time: found.time[index], row: found.row[index], across: found.across[index],
     likely: found.p[index] >= state.mine_like_p, structure: structures[found.structure[index]] || null,
     ...none, ...judgedPart(found.verdicts[id]),
   }));
   contacts.push(...found.drawn.map((one) => ({
-    key: one.object, id: one.object, drawn: true, latitude: one.latitude, longitude: one.longitude, p: null,
-    class: one.drawn ? "drawn" : "judged before", called: null, time: null, row: one.row, across: one.across, structure: null,
+    key: one.object, id: one.object, drawn: true, latitude: one.latitude, longitude: one.longitude, p: null, percent: "",
+    label: one.drawn ? "drawn" : "judged before", called: null, time: null, row: one.row, across: one.across, structure: null,
     likely: one.call === "mine_like", ...none, ...judgedPart(one), time_judged: one.time,
   })));
   map.setStructures(found.structures);
