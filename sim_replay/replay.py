@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import resource
 import time
 from collections.abc import Callable, Sequence
@@ -25,7 +26,7 @@ from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.contacts.geojson import Json, collection, feature, one_or_multi, positions_of
 from auv_mcm.memory import return_large_arrays
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
+from auv_mcm.records import Contact, CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.mission_totals import (
     area_totals,
@@ -70,6 +71,7 @@ def replay(
     clock: Clock | None = None,
     progress: Progress = lambda fraction: None,
     verdicts: Path | None = None,
+    found: Callable[[Contact], None] = lambda contact: None,
 ) -> dict[str, Any]:
     """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`.
 
@@ -87,6 +89,8 @@ def replay(
         Called with the fraction done, 0..1.
     verdicts
         Folder with what people judged, which the report shows; None for that of the results.
+    found
+        Called with each contact as it is found, and again as it changes.
 
     Raises
     ------
@@ -98,7 +102,7 @@ def replay(
     mission = open_mission(logs, config, chunk_bytes)
     return_large_arrays()
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
-    tally, gathered, pace = Tally(), _Gathered(config), Pace(speed, clock)
+    tally, gathered, pace = Tally(), _Gathered(config, found), Pace(speed, clock)
     make_results_directory(folder)
     # written last: its presence says that the other files belong together
     (folder / "summary.json").unlink(missing_ok=True)
@@ -170,7 +174,10 @@ def replay(
     summary: dict[str, Any] = {
         "version": __version__,
         "mission": config.mission,
-        "logs": [{"path": str(path), "bytes": size} for path, size in mission.sizes_bytes.items()],
+        "logs": [
+            {"path": str(path.absolute()), "bytes": size, "relative": os.path.relpath(path, folder)}
+            for path, size in mission.sizes_bytes.items()
+        ],
         **totals,
         "waypoints": len(waypoints),
         "counters": dict(sorted(counters.items())),
@@ -241,7 +248,8 @@ class _Track:
 class _Gathered:
     """Gather what the pipeline reported, as far as the results need it; tiles leave only small pictures."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, found: Callable[[Contact], None]) -> None:
+        self._found = found
         self.coverage: list[CoveragePatch] = []
         self.searched = ClearanceMap(configured_performance(config))
         self.notices: list[Notice] = []
@@ -259,5 +267,7 @@ class _Gathered:
                 case CoveragePatch():
                     self.coverage.append(event)
                     self.searched.add(event)
+                case Contact():
+                    self._found(event)
                 case Notice():
                     self.notices.append(event)

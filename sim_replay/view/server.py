@@ -59,6 +59,7 @@ class _Points(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class _Ends(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quantity: MeasuredQuantity
     ends: tuple[WaterfallPoint, WaterfallPoint]
+    contact_id: str = ""
 
 
 class MissionServer:
@@ -227,7 +228,9 @@ class MissionServer:
 
     async def _measure(self, request: web.Request) -> web.StreamResponse:
         asked = await _body(request, _Ends)
-        return _json(finite(self._mission.measure(asked.quantity, list(asked.ends))._asdict()))
+        ends = list(asked.ends)
+        found = self._mission.measure(asked.quantity, ends)._asdict()
+        return _json(finite({**found, "distance_m": self._mission.distance_m(asked.contact_id, ends)}))
 
     async def _judge(self, request: web.Request) -> web.StreamResponse:
         judgement = await _body(request, Judgement)
