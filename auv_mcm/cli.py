@@ -16,11 +16,16 @@ from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.shell.registry import COMMANDS, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
-_BENCH_EXTRA = {
-    "scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "h5py", "mpmath",
-    "mcap_protobuf",
-}  # fmt: skip
-_EXTRAS = {"bench": _BENCH_EXTRA, "bench,view": {"aiohttp"}}
+_EXTRAS = {
+    "bench": {
+        *("scipy", "pyxtf", "rich", "jinja2", "tifffile", "h5py", "mpmath", "mcap_protobuf", "pyproj", "fpdf"),
+        "shtab",
+    },
+    "bench,cluster": {"dask", "distributed"},
+    "bench,view": {"aiohttp"},
+    "bench,dev": {"matplotlib"},
+}
+"""Packages that commands need, by what to install for them."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

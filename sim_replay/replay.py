@@ -46,6 +46,7 @@ from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, write_report
 from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
+from sim_replay.report.report_file import REPORT, report_contents, write_contents
 from sim_replay.verdicts import read_verdicts
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
@@ -161,16 +162,11 @@ def replay(
         map_picture=map_picture(gathered.mosaic),
         verdicts=judged,
     )
-    write_report(
-        folder / "report.html",
-        record,
-        contacts,
-        gathered.coverage,
-        waypoints,
-        gathered.notices,
-        counters,
-        gathered.pictures,
+    shown = report_contents(
+        record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures
     )
+    write_contents(folder, shown)
+    write_report(folder / REPORT, record, contacts, gathered.coverage, waypoints, gathered.notices, counters, shown)
     summary: dict[str, Any] = {
         "version": __version__,
         "mission": config.mission,

@@ -38,6 +38,7 @@ def add(commands: Commands) -> None:
             "auv-mcm export auv-mcm-out/latest --kmz mosaic.kmz",
             "auv-mcm export results --kml judged.kml --geojson judged.geojson",
             "auv-mcm export results --mcap mission.mcap",
+            "auv-mcm export results --pdf contacts.pdf --coco chips",
         ],
     )
     parser.add_argument(
@@ -61,6 +62,11 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--kml", metavar="FILE", type=Path, help="contacts with verdicts, and missed ones")
     parser.add_argument("--geojson", metavar="FILE", type=Path, help="the same as GeoJSON")
+    parser.add_argument(
+        "--pdf", metavar="FILE", type=Path, help="contact sheet to print: chart, pictures, places and verdicts"
+    )
+    parser.add_argument("--coco", metavar="DIR", type=Path, help="judged contacts as chips with boxes, for training")
+    parser.add_argument("--yolo", metavar="DIR", type=Path, help="the same as YOLO reads them")
     parser.add_argument(
         "--resolution",
         metavar="M",
@@ -95,10 +101,16 @@ def _metres(low_m: float) -> Callable[[str], float]:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import find_source
 
-    vectors = (arguments.gpkg, arguments.gpx, arguments.kml, arguments.geojson)
-    wanted = [path for path in (arguments.geotiff, arguments.kmz, *vectors, arguments.mcap) if path is not None]
+    vectors = (arguments.gpkg, arguments.gpx, arguments.kml, arguments.geojson, arguments.pdf)
+    chips = (arguments.coco, arguments.yolo)
+    wanted = [path for path in (arguments.geotiff, arguments.kmz, *vectors, arguments.mcap, *chips) if path is not None]
     if not wanted:
-        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg, --gpx, --kml, --geojson or --mcap")
+        raise UsageError(
+            "nothing to export: name --geotiff, --kmz, --gpkg, --gpx, --kml, --geojson, --mcap, --pdf, --coco or --yolo"
+        )
+    missing = next((path for path in arguments.source if not path.exists()), None)
+    if missing is not None:
+        raise UsageError(f"there is no {missing}. Name a folder of results, the folder of a session, or logs.")
     for path in wanted:
         if not path.absolute().parent.is_dir():
             raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
@@ -106,6 +118,8 @@ def _run(arguments: argparse.Namespace) -> int:
     name = source.config.mission or (source.results or source.logs[0]).resolve().stem
     if any(path is not None for path in vectors):
         _write_vectors(source, arguments, name)
+    if any(path is not None for path in chips):
+        _write_chips(source, arguments, name)
     if arguments.geotiff is not None or arguments.kmz is not None:
         _write_mosaic(source, arguments, name)
     if arguments.mcap is not None:
@@ -122,8 +136,8 @@ def _write_vectors(source: ExportSource, arguments: argparse.Namespace, name: st
 
     if source.results is None:
         raise UsageError(
-            "GeoPackage, GPX, KML and GeoJSON are made of results: replay the log first ('auv-mcm replay LOG --out "
-            "results'), and export that folder."
+            "GeoPackage, GPX, KML, GeoJSON and PDF are made of results: replay the log first ('auv-mcm replay "
+            "LOG --out results'), and export that folder."
         )
     layers = read_layers(source.results)
     if arguments.gpkg is not None:
@@ -134,6 +148,23 @@ def _write_vectors(source: ExportSource, arguments: argparse.Namespace, name: st
         write_kml(arguments.kml, layers, name, source.results)
     if arguments.geojson is not None:
         write_geojson(arguments.geojson, layers)
+    if arguments.pdf is not None:
+        from sim_replay.contact_sheet import write_contact_sheet
+
+        write_contact_sheet(arguments.pdf, source.results, layers, name)
+
+
+def _write_chips(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
+    from sim_replay.report.report_file import read_contents
+    from sim_replay.training_export import judged_chips, write_coco, write_yolo
+
+    if source.results is None:
+        raise UsageError("chips are made of results: replay the log first, judge its contacts, and export that folder")
+    chips = judged_chips(source.results, read_contents(source.results))
+    if arguments.coco is not None:
+        write_coco(arguments.coco, chips, name)
+    if arguments.yolo is not None:
+        write_yolo(arguments.yolo, chips)
 
 
 def _write_mcap(source: ExportSource, path: Path) -> None:

@@ -23,9 +23,12 @@ _BATCH: Final = 32  # events read at once off the event loop
 
 
 def open_mission(paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> RecordedMission:
-    """Open logs of pings, or one recorded session of ports, as one mission. Raises UsageError or BadInputError."""
+    """Open logs of pings, or the recordings of one session of ports, as one mission.
+
+    Raises UsageError or BadInputError.
+    """
     sessions = [path for path in paths if is_session(path)]
-    if sessions and len(paths) > 1:
+    if sessions and (len(sessions) < len(paths) or len({path.resolve().parent for path in sessions}) > 1):
         raise UsageError(
             f"{sessions[0]} is a recorded session of ports, which is replayed by itself. Replay the others apart."
         )

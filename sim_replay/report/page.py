@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -25,7 +25,7 @@ from sim_replay.report import report_words as words
 from sim_replay.report.cards import Card, band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.map_picture import MapPicture
-from sim_replay.report.pictures import PictureCollector, PictureStrip
+from sim_replay.report.pictures import PictureStrip
 from sim_replay.structures import Member, find_structures
 from sim_replay.verdict_layers import is_missed, sorted_verdicts
 from sim_replay.verdicts import CALLS, Place, Verdict
@@ -82,6 +82,23 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     verdicts: tuple[Verdict, ...] = ()
 
 
+class Pictures(Protocol):
+    """Give the strips of the waterfall, and when the vehicle passed where."""
+
+    def strips(self) -> tuple[PictureStrip, ...]:
+        """Give the strips, within the bytes that a page has room for."""
+        ...
+
+    def times(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Give places along the track, m, ascending, and the UTC seconds there."""
+        ...
+
+
+def ranked_contacts(contacts: Iterable[Contact]) -> list[Contact]:
+    """Sort contacts, the likeliest mine first."""
+    return sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
+
+
 def write_report(
     path: Path,
     mission: MissionRecord,
@@ -90,7 +107,7 @@ def write_report(
     waypoints: Sequence[Waypoint],
     notices: Iterable[Notice],
     counters: Mapping[str, float],
-    pictures: PictureCollector,
+    pictures: Pictures,
 ) -> None:
     """Write the page to `path`, and beside it a summary that prints on one page of A4.
 
@@ -109,7 +126,7 @@ def render_report(
     waypoints: Sequence[Waypoint],
     notices: Iterable[Notice],
     counters: Mapping[str, float],
-    pictures: PictureCollector,
+    pictures: Pictures,
 ) -> str:
     """Render the page as text."""
     context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
@@ -136,14 +153,14 @@ def _context(
     waypoints: Sequence[Waypoint],
     notices: Iterable[Notice],
     counters: Mapping[str, float],
-    pictures: PictureCollector,
+    pictures: Pictures,
 ) -> dict[str, Any]:
     """Gather what the templates show."""
     from markupsafe import Markup  # comes with jinja2
 
     folder = Path(__file__).parent
     script = (folder / "report.js").read_text(encoding="utf-8")
-    ranked = sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
+    ranked = ranked_contacts(contacts)
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
     places = [Place(one.id, one.latitude_deg, one.longitude_deg, sigma_m(one)) for one in ranked]

@@ -20,6 +20,9 @@ from sim_replay.results_folder import RESULTS_SUFFIX
 from sim_replay.structures import Member, find_structures, structure_feature
 from sim_replay.verdicts import (
     MAX_COMMENT,
+    MIN_MINE_LIKE,
+    MIN_MISSIONS,
+    MIN_NOT_MINE_LIKE,
     Call,
     Place,
     Verdict,
@@ -169,6 +172,8 @@ class ShownMission:
             "by": self._by,
             "mine_like_p": MINE_LIKE_P,
             "near_m": NEAR_M,
+            "verdicts": len(self._verdicts),
+            "judged": self._judged_words(),
             "max_comment": MAX_COMMENT,
         }
 
@@ -241,6 +246,13 @@ class ShownMission:
         self._verdicts = (*self._verdicts, verdict)
         self._verdict_version += 1
         return verdict
+
+    def _judged_words(self) -> str:
+        """Word how far the verdicts of this mission are from what `auv-mcm calibrate odds --verdicts` needs."""
+        calls = [verdict.call for verdict in newest_verdicts(self._verdicts).values() if not verdict.drawn]
+        mines, others = calls.count("mine_like"), calls.count("not_mine_like")
+        needs = f"{MIN_MINE_LIKE} mine-like and {MIN_NOT_MINE_LIKE} not, of {MIN_MISSIONS} missions, to learn from them"
+        return f"judged {mines} mine-like, {others} not; it takes {needs}"
 
     def place(self, points: list[WaterfallPoint]) -> SeabedPlaces:
         """Place points of the waterfall on the sea floor."""

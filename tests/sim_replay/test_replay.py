@@ -30,6 +30,7 @@ ROOT = Path(__file__).parents[2]
 FILES = {
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
     *("clearance.geojson", "clearance.png", "track.geojson", "summary.json", "report.html", "one-page.html"),
+    "report-contents.bin",
     "snippets",
 }
 SAME = (

@@ -64,6 +64,8 @@ async function poll() {
       : now.replay_done ? ` · ${contacts.length} contacts` : ` · looking for contacts: ${Math.floor(100 * now.replay)} %`;
     byId("progress").textContent += searched;
     showNote();
+    byId("judged").textContent = now.judged;
+    byId("judged").hidden = !now.verdicts;
     if (now.stop_row !== before.stop_row || now.columns !== before.columns) {
       tiles.outdate();
       waterfall.setGrid(now);
@@ -268,6 +270,14 @@ byId("follow").addEventListener("change", () => setFollow(byId("follow").checked
 byId("zoom-in").addEventListener("click", () => waterfall.zoom(1.4));
 byId("zoom-out").addEventListener("click", () => waterfall.zoom(1 / 1.4));
 byId("fit").addEventListener("click", () => waterfall.fit());
+byId("report").addEventListener("click", async () => {
+  try {
+    const drawn = await post("api/report", {});
+    message(new Error(`drawn with ${drawn.verdicts} verdicts: ${drawn.path}`));
+  } catch (error) {
+    message(error);
+  }
+});
 byId("help-button").addEventListener("click", () => byId("help").showModal());
 for (const button of document.querySelectorAll("[data-mode]")) button.addEventListener("click", () => setMode(button.dataset.mode));
 setTheme(THEMES.includes(localStorage.getItem("theme")) ? localStorage.getItem("theme") : "dusk");
