@@ -173,7 +173,7 @@ def _write_mcap(source: ExportSource, path: Path) -> None:
     from sim_replay.vector_layers import read_layers
 
     layers = {} if source.results is None else read_layers(source.results)
-    with Progress("export") as progress:
+    with Progress("MCAP") as progress:
         write_mcap(path, tiles(source, progress.show), layers)
 
 
@@ -197,7 +197,7 @@ def _mosaic(source: ExportSource, resolution_m: float) -> list[Level]:
     from sim_replay.mosaic import Mosaic
 
     mosaic = Mosaic(source.config, resolution_m)
-    with Progress("export") as progress:
+    with Progress("mosaic") as progress:
         for tile in tiles(source, progress.show):
             mosaic.add(tile)
     levels = list(mosaic.levels())
