@@ -126,6 +126,8 @@ class _Completion(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *values: Any, **options: Any) -> None:
         import shtab  # bench extra
 
+        for action in parser._actions:  # it leaves out what the help does not show
+            action.help = None if action.help == argparse.SUPPRESS else action.help
         print(shtab.complete(parser, values[1]))
         parser.exit()
 

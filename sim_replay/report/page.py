@@ -51,6 +51,7 @@ _LAYERS: Final = (
 ONE_PAGE: Final = "one-page.html"
 _ONE_PAGE_ROWS: Final = 12  # contacts in the summary: more do not fit below the map on a page of A4
 _NAMED: Final = 5  # people named in the summary
+_TURN_COLOUR: Final = "#7a3fc0"  # of the bars beside a strip, as in the style
 _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays visible
 
 
@@ -427,6 +428,7 @@ def _strip_view(
         "ranges": sorted(
             {(50.0 + side * 50.0 * far / strip.half_width_m, f"{far:g}") for far in across for side in (-1.0, 1.0)}
         ),
+        "turns": [(top(stop), 100.0 * (stop - start) / length_m) for start, stop in strip.turns_m],
         "gaps": [
             (top(stop), 100.0 * (stop - start) / length_m, words.distance(stop - start))
             for start, stop in strip.gaps_m
@@ -469,7 +471,7 @@ def _legend() -> dict[str, Any]:
         "ceiling": f"{CEILING_DB:+.0f} dB",
         "none": colours[0],
         "soft": colours[64 + 40],
-        "turned": colours[128 + 40],
+        "turned": _TURN_COLOUR,
     }
 
 

@@ -147,6 +147,7 @@ async function select(key) {
   list.select(key);
   const contact = key && find(key);
   showCard();
+  if (contact && matchMedia("(max-width: 900px)").matches) byId("card").scrollIntoView();
   seek(key);
   if (!contact) return;
   await loadDetails(key);
