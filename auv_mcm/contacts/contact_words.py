@@ -79,7 +79,9 @@ class ContactWords(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def label(self) -> str:
         """Give the kind for a column of a table, as people write it."""
-        return plain_kind(self.kind) if self.kind else "not a mine" if self.level == LEVELS[-1][1] else "shape unclear"
+        return (
+            plain_kind(self.kind) if self.kind else "probably not" if self.level == LEVELS[-1][1] else "shape unclear"
+        )
 
 
 def contact_words(contact: Contact) -> ContactWords:
