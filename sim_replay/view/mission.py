@@ -265,7 +265,7 @@ class ShownMission:
         return measure_length(self.store, self.feed.config.sonar, ends)
 
     def distance_m(self, name: str, ends: list[WaterfallPoint]) -> float:
-        """Measure how far the middle of two points is from where a contact was seen, its nearest view.
+        """Measure how far the nearer of two points is from where a contact was seen, in its nearest view.
 
         NaN for a contact whose pings are not in the waterfall (yet), or that does not exist.
         """
@@ -278,9 +278,11 @@ class ShownMission:
             seen.append((time_s(view.get("time")), view.get("side"), number(view.get("ground_range_m"))))
         rows = np.array(self._rows([when for when, _, _ in seen]))
         across_m = np.array([-range_m if side == "port" else range_m for _, side, range_m in seen])
-        row, at_m = (0.5 * (ends[0][axis] + ends[1][axis]) for axis in (0, 1))
-        away_m = np.hypot((rows - row) * self.store.row_spacing_m, across_m - at_m)
-        return float(np.min(away_m[np.isfinite(away_m)], initial=math.inf)) if np.isfinite(away_m).any() else math.nan
+        away_m = np.concatenate(
+            [np.hypot((rows - end.row) * self.store.row_spacing_m, across_m - end.across_m) for end in ends]
+        )
+        known = away_m[np.isfinite(away_m)]
+        return float(known.min()) if len(known) else math.nan
 
     def track(self) -> dict[str, Any]:
         """List positions along the track, NaN where it breaks, and pieces of the waterfall with their corners."""
