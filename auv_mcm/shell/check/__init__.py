@@ -41,8 +41,18 @@ def run_checks(
 
     The code is 0, or SelfCheckError's if any check failed.
 
-    A configuration that cannot be read is one of the findings. check_logs: gives the findings about recorded logs.
-    as_json: write each finding as an object of JSON, and no sum of them.
+    A configuration that cannot be read is one of the findings.
+
+    Parameters
+    ----------
+    read_config
+        Reads the configuration to check.
+    write
+        Takes each line.
+    check_logs
+        Gives the findings about recorded logs.
+    as_json
+        Write each finding as an object of JSON, and no sum of them.
     """
     verdicts = []
     for finding in _findings(read_config, check_logs):
