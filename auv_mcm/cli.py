@@ -14,7 +14,7 @@ from auv_mcm import __version__
 from auv_mcm.clean_text import clean_lines
 from auv_mcm.commands import EXIT_CODES, Parser
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
-from auv_mcm.shell.registry import COMMAND_GROUPS, COMMANDS, load
+from auv_mcm.shell.registry import COMMAND_GROUPS, COMMANDS, COMPLETION, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
 _EXTRAS = {
@@ -97,11 +97,15 @@ def _parser() -> argparse.ArgumentParser:
         ),
     )
     parser.add_argument("--version", action="version", version=f"auv-mcm {__version__}")
-    parser.add_argument(
-        "--completion", choices=("bash", "zsh", "tcsh"), action=_Completion, help="print what completes it in a shell"
-    )
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, help=argparse.SUPPRESS)
     has_bench = importlib.util.find_spec("sim_replay") is not None
+    if has_bench:
+        parser.add_argument(
+            "--completion",
+            choices=("bash", "zsh", "tcsh"),
+            action=_Completion,
+            help="print what completes it in a shell",
+        )
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, help=argparse.SUPPRESS)
     for name in COMMANDS.values():
         if has_bench or not name.startswith("sim_replay."):
             load(name)(commands)
@@ -124,11 +128,7 @@ class _Completion(argparse.Action):
     """Print a script that completes commands and options."""
 
     def __call__(self, parser: argparse.ArgumentParser, *values: Any, **options: Any) -> None:
-        import shtab  # bench extra
-
-        for action in parser._actions:  # it leaves out what the help does not show
-            action.help = None if action.help == argparse.SUPPRESS else action.help
-        print(shtab.complete(parser, values[1]))
+        print(load(COMPLETION)(parser, values[1]))
         parser.exit()
 
 

@@ -51,6 +51,7 @@ COMMANDS: Final[dict[str, str]] = {
 }
 """Subcommands in the order of the help. Those of the bench are absent where `sim_replay` is not installed."""
 
+COMPLETION: Final = "sim_replay.completion:completion"
 COMMAND_GROUPS: Final = {
     "look at missions": ("info", "view", "replay", "report", "export", "batch"),
     "on the vehicle": ("run", "status", "check", "config"),
