@@ -16,8 +16,8 @@ from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
 from auv_mcm.safe_files import remove_unfinished
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import make_directory
-from sim_replay.batch.archive import ArchivedLog
 from sim_replay.fitting.cascade.farm import AHEAD, Farm, run_tasks
+from sim_replay.logs.archive import ArchivedLog
 from sim_replay.logs.open_log import logs_config
 from sim_replay.replay import replay
 from sim_replay.results_folder import is_replayed

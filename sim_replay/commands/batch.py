@@ -50,10 +50,10 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.batch.archive import logs_of
     from sim_replay.batch.index import write_index
     from sim_replay.batch.missions import MISSIONS, MissionTask, locked, replay_missions
     from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.logs.archive import logs_of
 
     config = None if arguments.config is None else read_config(arguments.config)
     logs, out = logs_of(arguments.source, arguments.out), arguments.out.absolute()

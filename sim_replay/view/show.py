@@ -16,7 +16,7 @@ from auv_mcm.commands import read_config
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.snippet_files import make_results_directory
-from sim_replay.batch.archive import logs_of
+from sim_replay.logs.archive import logs_of
 from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.results_folder import default_results, is_replayed, resolved_log
 from sim_replay.view.background_replay import BackgroundReplay
