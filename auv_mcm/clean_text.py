@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
+import sys
 import types
 from typing import Final, TypeAlias
 
@@ -20,6 +22,7 @@ from typing import Final, TypeAlias
 _UNSAFE: Final = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff\ufffe\uffff\U000e0000-\U000e007f]"
 )
+_COLOURS: Final = {"green": 32, "yellow": 33, "red": 31}  # of ANSI terminals (ECMA-48)
 _Exception: TypeAlias = (
     "tuple[type[BaseException], BaseException, types.TracebackType | None] | tuple[None, None, None]"
 )
@@ -47,6 +50,21 @@ def clean_lines(text: str) -> str:
 def clean_json(text: str) -> str:
     """Escape, in JSON text, what `clean` writes out; its values stay the same."""
     return _UNSAFE.sub(lambda found: found[0] if found[0] == "\n" else json.dumps(found[0])[1:-1], text)
+
+
+def tinted(text: str, colour: str) -> str:
+    """Colour text for a terminal, and nowhere else; NO_COLOR switches it off (https://no-color.org).
+
+    Parameters
+    ----------
+    text
+        What is printed to standard output.
+    colour
+        "green", "yellow" or "red".
+    """
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
+        return text
+    return f"\x1b[{_COLOURS[colour]}m{text}\x1b[0m"
 
 
 class CleanFormatter(logging.Formatter):

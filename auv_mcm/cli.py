@@ -8,19 +8,25 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from auv_mcm import __version__
 from auv_mcm.clean_text import clean_lines
 from auv_mcm.commands import EXIT_CODES, Parser
 from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
-from auv_mcm.shell.registry import COMMANDS, load
+from auv_mcm.shell.registry import COMMAND_GROUPS, COMMANDS, COMPLETION, load
 
 _INTERRUPTED = 130  # what shells report for a program ended by Ctrl-C
-_BENCH_EXTRA = {
-    "scipy", "pyxtf", "rich", "matplotlib", "jinja2", "dask", "distributed", "tifffile", "h5py", "mpmath",
-    "mcap_protobuf",
-}  # fmt: skip
-_EXTRAS = {"bench": _BENCH_EXTRA, "bench,view": {"aiohttp"}}
+_EXTRAS = {
+    "bench": {
+        *("scipy", "pyxtf", "rich", "jinja2", "tifffile", "h5py", "mpmath", "mcap_protobuf", "pyproj", "fpdf"),
+        "shtab",
+    },
+    "bench,cluster": {"dask", "distributed"},
+    "bench,view": {"aiohttp"},
+    "bench,dev": {"matplotlib"},
+}
+"""Packages that commands need, by what to install for them."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,9 +37,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:2] == ["train", "--"]:
         del words[1]  # scripts of earlier versions need it, where options of the training come first
-    arguments = _parser().parse_args(words)
-    command: Callable[[argparse.Namespace], int] = arguments.command
     try:
+        arguments = _parser().parse_args(words)
+        command: Callable[[argparse.Namespace], int] = arguments.command
         code = command(arguments)
         sys.stdout.flush()
         return code
@@ -89,15 +95,41 @@ def _parser() -> argparse.ArgumentParser:
             "Payload service of a mine-hunting AUV: side-scan pings and navigation in, contacts, coverage and "
             "way-points out."
         ),
-        epilog=f"'auv-mcm COMMAND --help' explains a command. {EXIT_CODES}.",
     )
     parser.add_argument("--version", action="version", version=f"auv-mcm {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     has_bench = importlib.util.find_spec("sim_replay") is not None
+    if has_bench:
+        parser.add_argument(
+            "--completion",
+            choices=("bash", "zsh", "tcsh"),
+            action=_Completion,
+            help="print what completes it in a shell",
+        )
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, help=argparse.SUPPRESS)
     for name in COMMANDS.values():
         if has_bench or not name.startswith("sim_replay."):
             load(name)(commands)
+    parser.epilog = _overview({action.dest: action.help or "" for action in commands._choices_actions})
     return parser
+
+
+def _overview(helps: dict[str, str]) -> str:
+    """List commands by purpose, and how to learn more."""
+    width = max(map(len, helps)) + 2
+    parts = [
+        "\n".join([f"{title}:", *(f"  {name:{width}}{helps[name]}" for name in names if name in helps)])
+        for title, names in COMMAND_GROUPS.items()
+        if any(name in helps for name in names)
+    ]
+    return "\n\n".join([*parts, f"'auv-mcm COMMAND --help' explains a command. {EXIT_CODES}."])
+
+
+class _Completion(argparse.Action):
+    """Print a script that completes commands and options."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *values: Any, **options: Any) -> None:
+        print(load(COMPLETION)(parser, values[1]))
+        parser.exit()
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ for version in 3.11 3.12 3.13 3.14; do
     echo "matrix: Python $version"
     found="$found $version"
     place=.venv-$version
-    PYTHON=$python VENV=$place sh deploy/venv.sh bench view dev docs &&
+    PYTHON=$python VENV=$place sh deploy/venv.sh bench view cluster dev docs &&
         "$place/bin/python" -m pytest "$@" --quiet ||
         failed="$failed $version"
 done

@@ -3,6 +3,6 @@
 # the first time.
 set -eu
 cd "$(dirname "$0")/.."
-sh deploy/venv.sh bench view dev docs
+sh deploy/venv.sh bench view cluster dev docs
 .venv/bin/python -m mkdocs build --strict --config-file deploy/site/mkdocs.yml
 echo "site: open $(pwd)/out-site/index.html"

@@ -4,7 +4,7 @@
 set -eu
 cd "$(dirname "$0")/.."
 unset PYTHONDONTWRITEBYTECODE # each of hundreds of processes would compile all that it imports
-sh deploy/venv.sh bench view dev docs
+sh deploy/venv.sh bench view cluster dev docs
 
 say() {
     echo "test: $*"

@@ -19,6 +19,7 @@ from auv_mcm.shell.recovery import SUMMARY
 from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.session_parts import recordings_of, session_of
+from sim_replay.results_folder import resolved_log
 
 CONTACTS: Final = "contacts.geojson"
 
@@ -73,8 +74,15 @@ def _replayed(folder: Path, config: Config | None) -> ExportSource:
     path = folder / SUMMARY
     try:
         summary = json.loads(read_regular(path))
-        logs = tuple(Path(log["path"]) for log in summary.get("logs", ()))
+        logs = tuple(_log_of(log, folder) for log in summary.get("logs", ()))
         used = config or (msgspec.convert(summary["config"], Config) if "config" in summary else Config())
     except (OSError, ValueError, KeyError, TypeError, AttributeError, msgspec.ValidationError) as error:
         raise BadInputError(f"{path} cannot be read: {error}. Replay the log again.") from error
     return ExportSource(logs, used, folder)
+
+
+def _log_of(entry: dict[str, str], folder: Path) -> Path:
+    try:
+        return resolved_log(entry, folder)
+    except FileNotFoundError:
+        return Path(entry["path"])  # which is missed only where the log itself is needed

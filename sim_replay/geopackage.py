@@ -8,9 +8,12 @@ import sqlite3
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
+from xml.sax.saxutils import escape
 
+from auv_mcm.contacts.contact_words import LEVELS
 from sim_replay.mosaic_files import replaced_file
 
 _APPLICATION_ID: Final = 0x47504B47  # "GPKG", by the standard
@@ -36,6 +39,14 @@ CREATE TABLE gpkg_geometry_columns (table_name TEXT NOT NULL UNIQUE REFERENCES g
   srs_id INTEGER NOT NULL REFERENCES gpkg_spatial_ref_sys(srs_id), z TINYINT NOT NULL, m TINYINT NOT NULL,
   PRIMARY KEY (table_name, column_name));
 """
+_STYLES: Final = """
+CREATE TABLE layer_styles (id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256),
+  f_table_schema TEXT(256), f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT,
+  styleSLD TEXT, useAsDefault BOOLEAN, description TEXT, owner TEXT(30), ui TEXT(30), update_time DATETIME)
+"""
+_COLOURS: Final = ("211,18,63,255", "217,122,8,255", "47,134,166,255", "135,148,157,255")
+"""Of the levels of p_mine, as in the report: red, green, blue, opacity."""
+_TIMES: Final = frozenset({"time", "judged_time", "start", "stop", "view_time"})
 _CHANGED: Final = "1970-01-01T00:00:00.000Z"  # equal layers give equal files
 
 Feature = Mapping[str, Any]
@@ -44,7 +55,8 @@ Feature = Mapping[str, Any]
 def write_geopackage(path: Path, layers: Mapping[str, Sequence[Feature]]) -> None:
     """Write each layer as a table of its name, in the order given; empty layers are left out.
 
-    Properties become columns; lists and objects are written as JSON. Features without a geometry are kept.
+    Properties become columns, times of type DATETIME; lists and objects are written as JSON. Features without a
+    geometry are kept. `layer_styles` holds the style that QGIS shows contacts in, by how likely a mine they are.
 
     Raises OSError.
     """
@@ -65,6 +77,8 @@ def write_geopackage(path: Path, layers: Mapping[str, Sequence[Feature]]) -> Non
             for name, features in layers.items():
                 if features:
                     _write_layer(base, name, features)
+            if layers.get("contacts"):
+                _write_style(base)
 
 
 def _write_layer(base: sqlite3.Connection, name: str, features: Sequence[Feature]) -> None:
@@ -85,7 +99,10 @@ def _write_layer(base: sqlite3.Connection, name: str, features: Sequence[Feature
     base.executemany(
         f"INSERT INTO {_quoted(name)} ({names}) VALUES ({marks})",
         (
-            (_geometry(feature["geometry"]), *(_cell(feature["properties"].get(column)) for column in columns))
+            (
+                _geometry(feature["geometry"]),
+                *(_cell(feature["properties"].get(column), of_type) for column, of_type in columns.items()),
+            )
             for feature in features
         ),
     )
@@ -99,6 +116,7 @@ def _columns(features: Iterable[Feature]) -> dict[str, str]:
             if name.lower() in ("fid", "geom"):
                 continue
             found = {bool: "BOOLEAN", int: "INTEGER", float: "DOUBLE"}.get(type(value), "TEXT")
+            found = "DATETIME" if name in _TIMES and found == "TEXT" and _time(value) else found
             if value is None or types.get(name) == found:
                 types.setdefault(name, "")
             elif {types.get(name) or found, found} == {"INTEGER", "DOUBLE"}:
@@ -108,7 +126,63 @@ def _columns(features: Iterable[Feature]) -> dict[str, str]:
     return {name: of_type or "TEXT" for name, of_type in types.items()}
 
 
-def _cell(value: Any) -> Any:
+def _write_style(base: sqlite3.Connection) -> None:
+    """Add the table of styles as QGIS keeps it, with the one of contacts."""
+    base.execute(_STYLES)
+    empty = "NULL, NULL, NULL, NULL, 0"
+    base.execute(
+        f"INSERT INTO gpkg_contents VALUES ('layer_styles', 'attributes', 'layer_styles', '', ?, {empty})", (_CHANGED,)
+    )
+    base.execute(
+        "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
+        "styleQML, styleSLD, useAsDefault, description, owner, ui, update_time) "
+        "VALUES ('', '', 'contacts', 'geom', 'chance of a mine', ?, '', 1, '', '', NULL, ?)",
+        (_contact_style(), _CHANGED),
+    )
+
+
+def _contact_style() -> str:
+    """Write the style of contacts, a colour for each level of p_mine, as QGIS reads it (QML)."""
+    rules, symbols = [], []
+    bounds = [minimum for minimum, _ in LEVELS]
+    for number, ((minimum, words), colour) in enumerate(zip(LEVELS, _COLOURS, strict=True)):
+        upper = f' AND "p_mine" < {bounds[number - 1]}' if number else ""
+        condition = escape(f'"p_mine" >= {minimum}{upper}', {'"': "&quot;"})
+        rules.append(f'<rule key="{number}" symbol="{number}" label="{words}" filter="{condition}"/>')
+        options = "".join(
+            f'<Option type="QString" name="{name}" value="{value}"/>'
+            for name, value in (
+                ("name", "circle"),
+                ("color", colour),
+                ("outline_color", "0,0,0,255"),
+                ("size", "3" if number < 2 else "2"),
+            )
+        )
+        symbols.append(
+            f'<symbol type="marker" name="{number}" alpha="1"><layer class="SimpleMarker" enabled="1">'
+            f'<Option type="Map">{options}</Option></layer></symbol>'
+        )
+    return (
+        '<!DOCTYPE qgis PUBLIC "http://mrcc.com/qgis.dtd" "SYSTEM"><qgis styleCategories="Symbology" version="3.22">'
+        f'<renderer-v2 type="RuleRenderer"><rules key="levels">{"".join(rules)}</rules>'
+        f"<symbols>{''.join(symbols)}</symbols></renderer-v2></qgis>"
+    )
+
+
+def _time(value: Any) -> str:
+    """Write a time as the standard wants it, UTC with milliseconds; "" for what is none."""
+    try:
+        moment = datetime.fromisoformat(str(value))
+    except ValueError:
+        return ""
+    if moment.tzinfo is None:
+        return ""
+    return moment.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+
+
+def _cell(value: Any, of_type: str) -> Any:
+    if of_type == "DATETIME" and value is not None:
+        return _time(value)
     return json.dumps(value, ensure_ascii=False) if isinstance(value, list | dict) else value
 
 

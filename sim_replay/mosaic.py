@@ -11,8 +11,8 @@ import math
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
-from typing import IO, Final, NamedTuple, TypeAlias
+from collections.abc import Callable, Iterator, Sequence
+from typing import IO, Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -24,10 +24,14 @@ from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry,
 from auv_mcm.geometry.navigation import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Tile
 from auv_mcm.settings.config import Config
+from sim_replay.projections import Projection, projection
 
+WGS84: Final = 4326  # EPSG code of longitude and latitude
 BLOCK: Final = 256  # pixels along a side of a block, which is also a tile of the GeoTIFF
 ECHO_STEP_DB: Final = (CEILING_DB - FLOOR_DB) / 254.0  # dB per step of the echo's byte; display only
 SIGMA_STEP_M: Final = 0.1  # m per step of the byte of position error: up to 25.5 m
+
+LEG_TURN_RAD: Final = math.radians(60.0)  # chosen: legs of a survey lie at right angles or opposite
 
 _LOW_RESOLUTION_WEIGHT: Final = 0.05  # of a pixel near nadir or at a flat angle, where another pass may see better
 _TURN_WEIGHT: Final = 0.01  # of a pixel in a turn: shown where nothing else was seen
@@ -38,6 +42,9 @@ _MAX_REPEATS: Final = 8  # a row drawn more often than this belongs to a turn
 _MAX_SPREAD: Final = 1 << 24  # pixels of an outline drawn at once; longer ones are divided along the track
 _COVARIANCE_ROWS: Final = 16  # rows between those of which the error is computed: it changes with the attitude
 
+Blend: TypeAlias = Literal["mean", "nearest", "max", "last"]
+"""Which of several passes over a place is shown: all of them by weight, the one that sees best, the brightest, or the
+last one. All but the first keep a shadow that another pass does not see."""
 Key: TypeAlias = tuple[int, int]
 Sums: TypeAlias = NDArray[np.float32]  # (3, BLOCK, BLOCK): weight, weighted intensity, weighted variance in m^2
 
@@ -131,16 +138,30 @@ class Mosaic:
 
     With `coarsen` the mosaic keeps to `max_blocks` by halving its resolution; else blocks beyond them lie in a file.
 
-    resolution_m: of a pixel, at first. Raises ValueError for one that is not positive.
+    resolution_m: of a pixel, at first. blend: of several passes. crs: "" for longitude and latitude, otherwise as of
+    `sim_replay.projections`. nadir_share: of the altitude, within which of the track nothing is drawn. Raises
+    ValueError for a pixel that is not positive.
     """
 
-    def __init__(self, config: Config, resolution_m: float, max_blocks: int = 64, *, coarsen: bool = False) -> None:
+    def __init__(
+        self,
+        config: Config,
+        resolution_m: float,
+        max_blocks: int = 64,
+        *,
+        coarsen: bool = False,
+        blend: Blend = "mean",
+        crs: str = "",
+        nadir_share: float = 0.0,
+    ) -> None:
         if not resolution_m > 0.0:
             raise ValueError(f"a pixel of {resolution_m} m is no size")
         self._config = config
         self._asked_m = self.resolution_m = resolution_m
         self._max_blocks = max_blocks
         self._coarsen = coarsen
+        self._blend, self._crs, self._nadir_share = blend, crs, nadir_share
+        self._projection: Projection | None = None
         self._blocks = Blocks(2 * max_blocks if coarsen else max_blocks)
         self._origin_deg: tuple[float, float] | None = None  # longitude, latitude
         self._step_deg = (math.nan, math.nan)
@@ -161,7 +182,7 @@ class Mosaic:
         if self._origin_deg is None:
             self._begin(float(tile.pose.longitude_deg[known[0]]), float(tile.pose.latitude_deg[known[0]]))
         for first, stop in _runs(known):
-            placed = _placed(tile, first, stop, self._config, self.resolution_m)
+            placed = _placed(tile, first, stop, self._config, self.resolution_m, self._nadir_share)
             if placed.weight.size:
                 self._draw(placed)
         while self._coarsen and len(self._blocks) > self._max_blocks:
@@ -185,7 +206,8 @@ class Mosaic:
         blocks = blocks.moved(column, row)
         width, height = n_columns * BLOCK, n_rows * BLOCK
         for number in range(max_levels):
-            yield Level(blocks, width, height, west, north, step_deg, self.resolution_m * 2.0**number)
+            epsg = WGS84 if self._projection is None else self._projection.epsg
+            yield Level(blocks, width, height, west, north, step_deg, self.resolution_m * 2.0**number, epsg)
             if width <= BLOCK and height <= BLOCK:
                 return
             blocks = blocks.coarser()
@@ -193,6 +215,14 @@ class Mosaic:
             step_deg = step_deg[0] * 2.0, step_deg[1] * 2.0
 
     def _begin(self, longitude_deg: float, latitude_deg: float) -> None:
+        if self._crs:
+            self._projection = projection(self._crs, longitude_deg, latitude_deg)
+            east_m, north_m = self._projection.project(np.array([longitude_deg]), np.array([latitude_deg]))
+            # On whole pixels, so that mosaics of several missions fit one another.
+            east, north = (float(np.round(at_m[0] / self._asked_m)) * self._asked_m for at_m in (east_m, north_m))
+            self._origin_deg = east, north
+            self._step_deg = self._asked_m, self._asked_m
+            return
         self._origin_deg = longitude_deg, latitude_deg
         degrees_per_m = 180.0 / (math.pi * SEMI_MAJOR_M)
         narrowing = max(math.cos(math.radians(latitude_deg)), 1e-3)  # a pixel at a pole is as wide as one near it
@@ -201,8 +231,13 @@ class Mosaic:
     def _draw(self, placed: _Placed) -> None:
         """Add pixels to the blocks, piece by piece where the outline of all would be too large."""
         assert self._origin_deg is not None
-        right = wrap_longitude_deg(placed.longitude_deg - self._origin_deg[0]) / self._step_deg[0]
-        down = (self._origin_deg[1] - placed.latitude_deg) / self._step_deg[1]
+        if self._projection is None:
+            right = wrap_longitude_deg(placed.longitude_deg - self._origin_deg[0]) / self._step_deg[0]
+            down = (self._origin_deg[1] - placed.latitude_deg) / self._step_deg[1]
+        else:
+            east_m, north_m = self._projection.project(placed.longitude_deg, placed.latitude_deg)
+            right = (east_m - self._origin_deg[0]) / self._step_deg[0]
+            down = (self._origin_deg[1] - north_m) / self._step_deg[1]
         columns, rows = np.floor(right).astype(np.int64), np.floor(down).astype(np.int64)
         left, top = int(columns.min()), int(rows.min())
         width, height = int(columns.max()) - left + 1, int(rows.max()) - top + 1
@@ -231,11 +266,28 @@ class Mosaic:
                 part = sums[:, *of_sums]
                 at = top + of_sums[0].start - block_row * BLOCK, left + of_sums[1].start - block_column * BLOCK
                 block = self._blocks.made((block_column, block_row))
-                block[:, at[0] : at[0] + part.shape[1], at[1] : at[1] + part.shape[2]] += part
+                _blend_in(block[:, at[0] : at[0] + part.shape[1], at[1] : at[1] + part.shape[2]], part, self._blend)
+
+
+def _blend_in(held: Sums, part: Sums, blend: Blend) -> None:
+    """Put what one stretch of a pass saw into what is held already, in place. Both (3, n, m)."""
+    if blend == "mean":
+        held += part
+        return
+    wins = part[0] > 0.0
+    if blend == "nearest":
+        wins &= part[0] > held[0]
+    elif blend == "max":
+        level, before = (sums[1] / np.maximum(sums[0], np.float32(1e-30)) for sums in (part, held))
+        wins &= (held[0] == 0.0) | (level > before)
+    held[:, wins] = part[:, wins]
 
 
 class Level(NamedTuple):
-    """Hold the mosaic at one resolution. Pixel (0, 0) is at the north-western corner; sizes are in pixels."""
+    """Hold the mosaic at one resolution. Pixel (0, 0) is at the north-western corner; sizes are in pixels.
+
+    epsg: code of the reference system; of a projected one, what is called degrees here is metres.
+    """
 
     blocks: Blocks
     width: int
@@ -244,6 +296,7 @@ class Level(NamedTuple):
     north_deg: float
     step_deg: tuple[float, float]
     resolution_m: float
+    epsg: int = WGS84
 
     def bytes_of(self, key: Key, max_sigma_m: float = math.inf) -> NDArray[np.uint8] | None:
         """Draw a block: (BLOCK, BLOCK, 2) uint8 of echo and position error, 0 where nothing was seen.
@@ -279,6 +332,27 @@ class Level(NamedTuple):
         )
 
 
+def leg_numbers() -> Callable[[Tile], int]:
+    """Make what numbers the leg of each tile, in order: a new leg begins where the course differs by LEG_TURN_RAD."""
+    number, course_rad = 1, math.nan
+
+    def number_of(tile: Tile) -> int:
+        nonlocal number, course_rad
+        heading = tile.pose.heading_rad[tile.core_start : tile.core_stop]
+        known = heading[np.isfinite(heading)]
+        if not len(known):
+            return number
+        here = math.atan2(float(np.sin(known).mean()), float(np.cos(known).mean()))
+        if abs(math.remainder(here - course_rad, 2.0 * math.pi)) > LEG_TURN_RAD:
+            number += 1
+        elif not math.isnan(course_rad):
+            return number
+        course_rad = here
+        return number
+
+    return number_of
+
+
 class _Placed(NamedTuple):
     """Hold pixels of a stretch of rows with their places; every array (n_rows, n_columns) float64."""
 
@@ -298,7 +372,9 @@ def _runs(numbers: NDArray[np.intp]) -> list[tuple[int, int]]:
     return [(int(piece[0]), int(piece[-1]) + 1) for piece in pieces]
 
 
-def _placed(tile: Tile, first: int, stop: int, config: Config, resolution_m: float) -> _Placed:
+def _placed(
+    tile: Tile, first: int, stop: int, config: Config, resolution_m: float, nadir_share: float = 0.0
+) -> _Placed:
     """Weigh the pixels of some rows and place them; several become one where they are much finer than the mosaic."""
     n_together = [
         max(1, int(resolution_m / spacing_m / _SAMPLES_PER_PIXEL))
@@ -324,6 +400,11 @@ def _placed(tile: Tile, first: int, stop: int, config: Config, resolution_m: flo
         )
         ground_m = (ground_m[:, np.newaxis] + within_m).ravel()
         weight, weighted = (np.repeat(values / repeats[1], repeats[1], axis=1) for values in (weight, weighted))
+    if nadir_share > 0.0:
+        rows = np.arange(len(tile.pose))
+        altitude_m = np.interp(np.clip(centre, 0.0, len(tile.pose) - 1.0), rows, tile.first_return_m)
+        seen = ground_m >= nadir_share * altitude_m[:, np.newaxis]
+        weight, weighted = weight * seen, weighted * seen
     near, far = (_located(tile, centre, distance_m, config) for distance_m in (0.0, far_m))
     share = ground_m / far_m  # over a flat bottom places lie evenly along a ping
     eastward = wrap_longitude_deg(far[1] - near[1])

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 from xml.sax.saxutils import escape
 
 import cv2
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from auv_mcm.clean_text import clean
 from auv_mcm.contacts.contact_picture import COLOURS, FLOOR_DB, LEVELS, encoded
 from auv_mcm.errors import UsageError
-from sim_replay.mosaic import BLOCK, ECHO_STEP_DB, SIGMA_STEP_M, Level
+from sim_replay.mosaic import BLOCK, ECHO_STEP_DB, SIGMA_STEP_M, WGS84, Level
 
 MAX_SIDE: Final = 1 << 20
 """Pixels along a side of a GeoTIFF: the table of its tiles takes 16 bytes for each 256 by 256 of them, 270 MB then."""
@@ -31,6 +31,8 @@ _COMPRESSION: Final = 6  # of zlib; 9 takes far longer for the same size, since 
 
 # GeoTIFF 1.1 (OGC 19-008): keys of a geographic model, WGS 84 (EPSG 4326), degrees (EPSG 9102), pixels as areas.
 _GEO_KEYS: Final = (1, 1, 1, 4, 1024, 0, 1, 2, 1025, 0, 1, 1, 2048, 0, 1, 4326, 2054, 0, 1, 9102)
+# The same of a projected model: the system's EPSG code follows the 15th number, then metres (EPSG 9001).
+_PROJECTED_KEYS: Final = (1, 1, 1, 4, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 3076, 0, 1, 9001)
 _GDAL_METADATA: Final = (
     "<GDALMetadata>"
     '<Item name="DESCRIPTION" sample="0" role="description">echo over the sea floor around</Item>'
@@ -45,38 +47,69 @@ _GDAL_METADATA: Final = (
 )
 
 
-def write_geotiff(path: Path, levels: Sequence[Level], max_sigma_m: float = math.inf) -> None:
-    """Write the mosaic and its overviews as a tiled, compressed GeoTIFF in longitude and latitude (WGS 84).
+PALETTES: Final = ("copper", "grey", "viridis", "inferno")
+"""Colours that a mosaic can have; copper is that of the waterfall."""
+_OPENCV: Final = {"viridis": cv2.COLORMAP_VIRIDIS, "inferno": cv2.COLORMAP_INFERNO}
+
+
+class Window(NamedTuple):
+    """Hold the part of a level that is written: its corner and size in pixels of the level."""
+
+    level: Level
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+def write_geotiff(path: Path, levels: Sequence[Level], max_sigma_m: float = math.inf, palette: str = "") -> None:
+    """Write the mosaic and its overviews as a tiled, compressed GeoTIFF, without empty margins.
 
     Band 1 is the echo over the sea floor around it in dB, band 2 the 1-sigma error of position in m; both are bytes
-    with scale and offset, 0 where nothing was seen. max_sigma_m: what is placed worse than this is left out.
+    with scale and offset, 0 where nothing was seen. With a palette it has four bands instead: red, green, blue and
+    opacity.
 
-    Raises OSError, and UsageError for a mosaic that is too large.
+    Parameters
+    ----------
+    path
+        Of the file.
+    levels
+        The mosaic and its overviews, as `Mosaic.levels` gives them.
+    max_sigma_m
+        What is placed worse than this is left out.
+    palette
+        One of PALETTES; "" for figures.
+
+    Raises
+    ------
+    OSError
+        From the disk, and UsageError for a mosaic that is too large.
     """
     import tifffile  # bench extra
 
-    first = levels[0]
-    n_tiles = (first.width // BLOCK) * (first.height // BLOCK)
+    windows = _windows(levels, max_sigma_m)
+    first = windows[0]
+    n_tiles = (-(-first.width // BLOCK)) * (-(-first.height // BLOCK))
     if max(first.width, first.height) > MAX_SIDE or n_tiles > _MAX_TILES:
         raise UsageError(
-            f"the mosaic would have {first.width} x {first.height} pixels of {first.resolution_m:g} m. Choose a "
+            f"the mosaic would have {first.width} x {first.height} pixels of {first.level.resolution_m:g} m. Choose a "
             "coarser --resolution, or export logs of distant sites apart."
         )
     with replaced_file(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True) as file:
-        for number, level in enumerate(levels):
+        for number, window in enumerate(windows):
             file.write(
-                _tiles(level, max_sigma_m),
-                shape=(level.height, level.width, 2),
+                _tiles(window, max_sigma_m, palette),
+                shape=(window.height, window.width, 4 if palette else 2),
                 dtype=np.uint8,
                 tile=(BLOCK, BLOCK),
-                photometric="minisblack",
+                photometric="rgb" if palette else "minisblack",
                 planarconfig="contig",
-                extrasamples=["unspecified"],
+                extrasamples=["unassalpha" if palette else "unspecified"],
                 compression="deflate",
                 subfiletype=1 if number else 0,
                 metadata=None,
                 software=False,
-                extratags=_geo_tags(level) if number == 0 else [],
+                extratags=_geo_tags(window, palette) if number == 0 else [],
             )
 
 
@@ -104,30 +137,81 @@ def write_kmz(
         file.writestr("doc.kml", text, zipfile.ZIP_DEFLATED)
 
 
-def coloured(drawn: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Colour bytes of echo as the waterfall is: (n, m, 4) uint8 blue, green, red, opacity."""
-    level = np.ceil(drawn[..., 0] * (LEVELS / 255.0)).astype(np.uint8)
-    opacity = np.where(level > 0, np.uint8(255), np.uint8(0))[..., np.newaxis]
-    return np.ascontiguousarray(np.concatenate([np.where(opacity > 0, COLOURS[level], np.uint8(0)), opacity], axis=-1))
+def coloured(drawn: NDArray[np.uint8], palette: str = "copper") -> NDArray[np.uint8]:
+    """Colour bytes of echo: (n, m, 4) uint8 blue, green, red, opacity. palette: of PALETTES."""
+    echo = drawn[..., 0]
+    opacity = np.where(echo > 0, np.uint8(255), np.uint8(0))[..., np.newaxis]
+    if palette == "copper":
+        colours = COLOURS[np.ceil(echo * (LEVELS / 255.0)).astype(np.uint8)]
+    elif palette == "grey":
+        colours = np.repeat(echo[..., np.newaxis], 3, axis=-1)
+    else:
+        colours = np.asarray(cv2.applyColorMap(np.ascontiguousarray(echo), _OPENCV[palette]))
+    return np.ascontiguousarray(np.concatenate([np.where(opacity > 0, colours, np.uint8(0)), opacity], axis=-1))
 
 
-def _tiles(level: Level, max_sigma_m: float) -> Iterator[bytes]:
-    """Yield compressed tiles, row by row; empty ones, which a GeoTIFF may have where there is nothing, are b""."""
-    for row in range(-(-level.height // BLOCK)):
-        for column in range(-(-level.width // BLOCK)):
-            drawn = level.bytes_of((column, row), max_sigma_m)
-            yield b"" if drawn is None or not drawn.any() else zlib.compress(drawn.tobytes(), _COMPRESSION)
+def _windows(levels: Sequence[Level], max_sigma_m: float) -> list[Window]:
+    """Find the part of each level that holds anything.
 
-
-def _geo_tags(level: Level) -> list[tuple[int, str, int, object, bool]]:
-    """List the tags of GeoTIFF and of GDAL: number, type, count, value, only on the first page."""
+    The corner lies on a whole pixel of the coarsest overview, so that every overview begins there too.
+    """
+    first, grid = levels[0], 1 << (len(levels) - 1)
+    left, top, right, bottom = first.width, first.height, 0, 0
+    for column, row in first.blocks:
+        drawn = first.bytes_of((column, row), max_sigma_m)
+        seen = np.zeros((1, 1), dtype=bool) if drawn is None else drawn[..., 0] > 0
+        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+        if len(rows):
+            left, right = min(left, column * BLOCK + int(columns[0])), max(right, column * BLOCK + int(columns[-1]) + 1)
+            top, bottom = min(top, row * BLOCK + int(rows[0])), max(bottom, row * BLOCK + int(rows[-1]) + 1)
+    if right <= left:  # all of it is placed too badly: the whole outline, empty
+        left, top, right, bottom = 0, 0, first.width, first.height
+    left, top = left // grid * grid, top // grid * grid
     return [
+        Window(level, left >> number, top >> number, -(-(right - left) >> number), -(-(bottom - top) >> number))
+        for number, level in enumerate(levels)
+    ]
+
+
+def _tiles(window: Window, max_sigma_m: float, palette: str) -> Iterator[bytes]:
+    """Yield compressed tiles, row by row; empty ones, which a GeoTIFF may have where there is nothing, are b""."""
+    for row in range(-(-window.height // BLOCK)):
+        for column in range(-(-window.width // BLOCK)):
+            drawn = _cut(window.level, window.left + column * BLOCK, window.top + row * BLOCK, max_sigma_m)
+            if not drawn.any():
+                yield b""
+                continue
+            if palette:
+                drawn = np.ascontiguousarray(coloured(drawn, palette)[..., [2, 1, 0, 3]])
+            yield zlib.compress(drawn.tobytes(), _COMPRESSION)
+
+
+def _cut(level: Level, left: int, top: int, max_sigma_m: float) -> NDArray[np.uint8]:
+    """Cut a tile out of a level, from up to four blocks of it."""
+    cut = np.zeros((2 * BLOCK, 2 * BLOCK, 2), dtype=np.uint8)
+    for down in (0, 1):
+        for right in (0, 1):
+            drawn = level.bytes_of((left // BLOCK + right, top // BLOCK + down), max_sigma_m)
+            if drawn is not None:
+                cut[down * BLOCK : (down + 1) * BLOCK, right * BLOCK : (right + 1) * BLOCK] = drawn
+    return np.ascontiguousarray(cut[top % BLOCK : top % BLOCK + BLOCK, left % BLOCK : left % BLOCK + BLOCK])
+
+
+def _geo_tags(window: Window, palette: str) -> list[tuple[int, str, int, object, bool]]:
+    """List the tags of GeoTIFF and of GDAL: number, type, count, value, only on the first page."""
+    level = window.level
+    outline = level.box(window.left, window.top, window.left + window.width, window.top + window.height)
+    keys = _GEO_KEYS if level.epsg == WGS84 else (*_PROJECTED_KEYS[:15], level.epsg, *_PROJECTED_KEYS[15:])
+    tags: list[tuple[int, str, int, object, bool]] = [
         (33550, "d", 3, (*level.step_deg, 0.0), True),  # ModelPixelScale
-        (33922, "d", 6, (0.0, 0.0, 0.0, level.west_deg, level.north_deg, 0.0), True),  # ModelTiepoint
-        (34735, "H", len(_GEO_KEYS), _GEO_KEYS, True),  # GeoKeyDirectory
+        (33922, "d", 6, (0.0, 0.0, 0.0, outline.west, outline.north, 0.0), True),  # ModelTiepoint
+        (34735, "H", len(keys), keys, True),  # GeoKeyDirectory
+    ]
+    figures: list[tuple[int, str, int, object, bool]] = [
         (42112, "s", 0, _GDAL_METADATA, True),  # GDAL_METADATA
         (42113, "s", 0, "0", True),  # GDAL_NODATA
     ]
+    return tags if palette else [*tags, *figures]
 
 
 def _overlay(level: Level, key: tuple[int, int], max_sigma_m: float) -> NDArray[np.uint8]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import resource
 import time
 from collections.abc import Callable, Sequence
@@ -25,7 +26,7 @@ from auv_mcm.contacts.contact_picture import snippet_png
 from auv_mcm.contacts.geojson import Json, collection, feature, one_or_multi, positions_of
 from auv_mcm.memory import return_large_arrays
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import CoveragePatch, Notice, PipelineEvent, Side, Tile
+from auv_mcm.records import Contact, CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.mission_totals import (
     area_totals,
@@ -45,6 +46,7 @@ from sim_replay.logs.recorded import Pace, open_mission
 from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, write_report
 from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
+from sim_replay.report.report_file import REPORT, report_contents, write_contents
 from sim_replay.verdicts import read_verdicts
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
@@ -70,6 +72,7 @@ def replay(
     clock: Clock | None = None,
     progress: Progress = lambda fraction: None,
     verdicts: Path | None = None,
+    found: Callable[[Contact], None] = lambda contact: None,
 ) -> dict[str, Any]:
     """Replay `logs`, or a recorded session of ports, as one mission and write every result into `folder`.
 
@@ -87,6 +90,8 @@ def replay(
         Called with the fraction done, 0..1.
     verdicts
         Folder with what people judged, which the report shows; None for that of the results.
+    found
+        Called with each contact as it is found, and again as it changes.
 
     Raises
     ------
@@ -98,7 +103,7 @@ def replay(
     mission = open_mission(logs, config, chunk_bytes)
     return_large_arrays()
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
-    tally, gathered, pace = Tally(), _Gathered(config), Pace(speed, clock)
+    tally, gathered, pace = Tally(), _Gathered(config, found), Pace(speed, clock)
     make_results_directory(folder)
     # written last: its presence says that the other files belong together
     (folder / "summary.json").unlink(missing_ok=True)
@@ -157,20 +162,18 @@ def replay(
         map_picture=map_picture(gathered.mosaic),
         verdicts=judged,
     )
-    write_report(
-        folder / "report.html",
-        record,
-        contacts,
-        gathered.coverage,
-        waypoints,
-        gathered.notices,
-        counters,
-        gathered.pictures,
+    shown = report_contents(
+        record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures
     )
+    write_contents(folder, shown)
+    write_report(folder / REPORT, record, contacts, gathered.coverage, waypoints, gathered.notices, counters, shown)
     summary: dict[str, Any] = {
         "version": __version__,
         "mission": config.mission,
-        "logs": [{"path": str(path), "bytes": size} for path, size in mission.sizes_bytes.items()],
+        "logs": [
+            {"path": str(path.absolute()), "bytes": size, "relative": os.path.relpath(path, folder)}
+            for path, size in mission.sizes_bytes.items()
+        ],
         **totals,
         "waypoints": len(waypoints),
         "counters": dict(sorted(counters.items())),
@@ -241,7 +244,8 @@ class _Track:
 class _Gathered:
     """Gather what the pipeline reported, as far as the results need it; tiles leave only small pictures."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, found: Callable[[Contact], None]) -> None:
+        self._found = found
         self.coverage: list[CoveragePatch] = []
         self.searched = ClearanceMap(configured_performance(config))
         self.notices: list[Notice] = []
@@ -259,5 +263,7 @@ class _Gathered:
                 case CoveragePatch():
                     self.coverage.append(event)
                     self.searched.add(event)
+                case Contact():
+                    self._found(event)
                 case Notice():
                     self.notices.append(event)

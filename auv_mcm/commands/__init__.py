@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
@@ -22,6 +23,18 @@ EXIT_CODES: Final = (
 )
 
 
+class HelpText(argparse.HelpFormatter):
+    """Fit help to the width of the terminal, paragraph by paragraph; indented lines stay as they are written."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        def filled(paragraph: str) -> str:
+            if any(line.startswith("  ") for line in paragraph.splitlines()):
+                return "\n".join(indent + line for line in paragraph.splitlines())
+            return textwrap.fill(" ".join(paragraph.split()), width, initial_indent=indent, subsequent_indent=indent)
+
+        return "\n\n".join(map(filled, text.split("\n\n")))
+
+
 class Parser(argparse.ArgumentParser):
     """Reject arguments that a command does not have with that command's own usage and the nearest option.
 
@@ -30,7 +43,7 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, **options)
+        super().__init__(**{"allow_abbrev": False, "formatter_class": HelpText, **options})
 
     def parse_known_args(  # type: ignore[override]  # argparse overloads it; here it is called by argparse alone
         self, args: Sequence[str] | None = None, namespace: Namespace | None = None
@@ -41,6 +54,15 @@ class Parser(argparse.ArgumentParser):
             near = difflib.get_close_matches(unknown[0].partition("=")[0], self._option_string_actions, n=1)
             self.error(f"unrecognized arguments: {' '.join(unknown)}" + (f"; did you mean {near[0]}?" if near else ""))
         return parsed, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Reject a value that is no choice, and name the nearest one."""
+        if action.choices is None or value in action.choices:
+            return
+        choices = [str(choice) for choice in action.choices]
+        near = difflib.get_close_matches(str(value), choices, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(choices)}"
+        raise argparse.ArgumentError(action, f"there is no '{value}'; {hint}")
 
 
 def command(commands: Commands, name: str, does: str, more: str, examples: Sequence[str]) -> argparse.ArgumentParser:
@@ -60,7 +82,6 @@ def command(commands: Commands, name: str, does: str, more: str, examples: Seque
         help=does,
         description=f"{does[0].upper()}{does[1:]}.\n\n{more}",
         epilog="examples:\n" + "\n".join(f"  {example}" for example in examples) + f"\n\n{EXIT_CODES}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
 
 

@@ -40,13 +40,19 @@ def add(commands: Commands) -> None:
         help="log to look into: XTF, JSF, svlog, image or a recorded session",
     )
     add_config_option(parser)
+    parser.add_argument("--json", action="store_true", help="print findings as JSON, one a line, for scripts")
     parser.set_defaults(command=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from auv_mcm.shell.check import run_checks
 
-    return run_checks(lambda: read_config(arguments.config), print, lambda config: _check_logs(arguments.logs, config))
+    return run_checks(
+        lambda: read_config(arguments.config),
+        print,
+        lambda config: _check_logs(arguments.logs, config),
+        as_json=arguments.json,
+    )
 
 
 def _check_logs(paths: Sequence[Path], config: Config) -> Iterator[Finding]:

@@ -32,6 +32,7 @@ from auv_mcm.contacts.contact import (
     sigma_m,
     view_reasons,
 )
+from auv_mcm.contacts.contact_words import contact_words
 from auv_mcm.contacts.geojson import (
     DEGREE_DIGITS,
     METRE_DIGITS,
@@ -78,8 +79,9 @@ def contacts_geojson(contacts: Iterable[Contact]) -> bytes:
 
     `sigma_m` is the semi-major axis of the 1-sigma error ellipse; `covariance_m2` is [[east-east, east-north],
     [east-north, north-north]]. `side`, `ground_range_m`, `score` and the snippet are those of the view with the
-    greatest score. `views` are in order of time; `log_ratio` and `belief` of one that was not confirmed are
-    null. No belief contradicts the p_mine beside it. `false_alarms_per_km2` is the density of non-mines at least as
+    greatest score. `summary` is the contact in one sentence, `mine_kind_open` what has to be added to the belief in the
+    kinds of mine to make `p_mine`. `views` are in order of time; `log_ratio` and `belief` of one that was not confirmed
+    are null. No belief contradicts the p_mine beside it. `false_alarms_per_km2` is the density of non-mines at least as
     mine-like that the mission's own background makes expected, with its 95 % interval; `called` says that the operator
     accepts as many.
     """
@@ -156,6 +158,7 @@ CSV_COLUMNS: Final = (
     *("aspects_deg", "side", "ground_range_m", "score", "snippet", "reasons"),
     *("length_sigma_m", "width_sigma_m", "height_sigma_m"),
     *("false_alarms_per_km2", "false_alarms_low_per_km2", "false_alarms_high_per_km2", "called", "depth_m"),
+    "summary",
 )
 
 
@@ -199,7 +202,7 @@ def contacts_kml_parts(contacts: Iterable[Contact], mission: str = "") -> Iterat
 
 def contact_feature(contact: Contact) -> dict[str, Json]:
     """Describe a contact as a GeoJSON feature, with a null geometry where its position is not known."""
-    view = best_view(contact)
+    view, said = best_view(contact), contact_words(contact)
     properties: dict[str, Json] = {
         "id": contact.id,
         "time": iso_time(contact.time_s),
@@ -227,6 +230,8 @@ def contact_feature(contact: Contact) -> dict[str, Json]:
         "false_alarms_95_per_km2": [rounded(bound, METRE_DIGITS) for bound in contact.false_alarms_95_per_km2],
         "called": contact.called,
         "depth_m": rounded(depth_m(contact), METRE_DIGITS),
+        "mine_kind_open": rounded(said.open_share, PROBABILITY_DIGITS),
+        "summary": said.sentence,
         "views": [_view(view) for view in contact.views],
     }
     return feature(geojson_point(contact.longitude_deg, contact.latitude_deg), properties)
@@ -296,6 +301,7 @@ def _csv_cells(contact: Contact) -> list[Any]:
         *(rounded(bound, METRE_DIGITS) for bound in contact.false_alarms_95_per_km2),
         None if contact.called is None else str(contact.called).lower(),
         rounded(depth_m(contact), METRE_DIGITS),
+        _cell(contact_words(contact).sentence),
     ]
 
 
@@ -355,11 +361,15 @@ def _kml_coordinates(points: NDArray[np.float64]) -> str:
 
 def _kml_table(contact: Contact) -> str:
     view = best_view(contact)
-    belief = contact.belief.get(contact.classification, NAN)
+    said = contact_words(contact)
+    belief = contact.belief.get(said.kind, NAN)
     rows: list[tuple[str, Any]] = [
+        ("summary", said.sentence),
+        ("speaks for a mine", said.reason_for),
+        ("speaks against a mine", said.reason_against),
         ("p_mine", f"{contact.p_mine:.2f}"),
         ("called a mine", call_words(contact)),
-        ("class", contact.classification.replace("_", " ")),
+        ("class", said.label),
         ("belief in the class", f"{belief:.2f}" if math.isfinite(belief) else "?"),
         ("size (length, width, height) ± 1 sigma", " × ".join(_size(*size) for size in _sizes(contact)) + " m"),
         ("position error (1 sigma)", f"{sigma_m(contact):.2f} m"),

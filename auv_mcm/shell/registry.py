@@ -51,6 +51,15 @@ COMMANDS: Final[dict[str, str]] = {
 }
 """Subcommands in the order of the help. Those of the bench are absent where `sim_replay` is not installed."""
 
+COMPLETION: Final = "sim_replay.completion:completion"
+COMMAND_GROUPS: Final = {
+    "look at missions": ("info", "view", "replay", "report", "export", "batch"),
+    "on the vehicle": ("run", "status", "check", "config"),
+    "simulate and test": ("simulate", "score", "augment", "hil"),
+    "fit and measure, for those who change the models": ("train", "calibrate", "bench"),
+}
+"""Subcommands by purpose, as the help lists them."""
+
 
 def load(name: str) -> Any:
     """Import the object that `module:name` names. Raises ModuleNotFoundError or AttributeError."""

@@ -39,8 +39,8 @@ _SINGLE_LOOK_SPREAD: Final = 0.6
 # The shape of Weibull's distribution, which powers of single-look speckle have, follows its relative spread by this
 # exponent within 3 % between a spread of 0.3 and 1.3.
 _WEIBULL_EXPONENT: Final = 1.08
-# Skewness over relative spread from which samples are no root of amplitude: 0.91 at a spread of 0.19 (eight looks), 1.07
-# from 0.38 on. Drawn amplitudes without smoothing stay above; the power 0.7 of single looks is at 0.6 to 1.0.
+# Skewness over relative spread from which samples are no root of amplitude: 0.91 at a spread of 0.19 (eight looks),
+# 1.07 from 0.38 on. Drawn amplitudes without smoothing stay above; the power 0.7 of single looks is at 0.6 to 1.0.
 _ROOT_RATIO: Final = (0.75, 0.85, 1.07)  # at no spread, per spread, maximum
 _ROOT_SLOPE: Final = 3.0  # of the exponent against that ratio. Chosen: from no root to the power 0.7 within a tenth
 _LOWEST_EXPONENT: Final = 0.7  # of stored amplitude. Chosen: lower roots are read too flat

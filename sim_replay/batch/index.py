@@ -24,8 +24,9 @@ from auv_mcm.contacts.geojson import (
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import ContactsConfig
 from auv_mcm.shell.whole_files import write_file, write_parts
-from sim_replay.batch.missions import MISSIONS, MissionOutcome, summary_of
+from sim_replay.batch.missions import MISSIONS, MissionOutcome
 from sim_replay.batch.objects_seen import CoveredPatch, SeenContact, SeenMission, SeenObject, objects_seen
+from sim_replay.results_folder import summary_of
 
 _MAX_ROWS: Final = 500  # rows of each table: bounds the page; index.geojson holds all
 _MAP_WIDTH: Final = 1000.0  # units of the drawing

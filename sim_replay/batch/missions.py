@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import fcntl
-import json
-import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-import msgspec
-
-from auv_mcm import __version__
 from auv_mcm.commands import read_config
-from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError, UsageError
-from auv_mcm.safe_files import read_regular, remove_unfinished
+from auv_mcm.errors import AuvMcmError, HardwareError, UsageError
+from auv_mcm.safe_files import remove_unfinished
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.whole_files import finite, make_directory
-from sim_replay.batch.archive import ArchivedLog
+from auv_mcm.shell.whole_files import make_directory
 from sim_replay.fitting.cascade.farm import AHEAD, Farm, run_tasks
+from sim_replay.logs.archive import ArchivedLog
 from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.logs.session_parts import JoinedSession
 from sim_replay.replay import replay
+from sim_replay.results_folder import is_replayed, summary_of
 
 MISSIONS: Final = "missions"
 """Folder with the results of every log."""
-SUMMARY: Final = "summary.json"
 _LOCK: Final = ".lock"
 _DEFECT: Final = 1  # exit code of an error that is not meant for a person
 
@@ -124,38 +119,9 @@ def replay_mission(task: MissionTask) -> MissionOutcome:
     return MissionOutcome(task.log, task.folder)
 
 
-def is_replayed(folder: Path, config: Config) -> bool:
-    """Check whether a folder holds whole results of unchanged logs, by this version with this configuration."""
-    summary = summary_of(folder)
-    if summary is None:
-        return False
-    made_ns = (folder / SUMMARY).stat().st_mtime_ns
-    same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"])
-    same_config = summary["config"] == finite(msgspec.to_builtins(config))
-    return same_log and same_config and summary["version"] == __version__
-
-
-def summary_of(folder: Path) -> dict[str, Any] | None:
-    """Read the summary of a mission, which is written last; None if it is not there or damaged."""
-    try:
-        summary = json.loads(read_regular(folder / SUMMARY))
-    except (OSError, ValueError, BadInputError):
-        return None
-    return summary if isinstance(summary, dict) else None
-
-
 def _has_grown(task: MissionTask) -> bool:
     """Check whether a session went on since its results were made, into files that they do not name."""
     if not is_session(task.log.path):
         return False
     made_of = {entry["path"] for entry in (summary_of(task.folder) or {}).get("logs", ())}
     return made_of != set(map(str, JoinedSession(task.log.path).sizes_bytes))
-
-
-def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:
-    """Check that a log is as large as its results say, and older than they are."""
-    try:
-        status = os.stat(entry["path"])
-    except OSError:
-        return False
-    return status.st_size == entry["bytes"] and status.st_mtime_ns <= made_ns

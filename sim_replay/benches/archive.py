@@ -22,7 +22,8 @@ import msgspec
 from auv_mcm.commands import whole
 from auv_mcm.errors import BadInputError, HardwareError, SelfCheckError
 from auv_mcm.records import NavSample, Ping
-from sim_replay.batch.missions import MISSIONS, SUMMARY
+from auv_mcm.shell.recovery import SUMMARY
+from sim_replay.batch.missions import MISSIONS
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
-from auv_mcm.clean_text import clean
+from auv_mcm.clean_text import clean, clean_json
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
 from auv_mcm.errors import BadInputError
 from sim_replay.arguments import count
@@ -44,14 +45,15 @@ def add(commands: Commands) -> None:
         metavar="tcp://HOST:PORT",
         help="replay on the cluster of this dask scheduler, whose workers see the same folders",
     )
+    parser.add_argument("--json", action="store_true", help="print what came of it as JSON, for scripts")
     parser.set_defaults(command=_run)
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.batch.archive import logs_of
     from sim_replay.batch.index import write_index
     from sim_replay.batch.missions import MISSIONS, MissionTask, locked, replay_missions
     from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.logs.archive import logs_of
 
     config = None if arguments.config is None else read_config(arguments.config)
     logs, out = logs_of(arguments.source, arguments.out), arguments.out.absolute()
@@ -61,6 +63,15 @@ def _run(arguments: argparse.Namespace) -> int:
         outcomes = list(replay_missions(tasks, farm, lambda done: progress.show(done / len(tasks))))
         objects = write_index(out, outcomes, (config or read_config(None)).contacts)
     failed = [outcome for outcome in outcomes if outcome.failure]
+    if arguments.json:
+        done = {
+            "logs": len(outcomes),
+            "failed": [{"log": outcome.log.name, "why": outcome.failure} for outcome in failed],
+            "objects": len(objects),
+            "index": str(arguments.out / "index.html"),
+        }
+        print(clean_json(json.dumps(done, ensure_ascii=False)))
+        return BadInputError.exit_code if failed else 0
     for outcome in failed:
         print(f"failed: {clean(outcome.log.name)}: {clean(outcome.failure)}")
     print(f"{len(outcomes)} logs, {len(failed)} failed; {len(objects)} objects")

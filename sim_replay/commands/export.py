@@ -12,6 +12,9 @@ from auv_mcm.clean_text import clean
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
 from auv_mcm.errors import BadInputError, UsageError
 
+PALETTES: Final = ("copper", "grey", "viridis", "inferno")  # as of sim_replay.mosaic_files, which needs OpenCV
+BLENDS: Final = ("mean", "nearest", "max", "last")  # as of sim_replay.mosaic, for the same reason
+
 if TYPE_CHECKING:
     from sim_replay.export_source import ExportSource
     from sim_replay.mosaic import Level
@@ -38,6 +41,7 @@ def add(commands: Commands) -> None:
             "auv-mcm export auv-mcm-out/latest --kmz mosaic.kmz",
             "auv-mcm export results --kml judged.kml --geojson judged.geojson",
             "auv-mcm export results --mcap mission.mcap",
+            "auv-mcm export results --pdf contacts.pdf --coco chips",
         ],
     )
     parser.add_argument(
@@ -62,6 +66,11 @@ def add(commands: Commands) -> None:
     parser.add_argument("--kml", metavar="FILE", type=Path, help="contacts with verdicts, and missed ones")
     parser.add_argument("--geojson", metavar="FILE", type=Path, help="the same as GeoJSON")
     parser.add_argument(
+        "--pdf", metavar="FILE", type=Path, help="contact sheet to print: chart, pictures, places and verdicts"
+    )
+    parser.add_argument("--coco", metavar="DIR", type=Path, help="judged contacts as chips with boxes, for training")
+    parser.add_argument("--yolo", metavar="DIR", type=Path, help="the same as YOLO reads them")
+    parser.add_argument(
         "--resolution",
         metavar="M",
         type=_metres(_FINEST_M),
@@ -74,6 +83,35 @@ def add(commands: Commands) -> None:
         type=_metres(0.0),
         default=math.inf,
         help="leave out of the mosaic what is placed worse than this, 1-sigma in m (default: nothing)",
+    )
+    parser.add_argument(
+        "--crs",
+        metavar="utm|EPSG:CODE",
+        default="",
+        help="reference system of the GeoTIFF, projected in metres (default: longitude and latitude, WGS 84)",
+    )
+    parser.add_argument(
+        "--blend",
+        choices=BLENDS,
+        default="mean",
+        help="what is shown where several passes saw a place: all by weight (default), or the one that sees best, the "
+        "brightest or the last, which keep shadows",
+    )
+    parser.add_argument(
+        "--per-leg",
+        action="store_true",
+        help="a GeoTIFF for each leg, FILE-1.tif and on, so that no pass hides another",
+    )
+    parser.add_argument(
+        "--palette", choices=PALETTES, default="", help="GeoTIFF in colour, in place of decibels and errors"
+    )
+    parser.add_argument(
+        "--mask-nadir",
+        metavar="SHARE",
+        type=_metres(0.0),
+        default=0.0,
+        help="leave out what is nearer to the track than this share of the altitude; 0.3 hides the bright line below "
+        "the vehicle (default 0)",
     )
     add_config_option(parser)
     parser.set_defaults(command=_run)
@@ -95,19 +133,27 @@ def _metres(low_m: float) -> Callable[[str], float]:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import find_source
 
-    vectors = (arguments.gpkg, arguments.gpx, arguments.kml, arguments.geojson)
-    wanted = [path for path in (arguments.geotiff, arguments.kmz, *vectors, arguments.mcap) if path is not None]
+    vectors = (arguments.gpkg, arguments.gpx, arguments.kml, arguments.geojson, arguments.pdf)
+    chips = (arguments.coco, arguments.yolo)
+    wanted = [path for path in (arguments.geotiff, arguments.kmz, *vectors, arguments.mcap, *chips) if path is not None]
     if not wanted:
-        raise UsageError("nothing to export: name --geotiff, --kmz, --gpkg, --gpx, --kml, --geojson or --mcap")
+        raise UsageError(
+            "nothing to export: name --geotiff, --kmz, --gpkg, --gpx, --kml, --geojson, --mcap, --pdf, --coco or --yolo"
+        )
     for path in wanted:
         if not path.absolute().parent.is_dir():
             raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
+    missing = next((path for path in arguments.source if not path.exists()), None)
+    if missing is not None:
+        raise UsageError(f"there is no {missing}. Name a folder of results, the folder of a session, or logs.")
     source = find_source(arguments.source, None if arguments.config is None else read_config(arguments.config))
     name = source.config.mission or (source.results or source.logs[0]).resolve().stem
     if any(path is not None for path in vectors):
         _write_vectors(source, arguments, name)
+    if any(path is not None for path in chips):
+        _write_chips(source, arguments, name)
     if arguments.geotiff is not None or arguments.kmz is not None:
-        _write_mosaic(source, arguments, name)
+        wanted[:1] = _write_mosaic(source, arguments, name) or wanted[:1]
     if arguments.mcap is not None:
         _write_mcap(source, arguments.mcap)
     for path in wanted:
@@ -122,8 +168,8 @@ def _write_vectors(source: ExportSource, arguments: argparse.Namespace, name: st
 
     if source.results is None:
         raise UsageError(
-            "GeoPackage, GPX, KML and GeoJSON are made of results: replay the log first ('auv-mcm replay LOG --out "
-            "results'), and export that folder."
+            "GeoPackage, GPX, KML, GeoJSON and PDF are made of results: replay the log first ('auv-mcm replay "
+            "LOG --out results'), and export that folder."
         )
     layers = read_layers(source.results)
     if arguments.gpkg is not None:
@@ -134,6 +180,23 @@ def _write_vectors(source: ExportSource, arguments: argparse.Namespace, name: st
         write_kml(arguments.kml, layers, name, source.results)
     if arguments.geojson is not None:
         write_geojson(arguments.geojson, layers)
+    if arguments.pdf is not None:
+        from sim_replay.contact_sheet import write_contact_sheet
+
+        write_contact_sheet(arguments.pdf, source.results, layers, name)
+
+
+def _write_chips(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
+    from sim_replay.report.report_file import read_contents
+    from sim_replay.training_export import judged_chips, write_coco, write_yolo
+
+    if source.results is None:
+        raise UsageError("chips are made of results: replay the log first, judge its contacts, and export that folder")
+    chips = judged_chips(source.results, read_contents(source.results))
+    if arguments.coco is not None:
+        write_coco(arguments.coco, chips, name)
+    if arguments.yolo is not None:
+        write_yolo(arguments.yolo, chips)
 
 
 def _write_mcap(source: ExportSource, path: Path) -> None:
@@ -142,34 +205,59 @@ def _write_mcap(source: ExportSource, path: Path) -> None:
     from sim_replay.vector_layers import read_layers
 
     layers = {} if source.results is None else read_layers(source.results)
-    with Progress("export") as progress:
+    with Progress("MCAP") as progress:
         write_mcap(path, tiles(source, progress.show), layers)
 
 
-def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:
-    levels = _mosaic(source, arguments.resolution)
+def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str) -> list[Path]:
+    """Write the mosaic; list the files of its legs."""
+    if arguments.kmz is not None and (arguments.crs or arguments.per_leg):
+        raise UsageError(
+            "a KMZ is one picture in longitude and latitude: leave --crs and --per-leg out, or export it apart"
+        )
+    legs = _mosaics(source, arguments)
+    written = []
     if arguments.geotiff is not None:
         from sim_replay.mosaic_files import write_geotiff
 
-        write_geotiff(arguments.geotiff, levels, arguments.max_sigma)
+        for number, levels in enumerate(legs, 1):
+            path = arguments.geotiff
+            if arguments.per_leg:
+                path = path.with_name(f"{path.stem}-{number}{path.suffix}")
+            write_geotiff(path, levels, arguments.max_sigma, arguments.palette)
+            written.append(path)
     if arguments.kmz is not None:
         from sim_replay.mosaic_files import write_kmz
         from sim_replay.vector_layers import read_layers
         from sim_replay.verdict_layers import kml_folders
 
         folders = () if source.results is None else kml_folders(read_layers(source.results))
-        write_kmz(arguments.kmz, levels, name, arguments.max_sigma, folders)
+        write_kmz(arguments.kmz, legs[0], name, arguments.max_sigma, folders)
+    return written
 
 
-def _mosaic(source: ExportSource, resolution_m: float) -> list[Level]:
+def _mosaics(source: ExportSource, arguments: argparse.Namespace) -> list[list[Level]]:
+    """Draw the mosaic, or one for each leg."""
     from sim_replay.export_source import tiles
-    from sim_replay.mosaic import Mosaic
+    from sim_replay.mosaic import Mosaic, leg_numbers
+    from sim_replay.projections import check_crs
 
-    mosaic = Mosaic(source.config, resolution_m)
-    with Progress("export") as progress:
+    crs = check_crs(arguments.crs) if arguments.crs else ""
+    legs: dict[int, Mosaic] = {}
+    number_of = leg_numbers() if arguments.per_leg else lambda tile: 1
+    with Progress("mosaic") as progress:
         for tile in tiles(source, progress.show):
-            mosaic.add(tile)
-    levels = list(mosaic.levels())
-    if not levels:
+            number = number_of(tile)
+            if number not in legs:
+                legs[number] = Mosaic(
+                    source.config,
+                    arguments.resolution,
+                    blend=arguments.blend,
+                    crs=crs,
+                    nadir_share=arguments.mask_nadir,
+                )
+            legs[number].add(tile)
+    found = [levels for mosaic in legs.values() if (levels := list(mosaic.levels()))]
+    if not found:
         raise BadInputError("no position was recorded, so there is no mosaic. Check the navigation of the log.")
-    return levels
+    return found

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
+from auv_mcm.clean_text import clean_json
 from auv_mcm.commands import Commands, command
 from auv_mcm.errors import SelfCheckError, UsageError
 
@@ -43,6 +45,7 @@ def add(commands: Commands) -> None:
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
     instead.add_argument("--all", action="store_true", help="run all of them, one after the other")
+    parser.add_argument("--json", action="store_true", help="print a line of JSON for each scenario, for scripts")
     parser.set_defaults(command=_run)
 
 
@@ -66,10 +69,16 @@ def _run(arguments: argparse.Namespace) -> int:
     failed = []
     for read in [read_scenario(name) for name in names]:
         folder = arguments.out / read.name
-        print(f"{read.name}: {read.scenario.about}")
+        if not arguments.json:
+            print(f"{read.name}: {read.scenario.about}")
         evidence = run_scenario(read, folder, _say)
         verdicts = [judge(expectation, evidence) for expectation in read.scenario.expectations]
-        print(as_table(verdicts), end="\n\n", flush=True)
+        if arguments.json:
+            passed = all(verdict.passed for verdict in verdicts)
+            found = {"scenario": read.name, "passed": passed, "expectations": [one._asdict() for one in verdicts]}
+            print(clean_json(json.dumps(found, ensure_ascii=False)), flush=True)
+        else:
+            print(as_table(verdicts), end="\n\n", flush=True)
         write_json(folder / "verdict.json", [verdict._asdict() for verdict in verdicts])
         write_file(folder / "junit.xml", as_junit(read.name, verdicts))
         if not all(verdict.passed for verdict in verdicts):

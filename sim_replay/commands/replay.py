@@ -26,6 +26,7 @@ def add(commands: Commands) -> None:
         "unless\n"
         "another is given; if it was cut off and went on, all its recordings are one mission.",
         [
+            "auv-mcm replay mission.xtf",
             "auv-mcm replay mission.xtf --out results",
             "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
             "auv-mcm replay survey.jsf --out results",
@@ -44,7 +45,10 @@ def add(commands: Commands) -> None:
         ),
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True, help="directory for the results, made if it is not there"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="directory for the results, made if it is not there (default: LOG-results here, after the first log)",
     )
     add_config_option(parser)
     parser.add_argument(
@@ -87,7 +91,10 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.logs.open_log import logs_config
     from sim_replay.logs.recorded import parse_speed
     from sim_replay.replay import replay
+    from sim_replay.results_folder import default_results
 
+    if arguments.out is None:
+        arguments.out = default_results(arguments.logs)
     recorded = logs_config(arguments.logs) if arguments.config is None else None
     config = read_config(arguments.config) if recorded is None else recorded
 

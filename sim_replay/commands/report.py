@@ -1,4 +1,4 @@
-"""Make the report of a session, finished or not."""
+"""Make the report of a session, finished or not, or draw that of results again."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from auv_mcm.clean_text import clean
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
 from auv_mcm.errors import UsageError
+from auv_mcm.shell.recovery import SUMMARY
 
 
 def add(commands: Commands) -> None:
@@ -15,16 +16,20 @@ def add(commands: Commands) -> None:
     parser = command(
         commands,
         "report",
-        "make the report of a session, also while it runs",
-        "Replays what the session recorded so far, with the configuration it was recorded with, into SESSION/report/:\n"
-        "report.html and all other results of a replay. What people judged of the session is in it. The session's own\n"
-        "files stay as they are. A session that went on after a cut is one mission: its recordings are joined.",
+        "make the report of a session, also while it runs, or draw that of results again",
+        "Of a session: replays what it recorded so far, all starts of it as one mission, with the configuration it was "
+        "recorded with, into SESSION/report/: report.html and all other results of a replay. The session's own files "
+        "stay as they are. Of results: draws report.html and one-page.html again without a replay. What people judged "
+        "until now is in either.",
         [
             "auv-mcm report auv-mcm-out/latest",
+            "auv-mcm report results",
             "auv-mcm report auv-mcm-out/latest --out report --threads 2",
         ],
     )
-    parser.add_argument("session", metavar="SESSION", type=Path, help="folder of a session ('auv-mcm run')")
+    parser.add_argument(
+        "session", metavar="SESSION|RESULTS", type=Path, help="folder of a session ('auv-mcm run'), or of results"
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for the results (default SESSION/report)")
     parser.add_argument("--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work")
     add_config_option(parser)
@@ -32,16 +37,29 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.logs.open_log import logs_config
     from sim_replay.logs.session_parts import recordings_of, session_of
-    from sim_replay.replay import replay
 
     session = session_of(arguments.session)
-    if not recordings_of(session):
+    if recordings_of(session):
+        return _of_session(arguments, session)
+    if not (arguments.session / SUMMARY).is_file():
         raise UsageError(
-            f"{session} holds no recording. Name the folder of a session that reads ports; of a log, "
-            f"'auv-mcm replay {session} --out results' makes the report."
+            f"{arguments.session} holds neither a recording nor results. Name the folder of a session that reads "
+            f"ports, or of results; of a log, 'auv-mcm replay {arguments.session} --out results' makes the report."
         )
+    if arguments.out is not None or arguments.config is not None:
+        raise UsageError("--out and --config are for sessions: results are drawn again as they are")
+    from sim_replay.report.report_file import REPORT, redraw_report
+
+    mission = redraw_report(arguments.session).mission
+    print(f"{len(mission.verdicts)} verdicts: {clean(str(arguments.session / REPORT))}")
+    return 0
+
+
+def _of_session(arguments: argparse.Namespace, session: Path) -> int:
+    from sim_replay.logs.open_log import logs_config
+    from sim_replay.replay import replay
+
     config = read_config(arguments.config) if arguments.config is not None else None
     out = arguments.out or session / "report"
     with Progress("report") as progress:

@@ -30,6 +30,7 @@ from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.errors import BadInputError
 from sim_replay.fitting.fit_background import log_odds_of
 from sim_replay.fitting.judged_missions import MINE, NOT_MINE, JudgedMission
+from sim_replay.verdicts import MIN_MINE_LIKE, MIN_MISSIONS, MIN_NOT_MINE_LIKE
 
 Array = NDArray[np.float64]
 
@@ -38,10 +39,6 @@ SLOPE_SD: Final = 0.1  # prior of c: a change of one nat at p_mine 0.99
 BACKGROUND_SD: Final = 0.5  # nats, prior of b, as of a
 MOST_VERDICTS: Final = 200
 """Verdicts of a mission that count in full; more share that weight, as errors go together within a mission."""
-MIN_MISSIONS: Final = 3  # fewer leave no interval over missions
-MIN_MINE_LIKE: Final = 20
-"""Contacts judged mine-like, of all missions: the offset's standard error is about 0.25 nats then, half its prior."""
-MIN_NOT_MINE_LIKE: Final = 40  # contacts judged not mine-like, twice as many, since most of them say little
 _CONFIDENCE: Final = 0.95  # of the interval of the gain, as of all intervals in the documents
 _CHANCE_SIGMAS: Final = 2.0  # standard deviations of a Poisson count
 _SLOPES: Final = (0.5, 2.0)  # the prior keeps far within

@@ -98,7 +98,10 @@ def log_format(path: Path) -> LogFormat | AddedFormat:
     if path.is_dir():
         if parts_of(path):
             return "session"
-        raise BadInputError(f"{path} is a directory without a recorded session ({FILE_PATTERN}). Name a log inside it.")
+        raise BadInputError(
+            f"{path} is a directory without a recorded session ({FILE_PATTERN}). Name a log inside it, "
+            "or see and search all of them: 'auv-mcm view' and 'auv-mcm batch'."
+        )
     if not path.exists():
         raise BadInputError(f"{path} does not exist. Check the path.")
     try:

@@ -1,4 +1,4 @@
-"""Make a card per contact: pictures, its call and the reason, each view's evidence, and the next view to take."""
+"""Make a card per contact: one picture, one sentence and two reasons, and behind them the statistics."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from auv_mcm.classify.beliefs import MINE_LIKE_P, bounded_by, singleton_belief
+from auv_mcm.classify.beliefs import bounded_by, singleton_belief
 from auv_mcm.classify.reasons import Bearing, bearing, in_words
 from auv_mcm.contacts.contact import (
     best_view,
@@ -16,6 +16,7 @@ from auv_mcm.contacts.contact import (
     is_mine_like,
     view_reasons,
 )
+from auv_mcm.contacts.contact_words import HALF_SEEN, MINES, ContactWords, contact_words, plain_kind
 from auv_mcm.records import Contact, Detection, Waypoint
 from sim_replay.report import report_words as words
 from sim_replay.report.panels import ViewPicture, view_picture
@@ -28,18 +29,6 @@ _PICTURE_BYTES: Final = (
 _MAX_VIEWS: Final = 8  # shown on a card
 _MIN_SHARE_SHOWN: Final = 0.005  # of belief
 _OPEN_FROM: Final = 0.1  # share of belief, from which a class is still open
-_SOLIDS: Final = frozenset({"cylinder", "sphere", "truncated_cone", "wedge"})
-_CALLS: Final = (
-    *((0.8, "Very likely a mine"), (0.5, "Likely a mine"), (MINE_LIKE_P, "Possibly a mine"), (-1.0, "Not mine-like")),
-)
-"""What a contact is called from which p_mine on."""
-_HALF_SEEN: Final = frozenset(
-    {
-        *("in_shadow", "no_echo", "weak_highlight", "no_highlight", "no_shadow", "shadow_not_dark", "hole_in_bright"),
-        *("not_measured", "no_data"),
-    }
-)
-"""Codes that say that there is no echo with a shadow behind it after all."""
 _COMPASS: Final = 44.0  # radius of its rose, drawing units
 
 
@@ -96,8 +85,9 @@ class Card(NamedTuple):
     contact: Contact
     mine_like: bool
     band: str
-    called: str
-    because: str
+    said: ContactWords
+    percent: float
+    place: str
     picture: ViewPicture | None
     pictured: str
     facts: list[tuple[str, str]]
@@ -122,7 +112,7 @@ def cards(contacts: Sequence[Contact], strips: Sequence[PictureStrip], waypoints
         shown = _shown_view(contact)
         picture = None
         if shown is not None and left > 0:
-            picture = view_picture(shown, panels=mine_like)
+            picture = view_picture(shown, panels=mine_like, kind=contact_words(contact).kind)
             left -= picture.n_bytes
         made.append(_card(contact, shown, picture, strips, legs))
     return made
@@ -157,14 +147,15 @@ def _card(
     if len(views) == 1 and [_rounded(share) for share in views[0].beliefs] == [_rounded(share) for share in beliefs]:
         views = [views[0]._replace(beliefs=[])]  # one view is all there is: once is enough
     listed_with_views = {reason.text for line in views for reason in line.reasons}
-    called, because = _verdict(contact)
+    said = contact_words(contact)
     number = next((number for number, view in enumerate(contact.views, start=1) if view is shown), 0)
     return Card(
         contact=contact,
         mine_like=is_mine_like(contact),
         band=band(contact.p_mine),
-        called=called,
-        because=because,
+        said=said,
+        percent=100.0 * contact.p_mine if contact.p_mine >= 0.0 else 0.0,
+        place=_place(contact),
         picture=picture,
         pictured=f"view {number} of {len(contact.views)}" if len(contact.views) > 1 else "",
         facts=_facts(contact),
@@ -199,38 +190,6 @@ def _listed_views(contact: Contact) -> list[tuple[int, Detection]]:
     return sorted(strongest, key=lambda one: one[0])
 
 
-def _verdict(contact: Contact) -> tuple[str, str]:
-    """Word the contact's call, and the shortest true reason."""
-    close = [view.confirmation for view in contact.views if view.confirmation is not None]
-    rejected = sum(found.rejected for found in close)
-    solid = words.class_name(contact.classification)
-    fitting = sum(
-        found.model is not None and found.model.classification == contact.classification and not found.rejected
-        for found in close
-    )
-    called = next(text for least, text in _CALLS if contact.p_mine >= least or least < 0.0)
-    if not close:
-        return called, "judged by the strength of echo and shadow alone; no view was confirmed."
-    if not is_mine_like(contact):
-        if rejected:
-            return called, f"in {_of(rejected, contact)} the contours cannot be those of a mine."
-        return called, "something other than a mine explains what was seen at least as well."
-    if contact.p_mine < 0.5:  # the odds favour something else
-        likest = f"; if it is a mine, it looks most like a {solid}" if contact.classification in _SOLIDS else ""
-        return called, f"something other than a mine explains it better{likest}."
-    if contact.classification in _SOLIDS:
-        if fitting:
-            return called, f"{_of(fitting, contact)} {'looks' if fitting == 1 else 'look'} most like a {solid}."
-        return called, f"all taken together, the views speak most for a {solid}."
-    return called, "echo and shadow are those of an object, but its shape is open."
-
-
-def _of(number: int, contact: Contact) -> str:
-    if len(contact.views) == 1:
-        return "the only view"
-    return f"{number} of {len(contact.views)} views" if number < len(contact.views) else f"all {number} views"
-
-
 def _view_line(number: int, view: Detection) -> ViewLine:
     found = view.confirmation
     direction, time = _compass_deg(view.aspect_deg), words.utc(view.time_s, "%H:%M:%S")
@@ -240,7 +199,7 @@ def _view_line(number: int, view: Detection) -> ViewLine:
     verdict, model = "Contours rejected" if found.rejected else "Contours of an object", ""
     if found.model is not None:
         model = (
-            f"Best model: {words.class_name(found.model.classification)}, "
+            f"Best model: {plain_kind(found.model.classification)}, "
             f"{words.model_sizes(found.model.sizes, found.model.sigma)}"
         )
     return ViewLine(
@@ -256,7 +215,7 @@ def _view_line(number: int, view: Detection) -> ViewLine:
 
 def _reasons(codes: Sequence[str]) -> list[Reason]:
     """Sort what speaks for a mine, what against, and then what limits both."""
-    if _HALF_SEEN & set(codes):
+    if HALF_SEEN & set(codes):
         codes = [code for code in codes if code != "highlight_and_shadow"]  # of detection, which confirmation corrects
     reasons = [Reason(bearing(code), in_words(code)) for code in codes]
     return sorted(reasons, key=lambda reason: ("for", "against", "note").index(reason.bearing))
@@ -267,10 +226,10 @@ def _shares(belief: Mapping[str, float], p_mine: float) -> list[Share]:
 
     Then comes clutter, and the unknown last.
     """
-    kinds = {name: share for name, share in belief.items() if name in _SOLIDS}
+    kinds = {name: share for name, share in belief.items() if name in MINES}
     unknown = belief.get("unknown", 0.0)
     is_open = min(max(p_mine - sum(kinds.values()), 0.0), unknown) if p_mine >= 0.0 else 0.0
-    rest = {name: share for name, share in belief.items() if name not in _SOLIDS and name != "unknown"}
+    rest = {name: share for name, share in belief.items() if name not in MINES and name != "unknown"}
     parts = [
         *sorted(kinds.items(), key=lambda part: -part[1]),
         ("open", is_open),
@@ -278,7 +237,7 @@ def _shares(belief: Mapping[str, float], p_mine: float) -> list[Share]:
         ("unknown", unknown - is_open),
     ]
     return [
-        Share(name, "mine, kind open" if name == "open" else words.class_name(name), 100.0 * share)
+        Share(name, "mine, kind open" if name == "open" else plain_kind(name), 100.0 * share)
         for name, share in parts
         if share >= _MIN_SHARE_SHOWN
     ]
@@ -303,7 +262,7 @@ def _next_look(contact: Contact) -> str:
     if contact.belief.get("unknown", 0.0) >= 0.5:
         why.append("its kind is open")
     elif len(likely) > 1:
-        why.append(f"it is open between {words.listed([words.class_name(name) for _, name in likely[:3]])}")
+        why.append(f"it is open between {words.listed([plain_kind(name) for _, name in likely[:3]])}")
     return f"{line}: {words.listed(why)}" if why else line
 
 
@@ -341,6 +300,12 @@ def _at(point: tuple[float, float]) -> str:
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 
+def _place(contact: Contact) -> str:
+    latitude = words.degrees_minutes(contact.latitude_deg, "N", "S")
+    depth = f", {depth_m(contact):.1f} m deep" if math.isfinite(depth_m(contact)) else ""
+    return f"{latitude}, {words.degrees_minutes(contact.longitude_deg, 'E', 'W')}{depth}"
+
+
 def _facts(contact: Contact) -> list[tuple[str, str]]:
     major_m, minor_m, direction_deg = error_ellipse(contact)
     length, width, height = (
@@ -352,16 +317,10 @@ def _facts(contact: Contact) -> list[tuple[str, str]]:
         )
     )
     facts = [
+        ("p_mine", f"{contact.p_mine:.4f}" if math.isfinite(contact.p_mine) else "not known"),
         ("Size", f"{length} × {width}, height {height}"),
         ("Depth", f"{depth_m(contact):.1f} m" if math.isfinite(depth_m(contact)) else "not known"),
         ("Position", f"{contact.latitude_deg:.7f}, {contact.longitude_deg:.7f}"),
-        (
-            "",
-            (
-                f"{words.degrees_minutes(contact.latitude_deg, 'N', 'S')}, "
-                f"{words.degrees_minutes(contact.longitude_deg, 'E', 'W')}"
-            ),
-        ),
         (
             "Error, 1 σ",
             f"{major_m:.2f} × {minor_m:.2f} m along {direction_deg:03.0f}°" if major_m >= 0.0 else "not known",
@@ -370,7 +329,7 @@ def _facts(contact: Contact) -> list[tuple[str, str]]:
         ("Aspect", ", ".join(_compass_deg(aspect) for aspect in contact.aspects_deg) or "not known"),
     ]
     if contact.called is not None:
-        facts.insert(0, ("Called a mine", call_words(contact)))
+        facts.insert(1, ("Called a mine", call_words(contact)))
     view = best_view(contact)
     if view is not None:
         facts += [

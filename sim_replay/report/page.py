@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
 from auv_mcm.contacts.contact import depth_m, is_mine_like, sigma_m
 from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
+from auv_mcm.contacts.contact_words import ContactWords, contact_words
 from auv_mcm.contacts.export import snippet_path
 from auv_mcm.records import Contact, CoveragePatch, Notice, Waypoint
 from auv_mcm.shell.whole_files import write_file
@@ -24,7 +25,7 @@ from sim_replay.report import report_words as words
 from sim_replay.report.cards import Card, band, cards, place_m, strips_with
 from sim_replay.report.chart import WIDTH, draw_chart
 from sim_replay.report.map_picture import MapPicture
-from sim_replay.report.pictures import PictureCollector, PictureStrip
+from sim_replay.report.pictures import PictureStrip
 from sim_replay.structures import Member, find_structures
 from sim_replay.verdict_layers import is_missed, sorted_verdicts
 from sim_replay.verdicts import CALLS, Place, Verdict
@@ -50,6 +51,7 @@ _LAYERS: Final = (
 ONE_PAGE: Final = "one-page.html"
 _ONE_PAGE_ROWS: Final = 12  # contacts in the summary: more do not fit below the map on a page of A4
 _NAMED: Final = 5  # people named in the summary
+_TURN_COLOUR: Final = "#7a3fc0"  # of the bars beside a strip, as in the style
 _MIN_BOX_M: Final = 3.0  # m: of the mark around a contact, so that it stays visible
 
 
@@ -81,6 +83,23 @@ class MissionRecord(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     verdicts: tuple[Verdict, ...] = ()
 
 
+class Pictures(Protocol):
+    """Give the strips of the waterfall, and when the vehicle passed where."""
+
+    def strips(self) -> tuple[PictureStrip, ...]:
+        """Give the strips, within the bytes that a page has room for."""
+        ...
+
+    def times(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Give places along the track, m, ascending, and the UTC seconds there."""
+        ...
+
+
+def ranked_contacts(contacts: Iterable[Contact]) -> list[Contact]:
+    """Sort contacts, the likeliest mine first."""
+    return sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
+
+
 def write_report(
     path: Path,
     mission: MissionRecord,
@@ -89,7 +108,7 @@ def write_report(
     waypoints: Sequence[Waypoint],
     notices: Iterable[Notice],
     counters: Mapping[str, float],
-    pictures: PictureCollector,
+    pictures: Pictures,
 ) -> None:
     """Write the page to `path`, and beside it a summary that prints on one page of A4.
 
@@ -108,7 +127,7 @@ def render_report(
     waypoints: Sequence[Waypoint],
     notices: Iterable[Notice],
     counters: Mapping[str, float],
-    pictures: PictureCollector,
+    pictures: Pictures,
 ) -> str:
     """Render the page as text."""
     context = _context(mission, contacts, patches, waypoints, notices, counters, pictures)
@@ -135,14 +154,14 @@ def _context(
     waypoints: Sequence[Waypoint],
     notices: Iterable[Notice],
     counters: Mapping[str, float],
-    pictures: PictureCollector,
+    pictures: Pictures,
 ) -> dict[str, Any]:
     """Gather what the templates show."""
     from markupsafe import Markup  # comes with jinja2
 
     folder = Path(__file__).parent
     script = (folder / "report.js").read_text(encoding="utf-8")
-    ranked = sorted(contacts, key=lambda contact: (not contact.p_mine >= 0.0, -contact.p_mine, contact.id))
+    ranked = ranked_contacts(contacts)
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
     places = [Place(one.id, one.latitude_deg, one.longitude_deg, sigma_m(one)) for one in ranked]
@@ -185,7 +204,8 @@ def _context(
         ),
         "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
         "layers": _LAYERS,
-        "kinds": sorted({contact.classification for contact in listed}),
+        "kinds": sorted({row.said.label for row in rows}),
+        "said": {row.contact.id: row.said for row in rows},
         "chart_width": WIDTH,
         "searched": _searched(mission.searched),
         "mines_left": _mines_left(mission.searched),
@@ -270,6 +290,7 @@ class ContactRow(NamedTuple):
     contact: Contact
     carded: bool
     called: str
+    said: ContactWords
     length: str
     size: str
     depth: str
@@ -286,6 +307,7 @@ def _contact_row(contact: Contact, strips: Sequence[PictureStrip], carded: bool)
         contact,
         carded=carded,
         called="" if contact.called is None else "yes" if contact.called else "no",
+        said=contact_words(contact),
         length=sizes[0],
         size=" × ".join(size or "?" for size in sizes),
         depth=_number(depth_m(contact), 1),
@@ -344,7 +366,7 @@ def _period(mission: MissionRecord) -> str:
 
 def _bands(contacts: Sequence[Contact]) -> list[tuple[str, str, int, float]]:
     counted = [sum(band(contact.p_mine) == name for contact in contacts) for name in ("p4", "p3", "p2", "p1")]
-    texts = ("0.8 and above", "0.5 to 0.8", "0.2 to 0.5", "below 0.2")
+    texts = ("80 % and above", "50 to 79 %", "20 to 49 %", "below 20 %")
     most = max(1, *counted)
     return [
         (name, text, n, 100.0 * n / most)
@@ -406,6 +428,7 @@ def _strip_view(
         "ranges": sorted(
             {(50.0 + side * 50.0 * far / strip.half_width_m, f"{far:g}") for far in across for side in (-1.0, 1.0)}
         ),
+        "turns": [(top(stop), 100.0 * (stop - start) / length_m) for start, stop in strip.turns_m],
         "gaps": [
             (top(stop), 100.0 * (stop - start) / length_m, words.distance(stop - start))
             for start, stop in strip.gaps_m
@@ -448,7 +471,7 @@ def _legend() -> dict[str, Any]:
         "ceiling": f"{CEILING_DB:+.0f} dB",
         "none": colours[0],
         "soft": colours[64 + 40],
-        "turned": colours[128 + 40],
+        "turned": _TURN_COLOUR,
     }
 
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW
 from auv_mcm.contacts.contact_picture import in_picture
+from auv_mcm.contacts.contact_words import plain_kind
 from auv_mcm.records import Confirmation, Detection
 from sim_replay.report.chart import svg_path
 from sim_replay.report.pictures import snippet_jpeg
-from sim_replay.report.report_words import class_name
 
 _UNITS_PER_M: Final = 100.0  # of the drawing
 _BARS_M: Final = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2)  # m: lengths of the scale bar
@@ -62,27 +62,34 @@ class ViewPicture(NamedTuple):
         return len(self.uri) + sum(len(stroke.path) * (2 if stroke.style.startswith("o-") else 1) for stroke in strokes)
 
 
-def view_picture(view: Detection, *, panels: bool) -> ViewPicture:
-    """Draw one view: a panel per result of confirmation with `panels`, else one picture.
+def view_picture(view: Detection, *, panels: bool, kind: str = "") -> ViewPicture:
+    """Draw one view as it was seen; beside it contours and model if there are any.
 
-    The one picture has contours and model if there are any.
+    Parameters
+    ----------
+    view
+        The view.
+    panels
+        Draw a panel of the classified pixels as well.
+    kind
+        The kind of mine that is named, "" for none: a model of another kind is drawn without a name.
     """
     height_m, width_m = view.snippet.shape[0] * view.row_spacing_m, view.snippet.shape[1] * view.column_spacing_m
     centroid = in_picture(view, np.array([[view.snippet_row, view.snippet_column]]))[0]
     bar_m = next((step for step in _BARS_M if step <= 0.4 * width_m), 0.1)
-    found = outlines(view, view.confirmation) if view.confirmation else ()
+    found = outlines(view, view.confirmation, kind) if view.confirmation else ()
     labels = labelled_panel(view, view.confirmation.labels) if view.confirmation else ()
     plain, classified, contoured = (
         Panel("As seen", ()),
         Panel("Pixels classified", labels),
         Panel(_contour_title(found), found),
     )
-    separate = plain, *(panel for panel in (classified, contoured) if panel.strokes)
+    drawn = (plain, classified, contoured) if panels else (plain, contoured)
     return ViewPicture(
         uri=f"data:image/jpeg;base64,{base64.b64encode(snippet_jpeg(view)).decode('ascii')}",
         width=max(width_m * _UNITS_PER_M, 1.0),
         height=max(height_m * _UNITS_PER_M, 1.0),
-        panels=separate if panels else (contoured if found else plain,),
+        panels=(plain, *(panel for panel in drawn[1:] if panel.strokes)),
         left=100.0 * float(centroid[0]),
         top=100.0 * float(centroid[1]),
         bar_m=f"{bar_m:g} m",
@@ -91,15 +98,16 @@ def view_picture(view: Detection, *, panels: bool) -> ViewPicture:
     )
 
 
-def outlines(view: Detection, found: Confirmation) -> tuple[Stroke, ...]:
-    """Draw the contours of echo and shadow, and the outlines of the best model in one stroke."""
+def outlines(view: Detection, found: Confirmation, kind: str = "") -> tuple[Stroke, ...]:
+    """Draw the contours of echo and shadow, and the outlines of the best model, named if it is of `kind`."""
     strokes = [
         Stroke("o-echo", _closed(view, found.highlight), "echo"),
         Stroke("o-shadow", _closed(view, found.shadow), "shadow"),
     ]
     if found.model is not None:
         path = _closed(view, found.model.highlight) + _closed(view, found.model.shadow)
-        strokes.append(Stroke("o-model", path, f"best {class_name(found.model.classification)}"))
+        is_named = found.model.classification == kind
+        strokes.append(Stroke("o-model", path, f"best {plain_kind(kind)}" if is_named else "closest model"))
     return tuple(stroke for stroke in strokes if stroke.path)
 
 
@@ -113,7 +121,7 @@ def labelled_panel(view: Detection, labels: NDArray[np.uint8]) -> tuple[Stroke, 
 
 
 def _contour_title(strokes: tuple[Stroke, ...]) -> str:
-    return "Contours and best model" if any(stroke.style == "o-model" for stroke in strokes) else "Contours"
+    return "Contours and closest model" if any(stroke.style == "o-model" for stroke in strokes) else "Contours"
 
 
 def _drawn(view: Detection, points: NDArray[np.float64]) -> NDArray[np.float64]:

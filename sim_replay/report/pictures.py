@@ -41,7 +41,8 @@ class PictureStrip(NamedTuple):
 
     As seen from above, travelling up.
 
-    gaps_m: along-track stretches without data, metres from the mission's first grid row.
+    gaps_m: along-track stretches without data, metres from the mission's first grid row. turns_m: those in which the
+    vehicle turned, which earn no coverage; they are marked beside the picture, which shows what was seen.
     """
 
     number: int
@@ -52,6 +53,7 @@ class PictureStrip(NamedTuple):
     width_px: int
     height_px: int
     gaps_m: tuple[tuple[float, float], ...]
+    turns_m: tuple[tuple[float, float], ...] = ()
 
     def holds(self, row_m: float) -> bool:
         """Find whether the strip holds a place along the track, m."""
@@ -162,6 +164,8 @@ class PictureCollector:
                 canvas[at, half_px - pixels.shape[1] : half_px] = pixels[:, ::-1]
             else:
                 canvas[at, half_px : half_px + pixels.shape[1]] = pixels
+        turned = (canvas >> 6 == TURNED).sum(axis=1) > 0.5 * np.maximum((canvas > 0).sum(axis=1), 1)
+        canvas[canvas >> 6 == TURNED] &= LEVELS
         jpeg = encoded(COLOURS[canvas[::-1]], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
         metres = self._row_spacing_m
         return PictureStrip(
@@ -173,6 +177,13 @@ class PictureCollector:
             width_px=2 * half_px,
             height_px=rows,
             gaps_m=tuple((start * metres, stop * metres) for start, stop in _gaps(pieces, start_row, stop_row)),
+            turns_m=tuple(
+                (
+                    metres * (start_row + start * self._rows_per_pixel),
+                    metres * (start_row + stop * self._rows_per_pixel),
+                )
+                for start, stop in _stretches(turned)
+            ),
         )
 
 
@@ -218,6 +229,12 @@ def _phases(image: NDArray[Any], rows: int, columns: int) -> list[NDArray[Any]]:
 def _columns_used(pixels: Bytes) -> int:
     used = np.flatnonzero(pixels.any(axis=0))
     return int(used[-1]) + 1 if len(used) else 1
+
+
+def _stretches(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Find the stretches [first, stop) in which something holds."""
+    edges = np.flatnonzero(np.diff(np.pad(chosen.astype(np.int8), 1)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _gaps(pieces: Sequence[_Piece], start_row: int, stop_row: int) -> list[tuple[int, int]]:

@@ -26,7 +26,7 @@
     const least = Number(form.least.value), kind = form.kind.value, called = form.called.checked;
     const grouped = form.grouped ? form.grouped.checked : false;
     const verdict = form.verdict ? form.verdict.value : '';
-    $('#least-shown').textContent = least.toFixed(2);
+    $('#least-shown').textContent = Math.round(100 * least) + ' %';
     let n = 0;
     for (const row of rows) {
       const text = row.textContent.toLowerCase();

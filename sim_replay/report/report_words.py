@@ -274,11 +274,6 @@ def call_name(call: str) -> str:
     return {"mine_like": "mine-like", "not_mine_like": "not mine-like"}.get(call, call)
 
 
-def class_name(name: str) -> str:
-    """Write the name of a class for people."""
-    return name.replace("_", " ")
-
-
 _SIZES: Final = {
     "length_m": "length",
     "width_m": "width",

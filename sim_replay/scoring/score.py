@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.clean_text import clean
-from auv_mcm.errors import UsageError
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.scoring.breakdown import (
     Confusion,
     Group,
@@ -49,6 +50,8 @@ from sim_replay.scoring.layout import MissionLayout, Outcome, lay_out
 
 GATE_M: Final = 2.0  # m between contact and target, maximum
 THRESHOLD: Final = 0.5  # of p_mine
+SAME_PLACE_M: Final = 20_000.0
+"""Distance in m from every object beyond which contacts are of another mission; chosen, longer than a leg is flown."""
 _LADDER: Final = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # thresholds of p_mine that are printed
 
 
@@ -120,7 +123,32 @@ def score_files(paths: Sequence[Path], *, gate_m: float = GATE_M, threshold: flo
         ScoredMission(read_contacts(contacts), read_truth(truth), clean(str(contacts)), asked_beside(contacts))
         for contacts, truth in pairs
     ]
+    for mission, truth in zip(missions, paths[1::2], strict=True):
+        _refuse_another_place(mission, truth)
     return score_missions(missions, gate_m=gate_m, threshold=threshold)
+
+
+def _refuse_another_place(mission: ScoredMission, truth: Path) -> None:
+    """Refuse a truth that no contact is near. Raises BadInputError.
+
+    Either may be empty, and contacts may have no position.
+    """
+    places = [
+        np.array([(one.latitude_deg, one.longitude_deg) for one in found], dtype=np.float64).reshape(-1, 2)
+        for found in (mission.contacts, mission.truth.objects)
+    ]
+    contacts, objects = (found[np.isfinite(found).all(axis=1)] for found in places)
+    if not len(contacts) or not len(objects):
+        return
+    frame = LocalFrame(latitude_deg=float(objects[0, 0]), longitude_deg=float(objects[0, 1]))
+    contacts_m, objects_m = (frame.to_enu(found[:, 0], found[:, 1], 0.0) for found in (contacts, objects))
+    nearest_m = min(float(np.linalg.norm(contacts_m - place, axis=1).min()) for place in objects_m)
+    if nearest_m > SAME_PLACE_M:
+        raise BadInputError(
+            f"{truth} is the truth of another place: none of the {len(contacts)} contacts in {mission.name} is within "
+            f"{SAME_PLACE_M / 1000.0:g} km of an object in it, the nearest is {nearest_m / 1000.0:.0f} km away. Pair "
+            "each contacts file with the truth of its own mission."
+        )
 
 
 def score_missions(missions: Sequence[ScoredMission], *, gate_m: float = GATE_M, threshold: float = THRESHOLD) -> Score:

@@ -16,9 +16,13 @@ from auv_mcm.contacts.export import iso_time
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Side
 from auv_mcm.shell import whole_files
+from sim_replay.results_folder import RESULTS_SUFFIX
 from sim_replay.structures import Member, find_structures, structure_feature
 from sim_replay.verdicts import (
     MAX_COMMENT,
+    MIN_MINE_LIKE,
+    MIN_MISSIONS,
+    MIN_NOT_MINE_LIKE,
     Call,
     Place,
     Verdict,
@@ -28,8 +32,18 @@ from sim_replay.verdicts import (
     next_object,
     read_verdicts,
 )
+from sim_replay.view.background_replay import BackgroundReplay
 from sim_replay.view.mission_feed import MissionFeed
-from sim_replay.view.mission_files import ContactFile, Overview, overview, read_json, read_summary, time_s
+from sim_replay.view.mission_files import (
+    ContactFile,
+    Overview,
+    number,
+    overview,
+    read_json,
+    read_summary,
+    time_s,
+    track_of,
+)
 from sim_replay.view.places import (
     Measured,
     SeabedPlaces,
@@ -42,6 +56,8 @@ from sim_replay.view.waterfall_store import WaterfallStore
 
 MAX_TRACK_POINTS: Final = 8000  # of the track on the map: more than a screen has pixels
 MAX_POINTS: Final = 64  # of one request to place points
+NEAR_M: Final = 5.0
+"""Distance in m from the chosen contact beyond which the page asks: a mine and its shadow are 8 m long at most."""
 _STRIP_ROWS: Final = 64  # rows of a piece of the waterfall on the map: straight within 8 m of track
 
 MeasuredQuantity = Literal["length", "width", "shadow"]
@@ -77,8 +93,18 @@ class Judged(NamedTuple):
 class ShownMission:
     """Read one mission for the page. Nothing but verdicts is ever written."""
 
-    def __init__(self, folder: Path, store: WaterfallStore, feed: MissionFeed, *, by: str, is_live: bool) -> None:
-        """folder: of the results or session. by: who judges. is_live: it may still grow."""
+    def __init__(
+        self,
+        folder: Path,
+        store: WaterfallStore,
+        feed: MissionFeed,
+        *,
+        by: str,
+        is_live: bool,
+        replay: BackgroundReplay | None = None,
+    ) -> None:
+        """folder: of the results or session. by: who judges. is_live: it may still grow. replay: looks for contacts."""
+        self.replay = replay
         self.folder = folder
         self.store = store
         self.feed = feed
@@ -126,7 +152,7 @@ class ShownMission:
         store = self.store
         config = self.feed.config
         return {
-            "name": clean(config.mission or self.folder.resolve().name),
+            "name": clean(config.mission or self.folder.resolve().name.removesuffix(RESULTS_SUFFIX)),
             "live": self._is_live and self.summary is None,
             "fraction": round(self.feed.fraction_done, 4),
             "done": self.feed.is_done,
@@ -138,10 +164,16 @@ class ShownMission:
             "stop_row": store.stop_row,
             "columns": store.n_columns,
             "full": store.is_full,
+            "replay": None if self.replay is None else round(self.replay.fraction_done, 3),
+            "replay_done": self.replay is None or self.summary is not None or bool(self.replay.problem),
+            "replay_problem": "" if self.replay is None else clean(self.replay.problem),
             "contacts_version": self._contacts.version,
             "verdicts_version": self._verdict_version,
             "by": self._by,
             "mine_like_p": MINE_LIKE_P,
+            "near_m": NEAR_M,
+            "verdicts": len(self._verdicts),
+            "judged": self._judged_words(),
             "max_comment": MAX_COMMENT,
         }
 
@@ -159,7 +191,8 @@ class ShownMission:
                 "longitude": [contact.place.longitude_deg for contact in found],
                 "sigma": [contact.place.sigma_m for contact in found],
                 "p": [contact.p_mine for contact in found],
-                "class": [contact.classification for contact in found],
+                "percent": [contact.said.percent for contact in found],
+                "label": [contact.said.label for contact in found],
                 "called": [contact.called for contact in found],
                 "time": [contact.time_s for contact in found],
                 "row": rows,
@@ -188,6 +221,7 @@ class ShownMission:
                 **feature["properties"],
                 "coordinates": (feature.get("geometry") or {}).get("coordinates"),
                 "depth_m": depth_m,
+                "said": msgspec.structs.asdict(place.said),
                 "view_rows": self._rows([time_s(time) for time in times]),
                 "history": [msgspec.to_builtins(verdict) for verdict in verdicts],
             }
@@ -213,6 +247,13 @@ class ShownMission:
         self._verdict_version += 1
         return verdict
 
+    def _judged_words(self) -> str:
+        """Word how far the verdicts of this mission are from what `auv-mcm calibrate odds --verdicts` needs."""
+        calls = [verdict.call for verdict in newest_verdicts(self._verdicts).values() if not verdict.drawn]
+        mines, others = calls.count("mine_like"), calls.count("not_mine_like")
+        needs = f"{MIN_MINE_LIKE} mine-like and {MIN_NOT_MINE_LIKE} not, of {MIN_MISSIONS} missions, to learn from them"
+        return f"judged {mines} mine-like, {others} not; it takes {needs}"
+
     def place(self, points: list[WaterfallPoint]) -> SeabedPlaces:
         """Place points of the waterfall on the sea floor."""
         return place_points(self.store, self.feed.config.sonar, points)
@@ -223,9 +264,31 @@ class ShownMission:
             return measure_shadow(self.store, ends)
         return measure_length(self.store, self.feed.config.sonar, ends)
 
+    def distance_m(self, name: str, ends: list[WaterfallPoint]) -> float:
+        """Measure how far the nearer of two points is from where a contact was seen, in its nearest view.
+
+        NaN for a contact whose pings are not in the waterfall (yet), or that does not exist.
+        """
+        feature = self._contacts.features.get(name)
+        if feature is None:
+            return math.nan
+        contact = overview(feature)
+        seen = [(contact.time_s, contact.side, contact.ground_range_m)]
+        for view in feature["properties"].get("views") or []:
+            seen.append((time_s(view.get("time")), view.get("side"), number(view.get("ground_range_m"))))
+        rows = np.array(self._rows([when for when, _, _ in seen]))
+        across_m = np.array([-range_m if side == "port" else range_m for _, side, range_m in seen])
+        away_m = np.concatenate(
+            [np.hypot((rows - end.row) * self.store.row_spacing_m, across_m - end.across_m) for end in ends]
+        )
+        known = away_m[np.isfinite(away_m)]
+        return float(known.min()) if len(known) else math.nan
+
     def track(self) -> dict[str, Any]:
         """List positions along the track, NaN where it breaks, and pieces of the waterfall with their corners."""
         stop = self.store.stop_row
+        if not stop and self.feed.is_done:
+            return track_of(self.folder)
         every = max(1, -(-stop // MAX_TRACK_POINTS))
         rows = np.arange(0, stop, every, dtype=np.int64)
         pose, _ = self.store.poses(rows)

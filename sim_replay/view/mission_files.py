@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from auv_mcm.clean_text import clean
+from auv_mcm.contacts.contact_words import ContactWords, feature_words
 from auv_mcm.errors import AuvMcmError, BadInputError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config
@@ -19,6 +20,7 @@ from sim_replay.verdicts import Place
 
 SUMMARY: Final = "summary.json"
 CONTACTS: Final = "contacts.geojson"
+TRACK: Final = "track.geojson"
 JOURNAL: Final = "contacts.jsonl"
 _MAX_JSON_BYTES: Final = 256 << 20  # bytes of one file: 100 000 contacts with all their views
 
@@ -32,7 +34,7 @@ class Overview(NamedTuple):
     id: str
     place: Place
     p_mine: float
-    classification: str
+    said: ContactWords
     called: bool | None
     length_m: float
     side: str
@@ -105,13 +107,13 @@ def overview(feature: dict[str, Any]) -> Overview:
     )
     return Overview(
         id=name,
-        place=Place(name, _number(latitude), _number(longitude), _number(properties.get("sigma_m"))),
-        p_mine=_number(properties.get("p_mine")),
-        classification=clean(str(properties.get("class", "unknown"))),
+        place=Place(name, number(latitude), number(longitude), number(properties.get("sigma_m"))),
+        p_mine=number(properties.get("p_mine")),
+        said=feature_words(properties),
         called=properties.get("called"),
-        length_m=_number(properties.get("length_m")),
+        length_m=number(properties.get("length_m")),
         side=side if side in ("port", "starboard") else "",
-        ground_range_m=_number(ground_range_m),
+        ground_range_m=number(ground_range_m),
         time_s=time_s(shown.get("time") or properties.get("time")),
     )
 
@@ -122,6 +124,27 @@ def time_s(text: Any) -> float:
         return datetime.fromisoformat(str(text)).timestamp()
     except ValueError:
         return math.nan
+
+
+def track_of(folder: Path) -> dict[str, Any]:
+    """Read the track that results hold, for a map without a waterfall; its stretches are apart by None."""
+    path = folder / TRACK
+    positions: list[Any] = []
+    if path.exists():
+        found = read_json(path)
+        try:
+            for geometry in (feature["geometry"] for feature in found["features"] if feature["geometry"]):
+                lines = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
+                for line in lines:
+                    positions += [*line, (None, None)]
+        except (KeyError, TypeError) as error:
+            raise BadInputError(f"{path} holds no track as auv-mcm writes it. Replay the log again.") from error
+    return {
+        "row": list(range(len(positions))),
+        "latitude": [position[1] for position in positions],
+        "longitude": [position[0] for position in positions],
+        "time": [None] * len(positions),
+    }
 
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
@@ -176,5 +199,6 @@ def _stamp(path: Path) -> tuple[int, int] | None:
     return found.st_mtime_ns, found.st_size
 
 
-def _number(value: Any) -> float:
+def number(value: Any) -> float:
+    """Read a number of a file, NaN for anything else."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan

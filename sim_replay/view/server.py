@@ -61,6 +61,7 @@ class _Points(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class _Ends(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quantity: MeasuredQuantity
     ends: tuple[WaterfallPoint, WaterfallPoint]
+    contact_id: str = ""
 
 
 class MissionServer:
@@ -77,6 +78,7 @@ class MissionServer:
         self._host, self._port = host, port
         self._tiles: OrderedDict[tuple[int, int, int], bytes] = OrderedDict()
         self._refreshing = asyncio.Lock()
+        self._drawing = asyncio.Lock()
         self._page = {path.name: path for path in _PAGE.iterdir() if path.suffix in _KINDS}
         app = web.Application(client_max_size=MAX_REQUEST_BYTES, middlewares=[self._guard])
         app.router.add_get("/", self._index)
@@ -92,6 +94,7 @@ class MissionServer:
         app.router.add_post("/api/place", self._place)
         app.router.add_post("/api/measure", self._measure)
         app.router.add_post("/api/verdicts", self._judge)
+        app.router.add_post("/api/report", self._report)
         self._runner = web.AppRunner(
             app,
             access_log=None,
@@ -250,12 +253,22 @@ class MissionServer:
 
     async def _measure(self, request: web.Request) -> web.StreamResponse:
         asked = await _body(request, _Ends)
-        return _json(finite(self._mission.measure(asked.quantity, list(asked.ends))._asdict()))
+        ends = list(asked.ends)
+        found = self._mission.measure(asked.quantity, ends)._asdict()
+        return _json(finite({**found, "distance_m": self._mission.distance_m(asked.contact_id, ends)}))
 
     async def _judge(self, request: web.Request) -> web.StreamResponse:
         judgement = await _body(request, Judgement)
         verdict = await asyncio.to_thread(self._mission.judge, judgement)
         return _json(msgspec.to_builtins(verdict))
+
+    async def _report(self, request: web.Request) -> web.StreamResponse:
+        from sim_replay.report.report_file import REPORT, redraw_report  # late: half a second at the start of a page
+
+        async with self._drawing:
+            drawn = await asyncio.to_thread(redraw_report, self._mission.folder)
+        path = clean(str(self._mission.folder / REPORT))
+        return _json({"verdicts": len(drawn.mission.verdicts), "path": path})
 
     async def _refresh(self) -> None:
         async with self._refreshing:

@@ -15,7 +15,12 @@ from auv_mcm.clean_text import clean
 from auv_mcm.commands import read_config
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.settings.config import Config
+from auv_mcm.shell.snippet_files import make_results_directory
+from sim_replay.logs.archive import logs_of
+from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.logs.session_parts import recordings_of, session_of
+from sim_replay.results_folder import default_results, is_replayed, resolved_log
+from sim_replay.view.background_replay import BackgroundReplay
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import MissionFeed, OpenedMission, follow_session, open_logs
 from sim_replay.view.mission_files import CONTACTS, JOURNAL, SUMMARY, read_summary, summary_config
@@ -26,7 +31,7 @@ _POLL_S: Final = 0.5  # s between two looks for a session that is to begin
 
 
 def show(
-    folder: Path | None,
+    paths: list[Path],
     *,
     live: bool = False,
     logs: list[Path],
@@ -36,12 +41,13 @@ def show(
     by: str = "",
     open_browser: bool = False,
 ) -> int:
-    """Serve the page of a folder until interrupted. Returns the exit code.
+    """Serve the page of a mission until interrupted. Returns the exit code.
 
     Parameters
     ----------
-    folder
-        Of results or of a session; None with `live` for the last session below service.output_directory.
+    paths
+        Folder of results or of a session; or logs, or a folder of logs, which are replayed while they are shown. None
+        with `live` for the last session below service.output_directory.
     live
         Wait for the session to begin.
     logs
@@ -62,18 +68,24 @@ def show(
         cannot be had.
     """
     config = None if config_path is None else read_config(config_path)
-    if folder is None:
-        if not live:
-            raise UsageError("name the folder of results or of a session, or give --live")
-        folder = Path((config or Config()).service.output_directory) / "latest"
+    if not paths and not live:
+        raise UsageError("name logs, the folder of results or of a session, or give --live")
+    folder = paths[0] if paths else Path((config or Config()).service.output_directory) / "latest"
     if live:
         wait_for_session(folder)
-    mission = open_shown(folder, logs, config, by or _user())
+    if live or (len(paths) == 1 and is_shown(folder)):
+        mission = open_shown(folder, logs, config, by or _user())
+    else:
+        mission = open_new(logs_named(paths), config, by or _user())
     try:
         asyncio.run(_serve(mission, host, port, open_browser))
     except KeyboardInterrupt:
         print("closed")
     finally:
+        if mission.replay is not None:
+            if mission.replay.is_running:
+                print("the replay is not finished: what it found so far goes with the next one")
+            mission.replay.close()
         mission.feed.close()
         mission.store.close()
     return 0
@@ -101,7 +113,7 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
     # 'latest' may point to another session later; this one is shown to its end.
     folder = session_of(folder).resolve()
     recordings = recordings_of(folder) if folder.is_dir() else []
-    if not recordings and not any((folder / name).exists() for name in (SUMMARY, CONTACTS, JOURNAL)):
+    if not is_shown(folder):
         raise BadInputError(
             f"{folder} holds neither results nor a session. Name a folder that auv-mcm replay or auv-mcm run wrote, "
             "or give --live to wait for a session."
@@ -124,19 +136,75 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
     return mission
 
 
+def is_shown(folder: Path) -> bool:
+    """Find whether a folder holds results or a session, finished or not."""
+    recordings = recordings_of(folder) if folder.is_dir() else []
+    return bool(recordings) or any((folder / name).exists() for name in (SUMMARY, CONTACTS, JOURNAL))
+
+
+def logs_named(paths: list[Path]) -> list[Path]:
+    """List the logs that paths name, a folder standing for all the logs below it.
+
+    Raises UsageError for a path that is not there or a folder of results among logs, BadInputError for a folder that
+    holds neither logs nor results.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise UsageError(f"there is no {path}. Name a log, a folder of logs, results of a replay, or a session.")
+        if len(paths) > 1 and path.is_dir() and (path / SUMMARY).exists():
+            raise UsageError(f"{path} is a folder of results, which is shown by itself. Name it alone.")
+        if path.is_file() or is_session(path):
+            found.append(path)
+            continue
+        try:
+            logs = [log.path for log in logs_of(path, path / "results")]
+        except BadInputError as error:
+            raise BadInputError(
+                f"{path} holds neither results nor a session nor a log. Name a folder that auv-mcm replay or auv-mcm "
+                "run wrote, logs, or give --live to wait for a session."
+            ) from error
+        pings = [log for log in logs if not is_session(log)]
+        if pings and len(pings) < len(logs):
+            print(f"left out: {len(logs) - len(pings)} recorded sessions, each of which is shown by itself")
+        found += pings or logs[:1]
+    return found
+
+
+def open_new(logs: list[Path], config: Config | None, by: str) -> ShownMission:
+    """Begin to show logs that have no results yet, and to replay them; what was replayed before is shown at once.
+
+    Parameters
+    ----------
+    logs
+        Of one mission, or of many that share a map.
+    config
+        In place of the one that a recorded session holds.
+    by
+        Who judges.
+    """
+    used = config or logs_config(logs) or Config()
+    folder = default_results(logs).absolute()
+    if is_replayed(folder, used):
+        print(f"replayed before: {clean(str(folder))}", flush=True)
+        return open_shown(folder, logs, config, by)
+    make_results_directory(folder)
+    store = WaterfallStore()
+    feed = MissionFeed(store, lambda stop: open_logs(logs, used))
+    mission = ShownMission(folder, store, feed, by=by, is_live=False, replay=BackgroundReplay(logs, folder, used))
+    feed.start()
+    return mission
+
+
 def named_logs(summary: dict[str, Any], folder: Path) -> list[Path]:
-    """Find the logs that a summary names: where they were, or beside the results.
+    """Find the logs that a summary names: where they were, as seen from the results, or beside them.
 
     Raises BadInputError for one that has moved.
     """
-    found = []
-    for entry in summary.get("logs") or []:
-        named = Path(str(entry.get("path", "")))
-        places = [named, folder / named.name, folder.parent / named.name]
-        path = next((place for place in places if place.exists()), None)
-        if path is None:
-            raise BadInputError(f"there is no waterfall: the log {named} has moved. Name it with --log.")
-        found.append(path)
+    try:
+        found = [resolved_log(entry, folder) for entry in summary.get("logs") or []]
+    except FileNotFoundError as error:
+        raise BadInputError(f"there is no waterfall: the log {error} has moved. Name it with --log.") from error
     if not found:
         raise BadInputError("there is no waterfall: the results name no log. Name it with --log.")
     return found
@@ -147,6 +215,8 @@ async def _serve(mission: ShownMission, host: str, port: int, open_browser: bool
     await server.open()
     try:
         print(f"{clean(str(mission.folder))}: {server.url} (Ctrl-C ends)", flush=True)
+        if mission.replay is not None:
+            mission.replay.start()  # after the page can be had
         if open_browser:
             await asyncio.to_thread(webbrowser.open, server.url)
         await asyncio.Event().wait()

@@ -22,6 +22,7 @@ from sim_replay.scoring import score_files
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import TARGET_KINDS, Lawnmower, Scene
 from sim_replay.simulator.scene_file import read_scene
+from tests.contradictions import all_contradictions
 
 THRESHOLD = 0.2  # of p_mine; far above what is kept at all
 SEED = 1
@@ -60,6 +61,7 @@ def short(scene: Scene) -> Scene:
 def test_a_mission_is_as_accurate_as_it_was(name: str, tmp_path: Path) -> None:
     simulated = simulate(short(read_scene(name)), tmp_path)
     replay([simulated.log], tmp_path / "results", Config())
+    assert all_contradictions(tmp_path / "results" / "contacts.geojson") == []
     point = score_files([tmp_path / "results" / "contacts.geojson", simulated.truth], threshold=THRESHOLD).at_threshold
     pd, per_km2 = point.pd.value, point.false_alarms.per_km2
     assert point.pd.of >= 35, "targets that could be seen"

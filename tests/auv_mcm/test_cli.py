@@ -13,6 +13,7 @@ from auv_mcm import __version__
 from auv_mcm.cli import main
 from auv_mcm.kernels import Loaded
 from auv_mcm.settings.config import Config, parse_config
+from auv_mcm.shell.registry import COMMAND_GROUPS, COMMANDS
 
 ROOT = Path(__file__).parents[2]
 
@@ -54,7 +55,6 @@ def test_help_says_what_the_command_does_shows_examples_and_exit_codes(
             [],
             ["nonsense"],
             ["replay"],
-            ["replay", "a.xtf"],
             ["config"],
             ["config", "--write", "a", "--schema"],
             ["bench", "everything"],
@@ -418,3 +418,53 @@ def test_the_process_that_serves_stays_lean() -> None:
         "set(sys.modules)))"
     )
     assert run(code=code).stdout == "[] []\n", "the command starts without numpy, the service runs without the others"
+
+
+def test_a_slip_in_a_command_or_a_choice_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    for words, near in (
+        (["reply", "a.xtf"], "did you mean replay?"),
+        (["replay", "a.xtf", "--outt", "o"], "did you mean --out?"),
+        (["replay", "a.xtf", "--speed", "rel"], "did you mean real?"),
+        (["zzz"], "choose from replay, view"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code == 2
+        assert near in capsys.readouterr().err
+
+
+def test_help_lists_every_command_once_by_purpose_and_fits_the_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert {name for names in COMMAND_GROUPS.values() for name in names} >= set(COMMANDS)
+    for command in ([], ["replay"], ["view"], ["check"], ["hil"], ["score"]):
+        with pytest.raises(SystemExit):
+            main([*command, "--help"])
+        text = capsys.readouterr().out
+        prose = [line for line in text.splitlines() if not line.startswith("  ")]
+        assert max(map(len, prose)) <= 80
+        for name in COMMANDS if not command else ():
+            assert len([line for line in text.splitlines() if line.startswith(f"  {name} ")]) == 1
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("shtab", reason="completion needs the package shtab of the extra bench")
+    with pytest.raises(SystemExit) as ended:
+        main(["--completion", shell])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert "replay" in text
+    assert "--geotiff" in text or shell == "tcsh"
+
+
+def test_the_self_check_speaks_json_a_finding_a_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code = main(["check", "--json", "missing.xtf"])
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert code == 5
+    assert {tuple(one) for one in found} == {("name", "verdict", "detail")}
+    assert [one["name"] for one in found if one["verdict"] == "FAILED"] == ["log missing.xtf"]

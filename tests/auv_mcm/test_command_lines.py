@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
+import json
 import re
 import shlex
 import shutil
@@ -179,6 +180,17 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(simulate(later, folder / "later").log, folder / "leg2.xtf")
     (folder / "vehicle.yaml").write_text(f"service: {{source: 'replay://{folder}/mission.xtf?speed=max'}}\n{PORTS}")
     assert main(["replay", str(folder / "mission.xtf"), "--out", str(folder / "results")]) == 0
+    first = json.loads((folder / "results" / "contacts.geojson").read_bytes())["features"][0]
+    longitude, latitude = first["geometry"]["coordinates"]
+    one = Verdict(
+        object="V0001",
+        time="2026-05-04T10:00:00Z",
+        by="kim",
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        call="mine_like",
+    )
+    append_verdict(folder / "results", one)
     for name in ("r1", "r2", "out-demo/results", "monday", "tuesday", "wednesday", "thursday"):
         shutil.copytree(folder / "results", folder / name)
         if name.endswith("day"):

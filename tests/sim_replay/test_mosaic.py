@@ -207,7 +207,11 @@ def test_the_kmz_lays_pictures_over_the_same_place(mission: tuple[Path, Any], tm
 def test_an_export_without_a_file_or_into_no_folder_is_one_clear_line(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    for words, says in (([], "nothing to export"), (["--geotiff", "no/such/m.tif"], "there is no folder no/such")):
+    for words, says in (
+        ([], "nothing to export"),
+        (["--geotiff", "no/such/m.tif"], "there is no folder no/such"),
+        (["--geotiff", str(tmp_path / "m.tif")], "mission.xtf. Name a folder of results"),
+    ):
         assert main(["export", str(tmp_path / "mission.xtf"), *words]) == 2
         assert says in capsys.readouterr().err
 

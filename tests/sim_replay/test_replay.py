@@ -30,6 +30,7 @@ ROOT = Path(__file__).parents[2]
 FILES = {
     *("contacts.geojson", "contacts.csv", "contacts.kml", "waypoints.geojson", "coverage.geojson"),
     *("clearance.geojson", "clearance.png", "track.geojson", "summary.json", "report.html", "one-page.html"),
+    "report-contents.bin",
     "snippets",
 }
 SAME = (
@@ -86,7 +87,7 @@ def read(path: Path) -> Any:
 def test_every_file_of_the_contract_is_written(results: Path, logs: tuple[Path, Path]) -> None:
     assert {path.name for path in results.iterdir()} == FILES
     summary = read(results / "summary.json")
-    assert [log["path"] for log in summary["logs"]] == [str(path) for path in logs]
+    assert [log["path"] for log in summary["logs"]] == [str(path.absolute()) for path in logs]
     assert [log["bytes"] for log in summary["logs"]] == [path.stat().st_size for path in logs]
     features = read(results / "contacts.geojson")["features"]
     assert summary["contacts"] == len(features) > 0

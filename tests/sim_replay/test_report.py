@@ -103,7 +103,7 @@ def test_likely_contacts_come_first_and_clutter_is_folded_away() -> None:
     text = full_page()
     places = [text.index(f'" id="{name}"') for name in ("C0001", "C0003", "C0002")]
     assert places == sorted(places)
-    assert places[1] < text.index("1 contact judged clutter") < places[2]
+    assert places[1] < text.index("1 contact that is probably not a mine") < places[2]
     assert text.index("<details", places[1]) < places[2]
 
 
@@ -323,7 +323,7 @@ def test_boxes_lie_on_the_echo_they_frame() -> None:
     assert sorted(centres) == [pytest.approx(centre, abs=0.01) for centre in sorted(expected)]
 
 
-def test_masked_low_resolution_and_turn_pixels_have_their_colours() -> None:
+def test_masked_and_low_resolution_pixels_have_their_colours_and_turns_show_what_was_seen() -> None:
     mask = np.full((64, 200), VALID, dtype=np.uint8)
     mask[:, :40] = 0
     mask[:, 40:80] |= LOW_RESOLUTION
@@ -334,8 +334,21 @@ def test_masked_low_resolution_and_turn_pixels_have_their_colours() -> None:
     (strip,) = pictures.strips()
     picture = decoded(strip.jpeg)[32]
     level = int(display_levels(np.ones(1))[0])
-    for column, code in ((20, 0), (60, 64 + level), (100, 128 + level), (140, 128), (180, level)):
+    for column, code in ((20, 0), (60, 64 + level), (100, level), (140, 0), (180, level)):
         np.testing.assert_allclose(picture[strip.width_px // 2 + column], COLOURS[code], atol=12)
+
+
+def test_a_turn_is_marked_beside_the_picture_and_hides_nothing_of_it() -> None:
+    mask = np.full((64, 200), VALID, dtype=np.uint8)
+    mask[10:30] |= TURN
+    pictures = PictureCollector()
+    pictures.add_tile(tile(0, "starboard", mask=mask))
+    (strip,) = pictures.strips()
+    ((start_m, stop_m),) = strip.turns_m
+    assert (start_m, stop_m) == pytest.approx((10 * ROW_M, 30 * ROW_M))
+    text = render_report(mission(), [], [], [], [], {}, pictures)
+    (bar,) = re.findall(r'class="turn" style="top:([\d.]+)%;height:([\d.]+)%"', text)
+    assert [float(part) for part in bar] == pytest.approx([100.0 * 34 / 64, 100.0 * 20 / 64], abs=0.01)
 
 
 def test_a_gap_between_tiles_is_marked_with_its_length() -> None:

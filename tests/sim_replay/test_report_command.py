@@ -41,3 +41,40 @@ def test_recordings_are_taken_in_the_order_of_the_starts(tmp_path: Path) -> None
 def test_what_is_no_session_says_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", str(tmp_path / "mission.xtf")]) == 2
     assert "mission.xtf --out results' makes the report" in capsys.readouterr().err
+
+
+def test_the_recordings_of_a_session_that_was_gone_on_with_have_one_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session-1"
+    session.mkdir()
+    write_session(run_of("jsf"), session / "recording")
+    assert main(["report", str(session), "--out", str(tmp_path / "once")]) == 0
+    once = int(capsys.readouterr().out.split()[0])
+    write_session(run_of("jsf"), session / "recording-2")
+    assert main(["report", str(session)]) == 0
+    assert int(capsys.readouterr().out.split()[0]) == 2 * once
+    assert sorted(path.name for path in session.iterdir()) == ["recording", "recording-2", "report"]
+
+
+def test_the_report_of_results_is_drawn_again_with_the_verdicts_of_now(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tmp_path / "results"
+    session = write_session(run_of("jsf"), tmp_path / "session-1" / "recording")
+    assert main(["replay", str(session), "--out", str(results)]) == 0
+    before = (results / "report.html").read_bytes()
+    assert main(["report", str(results)]) == 0
+    assert (results / "report.html").read_bytes() == before, "nobody judged"
+    one = Verdict(
+        object="V0001", time="2026-05-04T10:00:00Z", by="kim", latitude_deg=0.0, longitude_deg=0.0, drawn=True
+    )
+    append_verdict(results, one)
+    capsys.readouterr()
+    assert main(["report", str(results)]) == 0
+    assert capsys.readouterr().out.startswith("1 verdicts: ")
+    assert "V0001" in (results / "report.html").read_text(encoding="utf-8")
+    assert "judged by kim" in (results / "one-page.html").read_text(encoding="utf-8")
+    (results / "report-contents.bin").write_bytes(b"damaged")
+    assert main(["report", str(results)]) == 3
+    assert "Replay the log again" in capsys.readouterr().err

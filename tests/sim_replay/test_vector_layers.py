@@ -7,6 +7,7 @@ import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -53,11 +54,13 @@ def test_gdal_reads_every_layer_of_the_geopackage(results: Path, tmp_path: Path)
         "coverage": (1, "MultiPolygon"),
         "second_views": (1, "LineString"),
         **{f"waypoints_{kind}": (1, "Point") for kind in ("start", "turn", "leg_entry", "leg_exit")},
+        "layer_styles": (1, None),
     }
-    assert all(info["crs"] == "EPSG:4326" for info in layers.values())
+    assert all(info["crs"] == "EPSG:4326" for name, info in layers.items() if name != "layer_styles")
     types = dict(zip(layers["contacts"]["fields"], layers["contacts"]["dtypes"], strict=True))
     assert types["p_mine"] == "float64"
     assert types["views"] == "object"
+    assert types["time"].startswith("datetime64")
     assert tuple(layers["contacts"]["total_bounds"]) == (12.0, 55.0, 12.0, 55.0)
 
 
@@ -96,8 +99,24 @@ def test_layers_without_results_or_of_damaged_ones_are_one_clear_line(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["export", str(tmp_path / "mission.xtf"), "--gpkg", str(tmp_path / "m.gpkg")]) == 2
+    assert "there is no" in capsys.readouterr().err
+    (tmp_path / "mission.xtf").touch()
+    assert main(["export", str(tmp_path / "mission.xtf"), "--gpkg", str(tmp_path / "m.gpkg")]) == 2
     assert "replay the log first" in capsys.readouterr().err
     for name, text in (("summary.json", "{}"), ("contacts.geojson", '{"features"')):
         (tmp_path / name).write_text(text)
     assert main(["export", str(tmp_path), "--gpx", str(tmp_path / "m.gpx")]) == 3
     assert "contacts.geojson cannot be read" in capsys.readouterr().err
+
+
+def test_the_style_of_contacts_covers_every_chance_once(results: Path, tmp_path: Path) -> None:
+    assert main(["export", str(results), "--gpkg", str(tmp_path / "m.gpkg")]) == 0
+    with sqlite3.connect(tmp_path / "m.gpkg") as base:
+        (name, qml, default), *others = base.execute("SELECT f_table_name, styleQML, useAsDefault FROM layer_styles")
+        assert (name, default, others) == ("contacts", 1, [])
+        filters = [rule.attrib["filter"] for rule in ElementTree.fromstring(qml).iter("rule")]
+        base.execute("CREATE TABLE chance (p_mine DOUBLE)")
+        base.executemany("INSERT INTO chance VALUES (?)", [(p / 1000.0,) for p in range(1001)])
+        counts = [base.execute(f"SELECT COUNT(*) FROM chance WHERE {one}").fetchone()[0] for one in filters]
+    assert sum(counts) == 1001
+    assert counts == [201, 300, 300, 200]

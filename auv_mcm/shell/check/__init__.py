@@ -5,6 +5,7 @@ Only the standard library is imported before the packages have been checked, so 
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import platform
@@ -13,10 +14,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from auv_mcm import __version__
-from auv_mcm.clean_text import clean_lines
+from auv_mcm.clean_text import clean_json, clean_lines, tinted
 from auv_mcm.errors import AuvMcmError, SelfCheckError
 from auv_mcm.shell.check.finding import Finding
 from auv_mcm.shell.check.host import clock_discipline, clock_finding, output_finding, reach_findings, user_findings
@@ -26,22 +27,43 @@ from auv_mcm.shell.registry import BENCH_CHECK, PORT_CHECK, load
 if TYPE_CHECKING:
     from auv_mcm.settings.config import Config
 
+_COLOURS: Final = {"ok": "green", "warning": "yellow", "FAILED": "red"}
+
 
 def run_checks(
     read_config: Callable[[], Config],
     write: Callable[[str], None],
     check_logs: Callable[[Config], Iterable[Finding]] = lambda config: (),
+    *,
+    as_json: bool = False,
 ) -> int:
     """Check everything, write a table line by line, and return the exit code.
 
     The code is 0, or SelfCheckError's if any check failed.
 
-    A configuration that cannot be read is one of the findings. check_logs: gives the findings about recorded logs.
+    A configuration that cannot be read is one of the findings.
+
+    Parameters
+    ----------
+    read_config
+        Reads the configuration to check.
+    write
+        Takes each line.
+    check_logs
+        Gives the findings about recorded logs.
+    as_json
+        Write each finding as an object of JSON, and no sum of them.
     """
     verdicts = []
     for finding in _findings(read_config, check_logs):
-        write(clean_lines(f"{finding.verdict:8}{finding.name:32}{finding.detail}"))
+        if as_json:
+            write(clean_json(json.dumps(finding._asdict(), ensure_ascii=False)))
+        else:
+            verdict = tinted(f"{finding.verdict:8}", _COLOURS[finding.verdict])
+            write(verdict + clean_lines(f"{finding.name:32}{finding.detail}"))
         verdicts.append(finding.verdict)
+    if as_json:
+        return SelfCheckError.exit_code if "FAILED" in verdicts else 0
     n_failed, n_warnings = verdicts.count("FAILED"), verdicts.count("warning")
     counted = f"{n_failed} failed" if n_failed else "nothing failed"
     write(

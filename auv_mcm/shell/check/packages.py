@@ -22,10 +22,12 @@ IMPORTED_AS: Final = {
     "python-can": "can",
     "pyyaml": "yaml",
     "mcap-protobuf-support": "mcap_protobuf",
+    "fpdf2": "fpdf",
 }
 _WITHOUT: Final = {
     "bench": "replay, simulate, score, train, hil, bench and reports need it",
     "view": "view needs it",
+    "cluster": "--scheduler needs it",
 }
 _REQUIREMENT: Final = re.compile(
     r"(?P<name>[A-Za-z0-9._-]+)\s*(?:\[[^\]]*\])?\s*\(?(?P<limits>[^;)]*)\)?\s*(?:;(?P<marker>.*))?"

@@ -172,7 +172,7 @@ def _distributed(scheduler: str) -> Any:
         return import_module("distributed")
     except ImportError as error:
         raise UsageError(
-            f"scheduler {scheduler}: dask is not installed here. Install it with: pip install 'auv-mcm[bench]'"
+            f"scheduler {scheduler}: dask is not installed here. Install it with: pip install 'auv-mcm[bench,cluster]'"
         ) from error
 
 

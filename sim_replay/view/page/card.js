@@ -26,50 +26,69 @@ export function contactCard(handlers) {
   const row = (name, value) => [element("dt", {}, name), element("dd", {}, value)];
   const withError = (size, sigma) => metres(size, 2) + (sigma ? ` ± ${sigma.toFixed(2)}` : "");
 
-  function facts(details, contact) {
-    const list = element("dl");
-    list.append(...row("position", position(contact.latitude, contact.longitude)));
+  function statistics(details, contact) {
+    const rows = [];
     if (contact.structure) {
       const {id, length_m, width_m, n_contacts, n_called} = contact.structure;
-      list.append(...row("part of", `structure ${id}: ${metres(length_m)} × ${metres(width_m)}, ${n_contacts} contacts, ${n_called} called`));
+      rows.push(...row("part of", `structure ${id}: ${metres(length_m)} × ${metres(width_m)}, ${n_contacts} contacts, ${n_called} called`));
     }
     if (details) {
-      list.append(
-        ...row("error, depth", `${metres(details.sigma_m, 1)} (1 σ), ${metres(details.depth_m, 1)} deep`),
+      const low = details.false_alarms_95_per_km2 || [];
+      rows.push(
+        ...row("p_mine", text(details.p_mine)),
+        ...row("error", `${metres(details.sigma_m, 1)} (1 σ)`),
         ...row("size found", [["length_m", "length_sigma_m"], ["width_m", "width_sigma_m"], ["height_m", "height_sigma_m"]]
           .map(([size, sigma]) => withError(details[size], details[sigma])).join(" × ")),
-        ...row("seen", `${details.n_views}× · ${text(details.side)} ${metres(details.ground_range_m)} · from ${(details.aspects_deg || []).map((aspect) => `${Math.round(aspect)}°`).join(", ")}`),
-        ...row("false alarms", details.false_alarms_per_km2 === null ? "?" : `${Math.round(details.false_alarms_per_km2)} per km² expected to look as mine-like`),
+        ...row("seen", `${text(details.side)} ${metres(details.ground_range_m)} · looking towards ${(details.aspects_deg || []).map((aspect) => `${Math.round(aspect)}°`).join(", ")}`),
+        ...row("called", details.called === null || details.called === undefined ? "not decided" : details.called ? "yes" : "no"),
+        ...row("false alarms", details.false_alarms_per_km2 === null || details.false_alarms_per_km2 === undefined ? "?"
+          : `${Math.round(details.false_alarms_per_km2)} per km² expected to look as mine-like${low.length === 2 && low[0] !== null ? ` (${Math.round(low[0])} to ${Math.round(low[1])})` : ""}`),
       );
     }
-    return list;
+    return [element("dl", {}, ...rows), ...(details ? [element("h3", {}, "belief"), beliefs(details), ...evidence(details)] : [])];
   }
 
   function beliefs(details) {
-    const parts = Object.entries(details.belief || {}).filter(([, share]) => share >= 0.005).sort((a, b) => b[1] - a[1]);
-    return element("dl", {}, ...parts.flatMap(([name, share]) => {
-      const filled = element("span");
-      filled.style.width = `${100 * share}%`;
-      return [element("dt", {}, `${plain(name)} ${Math.round(100 * share)} %`), element("dd", {}, element("div", {className: "bar"}, filled))];
-    }));
+    const open = details.said.open_share, belief = {...details.belief};
+    const parts = Object.entries(belief).map(([name, share]) => [plain(name), name === "unknown" ? share - open : share]);
+    parts.push(["mine, kind open", open]);
+    return element("dl", {}, ...parts.filter(([, share]) => share >= 0.005).sort((a, b) => b[1] - a[1]).flatMap(([name, share]) => [
+      element("dt", {}, `${name} ${Math.round(100 * share)} %`), element("dd", {}, bar(share)),
+    ]));
+  }
+
+  function bar(share) {
+    const filled = element("span");
+    filled.style.width = `${100 * share}%`;
+    return element("div", {className: "bar"}, filled);
   }
 
   function evidence(details) {
-    const views = details.views || [];
     return [
-      element("h3", {}, "what the chain says"), beliefs(details),
-      element("h3", {}, "evidence"),
-      element("ul", {}, ...views.map((view, index) => element("li", {},
+      element("h3", {}, "evidence of each view"),
+      element("ul", {}, ...(details.views || []).map((view, index) => element("li", {},
         element("button", {onclick: () => handlers.goTo(details.view_rows[index], view.side === "port" ? -view.ground_range_m : view.ground_range_m)}, `view ${index + 1}`),
         ` ${text(view.side)}, ${metres(view.ground_range_m)}, p ${text(view.p_mine)}: ${(view.reasons || []).map(plain).join(", ")}`))),
     ];
+  }
+
+  // What a watch officer reads: a sentence, how likely, one reason for and one against, and where it is.
+  function front(details, contact) {
+    const said = details && details.said;
+    const reason = (name, words) => (words ? element("li", {className: name}, element("b", {}, `${name}: `), words) : null);
+    return element("div", {},
+      said ? element("p", {id: "says"}, said.sentence) : null,
+      said && contact.p !== null ? bar(contact.p) : null,
+      said ? element("ul", {className: "reasons"}, reason("for", said.reason_for), reason("against", said.reason_against)) : null,
+      element("p", {className: "where"}, position(contact.latitude, contact.longitude) + (details && details.depth_m !== null ? `, ${metres(details.depth_m)} deep` : "")),
+      ...history(details, contact));
   }
 
   function history(details, contact) {
     const lines = (details ? details.history : null) || (contact.by ? [contact] : []);
     if (!lines.length) return [];
     return [element("h3", {}, "verdicts"), element("ul", {}, ...lines.slice().reverse().map((verdict) => element("li", {},
-      `${verdict.time} ${verdict.by}: ${verdict.withdrawn ? "withdrawn" : CALLS[verdict.call]}${verdict.type ? `, ${plain(verdict.type)}` : ""}`
+      `${verdict.time_judged || verdict.time} ${verdict.by}: ${verdict.withdrawn ? "withdrawn" : CALLS[verdict.call]}${verdict.type ? `, ${plain(verdict.type)}` : ""}`
       + Object.entries(SIZES).map(([key, name]) => (verdict[key] ? `, ${name} ${metres(verdict[key], 2)}` : "")).join("")
       + (verdict.comment ? ` – ${verdict.comment}` : ""))))];
   }
@@ -139,14 +158,16 @@ export function contactCard(handlers) {
       box.replaceChildren();
       return;
     }
-    const kept = isSame ? edited() : null;
-    const kind = contact.drawn ? "drawn by hand" : `p mine ${contact.p === null ? "?" : contact.p.toFixed(2)}, ${plain(contact.class)}${contact.called ? ", called" : ""}`;
+    const kept = isSame ? edited() : null, wasOpen = Boolean(byId("statistics") && byId("statistics").open);
+    const kind = contact.drawn ? "drawn by hand" : `${contact.label}${contact.percent ? `, ${contact.percent}` : ""}`;
     const image = contact.drawn ? null : element("img", {src: `api/snippets/${contact.id}`, alt: `picture of ${contact.id}`, onerror: (event) => event.target.remove()});
+    const more = element("details", {id: "statistics", open: isSame && wasOpen}, element("summary", {}, "statistics"), ...statistics(details, contact));
     box.replaceChildren(
       element("div", {className: "top"}, element("h2", {}, contact.id), element("span", {className: contact.likely ? "mine" : "soft"}, kind),
         element("span", {className: "space"}), element("button", {onclick: () => handlers.close()}, "close ", element("kbd", {}, "Esc"))),
+      element("div", {className: "columns"}, image, front(details, contact)),
       ...form(contact, max),
-      element("div", {className: "columns"}, image, element("div", {}, facts(details, contact), ...history(details, contact), ...(details ? evidence(details) : []))),
+      ...(contact.drawn ? [] : [more]),
     );
     if (kept) restore(kept);
     drawSizes();

@@ -48,3 +48,13 @@ export function message(error) {
   clearTimeout(message.timer);
   message.timer = setTimeout(() => (box.hidden = true), 8000);
 }
+
+// Ask a question; resolves to whether the answer is yes. Only one is asked at a time.
+export function ask(question) {
+  const box = byId("ask");
+  if (box.open) return Promise.resolve(false);
+  byId("question").textContent = question;
+  box.returnValue = "no";
+  box.showModal();
+  return new Promise((answer) => box.addEventListener("close", () => answer(box.returnValue === "yes"), {once: true}));
+}

@@ -2,7 +2,7 @@
 
 import {get, post} from "./api.js";
 import {contactCard} from "./card.js";
-import {byId, element, message} from "./dom.js";
+import {ask, byId, element, message} from "./dom.js";
 import {mapView} from "./map.js";
 import {NAMES, OF_THEME, table as colourTable} from "./palettes.js";
 import {contactTable} from "./table.js";
@@ -15,6 +15,7 @@ const THEMES = ["day", "dusk", "night"];
 const CLOSE_SCALE = 25; // pixels per metre at which a chosen contact is shown: an object of 2 m is 50 pixels
 
 let state = {}, contacts = [], selected = null, details = null, follows = false, wasFitted = false;
+let wanted = null; // the chosen contact, as long as its pings are not made yet
 
 let mapWaits = 0;
 const tiles = tileStore(() => {
@@ -59,9 +60,12 @@ async function poll() {
     const made = now.stop_row * now.row_m;
     byId("progress").textContent = now.done ? `${now.pings} pings, ${metres(made, 0)}` : now.live
       ? `${now.pings} pings, ${metres(made, 0)} so far` : `waterfall ${Math.floor(100 * now.fraction)} %`;
-    const note = byId("waterfall-note");
-    note.hidden = Boolean(now.stop_row) && !now.problem;
-    note.textContent = now.problem || (now.live ? "waiting for pings" : "the waterfall is being made");
+    const searched = now.replay === null ? "" : now.replay_problem ? ` · no contacts: ${now.replay_problem}`
+      : now.replay_done ? ` · ${contacts.length} contacts` : ` · looking for contacts: ${Math.floor(100 * now.replay)} %`;
+    byId("progress").textContent += searched;
+    showNote();
+    byId("judged").textContent = now.judged;
+    byId("judged").hidden = !now.verdicts;
     if (now.stop_row !== before.stop_row || now.columns !== before.columns) {
       tiles.outdate();
       waterfall.setGrid(now);
@@ -77,6 +81,7 @@ async function poll() {
       if (follows) waterfall.toNewest();
       waterfall.redraw();
     }
+    if (now.done && !before.done && !now.stop_row) map.setTrack(await get("api/track"));
     if (now.done !== before.done || now.live !== before.live || (now.live && now.stop_row !== before.stop_row)) map.setLayers(await get("api/layers"));
     if (now.contacts_version !== before.contacts_version || now.verdicts_version !== before.verdicts_version
       || now.stop_row !== before.stop_row) await loadContacts();
@@ -89,23 +94,41 @@ async function poll() {
   setTimeout(poll, POLL_MS);
 }
 
+// What stands over the waterfall: why there is none, or that the chosen contact is not in what is shown.
+function showNote() {
+  const note = byId("waterfall-note"), now = state, contact = wanted && find(wanted);
+  const absent = !contact ? "" : now.done ? `${contact.id} is not in this waterfall`
+    : `${contact.id} is not made yet: ${Math.floor(100 * now.fraction)} %. It is shown when it is there`;
+  note.textContent = now.problem || absent || (now.stop_row ? "" : now.live ? "waiting for pings" : "the waterfall is being made");
+  note.hidden = !note.textContent;
+}
+
+// The chosen contact, shown where it lies; as soon as it is there, if that is later.
+function seek(key) {
+  const contact = key && find(key);
+  wanted = contact && (contact.row === null || contact.across === null) && !contact.drawn ? key : null;
+  if (contact && !wanted) goTo(contact.row, contact.across);
+  showNote();
+}
+
 async function loadContacts() {
   const found = await get("api/contacts");
   const none = {call: "", type: "", comment: "", by: "", object: "", length_m: null, width_m: null, height_m: null, shadow_length_m: null};
   const structures = Object.fromEntries(found.structures.map((one) => [one.id, one]));
   contacts = found.id.map((id, index) => ({
     key: id, id, drawn: false, latitude: found.latitude[index], longitude: found.longitude[index], p: found.p[index],
-    class: found.class[index], called: found.called[index], time: found.time[index], row: found.row[index], across: found.across[index],
+    percent: found.percent[index], label: found.label[index], called: found.called[index], time: found.time[index], row: found.row[index], across: found.across[index],
     likely: found.p[index] >= state.mine_like_p, structure: structures[found.structure[index]] || null,
     ...none, ...judgedPart(found.verdicts[id]),
   }));
   contacts.push(...found.drawn.map((one) => ({
-    key: one.object, id: one.object, drawn: true, latitude: one.latitude, longitude: one.longitude, p: null,
-    class: one.drawn ? "drawn" : "judged before", called: null, time: null, row: one.row, across: one.across, structure: null,
+    key: one.object, id: one.object, drawn: true, latitude: one.latitude, longitude: one.longitude, p: null, percent: "",
+    label: one.drawn ? "drawn" : "judged before", called: null, time: null, row: one.row, across: one.across, structure: null,
     likely: one.call === "mine_like", ...none, ...judgedPart(one), time_judged: one.time,
   })));
   map.setStructures(found.structures);
   list.setContacts(contacts);
+  if (wanted && find(wanted) && find(wanted).row !== null) seek(wanted);
   if (selected) showCard();
 }
 
@@ -124,8 +147,9 @@ async function select(key) {
   list.select(key);
   const contact = key && find(key);
   showCard();
+  if (contact && matchMedia("(max-width: 900px)").matches) byId("card").scrollIntoView();
+  seek(key);
   if (!contact) return;
-  if (contact.row !== null && contact.across !== null) goTo(contact.row, contact.across);
   await loadDetails(key);
 }
 
@@ -156,6 +180,7 @@ function goTo(row, across) {
 
 async function judge(judgement) {
   try {
+    if (wanted && judgement.contact_id === wanted && !await ask(`The waterfall does not show ${wanted} yet. Judge it all the same?`)) return;
     const verdict = await post("api/verdicts", judgement);
     await loadContacts();
     if (!judgement.contact_id && !verdict.withdrawn) await select(find(verdict.object) ? verdict.object : selected);
@@ -168,12 +193,17 @@ async function judge(judgement) {
 
 async function measure(mode, ends, drawn) {
   try {
-    const found = await post("api/measure", {quantity: mode, ends: ends.map((end) => [end.row, end.across_m])});
+    const chosen = card.current, key = chosen && !chosen.drawn ? chosen.id : "";
+    const found = await post("api/measure", {quantity: mode, ends: ends.map((end) => [end.row, end.across_m]), contact_id: key});
     const size = mode === "shadow" ? {shadow_length_m: found.length_m, height_m: found.height_m} : {[`${mode}_m`]: found.length_m};
     const says = mode === "shadow" ? `shadow ${metres(found.length_m, 2)}, height ${metres(found.height_m, 2)}` : `${mode} ${metres(found.length_m, 2)}`;
     waterfall.addResult({mode, ends: drawn, text: says});
     if (found.length_m === null || (mode === "shadow" && !(found.height_m > 0))) return message("no size: click the object's far side, then the shadow's end, on one side of the track");
-    if (card.current) card.addMeasured(size);
+    if (key && !(found.distance_m <= state.near_m)) {
+      const where = found.distance_m === null ? `the waterfall does not show ${key} yet` : `this was measured ${metres(found.distance_m, 0)} from ${key}`;
+      if (!await ask(`${where[0].toUpperCase()}${where.slice(1)}. Keep it with ${key} all the same?`)) return undefined;
+    }
+    if (chosen && card.current && card.current.key === chosen.key) card.addMeasured(size);
     else message("measured; choose a contact to keep it with a verdict");
   } catch (error) {
     message(error);
@@ -215,10 +245,10 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape") {
     if (typing) event.target.blur();
     else if (document.querySelector('[data-mode="look"]').getAttribute("aria-pressed") === "false") setMode("look");
-    else if (!byId("help").open) select(null);
+    else if (!byId("help").open && !byId("ask").open) select(null);
     return;
   }
-  if (typing || byId("help").open || event.ctrlKey || event.altKey || event.metaKey) return;
+  if (typing || byId("help").open || byId("ask").open || event.ctrlKey || event.altKey || event.metaKey) return;
   const keys = {
     j: () => list.step(1), k: () => list.step(-1),
     m: () => card.judge("mine_like"), n: () => card.judge("not_mine_like"), u: () => card.judge("undecided"),
@@ -241,6 +271,14 @@ byId("follow").addEventListener("change", () => setFollow(byId("follow").checked
 byId("zoom-in").addEventListener("click", () => waterfall.zoom(1.4));
 byId("zoom-out").addEventListener("click", () => waterfall.zoom(1 / 1.4));
 byId("fit").addEventListener("click", () => waterfall.fit());
+byId("report").addEventListener("click", async () => {
+  try {
+    const drawn = await post("api/report", {});
+    message(new Error(`drawn with ${drawn.verdicts} verdicts: ${drawn.path}`));
+  } catch (error) {
+    message(error);
+  }
+});
 byId("help-button").addEventListener("click", () => byId("help").showModal());
 for (const button of document.querySelectorAll("[data-mode]")) button.addEventListener("click", () => setMode(button.dataset.mode));
 setTheme(THEMES.includes(localStorage.getItem("theme")) ? localStorage.getItem("theme") : "dusk");

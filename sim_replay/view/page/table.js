@@ -6,8 +6,8 @@ import {CALLS, clock, plain} from "./words.js";
 const ROW_PX = 24, SPARE = 8; // height of a row, and rows kept above and below what is in sight
 const COLUMNS = [
   ["id", "contact", (one) => one.id],
-  ["p", "p mine", (one) => (one.p === null ? -1 : one.p)],
-  ["class", "class", (one) => one.class],
+  ["p", "mine", (one) => (one.p === null ? -1 : one.p)],
+  ["label", "kind", (one) => one.label],
   ["call", "verdict", (one) => one.call || ""],
   ["time", "time, type, comment", (one) => one.time || 0],
 ];
@@ -37,7 +37,7 @@ export function contactTable(handlers) {
 
   function arrange() {
     const wanted = SHOWN[byId("show").value], words = byId("search").value.toLowerCase().split(/\s+/).filter(Boolean);
-    const text = (one) => `${one.id} ${plain(one.class)} ${one.call ? CALLS[one.call] : ""} ${one.type} ${one.comment} ${one.by} ${one.structure ? one.structure.id : ""}`.toLowerCase();
+    const text = (one) => `${one.id} ${one.label} ${one.call ? CALLS[one.call] : ""} ${one.type} ${one.comment} ${one.by} ${one.structure ? one.structure.id : ""}`.toLowerCase();
     rows = all.filter((one) => wanted(one) && (!words.length || words.every((word) => text(one).includes(word))));
     const value = COLUMNS.find(([name]) => name === sorted)[2], sign = down ? -1 : 1;
     rows.sort((a, b) => {
@@ -68,8 +68,8 @@ export function contactTable(handlers) {
       className: "row", role: "row", "aria-rowindex": index + 2, "aria-selected": String(one.key === selected),
       onclick: () => handlers.select(one.key),
     },
-    cell(one.id, one.drawn ? "missed" : ""), cell(one.p === null ? "–" : one.p.toFixed(2), one.likely ? "mine" : "soft"),
-    cell(plain(one.class) + (one.structure ? ` · ${one.structure.id}` : "")), cell(one.call ? CALLS[one.call] : "", kind),
+    cell(one.id, one.drawn ? "missed" : ""), cell(one.percent || "–", one.likely ? "mine" : "soft"),
+    cell(one.label + (one.structure ? ` · ${one.structure.id}` : "")), cell(one.call ? CALLS[one.call] : "", kind),
     cell([clock(one.time), plain(one.type), one.comment].filter(Boolean).join("  "), "soft"));
     made.style.top = `${index * ROW_PX}px`;
     return made;

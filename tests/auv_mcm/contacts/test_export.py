@@ -121,6 +121,8 @@ def test_contact_properties_are_those_of_the_contract() -> None:
         "false_alarms_95_per_km2": [None, None],
         "called": None,
         "depth_m": None,
+        "mine_kind_open": 0.1265,
+        "summary": "Very likely a mine, 88 %. Cylinder about 2.0 m. Seen twice.",
         "views": [
             {
                 "time": time,
@@ -186,7 +188,7 @@ def test_a_call_and_the_density_behind_it_are_in_every_file() -> None:
     assert properties["false_alarms_95_per_km2"] == [3.0, 51.235]
     assert properties["called"] is True
     row = next(csv.DictReader(io.StringIO(contacts_csv([exported]))))
-    assert [row[name] for name in CSV_COLUMNS[-5:-1]] == ["12.346", "3.0", "51.235", "true"]
+    assert [row[name] for name in CSV_COLUMNS[-6:-2]] == ["12.346", "3.0", "51.235", "true"]
     assert "yes; 12 false alarms per km² as mine-like are expected (3 to 51)" in contacts_kml([exported])
 
 

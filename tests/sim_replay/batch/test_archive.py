@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.errors import BadInputError, UsageError
-from sim_replay.batch.archive import logs_of
+from sim_replay.logs.archive import logs_of
 
 
 def touch(path: Path) -> Path:

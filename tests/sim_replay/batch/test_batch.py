@@ -15,11 +15,12 @@ from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError, HardwareError, UsageError
 from auv_mcm.settings.config import Config, ContactsConfig
 from sim_replay.batch import missions as batch_missions
-from sim_replay.batch.archive import logs_of
-from sim_replay.batch.missions import MISSIONS, MissionTask, is_replayed, locked, replay_missions
+from sim_replay.batch.missions import MISSIONS, MissionTask, locked, replay_missions
 from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.logs.archive import logs_of
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
+from sim_replay.results_folder import is_replayed
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 from tests.dask_cluster import dask_cluster

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from auv_mcm.errors import UsageError
+from auv_mcm.errors import BadInputError, UsageError
 from sim_replay.scoring import ReportedContact, Score, ScoredMission, score_files, score_missions, table
 from sim_replay.scoring.breakdown import Group
 from sim_replay.scoring.seabed_map import encode
@@ -340,3 +340,13 @@ def test_without_contacts_there_is_no_calibration() -> None:
     assert score.calibration is not None
     assert score.calibration.error is None
     assert "calibration" not in table(score)
+
+
+def test_the_truth_of_another_place_is_refused_and_a_mission_that_found_nothing_is_not(tmp_path: Path) -> None:
+    truth = {"area_km2": 0.1, "objects": [truth_object(0.0, 0.0)]}
+    missed = write_pair(tmp_path, [contact(9_000.0, 0.0)], truth, "missed")
+    assert score_files(missed).n_contacts == 1
+    elsewhere = write_pair(tmp_path, [contact(30_000.0, 0.0)], truth, "elsewhere")
+    with pytest.raises(BadInputError, match=r"truth of another place.* 30 km away"):
+        score_files([*missed, *elsewhere])
+    assert score_files(write_pair(tmp_path, [], truth, "nothing")).n_contacts == 0

@@ -119,7 +119,7 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
         # search and filter
         await page.press("/")
         await page.write("onerror")
-        await page.wait_for("document.querySelector('#count').textContent.startsWith('2 of')")
+        await page.wait_for("document.querySelector('#count').textContent.startsWith('1 of')")
         # every screen has its own look
         await page.press("Escape")
         grounds = set()
@@ -146,3 +146,63 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
     assert verdicts[1].height_m == pytest.approx(HEIGHT_M, abs=0.03)  # a pixel of the screen is 4 cm there
     assert verdicts[4].drawn
     assert verdicts[4].ground_range_m == pytest.approx(6.0, abs=0.1)
+
+
+def test_a_measure_far_from_the_chosen_contact_asks_whose_it_is(tmp_path: Path) -> None:
+    folder = write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M), feature(2, 480.0, -10.0, p_mine=0.5)])
+
+    async def visit(page: BrowserPage) -> None:
+        await page.press("j")
+        await page.press("j")
+        await page.wait_for("bench.selected === 'C00002'")
+        await page.press("l")
+        await page.evaluate(f"bench.view.along = {OBJECT_ROW * 0.12}, bench.view.across = 12, 0")
+        for across_m in (11.0, 12.0):
+            await click_at(page, OBJECT_ROW, across_m)
+        await page.wait_for("document.querySelector('#ask').open")
+        assert "from C00002" in await page.evaluate("document.querySelector('#question').textContent")
+        await page.click_on("#ask button[value=no]")
+        await page.wait_for("!document.querySelector('#ask').open")
+        assert "nothing measured" in await page.evaluate("document.querySelector('#sizes').textContent")
+
+    in_browser(shown(folder, sea_floor()), visit)
+    assert read_verdicts(folder) == ()
+
+
+def test_a_contact_whose_pings_are_not_made_yet_says_so_and_is_jumped_to_when_they_are(tmp_path: Path) -> None:
+    folder = write_results(tmp_path, [feature(1, 700.0, 12.0)])  # beyond the 512 rows there are
+    mission = shown(folder, sea_floor())
+
+    async def visit(page: BrowserPage) -> None:
+        mission.feed.is_done = False
+        await page.wait_for("!bench.state.done")
+        await page.press("j")
+        note = "document.querySelector('#waterfall-note')"
+        await page.wait_for(f"!{note}.hidden && {note}.textContent.includes('C00001 is not made yet')")
+        await page.press("n")
+        await page.wait_for("document.querySelector('#ask').open")
+        await page.click_on("#ask button[value=no]")
+        for first_row in range(N_ROWS, 768, 64):
+            for side in SIDES:
+                mission.store.add(tile(side, first_row, np.ones((64, N_COLUMNS), dtype=np.float32)))
+        await page.wait_for(f"{note}.hidden")
+        assert abs(await page.evaluate("bench.view.along") - 700.0 * 0.12) < 1.0
+
+    in_browser(mission, visit)
+    assert read_verdicts(folder) == ()
+
+
+def test_what_was_drawn_has_the_time_it_was_judged_at(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)]), sea_floor())
+
+    async def visit(page: BrowserPage) -> None:
+        await page.press("d")
+        await page.evaluate("bench.view.along = 30, bench.view.across = 0, 0")
+        await click_at(page, 260.0, 6.0)
+        await page.wait_for("document.querySelector('#card h3') !== null")
+        text = await page.evaluate("document.querySelector('#card').textContent")
+        assert "null" not in text
+        assert "undefined" not in text
+        assert "kim: mine-like" in text
+
+    in_browser(mission, visit)

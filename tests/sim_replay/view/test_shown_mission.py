@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from auv_mcm.errors import BadInputError, UsageError
 from sim_replay.verdicts import VERDICTS_FILE, read_verdicts
 from sim_replay.view.mission import Judgement
+from sim_replay.view.places import WaterfallPoint
 from sim_replay.view.show import named_logs, open_shown
+from sim_replay.view.waterfall_store import WaterfallStore
 from tests.sim_replay.view.shown_missions import feature, filled_store, position, shown, write_results
 
 
@@ -153,3 +156,22 @@ def test_a_log_that_has_moved_is_named(tmp_path: Path) -> None:
 def test_a_folder_that_shows_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="neither results nor a session"):
         open_shown(tmp_path, [], None, "kim")
+
+
+def test_a_measure_is_as_far_from_a_contact_as_its_nearer_end_from_the_nearest_view(tmp_path: Path) -> None:
+    mission = shown(write_results(tmp_path, [feature(1, 100.0, 20.0), feature(2, 5000.0, 20.0)]))
+    ends = [WaterfallPoint(100.0, 23.0), WaterfallPoint(100.0, 33.0)]
+    assert mission.distance_m("C00001", ends) == pytest.approx(3.0, abs=0.02)
+    assert mission.distance_m("C00001", ends[::-1]) == pytest.approx(3.0, abs=0.02)
+    assert math.isnan(mission.distance_m("C00002", ends)), "its pings are not in the waterfall"
+    assert math.isnan(mission.distance_m("C00003", ends))
+
+
+def test_results_without_their_log_still_have_their_track(tmp_path: Path) -> None:
+    folder = write_results(tmp_path, [feature(1)])
+    lines = {"type": "MultiLineString", "coordinates": [[[10.0, 54.0], [10.1, 54.1]], [[10.2, 54.2], [10.3, 54.3]]]}
+    track = {"features": [{"type": "Feature", "geometry": lines, "properties": {}}]}
+    (folder / "track.geojson").write_text(json.dumps(track))
+    found = shown(folder, WaterfallStore()).track()
+    assert found["latitude"] == [54.0, 54.1, None, 54.2, 54.3, None]
+    assert found["longitude"] == [10.0, 10.1, None, 10.2, 10.3, None]

@@ -1,0 +1,75 @@
+"""Project longitude and latitude for a map that people ask for: UTM or any projected EPSG code in metres."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.errors import UsageError
+
+Array: TypeAlias = NDArray[np.float64]
+
+UTM: Final = "utm"
+_EPSG: Final = re.compile(r"(?:EPSG:)?([0-9]{4,6})", re.IGNORECASE)
+_NORTH, _SOUTH = 32600, 32700  # EPSG codes of UTM zone 0 on WGS 84, north and south
+
+
+class Projection(NamedTuple):
+    """Hold a projection. project: takes longitude and latitude, degrees; gives easting and northing, m."""
+
+    epsg: int
+    project: Callable[[Array, Array], tuple[Array, Array]]
+
+
+def check_crs(text: str) -> str:
+    """Check the name of a projection before anything is read. Raises UsageError."""
+    if text.lower() == UTM:
+        return UTM
+    _ = projection(text, 0.0, 0.0)
+    return text
+
+
+def projection(text: str, longitude_deg: float, latitude_deg: float) -> Projection:
+    """Find a projection by name.
+
+    Parameters
+    ----------
+    text
+        "utm" for the zone of the place, or the code of a projected reference system in metres, as EPSG:25832.
+    longitude_deg, latitude_deg
+        Where the mission began.
+
+    Raises
+    ------
+    UsageError
+        For a name that is none, or a system that is not projected in metres.
+    """
+    from pyproj import CRS, Transformer  # bench extra
+    from pyproj.exceptions import CRSError
+
+    if text.lower() == UTM:
+        zone = min(math.floor((longitude_deg + 180.0) % 360.0 / 6.0), 59) + 1
+        epsg = (_NORTH if latitude_deg >= 0.0 else _SOUTH) + zone
+    else:
+        found = _EPSG.fullmatch(text)
+        if found is None:
+            raise UsageError(f"--crs '{text}' is no reference system. Name one as EPSG:25832, or give utm")
+        epsg = int(found[1])
+    try:
+        system = CRS.from_epsg(epsg)
+    except CRSError as error:
+        raise UsageError(f"--crs {text}: there is no EPSG code {epsg}. Look it up at epsg.org, or give utm") from error
+    if not system.is_projected or any(axis.unit_name != "metre" for axis in system.axis_info):
+        raise UsageError(f"--crs {text}: '{system.name}' is not projected in metres. Name another, or give utm")
+    transformer = Transformer.from_crs(4326, epsg, always_xy=True)
+
+    def project(longitude: Array, latitude: Array) -> tuple[Array, Array]:
+        east_m, north_m = transformer.transform(longitude, latitude)
+        return np.asarray(east_m, dtype=np.float64), np.asarray(north_m, dtype=np.float64)
+
+    return Projection(epsg, project)

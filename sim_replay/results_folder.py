@@ -1,0 +1,114 @@
+"""Name the folder that results go to where nobody named one, and find the logs that results were made of."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from auv_mcm import __version__
+from auv_mcm.errors import AuvMcmError, BadInputError
+from auv_mcm.safe_files import read_regular
+from auv_mcm.settings.config import Config
+from auv_mcm.shell.recovery import RECORDING, SUMMARY
+from auv_mcm.shell.whole_files import finite
+
+RESULTS_SUFFIX: Final = "-results"
+_LONGEST: Final = 60  # characters of a log's name that are kept: a folder's name stays readable
+
+
+def default_results(logs: Sequence[Path], parent: Path = Path()) -> Path:
+    """Name a folder below `parent` after the first log.
+
+    A folder that holds results of the same logs, or nothing, is taken again; one that holds anything else is passed
+    over, and the name gets a number.
+    """
+    first = logs[0].resolve()
+    named = first.parent if first.name.startswith(RECORDING) and first.is_dir() else first
+    stem = (named.name if named.is_dir() else named.stem)[:_LONGEST] or "mission"
+    number = 1
+    while True:
+        folder = parent / (f"{stem}{RESULTS_SUFFIX}" if number == 1 else f"{stem}{RESULTS_SUFFIX}-{number}")
+        if _may_be_taken(folder, logs):
+            return folder
+        number += 1
+
+
+def resolved_log(entry: object, folder: Path) -> Path:
+    """Find a log that results name: where it was, relative to the results, or beside them.
+
+    Parameters
+    ----------
+    entry
+        Of `logs` in the summary.
+    folder
+        Of the results.
+
+    Raises
+    ------
+    FileNotFoundError
+        If it is at none of these places, with the path that it had.
+    """
+    known = entry if isinstance(entry, dict) else {}
+    named = Path(str(known.get("path", "")))
+    relative = known.get("relative")
+    places = [named, *([folder / relative] if isinstance(relative, str) else [])]
+    places += [folder / named, folder / named.name, folder.parent / named.name]
+    found = next((place for place in places if named.name and place.exists()), None)
+    if found is None:
+        raise FileNotFoundError(str(named))
+    return found
+
+
+def is_replayed(folder: Path, config: Config) -> bool:
+    """Check whether a folder holds whole results of unchanged logs, by this version with this configuration."""
+    summary = summary_of(folder)
+    if summary is None:
+        return False
+    made_ns = (folder / SUMMARY).stat().st_mtime_ns
+    same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"])
+    return same_log and _is_same(summary["config"], config) and summary["version"] == __version__
+
+
+def summary_of(folder: Path) -> dict[str, Any] | None:
+    """Read the summary of a mission, which is written last; None if it is not there or damaged."""
+    try:
+        summary = json.loads(read_regular(folder / SUMMARY))
+    except (OSError, ValueError, BadInputError):
+        return None
+    return summary if isinstance(summary, dict) else None
+
+
+def _is_same(written: Any, config: Config) -> bool:
+    """Compare as records: whether a default is written depends on the process that wrote it."""
+    try:
+        return bool(msgspec.convert(written, Config) == config)
+    except (msgspec.ValidationError, AuvMcmError):
+        return bool(written == finite(msgspec.to_builtins(config)))
+
+
+def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:
+    """Check that a log is as large as its results say, and older than they are."""
+    try:
+        status = os.stat(entry["path"])
+    except OSError:
+        return False
+    return status.st_size == entry["bytes"] and status.st_mtime_ns <= made_ns
+
+
+def _may_be_taken(folder: Path, logs: Sequence[Path]) -> bool:
+    if not folder.exists():
+        return True
+    if not folder.is_dir():
+        return False
+    try:
+        entries = json.loads(read_regular(folder / SUMMARY))["logs"]
+        found = [resolved_log(entry, folder).resolve() for entry in entries]
+    except (OSError, ValueError, KeyError, TypeError, BadInputError):
+        return not any(folder.iterdir())
+    named = [log.resolve() for log in logs]  # a recording is the folder of its files
+    return bool(found) and all(any(log in (path, *path.parents) for log in named) for path in found)

@@ -1,0 +1,131 @@
+"""Judged contacts as training sets and on paper: what was judged is in them, where it lies, and nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+
+from auv_mcm.contacts.contact_picture import snippet_png
+from auv_mcm.contacts.export import contact_feature
+from auv_mcm.errors import BadInputError
+from auv_mcm.records import Contact
+from sim_replay.contact_sheet import sheet_contacts, write_contact_sheet
+from sim_replay.report import PictureCollector
+from sim_replay.report.report_file import ReportContents, read_contents, report_contents, write_contents
+from sim_replay.training_export import CATEGORIES, judged_chips, write_coco, write_yolo
+from sim_replay.verdict_layers import with_verdicts
+from sim_replay.verdicts import Call, Verdict, append_verdict, read_verdicts
+from tests.sim_replay.report_samples import contact, detection, mission
+
+CALLS: tuple[Call, ...] = ("mine_like", "not_mine_like", "undecided")
+
+
+def contacts() -> list[Contact]:
+    """Four contacts 1 km apart, two views of the first; the last is judged by nobody."""
+    return [
+        contact(
+            f"C{number:05d}",
+            0.9 / number,
+            latitude_deg=55.0 + 0.01 * number,
+            covariance_m2=np.eye(2),
+            views=(detection("port"), detection("starboard"))[: 2 if number == 1 else 1],
+        )
+        for number in range(1, 5)
+    ]
+
+
+def judge(folder: Path) -> None:
+    for number, call in enumerate(CALLS, 1):
+        append_verdict(
+            folder,
+            Verdict(
+                object=f"V{number:04d}",
+                time="2026-05-04T10:00:00Z",
+                by="kim",
+                latitude_deg=55.0 + 0.01 * number,
+                longitude_deg=12.0,
+                call=call,
+                type="rock",
+                comment="Überlänge ✓",
+            ),
+        )
+
+
+def contents_of(found: list[Contact]) -> ReportContents:
+    return report_contents(mission(), found, [], [], [], {"reader.pings": 3}, PictureCollector())
+
+
+def test_what_a_report_was_drawn_from_comes_back(tmp_path: Path) -> None:
+    kept = contents_of(contacts())
+    write_contents(tmp_path, kept)
+    back = read_contents(tmp_path)
+    assert [msgspec.to_builtins(contact_feature(one)) for one in back.contacts] == [
+        msgspec.to_builtins(contact_feature(one)) for one in kept.contacts
+    ]
+    assert np.array_equal(back.contacts[0].views[0].snippet, kept.contacts[0].views[0].snippet)
+    assert back.mission.name == kept.mission.name
+    with pytest.raises(BadInputError, match="Replay the log again"):
+        read_contents(tmp_path / "elsewhere")
+
+
+def test_chips_are_those_judged_mine_like_or_not_with_a_box_in_the_picture(tmp_path: Path) -> None:
+    judge(tmp_path)
+    chips = judged_chips(tmp_path, contents_of(contacts()))
+    assert [chip.name for chip in chips] == ["C00001-1.png", "C00001-2.png", "C00002-1.png"]
+    write_coco(tmp_path / "coco", chips, "Line 7")
+    write_yolo(tmp_path / "yolo", chips)
+    coco = json.loads((tmp_path / "coco" / "annotations.json").read_text(encoding="utf-8"))
+    assert [one["name"] for one in coco["categories"]] == list(CATEGORIES)
+    assert [one["category_id"] for one in coco["annotations"]] == [1, 1, 2]
+    assert coco["annotations"][0]["attributes"]["comment"] == "Überlänge ✓"
+    labels = sorted((tmp_path / "yolo" / "labels").iterdir())
+    for image, annotation, label in zip(coco["images"], coco["annotations"], labels, strict=True):
+        assert image["id"] == annotation["image_id"]
+        picture = cv2.imread(str(tmp_path / "coco" / image["file_name"]))
+        assert picture is not None
+        assert picture.shape[:2] == (image["height"], image["width"])
+        left, top, wide, tall = annotation["bbox"]
+        assert 0.0 <= left < left + wide <= image["width"]
+        assert 0.0 <= top < top + tall <= image["height"]
+        assert annotation["area"] == pytest.approx(wide * tall, abs=0.01)
+        category, *box = label.read_text().split()
+        assert int(category) == annotation["category_id"] - 1
+        middle = ((left + wide / 2) / image["width"], (top + tall / 2) / image["height"])
+        assert [float(part) for part in box] == pytest.approx(
+            [*middle, wide / image["width"], tall / image["height"]], abs=1e-5
+        )
+        assert (tmp_path / "yolo" / "images" / f"{label.stem}.png").exists()
+
+
+def test_the_box_is_about_the_detection_on_either_side(tmp_path: Path) -> None:
+    judge(tmp_path)
+    port, starboard, _ = judged_chips(tmp_path, contents_of(contacts()))
+    for chip, share in ((port, 1.0 - 10.0 / 60.0), (starboard, 10.0 / 60.0)):
+        left, _, wide, _ = chip.box
+        assert (left + wide / 2.0) / chip.picture.shape[1] == pytest.approx(share, abs=0.05)
+
+
+def test_where_nothing_was_judged_there_is_nothing_to_learn(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="auv-mcm view"):
+        judged_chips(tmp_path, contents_of(contacts()))
+
+
+def test_a_sheet_has_every_contact_that_matters_and_is_the_same_each_time(tmp_path: Path) -> None:
+    judge(tmp_path)
+    found = contacts()
+    (tmp_path / "snippets").mkdir()
+    (tmp_path / "snippets" / "C00001.png").write_bytes(snippet_png(found[0].views[0]))
+    layers = with_verdicts({"contacts": [contact_feature(one) for one in found]}, read_verdicts(tmp_path))
+    assert [one["properties"]["id"] for one in sheet_contacts(layers)] == [one.id for one in found]
+    for name in ("one.pdf", "two.pdf"):
+        write_contact_sheet(tmp_path / name, tmp_path, layers, "Line 7 Ωmega")
+    data = (tmp_path / "one.pdf").read_bytes()
+    assert data.startswith(b"%PDF-")
+    assert data == (tmp_path / "two.pdf").read_bytes()
+    write_contact_sheet(tmp_path / "empty.pdf", tmp_path, {"contacts": []}, "")
+    assert (tmp_path / "empty.pdf").read_bytes().startswith(b"%PDF-")

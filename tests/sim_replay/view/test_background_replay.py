@@ -1,0 +1,78 @@
+"""A log is shown at once, and replayed meanwhile into a folder of its own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from auv_mcm.errors import BadInputError, UsageError
+from auv_mcm.settings.config import Config
+from sim_replay.logs.xtf_writer import write_xtf
+from sim_replay.replay import replay
+from sim_replay.simulator.mission import Mission
+from sim_replay.view.mission import ShownMission
+from sim_replay.view.show import is_shown, logs_named, open_new
+from tests.sim_replay.test_replay import content, scene
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "line.xtf"
+    write_xtf(path, Mission(scene(1_700_000_000.0, 0.0)).events())
+    return path
+
+
+def ended(mission: ShownMission) -> ShownMission:
+    """The mission after its waterfall and its replay are done."""
+    mission.feed.join()
+    if mission.replay is not None:
+        mission.replay.start()
+        mission.replay.join()
+    mission.refresh()
+    return mission
+
+
+def test_the_waterfall_comes_before_the_contacts_and_they_are_those_of_a_replay(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mission = open_new([log], None, "kim")
+    mission.feed.join()
+    early = mission.state()
+    assert (early["name"], early["done"], early["replay"], early["replay_done"]) == ("line", True, 0.0, False)
+    assert early["stop_row"] > 0
+    state = ended(mission).state()
+    assert (state["replay"], state["replay_done"], state["replay_problem"]) == (1.0, True, "")
+    folder = tmp_path / "line-results"
+    replay([log], tmp_path / "apart", Config())
+    assert content(folder) == content(tmp_path / "apart")
+    assert not (folder / "contacts.jsonl").exists()
+    assert len(mission.contacts()["id"]) == len(json.loads((folder / "contacts.geojson").read_bytes())["features"]) > 0
+    # the second time everything is there at once
+    assert open_new([log], None, "kim").replay is None
+    assert is_shown(folder)
+
+
+def test_what_stops_a_replay_is_said_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty.xtf").write_bytes(b"")
+    mission = ended(open_new([tmp_path / "empty.xtf"], None, "kim"))
+    state = mission.state()
+    assert "empty.xtf" in state["replay_problem"]
+    assert "empty.xtf" in state["problem"]
+    assert state["replay_done"]
+
+
+def test_a_folder_stands_for_the_logs_below_it(log: Path, tmp_path: Path) -> None:
+    for name in ("b/two.xtf", "a/one.xtf"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_bytes(log.read_bytes())
+    assert logs_named([tmp_path]) == [tmp_path / "a" / "one.xtf", tmp_path / "b" / "two.xtf"]
+    assert logs_named([log, tmp_path / "a"]) == [log, tmp_path / "a" / "one.xtf"]
+    with pytest.raises(UsageError, match="there is no"):
+        logs_named([tmp_path / "c"])
+    (tmp_path / "nothing").mkdir()
+    with pytest.raises(BadInputError, match="neither results nor a session nor a log"):
+        logs_named([tmp_path / "nothing"])
