@@ -34,10 +34,10 @@ from auv_mcm.kernels.shape import Solid
 from auv_mcm.records import ContactClass
 from auv_mcm.solids.box_search import SearchBox, look_around, walk
 from sim_replay.arguments import count
+from sim_replay.benches.every_stage.rendered_solids import CORRELATION_AREA, draw_object, rendered_region
 from sim_replay.scoring.calibration import calibration_error
 from sim_replay.simulator.scene import SceneObject
 from sim_replay.studies.hausdorff import Mask, contour_distance_m, shadow_mask
-from sim_replay.studies.shapes import CORRELATION_AREA, draw_object, rendered_region
 
 # Bel of cylinder, sphere, cone and clutter for one view of each, as printed in the source paper's Table 1. It has no
 # wedge.

@@ -43,11 +43,11 @@ from sim_replay.missions import config_for
 from sim_replay.scoring.baseline import baseline_contacts
 from sim_replay.scoring.froc import MIN_BOOTSTRAP_MISSIONS
 from sim_replay.scoring.inputs import ScoredMission, parse_contacts, parse_truth
+from sim_replay.scoring.roc import RankedMission, ranked, resampled, roc
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.studies.figure12_plot import DRAWN_PER_KM2, Panel, draw
 from sim_replay.studies.paper_mines import MINES, embedded, with_mines
-from sim_replay.studies.roc import RankedMission, ranked, resampled, roc
 from sim_replay.text_tables import NOTHING, columns, markdown
 
 FIRST_SEED: Final = 94_101  # on seeds from here on nothing was fitted or tried before this study

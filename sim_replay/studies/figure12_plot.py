@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
+from sim_replay.scoring.roc import Roc
 from sim_replay.studies.pfa import PAPER_PER_KM2, PAPER_PFA
-from sim_replay.studies.roc import Roc
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

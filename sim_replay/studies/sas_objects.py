@@ -32,6 +32,8 @@ from auv_mcm.confirm.snake import Contours, converge_on, survey
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.kernels.shape import Array, ImageRowSums, Solid, intervals, up_to
+from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
+from sim_replay.benches.every_stage.rendered_solids import SIZES, best_class
 from sim_replay.scoring.intervals import proportion
 from sim_replay.scoring.overlap import overlap
 from sim_replay.simulator.aperture import Aperture
@@ -48,8 +50,6 @@ from sim_replay.simulator.scene import (
     World,
 )
 from sim_replay.simulator.sea import Sea
-from sim_replay.studies.paper_mrf import segment_as_paper
-from sim_replay.studies.shapes import SIZES, best_class
 from sim_replay.text_tables import markdown, share_cell
 
 Labels: TypeAlias = NDArray[np.uint8]

@@ -23,9 +23,9 @@ from auv_mcm.confirm.mrf import edge_weights, segment
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.trws import energy_of, icm, trws, trws_numpy
+from sim_replay.benches.every_stage.drawn_regions import Drawing, aperture_drawings, draw_region
+from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
 from sim_replay.scoring.overlap import overlap
-from sim_replay.studies.drawn_regions import Drawing, aperture_drawings, draw_region
-from sim_replay.studies.paper_mrf import segment_as_paper
 
 Labels = NDArray[np.uint8]
 

@@ -24,7 +24,7 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.reasons import bearing
 from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import Region
-from auv_mcm.confirm.snake import COARSE, FINE, Contours, Start, converge, snake_settings
+from auv_mcm.confirm.snake import COARSE, FINE, Contours, converge, snake_settings
 from auv_mcm.confirmation import examine, region_of, without_confirmation
 from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.errors import UsageError
@@ -34,6 +34,7 @@ from auv_mcm.kernels.snake_descent import Schedule
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Tile
 from auv_mcm.settings.config import Config
+from sim_replay.benches.every_stage.drawn_contours import DrawnRegion, drawn_pair, random_start
 from sim_replay.missions import config_for, reporting_everything, unconfirmed
 from sim_replay.scoring.overlap import overlap
 from sim_replay.simulator.mission import Mission
@@ -53,22 +54,11 @@ SCHEDULES: Final[dict[str, tuple[Schedule, Schedule]]] = {
 }
 
 _SHAPE: Final = (128, 128)
-_ROW_M, _COLUMN_M = 0.1, 0.06
-_ALTITUDE_M, _GROUND_M = 6.0, 22.0
-_SHADOW, _HIGHLIGHT = 10.0**-1.0, 10.0**0.8
 _DETECTION_P: Final = 1e-6
 _LOST: Final = 0.02  # of targets
 _ALL: Final = 100_000
 _BESIDE_M: Final = 0.75  # from the middle of a target's end to a detection of it
 _CLEAR_M: Final = 3.0
-
-
-class DrawnRegion(NamedTuple):
-    """Hold a single-look region and the true masks of highlight and shadow."""
-
-    region: Region
-    highlight: Mask
-    shadow: Mask
 
 
 class SnakeRow(NamedTuple):
@@ -122,65 +112,6 @@ class OddsRow(NamedTuple):
     n_by_detector: int
     n_targets: int
     n_lost: int
-
-
-def drawn_pair(seed: int) -> DrawnRegion:
-    """White single-look speckle over a highlight of +8 dB and its shadow of -10 dB, outlines in closed form: leaning
-    parallelograms for even seeds, half ellipses for odd ones, of an object 0.35 to 0.8 m high and 0.8 to 2.2 m long.
-    """
-    random = np.random.Generator(np.random.PCG64(seed))
-    rows, columns = np.meshgrid(np.arange(_SHAPE[0]) + 0.5, np.arange(_SHAPE[1]) + 0.5, indexing="ij")
-    half = random.uniform(0.8, 2.2) / _ROW_M / 2.0
-    height_m = random.uniform(0.35, 0.8)
-    length = height_m * _GROUND_M / (_ALTITUDE_M - height_m) / _COLUMN_M
-    depth, lean = random.uniform(0.3, 0.5) / _COLUMN_M, random.uniform(-0.6, 0.6)
-    centre, foot = 0.5 * _SHAPE[0] + random.uniform(-3.0, 3.0), 45.0 + random.uniform(-3.0, 3.0)
-    across = (rows - centre) / half
-    if seed % 2:
-        start = np.full(_SHAPE, foot)
-        end = foot + length * np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0))
-    else:
-        start = foot + lean * (rows - centre)
-        end = start + length
-    reached = np.abs(across) <= 1.0
-    shadow = reached & (columns >= start) & (columns < end)
-    highlight = reached & (columns >= start - depth) & (columns < start)
-    mean = np.where(shadow, _SHADOW, np.where(highlight, _HIGHLIGHT, 1.0))
-    region = plain_region(mean * random.exponential(1.0, _SHAPE), row=centre, column=foot - 0.5 * depth)
-    return DrawnRegion(region, highlight, shadow)
-
-
-def plain_region(intensity: NDArray[np.float64], *, row: float, column: float) -> Region:
-    """Return a region of the drawings' geometry, all of it measured."""
-    return Region(
-        intensity=intensity,
-        valid=np.ones(intensity.shape, dtype=np.bool_),
-        row_spacing_m=_ROW_M,
-        column_spacing_m=_COLUMN_M,
-        first_ground_range_m=_GROUND_M - 45.0 * _COLUMN_M,
-        altitude_m=_ALTITUDE_M,
-        row=row,
-        column=column,
-        beam_width_rad=0.0,
-    )
-
-
-def random_start(drawn: DrawnRegion, seed: int) -> Start:
-    """Draw boxes off by up to 4 pixels either way and 0.4 to 1.3 times as large as the truth."""
-    random = np.random.Generator(np.random.PCG64(seed))
-    rows, columns = np.nonzero(drawn.shadow)
-    middle, foot = 0.5 * (rows.min() + rows.max() + 1), float(np.median(np.nonzero(drawn.highlight)[1])) + 3.0
-    row, column = middle + random.uniform(-4.0, 4.0), foot + random.uniform(-4.0, 4.0)
-    half = 0.5 * float(np.ptp(rows)) * random.uniform(0.4, 1.3)
-    length = float(np.ptp(columns)) * random.uniform(0.4, 1.3)
-    top, bottom = max(row - half, 0.0), min(row + half, _SHAPE[0])
-    far = min(column + length, _SHAPE[1] - 1.0)
-    return Start(box(top, column - 8.0, bottom, column), box(top, column, bottom, far))
-
-
-def box(top: float, near: float, bottom: float, far: float) -> NDArray[np.float64]:
-    """Return nodes of a rectangle, down its far side."""
-    return np.array([(top, near), (top, far), (bottom, far), (bottom, near)], dtype=np.float64)
 
 
 def snake_rows(n_images: int = 10, n_starts: int = 5) -> list[SnakeRow]:

@@ -15,6 +15,7 @@ from auv_mcm.confirm.snake import converge, snake_settings, start_from_detection
 from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.records import ContactClass
 from auv_mcm.solids.shapes import Sphere
+from sim_replay.benches.every_stage.rendered_solids import CORRELATION_AREA
 from sim_replay.studies.beliefs import (
     HELD_OUT_SEED,
     LikelihoodView,
@@ -35,7 +36,6 @@ from sim_replay.studies.beliefs import (
     reliability,
     shadow_evidence,
 )
-from sim_replay.studies.shapes import CORRELATION_AREA
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 

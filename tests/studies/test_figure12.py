@@ -9,13 +9,13 @@ import pytest
 
 from auv_mcm.errors import UsageError
 from sim_replay.missions import SCENES
+from sim_replay.scoring.roc import RankedMission
 from sim_replay.simulator.objects import place_objects
 from sim_replay.simulator.scene import TARGET_KINDS
 from sim_replay.simulator.scene_file import read_scene
 from sim_replay.studies.figure12 import Flown, floor_once_km2, panels, report
 from sim_replay.studies.figure12_plot import draw
 from sim_replay.studies.paper_mines import MINES, PER_LINE, embedded, with_mines
-from sim_replay.studies.roc import RankedMission
 
 
 def _flown(group: str, best: float) -> Flown:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sim_replay.scoring.inputs import ObjectPass, ReportedContact, ScoredMission, Truth, TruthObject
+from sim_replay.scoring.roc import N_RESAMPLES, RankedMission, ranked, resampled, roc
 from sim_replay.scoring.score import score_missions
-from sim_replay.studies.roc import N_RESAMPLES, RankedMission, ranked, resampled, roc
 
 DEG_PER_M = 1.0 / 111_320.0
 

@@ -26,20 +26,21 @@ from auv_mcm.kernels.trws import icm
 Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
-_ROUNDS: Final = 4
-_ICM_SWEEPS: Final = 8
-_CLUSTER_ROUNDS: Final = 10
-_WINDOW_PIXELS: Final = 5
-_MIN_PIXELS: Final = 20
+_ROUNDS: Final = 4  # after which labels of drawn regions stay (chosen)
+_ICM_SWEEPS: Final = 8  # more than it takes to settle (chosen)
+_CLUSTER_ROUNDS: Final = 10  # after which centres stay (chosen)
+_WINDOW_PIXELS: Final = 5  # a side, of the average that clusters start from (chosen)
+_MIN_PIXELS: Final = 20  # of a class, to take its law's parameters from (chosen)
 _MIN_PROBABILITY: Final = 1e-6  # over the range of amplitudes; a shifted Rayleigh law forbids all below its shift
-_PRIOR_SMOOTHNESS: Final = 1.0
+_PRIOR_SMOOTHNESS: Final = 1.0  # where the image gives none: that of the chain's own field
 _SMALLEST_SPREAD: Final = 1e-3  # times the range of amplitudes
 _SINGLE_PIXELS: Final = Correlation(1.0, 1.0)
 
 
 class PaperSegmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """Hold labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW, HIGHLIGHT, all background where amplitudes do not
-    differ.
+    """Hold the labels and the Markov parameter.
+
+    labels: (n_rows, n_columns) uint8 of BACKGROUND, SHADOW, HIGHLIGHT, all background where amplitudes do not differ.
     """
 
     labels: Labels
@@ -47,7 +48,9 @@ class PaperSegmentation(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def segment_as_paper(region: Region) -> PaperSegmentation:
-    """Label a region by the paper's method. Pixels that are not valid, not finite or negative have no data term.
+    """Label a region by the paper's method.
+
+    Pixels that are not valid, not finite or negative have no data term.
 
     Raises ValueError as require_sound does.
     """

@@ -19,8 +19,9 @@ from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 
 
 class Drawing(msgspec.Struct, frozen=True, kw_only=True):
-    """Specify what to draw. Object: object_rows x highlight_columns pixels, its shadow object_rows x shadow_columns
-    behind it.
+    """Specify what to draw.
+
+    Object: object_rows x highlight_columns pixels, its shadow object_rows x shadow_columns behind it.
 
     lean: columns the shadow's far end moves per row (a parallelogram). shadow_level, highlight_level: mean intensity
     over that of the sea floor. spread_rows, spread_columns: 1-sigma of the Gaussian point-spread function of the
@@ -46,8 +47,16 @@ class Drawing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def aperture_drawings(n: int, spread: float, seed: int) -> Iterator[Drawing]:
-    """Draw n objects of 0.5 to 2 m with shadows of 0.9 to 2.7 m on the 3 cm pixels of a synthetic aperture; spread: of
-    the point, pixels.
+    """Draw n objects of 0.5 to 2 m with shadows of 0.9 to 2.7 m on the 3 cm pixels of a synthetic aperture.
+
+    Parameters
+    ----------
+    n
+        Number of objects.
+    spread
+        1-sigma of the point-spread function, pixels.
+    seed
+        Of sizes; speckle has seeds from 0.
     """
     random = np.random.Generator(np.random.PCG64(seed))
     for number in range(n):
@@ -66,8 +75,9 @@ def aperture_drawings(n: int, spread: float, seed: int) -> Iterator[Drawing]:
 
 
 def draw_region(drawing: Drawing) -> tuple[Region, NDArray[np.uint8]]:
-    """Draw the region, highlight at its centre row and at a third of its columns, and its labels (n_rows, n_columns)
-    uint8.
+    """Draw the region and its labels, (n_rows, n_columns) uint8.
+
+    The highlight lies at the centre row and at a third of the columns.
     """
     random = np.random.Generator(np.random.PCG64(drawing.seed))
     labels = true_labels(drawing)
