@@ -44,7 +44,7 @@ loop=$!
 as_a_user >"$beside/user" 2>&1 &
 user=$!
 say "pytest, three files at a time: two cores, and tests that wait for a port"
-.venv/bin/python -m pytest tests --ignore tests/hil --ignore tests/studies --numprocesses 3 --dist loadfile
+.venv/bin/python -m pytest tests --ignore tests/hil --numprocesses 3 --dist loadfile
 found types "$types"
 found loop "$loop"
 found user "$user"

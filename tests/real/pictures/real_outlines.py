@@ -18,8 +18,8 @@ from auv_mcm.confirmation import confirm_detection, labels_near, region_of
 from auv_mcm.detect.measure import ROWS_M
 from auv_mcm.records import VALID, Detection, Tile
 from sim_replay.scoring.overlap import overlap
-from sim_replay.studies.real_pictures import Mask, Picture, Plane
-from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of_picture
+from tests.real.pictures.real_pictures import Mask, Picture, Plane
+from tests.real.pictures.real_tiles import Geometry, config_of, detections_of, tile_of_picture
 
 _NEAR_M: Final = 0.5  # from the mask, for a detection to be of the object
 _SNAKE_NODES: Final = max(nodes for nodes, _, _ in FINE)

@@ -19,7 +19,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SATURATED, VALID, Detection, PoseTrack, Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.radiometry import AngleCurve, local_mean
-from sim_replay.studies.real_pictures import Mask, Picture, Plane
+from tests.real.pictures.real_pictures import Mask, Picture, Plane
 
 _DARK_M: Final = 1.0
 _DARK: Final = 0.04  # of the median: the water column

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
-from sim_replay.studies.picture_speckle import picture_speckle
+from tests.real.pictures.picture_speckle import picture_speckle
 
 Mask = NDArray[np.bool_]
 Plane = NDArray[np.float64]

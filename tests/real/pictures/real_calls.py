@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 from auv_mcm.classify.odds import MineOdds
 from auv_mcm.confirmation import confirm_detection
 from auv_mcm.records import Detection
-from sim_replay.studies.real_pictures import Picture
-from sim_replay.studies.real_tiles import Geometry, config_of, detections_of, tile_of_picture
+from tests.real.pictures.real_pictures import Picture
+from tests.real.pictures.real_tiles import Geometry, config_of, detections_of, tile_of_picture
 
 CALLED: Final = (0.5, 0.2)
 """p_mine from which a detection counts as a call."""
