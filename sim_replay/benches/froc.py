@@ -149,8 +149,8 @@ def run(arguments: argparse.Namespace) -> int:
         for system in SYSTEMS
     }
     print(
-        f"{arguments.seeds} missions per scene, seeds {seeds.start} to {seeds[-1]}; intervals are 95 %: "
-        "Wilson's for Pd, exact"
+        f"{arguments.seeds} missions per scene, seeds {seeds.start} to {seeds[-1]}; intervals are 95 %: Wilson's for "
+        "Pd, exact"
     )
     print("Poisson for FA\n")
     laid_out = markdown if arguments.markdown else columns
