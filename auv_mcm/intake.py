@@ -298,8 +298,7 @@ class Intake:
         altitude_m, range_m, place = self._last_beyond
         text = (
             f"altitude ({altitude_m:.1f} m) is greater than the sonar's range ({range_m:.1f} m) in most pings: no echo "
-            "can come from the "
-            "sea floor. Check the altimeter and its unit, and the range setting of the sonar."
+            "can come from the sea floor. Check the altimeter and its unit, and the range setting of the sonar."
         )
         self._beyond_range = Notice(code="navigation.altitude_beyond_range", text=text, place=place)
         self._notices.append(self._beyond_range)

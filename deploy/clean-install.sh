@@ -77,9 +77,6 @@ if [ -n "$log" ]; then
     mkdir "$root/checkout"
     cp -R "$here/tests" "$here/pyproject.toml" "$root/checkout"
     cp "$log" "$root/checkout/log.xtf"
-    for installed in "$root"/opt/auv-mcm/versions/*/lib/python*/site-packages/sim_replay; do
-        cp -R "$here/sim_replay/studies" "$installed" # a test draws its contours with one
-    done
     inside sh -euc "cd /checkout
         /opt/auv-mcm/current/bin/python -m pytest --quiet -p no:cacheprovider tests/auv_mcm/test_kernels.py \
             tests/auv_mcm/*/test_*kernel*.py tests/auv_mcm/classify/test_likelihood.py

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Everything that must hold before a change goes in: style, types, tests, and a replay of recorded data where it is at
-# hand. Needs Python 3.11 or later; a C compiler is used if there is one.
+# hand. Every part runs and prints its result, whatever fails; the last line names the parts that failed.
+# Needs Python 3.11 or later; a C compiler is used if there is one.
 set -eu
 cd "$(dirname "$0")/.."
 unset PYTHONDONTWRITEBYTECODE # each of hundreds of processes would compile all that it imports
@@ -24,15 +25,23 @@ as_a_user() {
     fi
 }
 
-found() { # NAME PROCESS: waits for what runs beside the tests, shows what it said, and ends if it failed
-    say "$1: result"
-    wait "$2" || { cat "$beside/$1"; exit 1; }
-    cat "$beside/$1"
+failed=
+part() { # NAME COMMAND: runs a part, and remembers it if it fails
+    name=$1
+    shift
+    say "$name"
+    "$@" || failed="$failed $name,"
 }
 
-say "ruff"
-.venv/bin/ruff check .
-.venv/bin/ruff format --check .
+shown() { # NAME PROCESS: waits for what runs beside the tests, and shows what it printed
+    wait "$2"
+    code=$?
+    cat "$beside/$1"
+    return "$code"
+}
+
+part "style" .venv/bin/ruff check .
+part "format" .venv/bin/ruff format --check .
 beside=$(mktemp -d)
 types= loop= user=
 trap 'kill $types $loop $user 2>/dev/null || true; rm -rf "$beside"' EXIT
@@ -43,9 +52,13 @@ types=$!
 loop=$!
 as_a_user >"$beside/user" 2>&1 &
 user=$!
-say "pytest, three files at a time: two cores, and tests that wait for a port"
-.venv/bin/python -m pytest tests --ignore tests/hil --ignore tests/studies --numprocesses 3 --dist loadfile
-found types "$types"
-found loop "$loop"
-found user "$user"
+# three files at a time: two cores, and tests that wait for a port
+part "tests" .venv/bin/python -m pytest tests --ignore tests/hil --numprocesses 3 --dist loadfile
+part "types" shown types "$types"
+part "hardware in the loop" shown loop "$loop"
+part "documentation and replay" shown user "$user"
+if [ -n "$failed" ]; then
+    say "failed:${failed%,}"
+    exit 1
+fi
 say "all passed"

@@ -137,9 +137,8 @@ class DeviceClock:
         self.counters["clock.anchored_anew"] += 1
         text = (
             f"the clock of {self._source} {why}: it is {abs(late_ns) / _NS:.3f} s from where it should be. Its times "
-            "are taken from the "
-            "arrival of its messages until they settle. If this repeats, check the device's supply and its time "
-            "synchronisation."
+            "are taken from the arrival of its messages until they settle. If this repeats, check the device's supply "
+            "and its time synchronisation."
         )
         return Notice(code="device_clock_anchored_anew", text=text, place=self._source)
 
@@ -235,8 +234,7 @@ class UtcAnchor:
         self.segment += 1
         text = (
             f"UTC of {self._source} stepped by {difference_ns / _NS:+.3f} s. Times from here on are by the new UTC, "
-            "those before are not "
-            "corrected. Set clocks before the mission, or let them slew."
+            "those before are not corrected. Set clocks before the mission, or let them slew."
         )
         return Notice(code="utc_stepped", text=text, place=self._source)
 

@@ -134,8 +134,7 @@ class PortStream:
         log.error("the decoder of port '%s' failed", self._port.name, exc_info=error)
         text = (
             f"the decoder of port '{self._port.name}' failed ({error!r}) and was started anew; what it was reading is "
-            "lost. This is a "
-            "defect: report it with the log and the recording."
+            "lost. This is a defect: report it with the log and the recording."
         )
         return [Notice(code="decoder_failed", text=text, place=self._port.name)]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
+import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Namespace = TypeVar("Namespace")
+
+_WIDTH: Final = 100  # columns; longer lines are hard to follow (chosen)
+_LIST: Final = re.compile(r"^\S+: {2,}", re.MULTILINE)
 
 EXIT_CODES: Final = (
     "exit codes: 0 done, 2 bad usage or configuration, 3 bad input data, 4 hardware or link failed, 5 self-check failed"
@@ -73,15 +78,24 @@ def command(commands: Commands, name: str, does: str, more: str, examples: Seque
     does
         What it does, in a few words.
     more
-        The same in full.
+        The same in full: paragraphs, which are wrapped, and lists, a `name:  words` to a line, which are kept.
     examples
         Command lines that work.
     """
     return commands.add_parser(
         name,
         help=does,
-        description=f"{does[0].upper()}{does[1:]}.\n\n{more}",
+        description=f"{does[0].upper()}{does[1:]}.\n\n{_wrapped(more)}",
         epilog="examples:\n" + "\n".join(f"  {example}" for example in examples) + f"\n\n{EXIT_CODES}",
+    )
+
+
+def _wrapped(text: str) -> str:
+    """Wrap paragraphs to the terminal, and to a width that is easy to read."""
+    width = min(shutil.get_terminal_size().columns - 2, _WIDTH)
+    return "\n\n".join(
+        paragraph if _LIST.search(paragraph) else textwrap.fill(" ".join(paragraph.split()), width)
+        for paragraph in text.split("\n\n")
     )
 
 

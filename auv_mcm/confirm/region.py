@@ -51,8 +51,7 @@ def require_sound(region: Region) -> None:
     if not all(_MIN_LENGTH_M <= length <= _FARTHEST for length in lengths):
         raise ValueError(
             f"row_spacing_m, column_spacing_m and altitude_m must be positive numbers from {_MIN_LENGTH_M:g} to "
-            f"{_FARTHEST:g}, not "
-            f"{lengths[0]}, {lengths[1]} and {lengths[2]}: leave out regions without navigation"
+            f"{_FARTHEST:g}, not {lengths[0]}, {lengths[1]} and {lengths[2]}: leave out regions without navigation"
         )
     for name, place in (
         ("row", region.row),

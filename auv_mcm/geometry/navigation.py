@@ -476,8 +476,7 @@ class NavBuffer:
         if self._n_zero_altitudes >= ZERO_ALTITUDES:
             text = (
                 f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found "
-                "from the echoes "
-                "alone. Check that the altimeter is connected, logged, and has bottom lock."
+                "from the echoes alone. Check that the altimeter is connected, logged, and has bottom lock."
             )
             self._raise_once("navigation.altitude_zero", text, time_s)
 
@@ -507,9 +506,8 @@ class NavBuffer:
         if decision.disputed and accepted:
             text = (
                 f"fixes give two places {decision.doubt_m:.0f} m apart again and again: which one is right is not "
-                "known. Contacts there "
-                "carry that distance as their sigma and nothing there counts as covered. Check the navigation units "
-                "and their cables."
+                "known. Contacts there carry that distance as their sigma and nothing there counts as covered. Check "
+                "the navigation units and their cables."
             )
             self._raise_once("navigation.position_disputed", text, accepted[-1].time_s)
         self._decided.extend([False] * len(accepted))
@@ -524,9 +522,8 @@ class NavBuffer:
         if n_rejected >= max(_MIN_REJECTED, _REJECTED_SHARE * len(self._decided)):
             text = (
                 f"{n_rejected} of the last {len(self._decided)} positions were rejected: they do not exist on Earth, "
-                "or the vehicle cannot "
-                "have moved there and back. Check the navigation unit, its antenna and its cable. Further ones are "
-                "only counted."
+                "or the vehicle cannot have moved there and back. Check the navigation unit, its antenna and its "
+                "cable. Further ones are only counted."
             )
             self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
 
@@ -538,8 +535,7 @@ class NavBuffer:
             return
         text = (
             f"the position jumped by {step_m:.0f} m and stays there: the new place is used from now on. Find out which "
-            "place is right: "
-            "contacts on one side of the jump may be wrong by as much."
+            "place is right: contacts on one side of the jump may be wrong by as much."
         )
         text += " Further jumps are only counted." * (len(self._steps_s) == _MAX_STEPS_REPORTED)
         self._notices.append(Notice(code="nav_position_jump", text=text, place=_utc(fix.time_s)))
@@ -592,10 +588,8 @@ class NavBuffer:
             side = "right" if offset_rad > 0.0 else "left"
             text = (
                 f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: "
-                "contacts lie on the "
-                "wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and whether port "
-                "and starboard "
-                "are swapped."
+                "contacts lie on the wrong side if the compass is wrong. Check its mounting, its heading offset and "
+                "sign, and whether port and starboard are swapped."
             )
             self._raise_once("navigation.heading_off_course", text, time_s)
 

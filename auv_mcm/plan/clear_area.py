@@ -226,8 +226,7 @@ def _done(area: Area, required: float) -> str:
     state = area_state(area, required)
     return (
         f"done: mines in the {area_words(area.cells.sum() * area.ground.cell_m**2)} are found with probability "
-        f"{state.p_detected:.3f}, "
-        f"{required:.2f} was required"
+        f"{state.p_detected:.3f}, {required:.2f} was required"
     )
 
 

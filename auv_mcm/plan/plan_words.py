@@ -75,6 +75,5 @@ def contact_words(legs: ContactLegs) -> str:
     towards = round(legs.look_deg) % 360
     return (
         f"second view of {contact.id} towards {towards:03d}° or {(towards + 180) % 360:03d}°, {legs.stand_off_m:.0f} m "
-        "to the side: "
-        f"p_mine {contact.p_mine:.2f} is undecided after {looks}"
+        f"to the side: p_mine {contact.p_mine:.2f} is undecided after {looks}"
     )

@@ -95,8 +95,7 @@ def plan_reinspection(
     if not all(map(math.isfinite, (start_latitude_deg, start_longitude_deg, start_heading_rad))):
         raise BadInputError(
             f"re-inspection plan: the start pose is not known (latitude {start_latitude_deg}, longitude "
-            f"{start_longitude_deg}, "
-            f"heading {start_heading_rad} rad); give a navigated pose to start from"
+            f"{start_longitude_deg}, heading {start_heading_rad} rad); give a navigated pose to start from"
         )
     frame = LocalFrame(latitude_deg=start_latitude_deg, longitude_deg=start_longitude_deg)
     start = PlanePose(0.0, 0.0, start_heading_rad)
@@ -233,6 +232,6 @@ def _reason(leg: _Leg, config: PlanConfig) -> str:
     look_deg = round(leg.track_deg + (90.0 if leg.look_side == "starboard" else -90.0)) % 360
     return (
         f"second view of {contact.id}: p_mine {contact.p_mine:.2f} is undecided after {looks}; this leg looks towards "
-        f"{look_deg:03d}°, "
-        f"in the widest gap between the directions viewed, {config.stand_off_m:.1f} m to {leg.look_side} at its middle"
+        f"{look_deg:03d}°, in the widest gap between the directions viewed, {config.stand_off_m:.1f} m to "
+        f"{leg.look_side} at its middle"
     )

@@ -351,8 +351,8 @@ def _verdict(problem: Problem, route: list[int], world: SurveyState, is_open: ND
         short_m2, area_m2 = (n * cells.cell_m**2 for n in (share * np.count_nonzero(never), world.area.sum()))
         return (
             f"cannot, because {area_words(short_m2)} of {area_words(area_m2)} cannot be brought to "
-            f"{world.required:.2f} by any leg; "
-            f"the best that can be reached is {mean:.2f} on average and {float(reach.min()):.2f} in the worst cell"
+            f"{world.required:.2f} by any leg; the best that can be reached is {mean:.2f} on average and "
+            f"{float(reach.min()):.2f} in the worst cell"
         )
     wanting_m2, gain_m2 = wanting_m2_of(problem), worth_m2(problem, (way // 2 for way in route))
     further_m = float(np.median(tracks.length_m)) + 2.0 * math.pi * problem.turns.radius_m

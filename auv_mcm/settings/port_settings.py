@@ -243,6 +243,5 @@ def check_together(ports: tuple[PortConfig, ...]) -> None:
     if len(sonars) > 1 and sides != ["port", "starboard"]:
         raise ValueError(
             "several sonars: two heads on wires of their own need 'sides: port' and 'sides: starboard' in their "
-            "sections 'sonar'; "
-            "more, or two that look to both sides, are not used together"
+            "sections 'sonar'; more, or two that look to both sides, are not used together"
         )

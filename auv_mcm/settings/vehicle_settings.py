@@ -193,8 +193,8 @@ class ReconSettings(_Settings, frozen=True, kw_only=True):
 
 
 BLUEFIN_SENTENCES: Final = (
-    "ABT BOY CON CPD CTD DCL DVR EMB GBP GHP KIL LOG MSG NPU RBO RCA RCB RCE RCN RES "
-    "RGP RMB RMP RNS RTC SAN SEM SIL SMC SPD STS SUS TMR TOP TRK TRM VEL VER"
+    "ABT BOY CON CPD CTD DCL DVR EMB GBP GHP KIL LOG MSG NPU RBO RCA RCB RCE RCN RES RGP RMB RMP RNS RTC SAN SEM SIL "
+    "SMC SPD STS SUS TMR TOP TRK TRM VEL VER"
 )
 """Sentences that payloads may send under Bluefin's standard payload interface, each after `BP`; none of these may name
 something else."""

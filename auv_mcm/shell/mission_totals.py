@@ -135,8 +135,7 @@ def clearance_notices(clearance: Clearance | None) -> list[Notice]:
         return []
     text = (
         f"{clearance.n_elsewhere * clearance.cell_m**2 * 1e-6:.3g} km² were searched too far from the rest to be in "
-        "the clearance map "
-        "and in the figures of the search. Check the positions in coverage.geojson; replay separate sites apart, or "
-        "raise plan.cell_m."
+        "the clearance map and in the figures of the search. Check the positions in coverage.geojson; replay separate "
+        "sites apart, or raise plan.cell_m."
     )
     return [Notice(code="clearance.elsewhere", text=text)]

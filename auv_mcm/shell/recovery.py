@@ -272,8 +272,8 @@ def all_written(writers: Mapping[str, Callable[[], None]]) -> dict[str, OSError]
 def results_missing(folder: Path, errors: Mapping[str, OSError]) -> Notice:
     """Report the results that could not be written, why, and what there is instead."""
     text = (
-        f"{', '.join(errors)} cannot be written to {folder}: {next(iter(errors.values())).strerror}. "
-        f"Contacts announced while there was room are in {JOURNAL} there. Make room on the disk."
+        f"{', '.join(errors)} cannot be written to {folder}: {next(iter(errors.values())).strerror}. Contacts "
+        f"announced while there was room are in {JOURNAL} there. Make room on the disk."
     )
     return Notice(
         code="results_missing", text=text + (f" {_replay_advice(folder)}" if (folder / RECORDING).is_dir() else "")

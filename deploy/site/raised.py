@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, TypeAlias, get_args
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 _PACKAGES: Final = ("auv_mcm", "drivers", "sim_replay")
-_LEFT_OUT: Final = ("sim_replay/benches", "sim_replay/fakes", "sim_replay/studies")
+_LEFT_OUT: Final = ("sim_replay/benches", "sim_replay/fakes")
 _OR: Final = " / "  # between what a text says in one case and in the other
 _NO_NAME: Final = "…"  # where a value goes whose expression has no name for a reader
 # Dictionaries that end in the counters of summary.json, by their names in the sources.

@@ -52,9 +52,8 @@ class CanBusPort:
                 if message.arbitration_id & _ERROR_BUS_OFF:
                     raise HardwareError(
                         f"{self._place}: the controller switched itself off after too many errors. Check bit rate, "
-                        "wires and termination; "
-                        f"ip link set {self._place.rpartition('/')[2]} type can restart-ms 100 lets it come back by "
-                        "itself."
+                        f"wires and termination; ip link set {self._place.rpartition('/')[2]} type can restart-ms 100 "
+                        "lets it come back by itself."
                     )
             elif message.is_remote_frame:
                 self._counters["can.remote"] += 1

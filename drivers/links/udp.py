@@ -101,8 +101,8 @@ async def open_udp(address: UdpAddress, counters: Counter[str]) -> UdpPort:
     granted = bound.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux reports twice what it grants
     if granted < RECEIVE_BUFFER_BYTES:
         port.note = (
-            f"{place} is open with a receive buffer of {granted} bytes; to ride out a busy moment set "
-            f"sysctl net.core.rmem_max={RECEIVE_BUFFER_BYTES}"
+            f"{place} is open with a receive buffer of {granted} bytes; to ride out a busy moment set sysctl "
+            f"net.core.rmem_max={RECEIVE_BUFFER_BYTES}"
         )
     return port
 

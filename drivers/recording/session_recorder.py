@@ -182,8 +182,7 @@ class SessionRecorder:
             why = (error.strerror if isinstance(error, OSError) else None) or error
             text = (
                 f"recording into {self._place} has stopped: {why}. The mission goes on without it; what was recorded "
-                "before can be read. "
-                "Free disk space or check the disk, then start again."
+                "before can be read. Free disk space or check the disk, then start again."
             )
             self._raise_notice(Notice(code="session_stopped", text=text, place=self._place))
 

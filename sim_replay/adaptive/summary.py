@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_replay.adaptive.compare import Arm, Compared
+from sim_replay.scoring.thresholds import resampled
 
 Array = NDArray[np.float64]
 
 HEADER: Final = ("", "missions", "replanned", "lawnmower", "difference (95 %)")
 _RESAMPLES: Final = 4000  # of the bootstrap
 _SEED: Final = 1  # of the bootstrap, fixed so that reports repeat
-_CONFIDENCE: Final = 0.95  # of the interval
 
 
 class Paired(NamedTuple):
@@ -38,11 +38,11 @@ def paired(adaptive: Array, fixed: Array, of: Array) -> Paired:
     The interval from missions drawn anew with replacement, both ways of a mission together (B. Efron and R. Tibshirani,
     "An Introduction to the Bootstrap", 1993, percentile method).
     """
-    drawn = np.random.Generator(np.random.PCG64(_SEED)).integers(0, len(of), (_RESAMPLES, len(of)))
-    differences = (adaptive - fixed)[drawn].sum(axis=1) / np.maximum(of[drawn].sum(axis=1), 1e-12)
-    low, high = np.quantile(differences, [0.5 - 0.5 * _CONFIDENCE, 0.5 + 0.5 * _CONFIDENCE]).tolist()
-    total = float(of.sum())
-    return Paired(float(adaptive.sum()) / total, float(fixed.sum()) / total, low, high)
+    more, total = adaptive - fixed, float(of.sum())
+    found = resampled(
+        lambda some: float(more[some].sum() / max(of[some].sum(), 1e-12)), len(of), seed=_SEED, n_resamples=_RESAMPLES
+    )
+    return Paired(float(adaptive.sum()) / total, float(fixed.sum()) / total, found.low, found.high)
 
 
 def rows(missions: Sequence[Compared]) -> list[list[str]]:

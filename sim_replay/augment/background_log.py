@@ -102,8 +102,7 @@ def read_survey(path: Path, config: Config) -> Survey:
     if (found := log_format(path)) != "xtf":
         raise BadInputError(
             f"{path} is a log of format {format_title(found)}; objects are embedded in XTF logs alone, since every "
-            "other byte is kept. "
-            "Export it as XTF."
+            "other byte is kept. Export it as XTF."
         )
     for event in XtfLog(path, config.sonar):
         if isinstance(event, NavSample):

@@ -178,8 +178,7 @@ class _Window(NamedTuple):
             if trace is None or place is None:
                 raise BadInputError(
                     f"{self.stretch.pings[k].place}: its {self.side} samples cannot be overwritten, as the log stores "
-                    "them scaled. "
-                    "Keep targets away from there"
+                    "them scaled. Keep targets away from there"
                 )
             stored = np.frombuffer(self.data, trace.samples.dtype, trace.samples.shape[0], place.offset)
             rows.append(stored[::-1] if place.turned else stored)

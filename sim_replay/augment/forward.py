@@ -55,8 +55,7 @@ class SeafloorScene(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         ):
             raise ValueError(
                 f"scene of {shape} pings and columns: reflectivity {self.reflectivity.shape}, valid "
-                f"{self.valid.shape}, "
-                f"altitude_m {self.altitude_m.shape} and along_m {self.along_m.shape} do not fit"
+                f"{self.valid.shape}, altitude_m {self.altitude_m.shape} and along_m {self.along_m.shape} do not fit"
             )
 
 

@@ -207,8 +207,7 @@ def _named(track: PingTrack, target: EmbeddedTarget, index: int) -> Placement:
     if reason:
         raise UsageError(
             f"`{where}` ({target.kind}), ping {track.number[ping]}, {target.side}, {target.ground_range_m:g} m: "
-            f"{reason}. "
-            "Choose another place"
+            f"{reason}. Choose another place"
         )
     usual = USUAL[target.kind]
     sizes = solid_sizes(target.kind, target.length_m, target.width_m, target.height_m)
@@ -264,8 +263,7 @@ def _placement(
     if above_m > HIGHEST_SHARE * below_sonar_m:
         raise UsageError(
             f"`{where}` ({kind}) rises {above_m:.2f} m, more than {HIGHEST_SHARE:g} of the sonar's {below_sonar_m:.2f} "
-            "m above the floor "
-            f"at ping {track.number[ping]}: take a lower one or a ping from higher up"
+            f"m above the floor at ping {track.number[ping]}: take a lower one or a ping from higher up"
         )
     usual = USUAL[kind]
     east_m, north_m = track.plane_place(ping, side, ground_range_m)
@@ -321,8 +319,7 @@ def _scattered(
         else:
             raise UsageError(
                 f"`{where}`: no room for number {number + 1} of {group.count}; mostly because: "
-                f"{refused.most_common(1)[0][0]}. "
-                "Take fewer, a smaller `apart_m`, or another `ground_range_m`"
+                f"{refused.most_common(1)[0][0]}. Take fewer, a smaller `apart_m`, or another `ground_range_m`"
             )
         placed.append(
             _placement(

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import sys
 from pathlib import Path
 from typing import Final
 
@@ -26,6 +25,7 @@ from sim_replay.adaptive.flight_picture import mission_png
 from sim_replay.adaptive.order import REQUIRED, SIDE_M, drawn_scene, usual_order
 from sim_replay.adaptive.summary import HEADER, planned_words, rows
 from sim_replay.arguments import count, new_file
+from sim_replay.benches.progress import counted
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.text_tables import markdown
 
@@ -60,16 +60,11 @@ def run(arguments: argparse.Namespace) -> int:
         _write("--picture", arguments.picture, drawn)
         return 0
     seeds = range(first, first + arguments.missions)
-
-    def progress(done: int) -> None:
-        print(f"\r{done} of {len(seeds)} worlds flown", end="", file=sys.stderr, flush=True)
-
     missions: list[Compared] = []
-    for mission in run_tasks(fly_both, seeds, Farm(arguments.workers), progress):
+    for mission in run_tasks(fly_both, seeds, Farm(arguments.workers), counted(len(seeds), "worlds flown")):
         missions.append(mission)
         if arguments.json is not None:
             _write("--json", arguments.json, msgspec.json.format(msgspec.json.encode(missions), indent=1))
-    print(file=sys.stderr)
     where = f"{len(missions)} worlds of {SIDE_M:g} m by {SIDE_M:g} m, seeds {seeds.start} to {seeds.stop - 1}"
     print(f"{where}; clearance ordered: {REQUIRED:g} on average over the area")
     print(f"\n{planned_words(missions)}\n")

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import gc
 import math
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -29,8 +28,10 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detection, NavSample, Ping
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.arguments import count
+from sim_replay.benches.progress import counted
 from sim_replay.missions import reporting_everything
 from sim_replay.scoring.intervals import proportion
+from sim_replay.scoring.thresholds import resampled, threshold_at
 from sim_replay.simulator.aperture import Aperture, Strip, View
 from sim_replay.simulator.navigation_error import NavigationModel
 from sim_replay.simulator.plan import Leg, local_frame
@@ -71,7 +72,6 @@ _STREAM: Final = 0x41504552  # keeps these random numbers apart from others of t
 # Integrates over 7 degrees with resolution below: sub-apertures of 12 and 20 cm, near the chain's rows of 12 cm.
 _SONAR: Final = Sonar(frequency_khz=150.0, range_m=36.0, n_samples=1000, noise_db=-18.0)
 _RESOLUTION_M: Final = 0.04  # m, along and across the track
-_N_RESAMPLES: Final = 2000  # of missions, for intervals of differences
 
 
 class Judged(NamedTuple):
@@ -307,9 +307,7 @@ def scores_of(flights: Sequence[Flown], system: str, rule: Rule) -> Scores:
 
 def threshold(scores: Scores, limit_per_km2: float) -> float:
     """Find the lowest log-odds with no more false alarms above it than allowed."""
-    allowed = math.floor(limit_per_km2 * area_km2() * len(scores.targets))
-    ordered = np.append(np.sort(np.concatenate(scores.false_alarms))[::-1], -math.inf)
-    return float(ordered[min(allowed, len(ordered) - 1)])
+    return threshold_at(np.concatenate(scores.false_alarms), limit_per_km2 * area_km2() * len(scores.targets))
 
 
 def area_km2() -> float:
@@ -353,11 +351,8 @@ def _found(flights: Sequence[Flown], system: str, rule: Rule, limit_per_km2: flo
 
 def _gain(found: NDArray[np.int64], base: NDArray[np.int64]) -> str:
     """Write the difference of two Pd over the same missions, with its interval by drawing missions anew."""
-    random = np.random.Generator(np.random.PCG64(_STREAM))
-    drawn = random.integers(len(found), size=(_N_RESAMPLES, len(found)))
-    gains = (found[:, 0] - base[:, 0])[drawn].sum(axis=1) / found[:, 2][drawn].sum(axis=1)
-    low, high = np.quantile(gains, [0.025, 0.975])
-    return f"{(found[:, 0] - base[:, 0]).sum() / found[:, 2].sum():+.2f} ({low:+.2f} to {high:+.2f})"
+    more, of = found[:, 0] - base[:, 0], found[:, 2]
+    return str(resampled(lambda some: float(more[some].sum() / of[some].sum()), len(found), seed=_STREAM))
 
 
 def dependence(flights: Sequence[Flown], system: str) -> float:
@@ -416,9 +411,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fly, judge and print; returns the exit code."""
     flights = []
+    progress = counted(arguments.missions)
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.missions):
         flights.append(fly(seed))
-        print(f"\r{len(flights)} of {arguments.missions} missions flown", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        progress(len(flights))
     print(report(flights, in_markdown=arguments.markdown))
     return 0

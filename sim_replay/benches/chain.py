@@ -83,8 +83,7 @@ def _bench(log: Path, folder: Path, minutes: float, repeat: int) -> None:
         first = results[0]
         print(
             f"{name:<6} {first['duration_s']:8.1f} s of mission, {first['pings']:6d} pings, {first['contacts']:5d} "
-            "contacts: "
-            f"{speed:6.0f} x real time, peak memory {memory_mb:5.0f} MB"
+            f"contacts: {speed:6.0f} x real time, peak memory {memory_mb:5.0f} MB"
         )
     saved = statistics.median(a["total_s"] / b["total_s"] for a, b in zip(exhaustive, runs["short"], strict=True))
     print(f"--exhaustive (no skip) takes {saved:.2f} times as long on the short log")

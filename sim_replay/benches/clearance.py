@@ -6,8 +6,7 @@ auv-mcm bench clearance                           flies, judges and prints
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +24,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
+from sim_replay.benches.progress import counted
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.detection_performance.looks import GATE_M
 from sim_replay.missions import config_for
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         for name in names
         for seed in seeds
     ]
-    missions = list(_counted(run_tasks(judged, tasks, Farm(arguments.workers)), len(tasks)))
+    missions = list(run_tasks(judged, tasks, Farm(arguments.workers), counted(len(tasks))))
     print(f"{len(missions)} missions, seeds {seeds[0]} to {seeds[-1]} of each scene\n")
     print(report(missions, arguments.markdown))
     if arguments.json is not None:
@@ -207,9 +207,3 @@ def report(missions: Sequence[JudgedClearance], in_markdown: bool = False) -> st
         f"{high:.3f} with a "
         f"scene left out; {DOUBTFUL_SHARE:g} is what the payload takes"
     )
-
-
-def _counted(results: Iterator[JudgedClearance], total: int) -> Iterator[JudgedClearance]:
-    for done, result in enumerate(results, 1):
-        print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
-        yield result

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import gc
 import json
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -43,6 +42,7 @@ from sim_replay.benches.mission_options import (
     chosen_scenes,
     chosen_seeds,
 )
+from sim_replay.benches.progress import counted
 from sim_replay.benches.scenes import as_after
 from sim_replay.fitting.cascade.classical.classical_model import parse_classical_model
 from sim_replay.fitting.cascade.classical.detect_classical import detect_classical
@@ -53,6 +53,7 @@ from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth
 from sim_replay.scoring.baseline import baseline_contacts
 from sim_replay.scoring.intervals import proportion
 from sim_replay.scoring.matching import gates_m
+from sim_replay.scoring.thresholds import pd_at
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
@@ -141,20 +142,15 @@ def run(arguments: argparse.Namespace) -> int:
     names, seeds = chosen_scenes(arguments.scenes), chosen_seeds(arguments)
     lines: list[Line] = [HeldOutSimulatedLine(name, seed) for name in names for seed in seeds]
     lines += [HeldOutAugmentedLine(log, seed) for log in arguments.log for seed in chosen_draws(arguments)]
-
-    def progress(done: int) -> None:
-        print(f"\r{done} of {len(lines)} missions flown", end="", file=sys.stderr, flush=True)
-
-    flown = list(run_tasks(fly_line, lines, Farm(arguments.workers, arguments.scheduler), progress))
-    print(file=sys.stderr)
+    flown = list(run_tasks(fly_line, lines, Farm(arguments.workers, arguments.scheduler), counted(len(lines))))
     scores = {
         (group, system): score_missions([one.reported[system] for one in some])
         for group, some in _groups(flown)
         for system in SYSTEMS
     }
     print(
-        f"{arguments.seeds} missions per scene, seeds {seeds.start} to {seeds[-1]}; intervals are 95 %: "
-        "Wilson's for Pd, exact"
+        f"{arguments.seeds} missions per scene, seeds {seeds.start} to {seeds[-1]}; intervals are 95 %: Wilson's for "
+        "Pd, exact"
     )
     print("Poisson for FA\n")
     laid_out = markdown if arguments.markdown else columns
@@ -189,21 +185,6 @@ def fly_line(line: Line) -> FlownLine:
         written = augment(line.log, scattered(line.seed), Path(folder), Config())
         recorded = RecordedMission([written.log], Config())
         return _seen(line, Config(), recorded.events(), lambda: json.loads(written.truth.read_bytes()))
-
-
-def best_pd(score: Score, limit_per_km2: float, *, on_objects: bool = True) -> str:
-    """Find the best Pd within so many false alarms per km², with its interval.
-
-    Those on known clutter count if `on_objects`.
-    """
-    if score.area_km2 <= 0.0:
-        return share_cell(proportion(0, score.n_targets))
-    allowed = [
-        point.pd
-        for point in score.froc
-        if point.false_alarms.count - (0 if on_objects else point.on_known_clutter) <= limit_per_km2 * score.area_km2
-    ]
-    return share_cell(max(allowed, key=lambda pd: pd.count, default=proportion(0, score.n_targets)))
 
 
 def outdone(score: Score, baseline: Score) -> tuple[int, int]:
@@ -296,8 +277,8 @@ def _groups(flown: Sequence[FlownLine]) -> Iterator[tuple[str, list[FlownLine]]]
 
 
 def _row(group: str, system: str, score: Score) -> list[str]:
-    pds = [best_pd(score, limit) for limit in LIMITS_PER_KM2]
-    pds += [best_pd(score, limit, on_objects=False) for limit in BARE_LIMITS_PER_KM2]
+    pds = [share_cell(pd_at(score, limit)) for limit in LIMITS_PER_KM2]
+    pds += [share_cell(pd_at(score, limit, on_clutter=False)) for limit in BARE_LIMITS_PER_KM2]
     at = score.at_threshold
     return [
         _title(group),

@@ -13,9 +13,9 @@ import argparse
 import gc
 import json
 import math
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -27,23 +27,30 @@ from auv_mcm.classify.targets import MIN_NOT_LISTED, NOT_LISTED
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.model_file import SHIPPED
 from auv_mcm.pipeline import Pipeline
-from sim_replay.arguments import count
-from sim_replay.benches.mission_options import chosen_scenes, chosen_seeds
-from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.benches.experiment import (
+    Cell,
+    Column,
+    Experiment,
+    PairedColumn,
+    Task,
+    add_experiment_arguments,
+    number,
+    run_experiment,
+    share,
+)
 from sim_replay.missions import config_for
 from sim_replay.scoring.inputs import ScoredMission, parse_contacts, parse_truth
-from sim_replay.scoring.intervals import proportion
+from sim_replay.scoring.intervals import Proportion, proportion
 from sim_replay.scoring.layout import lay_out
 from sim_replay.scoring.score import GATE_M
+from sim_replay.scoring.thresholds import called_at, threshold_at
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import TARGET_KINDS, Scatter, Scene
 from sim_replay.simulator.scene_file import read_scene
-from sim_replay.text_tables import NOTHING, columns, markdown, share_cell
+from sim_replay.text_tables import NOTHING
 
 Floats = NDArray[np.float64]
 
-FIRST_SEED: Final = 92_101  # on seeds from here on nothing was fitted or tried before this bench
-SCENES: Final = ("flat", "ripple", "mixed", "rough")
 LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)  # false alarms per km² at which Pd is printed
 ROCKS_PD: Final = 0.9  # Pd at which the share of rocks that are called is printed
 TOO_LARGE: Final = 1.2  # factor of all sizes of the wrong list
@@ -56,22 +63,6 @@ TYPES: Final = {
 LISTS: Final = ("no list", "right", "sizes 20 % too large", "without the cone")
 _SCENE_SIZE: Final = {"diameter_m": "width_m", "base_diameter_m": "width_m"}  # of a list, as a scene names it
 _NONE: Final = -math.inf  # p_mine of what has no contact
-_N_RESAMPLES: Final = 2000  # of missions, for the interval of a difference
-_HEADER: Final = (
-    *("missions", "list", "targets", "km²", "reported"),
-    *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2),
-    "more at 100 than without a list",
-    f"rocks called at Pd {ROCKS_PD:g}",
-    "class of called mines right",
-)
-
-
-class Task(NamedTuple):
-    """Name a scene and a seed, and the share of mines on no line that the lists state."""
-
-    scene: str
-    seed: int
-    not_listed: float = NOT_LISTED
 
 
 class Judged(NamedTuple):
@@ -89,19 +80,8 @@ class Judged(NamedTuple):
     n_right: int
 
 
-class FlownWithLists(NamedTuple):
-    """Hold one mission as each of LISTS makes it."""
-
-    scene: str
-    judged: dict[str, Judged]
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `auv-mcm bench library`."""
-    parser.add_argument("--seeds", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument(
-        "--first-seed", type=count, default=FIRST_SEED, help=f"seed of each first mission (default {FIRST_SEED})"
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what the lists state of mines on no line."""
     parser.add_argument(
         "--not-listed",
         type=_share,
@@ -109,23 +89,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help=f"of mines on no line, as lists state it (default {NOT_LISTED})",
     )
-    parser.add_argument("--scenes", default=",".join(SCENES), help=f"by name (default {','.join(SCENES)})")
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code. Raises UsageError for scenes that are not there."""
-    names, seeds = chosen_scenes(arguments.scenes), chosen_seeds(arguments)
-    tasks = [Task(name, seed, arguments.not_listed) for name in names for seed in seeds]
-
-    def progress(done: int) -> None:
-        print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
-
-    flown = list(run_tasks(fly, tasks, Farm(arguments.workers), progress))
-    print(file=sys.stderr)
-    print(report(flown, in_markdown=arguments.markdown))
-    return 0
 
 
 def _share(text: str) -> float:
@@ -154,28 +117,29 @@ def with_types(scene: Scene, types: Mapping[str, Mapping[str, float]] = TYPES) -
     types: sizes by kind, m, each named as a list or as a scene names it.
     """
     groups = [group for group in scene.scatter if group.kind in TARGET_KINDS]
-    n_targets = sum(group.count for group in groups)
+    n_laid = sum(group.count for group in groups)
     own = [group for group in groups if group.kind in types]
     laid: list[Scatter] = []
-    for number, group in enumerate(own):
+    for place, group in enumerate(own):
         sizes = {_SCENE_SIZE.get(name, name): (size_m, size_m) for name, size_m in types[group.kind].items()}
         bare = msgspec.structs.replace(group, length_m=None, width_m=None, height_m=None)
-        n = n_targets // len(own) + (number < n_targets % len(own))
+        n = n_laid // len(own) + (place < n_laid % len(own))
         laid.append(msgspec.structs.replace(bare, count=n, **sizes))
     others = [group for group in scene.scatter if group.kind not in TARGET_KINDS]
     return msgspec.structs.replace(scene, scatter=(*laid, *others))
 
 
-def fly(task: Task) -> FlownWithLists:
+def fly(task: Task) -> dict[str, Judged]:
     """Fly one mission with every list."""
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     scene = with_types(msgspec.structs.replace(read_scene(task.scene), seed=task.seed))
     mission, config = Mission(scene), config_for(scene)
+    not_listed = task.options["not_listed"]
     texts = (
         None,
-        list_text(not_listed=task.not_listed),
-        list_text(TOO_LARGE, not_listed=task.not_listed),
-        list_text(without="truncated_cone", not_listed=task.not_listed),
+        list_text(not_listed=not_listed),
+        list_text(TOO_LARGE, not_listed=not_listed),
+        list_text(without="truncated_cone", not_listed=not_listed),
     )
     pipelines: dict[str, Pipeline] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -197,7 +161,7 @@ def fly(task: Task) -> FlownWithLists:
     for name, pipeline in pipelines.items():
         contacts = parse_contacts(json.loads(contacts_geojson(pipeline.contacts)), task.scene)
         judged[name] = judge(ScoredMission(contacts, truth, task.scene))
-    return FlownWithLists(task.scene, judged)
+    return judged
 
 
 def judge(mission: ScoredMission) -> Judged:
@@ -227,69 +191,57 @@ def judge(mission: ScoredMission) -> Judged:
     )
 
 
-def n_found(missions: Sequence[Judged], limit_per_km2: float) -> int:
-    """Count the targets above the lowest threshold of p_mine with so many false alarms per km² or fewer."""
-    allowed = math.floor(limit_per_km2 * sum(one.area_km2 for one in missions))
-    false_alarms = np.sort(np.concatenate([one.false_alarms for one in missions]))[::-1]
-    above = false_alarms[allowed] if allowed < len(false_alarms) else _NONE
-    return sum(int(np.count_nonzero(one.targets > above)) for one in missions)
+def n_targets(missions: Sequence[Judged]) -> int:
+    """Count the targets that were seen."""
+    return sum(len(one.targets) for one in missions)
 
 
-def rocks_called(missions: Sequence[Judged]) -> tuple[int, int] | None:
-    """Count the rocks called at the threshold that ROCKS_PD of the targets reach, and all rocks.
-
-    None if fewer targets have a contact.
-    """
-    targets = np.sort(np.concatenate([one.targets for one in missions]))[::-1]
-    rocks = np.concatenate([one.rocks for one in missions])
-    threshold = targets[math.ceil(ROCKS_PD * len(targets)) - 1] if len(targets) else _NONE
-    return None if threshold == _NONE else (int(np.count_nonzero(rocks >= threshold)), len(rocks))
+def found_at(missions: Sequence[Judged], limit_per_km2: float) -> Proportion:
+    """Find the share of targets above the lowest threshold of p_mine with so many false alarms per km² or fewer."""
+    n_allowed = limit_per_km2 * sum(one.area_km2 for one in missions)
+    above = threshold_at(np.concatenate([one.false_alarms for one in missions]), n_allowed)
+    return proportion(sum(int(np.count_nonzero(one.targets > above)) for one in missions), n_targets(missions))
 
 
-def gain(
-    missions: Sequence[FlownWithLists], name: str, limit_per_km2: float, n_resamples: int = _N_RESAMPLES
-) -> tuple[float, float, float]:
-    """Compute how much more Pd a list gives than none, with the interval that holds 95 % of resampled missions."""
-    random = np.random.Generator(np.random.PCG64(1))
-    none, own = ([one.judged[which] for one in missions] for which in (LISTS[0], name))
-
-    def difference(chosen: Sequence[int]) -> float:
-        n_targets = sum(len(own[k].targets) for k in chosen)
-        found = (n_found([some[k] for k in chosen], limit_per_km2) for some in (none, own))
-        without, with_it = found
-        return (with_it - without) / n_targets if n_targets else 0.0
-
-    drawn = random.integers(0, len(missions), (n_resamples, len(missions)))
-    low, high = np.quantile([difference(row) for row in drawn.tolist()], (0.025, 0.975))
-    return difference(range(len(missions))), float(low), float(high)
+def _reported(missions: Sequence[Judged]) -> Cell:
+    return share(proportion(sum(int(np.count_nonzero(one.targets > _NONE)) for one in missions), n_targets(missions)))
 
 
-def report(flown: Sequence[FlownWithLists], *, in_markdown: bool = False) -> str:
-    """Lay out every scene, and all together."""
-    groups = {name: [one for one in flown if one.scene == name] for name in dict.fromkeys(one.scene for one in flown)}
-    if len(groups) > 1:
-        groups["all"] = list(flown)
-    rows = [_row(title, some, name) for title, some in groups.items() for name in LISTS]
-    return (markdown if in_markdown else columns)(_HEADER, rows)
+def _rocks_called(missions: Sequence[Judged]) -> Cell:
+    targets, rocks = (np.concatenate([getattr(one, part) for one in missions]) for part in ("targets", "rocks"))
+    called = called_at(targets, rocks, ROCKS_PD)
+    return Cell(NOTHING) if called is None else share(called)
 
 
-def _row(title: str, flown: Sequence[FlownWithLists], name: str) -> list[str]:
-    missions = [one.judged[name] for one in flown]
-    n_targets = sum(len(one.targets) for one in missions)
-    n_reported = sum(int(np.count_nonzero(one.targets > _NONE)) for one in missions)
-    more = NOTHING
-    if name != LISTS[0] and len(flown) > 1:
-        middle, low, high = gain(flown, name, LIMITS_PER_KM2[-1])
-        more = f"{middle:+.2f} ({low:+.2f} to {high:+.2f})"
-    rocks = rocks_called(missions)
-    return [
-        title,
-        name,
-        str(n_targets),
-        f"{sum(one.area_km2 for one in missions):.3f}",
-        share_cell(proportion(n_reported, n_targets)),
-        *(share_cell(proportion(n_found(missions, limit), n_targets)) for limit in LIMITS_PER_KM2),
-        more,
-        NOTHING if rocks is None else share_cell(proportion(*rocks)),
-        share_cell(proportion(sum(one.n_right for one in missions), sum(one.n_called for one in missions))),
-    ]
+def _right(missions: Sequence[Judged]) -> Cell:
+    return share(proportion(sum(one.n_right for one in missions), sum(one.n_called for one in missions)))
+
+
+def _pd(missions: Sequence[Judged], limit_per_km2: float) -> Cell:
+    return share(found_at(missions, limit_per_km2))
+
+
+EXPERIMENT: Final = Experiment(
+    name="library",
+    scenes=("flat", "ripple", "mixed", "rough"),
+    first_seed=92_101,  # on seeds from here on nothing was fitted or tried before this bench
+    n_seeds=2,
+    variant_title="list",
+    variants=LISTS,
+    fly=fly,
+    columns=(
+        Column("targets", lambda missions: number(n_targets(missions))),
+        Column("km²", lambda missions: number(sum(one.area_km2 for one in missions), 3)),
+        Column("reported", _reported),
+        *(Column(f"Pd at {limit:g} FA/km²", partial(_pd, limit_per_km2=limit)) for limit in LIMITS_PER_KM2),
+        PairedColumn(
+            "more at 100 than without a list", lambda missions: found_at(missions, LIMITS_PER_KM2[-1]).value or 0.0
+        ),
+        Column(f"rocks called at Pd {ROCKS_PD:g}", _rocks_called),
+        Column("class of called mines right", _right),
+    ),
+    add_options=add_options,
+    own_options=("not_listed",),
+)
+add_arguments = partial(add_experiment_arguments, EXPERIMENT)
+run = partial(run_experiment, EXPERIMENT)

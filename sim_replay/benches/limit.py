@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import gc
 import math
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Final, NamedTuple, get_args
@@ -40,9 +39,11 @@ from sim_replay.benches.flown_twice import (
     lawnmower_of,
     sorted_flight,
 )
+from sim_replay.benches.progress import counted
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.missions import SCENES
 from sim_replay.scoring.intervals import proportion
+from sim_replay.scoring.thresholds import called_at, threshold_at
 from sim_replay.simulator.ideal_observer import IdealObserver, log_mean_exp, mine_library, rock_library
 from sim_replay.simulator.objects import PlacedObject
 from sim_replay.simulator.plan import planned_legs, swath_m
@@ -141,12 +142,7 @@ def run(arguments: argparse.Namespace) -> int:
         lawnmower_of(read_scene(name))
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     tasks = [Task(name, seed, not arguments.without_observer) for name in names for seed in seeds]
-
-    def progress(done: int) -> None:
-        print(f"\r{done} of {len(tasks)} missions flown", end="", file=sys.stderr, flush=True)
-
-    flights = list(run_tasks(fly, tasks, Farm(arguments.workers), progress))
-    print(file=sys.stderr)
+    flights = list(run_tasks(fly, tasks, Farm(arguments.workers), counted(len(tasks))))
     print(report(flights, in_markdown=arguments.markdown))
     return 0
 
@@ -202,22 +198,6 @@ def _at_empty_places(scene: Scene, sea: Sea, observer: IdealObserver) -> Iterato
 def pd_count(scores: Scores, limit_per_km2: float) -> int:
     """Count the targets above the lowest threshold with no more false alarms than allowed."""
     return int(np.count_nonzero(_above(scores, limit_per_km2)))
-
-
-def threshold(scores: Scores, limit_per_km2: float) -> float:
-    """Find the lowest threshold, nats, above which there are no more false alarms than allowed.
-
-    Those on bare floor, where they are bounded instead of counted, take their part of what is allowed.
-    """
-    allowed = limit_per_km2 * scores.area_km2
-    ordered = np.append(np.sort(scores.false_alarms)[::-1], NOTHING_NATS)
-    n_tries = scores.tries_per_km2 * scores.area_km2
-    found = math.inf
-    for n_above in range(min(math.floor(allowed), len(ordered) - 1) + 1):
-        rest = allowed - n_above
-        by_chance = NOTHING_NATS if n_tries == 0.0 else math.log(n_tries / rest) if rest > 0.0 else math.inf
-        found = min(found, max(float(ordered[n_above]), by_chance))
-    return found
 
 
 def chain_scores(
@@ -277,11 +257,11 @@ def rocks_called(flights: Sequence[Flight], log_odds_of: Callable[[JudgedContact
         for index, one in enumerate(flight.flown.objects):
             if (one.is_target or one.kind == "rock") and one.seen_first and one.seen_second:
                 best[one.is_target].append(on_object.get(index, NOTHING_NATS))
-    targets = sorted(best[True], reverse=True)
-    if not targets:
+    if not best[True]:
         return 0, len(best[False])
-    needed = targets[math.ceil(ROCKS_PD * len(targets)) - 1]
-    return sum(score >= needed and score > NOTHING_NATS for score in best[False]), len(best[False])
+    called = called_at(best[True], best[False], ROCKS_PD, NOTHING_NATS)
+    n_called = sum(score > NOTHING_NATS for score in best[False]) if called is None else called.count
+    return n_called, len(best[False])
 
 
 def correlations(flights: Sequence[Flight]) -> dict[str, tuple[int, float]]:
@@ -435,6 +415,16 @@ def _limit_rows(name: str, flights: Sequence[Flight]) -> Iterator[list[str]]:
 
 def _above(scores: Scores, per_km2: float) -> NDArray[np.bool_]:
     return np.asarray(scores.targets > threshold(scores, per_km2), dtype=np.bool_)
+
+
+def threshold(scores: Scores, limit_per_km2: float) -> float:
+    """Find the lowest threshold, nats, above which there are no more false alarms than allowed."""
+    return threshold_at(
+        scores.false_alarms,
+        limit_per_km2 * scores.area_km2,
+        n_tries=scores.tries_per_km2 * scores.area_km2,
+        nothing=NOTHING_NATS,
+    )
 
 
 def _after(contact: JudgedContact, step: LookStep) -> float | None:

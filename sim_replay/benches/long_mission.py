@@ -387,8 +387,8 @@ def _growth(watched: Watched, mission_h: float) -> list[str]:
     if watched.ending:
         service_bytes, perception_bytes = (max(found[index] for found in watched.ending) for index in (2, 3))
         print(
-            f"while the results were written: service at most {service_bytes / _BYTES_PER_MB:.1f} MB, "
-            f"perception {perception_bytes / _BYTES_PER_MB:.1f} MB"
+            f"while the results were written: service at most {service_bytes / _BYTES_PER_MB:.1f} MB, perception "
+            f"{perception_bytes / _BYTES_PER_MB:.1f} MB"
         )
     blocks = np.array(list(_medians(running)))
     at_h = blocks[:, 0] * mission_h / running[-1].at_s

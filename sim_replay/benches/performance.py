@@ -84,8 +84,8 @@ def report(found: JudgedPredictions, in_markdown: bool = False) -> str:
         error, by_chance, by_mission = mean_error(found.judged)
         lines.append(
             f"mean absolute error over {len(found.judged)} kinds and bands with {MIN_LOOKS} looks or more: "
-            f"{error:.3f}; "
-            f"right tables would have {by_chance:.3f} by chance, {by_mission:.3f} with missions as different as these"
+            f"{error:.3f}; right tables would have {by_chance:.3f} by chance, {by_mission:.3f} with missions as "
+            "different as these"
         )
     header = ("sea floor", "ground range", "looks", "predicted", "realised", "error", "by chance", "by missions")
     rows = [[place.seabed, f"{place.near_m:g}-{place.far_m:g} m", *_cells(place.share)] for place in found.places]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -25,6 +24,7 @@ from auv_mcm.records import Contact, Detection, Detector, LookStep, NavSample, P
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import new_file
 from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
+from sim_replay.benches.progress import counted
 from sim_replay.missions import FIRST_SEED, config_for, served_by, untrained_alone
 from sim_replay.scoring import Score, ScoredMission, parse_contacts, parse_truth, score_json, score_missions
 from sim_replay.scoring.baseline import baseline_contacts
@@ -111,10 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
     names = chosen_scenes(arguments.scenes)
     seeds = chosen_seeds(arguments)
     flown: dict[str, list[FlownMission]] = {name: [] for name in names}
+    progress = counted(len(names) * len(seeds))
     for done, (name, mission) in enumerate(_fly_all(names, seeds, arguments.workers, arguments.detector), 1):
         flown[name].append(mission)
-        print(f"\r{done} of {len(names) * len(seeds)} missions flown", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+        progress(done)
     pooled = dict(flown)
     if len(names) > 1:
         pooled["all"] = [mission for missions in flown.values() for mission in missions]

@@ -8,9 +8,8 @@ auv-mcm bench seabed --picture FILE --log LOG ... draws recorded lines and what 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -32,6 +31,7 @@ from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count
 from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
+from sim_replay.benches.progress import counted
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.seabed.seabed_picture import seabed_picture
 from sim_replay.fitting.seabed.seabed_score import Shares, confusion_m2, shares
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     names = chosen_scenes(arguments.scenes)
     seeds = chosen_seeds(arguments)
     tasks = [SeabedTask(name, seed, data) for name in names for seed in seeds]
-    missions = list(_counted(run_tasks(scored, tasks, Farm(arguments.workers)), len(tasks)))
+    missions = list(run_tasks(scored, tasks, Farm(arguments.workers), counted(len(tasks), "missions scored")))
     by_scene = {
         name: np.sum(
             [each.confusion_m2 for task, each in zip(tasks, missions, strict=True) if task.scene == name], axis=0
@@ -196,9 +196,3 @@ def _draw(logs: Sequence[Path], n_tiles: int, out: Path, model: SeabedModel) -> 
     except OSError as error:
         raise UsageError(f"--picture {out} cannot be written: {error.strerror}") from error
     return 0
-
-
-def _counted(results: Iterator[Scored], total: int) -> Iterator[Scored]:
-    for done, result in enumerate(results, 1):
-        print(f"\r{done} of {total} missions scored", end="" if done < total else "\n", file=sys.stderr, flush=True)
-        yield result

@@ -298,8 +298,8 @@ def _print_mission(minutes: float) -> None:
     print(
         f"mission of {summary['duration_s'] / 60.0:.0f} min, two sides of {summary['n_samples']} samples, "
         f"{summary['beam_lines']} rays per ping and side, sand: {summary['pings']} pings in {summary['cost_s']:.1f} s, "
-        f"{summary['duration_s'] / summary['cost_s']:.0f} x real time, "
-        f"peak memory {summary['peak_memory_mb']:.0f} MB ({summary['memory_before_mb']:.0f} MB before it starts)"
+        f"{summary['duration_s'] / summary['cost_s']:.0f} x real time, peak memory {summary['peak_memory_mb']:.0f} MB "
+        f"({summary['memory_before_mb']:.0f} MB before it starts)"
     )
 
 

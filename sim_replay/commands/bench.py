@@ -19,15 +19,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "simulate": ("benches.simulate", "the simulator's cost"),
     "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "froc": ("benches.froc", "every detector and each step after it, on missions held out from all training"),
-    "segmentation": ("studies.segmentation", "Markov-field segmentation, error beside time"),
-    "snakes": ("studies.snakes", "contours, error beside time"),
-    "shapes": ("studies.shapes", "classification by shape, error beside time"),
-    "sas": ("studies.sas", "outlines and classes in synthetic aperture images, simulated and recorded"),
-    "filters": ("studies.speckle_filters", "speckle filters before detection: what they cost and what is found"),
-    "beliefs": ("studies.beliefs", "what belief several views lead to"),
-    "images": ("studies.real_images", "outlines and calls on real pictures"),
     "cascade": ("benches.cascade", "the trained cascade's speed and budgets"),
-    "inversion": ("studies.inversion", "relief recovered from images, error beside time"),
     "augment": ("benches.augment", "whether embedded targets can be separated from simulated ones"),
     "framers": ("benches.framers", "message framing: speed, garbage, and what damage costs"),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
@@ -53,18 +45,18 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
         "benches.left_out",
         "the odds of a mine on domains left out, and what each measurement is worth there",
     ),
-    "verifier": ("benches.verifier", "a convolutional verifier beside the odds of measurements, on domains left out"),
-    "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
-    "families": ("studies.families", "the source paper's classical detection: families of features, one by one"),
-    "shadow": ("studies.shadow_normalisation", "chips whose shadow is scaled by range beside chips in plain metres"),
-    "fusion": ("studies.classifier_fusion", "several classifiers fused by simple rules, beside each and one of all"),
-    "collage": ("studies.floor_collage", "the source paper's targets on a collage of recorded sea floor"),
-    "figure12": ("studies.figure12", "the source paper's detection against false alarms, with bands"),
-    "figure13": ("studies.figure13", "the source paper's cones in a complex scene, over many seeds"),
 }
+
+FROZEN: Final = (
+    "beliefs", "collage", "families", "figure12", "figure13", "filters", "fusion", "images", "inversion", "pfa", "sas",
+    "segmentation", "shadow", "shapes", "snakes", "verifier",
+)  # fmt: skip
+"""Finished studies: their figures are in the documentation, their programs at a tag of the sources."""
+_CURVES: Final = {"segmentation": "field", "snakes": "contours", "shapes": "solids"}
+"""Stages of `bench all` that measure what a study did."""
 
 
 def add(commands: Commands) -> None:
@@ -77,21 +69,21 @@ def add(commands: Commands) -> None:
         + "\n\nFurther arguments go to the bench.",
         ["auv-mcm bench waterfall mission.xtf", "auv-mcm bench scenes --help"],
     )
-    parser.add_argument("bench", metavar="BENCH", choices=list(BENCHES), help="what to measure")
+    parser.add_argument("bench", metavar="BENCH", choices=[*BENCHES, *FROZEN], help="what to measure")
     parser.add_argument("arguments", metavar="...", nargs=argparse.REMAINDER, help="arguments of the bench")
     parser.set_defaults(command=_run)
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    module, does = BENCHES[chosen.bench]
-    try:
-        bench = importlib.import_module(f"sim_replay.{module}")
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("sim_replay.studies"):
-            raise
+    if chosen.bench in FROZEN:
+        curve = _CURVES.get(chosen.bench)
+        instead = f"; 'auv-mcm bench all --stages {curve}' measures its curve" if curve else ""
         raise UsageError(
-            f"'{chosen.bench}' is a study, which is not installed: run it from a checkout of the sources"
-        ) from error
+            f"'{chosen.bench}' is a finished study, kept in the sources at the tag studies-1: the page 'The source "
+            f"paper's experiments' has its results and says how to run it{instead}"
+        )
+    module, does = BENCHES[chosen.bench]
+    bench = importlib.import_module(f"sim_replay.{module}")
     parser = Parser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure {does}.")
     bench.add_arguments(parser)
     return int(bench.run(parser.parse_args(chosen.arguments)))

@@ -200,8 +200,7 @@ def _notes(score: Score) -> str:
     if score.missed_targets_of_unknown_range:
         notes.append(
             f"the truth states no range of {_number_of(score.missed_targets_of_unknown_range, 'missed target')} (no "
-            "'looks'): "
-            "Pd per range band leaves them out and is too high"
+            "'looks'): Pd per range band leaves them out and is too high"
         )
     if any(group.false_alarms.count for group in score.ranges):
         notes.append("false alarms per range band are over the whole area, so that the bands add up to the total")

@@ -91,9 +91,8 @@ class Aperture:
             min_m = wavelength_m / (2.0 * WIDEST_RAD)
             raise UsageError(
                 f"`sonar.synthetic_aperture.along_track_resolution_m` is {aperture.along_track_resolution_m:g}, which "
-                "at "
-                f"{sonar.frequency_khz:g} kHz takes an aperture of {math.degrees(self.integration_rad):.0f} degrees; "
-                f"give {math.ceil(1e3 * min_m) / 1e3:g} or more"
+                f"at {sonar.frequency_khz:g} kHz takes an aperture of {math.degrees(self.integration_rad):.0f} "
+                f"degrees; give {math.ceil(1e3 * min_m) / 1e3:g} or more"
             )
         n_views = aperture.sub_apertures
         n_rays = math.ceil(_SMOOTH_SHADOW_M * self.integration_rad / (aperture.along_track_resolution_m * n_views))
@@ -126,10 +125,8 @@ class Aperture:
         if lowest_m < MIN_ALTITUDE_M or depth < MIN_DEPTH_M:
             raise UsageError(
                 f"`track.plan`: on leg {number} a synthetic aperture at one depth would pass {lowest_m:.1f} m above "
-                "the floor and "
-                f"{depth:.1f} m below the surface; it needs {MIN_ALTITUDE_M:g} and {MIN_DEPTH_M:g}: give another "
-                "`track.altitude_m`, "
-                "a larger `world.depth_m` or a gentler slope"
+                f"the floor and {depth:.1f} m below the surface; it needs {MIN_ALTITUDE_M:g} and {MIN_DEPTH_M:g}: give "
+                "another `track.altitude_m`, a larger `world.depth_m` or a gentler slope"
             )
         return strip._replace(depth_m=depth)
 

@@ -205,8 +205,7 @@ def target_table(strength_db: float, specular_gain_db: float, specular_exponent:
     if not (0.0 < specular_exponent < math.inf and strength_db <= 100.0 and specular_gain_db <= 100.0):
         raise ValueError(
             f"strength_db is {strength_db}, specular_gain_db {specular_gain_db}, specular_exponent "
-            f"{specular_exponent}: "
-            "the exponent must be positive, the others at most 100 dB"
+            f"{specular_exponent}: the exponent must be positive, the others at most 100 dB"
         )
     sines = _table_sines()
     sigma = lambert(np.arcsin(sines), strength_db)

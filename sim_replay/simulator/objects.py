@@ -177,8 +177,7 @@ def _scattered(
         else:
             raise UsageError(
                 f"`scatter[{index}]` ({group.kind}): no room for number {number + 1} of {group.count} after {_TRIES} "
-                "tries; "
-                "take fewer, a smaller `apart_m`, or a longer track"
+                "tries; take fewer, a smaller `apart_m`, or a longer track"
             )
         taken.append((east, north, reach))
         placed.append(

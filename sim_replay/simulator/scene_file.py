@@ -84,8 +84,7 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     if sonar.synthetic_aperture is None and sonar.ping_rate_hz * travel_s > 1.0 + 1e-9:
         yield (
             f"`sonar.ping_rate_hz` is {sonar.ping_rate_hz:g}: an echo from `sonar.range_m` of {sonar.range_m:g} m "
-            f"takes {travel_s:.3f} s, "
-            f"so at most {1.0 / travel_s:.1f} Hz"
+            f"takes {travel_s:.3f} s, so at most {1.0 / travel_s:.1f} Hz"
         )
     aperture = sonar.synthetic_aperture
     if aperture is not None and aperture.view != "full" and aperture.view >= aperture.sub_apertures:
@@ -145,9 +144,8 @@ def _slope_contradictions(scene: Scene, legs: Sequence[Leg]) -> Iterator[str]:
             elif depth < track.altitude_m + 0.5:
                 yield (
                     f"`world.slope_deg` {world.slope_deg:g} leaves {depth:.1f} m of water at leg {index} of "
-                    "`track.plan`; "
-                    f"`track.altitude_m` {track.altitude_m:g} needs more: give a larger `world.depth_m` or a gentler "
-                    "slope"
+                    f"`track.plan`; `track.altitude_m` {track.altitude_m:g} needs more: give a larger `world.depth_m` "
+                    "or a gentler slope"
                 )
 
 

@@ -160,8 +160,8 @@ class Sea:
             if pose.depth_m <= 0.0:
                 raise UsageError(
                     f"`world.depth_m` {self.scene.world.depth_m:g} leaves the sonar above the surface at "
-                    f"{pose.east_m:.0f} m east, "
-                    f"{pose.north_m:.0f} m north, where the floor rises: give more, or a gentler relief or slope"
+                    f"{pose.east_m:.0f} m east, {pose.north_m:.0f} m north, where the floor rises: give more, or a "
+                    "gentler relief or slope"
                 )
         return self.record(self.received(poses, first_number), poses, first_number, altitudes_m)
 

@@ -101,8 +101,7 @@ class SteeredVehicle:
         if motion.current_mps > STRONGEST_CURRENT * speed_mps:
             raise UsageError(
                 f"`track.motion.current_mps` is {motion.current_mps:g}: with a `track.speed_mps` of {speed_mps:g} the "
-                "vehicle goes where "
-                f"it wants in at most {STRONGEST_CURRENT * speed_mps:g}"
+                f"vehicle goes where it wants in at most {STRONGEST_CURRENT * speed_mps:g}"
             )
         self._track = track
         self._frame = frame

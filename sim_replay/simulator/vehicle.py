@@ -111,8 +111,7 @@ class Vehicle:
         if motion.current_mps > STRONGEST_CURRENT * speed:
             raise UsageError(
                 f"`track.motion.current_mps` is {motion.current_mps:g}: with a `track.speed_mps` of {speed:g} the "
-                "vehicle stays on its "
-                f"track in at most {STRONGEST_CURRENT * speed:g}"
+                f"vehicle stays on its track in at most {STRONGEST_CURRENT * speed:g}"
             )
         self._track = track
         self._floor = depth_of_floor

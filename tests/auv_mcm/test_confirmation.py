@@ -20,8 +20,8 @@ from auv_mcm.confirmation import confirm_detection, labels_near, region_of, with
 from auv_mcm.records import NAN, Confirmation, Detection, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import pack_snippet
+from sim_replay.benches.every_stage.rendered_solids import rendered_region
 from sim_replay.simulator.scene import SceneObject
-from sim_replay.studies.shapes import rendered_region
 from tests.auv_mcm.classify.drawn_looks import detection
 
 BEAM_RAD = math.radians(0.5)

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from auv_mcm.classify.odds import shipped_odds
-from auv_mcm.cli import main
 from auv_mcm.records import VALID
-from sim_replay.studies.picture_speckle import picture_speckle
-from sim_replay.studies.real_calls import call
-from sim_replay.studies.real_outlines import judge_outlines
-from sim_replay.studies.real_pictures import EFFIGY_M, Picture, effigies, length_px, read_picture
-from sim_replay.studies.real_tiles import SAS, SIDE_SCAN, tile_of_picture
+from tests.real.pictures.picture_speckle import picture_speckle
+from tests.real.pictures.real_calls import call
+from tests.real.pictures.real_outlines import judge_outlines
+from tests.real.pictures.real_pictures import EFFIGY_M, Picture, effigies, length_px, read_picture
+from tests.real.pictures.real_tiles import SAS, SIDE_SCAN, tile_of_picture
 
 SharedData = Callable[[str], Path]
 
@@ -102,12 +101,3 @@ def test_snakes_outline_the_effigy_where_it_stands_out(pictures: dict[str, Pictu
 def test_quiet_sea_floor_holds_no_mine(name: str, shared_data: SharedData) -> None:
     called = call(read_picture(shared_data(f"sas/{name}.png")), SAS, shipped_odds("contrast"))
     assert called.n_confirmed(0.5) == 0
-
-
-@pytest.mark.parametrize("kept", ["", "sdvd_20240429/images"])
-def test_a_folder_without_the_pictures_is_refused_in_words(
-    kept: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / kept).mkdir(parents=True, exist_ok=True)
-    assert main(["bench", "images", "--data", str(tmp_path)]) == 3
-    assert "--data" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Start, converge
 from auv_mcm.solids.shapes import TruncatedCone
-from sim_replay.studies.snakes import box
+from sim_replay.benches.every_stage.drawn_contours import box
 from tests.auv_mcm.classify.closed_forms import closed_form_region
 
 Plane = NDArray[np.float64]

@@ -5,7 +5,7 @@ time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,20 +30,16 @@ from sim_replay.augment.targets import EmbeddedTarget, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
 from sim_replay.logs.xtf_writer import SampleType, write_xtf
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
-from sim_replay.studies.coiras import invert_multiresolution
 
 Plane = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Samples = NDArray[Any]
-Inversion = Callable[[Plane, Mask, Plane, Plane, float], SeafloorScene]
 
 SHAPE = (32, 64)  # twice the blocks of 16 pings in which looks are measured, so that a picture reversed has the same
 ROWS, COLUMNS = np.indices(SHAPE)
 ALL = np.ones(SHAPE, dtype=np.bool_)
 ROW_M, COLUMN_M = 0.2, 0.1
 STEEPEST_M = 5.5  # what slopes of twice 1.5 add up to over 1 / sqrt(0.3) m, from where on heights are held to 0
-INVERSIONS: dict[str, Inversion] = {"direct": invert, "multiresolution": invert_multiresolution}
-EVERY_INVERSION = pytest.mark.parametrize("inversion", INVERSIONS)
 
 
 def generator(seed: int) -> np.random.Generator:
@@ -74,11 +70,11 @@ PICTURES: dict[str, Plane] = {
 }
 
 
-def inverted(inversion: str, image: Plane, valid: Mask = ALL, altitude_m: float = 5.0) -> SeafloorScene:
+def inverted(image: Plane, valid: Mask = ALL, altitude_m: float = 5.0) -> SeafloorScene:
     """The scene found, every floating-point flag but underflow being an error."""
     n_pings = len(image)
     with np.errstate(all="raise", under="ignore"):
-        scene = INVERSIONS[inversion](
+        scene = invert(
             image, valid, np.full(n_pings, altitude_m), ROW_M * np.arange(n_pings, dtype=np.float64), COLUMN_M
         )
         rendered = render_image(scene)
@@ -109,48 +105,43 @@ def same(one: SeafloorScene, other: SeafloorScene) -> bool:
 # --- inversion ---
 
 
-@EVERY_INVERSION
 @pytest.mark.parametrize("picture", PICTURES)
-def test_no_picture_raises_a_floating_point_flag(inversion: str, picture: str) -> None:
-    scene = inverted(inversion, PICTURES[picture])
-    assert inversion != "direct" or float(np.abs(scene.elevation_m).max()) < STEEPEST_M
+def test_no_picture_raises_a_floating_point_flag(picture: str) -> None:
+    scene = inverted(PICTURES[picture])
+    assert float(np.abs(scene.elevation_m).max()) < STEEPEST_M
 
 
-@EVERY_INVERSION
 @pytest.mark.parametrize("altitude_m", [0.3, 1.0, 30.0, 300.0])
-def test_no_altitude_raises_one(inversion: str, altitude_m: float) -> None:
-    inverted(inversion, PICTURES["rock"], altitude_m=altitude_m)
+def test_no_altitude_raises_one(altitude_m: float) -> None:
+    inverted(PICTURES["rock"], altitude_m=altitude_m)
 
 
-@EVERY_INVERSION
 @pytest.mark.parametrize("share", [0.001, 0.5, 0.999])
-def test_what_stands_where_nothing_was_measured_changes_no_bit(inversion: str, share: float) -> None:
+def test_what_stands_where_nothing_was_measured_changes_no_bit(share: float) -> None:
     random = generator(5)
     valid = random.random(SHAPE) >= share
     valid[random.random(SHAPE[0]) < 0.5 * share] = False  # whole pings, too
     nonsense = random.choice([math.nan, math.inf, -math.inf, -3.0, 0.0, 1e300], SHAPE)
-    one, other = (inverted(inversion, np.where(valid, speckle(), junk), valid) for junk in (nonsense, 0.0))
+    one, other = (inverted(np.where(valid, speckle(), junk), valid) for junk in (nonsense, 0.0))
     assert same(one, other)
 
 
 def test_a_pixel_missing_in_a_thousand_hardly_changes_the_relief() -> None:
-    whole = inverted("direct", speckle()).elevation_m
-    holed = inverted("direct", speckle(), generator(6).random(SHAPE) >= 0.001).elevation_m
+    whole = inverted(speckle()).elevation_m
+    holed = inverted(speckle(), generator(6).random(SHAPE) >= 0.001).elevation_m
     assert float(np.corrcoef(whole.ravel(), holed.ravel())[0, 1]) > 0.99
 
 
-@EVERY_INVERSION
 @pytest.mark.parametrize("power", [-600, 600])
-def test_gain_of_a_power_of_two_goes_into_the_beam_and_changes_no_other_bit(inversion: str, power: int) -> None:
-    one, other = inverted(inversion, PICTURES["rock"]), inverted(inversion, PICTURES["rock"] * 2.0**power)
+def test_gain_of_a_power_of_two_goes_into_the_beam_and_changes_no_other_bit(power: int) -> None:
+    one, other = inverted(PICTURES["rock"]), inverted(PICTURES["rock"] * 2.0**power)
     assert one.elevation_m.tobytes() == other.elevation_m.tobytes()
     assert one.reflectivity.tobytes() == other.reflectivity.tobytes()
     np.testing.assert_array_equal(other.beam.gain, one.beam.gain * 2.0**power)
 
 
-@EVERY_INVERSION
-def test_reversing_the_track_reverses_the_relief(inversion: str) -> None:
-    one, other = inverted(inversion, PICTURES["rock"]), inverted(inversion, PICTURES["rock"][::-1].copy())
+def test_reversing_the_track_reverses_the_relief() -> None:
+    one, other = inverted(PICTURES["rock"]), inverted(PICTURES["rock"][::-1].copy())
     np.testing.assert_allclose(other.elevation_m[::-1], one.elevation_m, atol=1e-9)
     np.testing.assert_allclose(other.reflectivity[::-1], one.reflectivity, rtol=1e-9)
 
@@ -158,16 +149,15 @@ def test_reversing_the_track_reverses_the_relief(inversion: str) -> None:
 @pytest.mark.parametrize(("pings", "columns"), [(16, 0), (0, 40), (5, 7)])
 def test_a_masked_border_hardly_changes_the_relief_inside(pings: int, columns: int) -> None:
     around = ((pings, pings), (0, columns))
-    wide = inverted("direct", np.pad(speckle(), around, constant_values=math.nan), np.pad(ALL, around)).elevation_m
+    wide = inverted(np.pad(speckle(), around, constant_values=math.nan), np.pad(ALL, around)).elevation_m
     inside = wide[pings : pings + SHAPE[0], : SHAPE[1]]
-    assert float(np.corrcoef(inside.ravel(), inverted("direct", speckle()).elevation_m.ravel())[0, 1]) > 0.9
+    assert float(np.corrcoef(inside.ravel(), inverted(speckle()).elevation_m.ravel())[0, 1]) > 0.9
 
 
-@EVERY_INVERSION
-def test_the_same_again_and_on_two_threads_at_once(inversion: str) -> None:
-    once = inverted(inversion, PICTURES["rock"])
+def test_the_same_again_and_on_two_threads_at_once() -> None:
+    once = inverted(PICTURES["rock"])
     with ThreadPoolExecutor(2) as pool:
-        again = list(pool.map(lambda picture: inverted(inversion, picture), [PICTURES["rock"]] * 2))
+        again = list(pool.map(lambda picture: inverted(picture), [PICTURES["rock"]] * 2))
     assert all(same(one, once) for one in again)
 
 

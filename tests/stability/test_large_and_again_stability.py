@@ -18,7 +18,7 @@ from auv_mcm.classify.likelihood import labels_cost
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import SHADOW, Region
 from auv_mcm.confirm.snake import Start, converge
-from sim_replay.studies.paper_mrf import segment_as_paper
+from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
 from tests.stability.region_doors import DOORS, START, cone_region, labels_of, plain, through
 
 ASK_AGAIN = """

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.confirm.mrf import Segmentation, segment
 from auv_mcm.confirm.region import SHADOW, Region
-from sim_replay.studies.drawn_regions import Drawing, draw_region
+from sim_replay.benches.every_stage.drawn_regions import Drawing, draw_region
 
 Plane = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Start, converge
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels.shape import Solid, shape_costs
+from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
 from sim_replay.scoring.overlap import overlap
-from sim_replay.studies.paper_mrf import segment_as_paper
 from tests.stability.region_doors import (
     DOORS,
     HYPOTHESIS,

@@ -19,8 +19,8 @@ from auv_mcm.confirm.region import Region
 from auv_mcm.confirm.snake import Contours, Start, converge, snake_settings, start_from_detection
 from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.kernels import snake, snake_twin
+from sim_replay.benches.every_stage.drawn_contours import box, drawn_pair, plain_region, random_start
 from sim_replay.scoring.overlap import overlap
-from sim_replay.studies.snakes import box, drawn_pair, plain_region, random_start
 
 SHAPE = (64, 80)
 NONE = np.empty((0, 2))

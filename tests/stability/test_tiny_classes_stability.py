@@ -16,7 +16,7 @@ from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import BACKGROUND, Region
 from auv_mcm.confirm.snake import converge
 from auv_mcm.solids.box_search import SearchBox, curvature_covariance
-from sim_replay.studies.paper_mrf import segment_as_paper
+from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
 from tests.stability.region_doors import DOORS, START, cone_region, plain, through
 
 Plane = NDArray[np.float64]

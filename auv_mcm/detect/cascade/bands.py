@@ -141,8 +141,7 @@ def box_fault(box: FeatureBox) -> str | None:
         if not -WINDOW_NEAR_M <= near_m < far_m <= WINDOW_FAR_M + WINDOW_SHADOWS * shadow_m:
             return (
                 f"with a shadow of {shadow_m} m it goes from {near_m:.3g} to {far_m:.3g} m across the track; it must "
-                "not be empty and stay "
-                f"between {-WINDOW_NEAR_M} and {WINDOW_FAR_M} m + {WINDOW_SHADOWS} shadows"
+                f"not be empty and stay between {-WINDOW_NEAR_M} and {WINDOW_FAR_M} m + {WINDOW_SHADOWS} shadows"
             )
     return None
 

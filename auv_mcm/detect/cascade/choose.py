@@ -40,9 +40,8 @@ def fitting(model: CascadeModel | None, config: Config) -> tuple[CascadeModel | 
     if not fits_sonar(model, row_m, column_m):
         text = (
             f"pixels of {row_m:g} x {column_m:g} m are not among those that the model was trained for "
-            f"({_span(model.row_spacing_m)} x "
-            f"{_span(model.column_spacing_m)} m): contrasts alone detect. Choose pixels within that range, or train a "
-            "model for these"
+            f"({_span(model.row_spacing_m)} x {_span(model.column_spacing_m)} m): contrasts alone detect. Choose "
+            "pixels within that range, or train a model for these"
         )
         return None, Notice(code="detect.model_does_not_fit", text=text, place=config.detect.model)
     text = f"the detector is a cascade trained on {model.trained_on}"

@@ -131,8 +131,7 @@ def tables_of(model: CascadeModel, row_spacing_m: float, column_spacing_m: float
     if n_px.max() > MAX_BOX_PX:
         raise UsageError(
             f"pixels of {row_spacing_m} x {column_spacing_m} m: a box of the cascade has {n_px.max()}, but only sums "
-            f"over {MAX_BOX_PX} are "
-            "exact; use coarser pixels"
+            f"over {MAX_BOX_PX} are exact; use coarser pixels"
         )
     shape = (len(boxes_px), len(stumps))
     contrast = np.array([stump.kind == "contrast" for stump in stumps])

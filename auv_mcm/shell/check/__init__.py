@@ -139,8 +139,8 @@ def _configuration(config: Config) -> Iterator[Finding]:
         uri = parse_source_uri(config.service.source)
         if uri.scheme == "ports" and not config.ports:
             text = (
-                "service.source is 'ports', but no port is configured: add a section 'ports'; "
-                "'auv-mcm run --example' prints one"
+                "service.source is 'ports', but no port is configured: add a section 'ports'; 'auv-mcm run --example' "
+                "prints one"
             )
             yield Finding("configuration", "FAILED", text)
             return

@@ -26,6 +26,7 @@ from sim_replay.benches.apertures import (
     threshold,
 )
 from sim_replay.scoring.intervals import proportion
+from sim_replay.scoring.thresholds import resampled
 from sim_replay.simulator.aperture import Aperture
 from sim_replay.simulator.navigation_error import NavigationModel
 from sim_replay.simulator.scene import Scene, SyntheticAperture
@@ -44,8 +45,7 @@ _TURN_S: Final = 120.0  # s between passes
 _INTEGRATION_RAD: Final = 0.05  # 2.9 degrees: a shadow 2 m long is blurred by 10 cm
 _PIXELS: Final = 1.2  # per resolution
 _ABSORPTION_DB_PER_KM: Final = 70.0  # of 300 kHz, whatever the frequency: it must not decide on the noise
-_N_RESAMPLES: Final = 2000  # of missions, for the interval of an area below a curve
-_SEED: Final = 5  # of these
+_SEED: Final = 5  # of missions drawn again, fixed so that reports repeat
 
 Floats = NDArray[np.float64]
 
@@ -129,13 +129,10 @@ def rows(flights: Sequence[Flown]) -> Iterator[list[str]]:
 def mine_or_rock_cell(flights: Sequence[Flown], system: str) -> str:
     """Write how often a mine has the higher p_mine of a mine and a rock, with its interval by drawing missions anew."""
     pairs = [_odds_of_objects(flown, system) for flown in flights]
-    random = np.random.Generator(np.random.PCG64(_SEED))
-    drawn = random.integers(len(pairs), size=(_N_RESAMPLES, len(pairs)))
     # Mines are compared with the rocks of their own mission, so that missions can be drawn anew.
-    wins = np.array([(share_above(mines, rocks), 1.0) for mines, rocks in pairs])
-    shares = wins[drawn, 0].mean(axis=1)
-    low, high = np.quantile(shares, [0.025, 0.975])
-    return f"{wins[:, 0].mean():.2f} ({low:.2f}-{high:.2f})"
+    wins = np.array([share_above(mines, rocks) for mines, rocks in pairs])
+    share = resampled(lambda some: float(wins[some].mean()), len(pairs), seed=_SEED)
+    return f"{share.value:.2f} ({share.low:.2f}-{share.high:.2f})"
 
 
 def share_above(mines: Floats, rocks: Floats) -> float:

@@ -29,8 +29,9 @@ from sim_replay.benches.run_time import one_run
 from sim_replay.benches.run_time.lines import BenchMission
 from sim_replay.benches.run_time.points import ChainSetting
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, parse_contacts
-from sim_replay.scoring.intervals import Density, Proportion, density, proportion
-from sim_replay.scoring.score import Score, score_missions
+from sim_replay.scoring.intervals import Density, Proportion, density
+from sim_replay.scoring.score import score_missions
+from sim_replay.scoring.thresholds import pd_at
 
 LIMITS_PER_KM2: Final = (10.0, 100.0, 300.0)  # false alarms per km² at which Pd is printed
 CALLED_P: Final = 0.2
@@ -273,12 +274,6 @@ def _run(each: Sequence[dict[str, Any]], found: Sequence[ReportedContact]) -> Mi
         ),
         contacts_sha256=first["contacts_sha256"],
     )
-
-
-def pd_at(score: Score, limit_per_km2: float) -> Proportion:
-    """Find the best Pd with at most so many false alarms per km²."""
-    allowed = [point.pd for point in score.froc if point.false_alarms.count <= limit_per_km2 * score.area_km2]
-    return max(allowed, key=lambda pd: pd.count, default=proportion(0, score.n_targets))
 
 
 def median_ratio(result: SettingResult, other: SettingResult) -> tuple[float, float, float]:

@@ -79,14 +79,6 @@ def simulated_tiles(line: SimulatedLine) -> Iterator[LabelledTile]:
     return _labelled(mission.events(), targets_of(mission), line.config, line.background, "simulated")
 
 
-def augmented_tiles(line: AugmentedLine) -> Iterator[LabelledTile]:
-    """Replay a recorded line with targets in it and yield its tiles.
-
-    Raises BadInputError for a folder that holds no augmented log.
-    """
-    return _augmented(line, *_augmented_truth(line.folder / TRUTH_NAME))
-
-
 def targets_of(mission: Mission) -> tuple[PlacedTarget, ...]:
     """Return the objects of a simulated mission."""
     sea = mission.sea

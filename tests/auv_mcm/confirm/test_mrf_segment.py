@@ -12,9 +12,9 @@ from scipy import ndimage
 
 from auv_mcm.confirm.mrf import segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW
+from sim_replay.benches.every_stage.drawn_regions import Drawing, aperture_drawings, draw_region
+from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
 from sim_replay.scoring.overlap import overlap
-from sim_replay.studies.drawn_regions import Drawing, aperture_drawings, draw_region
-from sim_replay.studies.paper_mrf import segment_as_paper
 
 
 def side_scan(n: int) -> Iterator[Drawing]:

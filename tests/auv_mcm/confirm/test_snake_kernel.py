@@ -17,7 +17,7 @@ from auv_mcm.kernels import snake, snake_twin
 from auv_mcm.kernels.snake_descent import Course, descend, descend_numpy, row_intervals
 from auv_mcm.kernels.snake_elsewhere import elsewhere, elsewhere_numpy, evidence
 from auv_mcm.kernels.snake_twin import HIGHLIGHT, SHADOW, EdgeSums, Moved, Settings
-from sim_replay.studies.snakes import box, drawn_pair, plain_region
+from sim_replay.benches.every_stage.drawn_contours import box, drawn_pair, plain_region
 
 Floats = NDArray[np.float64]
 NONE = np.empty((0, 2))

@@ -14,7 +14,7 @@ from auv_mcm.cli import main
 from auv_mcm.confirmation import confirm_detection
 from auv_mcm.settings.config import Config
 from sim_replay.benches.confirmation import EFFORTS, look_costs_s, p_mine_by_effort
-from sim_replay.commands.bench import BENCHES
+from sim_replay.commands.bench import BENCHES, FROZEN
 from tests.auv_mcm.test_confirmation import detection_in, mine
 from tests.sim_replay.logs.xtf_logs import written
 
@@ -34,7 +34,7 @@ def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.
     [
         ["simulate", "--repeat", "0"],
         ["simulate", "--minutes", "nan"],
-        ["shapes", "--objects", "-3"],
+        ["library", "--seeds", "-3"],
         ["detect", "--repeat", "many"],
     ],
 )
@@ -45,6 +45,12 @@ def test_numbers_that_nothing_can_be_measured_with_are_refused(
         main(["bench", *arguments])
     assert ended.value.code == 2
     assert f"'{arguments[-1]}' is no" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("study", FROZEN)
+def test_a_finished_study_says_where_it_is(study: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", study, "--markdown"]) == 2
+    assert f"'{study}' is a finished study, kept in the sources at the tag studies-1" in capsys.readouterr().err
 
 
 def test_a_bench_loads_no_other_ones_modules() -> None:

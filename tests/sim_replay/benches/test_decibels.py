@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from sim_replay.benches import decibels
-from sim_replay.benches.decibels import FACTORS, read_mission, rows
+from sim_replay.benches.decibels import ESTIMATED, EXPERIMENT, FACTORS, fly
+from sim_replay.benches.experiment import Task, experiment_rows
 from sim_replay.simulator.scene_file import parse_scene
 
 SCENE = """
@@ -18,8 +19,8 @@ objects: [{kind: cylinder, leg: 0, along_m: 20, across_m: 12, azimuth_deg: 0, le
 
 def test_a_mission_is_read_with_right_wrong_and_estimated_decibels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decibels, "read_scene", lambda name: parse_scene(SCENE, name))
-    mission = read_mission(("one-target", 3))
-    assert len(mission.by_factor) == len(FACTORS)
-    laid_out = rows([mission])
-    assert [row[0] for row in laid_out] == ["-27%", "-15%", "right", "+15%", "+44%", "estimated"]
-    assert laid_out[FACTORS.index(1.0)][3].startswith("1.00")
+    flown = fly(Task("one-target", 3))
+    assert list(flown) == [*FACTORS, ESTIMATED]
+    rows = {row.variant: row.cells for row in experiment_rows(EXPERIMENT, ["one-target"], [flown])}
+    assert list(rows) == ["right", "-27%", "-15%", "+15%", "+44%", "estimated"]
+    assert rows["right"]["Pd at 100 FA/km²"].text.startswith("1.00")

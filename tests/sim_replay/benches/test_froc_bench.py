@@ -12,10 +12,11 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
 from sim_replay.benches import froc
-from sim_replay.benches.froc import SYSTEMS, FlownLine, HeldOutAugmentedLine, HeldOutSimulatedLine, best_pd, outdone
+from sim_replay.benches.froc import SYSTEMS, FlownLine, HeldOutAugmentedLine, HeldOutSimulatedLine, outdone
 from sim_replay.missions import config_for
 from sim_replay.scoring import ScoredMission, parse_truth, score_missions
 from sim_replay.scoring.inputs import ReportedContact
+from sim_replay.scoring.thresholds import pd_at
 from sim_replay.simulator import mission as simulated
 from sim_replay.simulator.scene import Lawnmower, Scatter, Scene, Track
 from sim_replay.simulator.scene_file import read_scene
@@ -38,7 +39,7 @@ def truth_of(*norths_m: float, kind: str = "sphere", is_target: bool = True) -> 
 def test_the_best_pd_at_a_limit_takes_as_many_false_alarms_as_are_allowed() -> None:
     contacts = (at(0.0, 0.9), at(50.0, 0.8), at(100.0, 0.7), at(150.0, 0.6), at(200.0, 0.5))
     score = score_missions([ScoredMission(contacts, parse_truth(truth_of(0.0, 100.0, 200.0), "here"), "here")])
-    assert [best_pd(score, limit)[:4] for limit in (0.0, 100.0, 200.0)] == ["0.33", "0.67", "1.00"]
+    assert [pd_at(score, limit).count for limit in (0.0, 100.0, 200.0)] == [1, 2, 3]
 
 
 def test_false_alarms_on_rocks_can_be_left_out() -> None:
@@ -47,8 +48,8 @@ def test_false_alarms_on_rocks_can_be_left_out() -> None:
     both = {"area_km2": 0.01, "objects": [*truth["objects"], *rocks["objects"]]}
     contacts = (at(0.0, 0.9), at(50.0, 0.8), at(100.0, 0.7), at(150.0, 0.6))
     score = score_missions([ScoredMission(contacts, parse_truth(both, "here"), "here")])
-    assert best_pd(score, 0.0).startswith("0.50")
-    assert best_pd(score, 0.0, on_objects=False).startswith("1.00")
+    assert pd_at(score, 0.0).value == 0.5
+    assert pd_at(score, 0.0, on_clutter=False).value == 1.0
 
 
 def test_a_threshold_is_outdone_only_where_neither_error_is_worse_and_one_is_less() -> None:
@@ -69,7 +70,7 @@ def test_a_threshold_is_outdone_only_where_neither_error_is_worse_and_one_is_les
 
 def test_without_contacts_the_best_pd_is_none_of_the_targets() -> None:
     score = score_missions([ScoredMission((), parse_truth(truth_of(0.0, 100.0), "here"), "here")])
-    assert best_pd(score, 10.0).startswith("0.00")
+    assert pd_at(score, 10.0).value == 0.0
 
 
 def test_rocks_count_by_views_and_by_the_most_mine_like_contact_near_them() -> None:

@@ -9,19 +9,8 @@ import pytest
 
 from auv_mcm.classify.size_evidence import is_usual
 from auv_mcm.classify.targets import parse_targets
-from sim_replay.benches.library import (
-    LISTS,
-    TYPES,
-    FlownWithLists,
-    Judged,
-    gain,
-    judge,
-    list_text,
-    n_found,
-    report,
-    rocks_called,
-    with_types,
-)
+from sim_replay.benches.experiment import experiment_rows
+from sim_replay.benches.library import EXPERIMENT, LISTS, TYPES, Judged, found_at, judge, list_text, with_types
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, Truth, TruthObject
 from sim_replay.simulator.scene_file import read_scene
 
@@ -83,14 +72,13 @@ def test_contacts_are_placed_on_targets_before_other_objects() -> None:
 
 def test_targets_count_above_the_first_false_alarm_too_many() -> None:
     one = judged([0.9, 0.5, 0.2], [0.6, 0.1], [0.6, 0.4, 0.1])
-    assert [n_found([one], limit) for limit in (5.0, 10.0, 20.0, 30.0)] == [1, 2, 3, 3]
-    assert rocks_called([one]) == (1, 2)
-    assert rocks_called([judged([0.9, -math.inf], [0.6], [0.6])]) is None
+    assert [found_at([one], limit).count for limit in (5.0, 10.0, 20.0, 30.0)] == [1, 2, 3, 3]
 
 
-def test_a_list_gains_what_it_finds_more_and_the_report_has_a_row_for_each() -> None:
-    without, better = judged([0.9, 0.3], [0.6], [0.6] * 3), judged([0.9, 0.7], [0.6], [0.6] * 3)
-    flown = [FlownWithLists("flat", {name: without if name == LISTS[0] else better for name in LISTS})] * 3
-    assert gain(flown, LISTS[1], 10.0, 20) == (0.5, 0.5, 0.5)
-    lines = report(flown[:2], in_markdown=True).splitlines()
-    assert [line.split(" | ")[1] for line in lines[2:]] == list(LISTS)
+def test_a_list_gains_what_it_finds_more_and_the_table_has_a_row_for_each() -> None:
+    without, better = judged([0.9, 0.3], [0.6], [0.6] * 11), judged([0.9, 0.7], [0.6], [0.6] * 11)
+    flown = {name: without if name == LISTS[0] else better for name in LISTS}
+    rows = experiment_rows(EXPERIMENT, ["flat"] * 3, [flown] * 3)
+    assert [row.variant for row in rows] == list(LISTS)
+    assert [row.cells["more at 100 than without a list"].value for row in rows] == [None, 0.5, 0.5, 0.5]
+    assert [row.cells["rocks called at Pd 0.9"].value for row in rows] == [1.0, 0.0, 0.0, 0.0]

@@ -1,0 +1,285 @@
+"""Run an experiment: missions times variants to columns, as a table, Markdown or JSON, beside an older run.
+
+An experiment is a declaration: which scenes, how one mission is flown with every variant on the same pings, and what
+each column says of the missions of one variant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Generic, NamedTuple, TypeVar
+
+import msgspec
+
+from auv_mcm.errors import UsageError
+from sim_replay.arguments import count, new_file
+from sim_replay.benches.mission_options import chosen_scenes, chosen_seeds
+from sim_replay.benches.progress import counted
+from sim_replay.benches.run_time.bench import write_result
+from sim_replay.benches.run_time.measure import BenchMachine, this_machine
+from sim_replay.benches.run_time.results import read_bench_file
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.scoring.intervals import Density, Proportion
+from sim_replay.scoring.thresholds import resampled
+from sim_replay.text_tables import NOTHING, columns, density_cell, markdown, share_cell
+
+_FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
+_PAIRED_SEED: Final = 1  # of missions drawn again, fixed so that reports repeat
+_SAME: Final = 1e-9  # relative, and absolute: rounding is no change of a figure
+
+Result = TypeVar("Result")
+
+
+class Cell(msgspec.Struct, frozen=True):
+    """Hold what a table shows, and the number behind it with its interval of 95 %, where there is one."""
+
+    text: str
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+class Task(NamedTuple):
+    """Name one mission: a scene, a seed, and the experiment's own options."""
+
+    scene: str
+    seed: int
+    options: Mapping[str, Any] = {}
+
+
+class Column(NamedTuple, Generic[Result]):
+    """Define a column: what it says of the missions of one variant."""
+
+    title: str
+    of: Callable[[Sequence[Result]], Cell]
+
+
+class PairedColumn(NamedTuple, Generic[Result]):
+    """Define a column of a figure less that of the first variant, with the interval of missions drawn again in pairs.
+
+    A mission alone, and the first variant itself, have none.
+    """
+
+    title: str
+    of: Callable[[Sequence[Result]], float]
+
+
+class Experiment(NamedTuple, Generic[Result]):
+    """Declare an experiment.
+
+    variants: their names, in the order of the table; the first is what others are compared with. variant_title: heads
+    them. fly: flies one mission with every variant, of a module's top level, so that processes can share the work.
+    by_scene: whether each scene has rows of its own, before those of all. add_options: adds the experiment's own
+    options, of which `own_options` names those that `fly` needs.
+    """
+
+    name: str
+    scenes: tuple[str, ...]
+    first_seed: int
+    variant_title: str
+    variants: tuple[str, ...]
+    fly: Callable[[Task], Mapping[str, Result]]
+    columns: tuple[Column[Result] | PairedColumn[Result], ...]
+    n_seeds: int = 1
+    by_scene: bool = True
+    add_options: Callable[[argparse.ArgumentParser], None] = lambda parser: None
+    own_options: tuple[str, ...] = ()
+
+
+class ExperimentRow(msgspec.Struct, frozen=True):
+    """Hold one row: which missions, which variant, and a cell per column by its title."""
+
+    missions: str
+    variant: str
+    cells: dict[str, Cell]
+
+
+class ExperimentResults(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold one run of an experiment."""
+
+    format_version: int = _FORMAT_VERSION
+    experiment: str
+    machine: BenchMachine
+    scenes: tuple[str, ...]
+    first_seed: int
+    n_seeds: int
+    rows: tuple[ExperimentRow, ...]
+
+
+def share(found: Proportion) -> Cell:
+    """Show a share with its interval."""
+    return Cell(share_cell(found), found.value, found.low, found.high)
+
+
+def density(found: Density) -> Cell:
+    """Show a number per km² with its interval."""
+    return Cell(density_cell(found), found.per_km2, found.low, found.high)
+
+
+def number(value: float, digits: int = 0) -> Cell:
+    """Show a number without an interval."""
+    return Cell(f"{value:.{digits}f}", value)
+
+
+def add_experiment_arguments(experiment: Experiment[Any], parser: argparse.ArgumentParser) -> None:
+    """Add the options that every experiment has, and its own."""
+    parser.add_argument(
+        "--seeds", type=count, default=experiment.n_seeds, help=f"missions per scene (default {experiment.n_seeds})"
+    )
+    parser.add_argument(
+        "--first-seed",
+        type=count,
+        default=experiment.first_seed,
+        help=f"seed of each scene's first mission (default {experiment.first_seed})",
+    )
+    parser.add_argument("--scenes", help=f"by name, with commas between (default {','.join(experiment.scenes)})")
+    parser.add_argument("--scene", action="append", metavar="NAME", help="one of them, repeatable")
+    experiment.add_options(parser)
+    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
+    parser.add_argument("--compare", type=Path, metavar="OLD", help="say what moved since a run that --json wrote")
+
+
+def run_experiment(experiment: Experiment[Any], arguments: argparse.Namespace) -> int:
+    """Fly, print and write; returns the exit code. Raises UsageError for scenes or files that are not there."""
+    if arguments.scene and arguments.scenes:
+        raise UsageError("--scene and --scenes both choose scenes: give one of them")
+    scenes = chosen_scenes(
+        ",".join(arguments.scene) if arguments.scene else arguments.scenes or ",".join(experiment.scenes)
+    )
+    old = None if arguments.compare is None else read_experiment(arguments.compare, experiment.name)
+    options = {name: getattr(arguments, name) for name in experiment.own_options}
+    tasks = [Task(scene, seed, options) for scene in scenes for seed in chosen_seeds(arguments)]
+    load = os.getloadavg()[0]
+    flown = list(
+        run_tasks(
+            experiment.fly,
+            tasks,
+            Farm(arguments.workers),
+            counted(len(tasks)),
+        )
+    )
+    rows = experiment_rows(experiment, [task.scene for task in tasks], flown)
+    print((markdown if arguments.markdown else columns)(*table_of(experiment, rows)))
+    results = ExperimentResults(
+        experiment=experiment.name,
+        machine=this_machine(load),
+        scenes=scenes,
+        first_seed=arguments.first_seed,
+        n_seeds=arguments.seeds,
+        rows=tuple(rows),
+    )
+    if old is not None:
+        print("\nmoved:\n" + ("\n".join(moved_figures(old, results)) or "nothing"))
+    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
+    return 0
+
+
+def experiment_rows(
+    experiment: Experiment[Result], scenes: Sequence[str], flown: Sequence[Mapping[str, Result]]
+) -> list[ExperimentRow]:
+    """Make the rows of a run: of each scene, and of all missions together.
+
+    Parameters
+    ----------
+    experiment
+        What was run.
+    scenes
+        The scene of each mission.
+    flown
+        What each variant made of each mission.
+    """
+    groups = {name: [one for one, scene in zip(flown, scenes, strict=True) if scene == name] for name in scenes}
+    if not experiment.by_scene:
+        groups = {"all": list(flown)}
+    elif len(groups) > 1:
+        groups["all"] = list(flown)
+    return [
+        ExperimentRow(
+            title, variant, {column.title: _cell(experiment, column, variant, some) for column in experiment.columns}
+        )
+        for title, some in groups.items()
+        for variant in experiment.variants
+    ]
+
+
+def table_of(experiment: Experiment[Any], rows: Sequence[ExperimentRow]) -> tuple[list[str], list[list[str]]]:
+    """Lay rows out: the header and the text of every cell."""
+    first = ["missions"] if experiment.by_scene else []
+    header = [*first, experiment.variant_title, *(column.title for column in experiment.columns)]
+    return header, [
+        [*([row.missions] if first else []), row.variant, *(cell.text for cell in row.cells.values())] for row in rows
+    ]
+
+
+def moved_figures(old: ExperimentResults, new: ExperimentResults) -> list[str]:
+    """Say which figures moved, a line each, and which of them left the old interval."""
+    asked = [(run.scenes, run.first_seed, run.n_seeds) for run in (old, new)]
+    lines = [] if asked[0] == asked[1] else ["other missions: scenes or seeds differ"]
+    before = {(row.missions, row.variant): row.cells for row in old.rows}
+    for row in new.rows:
+        cells = before.pop((row.missions, row.variant), None)
+        name = f"{row.missions}, {row.variant}"
+        if cells is None:
+            lines.append(f"{name}: new")
+            continue
+        for title, cell in row.cells.items():
+            was = cells.get(title)
+            if was is None:
+                lines.append(f"{name}, {title}: new")
+            elif not _same(was, cell):
+                lines.append(f"{name}, {title}: {was.text} -> {cell.text}{_beyond(was, cell)}")
+    return lines + [f"{missions}, {variant}: no longer measured" for missions, variant in before]
+
+
+def read_experiment(path: Path, name: str) -> ExperimentResults:
+    """Read an older run of the experiment of that name.
+
+    Raises UsageError for a file that cannot be read or is of another experiment, BadInputError for one that is no such
+    run.
+    """
+    made_by = f"auv-mcm bench {name} --json FILE"
+    found = read_bench_file(path, ExperimentResults, _FORMAT_VERSION, made_by)
+    if found.experiment != name:
+        raise UsageError(f"--compare {path} is of '{found.experiment}': give a file that '{made_by}' wrote")
+    return found
+
+
+def _cell(
+    experiment: Experiment[Result],
+    column: Column[Result] | PairedColumn[Result],
+    variant: str,
+    flown: Sequence[Mapping[str, Result]],
+) -> Cell:
+    own = [one[variant] for one in flown]
+    if isinstance(column, Column):
+        return column.of(own)
+    base = [one[experiment.variants[0]] for one in flown]
+    if variant == experiment.variants[0] or len(flown) < 2:
+        return Cell(NOTHING)
+    found = resampled(
+        lambda some: column.of([own[k] for k in some]) - column.of([base[k] for k in some]),
+        len(flown),
+        seed=_PAIRED_SEED,
+    )
+    return Cell(str(found), *found)
+
+
+def _same(was: Cell, now: Cell) -> bool:
+    if was.value is None or now.value is None:
+        return was.text == now.text
+    return math.isclose(was.value, now.value, rel_tol=_SAME, abs_tol=_SAME)
+
+
+def _beyond(was: Cell, now: Cell) -> str:
+    if None in (was.low, was.high, now.value):
+        return ""
+    assert was.low is not None
+    assert was.high is not None
+    assert now.value is not None
+    return "" if was.low <= now.value <= was.high else " (beyond its interval)"

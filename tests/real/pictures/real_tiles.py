@@ -1,0 +1,130 @@
+"""Hand a recorded picture to the detector as the chain would, and return its detections.
+
+Pictures have neither scale nor geometry: what the chain needs to know of them is assumed here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Final, NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+
+from auv_mcm.detect.detect_tile import detect_tile
+from auv_mcm.detect.suppress import Suppressor
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import SATURATED, VALID, Detection, PoseTrack, Tile
+from auv_mcm.settings.config import Config
+from auv_mcm.waterfall.radiometry import AngleCurve, local_mean
+from tests.real.pictures.real_pictures import Mask, Picture, Plane
+
+_DARK_M: Final = 1.0
+_DARK: Final = 0.04  # of the median: the water column
+_SPEED_MPS: Final = 1.5
+
+
+class Geometry(NamedTuple):
+    """Assume the geometry of a picture: pixel size, slant range of the first bottom return, ground range of the near
+    edge.
+    """
+
+    pixel_m: float
+    first_return_m: float
+    first_ground_range_m: float
+    beam_width_deg: float
+
+    @property
+    def n_columns_before(self) -> int:
+        """Count columns of the ground-range grid before the picture."""
+        return round(self.first_ground_range_m / self.pixel_m)
+
+
+SIDE_SCAN: Final = Geometry(pixel_m=0.032, first_return_m=4.0, first_ground_range_m=5.0, beam_width_deg=0.3)
+SAS: Final = Geometry(pixel_m=0.025, first_return_m=8.0, first_ground_range_m=30.0, beam_width_deg=0.01)
+
+
+def tile_of_picture(picture: Picture, geometry: Geometry) -> Tile:
+    """Convert the picture to a tile: the angle response and the local mean taken off, in ground range.
+
+    Columns before the picture's near edge are not valid. The track runs north at constant speed.
+    """
+    n_rows, n_columns = picture.counts.shape
+    offset = geometry.n_columns_before
+    intensity = np.maximum(picture.amplitude, 0.5) ** 2
+    measured = picture.measured & ~_dark_stretches(intensity, picture.measured, geometry.pixel_m)
+    ground_m = geometry.first_ground_range_m + (np.arange(n_columns) + 0.5) * geometry.pixel_m
+    tangent = np.broadcast_to(geometry.first_return_m / ground_m, intensity.shape)
+    log_intensity = np.log(intensity)
+    log_intensity -= AngleCurve().learn(log_intensity, measured, tangent)
+    levelled = np.where(measured, np.exp(log_intensity), 0.0).astype(np.float32)
+    mean, known = local_mean(levelled, measured, geometry.pixel_m, geometry.pixel_m)
+    valid = measured & known
+    shape = n_rows, offset + n_columns
+    plane, bits = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8)
+    plane[:, offset:] = np.where(valid, levelled / np.maximum(mean, 1e-9), 0.0)
+    bits[:, offset:] = np.where(valid, VALID, 0) | np.where(valid & picture.clipped, SATURATED, 0)
+    return Tile(
+        side="starboard",
+        index=0,
+        first_row=0,
+        core_start=0,
+        core_stop=n_rows,
+        row_spacing_m=geometry.pixel_m,
+        column_spacing_m=geometry.pixel_m,
+        intensity=plane,
+        mask=bits,
+        pose=_northward(n_rows, geometry),
+        first_return_m=np.full(n_rows, geometry.first_return_m),
+        first_return_sigma_m=np.full(n_rows, 0.05 * geometry.first_return_m),
+        ping_number=np.arange(n_rows, dtype=np.int64),
+    )
+
+
+def config_of(geometry: Geometry) -> Config:
+    """Return the default configuration with the beam of the sonar that made the picture."""
+    config = Config()
+    return msgspec.structs.replace(
+        config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=geometry.beam_width_deg)
+    )
+
+
+def detections_of(tile: Tile, config: Config) -> list[Detection]:
+    """Return the detections of one tile after suppression."""
+    suppressor = Suppressor(config.detect, tile.row_spacing_m, Counter())
+    settled = suppressor.add(detect_tile(tile, config).detections, math.inf)
+    return [*settled, *suppressor.flush()]
+
+
+def _dark_stretches(intensity: Plane, measured: Mask, pixel_m: float) -> Mask:
+    """Find the water column: metres without echo. Shadows of wrecks go with it."""
+    side = 2 * round(0.5 * _DARK_M / pixel_m) + 1
+    total = cv2.boxFilter(
+        np.where(measured, intensity, 0.0), -1, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT
+    )
+    share = cv2.boxFilter(measured.astype(np.float64), -1, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT)
+    level = float(np.median(intensity[measured])) if measured.any() else 1.0
+    bright = float(np.quantile(intensity[measured], 0.75)) if measured.any() else 1.0
+    return np.asarray(total < _DARK * max(level, 0.5 * bright) * np.maximum(share, 1e-6))
+
+
+def _northward(n_rows: int, geometry: Geometry) -> PoseTrack:
+    along_m: Plane = (np.arange(n_rows, dtype=np.float64) + 0.5) * geometry.pixel_m
+    none, even = np.zeros(n_rows), np.ones(n_rows)
+    latitude, longitude, _ = LocalFrame(latitude_deg=45.0, longitude_deg=5.0).to_geodetic(
+        np.stack((none, along_m, none), axis=-1)
+    )
+    return PoseTrack(
+        time_s=np.asarray(along_m / _SPEED_MPS, dtype=np.float64),
+        latitude_deg=latitude,
+        longitude_deg=longitude,
+        depth_m=none,
+        heading_rad=none,
+        pitch_rad=none,
+        roll_rad=none,
+        speed_mps=_SPEED_MPS * even,
+        altitude_m=geometry.first_return_m * even,
+        stale=np.zeros(n_rows, dtype=np.bool_),
+    )
