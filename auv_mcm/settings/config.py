@@ -74,8 +74,11 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
         ),
     ] = None
     sides: Annotated[
-        Literal["as_stated", "swapped"],
-        Meta(description="swapped: port and starboard of a log are exchanged; of a live port ports[].sonar.sides"),
+        Literal["as_stated", "by_number", "swapped"],
+        Meta(
+            description="of a log, by_number: look angles do not count; swapped: port and starboard are exchanged; of "
+            "a live port ports[].sonar.sides"
+        ),
     ] = "as_stated"
     beam_width_deg: Annotated[
         float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")

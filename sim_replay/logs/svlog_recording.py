@@ -61,7 +61,7 @@ class SvlogRecording:
 
     def __init__(self, path: Path, chunk_bytes: int) -> None:
         """Open the file. Raises BadInputError for a file that cannot be read."""
-        self._file = MessageFile(path, PingGrammar(), chunk_bytes)
+        self._file = MessageFile(path, lambda size_bytes: PingGrammar(), chunk_bytes)
         self._begin()
 
     @property

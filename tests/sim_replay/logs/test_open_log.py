@@ -249,13 +249,16 @@ def test_a_jsf_log_of_the_low_frequency_alone_is_taken(tmp_path: Path) -> None:
     assert [bytes_of(contact) for contact in found] == [bytes_of(contact) for contact in expected]
 
 
-def test_of_several_subsystems_one_has_to_be_chosen(tmp_path: Path) -> None:
+def test_of_several_subsystems_the_highest_is_used_or_the_one_configured(tmp_path: Path) -> None:
     whole = written("jsf", tmp_path / "high").read_bytes()
     both = tmp_path / "both"
     both.write_bytes(b"".join(of_subsystem(jsf_wire(f.message), 20) + jsf_wire(f.message) for f in _jsf(whole)))
-    with pytest.raises(UsageError, match=r"both holds side scan of subsystems 20 and 21: set sonar\.subsystem"):
-        open_log(both, Config())
+    events = list(open_log(both, Config()))
     n_pings = len(pings(iter(open_log(tmp_path / "high", Config()))))
+    assert len(pings(iter(events))) == n_pings
+    (notice,) = [event for event in events if isinstance(event, Notice)]
+    assert notice.code == "reader.frequency_chosen"
+    assert "20 (low frequency) and 21 (high frequency): 21 is used. Set sonar.subsystem: 20" in notice.text
     for subsystem in (20, 21):
         log = open_log(both, Config(sonar=SonarConfig(subsystem=subsystem)))
         assert len(pings(iter(log))) == n_pings
