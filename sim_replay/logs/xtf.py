@@ -718,15 +718,11 @@ class XtfLog:
             )
         altitude = _number(raw.header.SensorPrimaryAltitude)
         self.counters["reader.pings"] += 1
-        port = self._echo("port", raw.port, speed, logged, habits.port_far_to_near, place)
-        starboard = self._echo("starboard", raw.starboard, speed, logged, habits.starboard_far_to_near, place)
-        if self._sonar.sides == "swapped":
-            port, starboard = starboard, port
         return Ping(
             number=number,
             time_s=time_s,
-            port=port,
-            starboard=starboard,
+            port=self._echo("port", raw.port, speed, logged, habits.port_far_to_near, place),
+            starboard=self._echo("starboard", raw.starboard, speed, logged, habits.starboard_far_to_near, place),
             sound_speed_mps=speed,
             altitude_m=altitude if altitude > 0.0 else NAN,
             place=f"{place}, ping {number}",
