@@ -112,6 +112,17 @@ class JsfRecording:
                 self._file.path.name,
             )
 
+    @property
+    def frequency_khz(self) -> float:
+        """Return the frequency in use, 0 where the messages state none."""
+        headers = [
+            SideScanHeader(*DATA_HEADER.unpack_from(message.body))
+            for message in self._probed
+            if message.subsystem == self.subsystem
+        ]
+        sweeps = [5e-3 * (header.start_frequency_dahz + header.end_frequency_dahz) for header in headers]
+        return float(sorted(sweeps)[len(sweeps) // 2]) if sweeps else 0.0
+
     def _chosen(self, wanted: int | None) -> int:
         path = self._file.path
         found = self._subsystems()

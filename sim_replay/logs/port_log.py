@@ -71,9 +71,10 @@ class PortLog:
         """Store the recording. make_intake: a new intake, from the same configuration as the recorded one.
 
         pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
-        infinite for stamps of one computer's monotonic clock.
+        infinite for stamps of one computer's monotonic clock. frequency_khz: of a sonar's own log, 0 if not stated.
         """
         self._recording = recording
+        self.frequency_khz = float(getattr(recording, "frequency_khz", 0.0))
         self._make_intake = make_intake
         self._pause_ns = pause_s * 1e9
         self._intake = make_intake()

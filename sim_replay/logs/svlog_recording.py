@@ -70,6 +70,7 @@ class SvlogRecording:
         Raises BadInputError for a file that cannot be read.
         """
         self._file = MessageFile(path, lambda size_bytes: PingGrammar(), chunk_bytes)
+        self.frequency_khz = 0.0
         self._used_hz, self._choice = self._chosen(subsystem)
         self._begin()
 
@@ -102,6 +103,8 @@ class SvlogRecording:
             if often.total() >= _PROBE_PROFILES or framed.offset > _PROBE_BYTES:
                 break
         there = [hz for hz, n in often.items() if n >= _STRAY_FRACTION * max(often.values())]
+        if there:
+            self.frequency_khz = 1e-3 * (min(there) if subsystem == 20 else max(there))
         if not there or is_same_frequency(min(there), max(there)):
             return 0, ""
         used = min(there) if subsystem == 20 else max(there)

@@ -221,6 +221,11 @@ class XtfLog:
         """Return the size of the file."""
         return {self._path: self.size_bytes}
 
+    @property
+    def frequency_khz(self) -> float:
+        """Return the frequency in use, 0 where the log states none."""
+        return self._pair.used_khz
+
     def first_time_s(self) -> float:
         """Find the time of the first ping, s since 1970. Raises BadInputError if there is none."""
         return next(
