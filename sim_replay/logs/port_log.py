@@ -15,6 +15,7 @@ from typing import Protocol
 from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.source import QuantityState
 from drivers.recording.session_layout import Recorded
 
 
@@ -26,6 +27,10 @@ class PortDecoding(Protocol):
 
     @property
     def counters(self) -> Counter[str]: ...
+
+    def quantities(self) -> tuple[QuantityState, ...]:
+        """Describe each quantity of navigation as of the newest bytes."""
+        ...
 
     def feed(self, port: str, data: bytes, stamp: Stamp) -> list[SourceEvent]:
         """Decode bytes of one port, in the order in which they were read. Empty ones only advance the time."""
@@ -94,6 +99,11 @@ class PortLog:
     def counters(self) -> Counter[str]:
         """Count what reading and decoding skipped or mended so far."""
         return self._recording.counters + self._finished + self._intake.counters
+
+    def navigation_sources(self) -> dict[str, str]:
+        """Name the port that served each quantity of navigation last; empty before anything was read."""
+        states = self._intake.quantities()
+        return {state.name: state.served_by for state in states if state.served_by}
 
     def first_time_s(self) -> float:
         """Find the time of the first ping, s since 1970; infinite without one."""

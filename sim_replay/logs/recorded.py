@@ -69,6 +69,16 @@ class RecordedMission:
         self._reading: Log | None = None
 
     @property
+    def logs(self) -> list[Log]:
+        """List the logs in use, in order of time."""
+        return self._logs
+
+    @property
+    def notices(self) -> list[Notice]:
+        """List what is to say of logs that are left out."""
+        return self._notices
+
+    @property
     def sizes_bytes(self) -> dict[Path, int]:
         """Return the size of each file in use, in order of time."""
         return {path: size for log in self._logs for path, size in log.sizes_bytes.items()}

@@ -221,6 +221,20 @@ class XtfLog:
         """Return the size of the file."""
         return {self._path: self.size_bytes}
 
+    def navigation_sources(self) -> dict[str, str]:
+        """Name what gives each quantity of navigation."""
+        return dict.fromkeys(("position", "heading", "attitude", "depth", "altitude", "speed"), "ping headers")
+
+    @property
+    def channel_names(self) -> str:
+        """Name the channels that the file header describes."""
+        return name_channels(self._channels)
+
+    @property
+    def frequencies_khz(self) -> tuple[float, ...]:
+        """Return all frequencies of side scan, ascending."""
+        return self._pair.frequencies_khz
+
     @property
     def frequency_khz(self) -> float:
         """Return the frequency in use, 0 where the log states none."""
