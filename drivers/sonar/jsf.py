@@ -245,7 +245,12 @@ class JsfDecoder:
         if len(often) < 2 or self._is_notified:
             return []
         self._is_notified = True
-        return [Notice(code="sonar_frequency_chosen", text=subsystems_text(often, self._subsystem))]
+        return [
+            Notice(
+                code="sonar_frequency_chosen",
+                text=f"of several frequencies one is used: {subsystems_text(often, self._subsystem)}",
+            )
+        ]
 
     def _frames(self, arrived: StampedMessage[JsfMessage]) -> list[SonarFrame]:
         data = decode_data(arrived.message.body)

@@ -131,7 +131,8 @@ class HeadSides:
             self._used_hz = used
             self._heads.clear()
         if not is_same_frequency(min(often), max(often)):
-            self._notify_once("sonar_frequency_chosen", frequency_text(min(often), max(often), used))
+            text = frequency_text(min(often), max(often), used)
+            self._notify_once("sonar_frequency_chosen", f"of several frequencies one is used: {text}")
         return is_same_frequency(hz, used)
 
     def _notify_alike(self, profile: OsMonoProfile) -> None:

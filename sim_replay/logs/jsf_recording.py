@@ -94,9 +94,11 @@ class JsfRecording:
         self.notices = []
         self._channels.start()
         if self._channels.notice:
-            self._notify("reader.channel_numbers", self._channels.notice, self._file.path.name)
+            text = f"channel numbers in the messages do not name the sides: {self._channels.notice}"
+            self._notify("reader.channel_numbers", text, self._file.path.name)
         if self._choice:
-            self._notify("reader.frequency_chosen", self._choice, self._file.path.name)
+            text = f"of several frequencies one is used: {self._choice}"
+            self._notify("reader.frequency_chosen", text, self._file.path.name)
         order = TimeOrder(self._own)
         for framed in self._file:
             recorded = self._recorded(framed.message, framed.offset)

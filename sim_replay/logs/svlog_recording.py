@@ -113,7 +113,13 @@ class SvlogRecording:
     def __iter__(self) -> Iterator[Recorded]:
         self._begin()
         if self._choice:
-            self.notices.append(Notice(code="reader.frequency_chosen", text=self._choice, place=self._file.path.name))
+            self.notices.append(
+                Notice(
+                    code="reader.frequency_chosen",
+                    text=f"of several frequencies one is used: {self._choice}",
+                    place=self._file.path.name,
+                )
+            )
         stamp: Stamp | None = None
         for framed in self._file:
             message: PingMessage = framed.message
