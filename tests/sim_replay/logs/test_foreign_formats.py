@@ -55,7 +55,7 @@ CASES: dict[str, tuple[str, bytes, str]] = {
         "Klein SDF log. Export it as XTF with Klein",
     ),
     "mstiff": ("log", b"MSTL" + bytes(100), "Marine Sonic log"),
-    "sl2": ("log", struct.pack("<HHHH", 2, 0, 3200, 0) + bytes(100), r"Lowrance or Simrad log.*auv-mcm\[fishfinder\]"),
+    "sl2": ("log", struct.pack("<HHHH", 2, 0, 3200, 0) + bytes(100), r"Lowrance or Simrad log.*export it as XTF"),
     "sl3": ("log", struct.pack("<HHHH", 3, 1, 3200, 0) + bytes(100), "Lowrance or Simrad log"),
     "son": ("log", b"\xc0\xde\xab\x21" + bytes(100), "Humminbird log"),
     "dat": ("Rec00001.DAT", bytes(64), "Humminbird recording"),
