@@ -293,11 +293,10 @@ class _SonarReader:
 
     def _sides(self, frame: SonarFrame) -> tuple[EchoTrace | None, EchoTrace | None]:
         """Return port and starboard as the head is mounted."""
-        match self._port.sides:
-            case "as_told" | "by_number":
-                return frame.port, frame.starboard
-            case "swapped":
-                return frame.starboard, frame.port
+        if self._port.sides == "swapped":
+            return frame.starboard, frame.port
+        if self._port.sides not in ("port", "starboard"):
+            return frame.port, frame.starboard
         if frame.port is not None and frame.starboard is not None:
             self._own["sonar.second_side"] += 1
         only = frame.starboard if frame.port is None else frame.port

@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 
 _AS_XTF: Final = "Export it as XTF"
 _FISH_FINDER: Final = (
-    "Fish finders' logs are not read, as no reader of them survives damage: export it as XTF with SonarWiz, SonarTRX or "
-    "ReefMaster"
+    "Logs of fish finders are not read, as no reader of them survives damage: export it as XTF with SonarWiz, SonarTRX "
+    "or ReefMaster"
 )
 _MULTIBEAM: Final = (
     "It holds what a multibeam recorded: export its side scan as XTF with the maker's software, if there is any"

@@ -81,7 +81,7 @@ def find_format(path: Path) -> LogFormat:
         return found
     added, problems = added_formats(head)
     if len(added) > 1:
-        names = " and ".join(one.title for one in added)
+        names = " and ".join(one.name for one in added)
         raise UsageError(f"{path}: several packages read this format: {names}. Uninstall all but one of them.")
     if added:
         return added[0]
@@ -258,8 +258,9 @@ def _sonar_port(
     name: str, device: SonarName, given: PortConfig | None, navigation: NavUnitSettings | None
 ) -> PortConfig:
     """Return the sonar mounted as configured; a log holds both sides, so one-sided heads use the sonar's own side."""
-    wanted = "as_told" if given is None or given.sonar is None else given.sonar.sides
-    sides = SonarPortConfig(sides=wanted if wanted in ("swapped", "by_number") else "as_told")
+    sides = SonarPortConfig()
+    if given is not None and given.sonar is not None and given.sonar.sides in ("swapped", "by_number"):
+        sides = SonarPortConfig(sides=given.sonar.sides)
     return PortConfig(name=name, link=_NO_LINK, device=device, sonar=sides, navigation=navigation)
 
 

@@ -371,7 +371,7 @@ class XtfLog:
         """Read the heads of the first side-scan packets behind a file header; the file is left where it was."""
         if offset in self._heads:
             return self._heads[offset]
-        at = file.tell()
+        at = file.seek(0, os.SEEK_CUR)
         heads: list[PacketHead] = []
         for item in islice(read_packets(file, offset + n_bytes, self.size_bytes, (_SONAR,)), _PROBE_ITEMS):
             if isinstance(item, FileHeader) or len(heads) == _PROBE_PACKETS:

@@ -77,7 +77,7 @@ def test_sides_go_by_look_angle_then_number_then_order(
 
 
 @pytest.mark.parametrize("starboard_first", [False, True])
-def test_heads_that_count_from_one_are_told_by_number_whichever_comes_first(starboard_first: bool) -> None:
+def test_heads_that_count_from_one_are_known_by_number_whichever_comes_first(starboard_first: bool) -> None:
     profiles = pings(channel(1), channel(2))
     if starboard_first:
         profiles = [item for pair in zip(profiles[1::2], profiles[::2], strict=True) for item in pair]
@@ -107,7 +107,7 @@ def test_a_profile_sent_again_is_no_other_side() -> None:
     assert notices == []
 
 
-def test_heads_with_numbers_of_their_own_and_one_channel_are_told_by_the_device_number() -> None:
+def test_heads_with_numbers_of_their_own_and_one_channel_are_known_by_the_device_number() -> None:
     wire = b""
     for one in pings(channel(0), channel(0)):
         message = to_wire_of(one, source=1 if one.pwr_results.shape[0] == PORT else 2)
