@@ -30,7 +30,7 @@ _QUANTITIES: Final = ("position", "heading", "attitude", "depth", "altitude", "s
 _GAP_INTERVALS: Final = (
     5.0  # of the usual interval between pings, and a second, from which on a pause is a gap (chosen)
 )
-_MIN_GAP_S: Final = 1.0
+_MIN_GAP_S: Final = 1.0  # s: a shorter pause is none, however fast the sonar pings (chosen)
 _SHOWN_GAPS: Final = 10  # the longest are listed
 _COURSE_M: Final = 2.0  # m between fixes, over which a course is taken: ten times the noise of a good receiver (chosen)
 _EARTH_M_PER_DEG: Final = 111_195.0  # m per degree of a great circle (mean radius 6371 km)
