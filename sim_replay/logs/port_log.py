@@ -28,10 +28,6 @@ class PortDecoding(Protocol):
     @property
     def counters(self) -> Counter[str]: ...
 
-    def quantities(self) -> tuple[QuantityState, ...]:
-        """Describe each quantity of navigation as of the newest bytes."""
-        ...
-
     def feed(self, port: str, data: bytes, stamp: Stamp) -> list[SourceEvent]:
         """Decode bytes of one port, in the order in which they were read. Empty ones only advance the time."""
         ...
@@ -102,7 +98,7 @@ class PortLog:
 
     def navigation_sources(self) -> dict[str, str]:
         """Name the port that served each quantity of navigation last; empty before anything was read."""
-        states = self._intake.quantities()
+        states: tuple[QuantityState, ...] = getattr(self._intake, "quantities", tuple)()
         return {state.name: state.served_by for state in states if state.served_by}
 
     def first_time_s(self) -> float:
