@@ -17,7 +17,8 @@ from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitSettings
 from auv_mcm.shell.check.finding import Finding, Verdict
-from drivers.clocks import UtcAnchor
+from drivers.clocks import UtcAnchor, host_offset_ns
+from drivers.heard import Heard
 from drivers.links.link import LinkState
 from drivers.links.tcp import CONNECT_S
 from drivers.links.uri import TcpAddress
@@ -44,10 +45,33 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
     ports = read_ports(config)
     yield from (Finding(f"port {notice.place}", "warning", notice.text) for notice in open_to_all(ports))
 
-    async def check() -> list[Finding]:
-        return await asyncio.gather(*(_Listener(port, config.sonar, SystemClock()).finding(listen_s) for port in ports))
+    listeners = [_Listener(port, config.sonar, SystemClock()) for port in ports]
 
-    yield from asyncio.run(check())
+    async def check() -> list[Finding]:
+        return await asyncio.gather(*(listener.finding(listen_s) for listener in listeners))
+
+    found = asyncio.run(check())
+    yield from found
+    yield from _position_findings(list(zip(listeners, found, ports, strict=True)))
+
+
+def _position_findings(judged: Sequence[tuple[_Listener, Finding, PortSettings]]) -> Iterator[Finding]:
+    """Report that units speak and none of them gives a position, without which no contact has a place."""
+    units = [item for item in judged if item[2].unit is not None and item[2].device != PULSE]
+    spoken = [port.name for _, finding, port in units if finding.verdict == "ok"]
+    if not spoken or any(listener.heard.quantities["position"] for listener, *_ in units):
+        return
+    unheard = [port.name for _, finding, port in units if finding.verdict == "warning"]
+    text = f"no unit that was heard ({', '.join(spoken)}) gave a position: pings and contacts would have no place"
+    if unheard:
+        yield Finding("position", "warning", f"{text}, unless {' or '.join(unheard)} does, which could not be judged")
+        return
+    yield Finding(
+        "position",
+        "FAILED",
+        f"{text}. Check that a receiver has a fix and sends GGA, RMC or GLL (or the position of its protocol), and "
+        "ports[].navigation.delivers",
+    )
 
 
 class _Listener:
@@ -57,7 +81,9 @@ class _Listener:
         self._port = port
         self._sonar = sonar
         self._clock = clock
-        self._stream = None if port.device == PULSE else PortStream(port, sonar, UtcAnchor("this computer"))
+        self._utc = UtcAnchor("this computer")
+        self._stream = None if port.device == PULSE else PortStream(port, sonar, self._utc)
+        self.heard = Heard(() if port.unit is None else port.unit.delivers)
         self._kept: list[tuple[bytes, Stamp]] = []
         self._n_bytes = self._n_chunks = 0
         self._is_open = False
@@ -74,7 +100,7 @@ class _Listener:
         try:
             await self._wait(lambda: self._is_open or bool(self._failure), _OPEN_S)
             if self._is_open and not self._is_for_commands:
-                await self._wait(lambda: self._n_messages() >= _ENOUGH_MESSAGES or bool(self._failure), listen_s)
+                await self._wait(lambda: self._has_enough() or bool(self._failure), listen_s)
         finally:
             failure = self._failure
             serving.cancel()
@@ -97,7 +123,15 @@ class _Listener:
         if sum(len(kept) for kept, _ in self._kept) < _KEPT_BYTES:
             self._kept.append((data, stamp))
         if self._stream is not None:
-            self._stream.feed(data, stamp)
+            self._utc.follow(host_offset_ns(stamp), stamp.mono_ns)
+            self.heard.add(self._stream.feed(data, stamp))
+
+    def _has_enough(self) -> bool:
+        """Return whether enough was heard to judge: messages, and what the service would take from them."""
+        if self._n_messages() < _ENOUGH_MESSAGES or (self._port.is_sonar and self.heard.n_pings < _ENOUGH_MESSAGES):
+            return False
+        unit = self._port.unit
+        return unit is None or "position" not in unit.delivers or self.heard.quantities["position"] > 0
 
     def _follow(self, state: LinkState, reason: str) -> None:
         if state == "down":
@@ -120,11 +154,29 @@ class _Listener:
         if self._is_for_commands:
             return self._judged("ok", "accepts a connection; nothing was sent")
         if n_messages := self._n_messages():
-            what = "pulses" if self._stream is None else f"messages of '{self._port.device}'"
-            return self._judged("ok", f"{n_messages} {what} in {self._n_bytes} bytes")
+            return self._heard_verdict(n_messages)
         if self._n_bytes:
             return self._judged("FAILED", self._unread())
         return self._silent(listen_s)
+
+    def _heard_verdict(self, n_messages: int) -> Finding:
+        if self._stream is None:
+            return self._judged("ok", f"{n_messages} pulses in {self._n_bytes} bytes")
+        text = f"{n_messages} messages of '{self._port.device}' in {self._n_bytes} bytes"
+        if words := self.heard.words():
+            text += f": {words}"
+        asking = [notice for notice in self.heard.notices if not notice.for_the_record]
+        if asking:
+            is_defect = any(notice.code == "decoder_failed" for notice in asking)
+            reasons = ". ".join(notice.text.rstrip(".") for notice in asking)
+            return self._judged("FAILED" if is_defect else "warning", f"{text}. {reasons}")
+        if self._port.is_sonar and not self.heard.n_pings:
+            refused = ", ".join(
+                f"{name} {count}" for name, count in sorted(self._stream.counters.items()) if ".refused." in name
+            )
+            reason = f" ({refused})" if refused else ", as it may wait for the commands that the service sends"
+            return self._judged("warning", f"{text}, but no ping{reason}")
+        return self._judged("ok", text)
 
     def _silent(self, listen_s: float) -> Finding:
         waits = ""
@@ -157,8 +209,10 @@ class _Listener:
             unit=NavUnitSettings(),
             vehicle=VEHICLES[device].settings() if is_vehicle else None,
         )
-        stream = PortStream(other, self._sonar, UtcAnchor("this computer"))
+        utc = UtcAnchor("this computer")
+        stream = PortStream(other, self._sonar, utc)
         for data, stamp in self._kept:
+            utc.follow(host_offset_ns(stamp), stamp.mono_ns)
             stream.feed(data, stamp)
         return _messages(stream) > 0
 

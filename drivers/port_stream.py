@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from collections.abc import Sequence
 from typing import Final, Protocol, TypeAlias
 
 from msgspec import structs
@@ -19,7 +20,7 @@ from drivers.navigation.nav_protocols import CAN_PROTOCOL, text_decoder
 from drivers.navigation.nmea_unit import NmeaUnit
 from drivers.ports import PortSettings
 from drivers.reading_watch import ReadingWatch
-from drivers.sonar.sonar_decoder import SonarFrame, SonarReply
+from drivers.sonar.sonar_decoder import SonarFrame, SonarItem, SonarReply
 from drivers.sonar.sonars import sonar_named
 from drivers.vehicle.dialect import VehicleMessage
 from drivers.vehicle.vehicles import VehicleSettings, decoder_of
@@ -222,7 +223,9 @@ class _SonarReader:
     def __init__(self, port: PortSettings, sonar: SonarConfig, utc: UtcAnchor) -> None:
         device = sonar_named(port.device)
         self._port, self._sonar = port, sonar
-        self._decoder = device.decoder(sonar)
+        # Whoever states how a head is mounted states it of its channel numbers.
+        is_stated = port.sides != "as_told"
+        self._decoder = device.decoder(structs.replace(sonar, sides="by_number") if is_stated else sonar)
         self._device_clock = DeviceClock(f"port '{port.name}'", wrap_s=device.counter_period_s)
         self._clock = SourceClock(self._device_clock, utc)
         self._own: Counter[str] = Counter()
@@ -240,11 +243,13 @@ class _SonarReader:
     def finish(self) -> list[Decoded]:
         return self._decoded(self._decoder.finish())
 
-    def _decoded(self, items: list[SonarFrame | SonarReply]) -> list[Decoded]:
+    def _decoded(self, items: Sequence[SonarItem]) -> list[Decoded]:
         decoded: list[Decoded] = []
         for item in items:
             if isinstance(item, SonarFrame):
                 decoded += self._of_frame(item)
+            elif isinstance(item, Notice):
+                decoded.append(structs.replace(item, place=self._port.name))
             else:
                 decoded += self._of_reply(item)
         return decoded
@@ -291,11 +296,10 @@ class _SonarReader:
 
     def _sides(self, frame: SonarFrame) -> tuple[EchoTrace | None, EchoTrace | None]:
         """Return port and starboard as the head is mounted."""
-        match self._port.sides:
-            case "as_told":
-                return frame.port, frame.starboard
-            case "swapped":
-                return frame.starboard, frame.port
+        if self._port.sides == "swapped":
+            return frame.starboard, frame.port
+        if self._port.sides not in ("port", "starboard"):
+            return frame.port, frame.starboard
         if frame.port is not None and frame.starboard is not None:
             self._own["sonar.second_side"] += 1
         only = frame.starboard if frame.port is None else frame.port

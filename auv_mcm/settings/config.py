@@ -70,11 +70,16 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     subsystem: Annotated[
         Literal[20, 21, 22] | None,
         Meta(
-            description="EdgeTech (jsf) only: which frequency is used, 20 low, 21 high, 22 very high; empty: the only "
-            "one that a log "
-            "holds, live 21"
+            description="which frequency of several is used, 20 low, 21 high, 22 very high; empty: the highest there is"
         ),
     ] = None
+    sides: Annotated[
+        Literal["as_stated", "by_number", "swapped"],
+        Meta(
+            description="of a log, by_number: look angles do not count; swapped: port and starboard are exchanged; of "
+            "a live port ports[].sonar.sides"
+        ),
+    ] = "as_stated"
     beam_width_deg: Annotated[
         float, Meta(gt=0.0, le=20.0, description="horizontal (along-track) two-way beam width, degrees")
     ] = 0.5

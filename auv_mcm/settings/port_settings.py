@@ -32,7 +32,7 @@ NAV_UNIT_NAMES: Final[tuple[NavUnitName, ...]] = get_args(NavUnitName)
 DEVICE_NAMES: Final = (*SONAR_NAMES, *NAV_UNIT_NAMES, *VEHICLE_NAMES)
 """Devices that are built in; other packages add more, see `auv_mcm.settings.plugins`."""
 DeviceKind: TypeAlias = Literal["sonar", "navigation", "vehicle"]
-Sides: TypeAlias = Literal["as_told", "swapped", "port", "starboard"]
+Sides: TypeAlias = Literal["as_told", "by_number", "swapped", "port", "starboard"]
 
 
 class _Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -141,7 +141,8 @@ class SonarPortConfig(_Settings, frozen=True, kw_only=True):
         Sides,
         Meta(
             description=(
-                "as_told, swapped, or the one side that this port's head looks to, for heads on wires of their own"
+                "as_told, by_number (look angles do not count), swapped, or the one side that this port's head looks "
+                "to, for heads on wires of their own"
             )
         ),
     ] = "as_told"

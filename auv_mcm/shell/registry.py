@@ -33,6 +33,7 @@ PLUGIN_LOADERS: Final[dict[PluginKind, str]] = {
 
 COMMANDS: Final[dict[str, str]] = {
     "replay": "sim_replay.commands.replay:add",
+    "info": "sim_replay.commands.info:add",
     "view": "sim_replay.commands.view:add",
     "batch": "sim_replay.commands.batch:add",
     "export": "sim_replay.commands.export:add",

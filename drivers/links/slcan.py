@@ -1,6 +1,7 @@
 """Drive CAN adapters that speak the Lawicel (slcan) text protocol on a serial port.
 
 A frame is 't' and 3, or 'T' and 8 hexadecimal digits of identifier, a digit of length, the data in hexadecimal, and CR.
+Some adapters put 4 digits of time, ms, behind the data, though they are commanded not to.
 There is no checksum: of frames with one flipped bit about 4 in 10 still look sound, so what comes has to be checked for
 sense by whoever uses it.
 """
@@ -17,14 +18,15 @@ from drivers.links.serial_port import open_serial
 from drivers.links.stream import StreamPort
 from drivers.links.uri import CAN_BITRATES
 
-MAX_LINE_BYTES: Final = 26  # T, identifier, length, 8 bytes of data
+MAX_LINE_BYTES: Final = 30  # T, identifier, length, 8 bytes of data, time stamp
+_STAMP_DIGITS: Final = 4  # of a time stamp
+_SURE: Final = 3  # frames in a row with a time stamp, or without, that show what the adapter does (chosen)
 _MAX_EXTENDED_ID: Final = 0x1FFFFFFF  # 29 bits, by the CAN specification 2.0 B
 _MAX_STANDARD_ID: Final = 0x7FF  # 11 bits, by the CAN specification 2.0 A
-_FRAME: Final = (
-    rb"(?:T[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}|t[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10})\r"  # MAX_LINE_BYTES
-)
+# Up to MAX_LINE_BYTES.
+_FRAME: Final = rb"(?:T[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,10}|t[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10})\r"
 _FRAME_PARTS: Final = (
-    rb"[Tt](?P<frame>(?:(?<=T)[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,8}"
+    rb"[Tt](?P<frame>(?:(?<=T)[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,10}"
     rb"|(?<=t)[0-9A-Fa-f]{3}[0-8](?:[0-9A-Fa-f]{2}){0,10}))\r"
 )
 _REMOTE: Final = rb"(?:R[0-9A-Fa-f]{8}|r[0-9A-Fa-f]{3})[0-8]\r"
@@ -43,15 +45,21 @@ _LINES: Final = re.compile(rb"(%b)%b|(?P<others>(?:(?!%b%b)%b[\r\a])+)" % (_TEXT
 class SlcanParser:
     """Parse an adapter's text, however damaged and however cut up, to frames. Holds less than one line; never raises.
 
-    counters: slcan.frames, .remote (frames without data, dropped), .answers and .refusals (of the adapter, to
-    commands), and what was refused: slcan.refused.line (no frame), .length (data longer or shorter than it says),
-    .identifier, .before_frame (something stands in front of a sound frame, as when the end of the one before got lost).
+    Time stamps are taken off an adapter that sends them, from the third frame on: one frame alone may as well have a
+    damaged length.
+
+    counters: slcan.frames, .time_stamps (taken off), .remote (frames without data, dropped), .answers and .refusals (of
+    the adapter, to commands), and what was refused: slcan.refused.line (no frame), .length (data longer or shorter than
+    it says), .identifier, .before_frame (something stands in front of a sound frame, as when the end of the one before
+    got lost).
     """
 
     def __init__(self, counters: Counter[str]) -> None:
         self.counters = counters
         self._rest = b""  # of the line so far, its end
         self._is_long = False  # more stood before it
+        self._has_stamps = False
+        self._n_unlike = 0  # frames in a row that are not as `_has_stamps` says
 
     def feed(self, data: bytes) -> list[CanFrame]:
         """Return the frames that these bytes complete, in order."""
@@ -94,9 +102,13 @@ class SlcanParser:
         is_long = match.string[match.start(2) - 1] == ord("T")
         n_id = 8 if is_long else 3
         digits = text[n_id + 1 :]
-        if len(digits) != 2 * (text[n_id] - ord("0")):
+        n_over = len(digits) - 2 * (text[n_id] - ord("0"))
+        if n_over not in (0, _STAMP_DIGITS) or not self._is_as_usual(has_stamp=n_over > 0):
             self.counters["slcan.refused.length"] += 1
             return None
+        if n_over:
+            digits = digits[:-_STAMP_DIGITS]
+            self.counters["slcan.time_stamps"] += 1
         can_id = int(text[:n_id], 16)
         if can_id > (_MAX_EXTENDED_ID if is_long else _MAX_STANDARD_ID):
             self.counters["slcan.refused.identifier"] += 1
@@ -104,6 +116,17 @@ class SlcanParser:
         if before:
             self.counters["slcan.refused.before_frame"] += 1
         return CanFrame(can_id, unhexlify(digits), is_long)
+
+    def _is_as_usual(self, *, has_stamp: bool) -> bool:
+        """Check whether a frame has a time stamp or none as the adapter's others; learn it from some in a row."""
+        if has_stamp == self._has_stamps:
+            self._n_unlike = 0
+            return True
+        self._n_unlike += 1
+        if self._n_unlike < _SURE:
+            return False
+        self._has_stamps, self._n_unlike = has_stamp, 0
+        return True
 
 
 def encode(frame: CanFrame) -> bytes:

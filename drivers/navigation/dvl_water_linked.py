@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from typing import Any, Final, NamedTuple, TypeAlias
 
-from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.framing import Grammar, StampedFramer, StampedMessage
+from drivers.framing import Grammar
 from drivers.message_candidates import MessageCandidates
-from drivers.navigation.nav_decoder import NavFix
 
 _MAX_MESSAGE_BYTES: Final = 384  # of a message; bounds how long junk can hold one back
 _BODY: Final = rb"[\x20-\x29\x2b-\x76\x78-\x7e]"
@@ -94,45 +91,8 @@ class TextGrammar(Grammar[str]):
         return {ord("*"): "checksum_malformed", ord("w"): "interrupted"}.get(buffer[end], "malformed")
 
 
-class WaterLinkedUnit:
-    """Decode one link's messages to fixes. Never raises, whatever the bytes.
-
-    `counters`: those of the framer (`water_linked.*`), `.malformed` (checksum right, fields impossible), `.ignored`
-    (`wru` and other kinds), `.no_bottom_lock`.
-    """
-
-    def __init__(self, source: str) -> None:
-        self._source = source
-        self._framer = StampedFramer(TextGrammar())
-        self._own: Counter[str] = Counter()
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._framer.counters + self._own
-
-    def feed(self, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """Return what a chunk completes, in order. stamp: when its last byte was read."""
-        return [fix for arrived in self._framer.feed(data, stamp) for fix in self._fixes(arrived)]
-
-    def finish(self) -> list[NavFix]:
-        """Return what still waited at the end of a log or link."""
-        return [fix for arrived in self._framer.finish() for fix in self._fixes(arrived)]
-
-    def _fixes(self, arrived: StampedMessage[str]) -> list[NavFix]:
-        try:
-            record = parse(arrived.message)
-        except ValueError:
-            self._own["water_linked.malformed"] += 1
-            return []
-        if record is None:
-            self._own["water_linked.ignored"] += 1
-            return []
-        if isinstance(record, Velocity) and not record.good:
-            self._own["water_linked.no_bottom_lock"] += 1
-        return [NavFix(source=self._source, received=arrived.received, n_bytes=arrived.n_bytes, **_fix_fields(record))]
-
-
-def _fix_fields(record: Record) -> dict[str, Any]:
+def fix_fields(record: Record) -> dict[str, Any]:
+    """Return the fields of a fix that a record gives."""
     if isinstance(record, WaterLinkedAttitude):
         return {
             "time_utc_s": record.time_s if record.time_s >= _CLOCK_SET_S else None,
@@ -141,19 +101,19 @@ def _fix_fields(record: Record) -> dict[str, Any]:
             "roll_rad": record.roll_rad,
         }
     validity_s = record.validity_us * 1e-6
-    fix_fields: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "time_utc_s": validity_s if validity_s >= _CLOCK_SET_S else None,
         "age_s": max((record.transmission_us - record.validity_us) * 1e-6, 0.0),
         "valid": record.good,
     }
     if record.good:
-        fix_fields.update(
+        fields.update(
             speed_mps=math.hypot(record.forward_mps, record.starboard_mps),
             drift_rad=math.atan2(record.starboard_mps, record.forward_mps),
             speed_sigma_mps=record.figure_of_merit_mps,
             altitude_m=record.altitude_m if record.altitude_m > 0.0 else NAN,
         )
-    return fix_fields
+    return fields
 
 
 def parse(body: str) -> Record | None:

@@ -13,9 +13,9 @@ from typing import Final
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.plugins import Plugin, import_plugin, remedy
 from drivers.navigation.dvl_pd6 import Pd6Unit
-from drivers.navigation.dvl_water_linked import WaterLinkedUnit
 from drivers.navigation.nav_decoder import NavDecoder
 from drivers.navigation.nmea_unit import NmeaUnit
+from drivers.navigation.water_linked_unit import WaterLinkedUnit
 from drivers.plugin_device import checked, device_plugin
 
 CAN_PROTOCOL: Final = "nmea2000"  # frames instead of bytes: `n2k_bus.N2kBus`

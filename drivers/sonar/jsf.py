@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from struct import Struct
 from typing import Final
 
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NAN, EchoTrace, NavSample
+from auv_mcm.records import NAN, EchoTrace, NavSample, Notice
 from drivers.framing import Grammar, Refused, StampedFramer, StampedMessage
 from drivers.sonar.jsf_messages import (
     DATA_HEADER_BYTES,
@@ -37,17 +38,23 @@ from drivers.sonar.jsf_messages import (
     sound_speed_in,
 )
 from drivers.sonar.pairing import SidePairer
-from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.sonar_decoder import SonarFrame, SonarItem, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
 
 HIGH_FREQUENCY: Final = 21  # subsystem
-SIDE_SCAN_SUBSYSTEMS: Final = (20, 21, 22)  # low, high, very high frequency
+SUBSYSTEM_NAMES: Final = {20: "low frequency", 21: "high frequency", 22: "very high frequency"}
+SIDE_SCAN_SUBSYSTEMS: Final = tuple(SUBSYSTEM_NAMES)
 MAX_RANGE_M: Final = 500.0  # m: beyond any side-scan of this protocol
 MAX_GAIN: Final = 100  # per cent
 NOMINAL_SOUND_SPEED_MPS: Final = 1500.0  # m/s, while the sonar reports none
 
 _MAX_BODY_BYTES: Final = (1 << 18) - 1  # 32 times the samples that side-scans of AUVs send
-_MAX_OTHER_BYTES: Final = 1 << 14  # only its size gives the length of other messages: a wrong one costs little waiting
+_MAX_OTHER_BYTES: Final = 1 << 14  # only its size gives the length of other messages: a longer one needs another behind
+_MAX_FILE_BYTES: Final = (1 << 24) - 1  # of a message in a file, where nobody waits: bathymetry and stave data are long
+_OFTEN: Final = 5  # messages of a subsystem, after which it counts (chosen)
+_STRAY_FRACTION: Final = (
+    0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers (chosen)
+)
 _PADDING_BYTES: Final = 64  # that a data message may have behind its samples
 _LENGTH_KNOWN_BYTES: Final = HEADER_BYTES + 116  # of a data message, to know how many samples it has
 _MAX_WEIGHTING: Final = 40  # power of two that scales samples: up to it squares of 16-bit samples fit a 32-bit float
@@ -66,14 +73,14 @@ _MOVING_DKN: Final = 6  # tenths of a knot, 0.3 m/s: a place then changes by its
 
 _SPARSE_APART: Final = 15  # 1e-4 minutes of arc, 3 m: a place that changes so far at once came late
 
-# Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; size below
-# _MAX_BODY_BYTES.
+# Sync; version <= 0x20; session; type 1..9999; command 0..3; subsystem; channel < 16; sequence; reserved; the low two
+# bytes of the size, the high ones by the longest message.
 _AFTER_SYNC: Final = (
     rb"[\x00-\x20][\x00-\xff](?:[\x01-\xff]\x00|[\x00-\xff][\x01-\x26]|[\x00-\x0f]\x27)"
-    rb"[\x00-\x03][\x00-\xff][\x00-\x0f][\x00-\xff]{5}[\x00-\x03]\x00"
+    rb"[\x00-\x03][\x00-\xff][\x00-\x0f][\x00-\xff]{5}"
 )
-_HEADER: Final = re.compile(rb"\x01\x16" + _AFTER_SYNC)
-_SYNC: Final = re.compile(rb"\x01(?=\x16%b)" % _AFTER_SYNC)  # one byte wide, as headers may overlap
+_ON_LINKS: Final = _AFTER_SYNC + rb"[\x00-\x03]\x00"  # up to _MAX_BODY_BYTES
+_IN_FILES: Final = _AFTER_SYNC + rb"[\x00-\xff]\x00"  # up to _MAX_FILE_BYTES
 _FIRST_BYTE: Final = 0x01
 _SYNC_BYTES: Final = b"\x01\x16"
 _START_OF: Final = re.Match.start
@@ -86,24 +93,38 @@ class JsfGrammar(Grammar[JsfMessage]):
 
     If one seems to begin inside, either the outer lost its end and swallowed the beginning of the next, or samples look
     like a header by chance. The inner is believed if another follows it inside or it ends where the outer does; else
-    the outer, if a header follows it.
+    the outer, if a header follows it. A long message of another type than side scan is believed only if a header, or
+    the end of the file, follows it, whatever is inside.
     """
 
     name = "jsf"
     head_bytes = HEADER_BYTES
-    max_message_bytes = HEADER_BYTES + _MAX_BODY_BYTES + HEADER_BYTES  # with the header that follows
     proven = False
 
+    def __init__(self, file_bytes: int | None = None) -> None:
+        """file_bytes: size of the file that is read, None for a link, where long messages would be waited for."""
+        self._max_body_bytes = _MAX_BODY_BYTES if file_bytes is None else _MAX_FILE_BYTES
+        after_sync = _ON_LINKS if file_bytes is None else _IN_FILES
+        self._header = re.compile(rb"\x01\x16" + after_sync)
+        self._sync = re.compile(rb"\x01(?=\x16%b)" % after_sync)  # one byte wide, as headers may overlap
+        self._file_bytes = -1 if file_bytes is None else file_bytes
+        self._n_forgotten = 0
+
+    @property
+    def max_message_bytes(self) -> int:
+        """Return the length of the longest message, with the header that follows."""
+        return HEADER_BYTES + self._max_body_bytes + HEADER_BYTES
+
     def find(self, buffer: bytearray, start: int, refused: Refused) -> int:
-        for at in map(_START_OF, _SYNC.finditer(buffer, start)):
-            reason = None if at == start else _refusal(buffer, at)
+        for at in map(_START_OF, self._sync.finditer(buffer, start)):
+            reason = None if at == start else self._refusal(buffer, at)
             if reason is None:
                 return at
             refused[reason] = refused.get(reason, 0) + 1
         return -1
 
     def read(self, buffer: bytearray, at: int) -> tuple[JsfMessage, int] | int | str:
-        reason = _refusal(buffer, at)
+        reason = self._refusal(buffer, at)
         if reason is not None:
             return reason
         n_there = len(buffer) - at
@@ -116,41 +137,59 @@ class JsfGrammar(Grammar[JsfMessage]):
         if n_there < n_bytes:
             return n_bytes
         end = at + n_bytes
-        if n_there < n_bytes + HEADER_BYTES and _HEADER.search(buffer, at + HEADER_BYTES, end) is not None:
+        if n_there < n_bytes + HEADER_BYTES and (
+            self._needs_a_follower(kind, n_body, end)
+            or (not _is_long(kind, n_body) and self._header.search(buffer, at + HEADER_BYTES, end) is not None)
+        ):
             return n_bytes + HEADER_BYTES
         body = bytes(buffer[at + HEADER_BYTES : end])
         return JsfMessage(kind, body, command, subsystem, channel, sequence, session, version, reserved), n_bytes
 
+    def forget(self, n_bytes: int) -> None:
+        self._n_forgotten += n_bytes
 
-def _refusal(buffer: bytearray, at: int) -> str | None:
-    """Return why the candidate at `at` is refused, None if it is not, or if that is not known yet."""
-    kind, n_body = _KIND_AND_SIZE(buffer, at + _KIND_OFFSET)
-    end = at + HEADER_BYTES + n_body
-    n_there = len(buffer)
-    if kind == SIDE_SCAN:
-        if n_body < DATA_HEADER_BYTES:
+    def _needs_a_follower(self, kind: int, n_body: int, end: int) -> bool:
+        """Check whether a message counts only if a header follows; the end of a file is as good."""
+        return _is_long(kind, n_body) and self._n_forgotten + end != self._file_bytes
+
+    def _refusal(self, buffer: bytearray, at: int) -> str | None:
+        """Return why the candidate at `at` is refused, None if it is not, or if that is not known yet."""
+        kind, n_body = _KIND_AND_SIZE(buffer, at + _KIND_OFFSET)
+        end = at + HEADER_BYTES + n_body
+        n_there = len(buffer)
+        if n_body > self._max_body_bytes:
             return "length"
-        if n_there < at + _LENGTH_KNOWN_BYTES:
+        if kind == SIDE_SCAN:
+            if n_body < DATA_HEADER_BYTES:
+                return "length"
+            if n_there < at + _LENGTH_KNOWN_BYTES:
+                return None
+            if not 0 <= n_body - declared_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
+                return "length"
+        elif _is_long(kind, n_body):
+            if n_there < end + HEADER_BYTES or not self._needs_a_follower(kind, n_body, end):
+                return None
+            return None if self._header.match(buffer, end) is not None else "length"
+        if n_there < end:
             return None
-        if not 0 <= n_body - declared_data_bytes(buffer, at + HEADER_BYTES) <= _PADDING_BYTES:
-            return "length"
-    elif n_body > _MAX_OTHER_BYTES:
-        return "length"
-    if n_there < end:
-        return None
-    inner_at = buffer.find(_SYNC_BYTES, at + HEADER_BYTES, end)
-    if inner_at >= 0 and _HEADER.match(buffer, inner_at, end) is None:
-        inner = _HEADER.search(buffer, inner_at + 1, end)
-        inner_at = -1 if inner is None else inner.start()
-    if inner_at < 0:
-        return None
-    if n_there >= end + HEADER_BYTES and (buffer[end] != _FIRST_BYTE or _HEADER.match(buffer, end) is None):
-        return "swallowed_others"
-    # The inner message ends at `end`, or before it where another begins.
-    _, n_inner = _KIND_AND_SIZE(buffer, inner_at + _KIND_OFFSET)
-    inner_end = inner_at + HEADER_BYTES + n_inner
-    is_followed = inner_end == end or (inner_end < end and _HEADER.match(buffer, inner_end) is not None)
-    return "swallowed_others" if is_followed else None
+        inner_at = buffer.find(_SYNC_BYTES, at + HEADER_BYTES, end)
+        if inner_at >= 0 and self._header.match(buffer, inner_at, end) is None:
+            inner = self._header.search(buffer, inner_at + 1, end)
+            inner_at = -1 if inner is None else inner.start()
+        if inner_at < 0:
+            return None
+        if n_there >= end + HEADER_BYTES and (buffer[end] != _FIRST_BYTE or self._header.match(buffer, end) is None):
+            return "swallowed_others"
+        # The inner message ends at `end`, or before it where another begins.
+        _, n_inner = _KIND_AND_SIZE(buffer, inner_at + _KIND_OFFSET)
+        inner_end = inner_at + HEADER_BYTES + n_inner
+        is_followed = inner_end == end or (inner_end < end and self._header.match(buffer, inner_end) is not None)
+        return "swallowed_others" if is_followed else None
+
+
+def _is_long(kind: int, n_body: int) -> bool:
+    """Check whether a message is so long that its size has to be confirmed."""
+    return kind != SIDE_SCAN and n_body > _MAX_OTHER_BYTES
 
 
 class JsfDecoder:
@@ -163,11 +202,13 @@ class JsfDecoder:
     between fixes and not in steps.
     """
 
-    def __init__(self, *, subsystem: int = HIGH_FREQUENCY) -> None:
-        """subsystem: 20, 21 or 22, as one sonar may send several frequencies at once."""
+    def __init__(self, *, subsystem: int | None = None) -> None:
+        """subsystem: 20, 21 or 22, as one sonar may send several frequencies at once; None for the highest heard."""
         self._framer = StampedFramer(JsfGrammar())
         self._pairer = SidePairer(self._framer.counters)
-        self._subsystem = subsystem
+        self._subsystem = subsystem or HIGH_FREQUENCY
+        self._heard: Counter[int] | None = Counter() if subsystem is None else None
+        self._is_notified = False
         self._sound_speed_mps = NOMINAL_SOUND_SPEED_MPS
         self._sensor_speed_mps: float | None = None  # of sound, by a sensor's own message
         self._place_since_s = math.inf
@@ -178,16 +219,18 @@ class JsfDecoder:
     def counters(self) -> Counter[str]:
         return self._framer.counters
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
+    def feed(self, data: bytes, stamp: Stamp) -> list[SonarItem]:
         return self._decoded(self._framer.feed(data, stamp))
 
-    def finish(self) -> list[SonarFrame | SonarReply]:
+    def finish(self) -> list[SonarItem]:
         return [*self._decoded(self._framer.finish()), *self._pairer.finish()]
 
-    def _decoded(self, messages: list[StampedMessage[JsfMessage]]) -> list[SonarFrame | SonarReply]:
-        found: list[SonarFrame | SonarReply] = []
+    def _decoded(self, messages: list[StampedMessage[JsfMessage]]) -> list[SonarItem]:
+        found: list[SonarItem] = []
         for arrived in messages:
             message = arrived.message
+            if self._heard is not None and is_side_scan(message):
+                found += self._follow_highest(message.subsystem, self._heard)
             if message.command in (Command.REPLY, Command.ERROR):
                 found.append(_reply(arrived))
             elif message.message_type != SIDE_SCAN:
@@ -201,6 +244,24 @@ class JsfDecoder:
             else:
                 found += self._frames(arrived)
         return found
+
+    def _follow_highest(self, subsystem: int, heard: Counter[int]) -> list[Notice]:
+        """Use the highest frequency that is heard often enough to come of no damage; report the choice once."""
+        heard[subsystem] += 1
+        enough = max(_OFTEN, _STRAY_FRACTION * max(heard.values()))
+        often = sorted(known for known, n_messages in heard.items() if n_messages >= enough)
+        if not often:
+            return []
+        self._subsystem = often[-1]
+        if len(often) < 2 or self._is_notified:
+            return []
+        self._is_notified = True
+        return [
+            Notice(
+                code="sonar_frequency_chosen",
+                text=f"of several frequencies one is used: {subsystems_text(often, self._subsystem)}",
+            )
+        ]
 
     def _frames(self, arrived: StampedMessage[JsfMessage]) -> list[SonarFrame]:
         data = decode_data(arrived.message.body)
@@ -261,6 +322,23 @@ class JsfDecoder:
         return self._sound_speed_mps
 
 
+def is_side_scan(message: JsfMessage) -> bool:
+    """Check whether a message is a side of a ping, of any frequency."""
+    return (
+        message.message_type == SIDE_SCAN
+        and message.subsystem in SIDE_SCAN_SUBSYSTEMS
+        and message.channel in (PORT, STARBOARD)
+        and message.command not in (Command.REPLY, Command.ERROR)
+    )
+
+
+def subsystems_text(there: Sequence[int], used: int) -> str:
+    """Describe which of a sonar's frequencies is used, and how to change it."""
+    others = " or ".join(str(subsystem) for subsystem in there if subsystem != used)
+    names = " and ".join(f"{subsystem} ({SUBSYSTEM_NAMES[subsystem]})" for subsystem in there)
+    return f"side scan comes of subsystems {names}: {used} is used. Set sonar.subsystem: {others} for another"
+
+
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
     """Return the commands that make the subsystem ping with these settings; without a gain, its own is kept.
 
@@ -277,7 +355,7 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
 def _unusable(data: SideScanData, spacing_m: float) -> str | None:
     """Return why no trace can be made of it, in one word."""
     header = data.header
-    if header.data_format not in (DataFormat.ENVELOPE, DataFormat.ANALYTIC):
+    if header.data_format not in (DataFormat.ENVELOPE, DataFormat.ANALYTIC, DataFormat.REAL):
         return "data_format"
     if (
         header.n_samples == 0

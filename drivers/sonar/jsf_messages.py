@@ -64,6 +64,7 @@ class DataFormat(IntEnum):
     ENVELOPE = 0  # u16
     ANALYTIC = 1  # i16 real, imaginary
     RAW = 2  # i16 before the matched filter
+    REAL = 3  # i16 real part of the analytic signal
     UNMATCHED_ANALYTIC = 9  # i16 real, imaginary
 
 
@@ -264,10 +265,15 @@ def values_per_sample(data_format: int) -> int:
 
 
 def amplitude(data: SideScanData) -> NDArray[np.float32]:
-    """Return the (n_samples,) float32 amplitude of envelope or analytic samples, value * 2^-weighting."""
+    """Return the (n_samples,) float32 amplitude of envelope or analytic samples, value * 2^-weighting.
+
+    Where only the real part is stored, its magnitude stands for it.
+    """
     values = data.values.astype(np.float32)
     if data.header.data_format == DataFormat.ANALYTIC:
         values = np.hypot(values[0::2], values[1::2])
+    elif data.header.data_format == DataFormat.REAL:
+        np.abs(values, out=values)
     return np.ldexp(values, -data.header.weighting, out=values)
 
 

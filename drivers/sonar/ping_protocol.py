@@ -46,7 +46,8 @@ from drivers.sonar.ping_messages import (
     encode,
     linear_power,
 )
-from drivers.sonar.sonar_decoder import SonarFrame, SonarReply, SonarSettings
+from drivers.sonar.ping_sides import MAX_CHANNEL, HeadSides, Sided
+from drivers.sonar.sonar_decoder import SonarFrame, SonarItem, SonarReply, SonarSettings
 from drivers.sonar.sonar_settings import check_settings
 
 MAX_GAIN: Final = 7  # highest gain setting of the sonar
@@ -137,27 +138,41 @@ class PingGrammar(Grammar[PingMessage]):
 class PingDecoder:
     """Decode profiles to frames of linear power, both sides joined, and answers to replies; count other messages.
 
-    The compass headings in a profile are not used: devices leave them zero.
+    The look angle in a profile decides its side where somebody set it, see `HeadSides`.
     """
 
-    def __init__(self, *, port_channel: int = 0) -> None:
-        """port_channel: channel number of the head that looks to port, 0 or 1; the other looks to starboard."""
+    def __init__(self, *, port_channel: int = 0, by_number: bool = False, subsystem: int | None = None) -> None:
+        """Start at the beginning of a link or log.
+
+        Parameters
+        ----------
+        port_channel
+            Channel number of the head that looks to port, 0 or 1; the other looks to starboard.
+        by_number
+            Sides by channel numbers alone, not by look angles.
+        subsystem
+            20 for the lowest of several frequencies, else the highest is used.
+        """
         self._framer = StampedFramer(PingGrammar())
         self._pairer = SidePairer(self._framer.counters)
-        self._port_channel = port_channel
+        self._sides = HeadSides(
+            self._framer.counters, by_number=by_number, subsystem=subsystem, port_channel=port_channel
+        )
+        self._n_notices = 0
 
     @property
     def counters(self) -> Counter[str]:
         return self._framer.counters
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
+    def feed(self, data: bytes, stamp: Stamp) -> list[SonarItem]:
         return self._decoded(self._framer.feed(data, stamp))
 
-    def finish(self) -> list[SonarFrame | SonarReply]:
-        return [*self._decoded(self._framer.finish()), *self._pairer.finish()]
+    def finish(self) -> list[SonarItem]:
+        found = self._decoded(self._framer.finish())
+        return [*found, *self._paired(self._sides.finish()), *self._pairer.finish()]
 
-    def _decoded(self, messages: list[StampedMessage[PingMessage]]) -> list[SonarFrame | SonarReply]:
-        found: list[SonarFrame | SonarReply] = []
+    def _decoded(self, messages: list[StampedMessage[PingMessage]]) -> list[SonarItem]:
+        found: list[SonarItem] = []
         for arrived in messages:
             message_id = arrived.message.message_id
             if message_id == OS_MONO_PROFILE:
@@ -168,30 +183,38 @@ class PingDecoder:
                 self.counters["ping_protocol.other_messages"] += 1
         return found
 
-    def _frames(self, arrived: StampedMessage[PingMessage]) -> list[SonarFrame]:
+    def _frames(self, arrived: StampedMessage[PingMessage]) -> list[SonarItem]:
         profile = decode(arrived.message)
         assert isinstance(profile, OsMonoProfile), "the framer lets no other length pass"
         reason = _unusable(profile)
         if reason is not None:
             self.counters[f"ping_protocol.refused.{reason}"] += 1
             return []
+        found: list[SonarItem] = [*self._paired(self._sides.add(arrived, profile))]
+        found += self._sides.notices[self._n_notices :]
+        self._n_notices = len(self._sides.notices)
+        return found
+
+    def _paired(self, profiles: list[Sided]) -> list[SonarFrame]:
+        return [frame for sided in profiles for frame in self._pairer.add(self._frame(sided))]
+
+    def _frame(self, sided: Sided) -> SonarFrame:
+        profile, arrived = sided.profile, sided.arrived
         n_samples = profile.pwr_results.shape[0]
         spacing_m = 1e-3 * profile.length_mm / n_samples
         trace = EchoTrace(
             samples=linear_power(profile), first_range_m=1e-3 * profile.start_mm + 0.5 * spacing_m, spacing_m=spacing_m
         )
-        to_port = profile.channel_number == self._port_channel
-        frame = SonarFrame(
+        return SonarFrame(
             number=profile.ping_number,
-            port=trace if to_port else None,
-            starboard=None if to_port else trace,
+            port=trace if sided.side == "port" else None,
+            starboard=trace if sided.side == "starboard" else None,
             transfer="intensity",
             received=arrived.received,
             n_bytes=arrived.n_bytes,
             sound_speed_mps=0.1 * profile.sound_speed_dmps,
             device_time_s=1e-3 * profile.timestamp_ms,
         )
-        return self._pairer.add(frame)
 
 
 def commands(settings: SonarSettings) -> tuple[bytes, ...]:
@@ -214,7 +237,7 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
 
 def _unusable(profile: OsMonoProfile) -> str | None:
     """Return why no trace can be made of it, in one word."""
-    if profile.channel_number > 1:
+    if profile.channel_number > MAX_CHANNEL:
         return "channel"
     if (
         profile.pwr_results.shape[0] == 0

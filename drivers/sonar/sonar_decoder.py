@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Literal, Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import msgspec
 
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NAN, EchoTrace, NavSample
+from auv_mcm.records import NAN, EchoTrace, NavSample, Notice
 
 
 class SonarFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -65,6 +66,10 @@ class SonarSettings(msgspec.Struct, frozen=True, kw_only=True):
     subsystem: int | None = None
 
 
+SonarItem: TypeAlias = SonarFrame | SonarReply | Notice
+"""What a decoder finds: frames, answers to commands, and what a person should know of the device."""
+
+
 @runtime_checkable
 class SonarDecoder(Protocol):
     """Decode bytes of one link. Never raises, whatever the bytes.
@@ -76,13 +81,13 @@ class SonarDecoder(Protocol):
     @property
     def counters(self) -> Counter[str]: ...
 
-    def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
+    def feed(self, data: bytes, stamp: Stamp) -> Sequence[SonarItem]:
         """Return what a chunk completes, in order; bytes of a message may come in any number of chunks.
 
         stamp: when the chunk's last byte was read.
         """
         ...
 
-    def finish(self) -> list[SonarFrame | SonarReply]:
+    def finish(self) -> Sequence[SonarItem]:
         """Return what still waited at the end of a log or link."""
         ...

@@ -38,9 +38,11 @@ class SonarDevice(NamedTuple):
 SONARS: Final[Mapping[str, SonarDevice]] = MappingProxyType(
     {
         "ping_protocol": SonarDevice(
-            lambda sonar: ping_protocol.PingDecoder(), ping_protocol.commands, counter_period_s=MILLISECOND_COUNTER_S
+            lambda sonar: ping_protocol.PingDecoder(by_number=sonar.sides == "by_number", subsystem=sonar.subsystem),
+            ping_protocol.commands,
+            counter_period_s=MILLISECOND_COUNTER_S,
         ),
-        "jsf": SonarDevice(lambda sonar: jsf.JsfDecoder(subsystem=sonar.subsystem or jsf.HIGH_FREQUENCY), jsf.commands),
+        "jsf": SonarDevice(lambda sonar: jsf.JsfDecoder(subsystem=sonar.subsystem), jsf.commands),
         "sportscan": SonarDevice(lambda sonar: imagenex.SportScanDecoder(), imagenex.commands, asked_per_ping=True),
     }
 )

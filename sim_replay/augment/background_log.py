@@ -28,7 +28,7 @@ from auv_mcm.waterfall.ground import Traces, make_traces
 from auv_mcm.waterfall.law_watch import law_of_pings
 from auv_mcm.waterfall.quality import TraceChecker
 from auv_mcm.waterfall.transfer import to_intensity
-from sim_replay.logs.open_log import format_title, log_format
+from sim_replay.logs.open_log import find_format
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_header import SIDE_SCAN, channels
 from sim_replay.logs.xtf_packets import HEADER_BLOCK, XtfPacket, header_bytes, read_packets
@@ -99,9 +99,9 @@ def read_survey(path: Path, config: Config) -> Survey:
     pings: list[Ping] = []
     intake = Intake(config, Counter())
     released: list[PingBlock | SegmentEnd] = []
-    if (found := log_format(path)) != "xtf":
+    if (found := find_format(path)).name != "xtf":
         raise BadInputError(
-            f"{path} is a log of format {format_title(found)}; objects are embedded in XTF logs alone, since every "
+            f"{path} is a log of format {found.title}; objects are embedded in XTF logs alone, since every "
             "other byte is kept. Export it as XTF."
         )
     for event in XtfLog(path, config.sonar):

@@ -20,7 +20,7 @@ from auv_mcm.records import NAN, Notice
 from drivers.navigation.nmea0183 import sentence
 from drivers.navigation.sentences import Dpt, Pashr, Record, Vtg, body_of
 from drivers.recording.session_layout import Recorded
-from drivers.sonar.jsf import SIDE_SCAN_SUBSYSTEMS, JsfGrammar
+from drivers.sonar.jsf import JsfGrammar, is_side_scan, subsystems_text
 from drivers.sonar.jsf_messages import (
     DATA_HEADER,
     DOPPLER,
@@ -64,6 +64,7 @@ _PITCH_VALID, _ROLL_VALID, _HEADING_VALID = 1 << 6, 1 << 7, 1 << 9
 _PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
 _PROBE_MESSAGES: Final = 400  # looked at to find which sonars a log holds
 _STRAY_FRACTION: Final = 0.05  # of the commonest subsystem's messages; fewer of another come of damaged headers
+_MAX_CHANNEL: Final = 3  # that a recorder may count sides up to, from 0 or 1
 _MAX_ECHO_S: Final = 5.0  # 3750 m; the decoder refuses what is longer
 _MIN_INTERVAL_S: Final = 0.02  # s between pings whose time and range are unknown
 _CLOCK_NOT_SET: Final = "the sonar's clock was never set: the date is unknown and times count from 1970"
@@ -80,14 +81,13 @@ class JsfRecording:
     def __init__(
         self, path: Path, subsystem: int | None, chunk_bytes: int, *, sound_speed_is_set: bool = False
     ) -> None:
-        """Select the subsystem to use; None for the only one that the file holds.
+        """Select the subsystem to use; None for the highest that the file holds.
 
         sound_speed_is_set: by the configuration, so that the log need not say it.
 
-        Raises BadInputError for a file without side-scan messages, UsageError where the subsystem is not there or has
-        to be chosen.
+        Raises BadInputError for a file without side-scan messages, UsageError where the subsystem is not there.
         """
-        self._file = MessageFile(path, JsfGrammar(), chunk_bytes)
+        self._file = MessageFile(path, JsfGrammar, chunk_bytes)
         self._own: Counter[str] = Counter()
         self.notices: list[Notice] = []
         self._sound_speed_is_set = sound_speed_is_set
@@ -95,6 +95,7 @@ class JsfRecording:
         self._last_ns: int | None = None  # of the newest ping
         self._n_pings = 0
         self._n_without_speed = 0
+        self._choice = ""
         self.subsystem = self._chosen(subsystem)
 
     @property
@@ -114,6 +115,13 @@ class JsfRecording:
         self._own = Counter()
         self.notices = []
         self._last_ns, self._n_pings, self._n_without_speed = None, 0, 0
+        self._channels.start()
+        if self._channels.notice:
+            text = f"channel numbers in the messages do not name the sides: {self._channels.notice}"
+            self._notify("reader.channel_numbers", text, self._file.path.name)
+        if self._choice:
+            text = f"of several frequencies one is used: {self._choice}"
+            self._notify("reader.frequency_chosen", text, self._file.path.name)
         order = TimeOrder(self._own)
         for framed in self._file:
             recorded = self._recorded(framed.message, framed.offset)
@@ -135,9 +143,21 @@ class JsfRecording:
                 self._file.path.name,
             )
 
+    @property
+    def frequency_khz(self) -> float:
+        """Return the frequency in use, 0 where the messages state none."""
+        headers = [
+            SideScanHeader(*DATA_HEADER.unpack_from(message.body))
+            for message in self._probed
+            if message.subsystem == self.subsystem
+        ]
+        sweeps = [5e-3 * (header.start_frequency_dahz + header.end_frequency_dahz) for header in headers]
+        return float(sorted(sweeps)[len(sweeps) // 2]) if sweeps else 0.0
+
     def _chosen(self, wanted: int | None) -> int:
         path = self._file.path
         found = self._subsystems()
+        self._channels = _learn_channels(self._probed)
         names = " and ".join(map(str, found))
         if not found:
             raise BadInputError(
@@ -150,14 +170,16 @@ class JsfRecording:
                 f"sonar.subsystem is {wanted}, but {path} holds side scan of subsystem {names}. Set one that it holds."
             )
         if wanted is None and len(found) > 1:
-            raise UsageError(f"{path} holds side scan of subsystems {names}: set sonar.subsystem to the one to use.")
-        return found[0] if wanted is None else wanted
+            self._choice = subsystems_text(found, found[-1])
+        return found[-1] if wanted is None else wanted
 
     def _subsystems(self) -> list[int]:
         """List the side-scan subsystems at the beginning of the file, without those of a few damaged headers."""
         seen: Counter[int] = Counter()
+        self._probed: list[JsfMessage] = []
         for framed in self._file:
-            if _is_side_scan(framed.message):
+            if _is_any_channel(framed.message):
+                self._probed.append(framed.message)
                 seen[framed.message.subsystem] += 1
                 header = SideScanHeader(*DATA_HEADER.unpack_from(framed.message.body))
                 self._has_clock = self._has_clock or header.utc_s > 0.0
@@ -182,7 +204,8 @@ class JsfRecording:
             self._own["reader.other_messages"] += 1
             return None
         if message.message_type == SIDE_SCAN:
-            if _is_side_scan(message) and message.subsystem == self.subsystem:
+            message = self._channels.canonical(message)
+            if is_side_scan(message) and message.subsystem == self.subsystem:
                 return self._of_ping(message, offset)
             self._own[f"reader.not_used.subsystem_{message.subsystem}"] += 1
             return None
@@ -296,13 +319,59 @@ class JsfRecording:
         self.notices.append(Notice(code=code, text=text, place=place))
 
 
-def _is_side_scan(message: JsfMessage) -> bool:
-    return (
-        message.message_type == SIDE_SCAN
-        and message.subsystem in SIDE_SCAN_SUBSYSTEMS
-        and message.channel in (PORT, STARBOARD)
-        and message.command not in (Command.REPLY, Command.ERROR)
-    )
+def _is_any_channel(message: JsfMessage) -> bool:
+    return is_side_scan(message._replace(channel=PORT)) and message.channel <= _MAX_CHANNEL
+
+
+class _Channels:
+    """Give side-scan messages the channels that the format has for port and starboard, 0 and 1.
+
+    first: the lower of two channels in use. by_order: all messages have one channel, and those of a ping differ.
+    """
+
+    def __init__(self, first: int, *, by_order: bool, only: int) -> None:
+        self._first, self._by_order, self._only = first, by_order, only
+        self.notice = ""
+        if by_order:
+            self.notice = (
+                f"both sides have channel {only}: the first of a ping is taken as port. If port and starboard look "
+                "exchanged, set sonar.sides: swapped"
+            )
+        self.start()
+
+    def start(self) -> None:
+        """Start at the beginning of the file."""
+        self._last: dict[int, int] = {}  # by subsystem the ping whose port is there
+
+    def canonical(self, message: JsfMessage) -> JsfMessage:
+        """Return a side-scan message with channel 0 for port and 1 for starboard."""
+        if not self._by_order:
+            return message if self._first == PORT else message._replace(channel=message.channel - self._first)
+        if message.channel != self._only:
+            return message
+        number = SideScanHeader(*DATA_HEADER.unpack_from(message.body)).ping_number
+        is_second = self._last.get(message.subsystem) == number
+        if is_second:
+            del self._last[message.subsystem]
+        else:
+            self._last[message.subsystem] = number
+        return message._replace(channel=STARBOARD if is_second else PORT)
+
+
+def _learn_channels(messages: list[JsfMessage]) -> _Channels:
+    """Learn from a file's first side-scan messages how its recorder numbers channels."""
+    counts = Counter(message.channel for message in messages)
+    used = sorted(channel for channel, n in counts.items() if n >= _STRAY_FRACTION * max(counts.values()))
+    if len(used) == 2:
+        return _Channels(used[0] if used[1] == used[0] + 1 else PORT, by_order=False, only=PORT)
+    by_order = False
+    if len(used) == 1:
+        pings: dict[tuple[int, int], set[bytes]] = {}
+        for message in messages:
+            number = SideScanHeader(*DATA_HEADER.unpack_from(message.body)).ping_number
+            pings.setdefault((message.subsystem, number), set()).add(message.body[DATA_HEADER.size :])
+        by_order = 2 * sum(len(bodies) == 2 for bodies in pings.values()) > len(pings)
+    return _Channels(PORT, by_order=by_order, only=used[0] if used else PORT)
 
 
 def _received(port: str, data: bytes, time_ns: int) -> Recorded:

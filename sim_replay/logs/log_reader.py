@@ -12,7 +12,9 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, Final, NamedTuple, Protocol
+
+from msgspec import structs
 
 from auv_mcm.errors import AuvMcmError, BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
@@ -65,24 +67,32 @@ class LogReader(NamedTuple):
     events: Callable[[Path, BinaryIO, Config, Counter[str]], Iterator[SourceEvent]]
 
 
-class AddedFormat(NamedTuple):
-    """Hold a format that another package reads."""
-
-    plugin: Plugin
-    reader: LogReader
-
-    @property
-    def title(self) -> str:
-        """Return the format's name for people."""
-        return self.reader.title
+CERTAIN: Final = 1 << 30
+"""Claim of a format whose first bytes are its own; others claim as many messages as they find."""
 
 
-def added_formats(head: bytes) -> tuple[list[AddedFormat], list[str]]:
+class LogFormat(NamedTuple):
+    """Describe a format of logs that is read.
+
+    title: for people. recognises: how much speaks for the format in a file's first bytes, 1 MiB at most; 0 for nothing.
+    opens: opens a file, given the configuration and the size of the read buffer in bytes; it raises BadInputError or
+    UsageError. is_side_scan: a sonar's own format, which mostly holds side scan. is_image: it needs a sidecar.
+    """
+
+    name: str
+    title: str
+    recognises: Callable[[bytes], int]
+    opens: Callable[[Path, Config, int], Log]
+    is_side_scan: bool = False
+    is_image: bool = False
+
+
+def added_formats(head: bytes) -> tuple[list[LogFormat], list[str]]:
     """Find the formats of other packages that recognise the first bytes of a file.
 
     Returns them, and what is wrong with readers that do not work and what to do, a sentence each.
     """
-    found: list[AddedFormat] = []
+    found: list[LogFormat] = []
     problems: list[str] = []
     for plugin in find_plugins():
         if plugin.kind != "logs":
@@ -90,12 +100,21 @@ def added_formats(head: bytes) -> tuple[list[AddedFormat], list[str]]:
         try:
             reader = reader_of(plugin)
             if reader.recognises(head):
-                found.append(AddedFormat(plugin, reader))
+                found.append(added_format(plugin, reader))
         except UsageError as error:
             problems.append(str(error))
         except Exception as error:  # code of others raises whatever it likes
             problems.append(f"{plugin}: failed with {error!r}. {remedy(plugin)}")
     return found, problems
+
+
+def added_format(plugin: Plugin, reader: LogReader) -> LogFormat:
+    """Make the row of a format that another package reads."""
+
+    def opens(path: Path, config: Config, chunk_bytes: int) -> Log:
+        return AddedLog(path, plugin, reader, config)
+
+    return LogFormat(str(plugin), reader.title, lambda head: int(reader.recognises(head)), opens)
 
 
 def reader_of(plugin: Plugin) -> LogReader:
@@ -111,8 +130,8 @@ class AddedLog:
     counters: those of the reader, and reader.failed.
     """
 
-    def __init__(self, path: Path, added: AddedFormat, config: Config) -> None:
-        self._path, self._plugin, self._events, self._config = path, added.plugin, added.reader.events, config
+    def __init__(self, path: Path, plugin: Plugin, reader: LogReader, config: Config) -> None:
+        self._path, self._plugin, self._events, self._config = path, plugin, reader.events, config
         self._size_bytes = path.stat().st_size
         self._counters: Counter[str] = Counter()
         self._file: BinaryIO | None = None
@@ -161,3 +180,30 @@ class AddedLog:
                     f"{remedy(self._plugin)}"
                 )
                 yield Notice(code="log_reader_failed", text=text, place=str(self._path))
+
+
+class ExchangedSides:
+    """Read a log with port and starboard exchanged."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self.first_time_s = log.first_time_s
+
+    @property
+    def sizes_bytes(self) -> dict[Path, int]:
+        return self._log.sizes_bytes
+
+    @property
+    def bytes_read(self) -> int:
+        """Count the bytes read so far."""
+        return self._log.bytes_read
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._log.counters
+
+    def __iter__(self) -> Iterator[SourceEvent]:
+        for event in self._log:
+            if isinstance(event, Ping):
+                event = structs.replace(event, port=event.starboard, starboard=event.port)
+            yield event

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -22,17 +22,21 @@ class MessageFile(Generic[M]):
     `counters`: those of the framer behind `reader.`, e.g. reader.jsf.bytes_skipped.
     """
 
-    def __init__(self, path: Path, grammar: Grammar[M], chunk_bytes: int) -> None:
-        """Check that the file can be read. Raises BadInputError for a file that cannot be read."""
+    def __init__(self, path: Path, make_grammar: Callable[[int], Grammar[M]], chunk_bytes: int) -> None:
+        """Check that the file can be read. make_grammar: given its size in bytes, for one iteration.
+
+        Raises BadInputError for a file that cannot be read.
+        """
         self.path = path
         self.bytes_read = 0
-        self._grammar = grammar
+        self._make_grammar = make_grammar
         self._chunk_bytes = chunk_bytes
-        self._framer = Framer(grammar)
         try:
             self.size_bytes = os.stat(path).st_size
         except OSError as error:
             raise _unreadable(path, error) from error
+        self._grammar = make_grammar(self.size_bytes)
+        self._framer = Framer(self._grammar)
 
     @property
     def counters(self) -> Counter[str]:
@@ -52,6 +56,7 @@ class MessageFile(Generic[M]):
     def __iter__(self) -> Iterator[Framed[M]]:
         """Iterate. Raises BadInputError where the file can no longer be read."""
         self.bytes_read = 0
+        self._grammar = self._make_grammar(self.size_bytes)
         self._framer = framer = Framer(self._grammar)
         try:
             with open_regular(self.path, 0) as file:

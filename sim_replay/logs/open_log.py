@@ -1,15 +1,16 @@
 """Open recorded logs; the format goes by a file's content, never by its name.
 
-Other packages add formats, see `log_reader`.
+`FORMATS` has a row for each; other packages add rows, see `log_reader`.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from msgspec import structs
 
@@ -17,33 +18,13 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import Config, SonarConfig
 from auv_mcm.settings.port_settings import NavUnitSettings, PortConfig, SonarName, SonarPortConfig
-from sim_replay.logs.log_reader import AddedFormat, AddedLog, Log, added_formats
+from sim_replay.logs.foreign_formats import foreign_image, name_foreign
+from sim_replay.logs.log_reader import CERTAIN, ExchangedSides, Log, LogFormat, added_formats
 
 if TYPE_CHECKING:
     from sim_replay.logs.image_sidecar import Sidecar
 
 CHUNK_BYTES: Final = 1 << 18  # bytes per read: bounds memory
-
-LogFormat: TypeAlias = Literal["xtf", "jsf", "svlog", "session", "tiff", "png", "npy", "hdf5"]
-FORMAT_NAMES: Final[dict[LogFormat, str]] = {
-    "xtf": "XTF",
-    "jsf": "EdgeTech JSF",
-    "svlog": "Ping Protocol (svlog)",
-    "session": "recorded session",
-    "tiff": "sonar image (TIFF)",
-    "png": "sonar image (PNG)",
-    "npy": "sonar image (npy)",
-    "hdf5": "sonar image (HDF5)",
-}
-_IMAGE_FIRST: Final[dict[bytes, LogFormat]] = {
-    b"II*\0": "tiff",
-    b"MM\0*": "tiff",
-    b"II+\0": "tiff",  # BigTIFF
-    b"MM\0+": "tiff",
-    b"\x89PNG": "png",
-    b"\x93NUMPY": "npy",
-    b"\x89HDF\r\n": "hdf5",  # NetCDF-4 too
-}
 
 _XTF_FIRST: Final = b"\x7b"
 _JSON_FIRST: Final = re.compile(rb'\{\s*["}]')  # text that begins like an XTF file
@@ -68,26 +49,11 @@ def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
     read buffer of built-in formats and nothing else. Raises BadInputError for what is none of these or holds no side
     scan, UsageError where the subsystem must be chosen or several packages read the format.
     """
-    match log_format(path):
-        case AddedFormat() as added:
-            return AddedLog(path, added, config)
-        case "xtf":
-            from sim_replay.logs.xtf import XtfLog
-
-            return XtfLog(path, config.sonar, epsg=config.navigation.epsg, chunk_bytes=chunk_bytes)
-        case "jsf":
-            return _open_jsf(path, config, chunk_bytes)
-        case "svlog":
-            return _open_svlog(path, config, chunk_bytes)
-        case "session":
-            return _open_session(path, config)
-        case "tiff" | "png" | "npy" | "hdf5" as kind:
-            from sim_replay.logs.image_log import ImageLog
-
-            return ImageLog(path, kind, config.sonar)
+    log = find_format(path).opens(path, config, chunk_bytes)
+    return ExchangedSides(log) if config.sonar.sides == "swapped" else log
 
 
-def log_format(path: Path) -> LogFormat | AddedFormat:
+def find_format(path: Path) -> LogFormat:
     """Recognise the format of a log by its content.
 
     Raises BadInputError for other files and unreadable ones, UsageError where several packages read the format.
@@ -97,7 +63,7 @@ def log_format(path: Path) -> LogFormat | AddedFormat:
 
     if path.is_dir():
         if parts_of(path):
-            return "session"
+            return SESSION
         raise BadInputError(
             f"{path} is a directory without a recorded session ({FILE_PATTERN}). Name a log inside it, "
             "or see and search all of them: 'auv-mcm view' and 'auv-mcm batch'."
@@ -111,28 +77,27 @@ def log_format(path: Path) -> LogFormat | AddedFormat:
         raise BadInputError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from error
     if not head:
         raise BadInputError(f"{path} is empty (0 bytes). The recorder wrote nothing, or a copy failed: fetch it again.")
-    found = _format_of(head)
-    if found is not None:
+    claims = [(row.recognises(head), row) for row in FORMATS]
+    strongest, found = max(claims, key=lambda claim: claim[0])
+    if found.is_image and (foreign := foreign_image(head)) is not None:
+        raise BadInputError(f"{path} is {foreign.title}. {foreign.remedy}.")
+    if strongest:
         return found
     added, problems = added_formats(head)
     if len(added) > 1:
-        names = " and ".join(str(one.plugin) for one in added)
+        names = " and ".join(one.name for one in added)
         raise UsageError(f"{path}: several packages read this format: {names}. Uninstall all but one of them.")
-    if not added:
-        raise BadInputError(
-            f"{path} is not a readable log: it begins with 0x{head[:4].hex()}, and no message of a known format is "
-            f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol "
-            "svlog "
-            "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), sonar images (TIFF, PNG, npy, "
-            "HDF5), and formats of plug-ins ('auv-mcm check' lists them). Export the log as one of these."
-            + "".join(f"\nA plug-in that may know it does not work: {problem}." for problem in problems)
-        )
-    return added[0]
-
-
-def format_title(found: LogFormat | AddedFormat) -> str:
-    """Return the name of a format for people."""
-    return found.title if isinstance(found, AddedFormat) else FORMAT_NAMES[found]
+    if added:
+        return added[0]
+    hint = "".join(f"\nA plug-in that may know it does not work: {problem}." for problem in problems)
+    if (named := name_foreign(head, path)) is not None:
+        raise BadInputError(f"{path} is not a readable log: it is {named.title}. {named.remedy}.{hint}")
+    raise BadInputError(
+        f"{path} is not a readable log: it begins with 0x{head[:4].hex()}, and no message of a known format is "
+        f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog "
+        "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), sonar images (TIFF, PNG, npy, "
+        f"HDF5), and formats of plug-ins ('auv-mcm check' lists them). Export the log as one of these.{hint}"
+    )
 
 
 def describe_log(path: Path, config: Config) -> str:
@@ -142,7 +107,7 @@ def describe_log(path: Path, config: Config) -> str:
     if not math.isfinite(first_s):
         raise BadInputError(f"{path} holds no ping. Check that a sonar was connected.")
     when = datetime.fromtimestamp(first_s, UTC).isoformat(" ", "seconds")
-    return f"{format_title(log_format(path))}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
+    return f"{find_format(path).title}, {sum(log.sizes_bytes.values()) / 1e6:.1f} MB, first ping {when}"
 
 
 def logs_config(paths: list[Path]) -> Config | None:
@@ -170,7 +135,7 @@ def kind_doubt(path: Path, config: Config) -> str:
         from sim_replay.logs.image_log import kind_disagrees
 
         return "" if sidecar.kind == config.sonar.kind else kind_disagrees(path, sidecar, config.sonar).text
-    if config.sonar.kind == "sas" and log_format(path) in ("xtf", "jsf", "svlog"):
+    if config.sonar.kind == "sas" and find_format(path).is_side_scan:
         return (
             "sonar.kind is sas, and logs of this format mostly hold side scan, whose resolution grows with range. Set "
             "sonar.kind: side_scan unless a processor wrote the log"
@@ -183,7 +148,7 @@ def _sidecar_of(path: Path) -> Sidecar | None:
     from sim_replay.logs.image_sidecar import read_sidecar
 
     try:
-        is_image = log_format(path) in _IMAGE_FIRST.values()
+        is_image = find_format(path).is_image
     except (BadInputError, UsageError):
         return None
     return read_sidecar(path) if is_image else None
@@ -192,28 +157,48 @@ def _sidecar_of(path: Path) -> Sidecar | None:
 def is_session(path: Path) -> bool:
     """Check whether `path` is the folder or a file of a recorded session; False if it cannot be read."""
     try:
-        return log_format(path) == "session"
+        return find_format(path) is SESSION
     except (BadInputError, UsageError):
         return False
 
 
-def _format_of(head: bytes) -> LogFormat | None:
-    if head.startswith(_XTF_FIRST) and not (_JSON_FIRST.match(head) and 0 not in head[:_XTF_HEADER_BYTES]):
-        return "xtf"
-    if head.startswith(_MCAP_FIRST):
-        return "session"
-    if (image := next((kind for first, kind in _IMAGE_FIRST.items() if head.startswith(first)), None)) is not None:
-        return image
+def _is_xtf(head: bytes) -> int:
+    if not head.startswith(_XTF_FIRST) or (_JSON_FIRST.match(head) and 0 not in head[:_XTF_HEADER_BYTES]):
+        return 0
+    return CERTAIN
+
+
+def _begins(*firsts: bytes) -> Callable[[bytes], int]:
+    return lambda head: CERTAIN * head.startswith(firsts)
+
+
+def _jsf_messages(head: bytes) -> int:
     from drivers.framing import Framer
     from drivers.sonar.jsf import JsfGrammar
+
+    return 2 * len(Framer(JsfGrammar()).feed(head)) or int(head.startswith(_JSF_FIRST))
+
+
+def _svlog_messages(head: bytes) -> int:
+    from drivers.framing import Framer
     from drivers.sonar.ping_protocol import PingGrammar
 
-    n_jsf, n_svlog = len(Framer(JsfGrammar()).feed(head)), len(Framer(PingGrammar()).feed(head))
-    if n_jsf or n_svlog:
-        return "jsf" if n_jsf > n_svlog else "svlog"
-    if head.startswith(_JSF_FIRST):
-        return "jsf"
-    return "svlog" if head.startswith(_SVLOG_FIRST) else None
+    return 2 * len(Framer(PingGrammar()).feed(head)) or int(head.startswith(_SVLOG_FIRST))
+
+
+def _open_xtf(path: Path, config: Config, chunk_bytes: int) -> Log:
+    from sim_replay.logs.xtf import XtfLog
+
+    return XtfLog(path, config.sonar, epsg=config.navigation.epsg, chunk_bytes=chunk_bytes)
+
+
+def _open_image(kind: str) -> Callable[[Path, Config, int], Log]:
+    def opens(path: Path, config: Config, chunk_bytes: int) -> Log:
+        from sim_replay.logs.image_log import ImageLog
+
+        return ImageLog(path, kind, config.sonar)
+
+    return opens
 
 
 def _open_jsf(path: Path, config: Config, chunk_bytes: int) -> Log:
@@ -262,10 +247,16 @@ def _open_svlog(path: Path, config: Config, chunk_bytes: int) -> Log:
         _nmea_port(MAVLINK_PORT, NavUnitSettings(priority=_MOTION_PRIORITY, use_unit_time=True)),
     )
     used = structs.replace(config, ports=ports)
-    return SonarLog(SvlogRecording(path, chunk_bytes), lambda: PortIntake(used), path, NO_NAVIGATION, PAUSE_S)
+    return SonarLog(
+        SvlogRecording(path, config.sonar.subsystem, chunk_bytes),
+        lambda: PortIntake(used),
+        path,
+        NO_NAVIGATION,
+        PAUSE_S,
+    )
 
 
-def _open_session(path: Path, config: Config) -> Log:
+def _open_session(path: Path, config: Config, chunk_bytes: int) -> Log:
     from drivers.port_intake import PortIntake
     from sim_replay.logs.port_log import PortLog
     from sim_replay.logs.session_parts import JoinedSession
@@ -290,8 +281,9 @@ def _sonar_port(
     name: str, device: SonarName, given: PortConfig | None, navigation: NavUnitSettings | None
 ) -> PortConfig:
     """Return the sonar mounted as configured; a log holds both sides, so one-sided heads use the sonar's own side."""
-    swapped = given is not None and given.sonar is not None and given.sonar.sides == "swapped"
-    sides = SonarPortConfig(sides="swapped" if swapped else "as_told")
+    sides = SonarPortConfig()
+    if given is not None and given.sonar is not None and given.sonar.sides in ("swapped", "by_number"):
+        sides = SonarPortConfig(sides=given.sonar.sides)
     return PortConfig(name=name, link=_NO_LINK, device=device, sonar=sides, navigation=navigation)
 
 
@@ -306,3 +298,23 @@ def _nmea_settings(config: Config) -> NavUnitSettings:
 
 def _nmea_port(name: str, settings: NavUnitSettings) -> PortConfig:
     return PortConfig(name=name, link=_NO_LINK, device="nmea0183", navigation=settings)
+
+
+SESSION: Final = LogFormat("session", "recorded session", _begins(_MCAP_FIRST), _open_session)
+FORMATS: Final[tuple[LogFormat, ...]] = (
+    LogFormat("xtf", "XTF", _is_xtf, _open_xtf, is_side_scan=True),
+    SESSION,
+    LogFormat(
+        "tiff",
+        "sonar image (TIFF)",
+        _begins(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),  # the last two: BigTIFF
+        _open_image("tiff"),
+        is_image=True,
+    ),
+    LogFormat("png", "sonar image (PNG)", _begins(b"\x89PNG"), _open_image("png"), is_image=True),
+    LogFormat("npy", "sonar image (npy)", _begins(b"\x93NUMPY"), _open_image("npy"), is_image=True),
+    LogFormat("hdf5", "sonar image (HDF5)", _begins(b"\x89HDF\r\n"), _open_image("hdf5"), is_image=True),
+    LogFormat("svlog", "Ping Protocol (svlog)", _svlog_messages, _open_svlog, is_side_scan=True),
+    LogFormat("jsf", "EdgeTech JSF", _jsf_messages, _open_jsf, is_side_scan=True),
+)
+"""The formats that are read, in the order of preference where two claim a file alike."""

@@ -15,6 +15,7 @@ from typing import Protocol
 from auv_mcm.clock import Stamp
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.source import QuantityState
 from drivers.recording.session_layout import PartEnd, Recorded
 
 
@@ -73,9 +74,10 @@ class PortLog:
         a part of the recording begins.
 
         pause_s: where the stamps leap ahead by more than this, or step back, the intake is finished and begun anew;
-        infinite for stamps of one computer's monotonic clock.
+        infinite for stamps of one computer's monotonic clock. frequency_khz: of a sonar's own log, 0 if not stated.
         """
         self._recording = recording
+        self.frequency_khz = float(getattr(recording, "frequency_khz", 0.0))
         self._make_intake = make_intake
         self._pause_ns = pause_s * 1e9
         self._intake = make_intake()
@@ -95,6 +97,11 @@ class PortLog:
     def counters(self) -> Counter[str]:
         """Count what reading and decoding skipped or mended so far."""
         return self._recording.counters + self._finished + self._intake.counters
+
+    def navigation_sources(self) -> dict[str, str]:
+        """Name the port that served each quantity of navigation last; empty before anything was read."""
+        states: tuple[QuantityState, ...] = getattr(self._intake, "quantities", tuple)()
+        return {state.name: state.served_by for state in states if state.served_by}
 
     def first_time_s(self) -> float:
         """Find the time of the first ping, s since 1970; infinite without one."""

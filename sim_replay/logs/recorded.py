@@ -17,6 +17,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.source import EventSink, SourceUri
 from sim_replay.logs.log_reader import Log
 from sim_replay.logs.open_log import CHUNK_BYTES, is_session, open_log
+from sim_replay.logs.same_log import OpenedLog, first_ping, without_repeats
 from sim_replay.logs.session_parts import recordings_of
 
 MAX_WAIT_S: Final = 5.0  # holes in a log longer than this are not waited out
@@ -47,17 +48,19 @@ class RecordedMission:
     def __init__(self, paths: Sequence[Path], config: Config, chunk_bytes: int = CHUNK_BYTES) -> None:
         """Open every log and look for its first ping.
 
-        A log without anything usable is left out with a notice if others are usable. Raises UsageError for a log named
+        A log without anything usable is left out with a notice if others are usable, and so is one that holds what
+        another one holds. Raises UsageError for a log named
         twice, BadInputError for one that is not there, or if no log is usable.
         """
         _refuse_repeated(paths)
         self._notices: list[Notice] = []
         self._counters: Counter[str] = Counter()
-        found: list[tuple[float, int, Log]] = []
+        found: list[OpenedLog] = []
         for place, path in enumerate(paths):
             try:
                 log = open_log(path, config, chunk_bytes)
-                found.append((log.first_time_s(), place, log))
+                first_s = log.first_time_s()
+                found.append(OpenedLog(first_s, place, log, first_ping(log) if len(paths) > 1 else None))
             except BadInputError as error:
                 if len(paths) == 1:
                     raise
@@ -67,10 +70,22 @@ class RecordedMission:
             raise BadInputError(
                 "none of the logs can be used:\n" + "\n".join(f"  {notice.text}" for notice in self._notices)
             )
-        found.sort(key=lambda item: item[:2])
-        self._logs = [log for _, _, log in found]
+        found, repeated = without_repeats(sorted(found, key=lambda item: item[:2]), config.sonar.subsystem)
+        self._counters["replay.log_repeated"] += len(repeated)
+        self._notices += repeated
+        self._logs = [item.log for item in found]
         self._done_bytes = 0
         self._reading: Log | None = None
+
+    @property
+    def logs(self) -> list[Log]:
+        """List the logs in use, in order of time."""
+        return self._logs
+
+    @property
+    def notices(self) -> list[Notice]:
+        """List what is to say of logs that are left out."""
+        return self._notices
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:

@@ -29,6 +29,7 @@ from drivers.recording.session_layout import Recorded
 from drivers.sonar import ping_messages
 from drivers.sonar.ping_messages import JsonWrapper, PingMessage, decode, to_wire
 from drivers.sonar.ping_protocol import PingGrammar
+from drivers.sonar.ping_sides import frequency_text, is_same_frequency
 from sim_replay.logs.message_file import MessageFile
 
 SONAR_PORT: Final = "sonar"
@@ -41,6 +42,10 @@ NO_NAVIGATION: Final = (
 )
 
 _PROFILE: Final = Struct("<4xIII8xH")  # start_mm, length_mm, timestamp_ms, and behind 8 bytes the sound speed, dm/s
+_FREQUENCY: Final = Struct("<16xI")  # Hz
+_PROBE_PROFILES: Final = 400  # looked at to find which frequencies a log holds
+_PROBE_BYTES: Final = 8 << 20  # in this much, sonars that send several frequencies have sent each many times
+_STRAY_FRACTION: Final = 0.05  # of the commonest frequency's profiles; fewer of another do not count
 _CHANNEL_AT: Final = 26  # byte of a profile with its channel
 _COUNTER_MS: Final = 2**32  # ms after which a 32-bit counter starts over
 _MAX_WAITING: Final = 256  # navigation packets before the next ping
@@ -59,9 +64,14 @@ class SvlogRecording:
     reader.mavlink_malformed, reader.other_messages, and those of `MessageFile`.
     """
 
-    def __init__(self, path: Path, chunk_bytes: int) -> None:
-        """Open the file. Raises BadInputError for a file that cannot be read."""
-        self._file = MessageFile(path, PingGrammar(), chunk_bytes)
+    def __init__(self, path: Path, subsystem: int | None, chunk_bytes: int) -> None:
+        """Open the file. subsystem: 20 for the lowest of several frequencies, else the highest is used.
+
+        Raises BadInputError for a file that cannot be read.
+        """
+        self._file = MessageFile(path, lambda size_bytes: PingGrammar(), chunk_bytes)
+        self.frequency_khz = 0.0
+        self._used_hz, self._choice = self._chosen(subsystem)
         self._begin()
 
     @property
@@ -84,12 +94,38 @@ class SvlogRecording:
         self._waiting: deque[bytes | dict[str, Any]] = deque(maxlen=_MAX_WAITING)
         self._mavlink = _Mavlink()
 
+    def _chosen(self, subsystem: int | None) -> tuple[int, str]:
+        """Return the frequency in use, and what a person has to know of the choice."""
+        often: Counter[int] = Counter()
+        for framed in self._file:
+            if framed.message.message_id == ping_messages.OS_MONO_PROFILE:
+                often[round(_FREQUENCY.unpack_from(framed.message.payload)[0], -3)] += 1
+            if often.total() >= _PROBE_PROFILES or framed.offset > _PROBE_BYTES:
+                break
+        there = [hz for hz, n in often.items() if n >= _STRAY_FRACTION * max(often.values())]
+        if there:
+            self.frequency_khz = 1e-3 * (min(there) if subsystem == 20 else max(there))
+        if not there or is_same_frequency(min(there), max(there)):
+            return 0, ""
+        used = min(there) if subsystem == 20 else max(there)
+        return used, frequency_text(min(there), max(there), used)
+
     def __iter__(self) -> Iterator[Recorded]:
         self._begin()
+        if self._choice:
+            self.notices.append(
+                Notice(
+                    code="reader.frequency_chosen",
+                    text=f"of several frequencies one is used: {self._choice}",
+                    place=self._file.path.name,
+                )
+            )
         stamp: Stamp | None = None
         for framed in self._file:
             message: PingMessage = framed.message
             match message.message_id:
+                case ping_messages.OS_MONO_PROFILE if not self._is_in_use(message):
+                    self._own["reader.not_used.frequency"] += 1
                 case ping_messages.OS_MONO_PROFILE:
                     stamp = self._stamp(message, framed.offset)
                     yield from self._navigation(stamp)
@@ -106,6 +142,9 @@ class SvlogRecording:
             yield from self._navigation(stamp)
         if (damage := self._file.damage()) is not None:
             self.notices.append(damage)
+
+    def _is_in_use(self, message: PingMessage) -> bool:
+        return not self._used_hz or is_same_frequency(_FREQUENCY.unpack_from(message.payload)[0], self._used_hz)
 
     def _stamp(self, message: PingMessage, offset: int) -> Stamp:
         """Compute when the last echo of a profile was received."""

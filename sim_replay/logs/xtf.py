@@ -21,20 +21,29 @@ import numpy as np
 import pyxtf
 from numpy.typing import NDArray
 
-from auv_mcm.errors import BadInputError
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.safe_files import open_regular
 from auv_mcm.settings.config import SonarConfig
 from drivers.navigation.corrections import offset_m
 from sim_replay.logs.ping_clock import spread_ties
 from sim_replay.logs.port_order import DECISIVE, PortOrderEvidence, port_order_evidence
+from sim_replay.logs.xtf_channels import (
+    ChannelHead,
+    PacketHead,
+    Packing,
+    belongs,
+    channel_index,
+    choose_pair,
+    learn_packing,
+    pair_notices,
+)
 from sim_replay.logs.xtf_header import (
     GROUND_RANGE,
     LATITUDE_LONGITUDE,
     SIDE_SCAN,
     Channel,
     channels,
-    first_pair,
     header_channel,
     kind_name,
     name_channels,
@@ -59,9 +68,12 @@ from sim_replay.logs.xtf_packets import (
     header_bytes,
     read_packets,
 )
+from sim_replay.logs.xtf_samples import are_signed, halves, hold_both_sides, magnitude
 
 KNOT_MPS: Final = 1852.0 / 3600.0  # m/s: a nautical mile in an hour
 PROBE_PINGS: Final = 50  # looked at before the first is given, to learn what all of them share
+_PROBE_PACKETS: Final = 4 * PROBE_PINGS  # of side scan, as a ping may be four; to learn how they hold channels
+_PROBE_ITEMS: Final = 20 * _PROBE_PACKETS  # of any kind, among which they are looked for
 
 _SONAR: Final = 0  # packet type: side scan and sub-bottom
 _PING_HEADER: Final = 256  # bytes (XTF)
@@ -72,6 +84,7 @@ _MAX_INTERVAL_S: Final = 2.0  # s between pings: at 750 m of range a second pass
 _NOMINAL_SOUND_SPEED_MPS: Final = 1500.0  # m/s, for the time between pings of which nothing else is known
 _MAX_LAYBACK_M: Final = 5000.0  # m: longer than any tow cable lets a sonar hang behind
 _CLOCK_NOT_SET: Final = "the recorder's clock was never set: the date is unknown and times count from 1970"
+_MAX_DURATION_S: Final = 5.0  # s of a trace, 3750 m; a longer one is damage
 _MAX_DAMAGE_NOTICES: Final = 10  # of a file; further damage is only counted
 # What the reader mends, leaves out and counts, or was set to do: nobody has to act.
 _MENDED: Final = frozenset(
@@ -85,6 +98,7 @@ _MENDED: Final = frozenset(
             "joined_log",
             "other_channel",
             "sound_speed_overridden",
+            "range_from_duration",
         ),
         *("sample_type_change", "sample_count_change", "weight_change", "sample_not_finite", "time_delay"),
     )
@@ -128,7 +142,9 @@ class _ChannelHeader(NamedTuple):
     ChannelNumber: int
     SlantRange: float
     TimeDelay: float
+    TimeDuration: float
     SecondsPerPing: float
+    Frequency: int
     NumSamples: int
     Weight: int
 
@@ -147,7 +163,8 @@ def _packed(structure: Any, names: tuple[str, ...]) -> struct.Struct:
 
 _TIME_FIELDS: Final = _packed(pyxtf.XTFPingHeader, _PingTime._fields)
 _PING_FIELDS: Final = _packed(pyxtf.XTFPingHeader, _PingHeader._fields)
-_NO_HEADER: Final = _ChannelHeader(0, NAN, NAN, NAN, 0, 0)
+_NO_HEADER: Final = _ChannelHeader(0, NAN, NAN, NAN, NAN, 0, 0, 0)
+_PING_NUMBER: Final = _packed(pyxtf.XTFPingHeader, ("PingNumber",))
 _CHANNEL_FIELDS: Final = _packed(pyxtf.XTFPingChanHeader, _ChannelHeader._fields)
 
 
@@ -177,6 +194,7 @@ class _Habits(NamedTuple):
     ship_gyro: bool
     ship_speed: bool
     wanted: Wanted  # of navigation packets
+    starboard_far_to_near: bool = False
 
 
 class XtfLog:
@@ -220,11 +238,13 @@ class XtfLog:
         self._units_by_value = False  # degrees, although the header says metres
         self._packets = PacketQueue()
         self._watch = SensorWatch()
+        self._packing = Packing()
+        self._heads: dict[int, list[PacketHead]] = {}  # of the packets behind a file header, by its offset
         with self._open() as file:
             self.size_bytes = os.fstat(file.fileno()).st_size
             self._first_packet, header = self._read_file_header(file)
             try:
-                self._use_header(header, 0)
+                self._use_header(file, header, 0)
             except _NoSideScanError as error:
                 raise BadInputError(
                     f"{error} It holds {self._inventory(file)}. Give a log recorded with side scan switched on."
@@ -235,6 +255,25 @@ class XtfLog:
     def sizes_bytes(self) -> dict[Path, int]:
         """Return the size of the file."""
         return {self._path: self.size_bytes}
+
+    def navigation_sources(self) -> dict[str, str]:
+        """Name what gives each quantity of navigation."""
+        return dict.fromkeys(("position", "heading", "attitude", "depth", "altitude", "speed"), "ping headers")
+
+    @property
+    def channel_names(self) -> str:
+        """Name the channels that the file header describes."""
+        return name_channels(self._channels)
+
+    @property
+    def frequencies_khz(self) -> tuple[float, ...]:
+        """Return all frequencies of side scan, ascending."""
+        return self._pair.frequencies_khz
+
+    @property
+    def frequency_khz(self) -> float:
+        """Return the frequency in use, 0 where the log states none."""
+        return self._pair.used_khz
 
     def first_time_s(self) -> float:
         """Find the time of the first ping, s since 1970. Raises BadInputError if there is none."""
@@ -254,12 +293,13 @@ class XtfLog:
         self._packets, self._watch = PacketQueue(), SensorWatch()
         with self._open() as file:
             _, header = self._read_file_header(file)
-            self._use_header(header, 0)
+            self._use_header(file, header, 0)
             self._raise_other_channels_notice(header)
             raw_pings = self._timed(self._raw_pings(file))
             probe = list(islice(raw_pings, PROBE_PINGS))
             if not probe:
                 raise BadInputError(self._no_ping_text())
+            probe, raw_pings = self._mended(probe, raw_pings)
             habits = self._habits(probe)
             for number, (time_s, raw) in enumerate(spread_ties(chain(probe, raw_pings), self.counters)):
                 if self._notices:
@@ -312,16 +352,19 @@ class XtfLog:
         file.seek(0)
         return length, file.read(length)
 
-    def _use_header(self, data: bytes, offset: int) -> None:
-        """Learn channels and units from a file header. Raises BadInputError."""
+    def _use_header(self, file: BinaryIO, data: bytes, offset: int) -> None:
+        """Learn channels and units from a file header and the packets behind it. Raises BadInputError or UsageError."""
         place = f"{self._path}" if offset == 0 else f"{self._path} (file header at byte {offset})"
         header = pyxtf.XTFFileHeader.from_buffer_copy(data)
-        self._file_header = header
+        self._file_header, self._header_bytes = header, data
         self._channels = channels(header, data)
         side_scan = [c for c in self._channels if c.kind in SIDE_SCAN]
         if not side_scan:
             raise _NoSideScanError(f"{place} has no side-scan channel ({name_channels(self._channels)}).")
-        port, starboard = first_pair(side_scan)
+        heads = self._packet_heads(file, offset, len(data))
+        self._packing = learn_packing(heads, len(self._channels))
+        self._pair = choose_pair(self._channels, heads, self._packing, self._sonar.subsystem)
+        port, starboard = self._pair.port, self._pair.starboard
         self._port_number = port.number if port is not None else -1
         self._starboard_number = starboard.number if starboard is not None else -1
         for channel in (port, starboard):
@@ -385,25 +428,69 @@ class XtfLog:
 
     # --- packets to raw pings ---
 
+    def _packet_heads(self, file: BinaryIO, offset: int, n_bytes: int) -> list[PacketHead]:
+        """Read the heads of the first side-scan packets behind a file header; the file is left where it was."""
+        if offset in self._heads:
+            return self._heads[offset]
+        at = file.seek(0, os.SEEK_CUR)
+        heads: list[PacketHead] = []
+        for item in islice(read_packets(file, offset + n_bytes, self.size_bytes, (_SONAR,)), _PROBE_ITEMS):
+            if isinstance(item, FileHeader) or len(heads) == _PROBE_PACKETS:
+                break
+            if isinstance(item, XtfPacket) and item.kind == _SONAR:
+                head = self._head(item, [])
+                if head is not None:
+                    heads.append(head)
+        file.seek(at)
+        self._heads[offset] = heads
+        return heads
+
+    def _head(self, packet: XtfPacket, before: list[PacketHead]) -> PacketHead | None:
+        """Read what a packet states of its ping and channels; None for a damaged one. before: packets of its ping."""
+        for n_before in dict.fromkeys((sum(len(part.channels) for part in before), 0)):
+            extents = list(self._extents(packet.data, n_before))
+            if extents and all(n_bytes is not None for _, _, n_bytes, _ in extents):
+                return _packet_head(packet.data, [header for *_, header in extents])
+        return None
+
     def _raw_pings(self, file: BinaryIO) -> Iterator[_RawPing]:
+        waiting: list[XtfPacket] = []
+        heads: list[PacketHead] = []
+        for item in self._sonar_packets(file):
+            head = self._head(item, heads) if self._packing.joins and item is not None else None
+            if waiting and (head is None or not belongs(self._packing, heads, head, len(self._channels))):
+                if (ping := self._raw_ping(waiting)) is not None:
+                    yield ping
+                waiting, heads = [], []
+            if item is None:
+                continue
+            if head is not None:
+                waiting.append(item)
+                heads.append(head)
+            elif (ping := self._raw_ping([item])) is not None:
+                yield ping
+        if waiting and (ping := self._raw_ping(waiting)) is not None:
+            yield ping
+
+    def _sonar_packets(self, file: BinaryIO) -> Iterator[XtfPacket | None]:
+        """Yield the packets of side scan, and None where other channels hold from there on."""
         for item in read_packets(file, self._first_packet, self.size_bytes, (_SONAR, *NAVIGATION_KINDS)):
             self.bytes_read = item.offset
             if isinstance(item, DamagedBytes):
                 self._raise_damage_notice(item)
             elif isinstance(item, FileHeader):
-                self._raise_joined_notice(item)
+                yield None
+                self._raise_joined_notice(file, item)
             elif item.kind != _SONAR:
                 if item.kind in NAVIGATION_KINDS:
                     self._packets.add(item.kind, item.data)
                 self.counters[f"reader.packet_not_side_scan.{kind_name(item.kind)}"] += 1
             else:
-                ping = self._raw_ping(item)
-                if ping is not None:
-                    yield ping
+                yield item
 
-    def _extents(self, data: bytes) -> Iterator[tuple[Channel | None, int, int | None, _ChannelHeader]]:
+    def _extents(self, data: bytes, n_before: int) -> Iterator[tuple[Channel | None, int, int | None, _ChannelHeader]]:
         """Find, per channel of a ping packet: its description, offset and length of its samples (None: beyond the
-        packet), its header.
+        packet), its header. n_before: channels of the ping in packets before.
         """
         if len(data) < _PING_HEADER:
             yield None, 0, None, _NO_HEADER
@@ -416,9 +503,7 @@ class XtfLog:
                 return
             header = _ChannelHeader._make(_CHANNEL_FIELDS.unpack_from(data, offset))
             offset += _CHANNEL_HEADER
-            number = header.ChannelNumber
-            if number >= len(self._channels):
-                number = index
+            number = channel_index(self._packing, self._channels, _channel_head(header), n_before + index)
             if number >= len(self._channels):
                 yield None, offset, None, _NO_HEADER
                 return
@@ -434,40 +519,46 @@ class XtfLog:
             yield channel, offset, n_bytes, header
             offset += n_bytes
 
-    def _raw_ping(self, packet: XtfPacket) -> _RawPing | None:
-        data = packet.data
+    def _raw_ping(self, packets: list[XtfPacket]) -> _RawPing | None:
+        """Make a ping of the packets that hold its channels."""
+        packet, data = packets[0], packets[0].data
         traces: dict[int, _Trace] = {}
-        empty = False
+        empty, n_before = False, 0
         interval = NAN
-        for channel, start, n_bytes, header in self._extents(data):
-            if n_bytes is None or channel is None:
-                self._raise_damage_notice(
-                    DamagedBytes(packet.offset, len(data), "a ping's channels do not fit into its packet", at_end=False)
-                )
-                return None
-            if channel.number not in (self._port_number, self._starboard_number) or channel.dtype is None:
-                self.counters["reader.other_channel"] += 1
-                continue
-            n_samples = n_bytes // channel.dtype.itemsize
-            range_m = header.SlantRange
-            if n_samples == 0 or not 0.0 < range_m < 1e4:
-                empty = True
-                continue
-            samples = np.frombuffer(data, channel.dtype, n_samples, start)
-            interval = header.SecondsPerPing
-            traces[channel.number] = _Trace(samples, range_m, header.TimeDelay, header.Weight)
+        for part in packets:
+            for channel, start, n_bytes, header in self._extents(part.data, n_before):
+                n_before += 1
+                if n_bytes is None or channel is None:
+                    what = "a ping's channels do not fit into its packet"
+                    self._raise_damage_notice(DamagedBytes(part.offset, len(part.data), what, at_end=False))
+                    return None
+                is_used = channel.number in (self._port_number, self._starboard_number)
+                if not is_used or channel.dtype is None or not self._pair.takes(header.Frequency):
+                    self.counters["reader.other_channel"] += 1
+                    continue
+                n_samples = n_bytes // channel.dtype.itemsize
+                range_m = self._range_m(header, part)
+                if n_samples == 0 or not 0.0 < range_m < 1e4:
+                    empty = True
+                    continue
+                samples = np.frombuffer(part.data, channel.dtype, n_samples, start)
+                interval = header.SecondsPerPing
+                if channel.number in traces:
+                    self.counters["reader.side_repeated"] += 1
+                traces[channel.number] = _Trace(samples, range_m, header.TimeDelay, header.Weight)
         if not traces:
             code = "reader.ping_empty" if empty else "reader.ping_without_side_scan"
             self.counters[code] += 1
             if empty:
-                text = "a ping has no samples or no slant range; such pings are skipped and counted"
+                text = "a ping has no samples, or neither slant range nor duration; such pings are skipped and counted"
                 self._raise_notice_once("reader.ping_empty", text, self._place(packet.offset))
             return None
         if empty:
             self.counters["reader.side_empty"] += 1
             self._raise_notice_once(
                 "reader.side_empty",
-                "one side of a ping has no samples or no slant range; that side is left out and counted",
+                "one side of a ping has no samples, or neither slant range nor duration; that side is left out and "
+                "counted",
                 self._place(packet.offset),
             )
         clock = _PingTime._make(_TIME_FIELDS.unpack_from(data))
@@ -525,7 +616,56 @@ class XtfLog:
             last_s = raw.day_s
             yield raw._replace(time_s=midnights * _DAY_S + raw.day_s if runs else number * interval_s)
 
+    def _range_m(self, header: _ChannelHeader, packet: XtfPacket) -> float:
+        """Return the slant range of a channel, which recorders that leave it 0 state by its duration."""
+        if 0.0 < header.SlantRange < math.inf or not 0.0 < header.TimeDuration < _MAX_DURATION_S:
+            return header.SlantRange
+        place = self._place(packet.offset)
+        stored = _PingHeader._make(_PING_FIELDS.unpack_from(packet.data)).SoundVelocity
+        self.counters["reader.range_from_duration"] += 1
+        text = "the slant range is 0; it is computed from the duration of the trace and the sound speed"
+        self._raise_notice_once("reader.range_from_duration", text, place)
+        return 0.5 * header.TimeDuration * self._sound_speed(_number(stored), place)
+
     # --- evidence of the first pings ---
+
+    def _mended(self, probe: list[_RawPing], others: Iterator[_RawPing]) -> tuple[list[_RawPing], Iterator[_RawPing]]:
+        """Make magnitudes of signed samples and two sides of one trace, where the first pings show that they are."""
+        place = self._place(probe[0].offset)
+        signed = {side for side in ("port", "starboard") if self._is_signed(side, probe, place)}
+        change = _Change(frozenset(signed), False)
+        both = self._hold_both_sides([change.apply(raw) for raw in probe])
+        if both:
+            text = (
+                "one channel holds both sides, port from far to near, then starboard from near to far: the water "
+                "column is in its middle. It is split there; if port and starboard look exchanged, set sonar.sides: "
+                "swapped"
+            )
+            self._raise_notice("reader.both_sides_in_one_channel", text, place)
+        change = change._replace(splits=both)
+        return [change.apply(raw) for raw in probe], map(change.apply, others)
+
+    def _is_signed(self, side: str, probe: list[_RawPing], place: str) -> bool:
+        traces = [trace for raw in probe if (trace := getattr(raw, side)) is not None]
+        channel = self._pair.port if side == "port" else self._pair.starboard
+        if not traces or channel is None:
+            return False
+        says_signed = not header_channel(self._file_header, self._header_bytes, channel.number).UniPolar
+        if not are_signed(np.concatenate([trace.samples for trace in traces]), says_signed):
+            return False
+        text = f"samples of {side} are signed numbers about zero; their magnitude is used"
+        if not says_signed:
+            text += ", although the file header says UniPolar. Check the waterfall, and export envelopes if it is wrong"
+        self._raise_notice("reader.signed_samples", text, place, for_the_record=says_signed)
+        return True
+
+    def _hold_both_sides(self, probe: list[_RawPing]) -> bool:
+        if any(raw.port is not None and raw.starboard is not None for raw in probe):
+            return False
+        traces = [trace for raw in probe if (trace := raw.port or raw.starboard) is not None]
+        (n_samples, range_m), _ = Counter((trace.samples.shape[0], trace.range_m) for trace in traces).most_common(1)[0]
+        chosen = [trace.samples for trace in traces if (trace.samples.shape[0], trace.range_m) == (n_samples, range_m)]
+        return hold_both_sides(np.stack(chosen), range_m, self._sonar.blank_m)
 
     def _habits(self, probe: list[_RawPing]) -> _Habits:
         headers = [raw.header for raw in probe]
@@ -573,8 +713,12 @@ class XtfLog:
                 "degrees: they are read as degrees. Check a contact's place; have the writer state NavUnits 3",
                 self._place(probe[0].offset),
             )
+        starboard_far_to_near = self._starboard_is_turned(probe)
+        if starboard_far_to_near:
+            probe = [raw._replace(starboard=_reversed(raw.starboard)) for raw in probe]
         return _Habits(
             port_far_to_near=self._port_order(probe) == "far_to_near",
+            starboard_far_to_near=starboard_far_to_near,
             ship_position=ship_position,
             ship_gyro=all_unknown("SensorHeading") and any_known("ShipGyro"),
             ship_speed=all_unknown("SensorSpeed") and any_known("ShipSpeed"),
@@ -612,6 +756,33 @@ class XtfLog:
                 place,
             )
         return wanted
+
+    def _starboard_is_turned(self, probe: list[_RawPing]) -> bool:
+        """Check whether starboard is stored far to near, which the format does not provide for."""
+        alone = _probe_port_order(
+            [raw._replace(port=raw.starboard, starboard=None) for raw in probe], self._sonar.blank_m
+        )
+        if alone is None or alone.total < DECISIVE:
+            return False
+        port = _probe_port_order([raw._replace(starboard=None) for raw in probe], self._sonar.blank_m)
+        likeness = 0.0
+        if port is not None and abs(port.total) >= DECISIVE:
+            near = [raw._replace(port=_reversed(raw.port)) for raw in probe] if port.total > 0.0 else probe
+            pairs = [raw._replace(port=raw.starboard, starboard=raw.port) for raw in near]
+            with_port = _probe_port_order(pairs, self._sonar.blank_m)
+            likeness = 0.0 if with_port is None else with_port.starboard
+        if alone.total < 2 * DECISIVE and alone.total + likeness < 3 * DECISIVE:
+            return False
+        text = "starboard is stored far to near and is turned"
+        exchanged = port is not None and port.total <= -2 * DECISIVE
+        if exchanged:
+            text += (
+                ", while port is stored near to far: the channels may be exchanged. The file header's sides are taken; "
+                "if port and starboard look exchanged, set sonar.sides: swapped"
+            )
+        code = "reader.sides_disagree" if exchanged else "reader.starboard_order"
+        self._raise_notice(code, text, self._place(probe[0].offset), for_the_record=not exchanged)
+        return True
 
     # --- raw pings to records ---
 
@@ -731,7 +902,7 @@ class XtfLog:
             number=number,
             time_s=time_s,
             port=self._echo("port", raw.port, speed, logged, habits.port_far_to_near, place),
-            starboard=self._echo("starboard", raw.starboard, speed, logged, False, place),
+            starboard=self._echo("starboard", raw.starboard, speed, logged, habits.starboard_far_to_near, place),
             sound_speed_mps=speed,
             altitude_m=altitude if altitude > 0.0 else NAN,
             place=f"{place}, ping {number}",
@@ -825,27 +996,23 @@ class XtfLog:
             self._place(damage.offset),
         )
 
-    def _raise_joined_notice(self, item: FileHeader) -> None:
+    def _raise_joined_notice(self, file: BinaryIO, item: FileHeader) -> None:
         self.counters["reader.joined_log"] += 1
         place = self._place(item.offset)
         try:
-            self._use_header(item.data, item.offset)
+            self._use_header(file, item.data, item.offset)
             self._raise_notice_once(
                 "reader.joined_log",
                 "another file header starts here: logs were joined; its channels hold from here on",
                 place,
             )
-        except BadInputError as error:
+        except (BadInputError, UsageError) as error:
             self._channels, self._port_number, self._starboard_number = [], -1, -1
             self._raise_notice_once("reader.joined_log_unusable", f"{error} Its pings are skipped", place)
 
     def _raise_other_channels_notice(self, data: bytes) -> None:
-        others = [
-            c
-            for c in self._channels
-            if c.kind in SIDE_SCAN and c.number not in (self._port_number, self._starboard_number)
-        ]
-        if others:
+        self._notices += pair_notices(self._pair, self._packing, self._sonar.subsystem, self._place(0))
+        if others := self._pair.others:
             self._raise_notice(
                 "reader.other_channel",
                 f"channels {self._port_number} and {self._starboard_number} are used; "
@@ -887,8 +1054,38 @@ class XtfLog:
             )
 
 
+class _Change(NamedTuple):
+    """Hold what is done to every ping. signed: sides of which magnitudes are used. splits: a trace is both sides."""
+
+    signed: frozenset[str]
+    splits: bool
+
+    def apply(self, raw: _RawPing) -> _RawPing:
+        """Return the ping with what is done to it."""
+        if raw.port is not None and "port" in self.signed:
+            raw = raw._replace(port=raw.port._replace(samples=magnitude(raw.port.samples)))
+        if raw.starboard is not None and "starboard" in self.signed:
+            raw = raw._replace(starboard=raw.starboard._replace(samples=magnitude(raw.starboard.samples)))
+        only = raw.port or raw.starboard
+        if not self.splits or only is None or (raw.port is not None and raw.starboard is not None):
+            return raw
+        port, starboard = halves(only.samples)
+        return raw._replace(port=only._replace(samples=port), starboard=only._replace(samples=starboard))
+
+
 class _NoSideScanError(BadInputError):
     """Signal a file without side-scan channels: the caller completes the message with what the file holds instead."""
+
+
+def _channel_head(header: _ChannelHeader) -> ChannelHead:
+    return ChannelHead(header.ChannelNumber, header.NumSamples, float(header.Frequency))
+
+
+def _packet_head(data: bytes, headers: list[_ChannelHeader]) -> PacketHead:
+    clock = _PingTime._make(_TIME_FIELDS.unpack_from(data))
+    of_day_s = 3600.0 * clock.Hour + 60.0 * clock.Minute + clock.Second + 0.01 * clock.HSeconds
+    (ping_number,) = _PING_NUMBER.unpack_from(data)
+    return PacketHead(ping_number, of_day_s, tuple(map(_channel_head, headers)))
 
 
 def _all_alike(values: tuple[float, ...], others: tuple[float, ...]) -> bool:
@@ -920,6 +1117,10 @@ def _interval_s(probe: list[_RawPing]) -> float:
         return way_m / speed_mps / (len(probe) - 1)
     ranges_m = [trace.range_m for raw in probe for trace in (raw.port, raw.starboard) if trace is not None]
     return 2.0 * max(ranges_m) / _NOMINAL_SOUND_SPEED_MPS
+
+
+def _reversed(trace: _Trace | None) -> _Trace | None:
+    return None if trace is None else trace._replace(samples=trace.samples[::-1])
 
 
 def _probe_port_order(probe: list[_RawPing], blank_m: float) -> PortOrderEvidence | None:

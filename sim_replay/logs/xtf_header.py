@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -46,11 +47,21 @@ def header_channel(header: Any, data: bytes, number: int) -> Any:
 
 
 def channels(header: Any, data: bytes) -> list[Channel]:
-    """Return all channels of a pyxtf.XTFFileHeader; `data` holds all its bytes."""
+    """Return all channels of a pyxtf.XTFFileHeader; `data` holds all its bytes.
+
+    Where fewer than two side-scan channels are declared, those that are described behind them count too.
+    """
     capacity = len(header.ChanInfo) + (len(data) - HEADER_BLOCK) // _CHANNEL_BYTES
-    found = []
-    for number in range(min(header.channel_count(), capacity)):
+    n_declared = min(header.channel_count(), capacity)
+    found: list[Channel] = []
+    for number in range(capacity):
         info = header_channel(header, data, number)
+        if number >= n_declared and (
+            info.TypeOfChannel not in SIDE_SCAN
+            or not info.BytesPerSample
+            or sum(channel.kind in SIDE_SCAN for channel in found) > 1
+        ):
+            break
         form = _DTYPE_OF_FORMAT.get(info.SampleFormat) or (
             _DTYPE_OF_WIDTH.get(info.BytesPerSample) if info.SampleFormat != _IBM_FLOAT else None
         )
@@ -67,15 +78,7 @@ def channels(header: Any, data: bytes) -> list[Channel]:
     return found
 
 
-def first_pair(side_scan: list[Channel]) -> tuple[Channel | None, Channel | None]:
-    """Return the first port channel and the starboard channel of its frequency (else the first)."""
-    port = next((c for c in side_scan if c.kind == PORT), None)
-    starboards = [c for c in side_scan if c.kind == STARBOARD]
-    twin = next((c for c in starboards if port is not None and c.frequency == port.frequency), None)
-    return port, twin or next(iter(starboards), None)
-
-
-def name_channels(some: list[Channel]) -> str:
+def name_channels(some: Sequence[Channel]) -> str:
     """Name channels for a message."""
     names = {0: "sub-bottom", PORT: "port", STARBOARD: "starboard", 3: "bathymetry"}
     return (

@@ -143,7 +143,7 @@ def test_its_decoder_finds_every_whole_ping_however_the_bytes_come(flown: list[S
     for n_bytes in (1, 7, 1000, len(damaged)):
         decoder = device.decoder(SonarConfig())
         chunks = (damaged[start : start + n_bytes] for start in range(0, len(damaged), n_bytes))
-        frames = [frame for chunk in chunks for frame in decoder.feed(chunk, Stamp(0, 0))] + decoder.finish()
+        frames = [*(frame for chunk in chunks for frame in decoder.feed(chunk, Stamp(0, 0))), *decoder.finish()]
         assert all(isinstance(frame, SonarFrame) for frame in frames)
         assert [frame.number for frame in frames if isinstance(frame, SonarFrame)] == [0, 2, 3, 4]
         assert decoder.counters["acme_sonar.messages"] == 4

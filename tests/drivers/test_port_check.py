@@ -17,9 +17,12 @@ from auv_mcm.records import NavSample
 from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.check.finding import Finding
 from drivers.links.serial_port import open_serial
+from drivers.navigation.nmea0183 import sentence
 from drivers.port_check import port_findings
+from drivers.sonar.ping_messages import encode
 from sim_replay.fakes.navigation import NAVIGATION_UNITS
 from sim_replay.fakes.port import FakePort
+from tests.drivers.sonar.sonar_frames import profile
 
 LISTEN_S = 0.6
 SAMPLE = NavSample(
@@ -197,3 +200,93 @@ def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: 
     (found,) = findings(serial(path, "nmea0183"))
     assert found.verdict == "FAILED"
     assert "permission denied. Add the user" in found.detail
+
+
+# --- pings and quantities ---
+
+
+@asynccontextmanager
+async def served(says: Callable[[int], bytes], every_s: float = 0.02) -> AsyncIterator[int]:
+    """Serve a device over TCP, which sends from the moment on that it is connected to; gives the port."""
+
+    async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        number = 0
+        try:
+            while True:
+                writer.write(says(number))
+                await writer.drain()
+                number += 1
+                await asyncio.sleep(every_s)
+        except (ConnectionError, asyncio.CancelledError):
+            writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+
+
+def of_tcp(device: str, says: Callable[[int], bytes], more: str = "") -> list[Finding]:
+    async def run() -> list[Finding]:
+        async with served(says) as port:
+            text = f"{{name: one, link: 'tcp://127.0.0.1:{port}', device: {device}}}{more}"
+            return await asyncio.to_thread(findings, text)
+
+    return asyncio.run(run())
+
+
+def profiles(number: int) -> bytes:
+    return b"".join(
+        encode(profile(ping_number=number, timestamp_ms=20 * number, channel_number=channel)) for channel in (0, 1)
+    )
+
+
+def test_a_sonar_that_sends_at_once_is_counted_in_pings(capfd: pytest.CaptureFixture[str]) -> None:
+    (found,) = of_tcp("ping_protocol", profiles)
+    assert found.verdict == "ok"
+    assert "pings of port and starboard, 4 samples a side to 50.0 m, " in found.detail
+    assert " a second" in found.detail
+    assert capfd.readouterr().err == ""
+
+
+def test_what_a_sonar_reports_of_its_sides_is_a_warning() -> None:
+    def turned(number: int) -> bytes:
+        return encode(profile(ping_number=number, timestamp_ms=100 * number, transducer_heading_deg=90.0))
+
+    async def run() -> list[Finding]:
+        async with served(turned, every_s=0.0) as port:
+            text = f"{{name: one, link: 'tcp://127.0.0.1:{port}', device: ping_protocol}}"
+            return await asyncio.to_thread(findings, text)
+
+    (found,) = asyncio.run(run())
+    assert found.verdict in ("ok", "warning")  # by the number of pings that came before enough were heard
+    assert "starboard" in found.detail
+
+
+def test_pings_that_cannot_be_used_are_a_warning_that_says_why() -> None:
+    (found,) = of_tcp("ping_protocol", lambda number: encode(profile(length_mm=0)))
+    assert found.verdict == "warning"
+    assert "but no ping (ping_protocol.refused.range" in found.detail
+
+
+def gga(number: int) -> bytes:
+    return sentence(f"GPGGA,0000{number % 60:02d}.00,4300.0000,N,00500.0000,E,4,10,0.8,1.0,M,48.0,M,,")
+
+
+def hdt(number: int) -> bytes:
+    return sentence("GPHDT,17.5,T")
+
+
+def test_quantities_of_a_unit_are_counted() -> None:
+    (found,) = of_tcp("nmea0183", lambda number: gga(number) + hdt(number))
+    assert found.verdict == "ok"
+    assert "position" in found.detail
+    assert "heading" in found.detail
+
+
+def test_units_that_speak_without_a_position_fail_the_check() -> None:
+    found = of_tcp("nmea0183", hdt)
+    assert [finding.verdict for finding in found] == ["ok", "FAILED"]
+    assert found[1].name == "position"
+    assert "no unit that was heard (one) gave a position" in found[1].detail

@@ -30,7 +30,8 @@ def test_a_recording_is_named_after_its_session(tmp_path: Path) -> None:
 def test_results_of_the_same_log_are_taken_again_and_nothing_else_is_touched(tmp_path: Path) -> None:
     log, other = tmp_path / "a.xtf", tmp_path / "far" / "a.xtf"
     other.parent.mkdir()
-    log.touch(), other.touch()
+    log.touch()
+    other.touch()
     first = write_results(tmp_path / "a-results", log)
     assert default_results([log], tmp_path) == first
     assert default_results([other], tmp_path).name == "a-results-2"

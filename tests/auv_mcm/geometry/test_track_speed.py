@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -99,11 +100,7 @@ def test_fixes_five_seconds_apart_are_bridged(speed_mps: float) -> None:
 
 def test_a_heading_of_zero_everywhere_gives_way_to_the_course() -> None:
     buffer = NavBuffer(NavigationConfig())
-    events = [NavSample(**{**_fields(event), "heading_rad": 0.0}) for event in samples(SPEED_MPS)]
+    events = [msgspec.structs.replace(event, heading_rad=0.0) for event in samples(SPEED_MPS)]
     track = flown(buffer, *events)
     np.testing.assert_allclose(track.heading_rad, HEADING_RAD, atol=math.radians(2.0))
     assert codes(buffer) == ["navigation.heading_zero"]
-
-
-def _fields(event: NavSample) -> dict[str, float]:
-    return {name: getattr(event, name) for name in ("time_s", "latitude_deg", "longitude_deg", "speed_mps")}

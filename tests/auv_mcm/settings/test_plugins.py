@@ -17,7 +17,7 @@ from auv_mcm.settings.plugins import find_plugins
 from auv_mcm.shell.check.plugins import plugin_findings
 from drivers.port_intake import PortIntake
 from drivers.ports import read_ports
-from sim_replay.logs.open_log import log_format
+from sim_replay.logs.open_log import find_format
 from sim_replay.logs.recorded import RecordedMission
 from tests.plugin_packages import importable, install_example, write_package
 
@@ -50,7 +50,7 @@ def test_built_in_devices_and_logs_cost_no_look_at_installed_packages(
         intake_of(device, more)
     read_config(None)
     (tmp_path / "log").write_bytes(b"\x7b\x00\x00\x00")
-    assert log_format(tmp_path / "log") == "xtf"
+    assert find_format(tmp_path / "log").name == "xtf"
 
 
 def test_a_plug_in_is_imported_only_when_it_is_named(site: Path) -> None:
@@ -222,7 +222,7 @@ def test_the_schema_names_the_built_in_devices_and_allows_others() -> None:
 def unreadable(site: Path) -> str:
     (site / "file").write_bytes(b"no log at all")
     with pytest.raises(BadInputError) as caught:
-        log_format(site / "file")
+        find_format(site / "file")
     return str(caught.value)
 
 
@@ -260,7 +260,7 @@ def test_a_log_that_two_packages_read_is_refused(site: Path) -> None:
     with pytest.raises(
         UsageError, match=r"several packages read this format: mine .* and theirs .*\. Uninstall all but one"
     ):
-        log_format(site / "file")
+        find_format(site / "file")
 
 
 @pytest.mark.parametrize(

@@ -151,3 +151,28 @@ def test_an_endless_line_is_not_kept() -> None:
 def test_frames_that_no_bus_carries_are_not_written(frame: CanFrame) -> None:
     with pytest.raises(ValueError, match="not a frame of a classic CAN bus"):
         encode(frame)
+
+
+@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize("n_data", [0, 1, 8])
+def test_time_stamps_are_taken_off_an_adapter_that_sends_them(extended: bool, n_data: int) -> None:
+    counters: Counter[str] = Counter()
+    parser = SlcanParser(counters)
+    sent = [CanFrame(0x123 + n, bytes(range(n_data)), extended) for n in range(20)]
+    text = b"".join(encode(frame)[:-1] + b"%04X\r" % (17 * n) for n, frame in enumerate(sent))
+    assert parser.feed(text[:50]) + parser.feed(text[50:]) == sent[2:]
+    assert counters["slcan.time_stamps"] == 18
+    assert counters["slcan.refused.length"] == 2
+    plain = b"".join(map(encode, sent))
+    assert parser.feed(plain) == sent[2:], "an adapter that was set up anew"
+
+
+def test_a_damaged_length_among_plain_frames_is_no_time_stamp() -> None:
+    counters: Counter[str] = Counter()
+    parser = SlcanParser(counters)
+    sent = [CanFrame(0x1ABCDE, bytes(8), True) for _ in range(5)]
+    text = bytearray(b"".join(map(encode, sent)))
+    for n in (1, 3):
+        text[n * 27 + 9] = ord("6")
+    assert len(parser.feed(bytes(text))) == 3
+    assert counters["slcan.refused.length"] == 2

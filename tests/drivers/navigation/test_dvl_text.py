@@ -14,6 +14,7 @@ from auv_mcm.records import NAN
 from drivers.framing import Framer
 from drivers.navigation import dvl_pd6 as pd6
 from drivers.navigation import dvl_water_linked as wl
+from drivers.navigation.water_linked_unit import WaterLinkedUnit
 from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
 
 VELOCITY = st.floats(-19.9, 19.9)
@@ -161,7 +162,7 @@ def test_implausible_lines_are_refused_and_counted(line: bytes) -> None:
 
 
 def test_a_wrz_gives_velocity_altitude_and_how_old_it_is() -> None:
-    [fix] = fed(wl.WaterLinkedUnit("dvl"), [WRZ])
+    [fix] = fed(WaterLinkedUnit("dvl"), [WRZ])
     assert fix.speed_mps == pytest.approx(math.hypot(0.12, 0.4))
     assert fix.drift_rad == pytest.approx(math.atan2(-0.4, 0.12))
     assert (fix.altitude_m, fix.speed_sigma_mps) == (1.3, 1.855)
@@ -170,7 +171,7 @@ def test_a_wrz_gives_velocity_altitude_and_how_old_it_is() -> None:
 
 
 def test_a_wrz_without_lock_gives_nothing() -> None:
-    unit = wl.WaterLinkedUnit("dvl")
+    unit = WaterLinkedUnit("dvl")
     lost = wl.Velocity(
         0.0, 0.0, 0.0, False, -1.0, 0.0, (0.0,) * 9, 1_700_000_000_000_000, 1_700_000_000_150_000, 100.0, 0
     )
@@ -183,7 +184,7 @@ def test_a_wrz_without_lock_gives_nothing() -> None:
 
 
 def test_wru_is_known_but_gives_no_navigation() -> None:
-    unit = wl.WaterLinkedUnit("dvl")
+    unit = WaterLinkedUnit("dvl")
     assert fed(unit, [WRU]) == []
     assert unit.counters["water_linked.ignored"] == 1
 
@@ -217,7 +218,7 @@ def test_every_intact_line_is_read_whatever_is_around_it_and_chunks_make_no_diff
     assert read([stream[i : i + 1] for i in range(len(stream))]) == whole
 
 
-@pytest.mark.parametrize("unit_type", [pd6.Pd6Unit, wl.WaterLinkedUnit])
+@pytest.mark.parametrize("unit_type", [pd6.Pd6Unit, WaterLinkedUnit])
 @given(
     chunks=st.lists(
         st.one_of(st.binary(max_size=60), st.sampled_from([*PD6_LINES, *WL_LINES, b":", b"w", b"wrz,", b":BI,"])),

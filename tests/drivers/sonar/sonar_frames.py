@@ -8,7 +8,7 @@ import numpy as np
 
 from auv_mcm.clock import Stamp
 from drivers.sonar.ping_messages import OsMonoProfile
-from drivers.sonar.sonar_decoder import SonarDecoder, SonarFrame, SonarReply
+from drivers.sonar.sonar_decoder import SonarDecoder, SonarFrame, SonarItem, SonarReply
 
 NOW: Final = Stamp(5, 7)
 
@@ -28,16 +28,16 @@ def profile(**changes: Any) -> OsMonoProfile:
         analog_gain=12.5,
         max_pwr_db=-10.0,
         min_pwr_db=-90.0,
-        transducer_heading_deg=90.0,
+        transducer_heading_deg=0.0,
         vehicle_heading_deg=45.0,
         pwr_results=np.array([0, 21845, 43690, 65535], dtype=np.uint16),
     )
     return made._replace(**changes)
 
 
-def items_of(decoder: SonarDecoder, *chunks: bytes) -> list[SonarFrame | SonarReply]:
+def items_of(decoder: SonarDecoder, *chunks: bytes) -> list[SonarItem]:
     """Decode all chunks, up to the end of the stream."""
-    return [item for chunk in chunks for item in decoder.feed(chunk, NOW)] + decoder.finish()
+    return [*(item for chunk in chunks for item in decoder.feed(chunk, NOW)), *decoder.finish()]
 
 
 def frames_of(decoder: SonarDecoder, *chunks: bytes) -> list[SonarFrame]:

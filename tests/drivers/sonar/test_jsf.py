@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.errors import UsageError
+from auv_mcm.records import Notice
 from drivers.framing import Framer
 from drivers.sonar.jsf import JsfDecoder, JsfGrammar, commands
 from drivers.sonar.jsf_messages import (
@@ -31,7 +32,7 @@ from drivers.sonar.jsf_messages import (
     time_reply,
     to_wire,
 )
-from drivers.sonar.sonar_decoder import SonarSettings
+from drivers.sonar.sonar_decoder import SonarFrame, SonarSettings
 from tests.drivers.sonar.sonar_frames import frames_of, items_of, replies_of
 
 # Offset and struct format of each field behind the message header, from EdgeTech's description.
@@ -273,6 +274,62 @@ def test_one_frequency_is_used_and_the_others_are_counted() -> None:
     assert frame.starboard is not None
     assert decoder.counters["jsf.not_used.subsystem_21"] == 2
     assert decoder.counters["jsf.not_used.other_subsystem"] == 1
+
+
+@pytest.mark.parametrize("order", [(20, 21), (21, 20), (21, 22), (20, 22)])
+def test_the_highest_frequency_that_is_heard_is_used(order: tuple[int, int]) -> None:
+    decoder = JsfDecoder()
+    stream = [side(channel, ping_number=n, subsystem=s) for n in range(40) for s in order for channel in (0, 1)]
+    items = items_of(decoder, *stream)
+    notices = [item.text for item in items if isinstance(item, Notice)]
+    assert len(notices) == 1
+    assert f"{max(order)} is used. Set sonar.subsystem: {min(order)}" in notices[0]
+    assert decoder.counters[f"jsf.not_used.subsystem_{min(order)}"] >= 70
+    assert sum(isinstance(item, SonarFrame) and item.number >= 5 for item in items) == 35
+
+
+def test_the_low_frequency_is_used_where_it_is_alone() -> None:
+    decoder = JsfDecoder()
+    stream = [side(channel, ping_number=n, subsystem=20) for n in range(40) for channel in (0, 1)]
+    assert sum(isinstance(item, SonarFrame) for item in items_of(decoder, *stream)) >= 37
+
+
+def test_a_damaged_header_changes_no_frequency() -> None:
+    decoder = JsfDecoder()
+    stream = [side(0, ping_number=n, subsystem=22 if n % 50 == 7 else 21) for n in range(600)]
+    assert sum(isinstance(item, SonarFrame) for item in items_of(decoder, *stream)) == 588
+
+
+def test_the_real_part_of_a_signal_counts_by_its_magnitude() -> None:
+    (frame,) = frames_of(JsfDecoder(), side(0, (-3, 4, -32768), data_format=DataFormat.REAL))
+    assert frame.port is not None
+    assert frame.port.samples.tolist() == [3.0, 4.0, 32768.0]
+
+
+@pytest.mark.parametrize("n_body", [18_000, 200_000, 3_000_000])
+@pytest.mark.parametrize("is_file", [False, True])
+def test_a_long_message_is_believed_where_another_or_the_end_of_the_file_follows(n_body: int, is_file: bool) -> None:
+    random = np.random.Generator(np.random.PCG64(n_body))
+    body = random.bytes(n_body // 2) + side(0) + side(1) + random.bytes(n_body - n_body // 2)  # no pings, by chance
+    long = to_wire(JsfMessage(3000, body, subsystem=40))
+    stream = side(0) + long + side(1) + long
+    framer = Framer(JsfGrammar(len(stream) if is_file else None))
+    found = framer.feed(stream) + framer.finish()
+    kinds = [framed.message.message_type for framed in found]
+    if is_file:
+        assert kinds == [80, 3000, 80, 3000]
+        assert framer.counters["jsf.bytes_skipped"] == 0
+    elif n_body < 2**18:
+        assert kinds[:3] == [80, 3000, 80]
+
+
+def test_a_size_that_nothing_confirms_hides_no_ping() -> None:
+    for n_lost in (1, 400):
+        long = to_wire(JsfMessage(3000, bytes(20_000), subsystem=40))[:-n_lost]
+        stream = side(0) + long + b"".join(side(n % 2, ping_number=n) for n in range(300))
+        framer = Framer(JsfGrammar(len(stream)))
+        found = framer.feed(stream) + framer.finish()
+        assert sum(framed.message.message_type == 80 for framed in found) == 301
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def test_published_request_both_ways() -> None:
 
 
 def test_published_profile_both_ways() -> None:
-    assert encode(profile(channel_number=1)) == PROFILE
+    assert encode(profile(channel_number=1, transducer_heading_deg=90.0)) == PROFILE
     reported = decode(read(PROFILE))
     assert isinstance(reported, OsMonoProfile)
     assert reported[:8] == (7, 0, 50_000, 123_456, 450_000, 3, 14_820, 1)
@@ -212,7 +212,7 @@ def test_the_port_head_may_have_either_channel() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"channel_number": 2}, "channel"),
+        ({"channel_number": 4}, "channel"),
         ({"length_mm": 0}, "range"),
         ({"length_mm": 2**32 - 1}, "range"),
         ({"pwr_results": np.zeros(0, dtype=np.uint16)}, "range"),

@@ -20,7 +20,7 @@ def test_an_unknown_sonar_is_refused_with_those_that_are_known() -> None:
 def test_every_sonar_decodes_and_takes_settings(name: str) -> None:
     device = sonar_named(name)
     decoder = device.decoder(SonarConfig())
-    assert decoder.feed(bytes(range(256)) * 20, NOW) + decoder.finish() == []
+    assert [*decoder.feed(bytes(range(256)) * 20, NOW), *decoder.finish()] == []
     assert decoder.counters[f"{name}.bytes_skipped"] == 5120
     sent = device.commands(SonarSettings(range_m=60.0, gain=3))
     assert sent

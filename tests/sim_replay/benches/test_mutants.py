@@ -19,7 +19,7 @@ from sim_replay.benches.mutant_seeds import Seed, write_seeds
 from sim_replay.benches.mutant_traps import traps_of
 from sim_replay.benches.mutants import Case, cases_of, judge_case, judge_mutant, kinds_of, table, wrong_results
 from sim_replay.benches.mutations import CHANGES, FILE_HEADER_BYTES, JUMPS, mutated, split
-from sim_replay.logs.open_log import FORMAT_NAMES, log_format, open_log
+from sim_replay.logs.open_log import FORMATS, find_format, open_log
 from sim_replay.replay import replay
 from tests.sim_replay.logs.xtf_logs import navigated, ping, written
 
@@ -160,8 +160,8 @@ def seeds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Seed]:
 
 
 def test_there_is_a_seed_of_every_format_that_is_read_and_of_all_that_people_write(seeds: dict[str, Seed]) -> None:
-    read = {log_format(seed.folder / seed.file) for seed in seeds.values() if seed.role in ("log", "image")}
-    assert read == set(FORMAT_NAMES)
+    read = {find_format(seed.folder / seed.file).name for seed in seeds.values() if seed.role in ("log", "image")}
+    assert read == {row.name for row in FORMATS}
     assert {seed.role for seed in seeds.values()} >= {"sidecar", "track", "configuration", "scene", "mine list"}
 
 

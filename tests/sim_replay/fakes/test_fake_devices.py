@@ -46,7 +46,8 @@ def a_ping(seed: int = 0, n_samples: int = 300, range_m: float = 30.0) -> Ping:
 
 def reported(name: str, messages: list[bytes]) -> list[SonarFrame | SonarReply]:
     decoder = sonar_named(name).decoder(SonarConfig())
-    items = [item for message in messages for item in decoder.feed(message, STAMP)] + decoder.finish()
+    items = [item for message in messages for item in decoder.feed(message, STAMP)]
+    items += decoder.finish()
     assert not any("refused" in counter for counter in decoder.counters)
     return items
 

@@ -30,7 +30,7 @@ from drivers.sonar.jsf_messages import to_wire as jsf_wire
 from drivers.sonar.ping_messages import NMEA_WRAPPER, OsMonoProfile, PingMessage, decode, encode
 from drivers.sonar.ping_messages import to_wire as ping_wire
 from drivers.sonar.ping_protocol import PingGrammar
-from sim_replay.logs.open_log import is_session, log_format, open_log
+from sim_replay.logs.open_log import find_format, is_session, open_log
 from sim_replay.logs.recorded import RecordedMission, open_mission
 from sim_replay.logs.xtf_writer import write_xtf
 from tests.sim_replay.logs.sonar_logs import (
@@ -187,11 +187,11 @@ def test_the_navigation_of_a_sonars_message_is_of_the_transmission(navigation: s
 def test_a_log_is_known_by_its_content_whatever_it_is_called(tmp_path: Path) -> None:
     xtf = tmp_path / "a.jsf"
     write_xtf(xtf, mission())
-    assert log_format(xtf) == "xtf"
-    assert log_format(written("jsf", tmp_path / "b.svlog")) == "jsf"
-    assert log_format(written("ping_protocol", tmp_path / "c.xtf")) == "svlog"
+    assert find_format(xtf).name == "xtf"
+    assert find_format(written("jsf", tmp_path / "b.svlog")).name == "jsf"
+    assert find_format(written("ping_protocol", tmp_path / "c.xtf")).name == "svlog"
     folder = write_session(run_of("jsf"), tmp_path / "d.xtf")
-    assert log_format(folder) == log_format(folder / file_name(0)) == "session"
+    assert find_format(folder).name == find_format(folder / file_name(0)).name == "session"
     assert is_session(folder)
     assert not is_session(xtf)
     assert not is_session(tmp_path / "nowhere")
@@ -202,7 +202,7 @@ def test_a_log_whose_beginning_is_damaged_is_known_by_what_follows(kind: SonarKi
     whole = written(kind, tmp_path / "log").read_bytes()
     path = tmp_path / "damaged"
     path.write_bytes(b"\xff" * 3000 + whole[3000:])
-    assert log_format(path) == log_format(tmp_path / "log")
+    assert find_format(path).name == find_format(tmp_path / "log").name
     log = open_log(path, run_of(kind).config)
     n_pings = len(pings(iter(log)))
     assert n_pings >= len(pings(iter(open_log(tmp_path / "log", Config())))) - 3
@@ -249,13 +249,16 @@ def test_a_jsf_log_of_the_low_frequency_alone_is_taken(tmp_path: Path) -> None:
     assert [bytes_of(contact) for contact in found] == [bytes_of(contact) for contact in expected]
 
 
-def test_of_several_subsystems_one_has_to_be_chosen(tmp_path: Path) -> None:
+def test_of_several_subsystems_the_highest_is_used_or_the_one_configured(tmp_path: Path) -> None:
     whole = written("jsf", tmp_path / "high").read_bytes()
     both = tmp_path / "both"
     both.write_bytes(b"".join(of_subsystem(jsf_wire(f.message), 20) + jsf_wire(f.message) for f in _jsf(whole)))
-    with pytest.raises(UsageError, match=r"both holds side scan of subsystems 20 and 21: set sonar\.subsystem"):
-        open_log(both, Config())
+    events = list(open_log(both, Config()))
     n_pings = len(pings(iter(open_log(tmp_path / "high", Config()))))
+    assert len(pings(iter(events))) == n_pings
+    (notice,) = [event for event in events if isinstance(event, Notice)]
+    assert notice.code == "reader.frequency_chosen"
+    assert "20 (low frequency) and 21 (high frequency): 21 is used. Set sonar.subsystem: 20" in notice.text
     for subsystem in (20, 21):
         log = open_log(both, Config(sonar=SonarConfig(subsystem=subsystem)))
         assert len(pings(iter(log))) == n_pings

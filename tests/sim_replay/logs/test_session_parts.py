@@ -21,8 +21,8 @@ from auv_mcm.shell.recovery import JOURNAL
 from drivers.port_intake import PortIntake
 from drivers.recording.session_layout import SessionDescription, file_name
 from drivers.recording.session_writer import SessionWriter
-from sim_replay.batch.archive import logs_of
 from sim_replay.export_source import find_source, tiles
+from sim_replay.logs.archive import logs_of
 from sim_replay.logs.open_log import logs_config, open_log
 from sim_replay.logs.recorded import open_mission
 from sim_replay.view.show import open_shown

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Notice, Ping
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
@@ -369,7 +370,7 @@ def test_other_packets_are_skipped_and_counted_by_type(tmp_path: Path) -> None:
     assert log.counters["reader.packet_not_side_scan.type_222"] == 1
 
 
-def test_of_two_frequencies_the_first_pair_is_taken(tmp_path: Path) -> None:
+def test_of_two_frequencies_the_highest_is_taken(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 3)
     data = bytearray(path.read_bytes())
 
@@ -382,15 +383,17 @@ def test_of_two_frequencies_the_first_pair_is_taken(tmp_path: Path) -> None:
 
     path.write_bytes(data)
     edit_file_header(path, fill)
-    assert codes_of(read(path)[0]) == ["reader.other_channel"]
-
     edit_channels(
         path, lambda index, channel, header: setattr(header, "ChannelNumber", channel + 2 if index == 1 else channel)
     )
-    events, log = read(path)
-    assert len(pings_of(events)) == 2
-    assert log.counters["reader.other_channel"] == 2
-    assert log.counters["reader.ping_without_side_scan"] == 1
+    for subsystem, n_pings in ((None, 1), (20, 2), (21, 1)):
+        events, log = read(path, subsystem=subsystem)
+        assert codes_of(events) == ["reader.frequency_chosen", "reader.other_channel"]
+        assert len(pings_of(events)) == n_pings
+        assert log.counters["reader.other_channel"] == 2 * (3 - n_pings)
+        assert log.counters["reader.ping_without_side_scan"] == 3 - n_pings
+    with pytest.raises(UsageError, match=r"20 \(400 kHz\) and 21 \(900 kHz\). Set one of them"):
+        read(path, subsystem=22)
 
 
 def test_more_channels_than_fit_into_one_header_block(tmp_path: Path) -> None:

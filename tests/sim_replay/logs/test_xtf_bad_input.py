@@ -97,7 +97,13 @@ def test_no_side_scan_channel(tmp_path: Path) -> None:
 
 def test_no_channels_at_all(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf")
-    edit_file_header(path, lambda header: setattr(header, "NumberOfSonarChannels", 0))
+
+    def fill(header: Any) -> None:
+        header.NumberOfSonarChannels = 0
+        for info in header.ChanInfo:
+            info.TypeOfChannel = 0
+
+    edit_file_header(path, fill)
     assert "no channels at all" in refusal(path)
 
 
@@ -362,7 +368,12 @@ def test_another_number_of_samples_is_delivered_and_reported_once(tmp_path: Path
 @pytest.mark.parametrize("value", [0.0, -3.0, math.nan, math.inf])
 def test_a_ping_without_slant_range_is_skipped(tmp_path: Path, value: float) -> None:
     path = written(tmp_path / "log.xtf", 5)
-    edit_channels(path, lambda index, _, header: setattr(header, "SlantRange", value) if index in (1, 3) else None)
+
+    def change(index: int, _: int, header: Any) -> None:
+        if index in (1, 3):
+            header.SlantRange, header.TimeDuration = value, 0.0
+
+    edit_channels(path, change)
     events, log = read(path)
     assert len(pings_of(events)) == 3
     assert log.counters["reader.ping_empty"] == 2
@@ -371,9 +382,12 @@ def test_a_ping_without_slant_range_is_skipped(tmp_path: Path, value: float) -> 
 
 def test_one_side_without_slant_range_is_left_out(tmp_path: Path) -> None:
     path = written(tmp_path / "log.xtf", 3)
-    edit_channels(
-        path, lambda index, channel, header: setattr(header, "SlantRange", 0.0) if (index, channel) == (1, 0) else None
-    )
+
+    def change(index: int, channel: int, header: Any) -> None:
+        if (index, channel) == (1, 0):
+            header.SlantRange = header.TimeDuration = 0.0
+
+    edit_channels(path, change)
     events, log = read(path)
     assert [p.port is None for p in pings_of(events)] == [False, True, False]
     assert log.counters["reader.side_empty"] == 1
