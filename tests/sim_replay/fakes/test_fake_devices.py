@@ -49,7 +49,7 @@ def reported(name: str, messages: list[bytes]) -> list[SonarFrame | SonarReply]:
     items = [item for message in messages for item in decoder.feed(message, STAMP)]
     items += decoder.finish()
     assert not any("refused" in counter for counter in decoder.counters)
-    return items
+    return [item for item in items if not isinstance(item, Notice)]
 
 
 def set_up(sonar: FakeSonar, name: str, **settings: float) -> list[SonarFrame | SonarReply]:
