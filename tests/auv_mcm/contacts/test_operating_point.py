@@ -71,12 +71,12 @@ def drawn(number: int, log_odds: float) -> Contact:
 
 
 def test_contacts_are_called_while_the_lower_end_of_the_expected_false_alarms_is_accepted() -> None:
-    """One standard deviation below the middle of a Poisson count: the Gamma quantile, by scipy."""
+    """The lower end of the 95 % interval of a Poisson count: the Gamma quantile, by scipy."""
     mission = Mission(ContactsConfig(false_alarms_per_km2=30.0))
     mission.search(0.05)
     announced = mission.see(*np.linspace(-4.5, 4.5, 40).tolist())
     expected = np.cumsum([1.0 - contact.p_mine for contact in announced[::-1]])[::-1]
-    accepted = gamma.ppf(norm.cdf(-1.0), expected) <= 30.0 * 0.05
+    accepted = gamma.ppf(0.025, expected) <= 30.0 * 0.05
     assert [contact.called for contact in announced] == accepted.tolist()
     assert {contact.called for contact in announced} == {True, False}
     densities = [contact.false_alarms_per_km2 for contact in announced]
@@ -145,7 +145,7 @@ def test_what_is_announced_depends_on_nothing_that_came_later() -> None:
 def test_a_call_that_turns_is_announced_again_and_nothing_else_is() -> None:
     mission = Mission()
     mission.search(0.0001)
-    (announced,) = mission.see(odds_of(0.4))
+    (announced,) = mission.see(odds_of(0.15))
     assert announced.called is False
     mission.search(3.0)  # and hardly anything there
     again = mission.see(-4.5)
