@@ -8,7 +8,6 @@ from pathlib import Path
 from auv_mcm.clean_text import clean
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
 from auv_mcm.errors import UsageError
-from auv_mcm.shell.recovery import SUMMARY
 
 
 def add(commands: Commands) -> None:
@@ -37,6 +36,7 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from auv_mcm.shell.recovery import SUMMARY
     from sim_replay.logs.session_parts import recordings_of, session_of
 
     session = session_of(arguments.session)

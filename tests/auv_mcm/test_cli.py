@@ -425,7 +425,7 @@ def test_a_slip_in_a_command_or_a_choice_names_the_nearest(capsys: pytest.Captur
         (["reply", "a.xtf"], "did you mean replay?"),
         (["replay", "a.xtf", "--outt", "o"], "did you mean --out?"),
         (["replay", "a.xtf", "--speed", "rel"], "did you mean real?"),
-        (["zzz"], "choose from replay, view"),
+        (["zzz"], "choose from replay, info, view"),
     ):
         with pytest.raises(SystemExit) as ended:
             main(words)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Ping
-from auv_mcm.settings.config import SonarConfig
+from auv_mcm.settings.config import Config, SonarConfig
+from sim_replay.logs.open_log import open_log
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_samples import are_signed, magnitude
 from tests.sim_replay.logs.xtf_logs import (
@@ -279,7 +280,7 @@ def test_the_side_is_what_type_and_name_agree_on(
 
 def test_the_key_exchanges_sides(tmp_path: Path) -> None:
     pings, path = plain(tmp_path)
-    found = pings_of(read(path, sides="swapped")[0])
+    found = pings_of(list(open_log(path, Config(sonar=SonarConfig(sides="swapped")))))
     assert all(same_trace(p.port, q.starboard) for p, q in zip(found, pings, strict=True))
     assert all(same_trace(p.starboard, q.port) for p, q in zip(found, pings, strict=True))
 
