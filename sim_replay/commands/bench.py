@@ -53,7 +53,6 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
         "benches.left_out",
         "the odds of a mine on domains left out, and what each measurement is worth there",
     ),
-    "verifier": ("benches.verifier", "a convolutional verifier beside the odds of measurements, on domains left out"),
     "pfa": ("studies.pfa", "false alarms per km² and per decision"),
     "tours": ("benches.tours", "plans of survey and second views: how near to the optimum, in what time"),
     "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
