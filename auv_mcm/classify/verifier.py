@@ -1,4 +1,4 @@
-"""Tell mines from other objects and from sea floor by a small convolutional network on chips.
+"""Separate mines from other objects and from sea floor by a small convolutional network on chips.
 
 Two towers of convolutions, one for either picture of a chip, are joined with the place (Y. LeCun et al., Proceedings of
 the IEEE 86, 1998). OpenCV runs it, many chips at a time. How its scores are weighed beside the detector's measurements
@@ -22,7 +22,7 @@ from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
 from auv_mcm.errors import BadInputError
 
 CLASSES: Final = ("mine", "other object", "floor")
-"""What the network tells apart, in the order of its scores."""
+"""What the network separates, in the order of its scores."""
 FILE: Final = "verifier.onnx"
 """Name of the network's file."""
 N_TOGETHER: Final = 64

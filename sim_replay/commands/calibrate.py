@@ -51,9 +51,9 @@ def add(commands: Commands) -> None:
         "seabed:       how seabed types look, from simulated missions; 'detect.seabed_model' loads the file\n"
         "sizes:        how sizes of mines are measured, for lists of mines expected; the file that ships was fitted "
         "so\n"
-        "verifier:     the network that tells mines from other objects and floor, from simulated missions; the files "
-        "that\n"
-        "              ship were made so\n\n"
+        "verifier:     the network that separates mines from other objects and floor, from simulated missions; the "
+        "files\n"
+        "              that ship were made so\n\n"
         "The detector's cascade has a command of its own, 'auv-mcm train'.",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
@@ -350,7 +350,7 @@ def _add_verifier(kinds: Commands) -> None:
     parser = command(
         kinds,
         "verifier",
-        "train the network that tells mines from other objects and floor",
+        "train the network that separates mines from other objects and floor",
         "Flies drawn missions with dense mines and stones, keeps the sea floor around every detection, trains the "
         "network on it,\n"
         "weighs it beside the detector's odds on missions left out, and prints how both do there. Missions already in "

@@ -1,1 +1,1 @@
-"""Fit a convolutional verifier to chips of the waterfall, to be compared with the odds of measurements."""
+"""Fly, train and weigh the network that separates mines from other objects and floor."""

@@ -191,7 +191,7 @@ def read_catch(place: Path) -> Catch:
     try:
         with place.open("rb") as file, np.load(file) as stored:
             return Catch(**{name: stored[name] for name in Catch._fields})
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise BadInputError(f"{place} holds no catch: {error}. Remove it, and it is flown again") from error
 
 

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS
+from auv_mcm.classify.verifier import CLASSES
 from auv_mcm.errors import UsageError
 
-N_EPOCHS: Final = 9
+N_EPOCHS: Final = 5
 """Passes over the chips."""
 _BATCH: Final = 128  # chips per step
 _RATE: Final = 2e-3  # highest learning rate, of a single cycle (L. N. Smith and N. Topin, SPIE 11006, 2019)
@@ -26,13 +27,13 @@ _GAIN: Final = 0.15  # standard deviation of level and of contrast, in spreads o
 _FILLED: Final = 0.25  # share of training chips whose dark pixels are filled, as by echoes off other paths
 _SMEARED: Final = 0.25  # share of training chips whose speckle is correlated further
 _SEED: Final = 43  # fixed, so that weights repeat on one computer
-CLASSES: Final = ("mine", "other object", "floor")
-"""What the network tells apart, in the order of its outputs."""
 
 
 class ChipTable(NamedTuple):
-    """Hold n chips: metres (n, N_ROWS, N_COLUMNS), heights (n, N_ROWS, N_HEIGHTS) float16, place (n, N_PLACE) float32,
-    label (n,) int8, index into CLASSES.
+    """Hold n chips.
+
+    metres: (n, N_ROWS, N_COLUMNS), heights: (n, N_ROWS, N_HEIGHTS), float16. place: (n, N_PLACE) float32. label: (n,)
+    int8, index into CLASSES.
     """
 
     metres: NDArray[np.float16]
@@ -52,7 +53,7 @@ def train(
     threads: int = 1,
     show: Callable[[int, float, Any], None] = lambda epoch, loss, network: None,
 ) -> Any:
-    """Train a network to tell CLASSES apart; returns it with averaged weights, a torch.nn.Module.
+    """Train a network to separate CLASSES; returns it with averaged weights, a torch.nn.Module.
 
     Parameters
     ----------

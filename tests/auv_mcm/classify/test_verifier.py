@@ -1,4 +1,4 @@
-"""Tests of the network that tells mines from other objects and floor."""
+"""Tests of the network that separates mines from other objects and floor."""
 
 import cv2
 import numpy as np
