@@ -54,7 +54,7 @@ def chip_of(region: Region) -> Chip:
     Every pixel is the mean of the intensities that it covers, each weighed by the area in common. Pixels finer than the
     sonar's repeat the nearest.
     """
-    rows = region.row + _ROW_M * (np.arange(N_ROWS + 1) - 0.5 * N_ROWS) / region.row_spacing_m
+    rows = region.row + _ROW_M * (np.arange(N_ROWS + 1, dtype=np.float64) - 0.5 * N_ROWS) / region.row_spacing_m
     top = min(max(int(rows[0]), 0), len(region.valid) - 1)
     end = min(max(int(rows[-1]) + 1, top + 1), len(region.valid))
     valid = region.valid[top:end]
@@ -65,8 +65,8 @@ def chip_of(region: Region) -> Chip:
     strips = np.diff(_between(sums, rows, 1), axis=1)
     np.cumsum(strips, axis=2, out=strips)
     centre_m = region.first_ground_range_m + region.column * region.column_spacing_m
-    by_metres_m = centre_m - _NEAR_M + _COLUMN_M * np.arange(N_COLUMNS + 1)
-    by_height_m = shadow_ends_m(centre_m, region.altitude_m, _HEIGHT_M * np.arange(N_HEIGHTS + 1))
+    by_metres_m = centre_m - _NEAR_M + _COLUMN_M * np.arange(N_COLUMNS + 1, dtype=np.float64)
+    by_height_m = shadow_ends_m(centre_m, region.altitude_m, _HEIGHT_M * np.arange(N_HEIGHTS + 1, dtype=np.float64))
     metres, heights = (
         np.diff(_between(strips, (edges_m - region.first_ground_range_m) / region.column_spacing_m, 2), axis=2)
         for edges_m in (by_metres_m, by_height_m)

@@ -12,14 +12,14 @@ Floats = NDArray[np.float64]
 
 def weights_of(data: bytes) -> dict[str, Floats]:
     """Read the initialisers of an ONNX model: field 7 of the model is its graph, field 5 of that a tensor."""
-    graph = next(value for field, value in _fields(data) if field == 7)
+    graph = next(value for field, value in _fields(data) if field == 7 and isinstance(value, bytes))
     found = {}
     for field, tensor in _fields(graph):
-        if field == 5:
+        if field == 5 and isinstance(tensor, bytes):
             parts = list(_fields(tensor))
             shape = [int(value) for number, value in parts if number == 1]
-            name = next(bytes(value).decode() for number, value in parts if number == 8)
-            raw = next(bytes(value) for number, value in parts if number == 9)
+            name = next(value.decode() for number, value in parts if number == 8 and isinstance(value, bytes))
+            raw = next(value for number, value in parts if number == 9 and isinstance(value, bytes))
             found[name] = np.frombuffer(raw, dtype="<f4").astype(np.float64).reshape(shape)
     return found
 
@@ -82,6 +82,6 @@ def _fields(data: bytes) -> Iterator[tuple[int, bytes | int]]:
         if key & 7 == 0:
             yield key >> 3, whole()
         else:
-            length = {2: whole, 5: lambda: 4, 1: lambda: 8}[key & 7]()
+            length = whole() if key & 7 == 2 else {1: 8, 5: 4}[key & 7]
             yield key >> 3, data[place : place + length]
             place += length

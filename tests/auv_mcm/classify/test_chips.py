@@ -38,10 +38,10 @@ def region(seed: int = 1, rows: int = 67, columns: int = 190, **changes: float) 
 def test_a_pixel_is_the_mean_of_what_it_covers(seed: int, row: float, column: float, altitude: float) -> None:
     seen = region(seed, row=row, column=column, altitude_m=altitude)
     chip = chip_of(seen)
-    rows = row + ROW_M * (np.arange(N_ROWS + 1) - 0.5 * N_ROWS) / 0.12
+    rows = row + ROW_M * (np.arange(N_ROWS + 1, dtype=np.float64) - 0.5 * N_ROWS) / 0.12
     middle_m = 14.0 + column * 0.06
-    by_metres = (middle_m - NEAR_M + COLUMN_M * np.arange(N_COLUMNS + 1) - 14.0) / 0.06
-    tops_m = HEIGHT_M * np.arange(N_HEIGHTS + 1)
+    by_metres = (middle_m - NEAR_M + COLUMN_M * np.arange(N_COLUMNS + 1, dtype=np.float64) - 14.0) / 0.06
+    tops_m = HEIGHT_M * np.arange(N_HEIGHTS + 1, dtype=np.float64)
     by_height = (altitude * middle_m / np.maximum(altitude - tops_m, 0.05) - 14.0) / 0.06
     metres_db, heights_db = (slow_levels_db(seen, rows, columns) for columns in (by_metres, by_height))
     known = metres_db[~np.isnan(metres_db)]
