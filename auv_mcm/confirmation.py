@@ -1,14 +1,16 @@
 """Confirm detections that may be mines, one by one: the stage between suppression and the ledger.
 
-    detector's odds -> contours -> Markov field, contours again from its labels -> solids -> evidence and belief
+    detector's odds -> verifier -> contours -> Markov field, contours again from its labels -> solids -> belief
 
-Each step costs about ten times the one before it, and a detection whose odds have become too low goes no further.
+A detection whose odds have become too low goes no further. The verifier, a network, decides p_mine; contours, field and
+solids then outline, size and classify what somebody will look at. Odds without a verifier are decided by what contours
+and solids measure.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -17,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import vacuous
+from auv_mcm.classify.chips import chip_of
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, view_mass
 from auv_mcm.classify.features import (
@@ -32,6 +35,7 @@ from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.classify.size_evidence import NO_WEIGHT, SizeEvidence, SizeWeight, size_evidence
 from auv_mcm.classify.targets import shipped_targets
+from auv_mcm.classify.verifier import rest_ratio, shipped_network
 from auv_mcm.confirm.mrf import DEFAULT_SWEEPS, Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import COARSE, FINE, Contours, converge_on, start_from_labels, survey
@@ -39,7 +43,7 @@ from auv_mcm.confirm.snake_rules import contour_mask
 from auv_mcm.confirm.speckle import grain_area
 from auv_mcm.kernels.shape import ImageRowSums
 from auv_mcm.kernels.snake_descent import Schedule
-from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, ShapeModel, Surroundings
+from auv_mcm.records import Confirmation, ContactClass, Detection, LookStep, MeasuredStep, ShapeModel, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.snippet import unpack_snippet
@@ -97,13 +101,15 @@ def confirm_detection(
     thoroughness: Thoroughness = _USUAL,
     without_skips: Skips = NO_SKIPS,
     sizes: SizeEvidence | None = None,
+    network_nats: float | None = None,
 ) -> Detection:
     """Return the detection with p_mine after confirmation, without surroundings.
 
     It has a Confirmation if its odds allowed one.
 
     p_by_step has p_mine after each step. A detection that went no further than the detector has one of these reasons:
-    `not_looked_at` (odds too low), `region_too_small`, `geometry_unknown` (altitude or range that no sonar can have).
+    `not_looked_at` (odds too low, by the detector or the verifier), `region_too_small`, `geometry_unknown` (altitude or
+    range that no sonar can have).
 
     Parameters
     ----------
@@ -111,28 +117,37 @@ def confirm_detection(
         Those that are switched off.
     sizes
         Of the mines expected; any if None.
+    network_nats
+        Of `network_evidence`, where it is known already.
     """
     sizes = size_evidence(shipped_targets()) if sizes is None else sizes
     p_detector = detector_p_mine(detection, odds)
     if detection.surroundings is None or (p_detector < config.min_p_mine and "detector-odds" not in without_skips):
         return without_confirmation(detection, odds, "not_looked_at")
     region = region_of(detection, detection.surroundings, beam_width_rad)
-    if min(region.intensity.shape) < _MIN_PIXELS:
-        return without_confirmation(detection, odds, "region_too_small")
-    try:
-        require_sound(region)
-    except ValueError:
-        return without_confirmation(detection, odds, "geometry_unknown")
+    if (fault := _fault(region)) is not None:
+        return without_confirmation(detection, odds, fault)
+    p_by_step: dict[LookStep, float] = {"detector": p_detector}
     min_p_mine = 0.0 if "contour-odds" in without_skips else config.min_p_mine
+    verified = None
+    if odds.verifier is not None:
+        if network_nats is None:
+            (network_nats,) = network_evidence([detection], beam_width_rad, odds)
+        verified = odds.verified_ratio(_detector_ratio(detection, odds), network_nats)
+        p_by_step["verifier"] = odds.p_mine(verified)
+        if p_by_step["verifier"] < config.min_p_mine and "verifier-odds" not in without_skips:
+            return _ended(detection, p_by_step, "not_looked_at")
+        min_p_mine = 0.0
     if "hopeless-solids" in without_skips:
         thoroughness = thoroughness._replace(effort=thoroughness.effort._replace(refines_all=True))
     examination = examine(detection, region, odds, min_p_mine, thoroughness=thoroughness, ranges=sizes.ranges)
-    p_by_step: dict[LookStep, float] = {"detector": p_detector, "contours": examination.p_contours}
-    log_ratio = evidence_of(examination, odds)
+    p_by_step["contours"] = examination.p_contours if verified is None else p_by_step["verifier"]
+    log_ratio = evidence_of(examination, odds) if verified is None else verified
     weight = NO_WEIGHT
     if examination.fits is not None:
         weight = sizes.weigh(examination.fits)
-        log_ratio = _seen(log_ratio + weight.nats, examination.contours)
+        log_ratio += weight.nats
+        log_ratio = _seen(log_ratio, examination.contours) if verified is None else log_ratio
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
         detection,
@@ -155,14 +170,41 @@ def detector_p_mine(detection: Detection, odds: MineOdds) -> float:
 
 def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> Detection:
     """Return the detection with p_mine from the detector's measurements alone, and the reason why."""
-    p_detector = detector_p_mine(detection, odds)
+    return _ended(detection, {"detector": detector_p_mine(detection, odds)}, reason)
+
+
+def network_evidence(detections: Sequence[Detection], beam_width_rad: float, odds: MineOdds) -> list[float]:
+    """Ask the verifier's network about detections with surroundings, all together; nats for a mine, one each.
+
+    0 for a detection whose region is too small or has no geometry. Raises ValueError for odds without a verifier.
+    """
+    if odds.verifier is None:
+        raise ValueError("these odds have no verifier")
+    regions = [region_of(one, one.surroundings, beam_width_rad) for one in detections if one.surroundings is not None]
+    sound = [k for k, region in enumerate(regions) if _fault(region) is None]
+    nats = np.zeros(len(regions))
+    scores = shipped_network(odds.verifier.digest).scores([chip_of(regions[k]) for k in sound])
+    nats[sound] = rest_ratio(scores, odds.verifier.other_nats)
+    return [float(one) for one in nats]
+
+
+def _ended(detection: Detection, p_by_step: dict[LookStep, float], reason: str) -> Detection:
+    """End confirmation with the p_mine of the last step taken."""
+    *_, p_mine = p_by_step.values()
     return msgspec.structs.replace(
-        detection,
-        p_mine=p_detector,
-        p_by_step={"detector": p_detector},
-        reasons=(*detection.reasons, reason),
-        surroundings=None,
+        detection, p_mine=p_mine, p_by_step=p_by_step, reasons=(*detection.reasons, reason), surroundings=None
     )
+
+
+def _fault(region: Region) -> str | None:
+    """Say why nothing can be seen in a region; None if something can."""
+    if min(region.intensity.shape) < _MIN_PIXELS:
+        return "region_too_small"
+    try:
+        require_sound(region)
+    except ValueError:
+        return "geometry_unknown"
+    return None
 
 
 def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
@@ -171,11 +213,11 @@ def _detector_ratio(detection: Detection, odds: MineOdds) -> float:
 
 def evidence_of(examination: Examination, odds: MineOdds) -> float:
     """Weigh the last step that was taken, in nats for a mine."""
-    step: LookStep = "contours" if examination.fits is None else "shape"
+    step: MeasuredStep = "contours" if examination.fits is None else "shape"
     return _ratio(step, examination.features | examination.details, examination.contours, odds)
 
 
-def _ratio(step: LookStep, features: Features, contours: Contours, odds: MineOdds) -> float:
+def _ratio(step: MeasuredStep, features: Features, contours: Contours, odds: MineOdds) -> float:
     """Compute the evidence in nats."""
     return _seen(odds.log_ratio(step, features), contours)
 

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
+from itertools import repeat
 from typing import Any, Final
 
 import msgspec
@@ -27,7 +28,13 @@ from auv_mcm.classify.size_evidence import size_evidence
 from auv_mcm.classify.targets import configured_targets
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.clearance.sampling import Sampling
-from auv_mcm.confirmation import confirm_detection, detector_p_mine, is_worth_confirming, without_confirmation
+from auv_mcm.confirmation import (
+    confirm_detection,
+    detector_p_mine,
+    is_worth_confirming,
+    network_evidence,
+    without_confirmation,
+)
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.contacts.operating_point import CallWatch, OperatingPoint
@@ -152,7 +159,7 @@ class Pipeline:
         self._room = 1.0
         self._n_new_samples = 0  # stored, since the last tiles
         beam_width_rad = config.sonar.beam_width_rad
-        self._look_closely = look or partial(
+        confirm = partial(
             confirm_detection,
             beam_width_rad=beam_width_rad,
             odds=self._odds,
@@ -160,6 +167,12 @@ class Pipeline:
             without_skips=without_skips,
             sizes=sizes,
         )
+        self._look_closely: Callable[[Detection, float | None], Detection] = (
+            (lambda detection, nats: confirm(detection, network_nats=nats))
+            if look is None
+            else lambda detection, _: look(detection)
+        )
+        self._asks_network = look is None and self._odds.verifier is not None
         self._ledger = Ledger(config.contacts, self._odds.prior if config.confirm.enabled else 0.0, kept)
         self._calls = CallWatch(config.contacts, background)
         self.constants: dict[str, object] = {
@@ -522,18 +535,33 @@ class Pipeline:
         chosen, rest = best_first[:most], best_first[most:]
         mapped = map if self._threads is None else self._threads.map
         tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
-        looks = list(mapped(lambda detection: caught(partial(self._look_closely, detection)), tried))
+        nats = self._network_nats(chosen)
+        looks = list(mapped(lambda one, known: caught(partial(self._look_closely, one, known)), tried, nats))
         defects = [(detection, look) for detection, look in zip(tried, looks, strict=True) if isinstance(look, Defect)]
         looked_at = [look for look in looks if not isinstance(look, Defect)]
         for detection in looked_at:
             found = detection.confirmation
-            self._counts["confirm.odds_too_low" if found is None else "confirm.looked_at"] += 1
+            ended = found is None and "verifier" in detection.p_by_step
+            self._counts["confirm.ended_at_verifier"] += ended
+            self._counts["confirm.odds_too_low"] += found is None and not ended
+            self._counts["confirm.looked_at"] += found is not None
             self._counts["confirm.rejected"] += found is not None and found.rejected
             self._counts["confirm.ended_at_contours"] += found is not None and "shape" not in detection.p_by_step
             self._counts["confirm.solids_not_refined"] += 0 if found is None else found.n_not_refined
         looked_at += [without_confirmation(detection, self._odds, "look_failed") for detection, _ in defects]
         left_out = [without_confirmation(detection, self._odds, "over_budget") for detection in rest + unpaid]
         return looked_at + left_out, len(rest), defects
+
+    def _network_nats(self, chosen: list[Detection]) -> Iterator[float | None]:
+        """Yield the network's evidence on those chosen, all asked together, then None without end.
+
+        None also where it failed: each asks again for itself, so that one that fails harms no other.
+        """
+        if self._asks_network and chosen:
+            found = caught(partial(network_evidence, chosen, self._config.sonar.beam_width_rad, self._odds))
+            if not isinstance(found, Defect):
+                yield from found
+        yield from repeat(None)
 
     def _timed(self, stage: str) -> AbstractContextManager[None]:
         return _UNTIMED if self._timer is None else _Timed(stage, self._timer, self.costs_s)

@@ -244,7 +244,8 @@ Detector: TypeAlias = Literal["cascade", "contrast"]
 CONTRAST_SHARE: Final = 0.4
 """What one deviation of contrast is worth in units of the cascade's score, as the odds fitted to both have it."""
 
-LookStep: TypeAlias = Literal["detector", "contours", "shape"]
+MeasuredStep: TypeAlias = Literal["detector", "contours", "shape"]
+LookStep: TypeAlias = Literal["detector", "verifier", "contours", "shape"]
 
 
 class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -257,9 +258,9 @@ class Detection(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     the surface, NaN where the vehicle's own is not known. snippet: (n, m) uint8 codes of `auv_mcm.snippet`, the
     intensity around the object, near range left, earlier pings on top; snippet_row, snippet_column: the centroid inside
     it. covariance_m2: (2, 2) float64 east/north. p_mine: of this view alone;
-    p_by_step: after each step of confirmation (`detector`, `contours`, `shape`) that was taken. surroundings: until
-    then. confirmation: None if there was no confirmation; `reasons` states why. squint_rad: of the pings, 0 for side
-    scan.
+    p_by_step: after each step of confirmation (`detector`, `verifier`, `contours`, `shape`) that was taken.
+    surroundings: until then. confirmation: None if there was no confirmation; `reasons` states why. squint_rad: of the
+    pings, 0 for side scan.
     """
 
     side: Side

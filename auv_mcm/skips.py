@@ -22,6 +22,7 @@ SkipName: TypeAlias = Literal[
     "detector-odds",
     "look-limit",
     "look-budget",
+    "verifier-odds",
     "contour-odds",
     "hopeless-solids",
 ]
@@ -117,8 +118,15 @@ SKIPS: Final[tuple[Skip, ...]] = (
         "bytes while 0",
     ),
     Skip(
+        "verifier-odds",
+        "contours, the Markov field and solids where the verifier makes a mine unlikely",
+        "p_mine after the verifier is below confirm.min_p_mine",
+        "confirm.ended_at_verifier",
+        "bound",
+    ),
+    Skip(
         "contour-odds",
-        "the Markov field and solids where the contours make a mine unlikely",
+        "the Markov field and solids where the contours make a mine unlikely, where they decide: without a verifier",
         "p_mine after the contours is below confirm.min_p_mine",
         "confirm.ended_at_contours",
         "bound",

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
 from auv_mcm.model_file import SHIPPED, read_model
-from auv_mcm.records import Detector, LookStep
+from auv_mcm.records import Detector, MeasuredStep
 
 _TEMPER: Final = (
     0.5  # two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
@@ -144,6 +144,36 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return self._forest.added_to(total, features) if self.trees else total
 
 
+class Verification(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Weigh the verifier's network beside the detector's measurements.
+
+    Log-odds = offset + detector * log-odds by the detector + network * ln(p(mine) / p(anything else)) by the network.
+    other_nats: added to the network's score of other objects. digest: SHA-256 of the network's file. made_by,
+    trained_on, calibrated_on: how it was made, what from, and what these weights were fitted on.
+    """
+
+    digest: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+    offset: _Weight
+    detector: _Weight
+    network: _Weight
+    other_nats: _Weight
+    made_by: str = ""
+    trained_on: str = ""
+    calibrated_on: str = ""
+
+    def log_odds(self, detector_log_odds: float, network_nats: float) -> float:
+        """Weigh both."""
+        return self.offset + self.detector * detector_log_odds + self.network * network_nats
+
+    def recalibrated(self, slope: float, offset_nats: float) -> Verification:
+        """Weigh a detector whose log-odds, as the result's, became offset_nats + slope * log-odds."""
+        return msgspec.structs.replace(
+            self,
+            offset=slope * self.offset + offset_nats * (1.0 - self.detector),
+            network=slope * self.network,
+        )
+
+
 class FoundAt(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Hold the share of looks at targets that is found at a density of false alarms, with its 95 % interval."""
 
@@ -191,7 +221,8 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were. made_by: version and
     command that make the same file again. left_out: a row per domain, then per kind of domain, then of all.
-    recalibrated: None for weights that no verdict has changed.
+    recalibrated: None for weights that no verdict has changed. verifier: decides in place of contours and shape; None
+    where those decide.
     """
 
     fitted_on: str
@@ -202,8 +233,19 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     shape: Weights
     left_out: tuple[LeftOut, ...] = ()
     recalibrated: Recalibration | None = None
+    verifier: Verification | None = None
 
-    def log_ratio(self, step: LookStep, features: Mapping[str, float]) -> float:
+    def verified_ratio(self, detector_ratio: float, network_nats: float) -> float:
+        """Compute evidence in nats from the detector's and the network's, without the prior, at most 12 either way.
+
+        Raises ValueError for odds without a verifier.
+        """
+        if self.verifier is None:
+            raise ValueError("these odds have no verifier")
+        odds = self.verifier.log_odds(detector_ratio + self.prior, network_nats)
+        return min(max(odds - self.prior, -_BOUND), _BOUND)
+
+    def log_ratio(self, step: MeasuredStep, features: Mapping[str, float]) -> float:
         """Compute evidence in nats for a mine against anything else, without the prior, at most 12 either way.
 
         features: all that the step was fitted with, and others perhaps. Raises ValueError if one of those is missing.

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.errors import UsageError
-from auv_mcm.records import LookStep
+from auv_mcm.records import MeasuredStep
 from sim_replay.arguments import count
 from sim_replay.augment.recorded_line import check_lines
 from sim_replay.fitting.cascade.farm import Farm
@@ -262,7 +262,7 @@ def _shipped_rows(missions: Sequence[MissionLooks], groups: Mapping[str, frozens
     """Judge each step of what ships."""
     odds = shipped_odds("cascade")
     of_step = {step: [scored(one, getattr(odds, step), step) for one in missions if is_judged(one)] for step in STEPS}
-    steps: dict[str, LookStep] = {"nothing": "shape", _LATER_STEPS: "contours", _ALL_STEPS: "detector"}
+    steps: dict[str, MeasuredStep] = {"nothing": "shape", _LATER_STEPS: "contours", _ALL_STEPS: "detector"}
     return [_lost_row(f"{SHIPPED}: {name}", of_step[step], of_step["shape"], groups) for name, step in steps.items()]
 
 

@@ -50,7 +50,10 @@ def add(commands: Commands) -> None:
         "              'detect.performance' of the configuration loads the file\n"
         "seabed:       how seabed types look, from simulated missions; 'detect.seabed_model' loads the file\n"
         "sizes:        how sizes of mines are measured, for lists of mines expected; the file that ships was fitted "
-        "so\n\n"
+        "so\n"
+        "verifier:     the network that separates mines from other objects and floor, from simulated missions; the "
+        "files\n"
+        "              that ship were made so\n\n"
         "The detector's cascade has a command of its own, 'auv-mcm train'.",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
@@ -61,6 +64,7 @@ def add(commands: Commands) -> None:
             "auv-mcm calibrate performance --out performance.json",
             "auv-mcm calibrate seabed --out model.json",
             "auv-mcm calibrate sizes --out size_law.json",
+            "auv-mcm calibrate verifier --looks looks --out made",
         ],
     )
     # As it was before there was a choice, and as scripts have it.
@@ -74,6 +78,7 @@ def add(commands: Commands) -> None:
     _add_performance(kinds)
     _add_seabed(kinds)
     _add_sizes(kinds)
+    _add_verifier(kinds)
 
 
 def _add_background(kinds: Commands) -> None:
@@ -336,6 +341,48 @@ def _run_background(arguments: argparse.Namespace) -> int:
 
     _check_new(arguments.out)
     write_new(arguments.out, background_json(calibrate_background(arguments.seeds, arguments.workers, _show)))
+    return 0
+
+
+def _add_verifier(kinds: Commands) -> None:
+    from sim_replay.fitting.verifier.build import N_MISSIONS
+
+    parser = command(
+        kinds,
+        "verifier",
+        "train the network that separates mines from other objects and floor",
+        "Flies drawn missions with dense mines and stones, keeps the sea floor around every detection, trains the "
+        "network on it,\n"
+        "weighs it beside the detector's odds on missions left out, and prints how both do there. Missions already in "
+        "--looks are\n"
+        "not flown again. Needs the extra 'verifier' (PyTorch). The same seeds give the same missions; weights repeat "
+        "on one\n"
+        "computer. Fit gate and background anew afterwards.",
+        ["auv-mcm calibrate verifier --looks looks --out made"],
+    )
+    parser.add_argument(
+        "--missions", metavar="N", type=count, default=N_MISSIONS, help=f"to train on (default {N_MISSIONS})"
+    )
+    parser.add_argument("--looks", metavar="FOLDER", type=Path, required=True, help="of the missions flown")
+    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
+    parser.add_argument(
+        "--out",
+        metavar="FOLDER",
+        type=Path,
+        required=True,
+        help="new folder for the network and the odds",
+    )
+    parser.set_defaults(command=_run_verifier)
+
+
+def _run_verifier(arguments: argparse.Namespace) -> int:
+    from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.fitting.verifier.build import build, write_built
+
+    _check_new(arguments.out)
+    built = build(arguments.looks, arguments.missions, Farm(arguments.workers), _show, print)
+    write_built(built, arguments.out)
+    print(built.tables)
     return 0
 
 

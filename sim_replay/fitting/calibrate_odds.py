@@ -19,7 +19,7 @@ import msgspec
 from auv_mcm import __version__
 from auv_mcm.classify.odds import MineOdds
 from auv_mcm.errors import UsageError
-from auv_mcm.records import Detector, LookStep
+from auv_mcm.records import Detector, MeasuredStep
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.augment.recorded_line import check_lines
 from sim_replay.fitting.cascade.farm import Farm
@@ -176,7 +176,7 @@ def fitted_odds(missions: Missions, flown: Sequence[MissionLooks]) -> MineOdds:
     return msgspec.structs.replace(odds, made_by=f"version {__version__}, {missions.command}")
 
 
-def n_trees_of(detector: Detector) -> dict[LookStep, int]:
+def n_trees_of(detector: Detector) -> dict[MeasuredStep, int]:
     """Return the trees of each step.
 
     Contrasts serve sonars unlike those simulated, where trees that have learnt simulated ones do worse than sums.

@@ -24,7 +24,7 @@ from auv_mcm.confirmation import examine, region_of
 from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Detection, LookStep, SourceEvent
+from auv_mcm.records import Detection, MeasuredStep, SourceEvent
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade import trees
 from sim_replay.fitting.wide_world import wide_scene
@@ -51,9 +51,9 @@ _FAINT_KEPT: Final = 12  # one in so many: two in three are faint, and a look co
 _RIDGE: Final = 2.0  # of the logistic regression, per feature of unit variance
 _DIGITS: Final = 5  # decimals in the file
 _MAX_SHIFT: Final = 50.0  # nats
-N_TREES: Final[Mapping[LookStep, int]] = {"detector": 200, "contours": 800, "shape": 800}
+N_TREES: Final[Mapping[MeasuredStep, int]] = {"detector": 200, "contours": 800, "shape": 800}
 """Trees of each step for the cascade's detections; of the first, fewer, since it is asked of every detection."""
-STEPS: Final[tuple[LookStep, ...]] = ("detector", "contours", "shape")
+STEPS: Final[tuple[MeasuredStep, ...]] = ("detector", "contours", "shape")
 
 
 class Example(NamedTuple):
@@ -69,7 +69,7 @@ class Example(NamedTuple):
     detector: Features
     contours: Features
     shape: Features
-    details: dict[LookStep, Features]
+    details: dict[MeasuredStep, Features]
     on_object: bool = False
 
 
@@ -94,7 +94,7 @@ class LookTable(NamedTuple):
     is_target: NDArray[np.bool_]
     on_object: NDArray[np.bool_]
     weight: Array
-    steps: Mapping[LookStep, StepTable]
+    steps: Mapping[MeasuredStep, StepTable]
 
     def at(self, chosen: NDArray[np.bool_]) -> LookTable:
         """Take the chosen examples, (n,) bool."""
@@ -163,7 +163,7 @@ def examples_along(
     for detection, region, known in labelled_regions(config, events, objects):
         looked = examine(detection, region, None, 0.0)
         seen = detection_details(detection)
-        details: dict[LookStep, Features] = {"detector": seen, "contours": seen, "shape": looked.details}
+        details: dict[MeasuredStep, Features] = {"detector": seen, "contours": seen, "shape": looked.details}
         examples.append(
             Example(
                 usual,
@@ -227,7 +227,7 @@ def look_table(examples: Sequence[Example]) -> LookTable:
     return LookTable(usual, is_target, on_object, weight, {step: _step_table(examples, step) for step in STEPS})
 
 
-def _step_table(examples: Sequence[Example], step: LookStep) -> StepTable:
+def _step_table(examples: Sequence[Example], step: MeasuredStep) -> StepTable:
     if not examples:
         return StepTable((), 0, np.empty((0, 0)))
     summed = tuple(getattr(examples[0], step))
@@ -239,12 +239,12 @@ def _step_table(examples: Sequence[Example], step: LookStep) -> StepTable:
     return StepTable(names, len(summed), values)
 
 
-def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
+def fit_odds(examples: Sequence[Example], fitted_on: str, n_trees: Mapping[MeasuredStep, int]) -> MineOdds:
     """Fit weights to examples, as fit_table does."""
     return fit_table(look_table(examples), fitted_on, n_trees)
 
 
-def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[LookStep, int]) -> MineOdds:
+def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[MeasuredStep, int]) -> MineOdds:
     """Fit weights for each step, and the requested number of trees; p_mine is right on average over the usual examples.
 
     Raises UsageError if there are no targets, or nothing else, among those.
@@ -258,7 +258,7 @@ def fit_table(looks: LookTable, fitted_on: str, n_trees: Mapping[LookStep, int])
     return MineOdds(fitted_on=fitted_on, prior=round(prior, _DIGITS), detector=detector, contours=contours, shape=shape)
 
 
-def fit_step(looks: LookTable, step: LookStep, n_trees: int, usual: LookTable) -> Weights:
+def fit_step(looks: LookTable, step: MeasuredStep, n_trees: int, usual: LookTable) -> Weights:
     """Fit one step: a sum of features, or trees; p_mine is right on average over `usual`, which has targets and others.
 
     Trees start from a constant: after a sum, Pd at 100 false alarms per km² is lower by 0.02 on domains left out.
@@ -284,6 +284,9 @@ def written(odds: MineOdds) -> bytes:
         parts.append(f' "left_out": [\n{rows}\n ]')
     if odds.recalibrated is not None:
         parts.append(f' "recalibrated": {msgspec.json.encode(odds.recalibrated).decode()}')
+    if odds.verifier is not None:
+        entry = msgspec.json.format(msgspec.json.encode(odds.verifier), indent=1).decode().replace("\n", "\n ")
+        parts.append(f' "verifier": {entry}')
     for step in STEPS:
         weighed: Weights = getattr(odds, step)
         weights = ",\n".join(f"   {json.dumps(name)}: {value!r}" for name, value in weighed.weights.items())

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.odds import FoundAt, LeftOut, MineOdds, Weights
-from auv_mcm.records import LookStep
+from auv_mcm.records import MeasuredStep
 from sim_replay.fitting.fit_odds import (
     CROWD,
     CROWD_SEEDS,
@@ -123,7 +123,7 @@ def fitted_on(
     ]
 
 
-def scored(mission: MissionLooks, weights: Weights, step: LookStep = "shape") -> Scored:
+def scored(mission: MissionLooks, weights: Weights, step: MeasuredStep = "shape") -> Scored:
     """Judge a mission's looks by weights of a step."""
     looks = mission.looks
     log_odds = log_odds_of(weights, looks.steps[step]) if len(looks.weight) else np.empty(0)
@@ -184,7 +184,7 @@ def left_out_scores(
     folds: Sequence[frozenset[str]],
     without: frozenset[str] = frozenset(),
     n_trees: int = N_TREES["shape"],
-    step: LookStep = "shape",
+    step: MeasuredStep = "shape",
     never: Collection[LookTask] = (),
 ) -> list[Scored]:
     """Judge every mission of each fold by weights fitted without the fold's domains.
@@ -241,7 +241,7 @@ def is_of(mission: MissionLooks, domains: frozenset[str]) -> bool:
     return is_judged(mission) and mission.task.domain in domains
 
 
-def _less(looks: LookTable, step: LookStep, names: frozenset[str]) -> LookTable:
+def _less(looks: LookTable, step: MeasuredStep, names: frozenset[str]) -> LookTable:
     table: StepTable = looks.steps[step].without(names)
     return looks._replace(steps={**looks.steps, step: table})
 

@@ -222,6 +222,7 @@ def recalibrated(odds: MineOdds, found: Refit, made_by: str) -> MineOdds:
         detector=changed(odds.detector),
         contours=changed(odds.contours),
         shape=changed(odds.shape),
+        verifier=None if odds.verifier is None else odds.verifier.recalibrated(slope, offset_nats),
         recalibrated=Recalibration(
             detector=missions[0].detector,
             slope=slope,

@@ -45,7 +45,7 @@ WORK: Final = frozenset(
             "detect.tile_skipped_nothing_to_see",
         ),
         *("confirm.looked_at", "confirm.rejected", "confirm.odds_too_low", "confirm.ended_at_contours"),
-        *("confirm.solids_not_refined", "contacts.too_unlikely"),
+        *("confirm.ended_at_verifier", "confirm.solids_not_refined", "contacts.too_unlikely"),
     }
 )
 """Counters of work done, and of work that could not have changed the answer."""

@@ -61,7 +61,10 @@ def test_contacts_say_what_they_are_how_large_and_why() -> None:
 def test_every_detection_is_looked_at_or_counted() -> None:
     for confirm in (ConfirmConfig(), ConfirmConfig(max_per_tile=1), ConfirmConfig(min_p_mine=0.2)):
         pipeline, _ = run(confirm)
-        counted = sum(pipeline.counters[f"confirm.{code}"] for code in ("looked_at", "odds_too_low", "over_budget"))
+        counted = sum(
+            pipeline.counters[f"confirm.{code}"]
+            for code in ("looked_at", "odds_too_low", "ended_at_verifier", "over_budget")
+        )
         assert counted == sum(len(contact.views) for contact in pipeline.contacts)
 
 

@@ -29,7 +29,12 @@ TIGHT: Final[dict[SkipName, Config]] = {
     "look-limit": Config(confirm=ConfirmConfig(max_per_tile=0)),
     "look-budget": Config(budget=BudgetConfig(duty=1e-4)),
     "gate": Config(contacts=ContactsConfig(min_p_mine=0.1)),
-    "contour-odds": Config(contacts=ContactsConfig(min_p_mine=0.0), confirm=ConfirmConfig(min_p_mine=0.002)),
+    "verifier-odds": Config(contacts=ContactsConfig(min_p_mine=0.0)),
+    "contour-odds": Config(
+        detect=DetectConfig(model="none"),
+        contacts=ContactsConfig(min_p_mine=0.0),
+        confirm=ConfirmConfig(min_p_mine=0.002),
+    ),
 }
 """Configurations under which a skip leaves something out of the short mission, where the default leaves out nothing."""
 

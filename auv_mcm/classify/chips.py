@@ -1,0 +1,126 @@
+"""Cut chips for the verifier: the sea floor around a detection as two small pictures of fixed size.
+
+One picture has even pixels in metres. In the other a column stands for the height of what would throw a shadow that
+ends there, so that a mine's shadow is as long at every range and altitude. Levels are in decibels about the middle of
+the chip's own floor, divided by its spread: how samples were stored, averaged or compressed drops out.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.confirm.region import Region
+
+N_ROWS: Final = 40
+"""Rows of both pictures, along the track."""
+N_COLUMNS: Final = 72
+"""Columns of the picture by metres."""
+N_HEIGHTS: Final = 36
+"""Columns of the picture by height."""
+N_PLACE: Final = 3
+"""Numbers that state the place: ln(ground range / altitude), altitude and the beam's footprint."""
+_ROW_M: Final = 0.125  # 40 rows show 5 m: the longest mine, and the floor beside it
+_COLUMN_M: Final = 0.1  # 72 columns show 7.2 m
+_NEAR_M: Final = 2.0  # of them before the highlight's middle
+_HEIGHT_M: Final = 0.05  # of a column by height: 36 end at 1.8 m, above any mine
+_LEAST_ABOVE_M: Final = 0.05  # of the sonar above a top whose shadow has an end
+_DARKEST: Final = 1e-4  # of the mean floor, -40 dB: the lowest code of a snippet
+_SIGMAS_PER_DEVIATION: Final = 1.4826  # of a normal law, from its median absolute deviation
+_LEAST_SPREAD_DB: Final = 0.5  # a floor averaged over 80 looks; below it rounding would be enlarged
+_LIMIT: Final = 8.0  # spreads about the floor's middle, as far as either picture reaches
+_LOG_RANGE: Final = (-1.5, 3.5)  # bounds of ln(ground range / altitude), as the odds of a mine have them
+
+Picture = NDArray[np.float32]
+
+
+class Chip(NamedTuple):
+    """Hold a chip. by_metres: (N_ROWS, N_COLUMNS), by_height: (N_ROWS, N_HEIGHTS), place: (N_PLACE,), all float32.
+
+    Levels are in spreads of the floor, 0 where nothing was measured.
+    """
+
+    by_metres: Picture
+    by_height: Picture
+    place: Picture
+
+
+def chip_of(region: Region) -> Chip:
+    """Cut the chip around a region's highlight.
+
+    Every pixel is the mean of the intensities that it covers, each weighed by the area in common. Pixels finer than the
+    sonar's repeat the nearest.
+    """
+    rows = region.row + _ROW_M * (np.arange(N_ROWS + 1, dtype=np.float64) - 0.5 * N_ROWS) / region.row_spacing_m
+    top = min(max(int(rows[0]), 0), len(region.valid) - 1)
+    end = min(max(int(rows[-1]) + 1, top + 1), len(region.valid))
+    valid = region.valid[top:end]
+    sums = np.zeros((2, len(valid) + 1, valid.shape[1] + 1))
+    np.cumsum(np.where(valid, region.intensity[top:end], 0.0), axis=0, out=sums[0, 1:, 1:])
+    np.cumsum(valid, axis=0, dtype=np.float64, out=sums[1, 1:, 1:])
+    rows -= top
+    strips = np.diff(_between(sums, rows, 1), axis=1)
+    np.cumsum(strips, axis=2, out=strips)
+    centre_m = region.first_ground_range_m + region.column * region.column_spacing_m
+    by_metres_m = centre_m - _NEAR_M + _COLUMN_M * np.arange(N_COLUMNS + 1, dtype=np.float64)
+    by_height_m = shadow_ends_m(centre_m, region.altitude_m, _HEIGHT_M * np.arange(N_HEIGHTS + 1, dtype=np.float64))
+    metres, heights = (
+        np.diff(_between(strips, (edges_m - region.first_ground_range_m) / region.column_spacing_m, 2), axis=2)
+        for edges_m in (by_metres_m, by_height_m)
+    )
+    levels_db = _levels_db(metres)
+    middle_db, spread_db = floor_of(levels_db)
+    by_metres, by_height = (
+        np.clip(np.nan_to_num((each_db - middle_db) / spread_db, nan=0.0), -_LIMIT, _LIMIT).astype(np.float32)
+        for each_db in (levels_db, _levels_db(heights))
+    )
+    return Chip(by_metres, by_height, _place(region, centre_m))
+
+
+def shadow_ends_m(ground_range_m: float, altitude_m: float, height_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute where on a level floor the shadow of a top of height (n,) at a ground range ends, m.
+
+    Similar triangles: altitude * range / (altitude - height). Heights end 5 cm below the sonar.
+    """
+    return np.asarray(altitude_m * ground_range_m / np.maximum(altitude_m - height_m, _LEAST_ABOVE_M))
+
+
+def floor_of(levels_db: NDArray[np.float64]) -> tuple[float, float]:
+    """Estimate the middle and the spread of the floor's level, dB, from a chip's; NaN is what was not measured.
+
+    Median and median absolute deviation, which an object and its shadow hardly move.
+    """
+    known = levels_db[~np.isnan(levels_db)]
+    if not len(known):
+        return 0.0, 1.0
+    middle_db = float(np.median(known))
+    spread_db = _SIGMAS_PER_DEVIATION * float(np.median(np.abs(known - middle_db)))
+    return middle_db, max(spread_db, _LEAST_SPREAD_DB)
+
+
+def _between(sums: NDArray[np.float64], edges: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Read cumulative sums at fractional places along an axis."""
+    last = sums.shape[axis] - 1
+    places = np.clip(edges, 0.0, last)
+    whole = np.minimum(places.astype(np.int64), last - 1)
+    part = (places - whole).reshape([-1 if k == axis else 1 for k in range(sums.ndim)])
+    below = sums.take(whole, axis=axis)
+    return np.asarray(below + part * (sums.take(whole + 1, axis=axis) - below))
+
+
+def _levels_db(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the mean level of pixels, dB, from sums of intensity and of valid area (2, n, m); NaN where none is."""
+    measured = sums[1] > 1e-6  # pixels: what is less is the rounding of a difference of sums
+    mean = np.divide(sums[0], sums[1], out=np.full(sums.shape[1:], np.nan), where=measured)
+    return np.asarray(10.0 * np.log10(np.maximum(mean, _DARKEST)))
+
+
+def _place(region: Region, centre_m: float) -> Picture:
+    ratio = max(centre_m, _COLUMN_M) / region.altitude_m
+    slant_m = math.hypot(centre_m, region.altitude_m)
+    log_range = min(max(math.log(ratio), _LOG_RANGE[0]), _LOG_RANGE[1])
+    footprint_m = min(region.beam_width_rad * slant_m, 2.0)
+    return np.array([log_range - 1.0, math.log(region.altitude_m / 5.0), 4.0 * (footprint_m - 0.25)], dtype=np.float32)

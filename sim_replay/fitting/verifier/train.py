@@ -1,0 +1,207 @@
+"""Train the verifier's network on chips and write it as ONNX. Needs PyTorch, the extra `verifier`."""
+
+from __future__ import annotations
+
+import copy
+import io
+import warnings
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS
+from auv_mcm.classify.verifier import CLASSES
+from auv_mcm.errors import UsageError
+
+N_EPOCHS: Final = 5
+"""Passes over the chips."""
+_BATCH: Final = 128  # chips per step
+_RATE: Final = 2e-3  # highest learning rate, of a single cycle (L. N. Smith and N. Topin, SPIE 11006, 2019)
+_DECAY: Final = 1e-2  # of weights (I. Loshchilov and F. Hutter, ICLR 2019)
+_DROPPED: Final = 0.3  # share of the last layers' inputs left out in training
+_KEPT: Final = 0.998  # of the averaged weights per step: a mean over some 500 steps
+_SHIFT_PX: Final = 2  # that training chips are moved, maximum: what the detector's centre is off
+_GAIN: Final = 0.15  # standard deviation of level and of contrast, in spreads of the floor
+_FILLED: Final = 0.25  # share of training chips whose dark pixels are filled, as by echoes off other paths
+_SMEARED: Final = 0.25  # share of training chips whose speckle is correlated further
+_SEED: Final = 43  # fixed, so that weights repeat on one computer
+
+
+class ChipTable(NamedTuple):
+    """Hold n chips.
+
+    metres: (n, N_ROWS, N_COLUMNS), heights: (n, N_ROWS, N_HEIGHTS), float16. place: (n, N_PLACE) float32. label: (n,)
+    int8, index into CLASSES.
+    """
+
+    metres: NDArray[np.float16]
+    heights: NDArray[np.float16]
+    place: NDArray[np.float32]
+    label: NDArray[np.int8]
+
+    def at(self, chosen: NDArray[Any]) -> ChipTable:
+        """Take the chosen chips."""
+        return ChipTable(*(part[chosen] for part in self))
+
+
+def train(
+    chips: ChipTable,
+    n_epochs: int = N_EPOCHS,
+    seed: int = _SEED,
+    threads: int = 1,
+    show: Callable[[int, float, Any], None] = lambda epoch, loss, network: None,
+) -> Any:
+    """Train a network to separate CLASSES; returns it with averaged weights, a torch.nn.Module.
+
+    Parameters
+    ----------
+    threads
+        Of PyTorch: another number may give other weights.
+    show
+        Takes each epoch's number and mean log-loss, and the averaged network.
+
+    Raises
+    ------
+    UsageError
+        Without PyTorch.
+    """
+    torch = _torch()
+    torch.set_num_threads(threads)
+    torch.manual_seed(seed)
+    random = np.random.Generator(np.random.PCG64(seed))
+    network = network_of().to(memory_format=torch.channels_last)  # a quarter faster
+    averaged = copy.deepcopy(network).eval()
+    steps = -(-len(chips.label) // _BATCH)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY)
+    cycle = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=_RATE, total_steps=n_epochs * steps, pct_start=0.2)
+    log_loss = torch.nn.CrossEntropyLoss(label_smoothing=0.02)
+    for epoch in range(n_epochs):
+        network.train()
+        total = 0.0
+        for chosen in np.array_split(random.permutation(len(chips.label)), steps):
+            metres, heights, place = varied(chips.at(np.sort(chosen)), random)
+            wanted = torch.from_numpy(chips.label[np.sort(chosen)].astype(np.int64))
+            scores = network(torch.from_numpy(metres), torch.from_numpy(heights), torch.from_numpy(place))
+            loss = log_loss(scores, wanted)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            cycle.step()
+            _average(averaged, network, min(_KEPT, 1.0 - 1.0 / (1.0 + cycle.last_epoch)))
+            total += float(loss.detach()) * len(chosen)
+        show(epoch + 1, total / len(chips.label), averaged)
+    return averaged
+
+
+def network_of() -> Any:
+    """Lay out the layers, a torch.nn.Module of some 360,000 weights: a tower of convolutions for either picture."""
+    torch = _torch()
+    nn = torch.nn
+
+    def tower(columns: int) -> Any:
+        layers = [nn.Conv2d(1, 16, 4, stride=2, padding=1, bias=False), nn.BatchNorm2d(16), nn.ReLU()]
+        for n_in, n_out, pools in ((16, 16, True), (16, 32, False), (32, 48, True), (48, 64, False)):
+            layers += [nn.Conv2d(n_in, n_out, 3, padding=1, bias=False), nn.BatchNorm2d(n_out), nn.ReLU()]
+            layers += [nn.MaxPool2d(2)] if pools else []
+        n_left = 64 * (N_ROWS // 8) * (columns // 8)
+        return nn.Sequential(*layers, nn.Flatten(), nn.Dropout(_DROPPED), nn.Linear(n_left, 64), nn.ReLU())
+
+    class Verifier(nn.Module):  # type: ignore[misc, name-defined]  # of an untyped package
+        def __init__(self) -> None:
+            super().__init__()
+            self.metres, self.heights = tower(N_COLUMNS), tower(N_HEIGHTS)
+            self.joined = nn.Sequential(
+                nn.Linear(128 + N_PLACE, 64), nn.ReLU(), nn.Dropout(_DROPPED), nn.Linear(64, len(CLASSES))
+            )
+
+        def forward(self, metres: Any, heights: Any, place: Any) -> Any:
+            return self.joined(torch.cat([self.metres(metres), self.heights(heights), place], dim=1))
+
+    return Verifier()
+
+
+def written_as_onnx(network: Any) -> bytes:
+    """Write the network as ONNX, for any number of chips at once."""
+    torch = _torch()
+    network.eval()
+    file = io.BytesIO()
+    example = (torch.zeros(1, 1, N_ROWS, N_COLUMNS), torch.zeros(1, 1, N_ROWS, N_HEIGHTS), torch.zeros(1, N_PLACE))
+    names = ["metres", "heights", "place"]
+    with warnings.catch_warnings():
+        # PyTorch calls this exporter the older one; the newer needs further packages.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            network,
+            example,
+            file,
+            input_names=names,
+            output_names=["scores"],
+            dynamic_axes={name: {0: "n"} for name in (*names, "scores")},
+            dynamo=False,
+        )
+    return file.getvalue()
+
+
+def scores_of(network: Any, chips: ChipTable) -> NDArray[np.float64]:
+    """Score chips by PyTorch, (n, len(CLASSES))."""
+    torch = _torch()
+    found = []
+    with torch.no_grad():
+        for first in range(0, len(chips.label), 512):
+            part = chips.at(np.arange(first, min(first + 512, len(chips.label))))
+            inputs = [
+                torch.from_numpy(part.metres[:, None].astype(np.float32)),
+                torch.from_numpy(part.heights[:, None].astype(np.float32)),
+                torch.from_numpy(part.place),
+            ]
+            found.append(network(*inputs).numpy().astype(np.float64))
+    return np.concatenate(found) if found else np.empty((0, len(CLASSES)))
+
+
+def varied(
+    chips: ChipTable, random: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Vary chips as other passes, sonars and recorders would show the same places.
+
+    Mirrored along the track, moved, brighter or fainter; shadows filled; speckle smeared along the track or across.
+    Returns pictures (n, 1, rows, columns) and places (n, N_PLACE).
+    """
+    n = len(chips.label)
+    pictures = [chips.metres.astype(np.float32), chips.heights.astype(np.float32)]
+    mirrored = random.random(n) < 0.5
+    rows, columns = random.integers(-_SHIFT_PX, _SHIFT_PX + 1, size=2)
+    offset, scale = random.normal(scale=_GAIN, size=(n, 1, 1)), np.exp(random.normal(scale=_GAIN, size=(n, 1, 1)))
+    filled, level = random.random((n, 1, 1)) < _FILLED, random.uniform(-3.0, -0.7, size=(n, 1, 1))
+    smeared, along = random.random(n) < _SMEARED, random.random() < 0.5
+    for k, picture in enumerate(pictures):
+        picture[mirrored] = picture[mirrored, ::-1]
+        picture = np.roll(picture, (rows, columns if k == 0 else 0), axis=(1, 2))
+        axis = 1 if along else 2
+        sides = np.roll(picture[smeared], 1, axis=axis) + np.roll(picture[smeared], -1, axis=axis)
+        picture[smeared] = 1.35 * (
+            0.5 * picture[smeared] + 0.25 * sides
+        )  # independent pixels keep 0.61 of their spread
+        picture = np.where(filled, np.logaddexp(picture, level) - np.logaddexp(0.0, level), picture)
+        pictures[k] = np.ascontiguousarray((scale * picture + offset)[:, None], dtype=np.float32)
+    return pictures[0], pictures[1], chips.place + random.normal(scale=0.05, size=chips.place.shape).astype(np.float32)
+
+
+def _average(averaged: Any, network: Any, kept: float) -> None:
+    """Move averaged weights, and the statistics of their layers, towards the network's."""
+    torch = _torch()
+    with torch.no_grad():
+        for mean, latest in zip(averaged.state_dict().values(), network.state_dict().values(), strict=True):
+            if mean.dtype.is_floating_point:
+                mean.lerp_(latest, 1.0 - kept)
+            else:
+                mean.copy_(latest)
+
+
+def _torch() -> Any:
+    try:
+        import torch
+    except ImportError as error:
+        raise UsageError("training needs PyTorch: python -m pip install 'auv-mcm[verifier]'") from error
+    return torch

@@ -1,0 +1,98 @@
+"""Tests of the network that separates mines from other objects and floor."""
+
+import cv2
+import numpy as np
+import pytest
+
+from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
+from auv_mcm.classify.odds import Verification, shipped_odds
+from auv_mcm.classify.verifier import FILE, parse_network, rest_ratio, shipped_network
+from auv_mcm.errors import BadInputError
+from tests.auv_mcm.classify.slow_network import slow_scores, weights_of
+
+BOUND = 2e-3  # nats that another platform's arithmetic may move a score, and the slow oracle's in float64
+
+
+def shipped_bytes() -> bytes:
+    from importlib import resources
+
+    return resources.files("auv_mcm.classify").joinpath(FILE).read_bytes()
+
+
+def digest() -> str:
+    weighed = shipped_odds("cascade").verifier
+    assert weighed is not None
+    return weighed.digest
+
+
+def chips(n: int) -> list[Chip]:
+    random = np.random.default_rng(7)
+    return [
+        Chip(
+            random.normal(size=(N_ROWS, N_COLUMNS)).astype(np.float32),
+            random.normal(size=(N_ROWS, N_HEIGHTS)).astype(np.float32),
+            random.normal(size=N_PLACE).astype(np.float32),
+        )
+        for _ in range(n)
+    ]
+
+
+def test_the_shipped_file_is_small() -> None:
+    assert len(shipped_bytes()) <= 2_000_000
+
+
+def test_scores_are_those_of_its_layers() -> None:
+    seen = chips(2)
+    expected = slow_scores(weights_of(shipped_bytes()), seen)
+    np.testing.assert_allclose(shipped_network(digest()).scores(seen), expected, atol=BOUND)
+
+
+def test_a_chip_has_the_same_scores_alone_among_others_and_on_any_number_of_threads() -> None:
+    network, seen = shipped_network(digest()), chips(70)
+    together = network.scores(seen)
+    n_threads = cv2.getNumThreads()
+    try:
+        for threads in (1, 2, 4):
+            cv2.setNumThreads(threads)
+            assert np.array_equal(network.scores(seen), together)
+            assert np.array_equal(np.concatenate([network.scores([one]) for one in seen]), together)
+            assert np.array_equal(
+                np.concatenate([network.scores(seen[first : first + 7]) for first in range(0, 70, 7)]), together
+            )
+    finally:
+        cv2.setNumThreads(n_threads)
+    assert network.scores([]).shape == (0, 3)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "text"])
+def test_a_damaged_file_is_refused(damage: str) -> None:
+    data = shipped_bytes()
+    damaged = {
+        "cut": data[: len(data) // 2],
+        "flipped": data[:5000] + bytes([data[5000] ^ 255]) + data[5001:],
+        "empty": b"",
+        "text": b"{}",
+    }[damage]
+    with pytest.raises(BadInputError, match=r"a\.onnx: SHA-256"):
+        parse_network(damaged, "a.onnx", digest())
+
+
+@pytest.mark.parametrize("data", [b"", b"{}", b"\x08\x07nothing"])
+def test_what_is_no_network_is_refused(data: bytes) -> None:
+    with pytest.raises(BadInputError, match=r"a\.onnx: no network"):
+        parse_network(data, "a.onnx")
+
+
+def test_the_rest_is_other_objects_and_floor() -> None:
+    scores = np.log(np.array([[0.5, 0.3, 0.2], [0.1, 0.6, 0.3]])) + 3.0
+    np.testing.assert_allclose(rest_ratio(scores, 0.0), np.log([1.0, 0.1 / 0.9]))
+    np.testing.assert_allclose(rest_ratio(scores, np.log(2.0)), np.log([0.5 / 0.8, 0.1 / 1.5]))
+
+
+def test_verdicts_change_the_verifier_s_log_odds_as_all_others() -> None:
+    weights = Verification(digest="0" * 64, offset=-0.4, detector=0.6, network=0.9, other_nats=0.0)
+    slope, offset = 0.8, -0.3
+    changed = weights.recalibrated(slope, offset)
+    for detector, network in ((-3.0, 2.0), (1.5, -4.0)):
+        expected = offset + slope * weights.log_odds(detector, network)
+        assert changed.log_odds(offset + slope * detector, network) == pytest.approx(expected)

@@ -1,0 +1,109 @@
+"""Tests of the missions that the verifier is trained on, and of what is kept of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from auv_mcm.errors import BadInputError
+from auv_mcm.geometry.geodesy import LocalFrame
+from sim_replay.fitting.verifier.mill import (
+    BESIDE,
+    FIRST_SEED,
+    FLOOR,
+    GEOMETRY,
+    MINE,
+    OTHER,
+    Catch,
+    dense_scene,
+    labels_of,
+    read_catch,
+)
+from sim_replay.fitting.verifier.weigh import chips_of, regions_of
+from sim_replay.fitting.wide_world import wide_scene
+from sim_replay.simulator.objects import place_objects
+from tests.sim_replay.report_samples import detection
+
+FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.9)
+
+
+def at(east_m: float, north_m: float) -> dict[str, float]:
+    latitude, longitude, _ = FRAME.to_geodetic([east_m, north_m, 0.0])
+    return {"lat": float(latitude), "lon": float(longitude)}
+
+
+def caught(n: int = 5) -> Catch:
+    random = np.random.default_rng(4)
+    shapes = np.array([(67, 150 + k) for k in range(n)], dtype=np.int32)
+    geometry = np.array([(0.12, 0.06, 10.0 + k, 5.0, 33.5, 50.5, 0.007, 0.0) for k in range(n)])
+    return Catch(
+        codes=random.integers(0, 256, size=int(shapes.prod(axis=1).sum())).astype(np.uint8),
+        shapes=shapes,
+        geometry=geometry,
+        label=np.array([MINE, OTHER, FLOOR, BESIDE, FLOOR], dtype=np.int8)[:n],
+        kind=np.array(["sphere", "rock", "", "rock", ""])[:n],
+        nearest=np.arange(n, dtype=np.int32),
+        passage=np.zeros(n, dtype=np.int64),
+        distance_m=np.zeros(n, dtype=np.float32),
+        names=np.array(["range"]),
+        features=np.zeros((n, 1)),
+        n_targets=np.array(1),
+        area_km2=np.array(0.01),
+        law=np.array("amplitude_uint16"),
+    )
+
+
+def written(folder: Path) -> Path:
+    place = folder / "one.npz"
+    np.savez(place, **caught()._asdict())
+    return place
+
+
+def test_a_dense_mission_has_more_mines_and_stones_and_is_the_same_again() -> None:
+    scene = dense_scene(FIRST_SEED)
+    usual, dense = (place_objects(one) for one in (wide_scene(FIRST_SEED), scene))
+    assert sum(one.is_target for one in dense) > 3 * sum(one.is_target for one in usual)
+    assert dense_scene(FIRST_SEED) == scene
+
+
+def test_detections_are_what_lies_under_them() -> None:
+    objects = [
+        {**at(0.0, 0.0), "length_m": 2.0, "width_m": 0.5, "is_target": True},
+        {**at(10.0, 0.0), "length_m": 1.0, "width_m": 1.0, "is_target": False},
+    ]
+    places = {(1.9, 0.0): MINE, (2.1, 0.0): BESIDE, (10.0, 1.4): OTHER, (10.0, 3.2): BESIDE, (0.0, 30.0): FLOOR}
+    found = []
+    for place in places:
+        where = at(*place)
+        found.append(detection(latitude_deg=where["lat"], longitude_deg=where["lon"]))
+    label, nearest, distance_m = labels_of(found, objects)
+    assert label.tolist() == list(places.values())
+    assert nearest.tolist() == [0, 0, 1, 1, 0]
+    np.testing.assert_allclose(distance_m, [1.9, 2.1, 1.4, 3.2, 30.0], atol=1e-3)
+    assert labels_of(found, [])[0].tolist() == [FLOOR] * len(places)
+    assert len(labels_of([], objects)[0]) == 0
+
+
+def test_the_sea_floor_comes_back_as_it_was_seen(tmp_path: Path) -> None:
+    kept = read_catch(written(tmp_path))
+    regions = regions_of(kept)
+    assert [region.intensity.shape for region in regions] == kept.shapes.tolist() or len(regions) == 5
+    for region, values in zip(regions, kept.geometry.tolist(), strict=True):
+        known = dict(zip(GEOMETRY, values, strict=True))
+        assert region.altitude_m == known["first_return_m"]
+        assert (region.row, region.column) == (known["row"], known["column"])
+    first = kept.codes[: 67 * 150].reshape(67, 150)
+    assert np.array_equal(regions[0].valid, first > 0)
+
+
+def test_looks_beside_objects_and_every_second_of_the_floor_are_not_learnt_from(tmp_path: Path) -> None:
+    assert chips_of([written(tmp_path)]).label.tolist() == [MINE, OTHER, FLOOR]
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "text"])
+def test_a_damaged_mission_is_refused(tmp_path: Path, damage: str) -> None:
+    place = written(tmp_path)
+    data = place.read_bytes()
+    place.write_bytes({"cut": data[: len(data) // 2], "empty": b"", "text": b"no archive"}[damage])
+    with pytest.raises(BadInputError, match=r"one\.npz holds no catch"):
+        read_catch(place)
