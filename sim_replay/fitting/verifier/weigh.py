@@ -78,7 +78,7 @@ def chips_of(places: Sequence[Path]) -> ChipTable:
 
 def _is_kept_floor(label: NDArray[np.int8]) -> NDArray[np.bool_]:
     is_floor = label == FLOOR
-    return is_floor & (np.cumsum(is_floor) % _FLOOR_KEPT == 1)
+    return np.asarray(is_floor & (np.cumsum(is_floor) % _FLOOR_KEPT == 1))
 
 
 def table_of(chips: Sequence[Chip], label: NDArray[np.int8]) -> ChipTable:
