@@ -345,23 +345,18 @@ def _run_background(arguments: argparse.Namespace) -> int:
 
 
 def _add_verifier(kinds: Commands) -> None:
-    from sim_replay.fitting.verifier.build import N_MISSIONS
-
     parser = command(
         kinds,
         "verifier",
         "train the network that separates mines from other objects and floor",
         "Flies drawn missions with dense mines and stones, keeps the sea floor around every detection, trains the "
-        "network on it,\n"
-        "weighs it beside the detector's odds on missions left out, and prints how both do there. Missions already in "
-        "--looks are\n"
-        "not flown again. Needs the extra 'verifier' (PyTorch). The same seeds give the same missions; weights repeat "
-        "on one\n"
-        "computer. Fit gate and background anew afterwards.",
+        "network on it, weighs it beside the detector's odds on missions left out, and prints how both do there. "
+        "Missions already in --looks are not flown again. Needs the extra 'verifier' (PyTorch). The same seeds give the "
+        "same missions; weights repeat on one computer. Refit gate and background afterwards.",
         ["auv-mcm calibrate verifier --looks looks --out made"],
     )
     parser.add_argument(
-        "--missions", metavar="N", type=count, default=N_MISSIONS, help=f"to train on (default {N_MISSIONS})"
+        "--missions", metavar="N", type=count, help="to train on (default: as many as what ships was trained on)"
     )
     parser.add_argument("--looks", metavar="FOLDER", type=Path, required=True, help="of the missions flown")
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
@@ -377,10 +372,10 @@ def _add_verifier(kinds: Commands) -> None:
 
 def _run_verifier(arguments: argparse.Namespace) -> int:
     from sim_replay.fitting.cascade.farm import Farm
-    from sim_replay.fitting.verifier.build import build, write_built
+    from sim_replay.fitting.verifier.build import N_MISSIONS, build, write_built
 
     _check_new(arguments.out)
-    built = build(arguments.looks, arguments.missions, Farm(arguments.workers), _show, print)
+    built = build(arguments.looks, arguments.missions or N_MISSIONS, Farm(arguments.workers), _show, print)
     write_built(built, arguments.out)
     print(built.tables)
     return 0
