@@ -351,8 +351,8 @@ def _add_verifier(kinds: Commands) -> None:
         "train the network that separates mines from other objects and floor",
         "Flies drawn missions with dense mines and stones, keeps the sea floor around every detection, trains the "
         "network on it, weighs it beside the detector's odds on missions left out, and prints how both do there. "
-        "Missions already in --looks are not flown again. Needs the extra 'verifier' (PyTorch). The same seeds give the "
-        "same missions; weights repeat on one computer. Refit gate and background afterwards.",
+        "Missions already in --looks are not flown again. Needs the extra 'verifier' (PyTorch). The same seeds give "
+        "the same missions; weights repeat on one computer. Refit gate and background afterwards.",
         ["auv-mcm calibrate verifier --looks looks --out made"],
     )
     parser.add_argument(

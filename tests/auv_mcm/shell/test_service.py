@@ -186,7 +186,8 @@ def test_the_results_are_called_by_the_operating_point_of_the_whole_mission(tmp_
     content = summary(results)
     assert content["contacts_called"] == 11
     assert content["operating_point"] == {
-        "asked_per_km2": 30.0,
+        "asked_per_km2": 100.0,
+        "area_too_small": False,
         "called_from_p_mine": 0.2,
         "contacts_counted": 11,
         "searched_km2": 0.5,
@@ -318,8 +319,10 @@ def test_a_disk_that_gives_nothing_back_is_counted_and_every_contact_is_announce
     lines: list[str] = []
     monkeypatch.setattr("auv_mcm.contacts.record_file.os.pread", broken)
     results = serve(tmp_path, Events(mission(4)), console=lines.append)
-    assert [line.split()[1] for line in lines] == journal(results) == ["C0000", "C0003", "C9999"]
-    assert ids(results) == []
+    announced = [line.split()[1] for line in lines if line.startswith("contact ")]
+    assert announced == journal(results) == ["C0000", "C0003", "C9999"]
+    assert ids(results) == announced, "from the journal, in place of the disk"
+    assert any("contacts_in_journal" in line for line in lines)
     assert summary(results)["counters"]["service.unreadable"] > 0
 
 
