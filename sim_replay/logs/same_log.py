@@ -72,6 +72,8 @@ def _are_same(one: OpenedLog, two: OpenedLog) -> bool:
     if one.first_s != two.first_s:
         return False
     if one.first is not None and two.first is not None:
+        if one.first.squint_rad != two.first.squint_rad:  # sub-apertures of one line
+            return False
         sides = (one.first.port, two.first.port), (one.first.starboard, two.first.starboard)
         if all(_same_trace(*pair) for pair in sides):
             return True

@@ -316,7 +316,7 @@ def test_other_objects_are_clutter_and_count_once_too(fly: Fly) -> None:
 
 
 def test_a_detection_known_to_a_metre_only_may_lie_farther_off(fly: Fly) -> None:
-    assert labels(fly([seen_at(3.0, covariance_m2=np.eye(2))], [Truth(0.0, True)])) == [(3.0, True)]
+    assert labels(fly([seen_at(2.9, covariance_m2=np.eye(2))], [Truth(0.0, True)])) == [(2.9, True)]
     assert labels(fly([seen_at(3.0)], [Truth(0.0, True)])) == [], "neither at it nor clear of it"
 
 
