@@ -251,6 +251,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.fitting.fit_sizes.run_tasks",
         "sim_replay.fitting.looks.run_tasks",
         "sim_replay.fitting.recalibrate.refit",
+        "sim_replay.fitting.verifier.build.fly_all",
         *(f"sim_replay.{module}.run" for module, _ in BENCHES.values()),
     ):
         monkeypatch.setattr(place, reached)
