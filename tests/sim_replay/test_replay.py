@@ -216,7 +216,9 @@ def test_command_line_prints_figures_progress_and_where_the_report_is(
 ) -> None:
     assert main(["replay", str(logs[0]), "--out", str(tmp_path)]) == 0
     captured = capsys.readouterr()
-    assert captured.out.splitlines()[-1] == f"report: {tmp_path / 'report.html'}"
+    *_, report, closing = captured.out.splitlines()
+    assert report == f"report: {tmp_path / 'report.html'}"
+    assert "called mine" in closing
     assert "mine-like" in captured.out
     tenths = [line for line in captured.err.splitlines() if line.startswith("replay: ")]
     assert "replay: 50 %" in tenths
