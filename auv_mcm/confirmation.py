@@ -3,7 +3,8 @@
     detector's odds -> verifier -> contours -> Markov field, contours again from its labels -> solids -> belief
 
 A detection whose odds have become too low goes no further. The verifier, a network, decides p_mine; contours, field and
-solids then outline, size and classify what somebody will look at. Odds without a verifier are decided by what contours
+solids then outline, size and classify what somebody will look at, and leave no evidence in the shadow of another
+object, where nothing can be seen. Odds without a verifier are decided by what contours
 and solids measure.
 """
 
@@ -146,8 +147,7 @@ def confirm_detection(
     weight = NO_WEIGHT
     if examination.fits is not None:
         weight = sizes.weigh(examination.fits)
-        log_ratio += weight.nats
-        log_ratio = _seen(log_ratio, examination.contours) if verified is None else log_ratio
+        log_ratio = _seen(log_ratio + weight.nats, examination.contours)
         p_by_step["shape"] = odds.p_mine(log_ratio)
     return msgspec.structs.replace(
         detection,

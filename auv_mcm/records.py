@@ -44,7 +44,7 @@ TransferKind: TypeAlias = Literal["amplitude", "intensity", "log"]
 
 
 class Transfer(NamedTuple):
-    """How samples become intensity.
+    """State how samples become intensity.
 
     db_per_count: NaN unless `kind` is "log". power: of linear samples, that is intensity, where it is not the 2 of an
     amplitude or the 1 of an intensity; NaN otherwise.
@@ -56,7 +56,7 @@ class Transfer(NamedTuple):
 
     @property
     def intensity_power(self) -> float:
-        """The power of linear samples that is intensity."""
+        """Return the power of linear samples that is intensity."""
         return self.power if math.isfinite(self.power) else 1.0 if self.kind == "intensity" else 2.0
 
 

@@ -13,7 +13,7 @@ _MEND: Final = {
     "contacts.background_unlike": "look at the pictures, as p_mine may be wrong on this floor",
 }
 """What a person can do about notices that question the whole mission, by code; the first two found are named."""
-_MOST: Final = 2
+_MOST: Final = 2  # notices named: a line, no list. Chosen
 
 
 def closing_line(summary: Mapping[str, Any]) -> str:

@@ -40,7 +40,7 @@ _CALLED: Final = 2  # announced as called
 
 
 class OperatingPoint(NamedTuple):
-    """What is accepted, and the false alarms that a mission's contacts make expect so far.
+    """Hold what is accepted, and the false alarms that a mission's contacts make expect so far.
 
     asked_per_km2: false alarms accepted. n_contacts, area_km2: what they are expected from. background: None where
     p_mine is not calibrated, as without confirmation. level_nats: lowest log-odds called, those of p_mine 0.2 where
@@ -55,7 +55,7 @@ class OperatingPoint(NamedTuple):
 
     @property
     def is_short(self) -> bool:
-        """Whether the area searched allows fewer than one false alarm."""
+        """Check whether the area searched allows fewer than one false alarm."""
         return self.background is not None and is_short(self.area_km2, self.asked_per_km2)
 
     def calls(self, contact: Contact) -> bool:

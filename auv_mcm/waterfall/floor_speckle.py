@@ -34,7 +34,7 @@ _LEVEL_BINS: Final = 8  # of regions by level, along which the spread may grow. 
 
 
 class FloorSpeckle(NamedTuple):
-    """Spread and skewness of samples over the most even sea floor.
+    """Hold spread and skewness of samples over the most even sea floor.
 
     relative_spread, relative_skewness: of samples over their local mean. spread_counts, skewness: of the samples
     themselves. growth: slope of ln spread against ln mean over regions of all levels, 1 where the spread grows with the

@@ -61,7 +61,7 @@ _SPAN_SIGMA: Final = 0.5  # nats of that
 
 
 class SampleLaw(NamedTuple):
-    """What samples are taken for.
+    """State what samples are taken for.
 
     transfer: how they become intensity. linear_nats: log-odds that they are linear, 0 where nothing could be seen.
     n_regions: of sea floor that showed it.
@@ -73,12 +73,12 @@ class SampleLaw(NamedTuple):
 
     @property
     def is_sure(self) -> bool:
-        """Whether the odds for linear or logarithmic are 100 to 1 or better."""
+        """Check whether the odds for linear or logarithmic are 100 to 1 or better."""
         return abs(self.linear_nats) >= SURE_NATS
 
     @property
     def seen(self) -> TransferKind:
-        """The kind that the samples look like, sure or not: amplitude stands for any linear one."""
+        """Name the kind that the samples look like, sure or not: amplitude stands for any linear one."""
         return "amplitude" if self.linear_nats >= 0.0 else "log"
 
 

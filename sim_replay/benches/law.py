@@ -47,7 +47,7 @@ Texture = Literal["none", "gamma", "log-normal"]
 
 
 class Store(NamedTuple):
-    """How a recorder stores intensity: counts = full scale clipped factor * intensity ** exponent, or a logarithm.
+    """State how a recorder stores intensity: counts = full scale clipped factor * intensity ** exponent, or a logarithm.
 
     db_per_count is None unless it stores logarithms.
     """
@@ -60,7 +60,7 @@ class Store(NamedTuple):
 
     @property
     def is_linear(self) -> bool:
-        """Whether a power of the echo is stored."""
+        """Check whether a power of the echo is stored."""
         return self.db_per_count is None
 
 
@@ -77,7 +77,7 @@ STORES: Final = (
 
 
 class DrawnFloor(NamedTuple):
-    """What the speckle of a drawn floor is like.
+    """Describe the speckle of a drawn floor.
 
     correlation: samples that one resolution cell covers. along_track_m: distance over which speckle stays correlated
     from ping to ping. texture_cv: standard deviation over mean of the texture; texture_reach: (pings, samples).
@@ -97,7 +97,7 @@ class DrawnFloor(NamedTuple):
 
 
 class JudgedRecorder(NamedTuple):
-    """What one recorder of one drawn floor was taken for.
+    """State what one recorder of one drawn floor was taken for.
 
     stretched: decibels read for each decibel of echo, NaN where linear samples were taken for logarithms or the other
     way round.

@@ -37,7 +37,7 @@ from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Tra
 Role = Literal["log", "image", "sidecar", "track", "configuration", "scene", "mine list"]
 
 _UTC_S: Final = 1_780_308_000.0  # when the mission begins, 2026-06-01T10:00:00Z
-_RANGE_M: Final = 20.0
+_RANGE_M: Final = 20.0  # of the sonar: short logs. Chosen
 _N_SAMPLES: Final = 300  # of a side
 _LINES, _PIXELS = 48, 96  # of the images
 _LINE_M: Final = 0.1  # along the track

@@ -236,7 +236,8 @@ class JsfRecording:
         if time_ns is None:
             return None
         if time_ns < _FIRST_S * 1_000_000_000:
-            self._notify_once("reader.time_unknown", _CLOCK_NOT_SET, offset)
+            text = f"no date in any message: {_CLOCK_NOT_SET}"
+            self._notify_once("reader.time_unknown", text, offset)
         self._last_ns = time_ns + round(1e9 * echo_s)
         return _received(SONAR_PORT, to_wire(message), self._last_ns)
 

@@ -252,7 +252,7 @@ commands = st.builds(
 
 
 @given(commands)
-def test_commands_are_read_back_within_half_a_step_and_never_deeper(command: Command) -> None:
+def test_commands_are_read_back_within_a_step_and_never_deeper_or_faster(command: Command) -> None:
     frames = sent(command_message(command, 3.0, 1, 1))
     receiver = CanReceiver("can", "payload", ADDRESS["payload"], Counter())
     message = next(whole for frame in frames if (whole := receiver.add(frame, 0.0))).record
@@ -263,7 +263,7 @@ def test_commands_are_read_back_within_half_a_step_and_never_deeper(command: Com
         1.0 if command.vertical.reference == "altitude" else -1.0
     )
     assert -1e-8 <= rise_m <= 1.001e-3
-    assert abs(again.speed_mps - command.speed_mps) <= 0.005001
+    assert -1e-9 <= command.speed_mps - again.speed_mps <= 0.010001
     if isinstance(command, GoTo) and isinstance(again, GoTo):
         assert abs(again.latitude_deg - command.latitude_deg) <= 0.501e-7
         assert abs(again.longitude_deg - command.longitude_deg) <= 0.501e-7
