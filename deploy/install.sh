@@ -5,10 +5,10 @@
 #     sh deploy/install.sh --rollback [--root DIR]                          go back to the version before
 # --root: install below DIR instead, as for an image; then nothing is started and no user is made. --with: install a
 # package with a driver too, whose wheel lies in wheels/; more than once for several. --keep-days: remove sessions that
-# were neither written nor read for N days. --sum: the checksum that deploy/wheelhouse.sh printed, brought by another way
-# than the folder; without it wheels are only held against the list that lies beside them. PYTHON names the interpreter, default python3.
-# Each version gets a folder of its own below /opt/auv-mcm; 'current' points to the one that runs, 'previous' to the one
-# before. Configuration, results and changed rules of udev are left as they are.
+# were neither written nor read for N days. --sum: the checksum that deploy/wheelhouse.sh printed, brought by another
+# way than the folder; without it wheels are only held against the list that lies beside them. PYTHON names the
+# interpreter, default python3. Each version gets a folder of its own below /opt/auv-mcm; 'current' points to the one
+# that runs, 'previous' to the one before. Configuration, results and changed rules of udev are left as they are.
 set -eu
 here=$(cd "$(dirname "$0")/.." && pwd)
 root= keep_days= rollback= with= sum=

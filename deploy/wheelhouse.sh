@@ -3,13 +3,13 @@
 #     sh deploy/wheelhouse.sh [--arch ARCH] [--python X.Y] [--with PACKAGE] [FOLDER]
 # It holds this checkout's wheel with compiled kernels, the wheels of all packages that the base needs, their checksums
 # (wheels.sha256) and bill of materials (sbom.cdx.json, CycloneDX), and deploy/install.sh with what that installs. The
-# wheel is built twice and has to be the same to the byte; SOURCE_DATE_EPOCH is its time, default that of the last commit.
-# --arch: the vehicle's architecture, x86_64 or aarch64, default this computer's; for the other one a cross compiler has
-# to be here (Debian: gcc-aarch64-linux-gnu or gcc-x86-64-linux-gnu). --python: its Python, default this computer's; the
-# wheel of this checkout serves every one from 3.11 on, those of other packages do not. --with: fetch this package too,
-# such as one with a driver, or 'auv-mcm[bench]'; more than once for several. PYTHON names the interpreter that builds,
-# default python3. Needs a network and a C compiler here, and neither on the vehicle, which needs glibc 2.28 or later
-# (Debian 10, Ubuntu 20.04).
+# wheel is built twice and has to be the same to the byte; SOURCE_DATE_EPOCH is its time, default that of the last
+# commit. --arch: the vehicle's architecture, x86_64 or aarch64, default this computer's; for the other one a cross
+# compiler has to be here (Debian: gcc-aarch64-linux-gnu or gcc-x86-64-linux-gnu). --python: its Python, default this
+# computer's; the wheel of this checkout serves every one from 3.11 on, those of other packages do not. --with: fetch
+# this package too, such as one with a driver, or 'auv-mcm[bench]'; more than once for several. PYTHON names the
+# interpreter that builds, default python3. Needs a network and a C compiler here, and neither on the vehicle, which
+# needs glibc 2.28 or later (Debian 10, Ubuntu 20.04).
 set -eu
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
@@ -53,7 +53,8 @@ trap 'rm -rf "$work"' EXIT
 "$python" -m venv "$work/venv" || fail "no virtual environment: sudo apt-get install python3-venv"
 
 # What builds is pinned, and so are times and permissions: whoever builds this checkout gets the same bytes.
-SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || echo 315532800)} # 1980, ZIP's first year
+# 1980, ZIP's first year
+SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || echo 315532800)}
 export SOURCE_DATE_EPOCH
 umask 022
 "$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement deploy/build-requirements.txt

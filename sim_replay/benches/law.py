@@ -47,7 +47,7 @@ Texture = Literal["none", "gamma", "log-normal"]
 
 
 class Store(NamedTuple):
-    """State how a recorder stores intensity: counts = full scale clipped factor * intensity ** exponent, or a logarithm.
+    """State how a recorder stores intensity: as counts, factor * intensity ** exponent, or as a logarithm.
 
     db_per_count is None unless it stores logarithms.
     """

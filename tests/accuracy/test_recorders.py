@@ -1,4 +1,7 @@
-"""One mission stored by seven recorders gives the same calls and nearly the same p_mine, with nothing configured: on flat sand, ripples and rough floor, 51 targets in all."""
+"""One mission stored by seven recorders gives the same calls and nearly the same p_mine, with nothing configured.
+
+On flat sand, ripples and rough floor, 51 targets in all.
+"""
 
 from __future__ import annotations
 

@@ -80,12 +80,14 @@ def test_every_test_and_scenario_that_the_page_names_is_there() -> None:
 PAST_THE_DOOR = {
     "auv_mcm/shell/checkpoint.py": "the state of a session",
     "auv_mcm/shell/event_spool.py": "the state of a session",
+    "auv_mcm/shell/journal_contacts.py": "the journal of a session",
     "auv_mcm/shell/recovery.py": "the state of a session and its journals",
     "auv_mcm/shell/health/measure.py": "the kernel",
     "auv_mcm/shell/perception.py": "the kernel",
     "drivers/port_check.py": "the kernel",
     "sim_replay/fitting/cascade/farm.py": "the sources of the package",
     "sim_replay/fitting/looks.py": "a mission that was simulated just before",
+    "sim_replay/fitting/verifier/mill.py": "missions that it flew",
     "sim_replay/report/page.py": "a part of the package",
     "sim_replay/view/server.py": "a part of the package",
 }

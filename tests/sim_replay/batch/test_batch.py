@@ -62,7 +62,7 @@ def content(out: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(out)): path.read_bytes()
         for path in sorted(out.rglob("*"))
-        if path.is_file() and path.name not in ("summary.json", "report.html", ".lock")
+        if path.is_file() and path.name not in ("summary.json", "report.html", "report-contents.bin", ".lock")
     }
 
 
