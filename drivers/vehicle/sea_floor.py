@@ -36,8 +36,8 @@ class FloorBelow:
 
     Depth and altitude make a floor if they are of one moment. It is believed once reports have followed one another for
     2 s, and then while it deepens no faster than a slope of 0.5 does under way: a deeper one is rejected, and counted.
-    A shallower one counts at once, since it leads up. An altitude that stands still while the depth changes makes no
-    floor.
+    A shallower one counts at once, since it leads up. An altitude that stands still makes no floor deeper than at
+    first, and none at all once the depth has changed by 1 m.
 
     speed_mps: maximum under way. valid_s: how long what was reported counts for the deepest floor. counters:
     vehicle.floors_rejected (deeper than can be), vehicle.altitudes_frozen.
@@ -80,9 +80,9 @@ class FloorBelow:
             self.counters["vehicle.altitudes_frozen"] += 1
             self._settling.clear()
         elif self._believed:
-            self._believe(floor_m, now_s)
+            self._believe(self._seen_m(), now_s)
         else:
-            self._settle(floor_m, now_s)
+            self._settle(self._seen_m(), now_s)
 
     def settles(self, now_s: float) -> bool:
         """Find whether the first floor may still come to be believed, so that nobody has to look after it yet."""
@@ -116,6 +116,11 @@ class FloorBelow:
         """Find whether the altitude stands still since the depth was another; it does until it changes."""
         self._frozen |= abs(self._depth[0] - self._still[1]) > STILL_M
         return self._frozen
+
+    def _seen_m(self) -> float:
+        """Return the floor, no deeper than when its altitude was first reported: one that stands still sees no more."""
+        depth_m, still_m = self._depth[0], self._still[1]
+        return self._altitude[0] + (min(depth_m, still_m) if math.isfinite(still_m) else depth_m)
 
     def _is_leap(self, floor_m: float, now_s: float) -> bool:
         if self._track is None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
+import random
 from typing import Any
 
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 
 from auv_mcm.settings.vehicle_settings import CanSettings, ImcSettings, IverSettings
 from drivers.navigation.nmea0183 import sentence
@@ -20,46 +19,49 @@ from drivers.vehicle.talkers.imc_talker import ImcTalker
 from drivers.vehicle.vehicles import VEHICLES, talker_of
 from tests.drivers.vehicle.wire_history import (
     FLOOR_M,
-    GOOD_S,
-    KINDS,
     LONG_S,
-    LONGEST_S,
-    RISES_MPS,
     Event,
     History,
     Voyage,
+    drawn,
     fly,
     settings_of,
 )
 
 EVERY = pytest.mark.parametrize("name", sorted(VEHICLES))
 DEPTHS_ALONE = pytest.mark.parametrize("name", ["iver", "recon"])
+N_HISTORIES = 60  # of each dialect
 
-
-SHARES = st.floats(0.0, 1.0)
-EVENTS = st.builds(
-    lambda kind, begins, lasts, size: Event(
-        kind, GOOD_S + begins * (LONG_S - GOOD_S), 0.1 + lasts * (LONGEST_S[kind] - 0.1), 2.0 * size - 1.0
+# Each leads towards the floor where an altitude that stands still is believed while the depth grows by up to 1 m.
+STOOD_STILL = (
+    History(LONG_S, 0.3, 0.02, 222665156, (Event("frozen_altitude", 11.05, 7.55, 0.0),)),
+    History(LONG_S, 0.3, 0.02, 1, (Event("swap", 8.0, 3.0, 0.0), Event("frozen_altitude", 11.0, 8.0, 0.0))),
+    History(
+        LONG_S,
+        -0.3,
+        0.1,
+        805264436,
+        (
+            Event("frozen_altitude", 18.57, 12.5, 1.0),
+            Event("false_then_lost", 18.57, 2.44, -0.85),
+            Event("frozen", 21.0, 2.32, 1.0),
+        ),
     ),
-    st.sampled_from(KINDS),
-    SHARES,
-    SHARES,
-    SHARES,
-)
-HISTORIES = st.builds(
-    History,
-    st.just(LONG_S),
-    st.floats(-RISES_MPS, RISES_MPS),
-    st.sampled_from([0.02, 0.1]),
-    st.integers(0, 1 << 30),
-    st.lists(EVENTS, min_size=1, max_size=5).map(tuple),
 )
 
 
 @EVERY
-@settings(max_examples=60, deadline=None, phases=[Phase.generate])
-@given(history=HISTORIES)
-def test_no_command_leads_towards_the_true_floor_whatever_the_vehicle_reports(name: str, history: History) -> None:
+def test_no_command_leads_towards_the_true_floor_whatever_the_vehicle_reports(name: str) -> None:
+    """Histories of fixed seeds: what hypothesis draws depends on which modules are imported, its own seed or not."""
+    for seed in range(N_HISTORIES):
+        history = drawn(random.Random(seed), LONG_S)
+        wrong, _ = fly(name, [history])
+        assert wrong == [], f"seed {seed}: {history}"
+
+
+@DEPTHS_ALONE
+@pytest.mark.parametrize("history", STOOD_STILL)
+def test_an_altitude_that_stands_still_leads_nobody_to_the_floor(name: str, history: History) -> None:
     wrong, _ = fly(name, [history])
     assert wrong == []
 

@@ -106,6 +106,14 @@ def test_an_altitude_that_stands_still_while_the_depth_changes_makes_no_floor() 
     assert floor.at(now_s + 3.0).shallowest_m == pytest.approx(17.9)
 
 
+def test_an_altitude_that_stands_still_makes_no_deeper_floor_than_at_first() -> None:
+    floor, now_s = floor_after(*((10.0 + 0.15 * step, 8.0) for step in range(7)), *((10.9, 8.0),) * 20)
+    assert floor.at(now_s).shallowest_m == 18.0
+    assert floor.at(now_s).deepest_m == pytest.approx(18.9)
+    floor.hear(9.5, 8.0, now_s + 0.5)
+    assert floor.at(now_s + 0.5).shallowest_m == 17.5
+
+
 def test_what_is_not_known_changes_nothing() -> None:
     floor, now_s = floor_after(*((NAN, NAN), (NAN, 5.0), (math.inf, 8.0), (-math.inf, 8.0)))
     assert floor.at(now_s).shallowest_m == 18.0, "an altitude of a second after the last depth is of another moment"

@@ -83,13 +83,20 @@ class History(NamedTuple):
 
 
 def drawn(source: random.Random, lasts_s: float = SHORT_S) -> History:
-    """Draw a history."""
-    events = []
-    for _ in range(source.randrange(1, 5)):
+    """Draw a history. One event in three begins where another begins or ends; extremes are frequent."""
+
+    def share() -> float:
+        return source.choice((0.0, 0.5, 1.0)) if source.random() < 0.25 else source.random()
+
+    events: list[Event] = []
+    for _ in range(source.randint(1, 5)):
         kind = source.choice(KINDS)
-        begins_s, for_s = source.uniform(GOOD_S, lasts_s - 1.0), source.uniform(0.1, LONGEST_S[kind])
-        events.append(Event(kind, begins_s, for_s, source.uniform(-1.0, 1.0)))
-    slope_mps, noise_m = source.uniform(-RISES_MPS, RISES_MPS), source.choice((0.02, 0.1))
+        begins_s, for_s = GOOD_S + share() * (lasts_s - 1.0 - GOOD_S), 0.1 + share() * (LONGEST_S[kind] - 0.1)
+        if events and source.random() < 1.0 / 3.0:
+            other = source.choice(events)
+            begins_s = min(other.begins_s + source.choice((0.0, other.lasts_s)), lasts_s - 1.0)
+        events.append(Event(kind, begins_s, for_s, 2.0 * share() - 1.0))
+    slope_mps, noise_m = (2.0 * share() - 1.0) * RISES_MPS, source.choice((0.02, 0.1))
     return History(lasts_s, slope_mps, noise_m, source.randrange(1 << 30), tuple(events))
 
 
