@@ -457,7 +457,7 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     pixels that earned coverage. lost_m2: area by reason it earned none (`turn`, `low_resolution`, `invalid`,
     `stale_navigation`, `saturated`, `shadow` of something high, `over_budget`, `failed` processing).
     evaluated_fraction: of its places to look at, those that the detector's budget allowed for. cells: the same area
-    cell by cell; None where no row could be placed on Earth.
+    cell by cell; None where no row could be placed on Earth. squint_rad: of its pings, as of `Ping`.
     """
 
     side: Side
@@ -469,6 +469,7 @@ class CoveragePatch(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     lost_m2: dict[str, float]
     evaluated_fraction: float = 1.0
     cells: SurveyedCells | None = None
+    squint_rad: float = 0.0
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True):

@@ -94,6 +94,7 @@ def cover_tile(
         cells=None
         if grid is None
         else surveyed_cells(tile, covered, sonar, grid.frame, grid.cell_m, seabed, evaluated_fraction),
+        squint_rad=tile.squint_rad,
     )
 
 
@@ -110,6 +111,7 @@ def uncovered(tile: Tile) -> CoveragePatch:
         covered_m2=0.0,
         lost_m2={"failed": failed_m2},
         evaluated_fraction=0.0,
+        squint_rad=tile.squint_rad,
     )
 
 

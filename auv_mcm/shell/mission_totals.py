@@ -22,8 +22,11 @@ from auv_mcm.settings.config import PlanConfig
 
 
 def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:
-    """Count contacts, and sum the covered area over tiles: sea floor seen twice counts twice."""
-    covered_m2 = math.fsum(patch.covered_m2 for patch in coverage)
+    """Count contacts, and sum the covered area over tiles.
+
+    Sea floor passed twice counts twice; sub-apertures of one pass count once.
+    """
+    covered_m2 = math.fsum(patch.covered_m2 for patch in _of_one_squint(coverage))
     counted: Counter[str] = Counter()
     for contact in contacts:
         counted.update(
@@ -33,6 +36,17 @@ def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch
         "covered_km2": round(covered_m2 / 1e6, 6),
         **{name: counted[name] for name in ("contacts", "contacts_mine_like", "contacts_called")},
     }
+
+
+def _of_one_squint(coverage: Iterable[CoveragePatch]) -> Iterable[CoveragePatch]:
+    """Leave out patches whose side was looked at during their time by another squint already."""
+    seen: dict[str, dict[float, list[tuple[float, float]]]] = {}
+    for patch in coverage:
+        by_squint = seen.setdefault(patch.side, {})
+        before = [times for squint, spans in by_squint.items() if squint != patch.squint_rad for times in spans]
+        if not any(start_s < patch.stop_s and patch.start_s < stop_s for start_s, stop_s in before):
+            by_squint.setdefault(patch.squint_rad, []).append((patch.start_s, patch.stop_s))
+            yield patch
 
 
 def point_totals(point: OperatingPoint | None) -> dict[str, Any]:

@@ -30,6 +30,8 @@ class Tally:
         self.heading_rad = NAN
         self._course_rad = NAN
         self._fix: Fix | None = None
+        self._squint_rad = NAN
+        self._is_seen_again = False  # by a further sub-aperture of the same pass
 
     @property
     def direction_rad(self) -> float:
@@ -40,15 +42,21 @@ class Tally:
         match event:
             case Ping():
                 self.pings += 1
-                self._add_time(event.time_s)
+                self._add_time(event.time_s, event.squint_rad)
             case NavSample():
                 self.navigation_samples += 1
                 self._add_position(event)
             case Notice():
                 self.notices += 1
 
-    def _add_time(self, time_s: float) -> None:
+    def _add_time(self, time_s: float, squint_rad: float) -> None:
         if not math.isfinite(time_s):
+            return
+        if squint_rad != self._squint_rad:
+            self._is_seen_again = time_s <= self.last_s  # NaN at first
+            self._squint_rad = squint_rad
+        if self._is_seen_again:
+            self._is_seen_again = time_s <= self.last_s
             return
         if math.isnan(self.first_s):
             self.first_s = time_s
@@ -70,7 +78,8 @@ class Tally:
         last, fix = self._fix, fix_at(sample.time_s, sample.latitude_deg, sample.longitude_deg)
         if last is not None:
             step_m = chord_m(last, fix)
-            if 0.0 < step_m <= MAX_STEP_M and abs(fix.time_s - last.time_s) <= MAX_STEP_S:
+            is_onward = 0.0 <= fix.time_s - last.time_s <= MAX_STEP_S and not self._is_seen_again
+            if 0.0 < step_m <= MAX_STEP_M and is_onward:
                 self.distance_m += step_m
                 self._course_rad = course_rad(last, fix)
         self._fix = fix

@@ -9,7 +9,8 @@ from msgspec import structs
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.config import PlanConfig
-from auv_mcm.shell.mission_totals import area_totals, clearance_notices, search_totals
+from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, search_totals
+from tests.auv_mcm.contacts.test_seen_area import patch
 
 
 def test_the_search_is_summed_up_over_what_was_seen() -> None:
@@ -23,6 +24,19 @@ def test_the_search_is_summed_up_over_what_was_seen() -> None:
     assert searched["mines_left"]["expected"] == pytest.approx(0.5 * (1.0 - seen_p).sum() / seen_p.sum(), abs=1e-3)
     assert searched["mines_found"] == 0.0
     assert searched["mines_left"]["among_contacts"] == 0
+
+
+def test_sub_apertures_of_one_pass_cover_its_floor_once() -> None:
+    parts = [
+        structs.replace(patch(None, covered_m2=1000.0), start_s=start_s, stop_s=start_s + 10.0, squint_rad=squint_rad)
+        for squint_rad in (-0.03, 0.0, 0.03)
+        for start_s in (100.0, 110.0)
+    ]
+    assert contact_totals([], parts)["covered_km2"] == pytest.approx(0.002)
+    later = structs.replace(parts[-1], start_s=120.0, stop_s=130.0)
+    again = structs.replace(parts[0], side="port" if parts[0].side == "starboard" else "starboard")
+    assert contact_totals([], [*parts, later, again])["covered_km2"] == pytest.approx(0.004)
+    assert contact_totals([], [parts[0], parts[0]])["covered_km2"] == pytest.approx(0.002), "passed twice"
 
 
 def test_what_was_searched_too_far_off_for_the_map_is_summed_up_and_reported() -> None:

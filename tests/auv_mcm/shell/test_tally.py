@@ -46,3 +46,15 @@ def test_duration_leaves_out_holes_and_steps_back() -> None:
     assert tally.pings == 7
     assert tally.duration_s == 1.0 + 1.0 + 1.0
     assert (tally.first_s, tally.last_s) == (100.0, 9001.0)
+
+
+def test_sub_apertures_of_one_pass_count_its_time_and_its_way_once() -> None:
+    tally = Tally()
+    for part in range(3):
+        for k in range(41):
+            tally.add(fix(float(k), 2.0 * k))
+            tally.add(Ping(number=k, time_s=float(k), port=None, starboard=None, squint_rad=0.03 * (part - 1)))
+    assert tally.duration_s == 40.0
+    assert tally.distance_m == pytest.approx(80.0, rel=0.01)
+    tally.add(Ping(number=0, time_s=50.0, port=None, starboard=None, squint_rad=0.1))
+    assert tally.duration_s == 50.0, "another image, later"
