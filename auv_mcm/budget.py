@@ -31,7 +31,7 @@ HYPOTHESES_PER_LOOK: Final = 6600
 """Hypotheses on solids that a close look weighs, on average over looks on the named scene `rough`: 6627 there."""
 CHEAPER_STAGE_WORTH: Final = 0.5
 """Share of coverage that is left where a stage stopped at its cheaper predecessor: contrasts without the cascade, the
-cascade without a close look. Measured by `auv-mcm bench chain --knobs budget`: see docs/run-time.md."""
+cascade without a close look. Measured by `auv-mcm bench chain --knobs budget`: see docs/results.md."""
 RESERVED_LOOKS: Final = 2
 """Close looks without which windows are not begun: the cascade without any look found less at equal false alarms than
 clear contrasts (Pd of 0.05 and 0.14 at 10 per km² on flat, ripple and rough)."""

@@ -256,7 +256,7 @@ def benchmarks_page(history: Path = HISTORY) -> str:
             "deploy/bench.sh` measures this version, says what moved beyond noise since the one before, and keeps the "
             "result. Compare"
         ),
-        "the ratio to the plain script: computers differ and are busy. [More points and targets](run-time.md).",
+        "the ratio to the plain script: computers differ and are busy. [More points and targets](results.md#run-time).",
         "",
     ]
     found = {path.stem: read_results(path) for path in _by_version(history)}
@@ -265,7 +265,7 @@ def benchmarks_page(history: Path = HISTORY) -> str:
     stages = {path.stem: read_every_stage(path) for path in _by_version(history / "stages")}
     if stages:
         lines += [
-            "Of each stage at its last setting: time in units of [the alternative](every-stage.md), error of both, and",
+            "Of each stage at its last setting: time in units of [the alternative](results.md#run-time), error of both, and",
             "the error's unit. A dash stands for what was not measured. pyxtf's time ends where it fails.",
             "",
             markdown(("stage", *stages), stage_history(list(stages.values()))),

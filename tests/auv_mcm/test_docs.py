@@ -16,6 +16,8 @@ from sim_replay.simulator.scene_file import parse_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "auv_mcm" / "docs"
+MOST_WORDS = 31_000  # of all pages but the changelog; 26,000 are aimed at
+MOST_WORDS_OF_RESULTS = 3_000  # the same
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
 
 
@@ -70,3 +72,28 @@ def test_every_step_on_the_way_of_a_ping_is_in_the_code() -> None:
     assert 10 <= len(steps) <= 15
     for _, module, name in steps:
         assert hasattr(importlib.import_module(module.replace("/", ".")), name), f"{module} has no {name}"
+
+
+def words(page: Path) -> int:
+    """Words that are words: no rules and no borders of tables."""
+    return sum(bool(re.search(r"\w", word)) for word in page.read_text("utf-8").split())
+
+
+def test_a_newcomers_questions_are_answered_by_the_page_of_the_architecture() -> None:
+    section = (ROOT / "CONTRIBUTING.md").read_text("utf-8").partition("### A newcomer's ten minutes")[2]
+    rooms = re.findall(r"^\| .+ \| `([a-z_/]+)` \|$", section.partition("\n## ")[0], re.MULTILINE)
+    page = (DOCS / "architecture.md").read_text("utf-8")
+    assert len(set(rooms)) == 12
+    assert [room for room in rooms if not (ROOT / room).is_dir() or f"`{room}`" not in page] == []
+
+
+def test_every_room_that_the_page_of_the_architecture_names_is_there() -> None:
+    page = (DOCS / "architecture.md").read_text("utf-8")
+    named = re.findall(r"`((?:auv_mcm|drivers|sim_replay)/[a-z_/]*(?:\.py)?)`", page)
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_the_docs_stay_short() -> None:
+    """A page that grows takes words from another."""
+    assert words(DOCS / "results.md") <= MOST_WORDS_OF_RESULTS
+    assert sum(words(page) for page in PAGES if page.name != "CHANGELOG.md") <= MOST_WORDS

@@ -26,14 +26,19 @@ from deploy.site.pages import (
     notices_page,
     project_pages,
 )
-from deploy.site.raised import counted_names, notices_by_code, raised_notices
+from deploy.site.raised import RaisedNotice, counted_names, notices_by_code, raised_notices
 from sim_replay.benches.run_time.results import read_results
 from sim_replay.commands.bench import BENCHES
 from tests.auv_mcm.test_command_lines import SCENE
 
 ROOT: Final = Path(__file__).parents[2]
 DOCS: Final = ROOT / "auv_mcm" / "docs"
-NOTICES: Final = notices_by_code(raised_notices())
+
+
+@pytest.fixture(scope="module")
+def notices_found() -> dict[str, list[RaisedNotice]]:
+    """Notices by code, from the sources: in the tests, for as many processes collect them as there are workers."""
+    return notices_by_code(raised_notices())
 
 
 @pytest.fixture(scope="module")
@@ -67,23 +72,27 @@ def test_every_command_and_bench_is_on_its_page() -> None:
         assert f"usage: auv-mcm {name} " in page
 
 
-def test_the_notices_page_has_each_code_with_its_text_and_no_gap_in_it() -> None:
+def test_the_notices_page_has_each_code_with_its_text_and_no_gap_in_it(
+    notices_found: dict[str, list[RaisedNotice]],
+) -> None:
     page = notices_page()
-    assert len(NOTICES) > 90
-    for code, notices in NOTICES.items():
+    assert len(notices_found) > 90
+    for code, notices in notices_found.items():
         assert f"## {code}\n" in page
         assert all(len(re.sub(r"[*…][^*…]*[*…]|\W", "", notice.text)) > 0 for notice in notices), code
 
 
-def test_notices_are_read_from_the_sources_however_they_are_raised() -> None:
-    assert [notice.for_the_record for notice in NOTICES["detect.cascade"]] == [True]  # by name
-    assert NOTICES["reader.ping_empty"][0].for_the_record is True  # through a method, by a table of codes
-    assert NOTICES["vehicle_control_granted"][0].for_the_record is True  # through a method, by a level of the log
-    assert NOTICES["vehicle_control_withheld"][0].for_the_record is False
-    assert NOTICES["reader.port_order"][0].for_the_record is None  # that depends on the log
-    assert {"port_up", "port_down", "port_silent"} <= set(NOTICES)  # with a state in the code
-    assert {"survey_done", "survey_cannot", "survey_waits"} <= set(NOTICES)  # from a table
-    assert NOTICES["nav_quantity_lost"][0].text.startswith("*quantity* is lost: '*source*' gave none for ")
+def test_notices_are_read_from_the_sources_however_they_are_raised(
+    notices_found: dict[str, list[RaisedNotice]],
+) -> None:
+    assert [notice.for_the_record for notice in notices_found["detect.cascade"]] == [True]  # by name
+    assert notices_found["reader.ping_empty"][0].for_the_record is True  # through a method, by a table of codes
+    assert notices_found["vehicle_control_granted"][0].for_the_record is True  # through a method, by a level of the log
+    assert notices_found["vehicle_control_withheld"][0].for_the_record is False
+    assert notices_found["reader.port_order"][0].for_the_record is None  # that depends on the log
+    assert {"port_up", "port_down", "port_silent"} <= set(notices_found)  # with a state in the code
+    assert {"survey_done", "survey_cannot", "survey_waits"} <= set(notices_found)  # from a table
+    assert notices_found["nav_quantity_lost"][0].text.startswith("*quantity* is lost: '*source*' gave none for ")
 
 
 def test_a_notice_whose_code_cannot_be_read_is_refused_with_its_place(tmp_path: Path) -> None:
@@ -93,9 +102,11 @@ def test_a_notice_whose_code_cannot_be_read_is_refused_with_its_place(tmp_path: 
         raised_notices(tmp_path)
 
 
-def test_notices_and_counters_of_a_replay_are_on_their_pages(results: Path) -> None:
+def test_notices_and_counters_of_a_replay_are_on_their_pages(
+    results: Path, notices_found: dict[str, list[RaisedNotice]]
+) -> None:
     summary = json.loads((results / "summary.json").read_bytes())
-    assert {notice["code"] for notice in (*summary["notices"], *summary["remarks"])} <= set(NOTICES)
+    assert {notice["code"] for notice in (*summary["notices"], *summary["remarks"])} <= set(notices_found)
     names = [re.sub(r"<\w+>", r"[\\w.]+", re.escape(counted.name)) for counted in counted_names()]
     pattern = re.compile("|".join(names))
     assert [name for name in summary["counters"] if not pattern.fullmatch(name)] == []

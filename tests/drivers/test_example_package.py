@@ -6,7 +6,7 @@ import asyncio
 import json
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.cli import main
-from auv_mcm.clock import Stamp, SystemClock
+from auv_mcm.clock import Stamp
 from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig, parse_config
 from auv_mcm.shell.recovery import RECORDING
@@ -38,19 +38,20 @@ from sim_replay.simulator.scene import (
     Track,
     World,
 )
+from tests.manual_clock import ManualClock
 from tests.plugin_packages import importable, install_example
 
 RANGE_M: Final = 20.0
-FASTER: Final = 8.0  # than at sea, so that nobody waits
+START_UTC_S: Final = 1.7e9
 SPEED_MPS: Final = 1.8
+QUEUE_PINGS: Final = 4096  # more than four times the pings of the mission: a computer with other work sheds none
 CONFIG: Final = """
-service: {{source: ports, output_directory: "{folder}/out"}}
-navigation: {{max_speed_mps: 30}}
+service: {{source: ports, output_directory: "{folder}/out", queue_pings: {queue_pings}, stop_within_s: 600}}
 vehicle: {{report_min_p_mine: 0.05}}
 ports:
   - {{name: sonar, link: "serial://{folder}/sonar?baud=4000000", device: acme_sonar, sonar: {{range_m: 20}}}}
-  - {{name: ins, link: "serial://{folder}/ins?baud=115200", device: acme_ins}}
-  - {{name: vehicle, link: "serial://{folder}/vehicle?baud=115200", device: acme_vehicle, options: {{station: 7}}}}
+  - {{name: ins, link: "serial://{folder}/ins?baud=921600", device: acme_ins}}
+  - {{name: vehicle, link: "serial://{folder}/vehicle?baud=921600", device: acme_vehicle, options: {{station: 7}}}}
 """
 
 
@@ -166,10 +167,15 @@ def test_its_navigation_decoder_finds_every_whole_line_however_the_bytes_come() 
 
 
 class Devices(threading.Thread):
-    """Run a sonar, an inertial unit and a vehicle at ports in a folder. vehicle_lines: what the vehicle was sent."""
+    """Run a sonar, an inertial unit and a vehicle at ports in a folder.
+
+    `clock` is the mission's: it goes on when a message has been read, so that the computer's load changes no stamp.
+    """
 
     def __init__(self, folder: Path, messages: list[tuple[float, str, bytes]]) -> None:
         super().__init__(name="devices", daemon=True)
+        self.clock = ManualClock(START_UTC_S)
+        self.read: Callable[[str], int] = lambda _: 0  # how many bytes of a port the service has read
         self.plugged, self.begin, self.done, self.end = (threading.Event() for _ in range(4))
         self.received: dict[str, bytes] = {"sonar": b"", "ins": b"", "vehicle": b""}
         self._folder, self._messages = folder, messages
@@ -183,18 +189,20 @@ class Devices(threading.Thread):
     async def _run(self) -> None:
         ports = {
             name: FakePort(self._folder / name, baud, on_bytes=lambda data, name=name: self._hear(name, data))  # type: ignore[misc]
-            for name, baud in (("sonar", 4_000_000), ("ins", 115_200), ("vehicle", 115_200))
+            for name, baud in (("sonar", 4_000_000), ("ins", 921_600), ("vehicle", 921_600))
         }
         for port in ports.values():
             port.plug()
         self.plugged.set()
         while not self.begin.is_set():
             await asyncio.sleep(0.01)
-        loop = asyncio.get_running_loop()
-        start_s = loop.time()
+        sent = dict.fromkeys(ports, 0)
         for due_s, at, data in self._messages:
-            await asyncio.sleep(max(0.0, start_s + due_s - loop.time()))
+            self.clock.advance_to(START_UTC_S + due_s)
             await ports[at].send(data)
+            sent[at] += len(data)
+            while self.read(at) < sent[at] and not self.end.is_set():
+                await asyncio.sleep(0.001)
         self.done.set()
         while not self.end.is_set():
             await asyncio.sleep(0.01)
@@ -210,22 +218,23 @@ def messages_of(events: list[SourceEvent]) -> list[tuple[float, str, bytes]]:
     messages: list[tuple[float, str, bytes]] = []
     for event in events:
         if isinstance(event, NavSample):
-            time_s = (event.time_s - start_s) / FASTER
+            time_s = event.time_s - start_s
             place = event.latitude_deg, event.longitude_deg, math.degrees(event.heading_rad)
-            below = event.depth_m, event.altitude_m, FASTER * event.speed_mps
+            below = event.depth_m, event.altitude_m, event.speed_mps
             messages.append((time_s, "ins", line_of(*place, 0.0, 0.0, *below)))
             degrees = f"{event.latitude_deg} {event.longitude_deg} {math.degrees(event.heading_rad)}"
             messages.append(
                 (time_s, "vehicle", f"STATE {degrees} {event.depth_m} {event.altitude_m} {event.speed_mps}\n".encode())
             )
         elif isinstance(event, Ping):
-            time_s = (event.time_s - start_s) / FASTER
+            time_s = event.time_s - start_s
             messages.append((time_s + 2.0 * RANGE_M / 1500.0, "sonar", wire_of(event, time_s)))
     return sorted(messages, key=lambda message: message[0])
 
 
 async def served(config: Config, devices: Devices) -> Path:
-    source = PortSource(config, SystemClock())
+    source = PortSource(config, devices.clock)
+    devices.read = lambda name: {port.name: port.received_bytes for port in source.health().ports}[name]
     service = Service(config, source, console=lambda line: None)
     serving = asyncio.ensure_future(service.run())
     try:
@@ -243,7 +252,7 @@ async def served(config: Config, devices: Devices) -> Path:
 
 
 def test_its_sonar_inertial_unit_and_vehicle_are_served_live(flown: list[SourceEvent], tmp_path: Path) -> None:
-    config = parse_config(CONFIG.format(folder=tmp_path), "vehicle.yaml")
+    config = parse_config(CONFIG.format(folder=tmp_path, queue_pings=QUEUE_PINGS), "vehicle.yaml")
     devices = Devices(tmp_path, messages_of(flown))
     devices.start()
     assert devices.plugged.wait(10.0)
@@ -251,13 +260,18 @@ def test_its_sonar_inertial_unit_and_vehicle_are_served_live(flown: list[SourceE
     devices.join(10.0)
 
     n_pings = sum(isinstance(event, Ping) for event in flown)
+    assert 4 * n_pings < QUEUE_PINGS
     counters = json.loads((live / "summary.json").read_bytes())["counters"]
+    assert counters.get("service.work_shed", 0) == 0, "otherwise a replay may find more"
     assert counters["port.sonar.acme_sonar.messages"] == n_pings
     assert counters["port.ins.acme_ins.messages"] == sum(isinstance(event, NavSample) for event in flown)
     assert counters["port.vehicle.acme_vehicle.messages"] > 0
     assert devices.received["sonar"].startswith(b"RANGE020")
     lines = devices.received["vehicle"].decode("ascii").splitlines()
-    assert "HEALTH 7 normal" in lines
+    states = [line.removeprefix("HEALTH 7 ") for line in lines if line.startswith("HEALTH ")]
+    assert states[0] == "starting"
+    assert set(states) <= {"starting", "normal", "fault", "failure"}, "which of them is for the computer's load to say"
+    assert len(states) > 1
     reported = [line.split() for line in lines if line.startswith("CONTACT 7 ")]
     found = [contact for contact in features(live / "contacts.geojson") if contact["p_mine"] >= 0.05]
     assert found

@@ -82,9 +82,9 @@ def test_what_goes_wrong_slowly_or_as_a_whole_is_reported_once(code: str, noise_
 
 def test_a_position_that_stands_still_for_14_s_at_3_mps_is_reported_live() -> None:
     """Each quantity in a sample of its own, as a live merge gives them."""
-    samples = []
-    for number, whole in enumerate(line(n=200, speed_mps=3.0)):
-        at = line(n=200, speed_mps=3.0)[50] if 50 <= number < 50 + 14 * RATE_HZ else whole
+    samples, on_line = [], line(n=200, speed_mps=3.0)
+    for number, whole in enumerate(on_line):
+        at = on_line[50] if 50 <= number < 50 + 14 * RATE_HZ else whole
         for fields in (("latitude_deg", "longitude_deg"), ("heading_rad",), ("speed_mps",)):
             samples.append(NavSample(time_s=whole.time_s, **{name: getattr(at, name) for name in fields}))
     assert codes(samples) == ["navigation.position_frozen"]
@@ -105,7 +105,7 @@ def test_sound_navigation_is_never_reported(
     """Lines, turns in a current, fixes every 5 s, and a pause between two legs."""
     random = np.random.Generator(np.random.PCG64(seed))
     east_m = north_m = 0.0
-    samples, time_s = [], START_S
+    states, time_s = [], START_S
     current = np.array([math.sin(seed), math.cos(seed)]) * abs(crab_deg) / 60.0 * 0.5 * speed_mps
     given_m = np.zeros(2)
     for number in range(800):
@@ -119,18 +119,21 @@ def test_sound_navigation_is_never_reported(
             time_s, east_m = time_s + 1800.0, east_m + 300.0
         if pattern != "sparse" or number % 40 == 0:
             given_m = np.array([east_m, north_m]) + noise_m * random.standard_normal(2)
-        latitude_deg, longitude_deg, _ = HERE.to_geodetic([*given_m, 0.0])
-        samples.append(
-            NavSample(
-                time_s=time_s,
-                latitude_deg=float(latitude_deg),
-                longitude_deg=float(longitude_deg),
-                heading_rad=heading_rad,
-                speed_mps=float(np.hypot(*velocity)),
-                altitude_m=5.0,
-                depth_m=-0.5,
-            )
+        states.append((time_s, *given_m, heading_rad, float(np.hypot(*velocity))))
+    table = np.array(states)
+    latitudes_deg, longitudes_deg, _ = HERE.to_geodetic(np.column_stack([table[:, 1:3], np.zeros(len(table))]))
+    samples = [
+        NavSample(
+            time_s=float(state[0]),
+            latitude_deg=float(latitude_deg),
+            longitude_deg=float(longitude_deg),
+            heading_rad=float(state[3]),
+            speed_mps=float(state[4]),
+            altitude_m=5.0,
+            depth_m=-0.5,
         )
+        for state, latitude_deg, longitude_deg in zip(table, latitudes_deg, longitudes_deg, strict=True)
+    ]
     assert codes(samples) == []
 
 

@@ -28,8 +28,6 @@ from sim_replay.logs.recorded import open_mission
 from sim_replay.view.show import open_shown
 from tests.sim_replay.logs.sonar_logs import Run, contacts_of, live_events, run_of
 
-N_CHUNKS = len(run_of("jsf").recorded)
-
 
 class Cut(NamedTuple):
     """Where a start ended: behind so many chunks, in order or not, and how many came while nothing ran."""
@@ -81,9 +79,10 @@ def without_reading_notices(events: Sequence[SourceEvent]) -> list[bytes]:
 
 @st.composite
 def sessions(draw: st.DrawFn) -> list[Cut]:
-    places = sorted(draw(st.sets(st.integers(1, N_CHUNKS - 50), min_size=1, max_size=4)))
+    n_chunks = len(run_of("jsf").recorded)
+    places = sorted(draw(st.sets(st.integers(1, n_chunks - 50), min_size=1, max_size=4)))
     cuts = []
-    for place, following in zip(places, [*places[1:], N_CHUNKS], strict=True):
+    for place, following in zip(places, [*places[1:], n_chunks], strict=True):
         n_skipped = draw(st.integers(0, min(40, following - place - 1)))
         cuts.append(Cut(place, draw(st.booleans()), n_skipped))
     return cuts
@@ -97,8 +96,9 @@ def test_the_parts_feed_the_chain_what_the_starts_fed_it(
     folder = tmp_path_factory.mktemp("session")
     parts = write_parts(run_of("jsf"), folder, cuts)
     log = open_log(folder, run_of("jsf").config)
+    live = without_reading_notices(as_live(parts, cuts))
     for _ in range(2):
-        assert without_reading_notices(list(log)) == without_reading_notices(as_live(parts, cuts))
+        assert without_reading_notices(list(log)) == live
         assert log.counters["session.parts"] == len(parts)
         assert log.bytes_read == sum(log.sizes_bytes.values())
 
