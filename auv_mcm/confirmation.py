@@ -36,7 +36,7 @@ from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.classify.size_evidence import NO_WEIGHT, SizeEvidence, SizeWeight, size_evidence
 from auv_mcm.classify.targets import shipped_targets
-from auv_mcm.classify.verifier import rest_ratio, shipped_network
+from auv_mcm.classify.verifier import MINE_KINDS, NO_OPINION, Opinion, opinions_of, shipped_network
 from auv_mcm.confirm.mrf import DEFAULT_SWEEPS, Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import COARSE, FINE, Contours, converge_on, start_from_labels, survey
@@ -102,7 +102,7 @@ def confirm_detection(
     thoroughness: Thoroughness = _USUAL,
     without_skips: Skips = NO_SKIPS,
     sizes: SizeEvidence | None = None,
-    network_nats: float | None = None,
+    opinion: Opinion | None = None,
 ) -> Detection:
     """Return the detection with p_mine after confirmation, without surroundings.
 
@@ -118,8 +118,8 @@ def confirm_detection(
         Those that are switched off.
     sizes
         Of the mines expected; any if None.
-    network_nats
-        Of `network_evidence`, where it is known already.
+    opinion
+        Of `opinions_on`, where it is known already.
     """
     sizes = size_evidence(shipped_targets()) if sizes is None else sizes
     p_detector = detector_p_mine(detection, odds)
@@ -132,9 +132,9 @@ def confirm_detection(
     min_p_mine = 0.0 if "contour-odds" in without_skips else config.min_p_mine
     verified = None
     if odds.verifier is not None:
-        if network_nats is None:
-            (network_nats,) = network_evidence([detection], beam_width_rad, odds)
-        verified = odds.verified_ratio(_detector_ratio(detection, odds), network_nats)
+        if opinion is None:
+            (opinion,) = opinions_on([detection], beam_width_rad, odds)
+        verified = odds.verified_ratio(_detector_ratio(detection, odds), opinion.nats)
         p_by_step["verifier"] = odds.p_mine(verified)
         if p_by_step["verifier"] < config.min_p_mine and "verifier-odds" not in without_skips:
             return _ended(detection, p_by_step, "not_looked_at")
@@ -154,7 +154,9 @@ def confirm_detection(
         p_mine=odds.p_mine(log_ratio),
         p_by_step=p_by_step,
         surroundings=None,
-        confirmation=_confirmation(detection, detection.surroundings, examination, log_ratio, weight),
+        confirmation=_confirmation(
+            detection, detection.surroundings, examination, log_ratio, weight, opinion or NO_OPINION
+        ),
     )
 
 
@@ -173,19 +175,19 @@ def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> D
     return _ended(detection, {"detector": detector_p_mine(detection, odds)}, reason)
 
 
-def network_evidence(detections: Sequence[Detection], beam_width_rad: float, odds: MineOdds) -> list[float]:
-    """Ask the verifier's network about detections with surroundings, all together; nats for a mine, one each.
+def opinions_on(detections: Sequence[Detection], beam_width_rad: float, odds: MineOdds) -> list[Opinion]:
+    """Ask the verifier's network about detections with surroundings, all together, one opinion each.
 
-    0 for a detection whose region is too small or has no geometry. Raises ValueError for odds without a verifier.
+    NO_OPINION on a detection whose region is too small or has no geometry. Raises ValueError for odds without a
+    verifier.
     """
     if odds.verifier is None:
         raise ValueError("these odds have no verifier")
     regions = [region_of(one, one.surroundings, beam_width_rad) for one in detections if one.surroundings is not None]
     sound = [k for k, region in enumerate(regions) if _fault(region) is None]
-    nats = np.zeros(len(regions))
     scores = shipped_network(odds.verifier.digest).scores([chip_of(regions[k]) for k in sound])
-    nats[sound] = rest_ratio(scores, odds.verifier.other_nats)
-    return [float(one) for one in nats]
+    found = dict(zip(sound, opinions_of(scores, odds.verifier.other_nats), strict=True))
+    return [found.get(k, NO_OPINION) for k in range(len(regions))]
 
 
 def _ended(detection: Detection, p_by_step: dict[LookStep, float], reason: str) -> Detection:
@@ -328,16 +330,21 @@ def contour_cost(image: ImageRowSums | None, region: Region, contours: Contours,
     return labels_cost_of(image, region, labels) + 0.5 * n_nodes * math.log(max(n_samples, 1.0))
 
 
-def shape_mass(fits: ShapeFits, poor: bool, weight: SizeWeight = NO_WEIGHT) -> NDArray[np.float64]:
+def shape_mass(
+    fits: ShapeFits, poor: bool, weight: SizeWeight = NO_WEIGHT, opinion: Opinion = NO_OPINION
+) -> NDArray[np.float64]:
     """Weigh which mines a view may show, (32,).
 
     Clutter is weighed from everything together instead. weight: of the mines expected; a kind that it makes less
-    probable than the most expected one counts as that much less likely, before the masses are tempered.
+    probable than the most expected one counts as that much less likely, before the masses are tempered. So does a kind
+    that the network's opinion makes less probable.
     """
     highest = max(weight.factors.values(), default=1.0)
+    seen = dict(zip(MINE_KINDS, opinion.kind_nats, strict=True))
     evidence: dict[ContactClass, ClassEvidence] = {
         fit.solid: ClassEvidence(
-            nll=fit.best.cost - TEMPERATURE * math.log(weight.factors.get(fit.solid, 1.0) / highest),
+            nll=fit.best.cost
+            - TEMPERATURE * (math.log(weight.factors.get(fit.solid, 1.0) / highest) + seen.get(fit.solid, 0.0)),
             plausibility=fit.plausibility,
         )
         for fit in fits.fits
@@ -351,6 +358,7 @@ def _confirmation(
     examination: Examination,
     log_ratio: float,
     weight: SizeWeight,
+    opinion: Opinion,
 ) -> Confirmation:
     contours, fits = examination.contours, examination.fits
     best = fits.fits[0] if fits is not None and fits.fits else None
@@ -360,7 +368,7 @@ def _confirmation(
     if weight.nats <= _NOT_LISTED:
         reasons = (*reasons, "not_listed")
     all_reasons = frozenset((*detection.reasons, *reasons))
-    mass = vacuous() if fits is None else shape_mass(fits, not all_reasons.isdisjoint(_POOR), weight)
+    mass = vacuous() if fits is None else shape_mass(fits, not all_reasons.isdisjoint(_POOR), weight, opinion)
     # Whole pixels lie between the two pictures.
     top = round(surroundings.row - detection.snippet_row)
     near = round(surroundings.column - detection.snippet_column)

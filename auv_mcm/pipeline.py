@@ -26,13 +26,14 @@ from auv_mcm.budget import Allowance, pay_looks, tile_allowance
 from auv_mcm.classify.odds import configured_odds
 from auv_mcm.classify.size_evidence import size_evidence
 from auv_mcm.classify.targets import configured_targets
+from auv_mcm.classify.verifier import Opinion
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile, placed_rows, uncovered
 from auv_mcm.clearance.sampling import Sampling
 from auv_mcm.confirmation import (
     confirm_detection,
     detector_p_mine,
     is_worth_confirming,
-    network_evidence,
+    opinions_on,
     without_confirmation,
 )
 from auv_mcm.contacts.background import shipped_background
@@ -167,8 +168,8 @@ class Pipeline:
             without_skips=without_skips,
             sizes=sizes,
         )
-        self._look_closely: Callable[[Detection, float | None], Detection] = (
-            (lambda detection, nats: confirm(detection, network_nats=nats))
+        self._look_closely: Callable[[Detection, Opinion | None], Detection] = (
+            (lambda detection, opinion: confirm(detection, opinion=opinion))
             if look is None
             else lambda detection, _: look(detection)
         )
@@ -535,8 +536,8 @@ class Pipeline:
         chosen, rest = best_first[:most], best_first[most:]
         mapped = map if self._threads is None else self._threads.map
         tried = chosen + [d for d, worth in zip(detections, worthwhile, strict=True) if not worth]
-        nats = self._network_nats(chosen)
-        looks = list(mapped(lambda one, known: caught(partial(self._look_closely, one, known)), tried, nats))
+        known = self._opinions(chosen)
+        looks = list(mapped(lambda one, opinion: caught(partial(self._look_closely, one, opinion)), tried, known))
         defects = [(detection, look) for detection, look in zip(tried, looks, strict=True) if isinstance(look, Defect)]
         looked_at = [look for look in looks if not isinstance(look, Defect)]
         for detection in looked_at:
@@ -552,13 +553,13 @@ class Pipeline:
         left_out = [without_confirmation(detection, self._odds, "over_budget") for detection in rest + unpaid]
         return looked_at + left_out, len(rest), defects
 
-    def _network_nats(self, chosen: list[Detection]) -> Iterator[float | None]:
-        """Yield the network's evidence on those chosen, all asked together, then None without end.
+    def _opinions(self, chosen: list[Detection]) -> Iterator[Opinion | None]:
+        """Yield the network's opinions on those chosen, all asked together, then None without end.
 
         None also where it failed: each asks again for itself, so that one that fails harms no other.
         """
         if self._asks_network and chosen:
-            found = caught(partial(network_evidence, chosen, self._config.sonar.beam_width_rad, self._odds))
+            found = caught(partial(opinions_on, chosen, self._config.sonar.beam_width_rad, self._odds))
             if not isinstance(found, Defect):
                 yield from found
         yield from repeat(None)

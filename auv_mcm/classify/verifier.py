@@ -1,4 +1,4 @@
-"""Separate mines from other objects and from sea floor by a small convolutional network on chips.
+"""Separate kinds of mines, other objects and sea floor by a small convolutional network on chips.
 
 Two towers of convolutions, one for either picture of a chip, are joined with the place (Y. LeCun et al., Proceedings of
 the IEEE 86, 1998). OpenCV runs it, many chips at a time. How its scores are weighed beside the detector's measurements
@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
 from auv_mcm.errors import BadInputError
 
-CLASSES: Final = ("mine", "other object", "floor")
+MINE_KINDS: Final = ("cylinder", "sphere", "truncated_cone", "wedge", "box")
+"""Kinds of mines that the network separates."""
+CLASSES: Final = (*MINE_KINDS, "other object", "floor")
 """What the network separates, in the order of its scores."""
 FILE: Final = "verifier.onnx"
 """Name of the network's file."""
@@ -81,12 +83,37 @@ def shipped_network(digest: str) -> Network:
     return parse_network(resources.files("auv_mcm.classify").joinpath(FILE).read_bytes(), FILE, digest)
 
 
+class Opinion(NamedTuple):
+    """Hold what the network says of a chip.
+
+    nats: ln(p(mine) / p(anything else)). kind_nats: of MINE_KINDS, logarithms of their probabilities over that of the
+    likeliest.
+    """
+
+    nats: float
+    kind_nats: tuple[float, ...]
+
+
+NO_OPINION: Final = Opinion(0.0, (0.0,) * len(MINE_KINDS))
+"""What is said of a detection that no chip can be cut of."""
+
+
+def opinions_of(scores: Scores, other_nats: float) -> list[Opinion]:
+    """Turn scores (n, len(CLASSES)) into opinions; other_nats as in `rest_ratio`."""
+    kinds = scores[:, : len(MINE_KINDS)]
+    kinds = kinds - kinds.max(axis=1, initial=-np.inf, keepdims=True)
+    nats = rest_ratio(scores, other_nats)
+    return [Opinion(one, tuple(row)) for one, row in zip(nats.tolist(), kinds.tolist(), strict=True)]
+
+
 def rest_ratio(scores: Scores, other_nats: float) -> Scores:
     """Compute ln(p(mine) / p(anything else)), (n,), from scores (n, len(CLASSES)).
 
     other_nats: added to the score of other objects, which are rarer or more frequent than in training.
     """
-    return np.asarray(scores[:, 0] - np.logaddexp(scores[:, 1] + other_nats, scores[:, 2]))
+    mine = np.logaddexp.reduce(scores[:, : len(MINE_KINDS)], axis=1)
+    other, floor = scores[:, len(MINE_KINDS) :].T
+    return np.asarray(mine - np.logaddexp(other + other_nats, floor))
 
 
 _EMPTY: Final = Chip(

@@ -290,9 +290,9 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
         Meta(
             gt=0.0,
             le=1e6,
-            description="false alarms per km2 that are acceptable: contacts are called mines from the likeliest down, "
-            "as long as the lower end of the false alarms expected among them stays within it; what is reported does "
-            "not depend on it",
+            description="false alarms per km2 of bare sea floor that are acceptable: contacts are called mines from "
+            "the likeliest down, as long as the lower end of those expected stays within it; about as many again lie "
+            "on stones and other objects, and what is reported does not depend on it",
         ),
     ] = 100.0
 

@@ -36,12 +36,12 @@ class Found(NamedTuple):
     called: tuple[bool, ...]
 
 
-def one_leg(name: str) -> Scene:
+def one_leg(name: str, leg_m: float = LEG_M, n_targets: int = N_TARGETS) -> Scene:
     """One leg of a shipped scene, crowded with targets, in linear amplitude of which nothing is lost."""
     scene = read_scene(name)
     assert isinstance(scene.track.plan, Lawnmower)
     kinds = [each for each in scene.scatter if each.kind in TARGET_KINDS]
-    counts = [N_TARGETS // len(kinds) + (number < N_TARGETS % len(kinds)) for number in range(len(kinds))]
+    counts = [n_targets // len(kinds) + (number < n_targets % len(kinds)) for number in range(len(kinds))]
     others = [structs.replace(each, count=each.count // 3) for each in scene.scatter if each.kind not in TARGET_KINDS]
     targets = [structs.replace(each, count=n) for each, n in zip(kinds, counts, strict=True)]
     recorder = SampleRecorder(samples="amplitude_float32", seabed_counts=1.0, full_scale=65535)
@@ -50,7 +50,7 @@ def one_leg(name: str) -> Scene:
         seed=SEED,
         scatter=tuple(each for each in (*others, *targets) if each.count),
         sonar=structs.replace(scene.sonar, recorder=recorder),
-        track=structs.replace(scene.track, plan=structs.replace(scene.track.plan, n_legs=1, leg_m=LEG_M)),
+        track=structs.replace(scene.track, plan=structs.replace(scene.track.plan, n_legs=1, leg_m=leg_m)),
     )
 
 

@@ -25,9 +25,9 @@ class Floors(NamedTuple):
 
 
 FLOORS = {
-    "line-wreck": Floors(6 / 16, 10 / 16),  # 8 and 12 of 16 on 2026-11-26
-    "mines-practice": Floors(3 / 9, 7 / 9),  # 4 and 8 of 9
-    "sim-wide-flat": Floors(10 / 16, 14 / 16),  # 12 and 15 of 16
+    "line-wreck": Floors(8 / 16, 8 / 16),  # 9 and 9 of 16 on 2026-11-26
+    "mines-practice": Floors(6 / 9, 7 / 9),  # 8 and 8 of 9
+    "sim-wide-flat": Floors(12 / 16, 14 / 16),  # 14 and 15 of 16
 }
 MAX_CALLED_PER_KM2 = 300.0  # three times what is asked
 

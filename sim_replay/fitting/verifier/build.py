@@ -13,13 +13,13 @@ import numpy as np
 
 from auv_mcm import __version__
 from auv_mcm.classify.odds import MineOdds, Verification, shipped_odds
-from auv_mcm.classify.verifier import FILE, parse_network, rest_ratio
+from auv_mcm.classify.verifier import CLASSES, FILE, MINE_KINDS, parse_network, rest_ratio
 from auv_mcm.errors import UsageError
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.looks import DRAWN, LookTask
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS
-from sim_replay.fitting.verifier.mill import FIRST_SEED, MINE, fly_all
+from sim_replay.fitting.verifier.mill import DENSE, FIRST_SEED, FIRST_SHELLY, MINE, fly_all
 from sim_replay.fitting.verifier.train import N_EPOCHS, ChipTable, train, written_as_onnx
 from sim_replay.fitting.verifier.weigh import (
     LIMITS_PER_KM2,
@@ -36,14 +36,16 @@ from sim_replay.missions import SCENES
 from sim_replay.text_tables import columns
 
 N_JUDGED: Final = 36
-"""Drawn missions, the first, that the network is never trained on."""
-N_MISSIONS: Final = 165
-"""Drawn missions that the shipped network was trained on."""
-_ORDER: Final = (*range(36, 157), *range(212, 256), *range(157, 212), *range(256, 10_000))  # of seeds, as flown
+"""Dense drawn missions, the first, that the network is never trained on."""
+N_MISSIONS: Final = 317
+"""Dense drawn missions that the shipped network was trained on."""
+_LEARNT: Final = (*range(FIRST_SEED + N_JUDGED, FIRST_SEED + 256), *range(FIRST_SHELLY, FIRST_SHELLY + 10_000))
 SCENE_SEEDS: Final = (1200,)
 """Seeds of missions of named scenes, which weights are fitted on."""
-USUAL: Final = "scenes"
-"""Group of missions as dense as missions are."""
+USUAL_SEEDS: Final = range(FIRST_SEED + 10_000, FIRST_SEED + 10_040)
+"""Seeds of drawn missions with as many mines as the wide world has, which weights are fitted on as well."""
+USUAL: Final = ("scenes", "drawn")
+"""Groups of missions as dense as missions are."""
 _DENSE: Final = "drawn, dense"
 _RECORDED: Final = "recorders"
 _BINS: Final = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0)  # of p_mine
@@ -89,7 +91,8 @@ def build(
     places = fly_all(learnt, folder, farm, show)
     judged_places = fly_all([task for _, task in judged], folder, farm, show)
     chips = chips_of(places)
-    counts = np.bincount(chips.label, minlength=3).tolist()
+    by_class = np.bincount(chips.label, minlength=len(CLASSES))
+    counts = [int(by_class[: len(MINE_KINDS)].sum()), *by_class[len(MINE_KINDS) :].tolist()]
     digest = digest_of(chips)
     say(f"{len(places)} missions, looks at mines, other objects, floor: {counts}")
     network = train(chips, n_epochs, show=lambda epoch, loss, _: say(f"pass {epoch}: log-loss {loss:.4f}"))
@@ -99,7 +102,7 @@ def build(
         [group for group, _ in judged],
         judged_places,
         f"{counts[0]} looks at mines, {counts[1]} at other objects, {counts[2]} at floor of {len(places)} drawn "
-        f"missions, seeds {learnt[0].seed}-{max(task.seed for task in learnt)}; chips' SHA-256 {digest}",
+        f"missions, seeds {runs_of([task.seed for task in learnt])}; chips' SHA-256 {digest}",
     )
 
 
@@ -119,27 +122,35 @@ def weigh_and_judge(onnx: bytes, groups: Sequence[str], places: Sequence[Path], 
     odds = shipped_odds("cascade")
     looks = [looks_of(place, group, network, odds) for group, place in zip(groups, places, strict=True)]
     looks = [one for one in looks if len(one.label)]
-    usual = [one for one in looks if one.group == USUAL]
+    usual = [one for one in looks if one.group in USUAL]
     found = weighed(usual, network.digest)
     n_mines = sum(int(np.count_nonzero(one.label[one.first] == MINE)) for one in usual)
     found = msgspec.structs.replace(
         found,
         made_by=f"auv-mcm {__version__}: calibrate verifier",
         trained_on=trained_on,
-        calibrated_on=f"{n_mines} passes of mines that were looked at, in {len(usual)} missions of named scenes",
+        calibrated_on=f"{n_mines} passes of mines that were looked at, in {len(usual)} missions of named scenes and "
+        "of the wide world",
     )
     return Built(onnx, msgspec.structs.replace(odds, verifier=found), judged_tables(looks, found))
 
 
 def missions(n_missions: int) -> tuple[list[LookTask], list[tuple[str, LookTask]]]:
     """List the missions to train on, and those to weigh and judge on with their group."""
-    learnt = [LookTask(DRAWN, FIRST_SEED + number) for number in _ORDER[:n_missions]]
-    judged = [(_DENSE, LookTask(DRAWN, seed)) for seed in range(FIRST_SEED, FIRST_SEED + N_JUDGED)]
-    judged += [(USUAL, LookTask(name, seed)) for name in SCENES for seed in SCENE_SEEDS]
+    learnt = [LookTask(DRAWN, seed, DENSE) for seed in _LEARNT[:n_missions]]
+    judged = [(_DENSE, LookTask(DRAWN, seed, DENSE)) for seed in range(FIRST_SEED, FIRST_SEED + N_JUDGED)]
+    judged += [(USUAL[0], LookTask(name, seed)) for name in SCENES for seed in SCENE_SEEDS]
+    judged += [(USUAL[1], LookTask(DRAWN, seed)) for seed in USUAL_SEEDS]
     judged += [
         (_RECORDED, LookTask(name, SCENE_SEEDS[0], 1, recorder)) for recorder in RECORDERS for name in RECORDED_SCENES
     ]
     return learnt, judged
+
+
+def runs_of(seeds: Sequence[int]) -> str:
+    """Write rising seeds as runs: 1-3 and 7-9."""
+    ends = [k for k in range(1, len(seeds)) if seeds[k] != seeds[k - 1] + 1]
+    return " and ".join(f"{seeds[a]}-{seeds[b - 1]}" for a, b in pairwise([0, *ends, len(seeds)]))
 
 
 def digest_of(chips: ChipTable) -> str:
@@ -168,7 +179,7 @@ def judged_tables(looks: Sequence[Looks], found: Verification) -> str:
             counted = np.mean([pd_at(*pair, 100.0, others=True) for pair in pairs])
             auc = np.nanmean([auc_of(*pair) for pair in pairs])
             rows.append([group, way, *(f"{one:.3f}" for one in (*pd, counted, auc))])
-    usual = [one for one in looks if one.group == USUAL]
+    usual = [one for one in looks if one.group in USUAL]
     return f"{columns(header, rows)}\n\n{_calibration(usual, found.digest)}"
 
 

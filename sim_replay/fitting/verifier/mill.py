@@ -28,13 +28,20 @@ from sim_replay.fitting.wide_world import wide_scene
 from sim_replay.missions import config_for
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.objects import place_objects
-from sim_replay.simulator.scene import Scene, TargetKind
+from sim_replay.simulator.scene import Scatter, Scene, TargetKind
 
 FIRST_SEED: Final = 40_000  # seeds of drawn missions that the odds were fitted and judged on lie below
+FIRST_SHELLY: Final = 60_000
+"""Seeds from here on have beds of bright shells, every second mission."""
 _STREAM: Final = 0x4D494C4C  # keeps these random numbers apart from others of the same seed
-_CROWDS: Final = (9, 7, 5, 3, 1)  # times as many mines and stones, the first that finds room
+DENSE: Final = 9
+"""Times as many mines and stones as the wide world has, where there is room."""
+_CROWDS: Final = (DENSE, 7, 5, 3)  # times as many mines and stones, the first that finds room
 _APART_M: Final = 5.0  # m between objects: chips of neighbours share little floor
 _CROWDING: Final = frozenset({*get_args(TargetKind), "rock"})
+_SHELLS: Final = (100.0, 1000.0)  # of a mission: one on 300 m² to one on 30 m²
+_SHELL_DB: Final = (-40.0, -20.0)  # target strength: up to 25 dB above a resolution cell of sand
+_SHELL: Final = "point"  # kind of an echo without a body: as much sea floor as a ripple's crest
 _OPEN_P: Final = 0.01  # of the gate: what is less probable by its forecast is dropped unmeasured
 _CELL_M: Final = 0.06  # m, of the floor, minimum: half a chip's pixel
 _BEAM_LINES: Final = 3  # rays of a beam: two less than usual save a third of the simulator's time
@@ -81,17 +88,17 @@ class Catch(NamedTuple):
     law: NDArray[np.str_]
 
 
-def dense_scene(seed: int) -> Scene:
-    """Draw a mission of the wide world with mines and stones up to nine times as dense, as far as there is room.
+def drawn_scene(seed: int, times: int) -> Scene:
+    """Draw a mission of the wide world with mines and stones up to `times` as dense, as far as there is room.
 
     Every third has shadows filled by noise, every third speckle correlated over up to five samples, every third texture
     as fine as the speckle, every fourth an altitude that is up to a tenth off, every third faint mines.
     """
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _STREAM])))
     scene = _widened(wide_scene(seed), random)
-    for times in _CROWDS:
+    for n_times in (n for n in _CROWDS if 1 < n <= times):
         crowd = [
-            msgspec.structs.replace(each, count=times * each.count, apart_m=_APART_M)
+            msgspec.structs.replace(each, count=n_times * each.count, apart_m=_APART_M)
             if each.kind in _CROWDING
             else each
             for each in scene.scatter
@@ -143,6 +150,10 @@ def _widened(scene: Scene, random: np.random.Generator) -> Scene:
         else each
         for each in scene.scatter
     )
+    if scene.seed >= FIRST_SHELLY and random.random() < 0.5:
+        n_shells = round(float(np.exp(random.uniform(*np.log(_SHELLS)))))
+        low_db, high_db = sorted(random.uniform(*_SHELL_DB, size=2).tolist())
+        scatter += (Scatter(kind=_SHELL, count=n_shells, apart_m=0.5, strength_db=(low_db, high_db)),)
     track = msgspec.structs.replace(scene.track, pings_in_turns=False)
     return msgspec.structs.replace(
         scene, sonar=sonar, world=world, navigation_error=error, scatter=scatter, track=track
@@ -150,7 +161,7 @@ def _widened(scene: Scene, random: np.random.Generator) -> Scene:
 
 
 class MillTask(NamedTuple):
-    """Name a mission and the folder that it is written to; a drawn one is dense."""
+    """Name a mission and the folder that it is written to."""
 
     look: LookTask
     folder: Path
@@ -171,7 +182,7 @@ def fly_all(tasks: Sequence[LookTask], folder: Path, farm: Farm, show: Callable[
 def fly_one(task: MillTask) -> int:
     """Fly a mission and write what was caught; returns the number of detections."""
     if task.look.source == DRAWN:
-        scene = dense_scene(task.look.seed)
+        scene = drawn_scene(task.look.seed, task.look.times)
         mission = Mission(scene)
         law = scene.sonar.recorder.samples
         caught = catch(config_for(scene), mission.events(), mission.truth, law)
@@ -209,7 +220,7 @@ def catch(config: Config, events: Iterable[SourceEvent], truth: Callable[[], dic
     pipeline.finish()
     known = truth()
     found = [one for one in found if one.surroundings is not None]
-    objects = known["objects"]
+    objects = [one for one in known["objects"] if one["kind"] != _SHELL]
     label, nearest, distance_m = labels_of(found, objects)
     rows = [detector_features(one) | detection_details(one) for one in found]
     n_targets = sum(len(one["looks"]) for one in objects if one["is_target"])

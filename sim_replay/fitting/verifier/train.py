@@ -15,7 +15,7 @@ from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS
 from auv_mcm.classify.verifier import CLASSES
 from auv_mcm.errors import UsageError
 
-N_EPOCHS: Final = 5
+N_EPOCHS: Final = 6
 """Passes over the chips."""
 _BATCH: Final = 128  # chips per step
 _RATE: Final = 2e-3  # highest learning rate, of a single cycle (L. N. Smith and N. Topin, SPIE 11006, 2019)
@@ -26,6 +26,9 @@ _SHIFT_PX: Final = 2  # that training chips are moved, maximum: what the detecto
 _GAIN: Final = 0.15  # standard deviation of level and of contrast, in spreads of the floor
 _FILLED: Final = 0.25  # share of training chips whose dark pixels are filled, as by echoes off other paths
 _SMEARED: Final = 0.25  # share of training chips whose speckle is correlated further
+_BENT: Final = 0.2  # standard deviation of ln(contrast) above and below the floor's middle: palettes, compressions
+_CLIPPED: Final = 0.15  # share of training chips that the recorder clips
+_CLIP: Final = (1.5, 5.0)  # spreads above the floor's middle where it does
 _SEED: Final = 43  # fixed, so that weights repeat on one computer
 
 
@@ -69,6 +72,7 @@ def train(
     """
     torch = _torch()
     torch.set_num_threads(threads)
+    torch.set_flush_denormal(True)  # a third faster
     torch.manual_seed(seed)
     random = np.random.Generator(np.random.PCG64(seed))
     network = network_of().to(memory_format=torch.channels_last)  # a quarter faster
@@ -165,7 +169,8 @@ def varied(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Vary chips as other passes, sonars and recorders would show the same places.
 
-    Mirrored along the track, moved, brighter or fainter; shadows filled; speckle smeared along the track or across.
+    Mirrored along the track, moved, brighter or fainter; contrasts bent and clipped; shadows filled; speckle smeared
+    along the track or across.
     Returns pictures (n, 1, rows, columns) and places (n, N_PLACE).
     """
     n = len(chips.label)
@@ -174,6 +179,8 @@ def varied(
     rows, columns = random.integers(-_SHIFT_PX, _SHIFT_PX + 1, size=2)
     offset, scale = random.normal(scale=_GAIN, size=(n, 1, 1)), np.exp(random.normal(scale=_GAIN, size=(n, 1, 1)))
     filled, level = random.random((n, 1, 1)) < _FILLED, random.uniform(-3.0, -0.7, size=(n, 1, 1))
+    bent = np.exp(random.normal(scale=_BENT, size=(2, n, 1, 1)))
+    top = np.where(random.random((n, 1, 1)) < _CLIPPED, random.uniform(*_CLIP, size=(n, 1, 1)), np.inf)
     smeared, along = random.random(n) < _SMEARED, random.random() < 0.5
     for k, picture in enumerate(pictures):
         picture[mirrored] = picture[mirrored, ::-1]
@@ -183,6 +190,7 @@ def varied(
         picture[smeared] = 1.35 * (
             0.5 * picture[smeared] + 0.25 * sides
         )  # independent pixels keep 0.61 of their spread
+        picture = np.minimum(np.where(picture > 0.0, bent[0], bent[1]) * picture, top)
         picture = np.where(filled, np.logaddexp(picture, level) - np.logaddexp(0.0, level), picture)
         pictures[k] = np.ascontiguousarray((scale * picture + offset)[:, None], dtype=np.float32)
     return pictures[0], pictures[1], chips.place + random.normal(scale=0.05, size=chips.place.shape).astype(np.float32)

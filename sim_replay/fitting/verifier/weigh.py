@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.chips import Chip, chip_of
 from auv_mcm.classify.odds import MineOdds, Verification
-from auv_mcm.classify.verifier import Network, rest_ratio
+from auv_mcm.classify.verifier import CLASSES, MINE_KINDS, Network, rest_ratio
 from auv_mcm.confirm.region import Region
 from auv_mcm.errors import UsageError
 from auv_mcm.snippet import unpack_snippet
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 LIMITS_PER_KM2: Final = (30.0, 100.0, 300.0)
 """False alarms per km² at which Pd is compared."""
-_OTHER_NATS: Final = tuple(np.arange(-2.0, 2.01, 0.5))  # tried, added to the score of other objects
+_OTHER_NATS: Final = tuple(np.arange(-4.0, 2.01, 0.5))  # tried, added to the score of other objects
 _FLOOR_KEPT: Final = 2  # so many detections on the floor that one is learnt from: there are as many then as of mines
 _RIDGE: Final = 1.0  # on slopes about a half, as much as a look or so
 _DIGITS: Final = 4  # decimals in the file
@@ -31,14 +31,15 @@ _DIGITS: Final = 4  # decimals in the file
 class Looks(NamedTuple):
     """Hold what is known of n looks of a mission.
 
-    group: what the mission is of. detector: log-odds by the detector's measurements. scores: of the network, (n, 3).
-    label: MINE, OTHER, FLOOR. first: the best look of a passage of an object; all of the floor. n_targets: passes that
-    saw a mine. area_km2: seen by the mission.
+    group: what the mission is of. detector: log-odds by the detector's measurements. scores: of the network, (n,
+    len(CLASSES)). kind: index into CLASSES. label: MINE, OTHER, FLOOR. first: the best look of a passage of an object;
+    all of the floor. n_targets: passes that saw a mine. area_km2: seen by the mission.
     """
 
     group: str
     detector: Array
     scores: Array
+    kind: NDArray[np.int8]
     label: NDArray[np.int8]
     first: NDArray[np.bool_]
     n_targets: int
@@ -70,10 +71,20 @@ def chips_of(places: Sequence[Path]) -> ChipTable:
         regions = regions_of(caught)
         chips = [chip_of(regions[k]) for k in kept]
         if chips:
-            parts.append(table_of(chips, caught.label[kept]))
+            parts.append(table_of(chips, classes_of(caught)[kept]))
     if not parts:
         raise UsageError("no mission has a detection to learn from. Fly more, with --missions")
     return ChipTable(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def classes_of(caught: Catch) -> NDArray[np.int8]:
+    """Give the index into CLASSES of each detection, (n,); -1 beside an object."""
+    found = np.full(len(caught.label), -1, dtype=np.int8)
+    found[caught.label == OTHER] = CLASSES.index("other object")
+    found[caught.label == FLOOR] = CLASSES.index("floor")
+    for number, kind in enumerate(MINE_KINDS):
+        found[(caught.label == MINE) & (caught.kind == kind)] = number
+    return found
 
 
 def _is_kept_floor(label: NDArray[np.int8]) -> NDArray[np.bool_]:
@@ -109,11 +120,23 @@ def looks_of(place: Path, group: str, network: Network, odds: MineOdds) -> Looks
         first[others] = False
         if len(others):
             first[others[detector[others].argmax()]] = True
-    return Looks(group, detector + odds.prior, scores, label, first, int(caught.n_targets), float(caught.area_km2))
+    return Looks(
+        group,
+        detector + odds.prior,
+        scores,
+        classes_of(caught)[kept],
+        label,
+        first,
+        int(caught.n_targets),
+        float(caught.area_km2),
+    )
 
 
 def weighed(looks: Sequence[Looks], digest: str) -> Verification:
     """Fit the weights of detector and network by logistic regression, so that p_mine is right on these missions.
+
+    Groups of missions count alike, however many looks they have: the detector knows the named scenes, whose kind of
+    floor it was trained on, and the network the drawn missions.
 
     Raises UsageError without mines, or nothing else, among the looks.
     """
@@ -122,10 +145,13 @@ def weighed(looks: Sequence[Looks], digest: str) -> Verification:
         raise UsageError("no mines, or nothing else, were looked at in the missions to weigh on. Fly them again")
     detector = np.concatenate([one.detector[one.first] for one in looks])
     scores = np.concatenate([one.scores[one.first] for one in looks])
+    group = np.concatenate([np.full(int(one.first.sum()), one.group) for one in looks])
+    counts = {name: int(np.count_nonzero(group == name)) for name in np.unique(group).tolist()}
+    weight = len(group) / len(counts) / np.array([counts[name] for name in group.tolist()])
     tried = []
     for other_nats in _OTHER_NATS:
         columns = np.column_stack([detector, rest_ratio(scores, other_nats), np.ones(len(detector))])
-        found, loss = _logistic(columns, is_mine)
+        found, loss = _logistic(columns, is_mine, weight)
         tried.append((loss, other_nats, found))
     _, other_nats, (slope, network, offset) = min(tried, key=lambda one: one[0])
     return Verification(
@@ -162,7 +188,7 @@ def auc_of(one: Looks, odds: Array) -> float:
     return float(np.mean((mines[:, None] > others) + 0.5 * (mines[:, None] == others)))
 
 
-def _logistic(columns: Array, is_mine: NDArray[np.bool_]) -> tuple[Array, float]:
+def _logistic(columns: Array, is_mine: NDArray[np.bool_], weight: Array) -> tuple[Array, float]:
     """Return two slopes and an offset of least log-loss, with a slight pull of the slopes towards a half, and that."""
     from scipy.optimize import minimize
 
@@ -170,8 +196,9 @@ def _logistic(columns: Array, is_mine: NDArray[np.bool_]) -> tuple[Array, float]
 
     def loss(at: Array) -> tuple[float, Array]:
         odds = columns @ at
-        value = float(np.sum(np.logaddexp(0.0, odds) - is_mine * odds) + 0.5 * ridge @ (at - middle) ** 2)
-        return value, columns.T @ (np.exp(-np.logaddexp(0.0, -odds)) - is_mine) + ridge * (at - middle)
+        value = float(weight @ (np.logaddexp(0.0, odds) - is_mine * odds) + 0.5 * ridge @ (at - middle) ** 2)
+        slope = columns.T @ (weight * (np.exp(-np.logaddexp(0.0, -odds)) - is_mine))
+        return value, slope + ridge * (at - middle)
 
     found = minimize(loss, middle, jac=True, method="BFGS", options={"gtol": 1e-4})
     return np.asarray(found.x), float(found.fun)

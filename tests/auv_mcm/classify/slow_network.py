@@ -25,7 +25,7 @@ def weights_of(data: bytes) -> dict[str, Floats]:
 
 
 def slow_scores(weights: dict[str, Floats], chips: Sequence[Chip]) -> Floats:
-    """Return (n, 3)."""
+    """Return (n, len(CLASSES))."""
     return np.array([_scores(weights, chip) for chip in chips])
 
 

@@ -3,10 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
 from auv_mcm.classify.odds import Verification, shipped_odds
-from auv_mcm.classify.verifier import FILE, parse_network, rest_ratio, shipped_network
+from auv_mcm.classify.verifier import CLASSES, FILE, opinions_of, parse_network, rest_ratio, shipped_network
 from auv_mcm.errors import BadInputError
 from tests.auv_mcm.classify.slow_network import slow_scores, weights_of
 
@@ -61,7 +62,7 @@ def test_a_chip_has_the_same_scores_alone_among_others_and_on_any_number_of_thre
             )
     finally:
         cv2.setNumThreads(n_threads)
-    assert network.scores([]).shape == (0, 3)
+    assert network.scores([]).shape == (0, len(CLASSES))
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "text"])
@@ -83,10 +84,22 @@ def test_what_is_no_network_is_refused(data: bytes) -> None:
         parse_network(data, "a.onnx")
 
 
+def scores_of(*probabilities: float) -> NDArray[np.float64]:
+    return np.log(np.maximum(np.array([probabilities]), 1e-300)) + 3.0
+
+
 def test_the_rest_is_other_objects_and_floor() -> None:
-    scores = np.log(np.array([[0.5, 0.3, 0.2], [0.1, 0.6, 0.3]])) + 3.0
-    np.testing.assert_allclose(rest_ratio(scores, 0.0), np.log([1.0, 0.1 / 0.9]))
-    np.testing.assert_allclose(rest_ratio(scores, np.log(2.0)), np.log([0.5 / 0.8, 0.1 / 1.5]))
+    even, unlikely = scores_of(0.3, 0.1, 0.1, 0.0, 0.0, 0.3, 0.2), scores_of(0.0, 0.1, 0.0, 0.0, 0.0, 0.6, 0.3)
+    both = np.concatenate([even, unlikely])
+    np.testing.assert_allclose(rest_ratio(both, 0.0), np.log([1.0, 0.1 / 0.9]), atol=1e-12)
+    np.testing.assert_allclose(rest_ratio(both, np.log(2.0)), np.log([0.5 / 0.8, 0.1 / 1.5]))
+
+
+def test_an_opinion_states_how_much_less_likely_each_kind_is_than_the_likeliest() -> None:
+    (one,) = opinions_of(scores_of(0.2, 0.1, 0.05, 0.02, 0.01, 0.32, 0.3), 0.0)
+    assert one.nats == pytest.approx(np.log(0.38 / 0.62))
+    np.testing.assert_allclose(np.exp(one.kind_nats), [1.0, 0.5, 0.25, 0.1, 0.05])
+    assert opinions_of(np.empty((0, len(CLASSES))), 0.0) == []
 
 
 def test_verdicts_change_the_verifier_s_log_odds_as_all_others() -> None:

