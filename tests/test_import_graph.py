@@ -52,8 +52,8 @@ def module_of(path: Path) -> str:
 @cache
 def graph() -> dict[str, set[str]]:
     """Map every module of the product to the modules of it that it imports."""
-    found = (path for top in TOPS for path in sorted((ROOT / top).rglob("*.py")))
-    paths = [path for path in found if "docs" not in path.relative_to(ROOT).parts]  # examples use all parts
+    files = (path for top in TOPS for path in sorted((ROOT / top).rglob("*.py")))
+    paths = [path for path in files if "docs" not in path.relative_to(ROOT).parts]  # examples use all parts
     modules = {module_of(path): path for path in paths}
 
     def nearest(name: str) -> str | None:
