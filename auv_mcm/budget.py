@@ -6,7 +6,7 @@ the prices of a computer.
 
     always done: waterfall, contrasts and their clear peaks, sea floor, coverage, measuring
     then, with what is left less the price of two looks: the cascade's windows, best first
-    then, only if no window was cut: close looks, likeliest first
+    then, only if no window was cut: examinations, likeliest first
 
 A stage gets nothing before all work of the stage before it is paid. The windows of a smaller budget are therefore among
 those of a larger one, and so are the looks: whatever is done with a smaller budget is done with a larger one as well.
@@ -26,12 +26,12 @@ from auv_mcm.records import Detection, Tile
 from auv_mcm.settings.budget_settings import BudgetConfig
 
 MOVES_PER_LOOK: Final = 140
-"""Moves of contour nodes that a close look makes, on average over looks on the named scene `rough`: 142 there."""
+"""Moves of contour nodes that an examination makes, on average over looks on the named scene `rough`: 142 there."""
 HYPOTHESES_PER_LOOK: Final = 6600
-"""Hypotheses on solids that a close look weighs, on average over looks on the named scene `rough`: 6627 there."""
+"""Hypotheses on solids that an examination weighs, on average over looks on the named scene `rough`: 6627 there."""
 CHEAPER_STAGE_WORTH: Final = 0.5
 """Share of coverage that is left where a stage stopped at its cheaper predecessor: contrasts without the cascade, the
-cascade without a close look. Measured by `auv-mcm bench chain --knobs budget`: see docs/results.md."""
+cascade without an examination. Measured by `auv-mcm bench chain --knobs budget`: see docs/results.md."""
 RESERVED_LOOKS: Final = 2
 """Close looks without which windows are not begun: the cascade without any look found less at equal false alarms than
 clear contrasts (Pd of 0.05 and 0.14 at 10 per km² on flat, ripple and rough)."""
@@ -71,7 +71,7 @@ class Allowance(NamedTuple):
 
 
 def look_price_us(prices: BudgetConfig) -> float:
-    """Price a close look, µs: contours, Markov field and solids, as much of each as a look takes on average."""
+    """Price an examination, µs: contours, Markov field and solids, as much of each as a look takes on average."""
     return prices.field_us + MOVES_PER_LOOK * prices.contour_move_us + HYPOTHESES_PER_LOOK * prices.hypothesis_us
 
 
@@ -111,12 +111,12 @@ def tile_duration_s(tile: Tile) -> float:
 def pay_looks(
     result: TileDetections, allowance: Allowance, p_mine: Callable[[Detection], float], min_p_mine: float
 ) -> TileDetections:
-    """Let the likeliest detections of a tile have a close look, as many as are paid.
+    """Let the likeliest detections of a tile have an examination, as many as are paid.
 
     Returns also what share of its coverage is earned.
 
-    p_mine: of a detection before a close look, which may not depend on other tiles; the others beyond those paid, of at
-    least min_p_mine, lose their surroundings, without which there is no look. No look is paid where windows were cut.
+    p_mine: of a detection before it is examined, independent of other tiles; the others beyond those paid, of at
+    least min_p_mine, lose their surroundings, without which there is none. None is paid where windows were cut.
     """
     if not allowance.is_limited:
         return result
@@ -138,9 +138,9 @@ def pay_looks(
 def covered_share(n_windows: int, n_cut: int, looked_at: float) -> float:
     """Give the share of a tile's coverage that is earned, 0 to 1, when n_cut of n_windows were cut.
 
-    looked_at: share of the mines to be expected among detections worth a close look that had one; 0 where windows were
-    cut, since no look is made there and nothing is known of those that would be worth one. More windows and more looks
-    never earn less.
+    looked_at: share of the mines to be expected among detections worth an examination that had one; 0 where windows
+    were cut, since none is made there and nothing is known of those that would be worth one. More windows and more
+    examinations never earn less.
     """
     cut = n_cut / n_windows if n_windows else 0.0
     looked_at = 0.0 if n_cut else looked_at

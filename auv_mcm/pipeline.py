@@ -239,7 +239,7 @@ class Pipeline:
         return {name: getattr(self, name) for name in _STATE}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on where a pipeline of the same configuration was; what it kept of contacts has to be there too."""
+        """Restore `state`, which needs the same configuration and contact store."""
         for name in _STATE:
             setattr(self, name, state[name])
 
@@ -454,7 +454,7 @@ class Pipeline:
         return caught(lambda: self._detect_within(tile, allowance) if looks_anyway or worth_looking(tile) else None)
 
     def _detect_within(self, tile: Tile, allowance: Allowance) -> TileDetections:
-        """Find what a tile's budget pays for, with surroundings for the close looks that it pays."""
+        """Find what a tile's budget pays for, with surroundings for the examinations that it pays."""
         found = self._detect_in(tile, allowance.comparisons())
         config = self._config.confirm
         if not config.enabled or "look-budget" in self._without_skips:
@@ -590,8 +590,7 @@ def _looks_over_budget(detection: Detection, n_over_budget: int) -> Notice:
     return Notice(
         code="confirm.over_budget",
         text=f"{n_over_budget} detections beyond the limit of a tile were not confirmed; they keep the detector's "
-        "p_mine. "
-        "Raise confirm.max_per_tile if the computer can afford it. Further ones are only counted.",
+        "p_mine. Raise confirm.max_per_tile if the computer can afford it. Further ones are only counted.",
         place=f"{detection.side}, ping {detection.ping_number}",
     )
 
@@ -605,9 +604,8 @@ def _cheapest_pass_over(tile: Tile, allowance: Allowance) -> Notice:
     return Notice(
         code="budget.cheapest_pass_over",
         text=f"the cheapest pass over a tile, which is always done, costs {share} by the price list: nothing is left "
-        "for the cascade "
-        "and close looks. Raise budget.duty, or measure this computer with 'auv-mcm calibrate budget'. More are "
-        "counted.",
+        "for the cascade and examinations. Raise budget.duty, or measure this computer with 'auv-mcm calibrate "
+        "budget'. More are counted.",
         place=f"{tile.side} tile {tile.index}",
     )
 
@@ -616,13 +614,12 @@ def _tile_limited(tile: Tile, result: TileDetections) -> Notice:
     cut = (
         f"before the cascade had been through {result.n_cut} of its {result.n_windows} places"
         if result.n_cut
-        else "before all close looks"
+        else "before all examinations"
     )
     return Notice(
         code="budget.tile_limited",
         text=f"a tile's budget ended {cut}; the likeliest came first, and it earns {result.covered_share:.0%} of its "
-        "coverage. Raise "
-        "budget.duty if the computer can afford it. Further ones are only counted.",
+        "coverage. Raise budget.duty if the computer can afford it. Further ones are only counted.",
         place=f"{tile.side} tile {tile.index}",
     )
 
@@ -631,7 +628,7 @@ def _over_budget(tile: Tile, result: TileDetections) -> Notice:
     return Notice(
         code="detect.over_budget",
         text=f"{result.n_over_budget} candidates beyond the budget of a tile were not looked at (the "
-        f"{len(result.detections)} best were). "
-        "Raise detect.max_candidates_per_tile if the computer can afford it. Further ones are only counted.",
+        f"{len(result.detections)} best were). Raise detect.max_candidates_per_tile if the computer can afford it. "
+        "Further ones are only counted.",
         place=f"{tile.side} tile {tile.index}",
     )

@@ -381,7 +381,7 @@ EarlyState: TypeAlias = Literal["found", "became", "withdrawn"]
 
 
 class EarlyContact(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """Hold an object that a first look shows before its tile is finished; it is announced, and stands in no result.
+    """Hold an object that a first examination shows before its tile is finished; it is announced and in no result.
 
     contact: one view of it, under an id of its own (`early_id`). state: `found` comes first, and once the tile is
     finished `became`, with the id of the contact that it is, or `withdrawn`.

@@ -33,6 +33,13 @@ part() { # NAME COMMAND: runs a part, and remembers it if it fails
     "$@" || failed="$failed $name,"
 }
 
+collected() { # prints only what fails
+    .venv/bin/python -m pytest tests --collect-only --quiet >"$beside/collected" 2>&1 || {
+        cat "$beside/collected"
+        return 1
+    }
+}
+
 shown() { # NAME PROCESS: waits for what runs beside the tests, and shows what it printed
     wait "$2"
     code=$?
@@ -48,6 +55,8 @@ trap 'kill $types $loop $user 2>/dev/null || true; rm -rf "$beside"' EXIT
 say "types, hardware in the loop, documentation and a replay, beside the other tests: scenarios mostly wait"
 nice -n 10 .venv/bin/mypy >"$beside/types" 2>&1 &
 types=$!
+# compiles tests and packages once: 20 s of processor time, which each of five workers would take at the same moment
+part "collection" collected
 .venv/bin/python -m pytest tests/hil --numprocesses 2 --dist load --maxschedchunk 1 >"$beside/loop" 2>&1 &
 loop=$!
 as_a_user >"$beside/user" 2>&1 &

@@ -214,9 +214,7 @@ def _unlike(p_mine: float, per_km2: float, usual_per_km2: float) -> Notice:
     return Notice(
         code="contacts.background_unlike",
         text=f"about {per_km2:.2g} contacts per km² reach p_mine {p_mine:g} but are probably not mines; "
-        f"{usual_per_km2:.2g} do on the sea "
-        "floors of the training set. The sea floor or the recorder is unlike all of those, and p_mine may be wrong. "
-        "Look at the "
-        "pictures of some contacts; check sonar.transfer, sonar.full_scale and the gain; go by 'called' rather than "
-        "by p_mine.",
+        f"{usual_per_km2:.2g} do on the sea floors of the training set. The sea floor or the recorder is unlike all of "
+        "those, and p_mine may be wrong. Look at the pictures of some contacts; check sonar.transfer, sonar.full_scale "
+        "and the gain; go by 'called' rather than by p_mine.",
     )

@@ -46,8 +46,8 @@ class TileDetections(NamedTuple):
     since its budget was used up, of n_windows, n_rejected: windows that it rejected before its last group; all 0 where
     contrasts alone serve. n_bounded: pixels whose contrast was not weighed. clear_contrasts: only clear peaks of
     contrast were looked for. covered_share: of the tile's coverage that is earned, 0 to 1; less than 1 where the tile's
-    budget left out windows or close looks, as `auv_mcm.budget` says. A detection whose close look is beyond the budget
-    has no surroundings.
+    budget left out windows or examinations, as `auv_mcm.budget` says. A detection whose examination is beyond the
+    budget has no surroundings.
     """
 
     detections: tuple[Detection, ...]

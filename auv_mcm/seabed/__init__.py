@@ -1,1 +1,1 @@
-"""Classify the kind of sea floor below."""
+"""Classify the seabed."""

@@ -25,8 +25,7 @@ class BudgetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         _Duty | None,
         Meta(
             description="share of one core's time, by the prices below, that the work on tiles may take; the likeliest "
-            "places come "
-            "first, and what is not done earns less coverage; empty: everything is done"
+            "places come first, and what is not done earns less coverage; empty: everything is done"
         ),
     ] = None
     sample_us: Annotated[float, _price("a stored sample on its way into a tile")] = 0.24
@@ -34,5 +33,5 @@ class BudgetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     comparison_us: Annotated[float, _price("a comparison of the cascade")] = 0.001
     peak_us: Annotated[float, _price("measuring a peak")] = 1400.0
     contour_move_us: Annotated[float, _price("a move of a contour's node")] = 35.0
-    field_us: Annotated[float, _price("the Markov field of a close look, and what else it needs")] = 7000.0
+    field_us: Annotated[float, _price("the Markov field of an examination, and what else it needs")] = 7000.0
     hypothesis_us: Annotated[float, _price("a hypothesis on a solid")] = 1.5

@@ -184,8 +184,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         Meta(
             min_length=1,
             description="the trained cascade: shipped, none, or the path of a model file; one that was not trained for "
-            "the "
-            "pixel sizes below is not used, with a notice",
+            "the pixel sizes below is not used, with a notice",
         ),
     ] = "shipped"
     seabed_model: Annotated[
@@ -203,8 +202,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
         Meta(
             min_length=1,
             description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file "
-            "that "
-            "'auv-mcm calibrate performance' wrote",
+            "that 'auv-mcm calibrate performance' wrote",
         ),
     ] = "shipped"
 
@@ -214,8 +212,7 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
             ge=1e-12,
             lt=0.5,
             description="tail probability of one pair of contrast boxes in pure speckle; the best of many pairs "
-            "counts, "
-            "so that one pixel in eighty of white speckle is above the default",
+            "counts, so that one pixel in eighty of white speckle is above the default",
         ),
     ] = 1e-4
     max_candidates_per_tile: Annotated[
@@ -275,8 +272,7 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
             ge=0.0,
             le=1.0,
             description="p_mine below which a contact is not reported; what cannot reach it is counted and neither "
-            "measured nor confirmed; "
-            "0 reports everything; above 0.02 the estimate of mines left comes out too low",
+            "measured nor confirmed; 0 reports everything; above 0.02 the estimate of mines left comes out too low",
         ),
     ] = 0.02
     gate_chi2: Annotated[

@@ -310,8 +310,7 @@ class Perception:
             daemon=True,
         )
         # A terminal's Ctrl-C and a service manager's SIGTERM reach the whole group; the worker has to outlive them to
-        # finish. It
-        # inherits the blocked signals, so that there is no moment at its start when one would kill it.
+        # finish. It inherits the blocked signals, so that there is no moment at its start when one would kill it.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
         try:
             self._process.start()

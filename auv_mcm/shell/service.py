@@ -256,7 +256,7 @@ class Service:
         return self._folder
 
     async def _start(self, perception: LastingPerception) -> None:
-        """Start perception, and know what it knows."""
+        """Start perception and restore what its checkpoint holds."""
         started = await perception.start()
         if started.tally is not None:
             announced = frozenset(map(contact_number, self._clutter_before))
@@ -756,10 +756,8 @@ def _work_shed(n_waiting: int) -> Notice:
     return Notice(
         code="service.work_shed",
         text=f"perception is behind, {n_waiting} pings wait: until it has caught up work on the least likely places of "
-        "tiles is left out, "
-        "which then earn less coverage. Set budget.duty to what this computer affords, which 'auv-mcm calibrate "
-        "budget' measures, or use "
-        "coarser pixels. Pings with less work are counted.",
+        "tiles is left out, which then earn less coverage. Set budget.duty to what this computer affords, which "
+        "'auv-mcm calibrate budget' measures, or use coarser pixels. Pings with less work are counted.",
     )
 
 

@@ -63,9 +63,7 @@ class SampleCheck:
         self._reported = True
         text = (
             f"the samples of {self._side} are negative, in {_N_NEGATIVE} pings in a row. They may be decibels below "
-            "full scale, or signed "
-            "numbers read with the wrong sign or offset. Check the recorder's sample format and set sonar.transfer; "
-            "contacts cannot be "
-            "relied on until then."
+            "full scale, or signed numbers read with the wrong sign or offset. Check the recorder's sample format and "
+            "set sonar.transfer; contacts cannot be relied on until then."
         )
         return [Notice(code="quality.samples_negative", text=text, place=place)]

@@ -265,8 +265,8 @@ def benchmarks_page(history: Path = HISTORY) -> str:
     stages = {path.stem: read_every_stage(path) for path in _by_version(history / "stages")}
     if stages:
         lines += [
-            "Of each stage at its last setting: time in units of [the alternative](results.md#run-time), error of both, and",
-            "the error's unit. A dash stands for what was not measured. pyxtf's time ends where it fails.",
+            "Of each stage at its last setting: time in units of [the alternative](results.md#run-time), error of",
+            "both, and the error's unit. A dash stands for what was not measured. pyxtf's time ends where it fails.",
             "",
             markdown(("stage", *stages), stage_history(list(stages.values()))),
             "",

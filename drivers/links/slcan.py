@@ -37,8 +37,7 @@ _ANSWERS: Final = re.compile(_LINE_BEGINS + _ANSWER)
 _REMOTES: Final = re.compile(_LINE_BEGINS + _REMOTE)
 _BARE_BELLS: Final = re.compile(_LINE_BEGINS + rb"\a")
 # One frame and what stands before it, or a run of other lines, as garbage can be nothing but ends of lines. A line's
-# last T or t begins its
-# frame, as no digit is one.
+# last T or t begins its frame, as no digit is one.
 _LINES: Final = re.compile(rb"(%b)%b|(?P<others>(?:(?!%b%b)%b[\r\a])+)" % (_TEXT, _FRAME_PARTS, _TEXT, _FRAME, _TEXT))
 
 

@@ -385,10 +385,8 @@ MESSAGES: Final = (
         STATUS_PERIOD_S,
         PayloadStatus,
         "Sign of life, health, and whether the payload requests control. Sent at once when it changes. A release is "
-        "sent "
-        "three times; one "
-        "that names the granted request, or none as after a restart, counts whatever its counter. "
-        f"Without one for {PAYLOAD_SILENT_S:g} s the vehicle takes control back.",
+        "sent three times; one that names the granted request, or none as after a restart, counts whatever its "
+        f"counter. Without one for {PAYLOAD_SILENT_S:g} s the vehicle takes control back.",
         (
             (
                 _code("health", HEALTH_STATES, "fault: it works, degraded. failure: do not rely on it"),
@@ -407,8 +405,8 @@ MESSAGES: Final = (
         COMMAND_PERIOD_S,
         GoToMessage,
         f"Go to a place and stay there. Only while granted. The vehicle forgets it after valid_s ({COMMAND_VALID_S:g} "
-        "s as sent), takes "
-        "control back and flies its own plan. A sequence not newer than the last one's is refused and extends nothing.",
+        "s as sent), takes control back and flies its own plan. A sequence not newer than the last one's is refused "
+        "and extends nothing.",
         (
             (_LATITUDE, _SPEED),
             (
@@ -438,8 +436,7 @@ MESSAGES: Final = (
         0.0,
         ReportMessage,
         "A contact. Repeated until answered, after 1 s and then less and less often; session, number and revision "
-        "identify a repetition. "
-        "Sizes, errors and depths too large are sent as the largest value.",
+        "identify a repetition. Sizes, errors and depths too large are sent as the largest value.",
         (
             (
                 _number("ticket", 2, "repeated in the answer; 1 to 65535"),

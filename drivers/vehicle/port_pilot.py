@@ -83,7 +83,7 @@ class PortPilot:
             await asyncio.sleep(_TICK_S)
 
     def _have(self, work: Callable[[float], None]) -> None:
-        """Have the pilot do something and send what it then has to say.
+        """Call the pilot and send its output.
 
         If it fails, control is given back and not asked for again.
         """
@@ -96,8 +96,7 @@ class PortPilot:
             log.exception("the pilot at port '%s' failed", self._name)
             text = (
                 f"the pilot at port '{self._name}' failed ({error!r}). Control is released and not requested again. "
-                "This is a defect: "
-                "report it with the log and the recording."
+                "This is a defect: report it with the log and the recording."
             )
             self._notices.append(Notice(code="vehicle_failed", text=text, place=self._name))
             self._have(lambda now_s: self._pilot.release("the payload has a defect", now_s))

@@ -67,9 +67,9 @@ def add(commands: Commands) -> None:
             "auv-mcm calibrate verifier --looks looks --out made",
         ],
     )
-    # As it was before there was a choice, and as scripts have it.
+    # Scripts give --speed without a subcommand.
     _add_budget_options(parser, required=False)
-    parser.set_defaults(command=partial(_run_without_a_word, parser))
+    parser.set_defaults(command=partial(_run_budget_or_ask, parser))
     kinds = parser.add_subparsers(title="what to calibrate", metavar="background|budget|gate|odds|performance|seabed")
     _add_background(kinds)
     _add_budget(kinds)
@@ -300,7 +300,7 @@ def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
 
 
-def _run_without_a_word(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
+def _run_budget_or_ask(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
         parser.error(
             "choose what to calibrate: background, budget, gate, odds, performance, seabed or sizes; or give --speed "

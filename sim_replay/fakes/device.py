@@ -148,7 +148,7 @@ class FakeDevice:
                 await asyncio.sleep(_LOOK_S)
 
     async def _stand(self) -> None:
-        """Let the controller send before its vehicle flies."""
+        """Run the controller before the mission starts."""
         while self._controller is not None and self._standing is not None:
             now_s = time.monotonic()
             for message in self._controller.tick(

@@ -162,7 +162,7 @@ def price_words(prices: BudgetConfig, config: Config, speed_mps: float, duty: fl
         f"  {bare.cheapest_us / 1e3:.0f} ms for the cheapest pass, and {prices.sample_us:g} us for each stored sample\n"
         f"  {bare.left_us / 1e3:.0f} ms more, in which the cascade could make {n_comparisons / 1e6:.0f} million "
         "comparisons\n"
-        f"  or {bare.n_looks(0, 0)} close looks of {look_price_us(prices) / 1e3:.1f} ms be made"
+        f"  or {bare.n_looks(0, 0)} examinations of {look_price_us(prices) / 1e3:.1f} ms be made"
     )
 
 
@@ -197,7 +197,7 @@ def _detection_costs(
 def _look_costs(
     detections: list[Detection], config: Config, odds: MineOdds, clock: Clock
 ) -> tuple[dict[ExaminationStep, float], Counter[str]]:
-    """Time the steps of close looks, s, and count their work."""
+    """Time the steps of examinations, s, and count their work."""
     spent: dict[ExaminationStep, float] = defaultdict(float)
     work = Counter(looks=0, moves=0, hypotheses=0)
     examined = partial(_examined, config=config, odds=odds, clock=clock, spent=spent)

@@ -171,9 +171,8 @@ def _from_corners(image: Path, corners: Corners, sidecar: Sidecar, n_lines: int,
     sine = float(to_right / (length_m * width_m))
     if abs(sine) < math.cos(math.radians(_ANGLE_TOLERANCE_DEG)):
         raise BadInputError(
-            f"{image}: its lines are not at right angles to the track "
-            f"({math.degrees(math.asin(abs(sine))):.0f} degrees). "
-            "It may have been turned to a map: give the image in track coordinates."
+            f"{image}: its lines are not at right angles to the track ({math.degrees(math.asin(abs(sine))):.0f} "
+            "degrees). It may have been turned to a map: give the image in track coordinates."
         )
     if (sine > 0.0) != (sidecar.side == "starboard"):
         raise BadInputError(

@@ -45,8 +45,7 @@ DOPPLER_PORT: Final = "doppler"
 NO_NAVIGATION: Final = (
     "neither its side-scan messages (type 80, validity bit 0, in minutes of arc: metres of an unknown projection do "
     "not serve) nor NMEA strings (type 2002) give one. Record with the navigation connected to the sonar, or replay "
-    "the "
-    "session that 'auv-mcm run' recorded, which holds every port."
+    "the session that 'auv-mcm run' recorded, which holds every port."
 )
 
 NMEA_STRING, PITCH_ROLL = 2002, 2020
@@ -162,8 +161,8 @@ class JsfRecording:
         if not found:
             raise BadInputError(
                 f"{path} holds no side-scan message (type 80 of subsystem 20, 21 or 22). Whole messages in it: "
-                f"{self._inventory()}. "
-                "Fetch the file again if it was cut off, or give a log recorded with side scan switched on."
+                f"{self._inventory()}. Fetch the file again if it was cut off, or give a log recorded with side scan "
+                "switched on."
             )
         if wanted is not None and wanted not in found:
             raise UsageError(

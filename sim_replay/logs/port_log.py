@@ -182,7 +182,6 @@ class SonarLog(PortLog):
             seen = ", ".join(f"{name} {n}" for name, n in sorted(self.counters.items())) or "nothing"
             raise BadInputError(
                 f"{self._place} holds no usable side-scan ping ({seen}). Check that the recording was not stopped at "
-                "once and that the "
-                "file was fetched whole."
+                "once and that the file was fetched whole."
             )
         raise BadInputError(f"{self._place} holds pings but not one position: {self._no_navigation}")

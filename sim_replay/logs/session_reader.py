@@ -177,8 +177,7 @@ class Session:
         self.counters["session.bytes_lost"] += n_bytes
         text = (
             f"{n_bytes} bytes of {', '.join(sorted(lost.n_bytes))} came too fast for the disk and were not recorded, "
-            "within "
-            f"{(lost.last.mono_ns - lost.first.mono_ns) / 1e9:.1f} s. A replay differs from the mission there."
+            f"within {(lost.last.mono_ns - lost.first.mono_ns) / 1e9:.1f} s. A replay differs from the mission there."
         )
         self.notices.append(Notice(code="session_bytes_lost", text=text, place=str(file.path)))
 

@@ -341,8 +341,7 @@ class XtfLog:
         if first[0] != FILE_FORMAT:
             raise BadInputError(
                 f"{self._path} is not an XTF file: byte 0 is 0x{first[0]:02x}, an XTF file starts with "
-                f"0x{FILE_FORMAT:02x}. "
-                "Give the XTF export of this log."
+                f"0x{FILE_FORMAT:02x}. Give the XTF export of this log."
             )
         if size < HEADER_BLOCK:
             raise BadInputError(
@@ -378,8 +377,7 @@ class XtfLog:
             if header_channel(header, data, channel.number).CorrectionFlags == GROUND_RANGE:
                 raise BadInputError(
                     f"{place}: channel {channel.number} ({channel.name}) is already corrected to ground range; slant "
-                    "range is needed. "
-                    "Export the log without slant-range correction."
+                    "range is needed. Export the log without slant-range correction."
                 )
 
         joined_in_metres = offset > 0 and header.NavUnits != LATITUDE_LONGITUDE

@@ -119,8 +119,7 @@ class Vehicle:
         self._current_rad = math.radians(motion.current_towards_deg)
         self._slowest_mps = motion.current_mps + SLOWEST * speed
         # In a turn, ground speed over radius is the course's rate. The heading's is that times ground speed over speed
-        # through water
-        # along the path, (v + c)^2 / (R v) at most, with the current from astern.
+        # through water along the path, (v + c)^2 / (R v) at most, with the current from astern.
         tightest = (speed + motion.current_mps) ** 2 / (speed * math.radians(track.turn_rate_deg_s))
         self._radius_m = max(tightest, _SIGMAS_IN_TURN * motion.sway_sigma_m)
         streams = [np.random.Generator(np.random.PCG64(s)) for s in np.random.SeedSequence([seed, _STREAM]).spawn(6)]

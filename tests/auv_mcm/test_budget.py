@@ -99,7 +99,7 @@ def within(which: int, left_us: float) -> TileDetections:
 
 
 def looked_at(found: TileDetections) -> set[tuple[float, float]]:
-    """Places worth a close look that get one."""
+    """Places worth an examination that get one."""
     odds = shipped_odds("cascade")
     return {
         (d.row, d.column)
@@ -109,7 +109,7 @@ def looked_at(found: TileDetections) -> set[tuple[float, float]]:
 
 
 def confirmed(pipeline: Pipeline) -> dict[tuple[str, float, float], float]:
-    """p_mine of every view that had a close look."""
+    """p_mine of every view that had an examination."""
     views: list[Detection] = [
         view for contact in pipeline.contacts for view in contact.views if view.confirmation is not None
     ]
@@ -202,7 +202,7 @@ def test_what_a_budget_leaves_out_is_counted_reported_once_and_said_of_the_conta
     assert pipeline.counters["confirm.beyond_budget"] > 0
     assert pipeline.counters["budget.tile_limited"] > 0
     notices = [event for event in events if isinstance(event, Notice) and event.code == "budget.tile_limited"]
-    assert [("budget.duty" in notice.text, "close looks" in notice.text) for notice in notices] == [(True, True)]
+    assert [("budget.duty" in notice.text, "examinations" in notice.text) for notice in notices] == [(True, True)]
     assert sum("over_budget" in contact.reasons for contact in pipeline.contacts) > 0
     patches = [event for event in events if isinstance(event, CoveragePatch)]
     assert any(patch.lost_m2["over_budget"] > 0.0 and patch.covered_m2 > 0.0 for patch in patches)

@@ -12,7 +12,10 @@ from auv_mcm.shell.health import endpoint
 
 ROOT = Path(__file__).resolve().parents[2]
 ON_THE_VEHICLE = sorted(
-    path for package in ("auv_mcm", "drivers") for path in (ROOT / package).rglob("*.py") if "docs" not in path.parts
+    path
+    for package in ("auv_mcm", "drivers")
+    for path in (ROOT / package).rglob("*.py")
+    if "docs" not in path.relative_to(ROOT).parts
 )
 
 

@@ -339,8 +339,7 @@ class ImcTalker:
             return ""
         return (
             f"it would grant control, but its time ({time_s:.1f} s since 1970) {why}. Check that the vehicle's clock "
-            "is set "
-            "and runs, and that nobody sends recorded messages."
+            "is set and runs, and that nobody sends recorded messages."
         )
 
     def _heard(

@@ -188,8 +188,7 @@ def _client(scheduler: str) -> Iterator[Any]:
     except (OSError, TimeoutError, ValueError, KeyError, TypeError) as error:
         raise HardwareError(
             f"scheduler {scheduler} does not answer as a dask scheduler within {_CONNECT_S:g} s. Start one with `dask "
-            "scheduler`, "
-            "and check host, port and firewall; without a scheduler tasks run on this computer"
+            "scheduler`, and check host, port and firewall; without a scheduler tasks run on this computer"
         ) from error
     try:
         yield client

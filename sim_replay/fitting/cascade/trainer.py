@@ -198,8 +198,7 @@ def _stages(tiles: _Tiles, pool: Pool, progress: Progress) -> CascadeModel:
             )
         progress(
             f"stage {number + 1}: {len(stage.stumps)} stumps, {stage.detection:.4f} of the targets and "
-            f"{stage.false_alarms:.4f} of "
-            f"{lesson.others.shape[1]} others pass"
+            f"{stage.false_alarms:.4f} of {lesson.others.shape[1]} others pass"
         )
         if model is not None and stage.false_alarms > FALSE_ALARMS:
             progress(
