@@ -81,7 +81,7 @@ KINDS = {
     "rich in mines, stored coarsely": Kind("flat", as_drawn, Store("amplitude, 8 bits", 8, 20.0, 0.5), 12, 13),
 }
 ASKED_PER_KM2 = 100.0
-MOST_TIMES_ASKED = 3.0  # of false alarms away from objects, as far as a count of a few can tell
+MOST_TIMES_ASKED = 3.0  # of false alarms away from objects, as far as a count of a few shows
 
 
 def is_on(contact: Contact, one: dict[str, Any]) -> bool:
