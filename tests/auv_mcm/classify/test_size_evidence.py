@@ -33,6 +33,7 @@ from auv_mcm.classify.targets import (
     TargetLibrary,
     shipped_targets,
 )
+from auv_mcm.classify.verifier import MINE_KINDS, NO_OPINION, Opinion
 from auv_mcm.confirmation import shape_mass
 from auv_mcm.errors import BadInputError
 from auv_mcm.kernels.shape import Solid
@@ -189,6 +190,21 @@ def test_a_kind_on_no_line_of_the_list_is_less_believed() -> None:
     cone, sphere = FRAME.index("truncated_cone"), FRAME.index("sphere")
     assert before[sphere] > before[cone]
     assert after[sphere] < after[cone]
+
+
+@given(views, st.lists(st.floats(-6.0, 0.0), min_size=len(MINE_KINDS), max_size=len(MINE_KINDS)))
+def test_the_network_s_kind_is_believed_more_than_without_it_whatever_boxes_are(
+    view: ShapeFits, kind_nats: list[float]
+) -> None:
+    opinion = Opinion(0.0, tuple(kind_nats))
+    before, after = (pignistic(shape_mass(view, True, NO_WEIGHT, each)) for each in (NO_OPINION, opinion))
+    likeliest = max(FRAME[:-1], key=lambda kind: kind_nats[MINE_KINDS.index(kind)])
+    kind = FRAME.index(likeliest)
+    assert after[kind] >= before[kind] - 1e-9
+    other_boxes = Opinion(0.0, (*kind_nats[:-1], -3.0))
+    assert (
+        shape_mass(view, True, NO_WEIGHT, other_boxes).tobytes() == shape_mass(view, True, NO_WEIGHT, opinion).tobytes()
+    )
 
 
 def test_what_is_searched_reaches_every_size_listed() -> None:
