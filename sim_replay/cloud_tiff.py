@@ -48,8 +48,11 @@ def write_cloud_tiff(path: Path, pages: Sequence[Page]) -> None:
         nothing = [0] * _n_tiles(page)
         places.append(places[-1] + len(_directory(page, number, places[-1], 0, nothing, nothing)))
     with open(path, "wb") as file:
-        file.write(b"\0" * places[-1])
-        written = {number: _write_tiles(file, pages[number].tiles) for number in reversed(range(len(pages)))}
+        end = file.write(b"\0" * places[-1])
+        written: dict[int, tuple[list[int], list[int]]] = {}
+        for number in reversed(range(len(pages))):
+            offsets, lengths, end = _write_tiles(file, pages[number].tiles, end)
+            written[number] = offsets, lengths
         file.seek(0)
         file.write(_HEADER.pack(b"II", _BIG_TIFF, 8, 0, places[0]) + _NOTE)
         for number, page in enumerate(pages):
@@ -62,15 +65,18 @@ def _n_tiles(page: Page) -> int:
     return -(-page.width // BLOCK) * -(-page.height // BLOCK)
 
 
-def _write_tiles(file: IO[bytes], tiles: Iterator[bytes]) -> tuple[list[int], list[int]]:
-    """Append tiles between their length and their last 4 bytes; return offsets and lengths, both 0 for an empty one."""
+def _write_tiles(file: IO[bytes], tiles: Iterator[bytes], end: int) -> tuple[list[int], list[int], int]:
+    """Append tiles between their length and their last 4 bytes.
+
+    Returns offsets and lengths, both 0 for an empty one, and the new end of the file.
+    """
     offsets, lengths = [], []
     for tile in tiles:
-        offsets.append(file.tell() + 4 if tile else 0)
+        offsets.append(end + 4 if tile else 0)
         lengths.append(len(tile))
         if tile:
-            file.write(struct.pack("<I", len(tile)) + tile + tile[-4:])
-    return offsets, lengths
+            end += file.write(struct.pack("<I", len(tile)) + tile + tile[-4:])
+    return offsets, lengths, end
 
 
 def _directory(

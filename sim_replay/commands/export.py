@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from auv_mcm.clean_text import clean
-from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
+from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config
 from auv_mcm.errors import BadInputError, UsageError
 
 PALETTES: Final = ("copper", "grey", "viridis", "inferno")  # as of sim_replay.mosaic_files, which needs OpenCV
@@ -138,6 +137,7 @@ def add(commands: Commands) -> None:
         "survey at their range and angle, so that kinds of sea floor differ; reads the logs twice",
     )
     add_config_option(parser)
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -186,8 +186,7 @@ def _run(arguments: argparse.Namespace) -> int:
         wanted.append(arguments.qgis)
     if arguments.mcap is not None:
         _write_mcap(source, arguments.mcap)
-    for path in wanted:
-        print(f"written: {clean(str(path))}")
+    answer({"written": wanted}, [f"written: {path}" for path in wanted], as_json=arguments.json)
     return 0
 
 
