@@ -11,7 +11,7 @@ import math
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import IO, Final, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -30,8 +30,6 @@ WGS84: Final = 4326  # EPSG code of longitude and latitude
 BLOCK: Final = 256  # pixels along a side of a block, which is also a tile of the GeoTIFF
 ECHO_STEP_DB: Final = (CEILING_DB - FLOOR_DB) / 254.0  # dB per step of the echo's byte; display only
 SIGMA_STEP_M: Final = 0.1  # m per step of the byte of position error: up to 25.5 m
-
-LEG_TURN_RAD: Final = math.radians(60.0)  # chosen: legs of a survey lie at right angles or opposite
 
 _LOW_RESOLUTION_WEIGHT: Final = 0.05  # of a pixel near nadir or at a flat angle, where another pass may see better
 _TURN_WEIGHT: Final = 0.01  # of a pixel in a turn: shown where nothing else was seen
@@ -333,27 +331,6 @@ class Level(NamedTuple):
             east=self.west_deg + right * self.step_deg[0],
             north=self.north_deg - top * self.step_deg[1],
         )
-
-
-def leg_numbers() -> Callable[[Tile], int]:
-    """Make what numbers the leg of each tile, in order: a new leg begins where the course differs by LEG_TURN_RAD."""
-    number, course_rad = 1, math.nan
-
-    def number_of(tile: Tile) -> int:
-        nonlocal number, course_rad
-        heading = tile.pose.heading_rad[tile.core_start : tile.core_stop]
-        known = heading[np.isfinite(heading)]
-        if not len(known):
-            return number
-        here = math.atan2(float(np.sin(known).mean()), float(np.cos(known).mean()))
-        if abs(math.remainder(here - course_rad, 2.0 * math.pi)) > LEG_TURN_RAD:
-            number += 1
-        elif not math.isnan(course_rad):
-            return number
-        course_rad = here
-        return number
-
-    return number_of
 
 
 class _Placed(NamedTuple):

@@ -159,7 +159,8 @@ def count_judged(verdicts: Iterable[Verdict]) -> Judged:
     """Count the last verdict of each object."""
     newest = newest_verdicts(verdicts).values()
     calls = [verdict.call for verdict in newest if not verdict.drawn]
-    return Judged(*map(calls.count, CALLS), sum(verdict.drawn for verdict in newest))
+    n_missed = sum(verdict.drawn for verdict in newest)
+    return Judged(calls.count("mine_like"), calls.count("not_mine_like"), calls.count("undecided"), n_missed)
 
 
 def evidence_words(missions: Sequence[Judged]) -> str:

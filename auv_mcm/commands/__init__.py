@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
-from auv_mcm.clean_text import clean_json, clean_lines
+from auv_mcm.clean_text import clean_json, clean_lines, tinted
 from auv_mcm.errors import UsageError
 
 if TYPE_CHECKING:
@@ -123,7 +123,8 @@ def answer(found: Mapping[str, Any], words: Sequence[str], *, as_json: bool) -> 
         print(clean_json(json.dumps(finite(found), default=str, ensure_ascii=False)), flush=True)
         return
     for line in words:
-        print(clean_lines(line))
+        shown = clean_lines(line)
+        print(tinted(shown, "yellow") if shown.startswith(("notice:", "failed:")) else shown)
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:

@@ -48,6 +48,15 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "source", metavar="SOURCE", nargs="+", type=Path, help="folder of results, folder of a session, or logs"
     )
+    _add_files(parser)
+    _add_mosaic(parser)
+    add_config_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(command=_run)
+
+
+def _add_files(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name what is written."""
     parser.add_argument(
         "--geotiff",
         metavar="FILE",
@@ -78,6 +87,10 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--coco", metavar="DIR", type=Path, help="judged contacts as chips with boxes, for training")
     parser.add_argument("--yolo", metavar="DIR", type=Path, help="the same as YOLO reads them")
+
+
+def _add_mosaic(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the mosaic."""
     parser.add_argument(
         "--resolution",
         metavar="M",
@@ -136,9 +149,6 @@ def add(commands: Commands) -> None:
         help="local: echoes against the floor within a few metres (default); survey: against the mean of the whole "
         "survey at their range and angle, so that kinds of sea floor differ; reads the logs twice",
     )
-    add_config_option(parser)
-    add_json_option(parser)
-    parser.set_defaults(command=_run)
 
 
 def _metres(low_m: float) -> Callable[[str], float]:
@@ -286,7 +296,8 @@ def _write_project(
 
 def _mosaics(source: ExportSource, arguments: argparse.Namespace) -> list[list[Level]]:
     """Draw the mosaic, or one for each leg."""
-    from sim_replay.mosaic import Mosaic, leg_numbers
+    from sim_replay.mosaic import Mosaic
+    from sim_replay.mosaic_legs import leg_numbers
     from sim_replay.projections import check_crs
 
     crs = check_crs(arguments.crs) if arguments.crs else ""

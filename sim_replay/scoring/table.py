@@ -38,9 +38,8 @@ def table(score: Score) -> str:
 
 def sentence(score: Score) -> str:
     """Say in one sentence how many mines were found and how many false alarms there were, as far as is known."""
-    point, how = (score.at_threshold, f"found at p_mine {score.threshold:g}")
-    if score.called is not None:
-        point, how = score.called, "called"
+    how = f"found at p_mine {score.threshold:g}" if score.called is None else "called"
+    point = score.called or score.at_threshold
     n_wrong = point.false_alarms.count
     alarms = "no false alarm" if not n_wrong else _number_of(n_wrong, "false alarm")
     return f"{point.pd.count} of {_number_of(point.pd.of, 'mine')} {how}, {alarms} on {score.area_km2:.3g} km²."

@@ -12,8 +12,9 @@ import pytest
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from sim_replay.mosaic import Mosaic, leg_numbers
+from sim_replay.mosaic import Mosaic
 from sim_replay.mosaic_files import PALETTES, write_geotiff
+from sim_replay.mosaic_legs import leg_numbers
 from sim_replay.projections import check_crs, projection
 from sim_replay.survey_gain import SurveyGain
 from tests.sim_replay.report_samples import tile as plain_tile

@@ -46,7 +46,7 @@ def main(log: Path, module: str) -> None:
     hit = [bytearray(message) for message in messages]
     for message in hit[::10]:
         message[len(message) // 2] ^= 0xFF
-    n_lost = len(messages) - len(decoded(driver, hit))
+    n_lost = len(messages) - len(decoded(driver, map(bytes, hit)))
     assert n_lost <= len(hit[::10]), f"{len(hit[::10])} damaged pings cost {n_lost}"
     chain, left = Pipeline(Config()), iter(frames)
     for event in events:
