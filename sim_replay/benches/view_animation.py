@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
-from PIL import Image  # comes with the bench's fpdf2
+from PIL import Image  # extra dev
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
