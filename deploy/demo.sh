@@ -16,7 +16,7 @@ echo "demo: flying a longer simulated mission"
 echo "demo: replaying it"
 .venv/bin/auv-mcm replay out-demo/sim/mission.xtf --out out-demo/results
 echo "demo: comparing the contacts with the truth"
-.venv/bin/auv-mcm score out-demo/results/contacts.geojson out-demo/sim/truth.json --json out-demo/score.json >/dev/null
+.venv/bin/auv-mcm score out-demo/results/contacts.geojson out-demo/sim/truth.json --json out-demo/score.json > /dev/null
 
 echo
 .venv/bin/auv-mcm score out-demo/results/contacts.geojson out-demo/sim/truth.json --brief
