@@ -22,7 +22,7 @@ from typing import Final, TypeAlias
 _UNSAFE: Final = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff\ufffe\uffff\U000e0000-\U000e007f]"
 )
-_COLOURS: Final = {"green": 32, "yellow": 33, "red": 31}  # of ANSI terminals (ECMA-48)
+_COLOURS: Final = {"bold": 1, "green": 32, "yellow": 33, "red": 31}  # of ANSI terminals (ECMA-48)
 _Exception: TypeAlias = (
     "tuple[type[BaseException], BaseException, types.TracebackType | None] | tuple[None, None, None]"
 )
@@ -60,7 +60,7 @@ def tinted(text: str, colour: str) -> str:
     text
         What is printed to standard output.
     colour
-        "green", "yellow" or "red".
+        "green", "yellow", "red" or "bold".
     """
     if not sys.stdout.isatty() or os.environ.get("NO_COLOR"):
         return text

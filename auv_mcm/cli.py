@@ -24,7 +24,7 @@ _EXTRAS = {
     },
     "bench,cluster": {"dask", "distributed"},
     "bench,view": {"aiohttp"},
-    "bench,dev": {"matplotlib"},
+    "bench,dev": {"matplotlib", "PIL"},
 }
 """Packages that commands need, by what to install for them."""
 

@@ -71,6 +71,7 @@ from auv_mcm.seabed.seabed_model import configured_seabed_model
 from auv_mcm.settings.config import Config
 from auv_mcm.skips import NO_SKIPS, Skips
 from auv_mcm.waterfall.law_watch import LawVerdict, LawWatch
+from auv_mcm.waterfall.radiometry import REFERENCE_PINGS
 from auv_mcm.waterfall.sample_checks import SampleCheck
 from auv_mcm.waterfall.waterfall import Waterfall
 
@@ -106,6 +107,7 @@ class Pipeline:
     kept: where contacts are kept, in memory if None; they are the same wherever that is.
     early: look at the newest rows before their tile is complete and announce early contacts; all else is the same
     without.
+    reference_pings: of the levels of tiles, as of `Waterfall`.
 
     The models that `config` names are read here, once. Raises BadInputError or UsageError if one cannot be.
     """
@@ -122,8 +124,10 @@ class Pipeline:
         seabed: Callable[[Tile], SeabedCells | None] | None = None,
         kept: Contacts | None = None,
         early: bool = False,
+        reference_pings: float = REFERENCE_PINGS,
     ) -> None:
         self._config = config
+        self._reference_pings = reference_pings
         self._without_skips = without_skips
         self._timer = timer
         self._counts: Counter[str] = Counter()
@@ -321,7 +325,7 @@ class Pipeline:
     def _begin(self, verdict: LawVerdict) -> list[PipelineEvent]:
         """Run the pings that waited for the first verdict, which names their transfer."""
         assert verdict.transfer is not None
-        self._waterfall = Waterfall(self._config, verdict.transfer, OVERLAP_M, self._counts)
+        self._waterfall = Waterfall(self._config, verdict.transfer, OVERLAP_M, self._counts, self._reference_pings)
         events: list[PipelineEvent] = [*verdict.notices, self._detector]
         waiting, self._undecided = self._undecided, []
         for ping in waiting:

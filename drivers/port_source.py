@@ -346,7 +346,6 @@ class _ServedPort:
         if self._source.is_stopping:
             return
         self._own["state_changes"] += 1
-        log.info("port '%s' is %s: %s", self.name, state, reason)
         if state == "up" and self._port.ask_every_s is None:
             self._send_commands()  # also when it sends data again: it may have started anew, with settings of its own
         if self._own["state_changes"] <= _MAX_STATE_NOTICES:
@@ -360,6 +359,8 @@ class _ServedPort:
             self._source.raise_notice(
                 Notice(code=f"port_{state}", text=text, place=self.name, for_the_record=opens_well)
             )
+        else:
+            log.info("port '%s' is %s: %s", self.name, state, reason)
 
     def _send_commands(self) -> None:
         for command in self._port.commands:

@@ -15,6 +15,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.report.report_words import call_name, degrees_minutes, nice_step
 from sim_replay.verdict_layers import MISSED
+from sim_replay.verdicts import Judged, evidence_words
 
 if TYPE_CHECKING:
     from fpdf import FPDF
@@ -60,6 +61,9 @@ def write_contact_sheet(path: Path, results: Path, layers: Layers, name: str) ->
     judged = sum(one["properties"].get("verdict") is not None for one in contacts)
     _line(sheet, 10.0, "", f"{len(contacts)} contacts to look at, {judged} judged; {len(missed)} seen by people alone")
     _chart(sheet, layers, contacts)
+    calls = [str(one["properties"].get("verdict")) for one in contacts]
+    counted = Judged(calls.count("mine_like"), calls.count("not_mine_like"), calls.count("undecided"), len(missed))
+    _line(sheet, _FACTS, "", f"Of this mission alone, {evidence_words([counted])}.")
     sheet.add_page()
     for one in (*contacts, *missed):
         if sheet.get_y() + _ROW_MM > _BOTTOM_MM:
@@ -163,6 +167,23 @@ def _chart(sheet: FPDF, layers: Layers, contacts: Sequence[Feature]) -> None:
     sheet.set_font("helvetica", "", _FACTS)
     sheet.text(_MARGIN_MM + 5.0, top + _CHART_MM - 6.5, f"{bar_m:g} m")
     sheet.text(_MARGIN_MM + _WIDTH_MM - 20.0, top + 6.0, "north is up")
+    _corners(sheet, frame, middle, scale, top)
+    sheet.set_y(top + _CHART_MM + 3.0)
+    _line(
+        sheet,
+        _FACTS,
+        "",
+        "Shaded: searched. Line: track. Red: judged mine-like, or rather a mine than not; grey: others.",
+    )
+
+
+def _corners(sheet: FPDF, frame: LocalFrame, middle: tuple[float, float], scale: float, top: float) -> None:
+    """Write where the north-western and the south-eastern corner of the chart are."""
+    for side, right_mm, down_mm in ((-1.0, 2.0, 4.0), (1.0, _WIDTH_MM - 45.0, _CHART_MM - 2.0)):
+        east_m, north_m = middle[0] + side * _WIDTH_MM / 2.0 / scale, middle[1] - side * _CHART_MM / 2.0 / scale
+        latitude, longitude, _ = frame.to_geodetic([[east_m, north_m, 0.0]])
+        place = f"{degrees_minutes(latitude[0], 'N', 'S')}, {degrees_minutes(longitude[0], 'E', 'W')}"
+        sheet.text(_MARGIN_MM + right_mm, top + down_mm, _latin(place))
 
 
 def _mark(sheet: FPDF, feature: Feature, right: float, down: float) -> None:

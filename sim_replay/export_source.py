@@ -16,6 +16,7 @@ from auv_mcm.records import Tile
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import SUMMARY
+from auv_mcm.waterfall.radiometry import REFERENCE_PINGS
 from sim_replay.logs.open_log import logs_config
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.session_parts import recordings_of, session_of
@@ -52,10 +53,26 @@ def find_source(paths: Sequence[Path], config: Config | None) -> ExportSource:
     return ExportSource(tuple(paths), config or logs_config(list(paths)) or Config(), None)
 
 
-def tiles(source: ExportSource, progress: Callable[[float], None] = lambda fraction: None) -> Iterator[Tile]:
+def tiles(
+    source: ExportSource,
+    progress: Callable[[float], None] = lambda fraction: None,
+    reference_pings: float = REFERENCE_PINGS,
+) -> Iterator[Tile]:
     """Read the logs and make the tiles of the waterfall, without looking for anything in them.
 
-    progress: called with the fraction done, 0..1. Raises BadInputError if nothing can be read.
+    Parameters
+    ----------
+    source
+        Of the logs.
+    progress
+        Called with the fraction done, 0..1.
+    reference_pings
+        Of the tiles' levels, as of `Waterfall`.
+
+    Raises
+    ------
+    BadInputError
+        If nothing can be read.
     """
     missing = [path for path in source.logs if not path.exists()]
     if missing:
@@ -63,7 +80,12 @@ def tiles(source: ExportSource, progress: Callable[[float], None] = lambda fract
             f"{missing[0]}, which these results were made of, is not there any more. Name the log itself."
         )
     mission = open_mission(source.logs, source.config)
-    pipeline = Pipeline(source.config, detect=lambda tile: TileDetections((), 0, 0), seabed=lambda tile: None)
+    pipeline = Pipeline(
+        source.config,
+        detect=lambda tile: TileDetections((), 0, 0),
+        seabed=lambda tile: None,
+        reference_pings=reference_pings,
+    )
     for event in mission.events():
         yield from (made for made in pipeline.feed(event) if isinstance(made, Tile))
         progress(mission.fraction_done)

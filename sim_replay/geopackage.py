@@ -11,10 +11,9 @@ from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
-from xml.sax.saxutils import escape
 
-from auv_mcm.contacts.contact_words import LEVELS
 from sim_replay.mosaic_files import replaced_file
+from sim_replay.qgis import contact_style
 
 _APPLICATION_ID: Final = 0x47504B47  # "GPKG", by the standard
 _VERSION: Final = 10300  # 1.3.0, by the standard
@@ -44,8 +43,6 @@ CREATE TABLE layer_styles (id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_tabl
   f_table_schema TEXT(256), f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT,
   styleSLD TEXT, useAsDefault BOOLEAN, description TEXT, owner TEXT(30), ui TEXT(30), update_time DATETIME)
 """
-_COLOURS: Final = ("211,18,63,255", "217,122,8,255", "47,134,166,255", "135,148,157,255")
-"""Of the levels of p_mine, as in the report: red, green, blue, opacity."""
 _TIMES: Final = frozenset({"time", "judged_time", "start", "stop", "view_time"})
 _CHANGED: Final = "1970-01-01T00:00:00.000Z"  # equal layers give equal files
 
@@ -137,35 +134,7 @@ def _write_style(base: sqlite3.Connection) -> None:
         "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
         "styleQML, styleSLD, useAsDefault, description, owner, ui, update_time) "
         "VALUES ('', '', 'contacts', 'geom', 'chance of a mine', ?, '', 1, '', '', NULL, ?)",
-        (_contact_style(), _CHANGED),
-    )
-
-
-def _contact_style() -> str:
-    """Write the style of contacts, a colour for each level of p_mine, as QGIS reads it (QML)."""
-    rules, symbols = [], []
-    bounds = [minimum for minimum, _ in LEVELS]
-    for number, ((minimum, words), colour) in enumerate(zip(LEVELS, _COLOURS, strict=True)):
-        upper = f' AND "p_mine" < {bounds[number - 1]}' if number else ""
-        condition = escape(f'"p_mine" >= {minimum}{upper}', {'"': "&quot;"})
-        rules.append(f'<rule key="{number}" symbol="{number}" label="{words}" filter="{condition}"/>')
-        options = "".join(
-            f'<Option type="QString" name="{name}" value="{value}"/>'
-            for name, value in (
-                ("name", "circle"),
-                ("color", colour),
-                ("outline_color", "0,0,0,255"),
-                ("size", "3" if number < 2 else "2"),
-            )
-        )
-        symbols.append(
-            f'<symbol type="marker" name="{number}" alpha="1"><layer class="SimpleMarker" enabled="1">'
-            f'<Option type="Map">{options}</Option></layer></symbol>'
-        )
-    return (
-        '<!DOCTYPE qgis PUBLIC "http://mrcc.com/qgis.dtd" "SYSTEM"><qgis styleCategories="Symbology" version="3.22">'
-        f'<renderer-v2 type="RuleRenderer"><rules key="levels">{"".join(rules)}</rules>'
-        f"<symbols>{''.join(symbols)}</symbols></renderer-v2></qgis>"
+        (contact_style(), _CHANGED),
     )
 
 

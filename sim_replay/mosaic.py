@@ -11,7 +11,7 @@ import math
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import IO, Final, Literal, NamedTuple, TypeAlias
 
 import cv2
@@ -31,10 +31,9 @@ BLOCK: Final = 256  # pixels along a side of a block, which is also a tile of th
 ECHO_STEP_DB: Final = (CEILING_DB - FLOOR_DB) / 254.0  # dB per step of the echo's byte; display only
 SIGMA_STEP_M: Final = 0.1  # m per step of the byte of position error: up to 25.5 m
 
-LEG_TURN_RAD: Final = math.radians(60.0)  # chosen: legs of a survey lie at right angles or opposite
-
 _LOW_RESOLUTION_WEIGHT: Final = 0.05  # of a pixel near nadir or at a flat angle, where another pass may see better
 _TURN_WEIGHT: Final = 0.01  # of a pixel in a turn: shown where nothing else was seen
+_FADED_WEIGHT: Final = 0.01  # of a pixel right below the vehicle where it is faded: any other pass hides it. Chosen
 _FAR_WEIGHT: Final = 0.02  # at the swath's edge, falling from 1 below the vehicle: no step where swaths end
 _SHARPNESS: Final = 2.0  # power of that fall: the nearer of two passes wins but for a border a few metres wide
 _SAMPLES_PER_PIXEL: Final = 1.5  # samples per pixel of the mosaic, at which none stays empty between two pings
@@ -139,8 +138,9 @@ class Mosaic:
     With `coarsen` the mosaic keeps to `max_blocks` by halving its resolution; else blocks beyond them lie in a file.
 
     resolution_m: of a pixel, at first. blend: of several passes. crs: "" for longitude and latitude, otherwise as of
-    `sim_replay.projections`. nadir_share: of the altitude, within which of the track nothing is drawn. Raises
-    ValueError for a pixel that is not positive.
+    `sim_replay.projections`. nadir_share, fade_share: of the altitude, within which of the track nothing is drawn, and
+    within which the picture fades into the level of the floor around and into other passes. Raises ValueError for a
+    pixel that is not positive.
     """
 
     def __init__(
@@ -153,6 +153,7 @@ class Mosaic:
         blend: Blend = "mean",
         crs: str = "",
         nadir_share: float = 0.0,
+        fade_share: float = 0.0,
     ) -> None:
         if not resolution_m > 0.0:
             raise ValueError(f"a pixel of {resolution_m} m is no size")
@@ -160,7 +161,7 @@ class Mosaic:
         self._asked_m = self.resolution_m = resolution_m
         self._max_blocks = max_blocks
         self._coarsen = coarsen
-        self._blend, self._crs, self._nadir_share = blend, crs, nadir_share
+        self._blend, self._crs, self._nadir = blend, crs, (nadir_share, fade_share)
         self._projection: Projection | None = None
         self._blocks = Blocks(2 * max_blocks if coarsen else max_blocks)
         self._origin_deg: tuple[float, float] | None = None  # longitude, latitude
@@ -182,7 +183,7 @@ class Mosaic:
         if self._origin_deg is None:
             self._begin(float(tile.pose.longitude_deg[known[0]]), float(tile.pose.latitude_deg[known[0]]))
         for first, stop in _runs(known):
-            placed = _placed(tile, first, stop, self._config, self.resolution_m, self._nadir_share)
+            placed = _placed(tile, first, stop, self._config, self.resolution_m, self._nadir)
             if placed.weight.size:
                 self._draw(placed)
         while self._coarsen and len(self._blocks) > self._max_blocks:
@@ -332,27 +333,6 @@ class Level(NamedTuple):
         )
 
 
-def leg_numbers() -> Callable[[Tile], int]:
-    """Make what numbers the leg of each tile, in order: a new leg begins where the course differs by LEG_TURN_RAD."""
-    number, course_rad = 1, math.nan
-
-    def number_of(tile: Tile) -> int:
-        nonlocal number, course_rad
-        heading = tile.pose.heading_rad[tile.core_start : tile.core_stop]
-        known = heading[np.isfinite(heading)]
-        if not len(known):
-            return number
-        here = math.atan2(float(np.sin(known).mean()), float(np.cos(known).mean()))
-        if abs(math.remainder(here - course_rad, 2.0 * math.pi)) > LEG_TURN_RAD:
-            number += 1
-        elif not math.isnan(course_rad):
-            return number
-        course_rad = here
-        return number
-
-    return number_of
-
-
 class _Placed(NamedTuple):
     """Hold pixels of a stretch of rows with their places; every array (n_rows, n_columns) float64."""
 
@@ -373,7 +353,7 @@ def _runs(numbers: NDArray[np.intp]) -> list[tuple[int, int]]:
 
 
 def _placed(
-    tile: Tile, first: int, stop: int, config: Config, resolution_m: float, nadir_share: float = 0.0
+    tile: Tile, first: int, stop: int, config: Config, resolution_m: float, nadir: tuple[float, float]
 ) -> _Placed:
     """Weigh the pixels of some rows and place them; several become one where they are much finer than the mosaic."""
     n_together = [
@@ -400,11 +380,8 @@ def _placed(
         )
         ground_m = (ground_m[:, np.newaxis] + within_m).ravel()
         weight, weighted = (np.repeat(values / repeats[1], repeats[1], axis=1) for values in (weight, weighted))
-    if nadir_share > 0.0:
-        rows = np.arange(len(tile.pose))
-        altitude_m = np.interp(np.clip(centre, 0.0, len(tile.pose) - 1.0), rows, tile.first_return_m)
-        seen = ground_m >= nadir_share * altitude_m[:, np.newaxis]
-        weight, weighted = weight * seen, weighted * seen
+    if any(nadir):
+        weight, weighted = _without_nadir(tile, centre, ground_m, nadir, weight, weighted)
     near, far = (_located(tile, centre, distance_m, config) for distance_m in (0.0, far_m))
     share = ground_m / far_m  # over a flat bottom places lie evenly along a ping
     eastward = wrap_longitude_deg(far[1] - near[1])
@@ -417,6 +394,22 @@ def _placed(
     )
     known = np.isfinite(placed.longitude_deg).all(axis=1) & np.isfinite(placed.latitude_deg).all(axis=1)
     return placed if known.all() else _Placed(*(values[known] for values in placed))
+
+
+def _without_nadir(
+    tile: Tile,
+    centre: NDArray[np.float64],
+    ground_m: NDArray[np.float64],
+    nadir: tuple[float, float],
+    weight: NDArray[np.float64],
+    weighted: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mask pixels nearer to the track than the first share of the altitude; fade those nearer than the second."""
+    altitude_m = np.interp(np.clip(centre, 0.0, len(tile.pose) - 1.0), np.arange(len(tile.pose)), tile.first_return_m)
+    share = ground_m / np.maximum(altitude_m, 1e-3)[:, np.newaxis]
+    kept = np.minimum(share / nadir[1], 1.0) if nadir[1] else np.ones_like(share)
+    seen = np.maximum(kept, _FADED_WEIGHT) * (share >= nadir[0])
+    return weight * seen, (weighted * kept + weight * (1.0 - kept)) * seen  # the floor around is 1, by definition
 
 
 def _weighed(

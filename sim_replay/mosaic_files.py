@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from auv_mcm.clean_text import clean
 from auv_mcm.contacts.contact_picture import COLOURS, FLOOR_DB, LEVELS, encoded
 from auv_mcm.errors import UsageError
+from sim_replay.cloud_tiff import Page, Tag, write_cloud_tiff
 from sim_replay.mosaic import BLOCK, ECHO_STEP_DB, SIGMA_STEP_M, WGS84, Level
 
 MAX_SIDE: Final = 1 << 20
@@ -63,7 +64,7 @@ class Window(NamedTuple):
 
 
 def write_geotiff(path: Path, levels: Sequence[Level], max_sigma_m: float = math.inf, palette: str = "") -> None:
-    """Write the mosaic and its overviews as a tiled, compressed GeoTIFF, without empty margins.
+    """Write the mosaic and its overviews as a cloud-optimised GeoTIFF, without empty margins.
 
     Band 1 is the echo over the sea floor around it in dB, band 2 the 1-sigma error of position in m; both are bytes
     with scale and offset, 0 where nothing was seen. With a palette it has four bands instead: red, green, blue and
@@ -85,8 +86,6 @@ def write_geotiff(path: Path, levels: Sequence[Level], max_sigma_m: float = math
     OSError
         From the disk, and UsageError for a mosaic that is too large.
     """
-    import tifffile  # bench extra
-
     windows = _windows(levels, max_sigma_m)
     first = windows[0]
     n_tiles = (-(-first.width // BLOCK)) * (-(-first.height // BLOCK))
@@ -95,22 +94,19 @@ def write_geotiff(path: Path, levels: Sequence[Level], max_sigma_m: float = math
             f"the mosaic would have {first.width} x {first.height} pixels of {first.level.resolution_m:g} m. Choose a "
             "coarser --resolution, or export logs of distant sites apart."
         )
-    with replaced_file(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True) as file:
-        for number, window in enumerate(windows):
-            file.write(
-                _tiles(window, max_sigma_m, palette),
-                shape=(window.height, window.width, 4 if palette else 2),
-                dtype=np.uint8,
-                tile=(BLOCK, BLOCK),
-                photometric="rgb" if palette else "minisblack",
-                planarconfig="contig",
-                extrasamples=["unassalpha" if palette else "unspecified"],
-                compression="deflate",
-                subfiletype=1 if number else 0,
-                metadata=None,
-                software=False,
-                extratags=_geo_tags(window, palette) if number == 0 else [],
-            )
+    pages = [
+        Page(
+            window.width,
+            window.height,
+            4 if palette else 2,
+            bool(palette),
+            _geo_tags(window, palette, is_first=number == 0),
+            _tiles(window, max_sigma_m, palette),
+        )
+        for number, window in enumerate(windows)
+    ]
+    with replaced_file(path) as temporary:
+        write_cloud_tiff(temporary, pages)
 
 
 def write_kmz(
@@ -197,21 +193,19 @@ def _cut(level: Level, left: int, top: int, max_sigma_m: float) -> NDArray[np.ui
     return np.ascontiguousarray(cut[top % BLOCK : top % BLOCK + BLOCK, left % BLOCK : left % BLOCK + BLOCK])
 
 
-def _geo_tags(window: Window, palette: str) -> list[tuple[int, str, int, object, bool]]:
-    """List the tags of GeoTIFF and of GDAL: number, type, count, value, only on the first page."""
+def _geo_tags(window: Window, palette: str, is_first: bool) -> list[Tag]:
+    """List the tags of GeoTIFF and of GDAL; overviews need none but what says where nothing was seen."""
     level = window.level
     outline = level.box(window.left, window.top, window.left + window.width, window.top + window.height)
     keys = _GEO_KEYS if level.epsg == WGS84 else (*_PROJECTED_KEYS[:15], level.epsg, *_PROJECTED_KEYS[15:])
-    tags: list[tuple[int, str, int, object, bool]] = [
-        (33550, "d", 3, (*level.step_deg, 0.0), True),  # ModelPixelScale
-        (33922, "d", 6, (0.0, 0.0, 0.0, outline.west, outline.north, 0.0), True),  # ModelTiepoint
-        (34735, "H", len(keys), keys, True),  # GeoKeyDirectory
+    place: list[Tag] = [
+        (33550, "d", (*level.step_deg, 0.0)),  # ModelPixelScale
+        (33922, "d", (0.0, 0.0, 0.0, outline.west, outline.north, 0.0)),  # ModelTiepoint
+        (34735, "H", keys),  # GeoKeyDirectory
     ]
-    figures: list[tuple[int, str, int, object, bool]] = [
-        (42112, "s", 0, _GDAL_METADATA, True),  # GDAL_METADATA
-        (42113, "s", 0, "0", True),  # GDAL_NODATA
-    ]
-    return tags if palette else [*tags, *figures]
+    units: list[Tag] = [] if palette else [(42112, "s", _GDAL_METADATA)]
+    nothing: list[Tag] = [] if palette else [(42113, "s", "0")]  # GDAL_NODATA
+    return [*place, *units, *nothing] if is_first else nothing
 
 
 def _overlay(level: Level, key: tuple[int, int], max_sigma_m: float) -> NDArray[np.uint8]:

@@ -146,6 +146,36 @@ def newest_verdicts(verdicts: Iterable[Verdict]) -> dict[str, Verdict]:
     return {name: verdict for name, verdict in last.items() if not verdict.withdrawn}
 
 
+class Judged(NamedTuple):
+    """Count what people judged in one mission. missed: drawn objects, which no odds can be learnt from."""
+
+    mine_like: int
+    not_mine_like: int
+    undecided: int
+    missed: int
+
+
+def count_judged(verdicts: Iterable[Verdict]) -> Judged:
+    """Count the last verdict of each object."""
+    newest = newest_verdicts(verdicts).values()
+    calls = [verdict.call for verdict in newest if not verdict.drawn]
+    n_missed = sum(verdict.drawn for verdict in newest)
+    return Judged(calls.count("mine_like"), calls.count("not_mine_like"), calls.count("undecided"), n_missed)
+
+
+def evidence_words(missions: Sequence[Judged]) -> str:
+    """Say how far the verdicts of missions are from what it takes to correct the odds by them."""
+    have = (
+        (sum(one.mine_like + one.not_mine_like > 0 for one in missions), MIN_MISSIONS, "missions judged"),
+        (sum(one.mine_like for one in missions), MIN_MINE_LIKE, "mine-like"),
+        (sum(one.not_mine_like for one in missions), MIN_NOT_MINE_LIKE, "not mine-like"),
+    )
+    counted = ", ".join(f"{n} of {least} {what}" for n, least, what in have)
+    if all(n >= least for n, least, _ in have):
+        return f"enough to correct the odds by 'auv-mcm calibrate odds --verdicts': {counted}"
+    return f"to correct the odds by verdicts: {counted}"
+
+
 def next_object(verdicts: Iterable[Verdict]) -> str:
     """Name an object that was not judged before."""
     return f"V{1 + max((int(verdict.object[1:]) for verdict in verdicts), default=0):04d}"

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import json
 import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
+from auv_mcm.clean_text import clean_json, clean_lines, tinted
 from auv_mcm.errors import UsageError
 
 if TYPE_CHECKING:
@@ -104,6 +106,25 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", metavar="FILE", type=Path, help="configuration in YAML; see 'auv-mcm config --write'"
     )
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--json` to a command: what came of it as JSON on standard output, and nothing else there."""
+    parser.add_argument(
+        "--json", action="store_true", help="print what came of it as JSON and nothing else, for scripts"
+    )
+
+
+def answer(found: Mapping[str, Any], words: Sequence[str], *, as_json: bool) -> None:
+    """Print what a command found: as one object of JSON, paths as text and no NaN, or in words, a line each."""
+    from auv_mcm.shell.whole_files import finite
+
+    if as_json:
+        print(clean_json(json.dumps(finite(found), default=str, ensure_ascii=False)), flush=True)
+        return
+    for line in words:
+        shown = clean_lines(line)
+        print(tinted(shown, "yellow") if shown.startswith(("notice:", "failed:")) else shown)
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:

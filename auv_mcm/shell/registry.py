@@ -38,6 +38,7 @@ COMMANDS: Final[dict[str, str]] = {
     "batch": "sim_replay.commands.batch:add",
     "export": "sim_replay.commands.export:add",
     "report": "sim_replay.commands.report:add",
+    "verdicts": "sim_replay.commands.verdicts:add",
     "run": "auv_mcm.commands.run:add",
     "status": "auv_mcm.commands.status:add",
     "simulate": "sim_replay.commands.simulate:add",
@@ -54,7 +55,7 @@ COMMANDS: Final[dict[str, str]] = {
 
 COMPLETION: Final = "sim_replay.completion:completion"
 COMMAND_GROUPS: Final = {
-    "look at missions": ("info", "view", "replay", "report", "export", "batch"),
+    "look at missions": ("info", "view", "replay", "report", "verdicts", "export", "batch"),
     "on the vehicle": ("run", "status", "check", "config"),
     "simulate and test": ("simulate", "score", "augment", "hil"),
     "fit and measure, for those who change the models": ("train", "calibrate", "bench"),

@@ -619,8 +619,11 @@ class Service:
             self._report_recording()
             self._report_lost_pings()
             line = await self._show_health(queue, perception)
-            log.info("health %s", line)
+            log.log(logging.WARNING if self._is_at_fault() else logging.INFO, "health %s", line)
             report(f"STATUS={line}")
+
+    def _is_at_fault(self) -> bool:
+        return self._newest_health is not None and self._newest_health.state == "fault"
 
     async def _show_health(self, queue: EventQueue, perception: LastingPerception) -> str:
         """Measure and judge how the payload is, and hand that to monitors. Returns the health line."""

@@ -32,11 +32,22 @@ class _HeldBlock(NamedTuple):
 
 
 class Waterfall:
-    """Stream blocks of pings into tiles; count everything rejected in `counters`."""
+    """Stream blocks of pings into tiles; count everything rejected in `counters`.
 
-    def __init__(self, config: Config, transfer: Transfer, overlap_m: float, counters: Counter[str]) -> None:
+    reference_pings: over which the response is averaged that levels are measured against; 0 for levels as recorded.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        transfer: Transfer,
+        overlap_m: float,
+        counters: Counter[str],
+        reference_pings: float = REFERENCE_PINGS,
+    ) -> None:
         self._config = config
         self._counters = counters
+        self._reference_pings = reference_pings
         self.read_as(transfer)
         self._grid = AlongTrackGrid(config.waterfall.row_spacing_m, config.waterfall.max_ping_gap_m)
         self._cutter = TileCutter(config.waterfall, overlap_m)
@@ -48,7 +59,7 @@ class Waterfall:
             side: TraceChecker(side, transfer, self._config.sonar.full_scale, self._counters) for side in SIDES
         }
         self._curves = {side: AngleCurve() for side in SIDES}
-        self._references = {side: AngleCurve(REFERENCE_PINGS) for side in SIDES}
+        self._references = {side: AngleCurve(self._reference_pings) for side in SIDES}
         self._gains = {side: GainStepFilter() for side in SIDES}
         self._tracker = BottomTracker(self._config.sonar.blank_m)
 
@@ -138,11 +149,12 @@ class Waterfall:
         # A few columns are enough for an angle response, which changes slowly.
         n_columns = mask.shape[1]
         some = np.minimum(np.arange(LEVEL_COLUMNS // 2, n_columns + LEVEL_COLUMNS // 2, LEVEL_COLUMNS), n_columns - 1)
-        log_few, learnable_few = np.take(log_intensity, some, axis=1), np.take(learnable, some, axis=1)
-        reference = self._references[side].learn(
-            log_few, learnable_few, np.take(geometry.tangent, some, axis=1), level_row
-        )
-        return SideImage(intensity, mask, (curve[:, some] - reference).astype(np.float32)[level_row])
+        offset = curve[:, some]
+        if self._reference_pings:
+            log_few, learnable_few = np.take(log_intensity, some, axis=1), np.take(learnable, some, axis=1)
+            tangent = np.take(geometry.tangent, some, axis=1)
+            offset = offset - self._references[side].learn(log_few, learnable_few, tangent, level_row)
+        return SideImage(intensity, mask, offset.astype(np.float32)[level_row])
 
     def _turning(self, side: Side, block: PingBlock, first_return_m: NDArray[np.float64]) -> Turning:
         """Compute the rotation that spreads or squeezes the pings on the bottom.

@@ -114,8 +114,12 @@ class BrowserPage:
 
     async def screenshot(self, path: Path, *, kind: str = "webp", quality: int = 80) -> None:
         """Save a picture of the window."""
-        found = await self.command("Page.captureScreenshot", format=kind, quality=quality)
-        path.write_bytes(base64.b64decode(found["data"]))
+        path.write_bytes(await self.captured(kind, quality=quality))
+
+    async def captured(self, kind: str, **options: int) -> bytes:
+        """Take a picture of the window: the bytes of a png, jpeg or webp file."""
+        found = await self.command("Page.captureScreenshot", format=kind, **options)
+        return base64.b64decode(found["data"])
 
     def _note(self, found: dict[str, Any]) -> None:
         match found.get("method"):

@@ -108,6 +108,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--pictures", metavar="DIR", type=Path, help="folder for screenshots of the documentation")
     parser.add_argument(
+        "--animation", metavar="FILE.webp", type=Path, help="instead, film how contacts of the scene demo are judged"
+    )
+    parser.add_argument(
         "--frames",
         action="store_true",
         help=f"instead, count frames of a page with {HOURS:g} h and {N_CONTACTS} contacts",
@@ -122,6 +125,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out.exists() and not arguments.out.is_dir():
         raise UsageError(f"--out {arguments.out} is a file. Name a folder")
     arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.animation is not None:
+        from sim_replay.benches.view_animation import film_view
+
+        print(f"{asyncio.run(film_view(arguments.out, arguments.animation))} frames: {arguments.animation}")
+        return 0
     if arguments.frames:
         with tempfile.TemporaryDirectory(dir=arguments.out) as name:
             bench_frames(Path(name))

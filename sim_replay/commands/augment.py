@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
+from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config
 
 
 def add(commands: Commands) -> None:
@@ -40,6 +40,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--seabed", metavar="NAME", help="seabed type to name in the truth and in scores")
     add_config_option(parser)
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -53,6 +54,10 @@ def _run(arguments: argparse.Namespace) -> int:
     with Progress("augment") as progress:
         done = augment(arguments.log, spec, arguments.out, config, seabed=arguments.seabed, progress=progress.show)
     hidden = f"; {done.n_hidden} of all hidden by the sea floor" if done.n_hidden else ""
-    print(f"{done.n_objects} objects, {done.n_targets} of them targets{hidden}; {done.area_km2:g} km² seen")
-    print(f"log: {done.log}\ntruth: {done.truth}")
+    words = [
+        f"{done.n_objects} objects, {done.n_targets} of them targets{hidden}; {done.area_km2:g} km² seen",
+        f"log: {done.log}",
+        f"truth: {done.truth}",
+    ]
+    answer(done._asdict(), words, as_json=arguments.json)
     return 0

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
-from auv_mcm.clean_text import clean, clean_json
-from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
+from auv_mcm.clean_text import clean
+from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config
 from auv_mcm.errors import BadInputError
 from sim_replay.arguments import count
 
@@ -45,7 +44,7 @@ def add(commands: Commands) -> None:
         metavar="tcp://HOST:PORT",
         help="replay on the cluster of this dask scheduler, whose workers see the same folders",
     )
-    parser.add_argument("--json", action="store_true", help="print what came of it as JSON, for scripts")
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -63,17 +62,17 @@ def _run(arguments: argparse.Namespace) -> int:
         outcomes = list(replay_missions(tasks, farm, lambda done: progress.show(done / len(tasks))))
         objects = write_index(out, outcomes, (config or read_config(None)).contacts)
     failed = [outcome for outcome in outcomes if outcome.failure]
-    if arguments.json:
-        done = {
-            "logs": len(outcomes),
-            "failed": [{"log": outcome.log.name, "why": outcome.failure} for outcome in failed],
-            "objects": len(objects),
-            "index": str(arguments.out / "index.html"),
-        }
-        print(clean_json(json.dumps(done, ensure_ascii=False)))
-        return BadInputError.exit_code if failed else 0
-    for outcome in failed:
-        print(f"failed: {clean(outcome.log.name)}: {clean(outcome.failure)}")
-    print(f"{len(outcomes)} logs, {len(failed)} failed; {len(objects)} objects")
-    print(f"index: {clean(str(arguments.out / 'index.html'))}")
+    index = arguments.out / "index.html"
+    done = {
+        "logs": len(outcomes),
+        "failed": [{"log": outcome.log.name, "why": outcome.failure} for outcome in failed],
+        "objects": len(objects),
+        "index": index,
+    }
+    words = [
+        *(f"failed: {clean(outcome.log.name)}: {clean(outcome.failure)}" for outcome in failed),
+        f"{len(outcomes)} logs, {len(failed)} failed; {len(objects)} objects",
+        f"index: {index}",
+    ]
+    answer(done, words, as_json=arguments.json)
     return BadInputError.exit_code if failed else 0

@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import math
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Final
 
-from auv_mcm.commands import Commands, add_config_option, command, read_config, whole, write_new
+from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole, write_new
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
+
+Show = Callable[[int, int], None]
+"""Takes how many missions are flown, and of how many."""
 
 _LAST_SEED: Final = 2**32 - 1  # largest of 32 bits
 
@@ -104,7 +106,7 @@ def _add_background(kinds: Commands) -> None:
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the model, JSON")
-    parser.set_defaults(command=_run_background)
+    parser.set_defaults(command=partial(_with_progress, _run_background))
 
 
 def _add_budget(kinds: Commands) -> None:
@@ -159,7 +161,7 @@ def _add_gate(kinds: Commands) -> None:
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the gate, JSON")
-    parser.set_defaults(command=_run_gate)
+    parser.set_defaults(command=partial(_with_progress, _run_gate))
 
 
 def _add_odds(kinds: Commands) -> None:
@@ -231,7 +233,7 @@ def _add_odds(kinds: Commands) -> None:
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the weights, JSON")
-    parser.set_defaults(command=_run_odds)
+    parser.set_defaults(command=partial(_with_progress, _run_odds))
 
 
 def _add_performance(kinds: Commands) -> None:
@@ -250,7 +252,7 @@ def _add_performance(kinds: Commands) -> None:
     )
     _add_mission_options(parser, "800-815")
     parser.add_argument("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 2)")
-    parser.set_defaults(command=_run_performance)
+    parser.set_defaults(command=partial(_with_progress, _run_performance))
 
 
 def _add_seabed(kinds: Commands) -> None:
@@ -265,7 +267,7 @@ def _add_seabed(kinds: Commands) -> None:
         ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json"],
     )
     _add_mission_options(parser, "3000-3049 and 4000-4079")
-    parser.set_defaults(command=_run_seabed)
+    parser.set_defaults(command=partial(_with_progress, _run_seabed))
 
 
 def _add_sizes(kinds: Commands) -> None:
@@ -288,7 +290,7 @@ def _add_sizes(kinds: Commands) -> None:
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the law, JSON")
-    parser.set_defaults(command=_run_sizes)
+    parser.set_defaults(command=partial(_with_progress, _run_sizes))
 
 
 def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
@@ -336,11 +338,11 @@ def _run_budget(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _run_background(arguments: argparse.Namespace) -> int:
+def _run_background(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_background import background_json, calibrate_background
 
     _check_new(arguments.out)
-    write_new(arguments.out, background_json(calibrate_background(arguments.seeds, arguments.workers, _show)))
+    write_new(arguments.out, background_json(calibrate_background(arguments.seeds, arguments.workers, show)))
     return 0
 
 
@@ -367,40 +369,40 @@ def _add_verifier(kinds: Commands) -> None:
         required=True,
         help="new folder for the network and the odds",
     )
-    parser.set_defaults(command=_run_verifier)
+    parser.set_defaults(command=partial(_with_progress, _run_verifier))
 
 
-def _run_verifier(arguments: argparse.Namespace) -> int:
+def _run_verifier(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.verifier.build import N_MISSIONS, build, write_built
 
     _check_new(arguments.out)
-    built = build(arguments.looks, arguments.missions or N_MISSIONS, Farm(arguments.workers), _show, print)
+    built = build(arguments.looks, arguments.missions or N_MISSIONS, Farm(arguments.workers), show, print)
     write_built(built, arguments.out)
     print(built.tables)
     return 0
 
 
-def _run_gate(arguments: argparse.Namespace) -> int:
+def _run_gate(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
 
     _check_new(arguments.out)
-    write_new(arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, _show)))
+    write_new(arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, show)))
     return 0
 
 
-def _run_sizes(arguments: argparse.Namespace) -> int:
+def _run_sizes(arguments: argparse.Namespace, show: Show) -> int:
     from auv_mcm import __version__
     from sim_replay.fitting.fit_sizes import calibrate_sizes, size_model_json
 
     _check_new(arguments.out)
     seeds = arguments.seeds
     made_by = f"version {__version__}, auv-mcm calibrate sizes --seeds {seeds[0]}-{seeds[-1]}"
-    write_new(arguments.out, size_model_json(calibrate_sizes(seeds, arguments.workers, made_by, _show)))
+    write_new(arguments.out, size_model_json(calibrate_sizes(seeds, arguments.workers, made_by, show)))
     return 0
 
 
-def _run_odds(arguments: argparse.Namespace) -> int:
+def _run_odds(arguments: argparse.Namespace, show: Show) -> int:
     if arguments.verdicts:
         return _run_verdicts(arguments)
     from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
@@ -415,7 +417,7 @@ def _run_odds(arguments: argparse.Namespace) -> int:
         judged_logs=tuple(arguments.judge_log),
         n_log_seeds=arguments.log_seeds,
     )
-    fit_from_missions(arguments.out, missions, arguments.looks, arguments.workers, _show)
+    fit_from_missions(arguments.out, missions, arguments.looks, arguments.workers, show)
     return 0
 
 
@@ -442,7 +444,7 @@ def _run_verdicts(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _run_performance(arguments: argparse.Namespace) -> int:
+def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.detection_performance.calibrate_performance import (
         FIT_SEEDS,
@@ -456,7 +458,7 @@ def _run_performance(arguments: argparse.Namespace) -> int:
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
-    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), _show)
+    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), show)
     looks = [look for mission in missions for look in mission]
     performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
     print(performance.fitted_on)
@@ -470,7 +472,7 @@ def _run_performance(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _run_seabed(arguments: argparse.Namespace) -> int:
+def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     import msgspec
 
     from sim_replay.fitting.cascade.farm import Farm, run_tasks
@@ -480,7 +482,7 @@ def _run_seabed(arguments: argparse.Namespace) -> int:
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
     farm = Farm(arguments.workers, arguments.scheduler)
-    samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: _show(done, len(seeds)))))
+    samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: show(done, len(seeds)))))
     model = fit_seabed_model(samples, seabed_fit_words(seeds, samples.shares))
     print(model.fitted_on)
     if arguments.out is not None:
@@ -498,8 +500,10 @@ def _check_new(out: Path | None, option: str = "--out") -> None:
         raise UsageError(f"{option} {out}: there is no folder {out.parent}. Make it first")
 
 
-def _show(done: int, of: int) -> None:
-    print(f"\r{done} of {of} missions flown", end="\n" if done == of else "", file=sys.stderr, flush=True)
+def _with_progress(run: Callable[[argparse.Namespace, Show], int], arguments: argparse.Namespace) -> int:
+    """Run what flies missions, and show how many are flown and the time left."""
+    with Progress("missions") as progress:
+        return run(arguments, lambda done, of: progress.show(done / max(of, 1)))
 
 
 def _seeds(text: str) -> range:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from auv_mcm.clean_text import clean
-from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
+from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config
 from auv_mcm.errors import BadInputError, UsageError
 
 PALETTES: Final = ("copper", "grey", "viridis", "inferno")  # as of sim_replay.mosaic_files, which needs OpenCV
 BLENDS: Final = ("mean", "nearest", "max", "last")  # as of sim_replay.mosaic, for the same reason
 
 if TYPE_CHECKING:
+    from auv_mcm.records import Tile
     from sim_replay.export_source import ExportSource
     from sim_replay.mosaic import Level
 
@@ -41,12 +41,22 @@ def add(commands: Commands) -> None:
             "auv-mcm export auv-mcm-out/latest --kmz mosaic.kmz",
             "auv-mcm export results --kml judged.kml --geojson judged.geojson",
             "auv-mcm export results --mcap mission.mcap",
+            "auv-mcm export results --qgis mission.qgs --crs utm --gain survey --fade-nadir 0.3",
             "auv-mcm export results --pdf contacts.pdf --coco chips",
         ],
     )
     parser.add_argument(
         "source", metavar="SOURCE", nargs="+", type=Path, help="folder of results, folder of a session, or logs"
     )
+    _add_files(parser)
+    _add_mosaic(parser)
+    add_config_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(command=_run)
+
+
+def _add_files(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name what is written."""
     parser.add_argument(
         "--geotiff",
         metavar="FILE",
@@ -63,6 +73,13 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--gpx", metavar="FILE", type=Path, help="mine-like contacts, proposed legs and the track, for a chart plotter"
     )
+    parser.add_argument(
+        "--qgis",
+        metavar="FILE.qgs",
+        type=Path,
+        help="QGIS project of the mosaic and the layers; makes FILE.tif and FILE.gpkg unless --geotiff and --gpkg name "
+        "them",
+    )
     parser.add_argument("--kml", metavar="FILE", type=Path, help="contacts with verdicts, and missed ones")
     parser.add_argument("--geojson", metavar="FILE", type=Path, help="the same as GeoJSON")
     parser.add_argument(
@@ -70,6 +87,10 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--coco", metavar="DIR", type=Path, help="judged contacts as chips with boxes, for training")
     parser.add_argument("--yolo", metavar="DIR", type=Path, help="the same as YOLO reads them")
+
+
+def _add_mosaic(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the mosaic."""
     parser.add_argument(
         "--resolution",
         metavar="M",
@@ -113,8 +134,21 @@ def add(commands: Commands) -> None:
         help="leave out what is nearer to the track than this share of the altitude; 0.3 hides the bright line below "
         "the vehicle (default 0)",
     )
-    add_config_option(parser)
-    parser.set_defaults(command=_run)
+    parser.add_argument(
+        "--fade-nadir",
+        metavar="SHARE",
+        type=_metres(0.0),
+        default=0.0,
+        help="fade what is nearer to the track than this share of the altitude into the floor around, below other "
+        "passes (default 0)",
+    )
+    parser.add_argument(
+        "--gain",
+        choices=("local", "survey"),
+        default="local",
+        help="local: echoes against the floor within a few metres (default); survey: against the mean of the whole "
+        "survey at their range and angle, so that kinds of sea floor differ; reads the logs twice",
+    )
 
 
 def _metres(low_m: float) -> Callable[[str], float]:
@@ -133,12 +167,16 @@ def _metres(low_m: float) -> Callable[[str], float]:
 def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import find_source
 
+    if arguments.qgis is not None:
+        arguments.geotiff = arguments.geotiff or arguments.qgis.with_suffix(".tif")
+        arguments.gpkg = arguments.gpkg or arguments.qgis.with_suffix(".gpkg")
     vectors = (arguments.gpkg, arguments.gpx, arguments.kml, arguments.geojson, arguments.pdf)
     chips = (arguments.coco, arguments.yolo)
     wanted = [path for path in (arguments.geotiff, arguments.kmz, *vectors, arguments.mcap, *chips) if path is not None]
     if not wanted:
         raise UsageError(
-            "nothing to export: name --geotiff, --kmz, --gpkg, --gpx, --kml, --geojson, --mcap, --pdf, --coco or --yolo"
+            "nothing to export: name --geotiff, --qgis, --kmz, --gpkg, --gpx, --kml, --geojson, --mcap, --pdf, --coco "
+            "or --yolo"
         )
     for path in wanted:
         if not path.absolute().parent.is_dir():
@@ -154,10 +192,11 @@ def _run(arguments: argparse.Namespace) -> int:
         _write_chips(source, arguments, name)
     if arguments.geotiff is not None or arguments.kmz is not None:
         wanted[:1] = _write_mosaic(source, arguments, name) or wanted[:1]
+    if arguments.qgis is not None:
+        wanted.append(arguments.qgis)
     if arguments.mcap is not None:
         _write_mcap(source, arguments.mcap)
-    for path in wanted:
-        print(f"written: {clean(str(path))}")
+    answer({"written": wanted}, [f"written: {path}" for path in wanted], as_json=arguments.json)
     return 0
 
 
@@ -226,6 +265,8 @@ def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str
                 path = path.with_name(f"{path.stem}-{number}{path.suffix}")
             write_geotiff(path, levels, arguments.max_sigma, arguments.palette)
             written.append(path)
+    if arguments.qgis is not None:
+        _write_project(source, arguments, name, written, [levels[0] for levels in legs])
     if arguments.kmz is not None:
         from sim_replay.mosaic_files import write_kmz
         from sim_replay.vector_layers import read_layers
@@ -236,28 +277,63 @@ def _write_mosaic(source: ExportSource, arguments: argparse.Namespace, name: str
     return written
 
 
+def _write_project(
+    source: ExportSource, arguments: argparse.Namespace, name: str, mosaics: list[Path], finest: list[Level]
+) -> None:
+    from sim_replay.mosaic import Box
+    from sim_replay.qgis import write_project
+    from sim_replay.vector_layers import read_layers
+
+    assert source.results is not None
+    boxes = [level.box(0, 0, level.width, level.height) for level in finest]
+    bounds = (min, min, max, max)
+    outline = Box(*(bound(box[side] for box in boxes) for side, bound in enumerate(bounds)))
+    layers = read_layers(source.results)
+    write_project(
+        arguments.qgis, mosaics, layers, arguments.gpkg, name, outline, finest[0].epsg, bool(arguments.palette)
+    )
+
+
 def _mosaics(source: ExportSource, arguments: argparse.Namespace) -> list[list[Level]]:
     """Draw the mosaic, or one for each leg."""
-    from sim_replay.export_source import tiles
-    from sim_replay.mosaic import Mosaic, leg_numbers
+    from sim_replay.mosaic import Mosaic
+    from sim_replay.mosaic_legs import leg_numbers
     from sim_replay.projections import check_crs
 
     crs = check_crs(arguments.crs) if arguments.crs else ""
     legs: dict[int, Mosaic] = {}
     number_of = leg_numbers() if arguments.per_leg else lambda tile: 1
-    with Progress("mosaic") as progress:
-        for tile in tiles(source, progress.show):
-            number = number_of(tile)
-            if number not in legs:
-                legs[number] = Mosaic(
-                    source.config,
-                    arguments.resolution,
-                    blend=arguments.blend,
-                    crs=crs,
-                    nadir_share=arguments.mask_nadir,
-                )
-            legs[number].add(tile)
+    for tile in _levelled(source, arguments.gain):
+        number = number_of(tile)
+        if number not in legs:
+            legs[number] = Mosaic(
+                source.config,
+                arguments.resolution,
+                blend=arguments.blend,
+                crs=crs,
+                nadir_share=arguments.mask_nadir,
+                fade_share=arguments.fade_nadir,
+            )
+        legs[number].add(tile)
     found = [levels for mosaic in legs.values() if (levels := list(mosaic.levels()))]
     if not found:
         raise BadInputError("no position was recorded, so there is no mosaic. Check the navigation of the log.")
     return found
+
+
+def _levelled(source: ExportSource, gain: str) -> Iterator[Tile]:
+    """Make the tiles of the mosaic, with the gain of each place or of the whole survey taken off."""
+    from sim_replay.export_source import tiles
+
+    if gain == "local":
+        with Progress("mosaic") as progress:
+            yield from tiles(source, progress.show)
+        return
+    from sim_replay.survey_gain import SurveyGain
+
+    survey = SurveyGain()
+    with Progress("gain of the survey") as progress:
+        for tile in tiles(source, progress.show, reference_pings=0.0):
+            survey.learn(tile)
+    with Progress("mosaic") as progress:
+        yield from map(survey.applied, tiles(source, progress.show, reference_pings=0.0))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
-from auv_mcm.clean_text import clean_json
-from auv_mcm.commands import Commands, command
+from auv_mcm.commands import Commands, add_json_option, answer, command
+from auv_mcm.commands.tables import show_table
 from auv_mcm.errors import SelfCheckError, UsageError
 
 
@@ -45,7 +44,7 @@ def add(commands: Commands) -> None:
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--list", action="store_true", help="list the scenarios that ship with the package")
     instead.add_argument("--all", action="store_true", help="run all of them, one after the other")
-    parser.add_argument("--json", action="store_true", help="print a line of JSON for each scenario, for scripts")
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -53,8 +52,11 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.hil.scenario import read_scenario, shipped
 
     if arguments.list:
-        for name in shipped():
-            print(f"{name:18} {read_scenario(name).scenario.about}")
+        about = {name: read_scenario(name).scenario.about for name in shipped()}
+        if arguments.json:
+            answer({"scenarios": about}, (), as_json=True)
+        else:
+            show_table("", (), list(about.items()))
         return 0
     if arguments.all and arguments.scenarios:
         raise UsageError("--all runs every scenario that ships: leave the SCENARIO names out")
@@ -64,21 +66,24 @@ def _run(arguments: argparse.Namespace) -> int:
 
     from auv_mcm.shell.whole_files import write_file, write_json
     from sim_replay.hil.run import run_scenario  # needs the bench extra, which a list does not
-    from sim_replay.hil.verdict import as_junit, as_table, judge
+    from sim_replay.hil.verdict import as_junit, judge, table_rows
 
     failed = []
     for read in [read_scenario(name) for name in names]:
         folder = arguments.out / read.name
         if not arguments.json:
             print(f"{read.name}: {read.scenario.about}")
+        _say(f"{read.scenario.run_s:g} s of mission")
         evidence = run_scenario(read, folder, _say)
         verdicts = [judge(expectation, evidence) for expectation in read.scenario.expectations]
         if arguments.json:
             passed = all(verdict.passed for verdict in verdicts)
             found = {"scenario": read.name, "passed": passed, "expectations": [one._asdict() for one in verdicts]}
-            print(clean_json(json.dumps(found, ensure_ascii=False)), flush=True)
+            answer(found, (), as_json=True)
         else:
-            print(as_table(verdicts), end="\n\n", flush=True)
+            colours = {"passed": "green", "FAILED": "red"}
+            show_table("", ("", "Test", "Expected", "Found"), table_rows(verdicts), colours)
+            print(flush=True)
         write_json(folder / "verdict.json", [verdict._asdict() for verdict in verdicts])
         write_file(folder / "junit.xml", as_junit(read.name, verdicts))
         if not all(verdict.passed for verdict in verdicts):

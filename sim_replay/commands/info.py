@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from auv_mcm.clean_text import clean
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config
+from auv_mcm.commands.tables import show_table
 from auv_mcm.errors import AuvMcmError, BadInputError
 
 if TYPE_CHECKING:
@@ -109,31 +109,13 @@ def _mission_notices(paths: list[Path], config: Config) -> list[dict[str, str]]:
 
 
 def _show(info: dict[str, Any]) -> None:
-    """Print one log: a table by rich on a terminal, plain lines elsewhere."""
+    """Print one log."""
     if "error" in info:
         print(f"{clean(info['path'])}\n  {clean(info['error'])}\n")
         return
     rows = [(name, clean(text)) for name, text in _rows(info)]
     title = clean(info["path"])
-    if sys.stdout.isatty():
-        try:
-            from rich.console import Console
-            from rich.table import Table
-            from rich.text import Text
-        except ImportError:
-            pass
-        else:
-            table = Table(title=Text(title), show_header=False, title_justify="left")
-            table.add_column(style="bold", no_wrap=True)
-            table.add_column(overflow="fold")
-            for name, text in rows:
-                table.add_row(Text(name), Text(text))
-            Console().print(table)
-            return
-    width = max(len(name) for name, _ in rows)
-    print(title)
-    for name, text in rows:
-        print(f"  {name.ljust(width)}  {text}")
+    show_table(title, (), rows)
     print()
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from auv_mcm.clean_text import clean
-from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
+from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config, whole
 from auv_mcm.skips import ALL_SKIPS, SKIPS
 
 
@@ -83,6 +82,7 @@ def add(commands: Commands) -> None:
         default=1 << 18,
         help="read buffer; the contacts are the same (default 262144)",
     )
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -110,16 +110,21 @@ def _run(arguments: argparse.Namespace) -> int:
             progress=progress.show,
         )
     speed = f", {summary['times_real_time']:g} times real time" if summary["times_real_time"] else ""
-    print(f"{summary['pings']} pings in {summary['duration_s']:.0f} s over {summary['distance_m']:.0f} m{speed}")
-    print(
-        f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; "
-        f"{summary['covered_km2']:g} km² covered"
-    )
-    for notice in summary["notices"]:
-        print(
-            f"notice: {notice['text']}"
-            + (f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else "")
-        )
-    print(f"report: {clean(str(arguments.out / 'report.html'))}")
-    print(closing_line(summary))
+    report = arguments.out / "report.html"
+    words = [
+        f"{summary['pings']} pings in {summary['duration_s']:.0f} s over {summary['distance_m']:.0f} m{speed}",
+        (
+            f"{summary['contacts']} contacts, {summary['contacts_mine_like']} of them mine-like; "
+            f"{summary['covered_km2']:g} km² covered"
+        ),
+        *map(_notice_words, summary["notices"]),
+        f"report: {report}",
+        closing_line(summary),
+    ]
+    answer({**summary, "report": report}, words, as_json=arguments.json)
     return 0
+
+
+def _notice_words(notice: dict[str, str]) -> str:
+    place = f" ({notice['place']})" if notice["place"] and notice["place"] not in notice["text"] else ""
+    return f"notice: {notice['text']}{place}"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from auv_mcm.clean_text import clean
-from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole
+from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config, whole
 from auv_mcm.errors import UsageError
 
 
@@ -32,6 +31,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for the results (default SESSION/report)")
     parser.add_argument("--threads", metavar="N", type=whole(1, 64), default=1, help="threads that share the work")
     add_config_option(parser)
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -52,7 +52,9 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.report.report_file import REPORT, redraw_report
 
     mission = redraw_report(arguments.session).mission
-    print(f"{len(mission.verdicts)} verdicts: {clean(str(arguments.session / REPORT))}")
+    path = arguments.session / REPORT
+    found = {"verdicts": len(mission.verdicts), "report": path}
+    answer(found, [f"{len(mission.verdicts)} verdicts: {path}"], as_json=arguments.json)
     return 0
 
 
@@ -71,8 +73,9 @@ def _of_session(arguments: argparse.Namespace, session: Path) -> int:
             progress=progress.show,
             verdicts=session,
         )
-    print(
+    words = (
         f"{summary['pings']} pings so far, {summary['contacts']} contacts, {summary['contacts_mine_like']} of them "
-        f"mine-like: {clean(str(out / 'report.html'))}"
+        f"mine-like: {out / 'report.html'}"
     )
+    answer({**summary, "report": out / "report.html"}, [words], as_json=arguments.json)
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from auv_mcm.commands import Commands, command
@@ -43,7 +44,14 @@ def add(commands: Commands) -> None:
         default=0.5,
         help="minimum p_mine of a contact that counts as a call (default 0.5)",
     )
-    parser.add_argument("--json", metavar="PATH", type=Path, help="write everything as JSON, too")
+    parser.add_argument(
+        "--json",
+        metavar="PATH",
+        nargs="?",
+        const="-",
+        help="write everything as JSON to PATH, too; without a PATH, behind the files, print it and nothing else",
+    )
+    parser.add_argument("--brief", action="store_true", help="print one sentence")
     parser.add_argument(
         "--plot", metavar="PATH", type=Path, help="draw the curve of Pd over false alarms (.png, .svg, .pdf)"
     )
@@ -51,13 +59,16 @@ def add(commands: Commands) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from sim_replay.scoring import plot, score_files, score_json, table
+    from sim_replay.scoring import plot, score_files, score_json, sentence, table
 
     score = score_files(arguments.files, gate_m=arguments.gate_m, threshold=arguments.threshold)
-    print(table(score))
-    if arguments.json is not None:
+    if arguments.json == "-":
+        sys.stdout.write(score_json(score).decode())
+    else:
+        print(sentence(score) if arguments.brief else table(score))
+    if arguments.json not in (None, "-"):
         try:
-            arguments.json.write_bytes(score_json(score))
+            Path(arguments.json).write_bytes(score_json(score))
         except OSError as error:
             raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
     if arguments.plot is not None:

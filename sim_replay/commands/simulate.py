@@ -6,7 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
-from auv_mcm.commands import Commands, Progress, command, whole
+from auv_mcm.commands import Commands, Progress, add_json_option, answer, command, whole
 from auv_mcm.errors import UsageError
 
 
@@ -43,6 +43,7 @@ def add(commands: Commands) -> None:
         help="threads that share the work; the bytes are the same (default 1)",
     )
     parser.add_argument("--list", action="store_true", help="list the scenes that ship with the package")
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -52,7 +53,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.simulator.scene_file import named_scenes, read_scene
 
     if arguments.list:
-        print("\n".join(named_scenes()))
+        answer({"scenes": named_scenes()}, named_scenes(), as_json=arguments.json)
         return 0
     if arguments.scene is None or arguments.out is None:
         raise UsageError("a SCENE and --out DIR are needed; 'auv-mcm simulate --help' explains")
@@ -66,7 +67,11 @@ def _run(arguments: argparse.Namespace) -> int:
     with Progress("simulate") as progress:
         done = simulate(scene, arguments.out, threads=arguments.threads, progress=progress.show)
     speed = done.duration_s / (time.perf_counter() - start_s)
-    print(f"{done.n_pings} pings in {done.duration_s:.0f} s, {speed:.0f} times real time; {done.area_km2:g} km² swept")
-    print(f"{done.n_objects} objects, {done.n_targets} of them targets")
-    print(f"log: {done.log}\ntruth: {done.truth}")
+    words = [
+        f"{done.n_pings} pings in {done.duration_s:.0f} s, {speed:.0f} times real time; {done.area_km2:g} km² swept",
+        f"{done.n_objects} objects, {done.n_targets} of them targets",
+        f"log: {done.log}",
+        f"truth: {done.truth}",
+    ]
+    answer(done._asdict(), words, as_json=arguments.json)
     return 0

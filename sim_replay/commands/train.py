@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from auv_mcm.commands import Commands, command, whole
+from auv_mcm.commands import Commands, add_json_option, answer, command, whole
 
 _MAX_COUNT = 1_000_000  # a larger number is a slip: the training would run for years
 
@@ -60,6 +60,7 @@ def add(commands: Commands) -> None:
         help="tasks at once on this computer (default 2)",
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run the tasks on a dask cluster, tcp://HOST:PORT")
+    add_json_option(parser)
     parser.set_defaults(command=_run)
 
 
@@ -82,5 +83,5 @@ def _run(arguments: argparse.Namespace) -> int:
         farm=Farm(arguments.workers, arguments.scheduler),
         say=say,
     )
-    print(f"model: {arguments.out}")
+    answer({"model": arguments.out}, [f"model: {arguments.out}"], as_json=arguments.json)
     return 0

@@ -99,16 +99,9 @@ def judge(expectation: Expectation, evidence: Evidence) -> Verdict:
     return Verdict(expectation.test, expected, found, passed)
 
 
-def as_table(verdicts: Sequence[Verdict]) -> str:
-    """Format a line per verdict: passed or FAILED, test, expectation, outcome."""
-    rows = [
-        ("", "Test", "Expected", "Found"),
-        *(("passed" if v.passed else "FAILED", v.test, v.expected, v.found) for v in verdicts),
-    ]
-    widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    return "\n".join(
-        "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]]) for row in rows
-    )
+def table_rows(verdicts: Sequence[Verdict]) -> list[tuple[str, str, str, str]]:
+    """Give a row per verdict: passed or FAILED, test, expectation, outcome."""
+    return [("passed" if each.passed else "FAILED", each.test, each.expected, each.found) for each in verdicts]
 
 
 def as_junit(name: str, verdicts: Sequence[Verdict]) -> bytes:

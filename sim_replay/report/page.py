@@ -28,7 +28,7 @@ from sim_replay.report.map_picture import MapPicture
 from sim_replay.report.pictures import PictureStrip
 from sim_replay.structures import Member, find_structures
 from sim_replay.verdict_layers import is_missed, sorted_verdicts
-from sim_replay.verdicts import CALLS, Place, Verdict
+from sim_replay.verdicts import CALLS, Place, Verdict, count_judged, evidence_words
 
 _NOTICES_PER_CODE: Final = 5  # shown, the others are counted
 MAX_CARDS: Final = 100  # bounds the page: see MAX_ROWS
@@ -256,7 +256,8 @@ def _judgement(judged: Iterable[Verdict], missed: Sequence[Verdict]) -> str:
     names = sorted({one.by for one in verdicts})
     by = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
     alone = f"; {len(missed)} of them missed: no contact stands for them" if missed else ""
-    return f"{', '.join(counts)}{alone}; judged by {by}."
+    enough = evidence_words([count_judged(verdicts)])
+    return f"{', '.join(counts)}{alone}; judged by {by}. Of this mission alone, {enough}."
 
 
 def _facts(mission: MissionRecord, contacts: Sequence[Contact]) -> list[tuple[str, str, str]]:

@@ -12,7 +12,7 @@ from sim_replay.scoring.inputs import (
 )
 from sim_replay.scoring.plot import plot
 from sim_replay.scoring.score import Score, score_files, score_json, score_missions
-from sim_replay.scoring.table import table
+from sim_replay.scoring.table import sentence, table
 
 __all__ = [
     "ReportedContact",
@@ -28,5 +28,6 @@ __all__ = [
     "score_files",
     "score_json",
     "score_missions",
+    "sentence",
     "table",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+from auv_mcm.clean_text import tinted
 from sim_replay.scoring.breakdown import Group, PositionSpread
 from sim_replay.scoring.froc import Bootstrap, Bounds, OperatingPoint
 from sim_replay.scoring.intervals import Density, Proportion
@@ -19,6 +20,7 @@ _RATES: Final = ("Pd", "interval", "count", "FA per km²", "interval", "FA")
 def table(score: Score) -> str:
     """Lay out a score: headline first, then the curve, then where the rates come from; intervals are 95 %."""
     parts = [
+        sentence(score),
         _about(score),
         _at_threshold(score),
         _called(score),
@@ -29,9 +31,18 @@ def table(score: Score) -> str:
         _seabeds(score.seabeds),
     ]
     if len(score.missions) > 1:
-        parts.insert(5, _missions(score))
+        parts.insert(6, _missions(score))
     parts += [_confusion(score), _errors(score), _notes(score)]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def sentence(score: Score) -> str:
+    """Say in one sentence how many mines were found and how many false alarms there were, as far as is known."""
+    how = f"found at p_mine {score.threshold:g}" if score.called is None else "called"
+    point = score.called or score.at_threshold
+    n_wrong = point.false_alarms.count
+    alarms = "no false alarm" if not n_wrong else _number_of(n_wrong, "false alarm")
+    return f"{point.pd.count} of {_number_of(point.pd.of, 'mine')} {how}, {alarms} on {score.area_km2:.3g} km²."
 
 
 def _about(score: Score) -> str:
@@ -267,4 +278,5 @@ def _laid_out(header: Sequence[str], rows: Iterable[Sequence[str]], to_left: Seq
         "  ".join(f"{cell:{side}{width}}" for cell, side, width in zip(line, sides, widths, strict=True))
         for line in lines
     ]
-    return "\n".join(text.rstrip() for text in [texts[0], "-" * len(texts[0]), *texts[1:]])
+    first, *others = (text.rstrip() for text in [texts[0], "-" * len(texts[0]), *texts[1:]])
+    return "\n".join([tinted(first, "bold"), *others])

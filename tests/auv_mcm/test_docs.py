@@ -50,19 +50,30 @@ def test_every_module_named_by_a_page_exists(page: Path) -> None:
         assert any((place / name).exists() for place in places), f"{page.name} names {name}"
 
 
-def readme_yaml(key: str) -> str:
-    """The README's YAML block that has this key."""
-    blocks = re.findall(r"```yaml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+def test_the_readme_shows_before_it_lists_and_is_short() -> None:
+    text = (ROOT / "README.md").read_text("utf-8")
+    assert len(text.splitlines()) <= 60
+    (film,) = re.findall(r"\((\S+\.webp)\)", text)
+    assert text.index(film) < text.index("```sh") < text.index("| you have")
+    data = (ROOT / film).read_bytes()
+    assert data[:4] == b"RIFF"
+    assert data.count(b"ANMF") > 5, "frames of an animation"
+    assert len(data) <= 1_500_000
+
+
+def overview_yaml(key: str) -> str:
+    """The YAML block of the overview that has this key."""
+    blocks = re.findall(r"```yaml\n(.*?)```", (ROOT / "auv_mcm" / "docs" / "overview.md").read_text(), re.DOTALL)
     (block,) = (block for block in blocks if f"{key}:" in block)
     return str(block)
 
 
-def test_the_scene_of_the_readme_can_be_flown() -> None:
-    assert len(Mission(parse_scene(readme_yaml("track"), "README.md")).sea.objects) == 11
+def test_the_scene_of_the_overview_can_be_flown() -> None:
+    assert len(Mission(parse_scene(overview_yaml("track"), "overview.md")).sea.objects) == 11
 
 
-def test_the_ports_of_the_readme_can_be_opened() -> None:
-    assert [port.name for port in read_ports(parse_config(readme_yaml("ports"), "README.md"))] == ["sonar", "nav"]
+def test_the_ports_of_the_overview_can_be_opened() -> None:
+    assert [port.name for port in read_ports(parse_config(overview_yaml("ports"), "overview.md"))] == ["sonar", "nav"]
 
 
 def test_every_step_on_the_way_of_a_ping_is_in_the_code() -> None:

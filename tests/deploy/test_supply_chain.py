@@ -24,6 +24,7 @@ SOUND = {
     "jinja2": ("3.1.6", "CVE-2025-27516"),
     "onnx": ("1.21.0", "CVE-2025-51480 and later ones of the same kind"),
     "opencv-contrib-python-headless": ("4.12.0", "CVE-2025-53644"),
+    "pillow": ("11.3.0", "CVE-2025-48379"),
     "protobuf": ("6.33.5", "CVE-2025-4565, CVE-2026-0994"),
     "pymdown-extensions": ("10.16.1", "CVE-2025-68142"),
     "pytest": ("9.0.3", "CVE-2025-71176"),

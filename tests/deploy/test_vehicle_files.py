@@ -5,14 +5,19 @@ from __future__ import annotations
 import re
 from configparser import RawConfigParser
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+import yaml
 
+from auv_mcm import __version__
 from auv_mcm.cli import main
 from auv_mcm.commands import read_config
-from auv_mcm.shell.registry import SOURCES
+from auv_mcm.shell.registry import COMMANDS, SOURCES
 from auv_mcm.shell.sources import parse_source_uri
+from deploy.badges import FOLDER, GREEN, RED, badge_of_tests
 from drivers.ports import read_ports
+from sim_replay.hil.scenario import shipped
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 EXAMPLES = sorted((DEPLOY / "examples").iterdir())
@@ -33,6 +38,28 @@ def test_an_example_is_valid_and_its_ports_are_what_drivers_speak(
     assert [port.name for port in ports if port.name not in described] == []
     assert config.service.output_directory.startswith("/var/lib/auv-mcm/"), "where the unit may write"
     assert not config.vehicle.command, "an example that is run as it stands must not ask for a vehicle"
+
+
+def test_the_template_for_a_ci_runs_commands_and_scenarios_that_are_there() -> None:
+    jobs = yaml.safe_load((DEPLOY / "ci" / "github-hil.yml").read_text())["jobs"]
+    runs = [step["run"].split() for step in jobs["hil"]["steps"] if "run" in step]
+    hil = next(words for words in runs if words[:2] == ["auv-mcm", "hil"])
+    assert set(hil[2 : hil.index("--out")]) <= set(shipped())
+    assert all(words[0] != "auv-mcm" or words[1] in COMMANDS for words in runs)
+
+
+def test_badges_show_what_the_tests_came_to(tmp_path: Path) -> None:
+    """What a badge says, its title has; the colour is red where a test failed."""
+    for attributes, says, colour in (
+        ('tests="9" failures="0" errors="0" skipped="2"', "tests: 7 passed", GREEN),
+        ('tests="9" failures="1" errors="1" skipped="0"', "tests: 2 of 9 failed", RED),
+    ):
+        (tmp_path / "r.xml").write_text(f"<testsuites><testsuite {attributes}/></testsuites>")
+        drawn = ElementTree.fromstring(badge_of_tests(tmp_path / "r.xml"))
+        assert drawn.findtext("{*}title") == says
+        assert colour in ElementTree.tostring(drawn, encoding="unicode")
+    assert {path.stem for path in FOLDER.glob("*.svg")} == {"tests", "version", "python", "licence"}
+    assert __version__ in (FOLDER / "version.svg").read_text()
 
 
 def test_every_vehicle_dialect_and_sonar_has_an_example() -> None:

@@ -22,7 +22,7 @@ from sim_replay.hil.scenario import (
     SummaryRule,
     TargetsFound,
 )
-from sim_replay.hil.verdict import Evidence, Placed, as_table, contacts_of, judge, targets_of
+from sim_replay.hil.verdict import Evidence, Placed, contacts_of, judge, table_rows, targets_of
 
 LATITUDE_DEG, LONGITUDE_DEG = 43.0, 5.0
 METRES_PER_DEGREE = 111_100.0
@@ -170,13 +170,11 @@ def test_a_replay_without_contacts_compares_nothing_and_fails() -> None:
 
 def test_the_table_shows_expectation_and_outcome() -> None:
     rules: list[Rule] = [ExitCode(), NoticeRule(code="port_down", at_most=0), SummaryRule(key="none", at_least=1)]
-    table = as_table([judge(Expectation(test="ends when stopped", expected=rule), evidence()) for rule in rules])
-    first, *rows = table.splitlines()
-    assert first.split() == ["Test", "Expected", "Found"]
-    assert [row.split()[0] for row in rows] == ["passed", "FAILED", "FAILED"]
-    assert "at most 0 notices port_down" in rows[1]
-    assert rows[1].endswith(" 1")
-    assert rows[2].endswith("not in summary.json")
+    rows = table_rows([judge(Expectation(test="ends when stopped", expected=rule), evidence()) for rule in rules])
+    assert [row[0] for row in rows] == ["passed", "FAILED", "FAILED"]
+    assert rows[1][2] == "at most 0 notices port_down"
+    assert rows[1][3].endswith("1")
+    assert rows[2][3].endswith("not in summary.json")
 
 
 def test_contacts_and_targets_are_read_from_their_files() -> None:

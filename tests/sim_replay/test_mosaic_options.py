@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,12 @@ import pytest
 
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import Config
-from sim_replay.mosaic import Mosaic, leg_numbers
+from sim_replay.mosaic import Mosaic
 from sim_replay.mosaic_files import PALETTES, write_geotiff
+from sim_replay.mosaic_legs import leg_numbers
 from sim_replay.projections import check_crs, projection
+from sim_replay.survey_gain import SurveyGain
+from tests.sim_replay.report_samples import tile as plain_tile
 from tests.sim_replay.test_mosaic import tile
 
 
@@ -85,6 +89,84 @@ def test_nothing_is_drawn_nearer_than_the_share_of_the_altitude() -> None:
     whole, masked = (drawn(seen, nadir_share=share)[0].picture()[0][..., 0] > 0 for share in (0.0, 0.5))
     assert 0 < np.count_nonzero(masked) < np.count_nonzero(whole)
     assert drawn(seen, nadir_share=99.0) == []
+
+
+def test_the_line_below_the_vehicle_fades_into_the_floor_and_under_other_passes() -> None:
+    bright = tile(first_return_m=np.full(40, 6.0), intensity=np.full((40, 90), 100.0, dtype=np.float32))
+    plain, faded = (drawn(bright, fade_share=share)[0].picture()[0][..., 0] for share in (0.0, 1.5))
+    assert (faded > 0).sum() == (plain > 0).sum(), "nothing is left out"
+    assert faded[faded > 0].min() < plain[plain > 0].min()
+    assert faded.max() == plain.max(), "beyond that share of the altitude all stays"
+    dark = tile(first_return_m=np.zeros(40), intensity=np.full((40, 90), 0.1, dtype=np.float32))
+    both = drawn(bright, dark, fade_share=99.0)[0].picture()[0][..., 0]
+    alone = drawn(dark)[0].picture()[0][..., 0]
+    assert abs(float(np.median(both[both > 0])) - float(np.median(alone[alone > 0]))) <= 10, "a pass that sees it wins"
+
+
+def test_the_file_is_laid_out_for_parts_of_it_to_be_fetched(tmp_path: Path) -> None:
+    """The rules of GDAL's validator, by the offsets that tifffile reads."""
+    tifffile = pytest.importorskip("tifffile")
+    rasterio = pytest.importorskip("rasterio", reason="rasterio, which brings GDAL, is not installed")
+    mosaic = Mosaic(Config(), 0.04)
+    mosaic.add(tile())
+    write_geotiff(tmp_path / "m.tif", list(mosaic.levels()))
+    with tifffile.TiffFile(tmp_path / "m.tif") as file:
+        pages = list(file.pages)
+        directories = [page.offset for page in pages]
+        first_pixels = [min(offset for offset in page.dataoffsets if offset) for page in pages]
+        assert all(page.is_tiled for page in pages)
+        assert [page.is_reduced for page in pages] == [False] + [True] * (len(pages) - 1)
+        sizes = [page.shape[:2] for page in pages]
+    assert len(pages) >= 2
+    assert directories == sorted(directories)
+    assert directories[0] < 300
+    assert directories[-1] < min(first_pixels), "every directory lies before the first pixel"
+    assert first_pixels == sorted(first_pixels, reverse=True), "the coarsest overview comes first"
+    for finer, coarser in itertools.pairwise(sizes):
+        assert [-(-side // 2) for side in finer] == list(coarser)
+    assert max(sizes[-1]) <= 512
+    with rasterio.open(tmp_path / "m.tif") as file:
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert file.overviews(1) == [2**number for number in range(1, len(pages))]
+        whole, half = file.read(1), file.read(1, out_shape=(sizes[1][0], sizes[1][1]))
+    assert abs(np.median(whole[whole > 0].astype(float)) - np.median(half[half > 0])) < 10
+
+
+def test_a_gain_over_range_and_angle_goes_and_the_floors_stay_apart() -> None:
+    """Known pattern: spreading, a wavy beam and half a time-varied gain; two floors 6 dB apart; altitude that varies.
+
+    The bound of 0.5 dB is that of the interpolation between cells of 1 m and 2 degrees.
+    """
+    n_rows, n_columns, generator = 60, 400, np.random.default_rng(5)
+    some = np.minimum(np.arange(4, n_columns + 4, 8), n_columns - 1)
+    ground_m = (some + 0.5) * 0.12
+    survey, tiles = SurveyGain(), []
+    for number in range(24):
+        height_m = 6.0 + 3.0 * np.sin(number / 3.0 + np.arange(n_rows) / n_rows)
+        range_m, angle = np.hypot(ground_m, height_m[:, None]), np.arctan2(height_m[:, None], ground_m)
+        pattern_db = -25.0 * np.log10(range_m / 10.0) + 4.0 * np.cos(5.0 * angle) + 0.1 * range_m
+        floor_db = 6.0 * (number % 2)
+        nats = (pattern_db + floor_db + generator.normal(0.0, 0.5, pattern_db.shape)) * math.log(10.0) / 10.0
+        tiles.append(
+            plain_tile(
+                number,
+                "starboard",
+                n_rows,
+                n_columns,
+                intensity=np.ones((n_rows, n_columns), dtype=np.float32),
+                column_spacing_m=0.12,
+                first_return_m=height_m,
+                level=nats.astype(np.float32),
+            )
+        )
+        survey.learn(tiles[-1])
+    made = [10.0 * np.log10(survey.applied(one).intensity) for one in tiles]
+    first, second = (np.mean([one.mean(axis=0) for one in made[start::2]], axis=0) for start in (0, 1))
+    recorded_db = np.ptp(np.mean([one.level.mean(axis=0) for one in tiles if one.level is not None], axis=0)) * 4.343
+    assert recorded_db > 12.0
+    assert np.std(first) < 0.5
+    assert np.abs(first - first.mean()).max() < 1.0
+    assert second - first == pytest.approx(np.full(n_columns, 6.0), abs=0.5)
 
 
 def test_a_leg_ends_where_the_course_turns() -> None:

@@ -17,6 +17,9 @@ from auv_mcm.contacts.geojson import Json, collection, feature
 from auv_mcm.records import CoveragePatch
 from auv_mcm.shell.results import write_results
 from sim_replay.geopackage import write_geopackage
+from sim_replay.mosaic import Box
+from sim_replay.qgis import write_project
+from sim_replay.vector_layers import read_layers
 from tests.sim_replay.report_samples import contact, waypoints
 
 HOSTILE = "<b>\"x'; DROP TABLE contacts; --"
@@ -120,3 +123,33 @@ def test_the_style_of_contacts_covers_every_chance_once(results: Path, tmp_path:
         counts = [base.execute(f"SELECT COUNT(*) FROM chance WHERE {one}").fetchone()[0] for one in filters]
     assert sum(counts) == 1001
     assert counts == [201, 300, 300, 200]
+
+
+@pytest.mark.parametrize(("epsg", "palette", "n_legs"), [(4326, "", 1), (32633, "copper", 2)])
+def test_the_qgis_project_shows_every_layer_and_mosaic_by_a_relative_path(
+    epsg: int, palette: str, n_legs: int, results: Path, tmp_path: Path
+) -> None:
+    layers = read_layers(results)
+    (tmp_path / "maps").mkdir()
+    mosaics = [tmp_path / "maps" / f"m-{number}.tif" for number in range(n_legs)]
+    write_geopackage(tmp_path / "m.gpkg", layers)
+    outline = Box(11.0, 54.0, 13.0, 56.0)
+    write_project(
+        tmp_path / "m.qgs", mosaics, layers, tmp_path / "m.gpkg", HOSTILE, outline, epsg, is_coloured=bool(palette)
+    )
+    project = ElementTree.parse(tmp_path / "m.qgs").getroot()
+    assert project.findtext("title") == HOSTILE
+    assert project.findtext("projectCrs/spatialrefsys/authid") == f"EPSG:{epsg}"
+    assert [project.findtext(f"mapcanvas/extent/{side}") for side in ("xmin", "ymax")] == ["11.0", "56.0"]
+    sources = [layer.findtext("datasource", "") for layer in project.iter("maplayer")]
+    assert sources[-n_legs:] == [f"./maps/m-{number}.tif" for number in range(n_legs)], "the mosaic lies at the bottom"
+    assert sources[0] == "./m.gpkg|layername=contacts"
+    tables = {name for name in gdal_layers(tmp_path / "m.gpkg") if name != "layer_styles"}
+    assert {source.partition("layername=")[2] for source in sources[:-n_legs]} == tables
+    ids = [layer.findtext("id") for layer in project.iter("maplayer")]
+    assert [layer.get("id") for layer in project.iter("layer-tree-layer")] == ids
+    assert len(set(ids)) == len(ids)
+    assert all(layer.find(".//renderer-v2") is not None for layer in project.iter("maplayer") if layer.get("geometry"))
+    kinds = {renderer.get("type") for renderer in project.iter("rasterrenderer")}
+    assert kinds == {"multibandcolor" if palette else "singlebandgray"}
+    assert str(tmp_path) not in (tmp_path / "m.qgs").read_text()

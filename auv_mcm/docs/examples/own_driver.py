@@ -85,19 +85,22 @@ def commands(settings: SonarSettings) -> tuple[bytes, ...]:
     return (b"RANGE %.1f\n" % settings.range_m,) if settings.enabled else ()
 
 
+def encode(ping: Ping) -> bytes:
+    """Write a ping as the sonar sends it, for tests."""
+    sides = [trace for trace in (ping.port, ping.starboard) if trace is not None]
+    n_samples = len(sides[0].samples)
+    message = HEADER.pack(b"LS", ping.number, n_samples * sides[0].spacing_m, n_samples)
+    message += b"".join(np.clip(side.samples, 0, 65535).astype("<u2").tobytes() for side in sides)
+    return message + crc32(message).to_bytes(4, "little")
+
+
 SONAR = SonarDevice(lambda sonar: LabDecoder(), commands, sets_gain=False)
 
 
 def main(log: Path) -> None:
     """Send the pings of a log through the driver, in chunks that cut messages."""
-    wire = bytearray()
     pings = [event for event in open_log(log, Config()) if isinstance(event, Ping)]
-    for ping in pings:
-        sides = [trace for trace in (ping.port, ping.starboard) if trace is not None]
-        n_samples = len(sides[0].samples)
-        message = HEADER.pack(b"LS", ping.number, n_samples * sides[0].spacing_m, n_samples)
-        message += b"".join(np.clip(side.samples, 0, 65535).astype("<u2").tobytes() for side in sides)
-        wire += message + crc32(message).to_bytes(4, "little")
+    wire = bytearray(b"".join(map(encode, pings)))
     wire[1000::100_000] = bytes(len(wire[1000::100_000]))  # noise on the line
     decoder = SONAR.decoder(SonarConfig())
     chunks = (bytes(wire[start : start + 512]) for start in range(0, len(wire), 512))

@@ -87,6 +87,13 @@ def test_own_driver(run_example: Callable[[str], str]) -> None:
     assert n_decoded + n_refused == n_pings
 
 
+def test_test_your_driver(run_example: Callable[[str], str]) -> None:
+    printed = run_example("test_your_driver")
+    found = re.match(r"(\d+) pings decoded, in any pieces; (\d+) damaged, (\d+) lost; ([1-9]) mine-like$", printed)
+    assert found is not None, printed
+    assert found[2] == found[3]
+
+
 def test_own_log_reader(run_example: Callable[[str], str]) -> None:
     printed = run_example("own_log_reader")
     found = re.match(r"mine-like contacts: (\d+) in mission.xtf, (\d+) in the archive$", printed)
