@@ -11,7 +11,7 @@ from auv_mcm.records import Notice, Ping, Side, Tile
 
 MAX_SPACING_M: Final = 0.48
 """Range between samples beyond which nothing is credited. With pixels of 48 cm the best possible observer is sure to
-find at most 4 % of mines of the usual sizes (`auv-mcm bench resolution`, docs/resolution.md), whatever the detector; a
+find at most 4 % of mines of the usual sizes (docs/resolution.md), whatever the detector; a
 truncated cone is two such samples wide."""
 _MAX_CHANGES: Final = 64  # of one side, before old ones are forgotten: tiles overlap, and a damaged log may have many
 _SIDES: Final[tuple[Side, ...]] = ("port", "starboard")

@@ -30,7 +30,8 @@ from sim_replay.benches.mission_options import (
     chosen_scenes,
     chosen_seeds,
 )
-from sim_replay.benches.point import Judged, counted_missions, fly_augmented, judged
+from sim_replay.benches.point import Judged, fly_augmented, judged
+from sim_replay.benches.progress import counted
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SortedContacts, flown_scene
 from sim_replay.fitting.left_out import LIMITS_PER_KM2
@@ -96,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     log_seeds = chosen_draws(arguments)
     check_lines(arguments.log, log_seeds)
     tasks += [Domain(str(log), seed) for log in arguments.log for seed in log_seeds]
-    missions = list(counted_missions(run_tasks(fly_domain, tasks, Farm(arguments.workers)), len(tasks)))
+    missions = list(run_tasks(fly_domain, tasks, Farm(arguments.workers), counted(len(tasks))))
     groups = grouped(missions)
     print(report(groups, in_markdown=arguments.markdown))
     if arguments.plot is not None:

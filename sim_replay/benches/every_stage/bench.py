@@ -164,11 +164,7 @@ def _times(row: StageRow) -> tuple[float, float, float]:
     """Take median, lowest and highest time, in units of the alternative where it was measured."""
     own = row.cost
     other = row.alternative.cost if row.alternative and row.alternative.cost else Cost((1.0,))
-    return (
-        own.ms / other.ms,
-        min(own.times_ms) / max(other.times_ms),
-        max(own.times_ms) / min(other.times_ms),
-    )
+    return (own.ms / other.ms, min(own.times_ms) / max(other.times_ms), max(own.times_ms) / min(other.times_ms))
 
 
 def read_every_stage(path: Path) -> EveryStageResults:

@@ -23,13 +23,7 @@ from auv_mcm.kernels.snake_descent import Schedule
 from sim_replay.benches.every_stage.drawn_contours import SHAPE, drawn_pair, random_start
 from sim_replay.benches.every_stage.drawn_regions import aperture_drawings, draw_region
 from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
-from sim_replay.benches.every_stage.rendered_solids import (
-    CORRELATION_AREA,
-    SIZES,
-    DrawnSolid,
-    best_class,
-    draw_object,
-)
+from sim_replay.benches.every_stage.rendered_solids import CORRELATION_AREA, SIZES, DrawnSolid, best_class, draw_object
 from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
 from sim_replay.scoring.overlap import overlap
 

@@ -14,9 +14,9 @@ import pyxtf
 
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from auv_mcm.settings.config import SonarConfig
-from sim_replay.benches import framers
 from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
 from sim_replay.benches.mutations import split
+from sim_replay.fakes.damage import damaged, n_missing
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_writer import write_xtf
 
@@ -43,9 +43,9 @@ def log_rows(amount: Amount) -> list[StageRow]:
         pieces = split(whole.read_bytes(), len(pings))
         packets = [bytes(packet) for packet in pieces.packets]
         random = np.random.Generator(np.random.PCG64(12))
-        damaged = framers.damaged(packets, len(pings) // _PINGS_PER_FAULT, random)
-        hurt.write_bytes(bytes(pieces.header) + damaged.stream)
-        for path, intact in ((whole, [True] * len(pings)), (hurt, damaged.intact)):
+        hurt_packets = damaged(packets, len(pings) // _PINGS_PER_FAULT, random)
+        hurt.write_bytes(bytes(pieces.header) + hurt_packets.stream)
+        for path, intact in ((whole, [True] * len(pings)), (hurt, hurt_packets.intact)):
             kept = list(itertools.compress(wanted, intact))
             (ours, cost), (theirs, other) = timed(
                 amount.repeat,
@@ -59,10 +59,10 @@ def log_rows(amount: Amount) -> list[StageRow]:
                     stage="logs",
                     setting=f"XTF, {path.stem}, {len(pings)} pings, {sum(intact)} intact",
                     cost=cost,
-                    error=float(framers.n_missing(kept, read)),
+                    error=float(n_missing(kept, read)),
                     unit="intact pings lost",
                     limit=0.0,
-                    alternative=Alternative(name="pyxtf", cost=other, error=float(framers.n_missing(kept, found))),
+                    alternative=Alternative(name="pyxtf", cost=other, error=float(n_missing(kept, found))),
                 )
             )
     return rows

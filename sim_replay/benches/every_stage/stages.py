@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
-from collections.abc import Callable, Hashable
-from importlib import import_module
-from importlib.util import find_spec
+from collections.abc import Callable
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -18,16 +13,17 @@ from scipy import ndimage
 from auv_mcm.plan.survey import replan
 from auv_mcm.waterfall.bottom import BottomTracker
 from auv_mcm.waterfall.ground import make_traces, mean_between
-from drivers.framing import Framer
-from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.augment.direct import invert
 from sim_replay.augment.forward import BeamPattern, SeafloorScene, render_image
-from sim_replay.benches import cascade, framers, simulate, tours
+from sim_replay.benches.every_stage.cascade_rows import cascade_rows
 from sim_replay.benches.every_stage.confirmation_curves import contour_curve_rows, field_curve_rows, solid_curve_rows
 from sim_replay.benches.every_stage.confirmation_stages import contour_rows, field_rows, solid_rows
+from sim_replay.benches.every_stage.drawn_worlds import LIMITS, SEED, START, drawn_world, optimum_m2
+from sim_replay.benches.every_stage.framer_rows import framer_rows
 from sim_replay.benches.every_stage.log_reading import log_rows
-from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow, timed
+from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
 from sim_replay.benches.every_stage.sea_floor import sea_floor_rows
+from sim_replay.benches.every_stage.shadow_ends import shadow_errors_m
 
 Plane = NDArray[np.float64]
 
@@ -117,37 +113,11 @@ def bottom_rows(amount: Amount) -> list[StageRow]:
     return rows
 
 
-def cascade_rows(amount: Amount) -> list[StageRow]:
-    """Run one cascade here and in OpenCV, over the same windows; times are per million windows visited."""
-    cv2.setNumThreads(1)
-    model = cascade.drawn_model("stages")
-    shape = (192, cascade.SHAPE[1]) if amount.n < 4 else cascade.SHAPE
-    rows = []
-    for name, image in cascade.drawn_tiles(shape).items():
-        found = cascade.against_opencv(model, image, amount.repeat)
-        rows.append(
-            StageRow(
-                stage="cascade",
-                setting=f"{name} tile, a million windows",
-                cost=Cost((1e3 / found.ours,)),
-                error=float(found.n_different),
-                unit="windows decided otherwise",
-                limit=0.0,
-                alternative=Alternative(
-                    name=f"cv2.CascadeClassifier, of {found.n_visited} windows it visits",
-                    cost=Cost((1e3 / found.opencv,)),
-                    error=0.0,
-                ),
-            )
-        )
-    return rows
-
-
 def simulator_rows(amount: Amount) -> list[StageRow]:
     """Cast shadows on cells of several sizes; the reference is the closed form."""
     rows = []
     for cell_m in (0.1,) if amount.n < 4 else (0.2, 0.1, 0.05):
-        ((errors, cost),) = timed(amount.repeat, lambda cell_m=cell_m: simulate.shadow_errors_m(cell_m))  # type: ignore[misc]  # a default is its type
+        ((errors, cost),) = timed(amount.repeat, lambda cell_m=cell_m: shadow_errors_m(cell_m))  # type: ignore[misc]  # a default is its type
         rows.append(
             StageRow(
                 stage="simulator",
@@ -213,15 +183,15 @@ def planner_rows(amount: Amount) -> list[StageRow]:
     for n_contacts in (3,) if amount.n < 4 else (3, 5, 7, 9):
         worlds = []
         for number in range(amount.n):
-            random = np.random.Generator(np.random.PCG64([tours.SEED, n_contacts, number]))
-            world = tours.drawn_world(random, n_contacts, is_open=False)
-            worlds.append((world, tours.LIMITS._replace(budget_m=float(random.uniform(300.0, 2000.0)), fence=None)))
+            random = np.random.Generator(np.random.PCG64([SEED, n_contacts, number]))
+            world = drawn_world(random, n_contacts, is_open=False)
+            worlds.append((world, LIMITS._replace(budget_m=float(random.uniform(300.0, 2000.0)), fence=None)))
 
         def ours(worlds: list[Any] = worlds) -> list[float]:
-            return [replan(world, tours.START, limits, None, lambda: True).gain_m2 for world, limits in worlds]
+            return [replan(world, START, limits, None, lambda: True).gain_m2 for world, limits in worlds]
 
         def exact(worlds: list[Any] = worlds) -> list[float]:
-            return [tours.optimum_m2(world, limits) for world, limits in worlds]
+            return [optimum_m2(world, limits) for world, limits in worlds]
 
         (gains, cost), (best, other) = timed(min(amount.repeat, 3), ours, exact)
         shares = [1.0 - gain / most for gain, most in zip(gains, best, strict=True) if most > 0.0]
@@ -237,62 +207,6 @@ def planner_rows(amount: Amount) -> list[StageRow]:
             )
         )
     return rows
-
-
-def framer_rows(amount: Amount) -> list[StageRow]:
-    """Frame Ping Protocol, whole and damaged; instead, brping's parser."""
-    random = _random(4)
-    messages = framers.ping_stream_messages(random, 40 * amount.n)
-    hurt = framers.damaged(messages, 10 * amount.n, random)
-    streams = {"whole": b"".join(messages), "damaged": hurt.stream}
-    has_brping = find_spec("brping") is not None
-    rows = []
-    for name, stream in streams.items():
-        intact = hurt.intact if name == "damaged" else [True] * len(messages)
-        done = timed(
-            amount.repeat,
-            lambda stream=stream: _framed(stream),  # type: ignore[misc]  # a default is its type
-            *((lambda stream=stream: _by_brping(stream),) if has_brping else ()),
-        )
-        other = Alternative(name="brping", missing="brping is not installed: pip install bluerobotics-ping")
-        if has_brping:
-            lost = _lost(_by_brping(streams["whole"]), intact, done[1][0])
-            other = Alternative(name="brping", cost=done[1][1], error=lost)
-        rows.append(
-            StageRow(
-                stage="framers",
-                setting=f"Ping Protocol, {name}, {len(stream)} bytes",
-                cost=done[0][1],
-                error=_lost(_framed(streams["whole"]), intact, done[0][0]),
-                unit="intact messages lost",
-                limit=0.0,
-                alternative=other,
-            )
-        )
-    return rows
-
-
-def _framed(stream: bytes) -> list[Hashable]:
-    framer = Framer(PingGrammar())
-    found = [framed for at in range(0, len(stream), 4096) for framed in framer.feed(stream[at : at + 4096])]
-    return [tuple(framed.message) for framed in found + framer.finish()]
-
-
-def _by_brping(stream: bytes) -> list[Hashable]:
-    brping = import_module("brping")
-    parser, found = brping.PingParser(), list[Hashable]()
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints the numbers of messages that it does not know
-        for byte in stream:
-            if parser.parse_byte(byte) == brping.PingParser.NEW_MESSAGE:
-                found.append(bytes(parser.rx_msg.msg_data))
-    return found
-
-
-def _lost(sent: list[Hashable], intact: list[bool], found: list[Hashable]) -> float:
-    """Count intact messages that were not found, and those that were not even found among whole ones."""
-    if len(sent) != len(intact):
-        return float(abs(len(intact) - len(sent)))
-    return float(framers.n_missing([message for message, whole in zip(sent, intact, strict=True) if whole], found))
 
 
 STAGES: Final[dict[str, Callable[[Amount], list[StageRow]]]] = {

@@ -40,13 +40,7 @@ from auv_mcm.contacts.assignment import cheapest_columns
 from auv_mcm.contacts.ledger import fused_position
 from auv_mcm.contacts.pairing import MIN_COVARIANCE_M2, squared_deviation
 from auv_mcm.detect.belief import odds_of, probability
-from auv_mcm.geometry.geodesy import (
-    FLATTENING,
-    SEMI_MAJOR_M,
-    LocalFrame,
-    ecef_to_geodetic,
-    geodetic_to_ecef,
-)
+from auv_mcm.geometry.geodesy import FLATTENING, SEMI_MAJOR_M, LocalFrame, ecef_to_geodetic, geodetic_to_ecef
 from auv_mcm.geometry.shadow import shadow_height_m
 from auv_mcm.kernels import mean_field, pair_costs, shape, snake, snake_twin, soft_edges, speckle, trws
 from auv_mcm.kernels.shape import Solid

@@ -24,17 +24,7 @@ from sim_replay.benches.stability.front_rows import front_rows
 from sim_replay.benches.stability.rows import NumberResult, NumberRow, measure_row
 from sim_replay.text_tables import columns, markdown
 
-HEADER: Final = (
-    "stage",
-    "inputs",
-    "against",
-    "largest error",
-    "bound",
-    "in float32",
-    "condition",
-    "exceptions",
-    "",
-)
+HEADER: Final = ("stage", "inputs", "against", "largest error", "bound", "in float32", "condition", "exceptions", "")
 _FAILED: Final = 5  # exit code of a check that fails
 _FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 

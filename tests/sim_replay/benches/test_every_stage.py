@@ -14,10 +14,12 @@ from auv_mcm.cli import main
 from auv_mcm.kernels.trws import energy_of, trws
 from sim_replay.benches.every_stage import bench, stages
 from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since, stage_history
+from sim_replay.benches.every_stage.cascade_rows import against_opencv, drawn_model, drawn_tiles, visited_by_opencv
 from sim_replay.benches.every_stage.expansion import expanded
 from sim_replay.benches.every_stage.fit_grey_levels import fitted_model, share_wrong
 from sim_replay.benches.every_stage.grey_levels import grey_level_odds
 from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow
+from sim_replay.benches.every_stage.shadow_ends import shadow_errors_m
 from sim_replay.benches.run_time.measure import BenchMachine
 
 
@@ -120,3 +122,26 @@ def test_a_network_fitted_to_what_separates_kinds_separates_them() -> None:
 def test_the_share_wrong_weighs_all_kinds_alike() -> None:
     shares = np.eye(4, dtype=np.float32)[[0, 0, 0, 1]]
     assert share_wrong(np.array([0, 0, 0, 3]), shares) == 0.5
+
+
+@pytest.mark.parametrize("name", ["quiet", "busy"])
+def test_opencv_finds_the_same_windows(name: str) -> None:
+    found = against_opencv(drawn_model(), drawn_tiles((96, 400))[name], 1)
+    assert found.n_different == 0
+    assert found.n_visited > 1000
+    assert name == "quiet" or found.n_found > 0
+
+
+def test_opencv_skips_a_place_after_each_that_its_first_stage_rejects() -> None:
+    begun = np.zeros((3, 12), dtype=np.bool_)
+    begun[0, 4] = True
+    visited = visited_by_opencv(begun)
+    assert np.flatnonzero(visited[0]).tolist() == [0, 4, 6, 10]
+    assert np.flatnonzero(visited[2]).tolist() == [0, 4, 8]
+    assert not visited[1].any()
+
+
+def test_shadows_end_within_a_cell_of_where_they_should() -> None:
+    for cell_m in (0.1, 0.05):
+        errors_m = shadow_errors_m(cell_m)
+        assert float(np.sqrt(np.mean(errors_m**2))) < 0.6 * cell_m

@@ -1,0 +1,140 @@
+"""Measure framers: messages found in whole and damaged bytes, and what junk costs."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+from collections.abc import Hashable, Iterable
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow, timed
+from sim_replay.fakes.damage import cut, damaged, n_missing
+from sim_replay.fakes.framed_wires import WIRES, FramedWire
+from sim_replay.fakes.worst_bytes import WORST_BYTES
+
+MAX_S_PER_MB: Final = 0.3
+"""Processor time that a framer may take for a megabyte, whatever it is: 9 % of a core at 921600 baud with nothing to
+spare.
+"""
+_MESSAGES_PER_STREAM: Final = 200  # of one stream
+_FAULTS_PER_STREAM: Final = 50  # put into one stream
+_CHUNK_BYTES: Final = 4096  # of a read
+_DATAGRAM_BYTES: Final = 97  # of a small datagram, each read by itself; a prime, so that pieces are cut anywhere
+_JUNK_BYTES: Final = 20_000  # of each kind, per input
+
+
+class Campaign(NamedTuple):
+    """Count the messages of all streams of one wire that were damaged.
+
+    n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes. n_false: of those, messages
+    that nobody sent.
+    """
+
+    n_faults: int
+    n_intact: int
+    n_lost: int
+    n_other: int
+    n_false: int
+
+
+def campaign(wire: FramedWire, n_faults: int, seed: int) -> Campaign:
+    """Inject a minimum number of faults into streams of the wire's messages; equal seeds inject equal faults."""
+    total = Campaign(0, 0, 0, 0, 0)
+    stream_seed = 0
+    while total.n_faults < n_faults:
+        random = np.random.Generator(np.random.PCG64([seed, stream_seed]))
+        stream_seed += 1
+        messages = wire.messages(random, _MESSAGES_PER_STREAM)
+        keys = wire.read(messages)
+        assert len(keys) == len(messages), f"{wire.name}: not every intact message of a clean stream is read"
+        result = damaged(messages, _FAULTS_PER_STREAM, random)
+        found = wire.read(cut(result.stream, random))
+        wanted = [key for key, whole in zip(keys, result.intact, strict=True) if whole]
+        n_lost = n_missing(wanted, found)
+        n_false = sum(item not in set(keys) for item in found)
+        more = (sum(result.n_faults.values()), len(wanted), n_lost, len(found) - (len(wanted) - n_lost), n_false)
+        total = Campaign(*(sum(pair) for pair in zip(total, more, strict=True)))
+    return total
+
+
+def framer_rows(amount: Amount) -> list[StageRow]:
+    """Frame every wire's messages, whole and damaged, and its worst junk; Ping Protocol beside brping's parser."""
+    rows = []
+    for wire in WIRES:
+        random = np.random.Generator(np.random.PCG64(4))
+        messages = wire.messages(random, 40 * amount.n)
+        hurt = damaged(messages, 10 * amount.n, random)
+        whole = b"".join(messages)
+        for name, stream, intact in (("whole", whole, [True] * len(messages)), ("damaged", hurt.stream, hurt.intact)):
+            works = [partial(wire.read, [*_chunks(stream, _CHUNK_BYTES)])]
+            if wire.name == "ping_protocol" and find_spec("brping") is not None:
+                works.append(partial(_by_brping, stream))
+            (found, cost), *others = timed(amount.repeat, *works)
+            other = Alternative(name="brping", missing="brping is not installed: pip install bluerobotics-ping")
+            for theirs, their_cost in others:
+                lost = _lost(_by_brping(whole), intact, theirs)
+                other = Alternative(name="brping", cost=their_cost, error=lost)
+            rows.append(
+                StageRow(
+                    stage="framers",
+                    setting=f"{wire.name}, {name}, {len(stream)} bytes",
+                    cost=cost,
+                    error=_lost(wire.read(messages), intact, found),
+                    unit="intact messages lost",
+                    limit=0.0,
+                    alternative=other if wire.name == "ping_protocol" else None,
+                )
+            )
+        rows.append(_junk_row(wire, amount))
+    return rows
+
+
+def _lost(sent: list[Hashable], intact: list[bool], found: list[Hashable]) -> float:
+    """Count intact messages that were not found, and those that were not even found among whole ones."""
+    if len(sent) != len(intact):
+        return float(abs(len(intact) - len(sent)))
+    return float(n_missing([message for message, whole in zip(sent, intact, strict=True) if whole], found))
+
+
+def _junk_row(wire: FramedWire, amount: Amount) -> StageRow:
+    """Feed every kind of junk in chunks of 4 KiB, and a quarter in datagrams of 97 bytes; the dearest counts."""
+    noise = np.random.Generator(np.random.PCG64(2)).bytes(1 << 16)
+    worst_s, worst = 0.0, ""
+    for junk, piece in {"noise": noise, "zeros": bytes(1 << 16), **WORST_BYTES[wire.name]}.items():
+        n_bytes = _JUNK_BYTES * amount.n
+        stream = (piece * (n_bytes // len(piece) + 1))[:n_bytes]
+        for chunk_bytes, part in ((_CHUNK_BYTES, stream), (_DATAGRAM_BYTES, stream[: n_bytes // 4])):
+            reader, began_s = wire.reader(), time.thread_time()
+            for chunk in _chunks(part, chunk_bytes):
+                reader(chunk)
+            took_s = 1e6 * (time.thread_time() - began_s) / len(part)
+            if took_s >= worst_s:
+                worst_s, worst = took_s, f"{junk}, {chunk_bytes} bytes a read"
+    return StageRow(
+        stage="framers",
+        setting=f"{wire.name}, worst junk: {worst}",
+        cost=Cost((1e3 * worst_s,)),
+        error=worst_s,
+        unit="s of processor time per MB of junk",
+        limit=None if amount.n < 4 else MAX_S_PER_MB,
+    )
+
+
+def _chunks(stream: bytes, n_bytes: int) -> Iterable[bytes]:
+    return (stream[at : at + n_bytes] for at in range(0, len(stream), n_bytes))
+
+
+def _by_brping(stream: bytes) -> list[Hashable]:
+    brping = import_module("brping")
+    parser, found = brping.PingParser(), list[Hashable]()
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints the numbers of messages that it does not know
+        for byte in stream:
+            if parser.parse_byte(byte) == brping.PingParser.NEW_MESSAGE:
+                found.append(bytes(parser.rx_msg.msg_data))
+    return found
