@@ -12,7 +12,6 @@ import asyncio
 import math
 import shutil
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -25,8 +24,6 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.config import Config
 from sim_replay.benches.browser import BrowserPage, browser_page, mission_page
-from sim_replay.benches.exact_shadows import exact_heights
-from sim_replay.benches.page_frames import HOURS, N_CONTACTS, bench_frames
 from sim_replay.benches.shadow_edges import ShadowEdges, clearest_shadow
 from sim_replay.replay import replay
 from sim_replay.scoring.inputs import TruthObject, read_truth
@@ -107,11 +104,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", metavar="DIR", type=Path, required=True, help="folder for missions and results; what is there is used"
     )
     parser.add_argument("--pictures", metavar="DIR", type=Path, help="folder for screenshots of the documentation")
-    parser.add_argument(
-        "--frames",
-        action="store_true",
-        help=f"instead, count frames of a page with {HOURS:g} h and {N_CONTACTS} contacts",
-    )
     parser.add_argument("--legs", metavar="N", type=int, default=N_LEGS, help=f"legs to simulate (default {N_LEGS})")
 
 
@@ -122,10 +114,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out.exists() and not arguments.out.is_dir():
         raise UsageError(f"--out {arguments.out} is a file. Name a folder")
     arguments.out.mkdir(parents=True, exist_ok=True)
-    if arguments.frames:
-        with tempfile.TemporaryDirectory(dir=arguments.out) as name:
-            bench_frames(Path(name))
-        return 0
     if arguments.pictures is not None:
         asyncio.run(_live_picture(arguments.out, arguments.pictures))
     missions: list[tuple[str, Path, tuple[TruthObject, ...]]] = []
@@ -141,8 +129,6 @@ def run(arguments: argparse.Namespace) -> int:
         for number, (name, log, truth) in enumerate(missions)
     ]
     print(columns(_HEADER, [_line(one) for one in judged]))
-    for name, n_legs in scenes.items():
-        print(f"edges known exactly, {name}: heights {_agreement(exact_heights(_scene(name, n_legs)))}")
     return 0
 
 

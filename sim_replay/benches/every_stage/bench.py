@@ -14,7 +14,7 @@ import msgspec
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count, new_file
 from sim_replay.benches.every_stage.page import every_stage_page
-from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow
+from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow, measured
 from sim_replay.benches.every_stage.stages import STAGES
 from sim_replay.benches.run_time.bench import progress, write_result
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
@@ -24,7 +24,7 @@ from sim_replay.text_tables import NOTHING, columns, markdown
 HEADER: Final = ("stage", "setting", "ms", "error", "unit", "alternative", "its ms", "its error", "")
 _FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 _FAILED: Final = 5  # exit code of a check that fails
-_QUICK: Final = Amount(2, 1)
+_QUICK: Final = (2, 1)  # inputs and repetitions
 _N_INPUTS: Final = 8  # regions, worlds and objects of a class per row; a minute in all
 _MIN_CHANGE: Final = 0.15  # of a time: what runs of the same program differ by on a computer that is not idle
 _SAME_ERROR: Final = 1e-9  # relative, and absolute: rounding is no change of an error
@@ -63,18 +63,18 @@ def run(arguments: argparse.Namespace) -> int:
     if unknown:
         raise UsageError(f"--stages: there is no '{unknown[0]}'; the stages are {', '.join(STAGES)}")
     old = None if arguments.compare is None else read_every_stage(arguments.compare)
-    amount = _QUICK if arguments.quick else Amount(_N_INPUTS, arguments.repeat)
+    n_inputs, repeat = _QUICK if arguments.quick else (_N_INPUTS, arguments.repeat)
     load, rows = os.getloadavg()[0], list[StageRow]()
     for name in chosen:
         progress(name)
-        rows += STAGES[name](amount)
+        rows += measured(STAGES[name](n_inputs), repeat)
     progress("")
     results = EveryStageResults(
-        machine=this_machine(load), n_inputs=amount.n, repeat=amount.repeat, stages=chosen, rows=tuple(rows)
+        machine=this_machine(load), n_inputs=n_inputs, repeat=repeat, stages=chosen, rows=tuple(rows)
     )
     machine = results.machine
     print(f"{machine.processor}, {machine.cores} cores, kernels: {machine.kernels}, {machine.date}")
-    print(f"processor time of one thread, medians of {amount.repeat} repeats in turn\n")
+    print(f"processor time of one thread, medians of {repeat} repeats in turn\n")
     print((markdown if arguments.markdown else columns)(HEADER, stage_cells(results.rows)))
     for words in sorted({row.alternative.missing for row in rows if row.alternative and row.alternative.missing}):
         print(f"not measured: {words}")

@@ -8,7 +8,8 @@ fourth where its first stage rejects: windows per second are those it really vis
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -22,7 +23,7 @@ from auv_mcm.detect.cascade.codes import CodePlane, codes_of, make_plane
 from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, Calibration, CascadeModel, Stump, check_model
 from auv_mcm.detect.cascade.run import run_plane, tables_of
 from auv_mcm.kernels.cascade import CODE_OF_MEAN, Opened, WindowField, open_windows
-from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow, timed
+from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.fitting.cascade.opencv_xml import opencv_cascade
 
 ROW_M: Final = 0.12  # m along the track, of the tiles that are timed
@@ -39,43 +40,45 @@ _CODES_PER_GREY: Final = 64  # codes per level of OpenCV's 8 bits
 Image = NDArray[np.float32]
 
 
-def cascade_rows(amount: Amount) -> list[StageRow]:
+class BesideOpenCv(NamedTuple):
+    """Hold what runs a cascade here and in OpenCV.
+
+    n_windows, n_visited: that each decides on. n_found: windows passed among those that both visit; n_different: that
+    one passes and the other does not.
+    """
+
+    ours: Callable[[], object]
+    theirs: Callable[[], object]
+    n_windows: int
+    n_visited: int
+    n_found: int
+    n_different: int
+
+
+def cascade_rows(n: int) -> list[Row]:
     """Run one cascade here and in OpenCV, over the same windows; times are per million windows visited."""
     cv2.setNumThreads(1)
-    model = drawn_model()
-    shape = (192, SHAPE[1]) if amount.n < 4 else SHAPE
-    rows = []
-    for name, image in drawn_tiles(shape).items():
-        found = against_opencv(model, image, amount.repeat)
+    model, rows = drawn_model(), []
+    for name, image in drawn_tiles((192, SHAPE[1]) if n < 4 else SHAPE).items():
+        found = beside_opencv(model, image)
+        words = f"cv2.CascadeClassifier, of {found.n_visited} windows it visits"
         rows.append(
-            StageRow(
-                stage="cascade",
-                setting=f"{name} tile, a million windows",
-                cost=Cost((1e3 / found.ours,)),
-                error=float(found.n_different),
-                unit="windows decided otherwise",
-                limit=0.0,
-                alternative=Alternative(
-                    name=f"cv2.CascadeClassifier, of {found.n_visited} windows it visits",
-                    cost=Cost((1e3 / found.opencv,)),
-                    error=0.0,
-                ),
+            Row(
+                "cascade",
+                f"{name} tile, a million windows",
+                found.ours,
+                partial(_given, float(found.n_different)),
+                "windows decided otherwise",
+                0.0,
+                Other(words, found.theirs, partial(_given, 0.0), found.n_visited * 1e-6),
+                found.n_windows * 1e-6,
             )
         )
     return rows
 
 
-class AgainstOpenCv(NamedTuple):
-    """Hold speed and agreement with OpenCV.
-
-    Million windows per second, and how many windows one finds and the other does not, of those that both visit.
-    """
-
-    ours: float
-    opencv: float
-    n_visited: int
-    n_found: int
-    n_different: int
+def _given(error: float, _: object) -> float:
+    return error
 
 
 def drawn_tiles(shape: tuple[int, int]) -> dict[str, Image]:
@@ -135,7 +138,7 @@ def drawn_model() -> CascadeModel:
     return model
 
 
-def against_opencv(model: CascadeModel, image: Image, n_repeats: int) -> AgainstOpenCv:
+def beside_opencv(model: CascadeModel, image: Image) -> BesideOpenCv:
     """Run a model of stages and OpenCV on an image in whole greys, all of it in one band."""
     greys = np.minimum(np.rint(image * (CODE_OF_MEAN / _CODES_PER_GREY)), 255.0).astype(np.uint8)
     exported = opencv_cascade(model, _BAND, ROW_M, COLUMN_M)
@@ -158,15 +161,15 @@ def against_opencv(model: CascadeModel, image: Image, n_repeats: int) -> Against
     def theirs() -> Sequence[Sequence[int]]:
         return classifier.detectMultiScale(greys, scaleFactor=2.0, minNeighbors=0, minSize=size, maxSize=size)
 
-    (_, ours_cost), (windows, theirs_cost) = timed(n_repeats, ours, theirs)
     found, begun = (_map_of(*ours(n_groups))[inside] for n_groups in (len(model.groups), 1))
     visited = visited_by_opencv(begun)
     found_by_opencv = np.zeros_like(found)
-    for column, row, _, _ in windows:
+    for column, row, _, _ in theirs():
         found_by_opencv[row, column] = True
-    return AgainstOpenCv(
-        ours=n_rows * n_columns / ours_cost.ms * 1e-3,
-        opencv=int(visited.sum()) / theirs_cost.ms * 1e-3,
+    return BesideOpenCv(
+        ours=ours,
+        theirs=theirs,
+        n_windows=n_rows * n_columns,
         n_visited=int(visited.sum()),
         n_found=int((found & visited).sum()),
         n_different=int((found_by_opencv != (found & visited)).sum()),

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow, timed
+from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.fakes.damage import cut, damaged, n_missing
 from sim_replay.fakes.framed_wires import WIRES, FramedWire
 from sim_replay.fakes.worst_bytes import WORST_BYTES
@@ -63,35 +63,25 @@ def campaign(wire: FramedWire, n_faults: int, seed: int) -> Campaign:
     return total
 
 
-def framer_rows(amount: Amount) -> list[StageRow]:
+def framer_rows(n: int) -> list[Row]:
     """Frame every wire's messages, whole and damaged, and its worst junk; Ping Protocol beside brping's parser."""
     rows = []
+    missing = "" if find_spec("brping") is not None else "brping is not installed: pip install bluerobotics-ping"
     for wire in WIRES:
         random = np.random.Generator(np.random.PCG64(4))
-        messages = wire.messages(random, 40 * amount.n)
-        hurt = damaged(messages, 10 * amount.n, random)
-        whole = b"".join(messages)
+        messages = wire.messages(random, 40 * n)
+        hurt = damaged(messages, 10 * n, random)
+        whole, keys = b"".join(messages), wire.read(messages)
         for name, stream, intact in (("whole", whole, [True] * len(messages)), ("damaged", hurt.stream, hurt.intact)):
-            works = [partial(wire.read, [*_chunks(stream, _CHUNK_BYTES)])]
-            if wire.name == "ping_protocol" and find_spec("brping") is not None:
-                works.append(partial(_by_brping, stream))
-            (found, cost), *others = timed(amount.repeat, *works)
-            other = Alternative(name="brping", missing="brping is not installed: pip install bluerobotics-ping")
-            for theirs, their_cost in others:
-                lost = _lost(_by_brping(whole), intact, theirs)
-                other = Alternative(name="brping", cost=their_cost, error=lost)
-            rows.append(
-                StageRow(
-                    stage="framers",
-                    setting=f"{wire.name}, {name}, {len(stream)} bytes",
-                    cost=cost,
-                    error=_lost(wire.read(messages), intact, found),
-                    unit="intact messages lost",
-                    limit=0.0,
-                    alternative=other if wire.name == "ping_protocol" else None,
-                )
-            )
-        rows.append(_junk_row(wire, amount))
+            other = None
+            if wire.name == "ping_protocol":
+                theirs = [] if missing else _by_brping(whole)
+                other = Other("brping", partial(_by_brping, stream), partial(_lost, theirs, intact), missing=missing)
+            work, lost = partial(wire.read, list(_chunks(stream, _CHUNK_BYTES))), partial(_lost, keys, intact)
+            setting = f"{wire.name}, {name}, {len(stream)} bytes"
+            rows.append(Row("framers", setting, work, lost, "intact messages lost", 0.0, other))
+        junk, bound = partial(worst_junk_s_per_mb, wire, _JUNK_BYTES * n), None if n < 4 else MAX_S_PER_MB
+        rows.append(Row("framers", f"{wire.name}, worst junk", junk, float, "s per MB of junk", bound))
     return rows
 
 
@@ -102,28 +92,20 @@ def _lost(sent: list[Hashable], intact: list[bool], found: list[Hashable]) -> fl
     return float(n_missing([message for message, whole in zip(sent, intact, strict=True) if whole], found))
 
 
-def _junk_row(wire: FramedWire, amount: Amount) -> StageRow:
-    """Feed every kind of junk in chunks of 4 KiB, and a quarter in datagrams of 97 bytes; the dearest counts."""
-    noise = np.random.Generator(np.random.PCG64(2)).bytes(1 << 16)
-    worst_s, worst = 0.0, ""
-    for junk, piece in {"noise": noise, "zeros": bytes(1 << 16), **WORST_BYTES[wire.name]}.items():
-        n_bytes = _JUNK_BYTES * amount.n
+def worst_junk_s_per_mb(wire: FramedWire, n_bytes: int) -> float:
+    """Feed so much of every kind of junk in chunks of 4 KiB, and a quarter in datagrams of 97 bytes.
+
+    Returns the processor time of the dearest.
+    """
+    noise, worst_s = np.random.Generator(np.random.PCG64(2)).bytes(1 << 16), 0.0
+    for piece in (noise, bytes(1 << 16), *WORST_BYTES[wire.name].values()):
         stream = (piece * (n_bytes // len(piece) + 1))[:n_bytes]
         for chunk_bytes, part in ((_CHUNK_BYTES, stream), (_DATAGRAM_BYTES, stream[: n_bytes // 4])):
             reader, began_s = wire.reader(), time.thread_time()
             for chunk in _chunks(part, chunk_bytes):
                 reader(chunk)
-            took_s = 1e6 * (time.thread_time() - began_s) / len(part)
-            if took_s >= worst_s:
-                worst_s, worst = took_s, f"{junk}, {chunk_bytes} bytes a read"
-    return StageRow(
-        stage="framers",
-        setting=f"{wire.name}, worst junk: {worst}",
-        cost=Cost((1e3 * worst_s,)),
-        error=worst_s,
-        unit="s of processor time per MB of junk",
-        limit=None if amount.n < 4 else MAX_S_PER_MB,
-    )
+            worst_s = max(worst_s, 1e6 * (time.thread_time() - began_s) / len(part))
+    return worst_s
 
 
 def _chunks(stream: bytes, n_bytes: int) -> Iterable[bytes]:
