@@ -39,6 +39,7 @@ from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.missions import FIRST_SEED
 from sim_replay.scoring.calibration import Calibration, calibration
 from sim_replay.scoring.intervals import density, proportion
+from sim_replay.scoring.thresholds import threshold_at
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
@@ -133,9 +134,8 @@ def grouped(missions: Sequence[SortedContacts]) -> dict[str, list[SortedContacts
 
 def pd_at(missions: Sequence[SortedContacts], limit_per_km2: float) -> int:
     """Count the targets that the best threshold of p_mine finds with so many false alarms per km² or fewer."""
-    allowed = int(limit_per_km2 * sum(one.truth_km2 for one in missions))
-    false_alarms = np.sort(np.concatenate([one.background for one in missions]))[::-1]
-    above = false_alarms[allowed] if allowed < len(false_alarms) else -np.inf
+    n_allowed = limit_per_km2 * sum(one.truth_km2 for one in missions)
+    above = threshold_at(np.concatenate([one.background for one in missions]), n_allowed)
     return sum(int(np.count_nonzero(one.mines > above)) for one in missions)
 
 

@@ -11,8 +11,10 @@ from auv_mcm.errors import UsageError
 
 BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
     "chain": ("benches.run_time.bench", "run time against error of the whole chain, beside a plain script"),
-    "all": ("benches.every_stage.bench", "every stage's time against error, beside what a user would take instead"),
-    "stability": ("benches.stability.bench", "the largest error of every numerical stage, against exact arithmetic"),
+    "all": (
+        "benches.every_stage.bench",
+        "every stage's time against error, beside what a user would take instead; and under stress",
+    ),
     "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
     "soak": ("benches.soak", "the service for long, and killed: memory, counters, what is lost"),
@@ -38,6 +40,7 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
 
 _BENCHES_PAGE: Final = "Recorded missions, cost and positions"
 _STUDIES_PAGE: Final = "The source paper's experiments"
+ALIASES: Final = {"stability": ["all", "--stress"]}  # names of an older version
 FINISHED: Final = {
     ("benches-1", _BENCHES_PAGE): (
         "apertures", "archive", "augment", "cascade", "confirmation", "detect", "framers", "froc", "load", "ports",
@@ -70,7 +73,7 @@ def add(commands: Commands) -> None:
         ["auv-mcm bench chain --log mission.xtf", "auv-mcm bench scenes --help"],
     )
     parser.add_argument(
-        "bench", metavar="BENCH", choices=[*BENCHES, *sum(FINISHED.values(), ())], help="what to measure"
+        "bench", metavar="BENCH", choices=[*BENCHES, *ALIASES, *sum(FINISHED.values(), ())], help="what to measure"
     )
     parser.add_argument("arguments", metavar="...", nargs=argparse.REMAINDER, help="arguments of the bench")
     parser.set_defaults(command=_run)
@@ -85,8 +88,9 @@ def _run(chosen: argparse.Namespace) -> int:
                 "its results are and how to run it"
                 + (f"; 'auv-mcm bench {instead}' measures something like it" if instead else "")
             )
-    module, does = BENCHES[chosen.bench]
+    name, *options = ALIASES.get(chosen.bench, [chosen.bench])
+    module, does = BENCHES[name]
     bench = importlib.import_module(f"sim_replay.{module}")
-    parser = Parser(prog=f"auv-mcm bench {chosen.bench}", description=f"Measure {does}.")
+    parser = Parser(prog=f"auv-mcm bench {name}", description=f"Measure {does}.")
     bench.add_arguments(parser)
-    return int(bench.run(parser.parse_args(chosen.arguments)))
+    return int(bench.run(parser.parse_args([*options, *chosen.arguments])))

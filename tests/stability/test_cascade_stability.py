@@ -76,9 +76,10 @@ def looked_at(tile: Tile, model: CascadeModel | None = MODEL) -> TileDetections:
         result = detect_tile(tile, CONFIG, model)
     for d in result.detections:
         assert np.isfinite(
-            [d.row, d.column, d.score, d.cascade_score, d.p_mine, d.latitude_deg, d.length_m, d.width_m]
+            [d.row, d.column, d.score, d.p_mine, d.latitude_deg, d.longitude_deg, d.length_m, d.width_m]
         ).all()
         assert np.isfinite(d.covariance_m2).all()
+        assert math.isfinite(d.cascade_score) == (model is not None)
     return result
 
 
