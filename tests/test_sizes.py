@@ -46,7 +46,7 @@ LINES: Final = {
     "sim_replay/view": Limit(2_010, 2_000),
     "tests": Limit(78_300, 66_000),
 }
-LONG_FUNCTIONS: Final = Limit(32, 5)
+LONG_FUNCTIONS: Final = Limit(31, 5)
 LONG_FILES: Final = Limit(34, 0)
 
 
