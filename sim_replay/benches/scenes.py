@@ -35,7 +35,7 @@ from sim_replay.benches.mission_source import fly_through, mission_source
 from sim_replay.missions import FIRST_SEED, SCENES, served_by, untrained_alone
 from sim_replay.scoring.baseline import baseline_contacts
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, as_reported
-from sim_replay.scoring.thresholds import BestScores, best_scores, found_at
+from sim_replay.scoring.thresholds import BestScores, banded_at, best_scores, found_at
 from sim_replay.text_tables import NOTHING
 
 STEPS: Final[dict[str, LookStep]] = {
@@ -124,6 +124,11 @@ def _cost(results: Sequence[SystemResult]) -> Cell:
     return Cell(NOTHING) if math.isnan(seconds) else number(seconds)
 
 
+def _band(results: Sequence[SystemResult]) -> Cell:
+    value, low, high = banded_at([one.best for one in results], _LIMIT_PER_KM2)
+    return Cell(f"{value:.2f} ({low:.2f}-{high:.2f})", value, low, high)
+
+
 def _of_missions(column: Callable[[list[ScoredMission]], Cell]) -> Callable[[Sequence[SystemResult]], Cell]:
     return lambda results: column([one.mission for one in results])
 
@@ -145,6 +150,7 @@ EXPERIMENT: Final = Experiment(
             for limit in (10.0, 50.0, _LIMIT_PER_KM2)
         ),
         Column("at 50 not on objects", _of_missions(partial(score_columns.pd_at_limit, 50.0, on_clutter=False))),
+        Column(f"at {_LIMIT_PER_KM2:g}, missions drawn again", _band),
         PairedColumn(
             f"more at {_LIMIT_PER_KM2:g} than the plain threshold",
             lambda results: found_at([one.best for one in results], _LIMIT_PER_KM2).value or 0.0,

@@ -17,6 +17,7 @@ from sim_replay.scoring.intervals import CONFIDENCE, Proportion, proportion
 from sim_replay.scoring.layout import MissionLayout, lay_out
 from sim_replay.scoring.score import GATE_M, Score
 
+_BAND_SEED: Final = 1  # of missions drawn again, fixed so that bands repeat
 N_RESAMPLES: Final = 2000  # of missions: bounds of 95 % move by less than 0.01 with more
 
 Floats = NDArray[np.float64]
@@ -170,3 +171,15 @@ def rocks_called_at(missions: Sequence[BestScores], share: float) -> Proportion 
     """Count the rocks that are called where this share of the targets is; None if fewer targets were found."""
     targets, rocks = (np.concatenate([one[part] for one in missions]) for part in (0, 1))
     return called_at(targets, rocks, share)
+
+
+def banded_at(missions: Sequence[BestScores], limit_per_km2: float, *, seed: int = _BAND_SEED) -> Interval:
+    """Find Pd as `found_at` does, with the wider of two bounds of 95 %: of missions drawn again, and of targets.
+
+    Wilson's, which counts targets, is the wider one where all or none are found: all drawn again agree there.
+    """
+    found = found_at(missions, limit_per_km2)
+    drawn = resampled(
+        lambda some: found_at([missions[k] for k in some], limit_per_km2).value or 0.0, len(missions), seed=seed
+    )
+    return Interval(found.value or 0.0, min(drawn.low, found.low or 0.0), max(drawn.high, found.high or 0.0))

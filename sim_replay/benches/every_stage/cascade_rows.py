@@ -43,15 +43,14 @@ Image = NDArray[np.float32]
 class BesideOpenCv(NamedTuple):
     """Hold what runs a cascade here and in OpenCV.
 
-    n_windows, n_visited: that each decides on. n_found: windows passed among those that both visit; n_different: that
-    one passes and the other does not.
+    n_windows, n_visited: that each decides on. n_different: windows that one passes and the other does not, of those
+    that both visit.
     """
 
     ours: Callable[[], object]
     theirs: Callable[[], object]
     n_windows: int
     n_visited: int
-    n_found: int
     n_different: int
 
 
@@ -171,7 +170,6 @@ def beside_opencv(model: CascadeModel, image: Image) -> BesideOpenCv:
         theirs=theirs,
         n_windows=n_rows * n_columns,
         n_visited=int(visited.sum()),
-        n_found=int((found & visited).sum()),
         n_different=int((found_by_opencv != (found & visited)).sum()),
     )
 

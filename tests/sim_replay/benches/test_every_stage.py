@@ -14,7 +14,7 @@ from auv_mcm.cli import main
 from auv_mcm.kernels.trws import energy_of, trws
 from sim_replay.benches.every_stage import bench, stages
 from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since, stage_history
-from sim_replay.benches.every_stage.cascade_rows import beside_opencv, drawn_model, drawn_tiles, visited_by_opencv
+from sim_replay.benches.every_stage.cascade_rows import visited_by_opencv
 from sim_replay.benches.every_stage.expansion import expanded
 from sim_replay.benches.every_stage.fit_grey_levels import fitted_model, share_wrong
 from sim_replay.benches.every_stage.grey_levels import grey_level_odds
@@ -122,14 +122,6 @@ def test_a_network_fitted_to_what_separates_kinds_separates_them() -> None:
 def test_the_share_wrong_weighs_all_kinds_alike() -> None:
     shares = np.eye(4, dtype=np.float32)[[0, 0, 0, 1]]
     assert share_wrong(np.array([0, 0, 0, 3]), shares) == 0.5
-
-
-@pytest.mark.parametrize("name", ["quiet", "busy"])
-def test_opencv_finds_the_same_windows(name: str) -> None:
-    found = beside_opencv(drawn_model(), drawn_tiles((96, 400))[name])
-    assert found.n_different == 0
-    assert found.n_visited > 1000
-    assert name == "quiet" or found.n_found > 0
 
 
 def test_opencv_skips_a_place_after_each_that_its_first_stage_rejects() -> None:

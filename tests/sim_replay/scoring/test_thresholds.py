@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, Truth, TruthObject
 from sim_replay.scoring.score import score_missions
-from sim_replay.scoring.thresholds import best_scores, called_at, found_at, pd_at, resampled, threshold_at
+from sim_replay.scoring.thresholds import banded_at, best_scores, called_at, found_at, pd_at, resampled, threshold_at
 
 scores = st.lists(st.floats(-5.0, 5.0).map(lambda x: round(x, 1)), max_size=30)
 
@@ -84,3 +84,13 @@ def test_contacts_are_placed_on_targets_before_other_objects_and_the_best_counts
     assert sorted(found.rocks.tolist()) == [-math.inf, 0.6]
     assert sorted(found.false_alarms.tolist()) == [0.2, 0.6]
     assert found.bare.tolist() == [0.2]
+
+
+def test_a_band_holds_what_missions_drawn_again_give_and_what_so_few_targets_bound() -> None:
+    good, bad = best_scores(mission({0.0: 0.9}, here(0.0))), best_scores(mission({}, here(0.0)))
+    assert tuple(banded_at([good] * 4, 10.0)) == pytest.approx((1.0, 0.5101, 1.0), abs=1e-4)  # Wilson's of 4 of 4
+    assert banded_at([good, bad] * 20, 10.0)[:1] == (0.5,)
+    many = [good] * 30 + [best_scores(mission({}, *map(here, (0.0, 100.0, 200.0, 300.0))))]
+    value, low, high = banded_at(many, 10.0)
+    wilson = found_at(many, 10.0)
+    assert low < (wilson.low or 0.0) < value < (wilson.high or 0.0) < high
