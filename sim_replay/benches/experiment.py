@@ -79,6 +79,7 @@ class Experiment(NamedTuple, Generic[Result]):
     a module's top level, so that processes can share the work. n_draws: of targets per recorded line; 0 if it takes
     none. by_scene: whether each scene has rows of its own, before those of all. add_options: adds the experiment's own
     options, of which `own_options` names those that `fly` needs. words: says below the table what fits in no column.
+    draw: does what further options ask for. A mission may lack variants, but for the first where figures are paired.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Experiment(NamedTuple, Generic[Result]):
     add_options: Callable[[argparse.ArgumentParser], None] = lambda parser: None
     own_options: tuple[str, ...] = ()
     words: Callable[[Sequence[Mapping[str, Result]]], str] = lambda flown: ""
+    draw: Callable[[argparse.Namespace, Sequence[Mapping[str, Result]]], None] = lambda arguments, flown: None
 
 
 class ExperimentRow(msgspec.Struct, frozen=True):
@@ -192,6 +194,7 @@ def run_experiment(experiment: Experiment[Any], arguments: argparse.Namespace) -
     if old is not None:
         print("\nmoved:\n" + ("\n".join(moved_figures(old, results)) or "nothing"))
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
+    experiment.draw(arguments, flown)
     return 0
 
 
@@ -235,6 +238,7 @@ def experiment_rows(
         )
         for title, some in groups.items()
         for variant in experiment.variants
+        if any(variant in one for one in some)
     ]
 
 
@@ -286,6 +290,7 @@ def _cell(
     variant: str,
     flown: Sequence[Mapping[str, Result]],
 ) -> Cell:
+    flown = [one for one in flown if variant in one]
     own = [one[variant] for one in flown]
     if isinstance(column, Column):
         return column.of(own)
