@@ -152,9 +152,7 @@ def _draw(figure: Figure, n_rows: int, number: int, name: str, found: Calibratio
     axes = figure.add_subplot(n_rows, _COLUMNS, number)
     shares = [one.on_mines for one in found.bins]
     middle = np.array([one.mean_p_mine for one in found.bins])
-    value, low, high = (
-        np.array([getattr(bar, part) or 0.0 for bar in shares]) for part in ("value", "low", "high")
-    )
+    value, low, high = (np.array([getattr(bar, part) or 0.0 for bar in shares]) for part in ("value", "low", "high"))
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
     axes.errorbar(middle, value, yerr=np.abs([value - low, high - value]), fmt="o", markersize=3.0, color="#1f4e79")
     error = "" if found.error is None else f", error {found.error:.3f}"

@@ -12,11 +12,13 @@ from auv_mcm.records import Tile
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import kind_indices, seabed_odds, shipped_seabed_model
 from auv_mcm.seabed.texture import Texture, measure_texture
-from sim_replay.benches.every_stage.fit_grey_levels import JUDGED_SEEDS, MIN_KNOWN, share_wrong
 from sim_replay.benches.every_stage.grey_levels import grey_level_inputs, grey_level_odds, shipped_grey_levels
 from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.fitting.seabed.samples import drawn_mission, tiles_of, true_shares
 
+JUDGED_SEEDS: Final = range(91010, 91020)
+"""A mission like each of the ten named scenes; none was fitted on."""
+MIN_KNOWN: Final = 0.5  # of a cell's places, as where the payload's model is fitted
 _MAX_WRONG: Final = 0.3  # of cells of each kind; a check for what is broken, drawn missions differ much
 _OTHER: Final = "scikit-image grey-level co-occurrence"
 
@@ -74,6 +76,12 @@ def sea_floor_rows(n: int) -> list[Row]:
         Row("sea floor", f"{name}, {cells}", work, wrong, unit, _MAX_WRONG, other)
         for name, work in (("each cell alone", alone), ("with neighbours", with_neighbours))
     ]
+
+
+def share_wrong(found: NDArray[np.integer], shares: NDArray[np.floating]) -> float:
+    """Measure the share of cells taken for another kind than most of them is, the mean over the kinds there are."""
+    true = shares.argmax(axis=1)
+    return float(np.mean([np.mean(found[true == kind] != kind) for kind in np.unique(true)]))
 
 
 def _first_tile(seed: int) -> _Judged:

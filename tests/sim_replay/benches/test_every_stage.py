@@ -16,9 +16,8 @@ from sim_replay.benches.every_stage import bench, stages
 from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since, stage_history
 from sim_replay.benches.every_stage.cascade_rows import visited_by_opencv
 from sim_replay.benches.every_stage.expansion import expanded
-from sim_replay.benches.every_stage.fit_grey_levels import fitted_model, share_wrong
-from sim_replay.benches.every_stage.grey_levels import grey_level_odds
 from sim_replay.benches.every_stage.rows import Alternative, Cost, Other, Row, StageRow, measured
+from sim_replay.benches.every_stage.sea_floor import share_wrong
 from sim_replay.benches.every_stage.shadow_ends import shadow_errors_m
 from sim_replay.benches.run_time.measure import BenchMachine
 
@@ -108,15 +107,6 @@ def test_a_history_has_a_row_per_stage_and_a_dash_where_one_was_not_measured() -
     assert (first, second) == ("made here", "another")
     assert cells == ["time 0.1 of other; error 1, its 3: m"] * 2
     assert dashed == ["-", cells[0]]
-
-
-def test_a_network_fitted_to_what_separates_kinds_separates_them() -> None:
-    random = np.random.Generator(np.random.PCG64(5))
-    kind = random.integers(0, 4, 3000)
-    inputs = 4.0 * np.eye(4)[kind] + random.normal(size=(3000, 4))
-    shares = np.eye(4, dtype=np.float32)[kind]
-    model = fitted_model(inputs[:2000], shares[:2000], "made here")
-    assert share_wrong(grey_level_odds(inputs[2000:], model).argmax(axis=1), shares[2000:]) < 0.05
 
 
 def test_the_share_wrong_weighs_all_kinds_alike() -> None:
