@@ -38,8 +38,8 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
 }
 
-_BENCHES_PAGE: Final = "Recorded missions, cost and positions"
-_STUDIES_PAGE: Final = "The source paper's experiments"
+_BENCHES_PAGE: Final = "docs/results.md, 'Finished benches',"
+_STUDIES_PAGE: Final = "docs/source-paper.md"
 ALIASES: Final = {"stability": ["all", "--stress"]}  # names of an older version
 FINISHED: Final = {
     ("benches-1", _BENCHES_PAGE): (
@@ -84,8 +84,8 @@ def _run(chosen: argparse.Namespace) -> int:
         if chosen.bench in names:
             instead = INSTEAD.get(chosen.bench)
             raise UsageError(
-                f"'{chosen.bench}' is finished, and kept in the sources at the tag {tag}: the page '{page}' says where "
-                "its results are and how to run it"
+                f"'{chosen.bench}' is finished, and kept in the sources at the tag {tag}: {page} says where its "
+                "results are and how to run it"
                 + (f"; 'auv-mcm bench {instead}' measures something like it" if instead else "")
             )
     name, *options = ALIASES.get(chosen.bench, [chosen.bench])

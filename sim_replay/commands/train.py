@@ -71,8 +71,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
     if arguments.kind == "classical":
         raise UsageError(
-            "--kind classical is finished, and kept in the sources at the tag benches-1: the page 'Recorded missions, "
-            "cost and positions' says how to run it. Train --kind soft"
+            "--kind classical is finished, and kept in the sources at the tag benches-1: docs/results.md, 'Finished "
+            "benches', says how to run it. Train --kind soft"
         )
     started_s = time.monotonic()
 
