@@ -9,12 +9,12 @@ from collections.abc import Hashable, Iterable
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from sim_replay.benches.every_stage.rows import Other, Row
-from sim_replay.fakes.damage import cut, damaged, n_missing
+from sim_replay.fakes.damage import damaged, n_missing
 from sim_replay.fakes.framed_wires import WIRES, FramedWire
 from sim_replay.fakes.worst_bytes import WORST_BYTES
 
@@ -22,45 +22,9 @@ MAX_S_PER_MB: Final = 0.3
 """Processor time that a framer may take for a megabyte, whatever it is: 9 % of a core at 921600 baud with nothing to
 spare.
 """
-_MESSAGES_PER_STREAM: Final = 200  # of one stream
-_FAULTS_PER_STREAM: Final = 50  # put into one stream
 _CHUNK_BYTES: Final = 4096  # of a read
 _DATAGRAM_BYTES: Final = 97  # of a small datagram, each read by itself; a prime, so that pieces are cut anywhere
 _JUNK_BYTES: Final = 20_000  # of each kind, per input
-
-
-class Campaign(NamedTuple):
-    """Count the messages of all streams of one wire that were damaged.
-
-    n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes. n_false: of those, messages
-    that nobody sent.
-    """
-
-    n_faults: int
-    n_intact: int
-    n_lost: int
-    n_other: int
-    n_false: int
-
-
-def campaign(wire: FramedWire, n_faults: int, seed: int) -> Campaign:
-    """Inject a minimum number of faults into streams of the wire's messages; equal seeds inject equal faults."""
-    total = Campaign(0, 0, 0, 0, 0)
-    stream_seed = 0
-    while total.n_faults < n_faults:
-        random = np.random.Generator(np.random.PCG64([seed, stream_seed]))
-        stream_seed += 1
-        messages = wire.messages(random, _MESSAGES_PER_STREAM)
-        keys = wire.read(messages)
-        assert len(keys) == len(messages), f"{wire.name}: not every intact message of a clean stream is read"
-        result = damaged(messages, _FAULTS_PER_STREAM, random)
-        found = wire.read(cut(result.stream, random))
-        wanted = [key for key, whole in zip(keys, result.intact, strict=True) if whole]
-        n_lost = n_missing(wanted, found)
-        n_false = sum(item not in set(keys) for item in found)
-        more = (sum(result.n_faults.values()), len(wanted), n_lost, len(found) - (len(wanted) - n_lost), n_false)
-        total = Campaign(*(sum(pair) for pair in zip(total, more, strict=True)))
-    return total
 
 
 def framer_rows(n: int) -> list[Row]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,10 +12,45 @@ from hypothesis import strategies as st
 
 from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
 from drivers.sonar.sonars import SONARS
-from sim_replay.benches.every_stage.framer_rows import campaign
 from sim_replay.fakes.damage import FAULT_KINDS, cut, damaged, n_missing
 from sim_replay.fakes.framed_wires import WIRES, FramedWire, Read
 from sim_replay.fakes.worst_bytes import WORST_BYTES
+
+MESSAGES_PER_STREAM, FAULTS_PER_STREAM = 200, 50
+
+
+class Campaign(NamedTuple):
+    """Count the messages of all streams of one wire that were damaged.
+
+    n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes. n_false: of those, messages
+    that nobody sent.
+    """
+
+    n_faults: int
+    n_intact: int
+    n_lost: int
+    n_other: int
+    n_false: int
+
+
+def campaign(wire: FramedWire, n_faults: int, seed: int) -> Campaign:
+    """At least so many faults in streams of the wire's messages."""
+    total = Campaign(0, 0, 0, 0, 0)
+    stream_seed = 0
+    while total.n_faults < n_faults:
+        random = np.random.Generator(np.random.PCG64([seed, stream_seed]))
+        stream_seed += 1
+        messages = wire.messages(random, MESSAGES_PER_STREAM)
+        keys = wire.read(messages)
+        assert len(keys) == len(messages), f"{wire.name}: not every intact message of a clean stream is read"
+        result = damaged(messages, FAULTS_PER_STREAM, random)
+        found = wire.read(cut(result.stream, random))
+        wanted = [key for key, whole in zip(keys, result.intact, strict=True) if whole]
+        n_lost = n_missing(wanted, found)
+        n_false = sum(item not in set(keys) for item in found)
+        more = (sum(result.n_faults.values()), len(wanted), n_lost, len(found) - (len(wanted) - n_lost), n_false)
+        total = Campaign(*(sum(pair) for pair in zip(total, more, strict=True)))
+    return total
 
 
 def numbered(random: np.random.Generator, n: int) -> list[bytes]:
