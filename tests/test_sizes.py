@@ -30,11 +30,11 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(40_600, 35_500),
     "drivers": Limit(17_900, 15_500),
-    "sim_replay": Limit(56_270, 42_000),
+    "sim_replay": Limit(56_250, 42_000),
     "sim_replay/adaptive": Limit(830, 500),
     "sim_replay/augment": Limit(2_610, 2_400),
     "sim_replay/batch": Limit(570, 600),
-    "sim_replay/benches": Limit(13_180, 6_000),
+    "sim_replay/benches": Limit(13_160, 6_000),
     "sim_replay/commands": Limit(1_830, 700),
     "sim_replay/fakes": Limit(4_380, 3_500),
     "sim_replay/fitting": Limit(8_210, 5_200),

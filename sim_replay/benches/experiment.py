@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Generic, NamedTuple, TypeVar
@@ -19,7 +20,6 @@ from auv_mcm.errors import UsageError
 from sim_replay.arguments import count, new_file
 from sim_replay.augment.recorded_line import check_lines
 from sim_replay.benches.mission_options import add_line_options, chosen_draws, chosen_scenes, chosen_seeds
-from sim_replay.benches.progress import counted
 from sim_replay.benches.run_time.bench import write_result
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
 from sim_replay.benches.run_time.results import read_bench_file
@@ -196,6 +196,15 @@ def run_experiment(experiment: Experiment[Any], arguments: argparse.Namespace) -
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
     experiment.draw(arguments, flown)
     return 0
+
+
+def counted(total: int) -> Callable[[int], None]:
+    """Return what shows on standard error how many of a total are flown, and ends the line with the last."""
+
+    def show(done: int) -> None:
+        print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
+
+    return show
 
 
 def _scenes_of(experiment: Experiment[Any], arguments: argparse.Namespace) -> tuple[str, ...]:
