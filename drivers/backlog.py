@@ -13,8 +13,8 @@ TURN_S: Final = 0.01
 """Processor time for decoding in one turn of the event loop: signals, timers and other wires wait for no longer than
 this and one chunk."""
 MAX_WAITING_BYTES: Final = 1 << 20
-"""Per port. At 0.3 s per MB, the allowance of `auv-mcm bench framers`, junk delays other ports by no more than 0.3
-s."""
+"""Per port. At 0.3 s per MB, the allowance of `auv-mcm bench all --stages framers`, junk delays other ports by no more
+than 0.3 s."""
 _CHUNK_BYTES: Final = (
     256  # that a chunk counts for besides its own: what is done for each, however short, takes about 0.1 ms
 )

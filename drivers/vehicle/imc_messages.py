@@ -10,9 +10,8 @@ in the table; the layouts are those of IMC.xml. Two messages are the payload's o
 parties (1000 and above), because IMC has none for a contact: MineContact (1700) and its answer MineContactTaken (1701).
 
 The codec is our own. imcpy, the public one, decodes a sound packet just as well and serves the tests as oracle, but its
-stream parser (1.1.2) believes lengths before checksums: in the fault campaign of `auv-mcm bench framers` it lost 4135
-of 6828 intact packets, this one none. And it neither reads nor writes messages that its table does not have, such as
-the two of our own.
+stream parser (1.1.2) believes lengths before checksums: in a campaign of faults it lost 4135 of 6828 intact packets,
+this one none. And it neither reads nor writes messages that its table does not have, such as the two of our own.
 """
 
 from __future__ import annotations

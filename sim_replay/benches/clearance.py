@@ -6,8 +6,8 @@ auv-mcm bench clearance                           flies, judges and prints
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Final
 
 import msgspec
@@ -18,43 +18,25 @@ from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
 from auv_mcm.clearance.detection_performance import shipped_performance
 from auv_mcm.clearance.residual import DOUBTFUL_SHARE, remaining_about, without_contact
 from auv_mcm.contacts.contact import is_mine_like
-from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch
-from auv_mcm.shell.whole_files import write_file
-from sim_replay.benches.mission_options import add_scene_options, chosen_scenes, chosen_seeds
-from sim_replay.benches.progress import counted
-from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.fitting.detection_performance.looks import GATE_M
-from sim_replay.missions import config_for
-from sim_replay.scoring.matching import gates_m
-from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import TARGET_KINDS
-from sim_replay.simulator.scene_file import read_scene
-from sim_replay.text_tables import columns, markdown
-
-FIRST_SEED: Final = 91001  # of missions that nothing was fitted on
-_HEADER = (
-    "scene",
-    "missions",
-    "targets",
-    "found",
-    "by the tables",
-    "left",
-    "expected",
-    "in the interval",
-    "expected, scene left out",
-    "in it",
+from sim_replay.benches.experiment import (
+    Cell,
+    Column,
+    Experiment,
+    Task,
+    add_experiment_arguments,
+    number,
+    run_experiment,
 )
+from sim_replay.benches.mission_source import fly_through, mission_source
+from sim_replay.fitting.detection_performance.looks import GATE_M
+from sim_replay.missions import SCENES
+from sim_replay.scoring.matching import gates_m
+from sim_replay.simulator.scene import TARGET_KINDS, Scene
 
-
-class ClearanceTask(msgspec.Struct, frozen=True, kw_only=True):
-    """Name a mission over a named scene, with its mines or without."""
-
-    scene: str
-    seed: int
-    with_targets: bool
+CHAIN: Final = "as shipped"
 
 
 class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,7 +47,6 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
     p_doubtful: sum of p_mine over contacts not called. p_detected: mean over what was searched.
     """
 
-    scene: str
     n_targets: int
     n_found: int
     by_tables: float
@@ -87,63 +68,31 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
         return remaining.low <= self.n_left <= remaining.high
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `auv-mcm bench clearance`."""
-    add_scene_options(parser, FIRST_SEED)
-    parser.add_argument("--without-mines", action="store_true", help="take the mines out of the scenes")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write what was judged to FILE")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code.
-
-    Raises UsageError for unknown scenes and a file that cannot be written.
-    """
-    names = chosen_scenes(arguments.scenes)
-    seeds = chosen_seeds(arguments)
-    tasks = [
-        ClearanceTask(scene=name, seed=seed, with_targets=not arguments.without_mines)
-        for name in names
-        for seed in seeds
-    ]
-    missions = list(run_tasks(judged, tasks, Farm(arguments.workers), counted(len(tasks))))
-    print(f"{len(missions)} missions, seeds {seeds[0]} to {seeds[-1]} of each scene\n")
-    print(report(missions, arguments.markdown))
-    if arguments.json is not None:
-        try:
-            write_file(arguments.json, msgspec.json.format(msgspec.json.encode(missions)))
-        except OSError as error:
-            raise UsageError(f"--json {arguments.json} cannot be written: {error.strerror}") from error
-    return 0
-
-
-def judged(task: ClearanceTask) -> JudgedClearance:
-    """Fly one mission with the whole chain."""
-    scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
-    if not task.with_targets:
-        scene = msgspec.structs.replace(
-            scene, scatter=tuple(some for some in scene.scatter if some.kind not in TARGET_KINDS)
-        )
-    mission = Mission(scene)
-    pipeline = Pipeline(config_for(scene))
+def fly(task: Task) -> dict[str, JudgedClearance]:
+    """Fly one mission with the whole chain, with its mines or without."""
     searched = ClearanceMap(shipped_performance())
-    for event in mission.events():
-        for result in pipeline.feed(event):
-            if isinstance(result, CoveragePatch):
-                searched.add(result)
-    for result in pipeline.finish():
-        if isinstance(result, CoveragePatch):
-            searched.add(result)
+    change = without_mines if task.options["without_mines"] else lambda scene: scene
+    with mission_source(task, change) as source:
+        pipeline = Pipeline(source.config)
+        fly_through(
+            source.events, {CHAIN: pipeline}, lambda one: searched.add(one) if isinstance(one, CoveragePatch) else None
+        )
+        truth = source.truth()
     clearance = searched.snapshot()
     assert clearance is not None  # a named scene is seen
-    targets = [item for item in mission.truth()["objects"] if item["is_target"] and item["looks"]]
-    return judge_mission(
-        task.scene, clearance, pipeline.contacts, [(target["lat"], target["lon"]) for target in targets]
+    targets = [(one.latitude_deg, one.longitude_deg) for one in truth.objects if one.is_target and one.looks]
+    return {CHAIN: judge_mission(clearance, pipeline.contacts, targets)}
+
+
+def without_mines(scene: Scene) -> Scene:
+    """Take the mines out of a scene."""
+    return msgspec.structs.replace(
+        scene, scatter=tuple(some for some in scene.scatter if some.kind not in TARGET_KINDS)
     )
 
 
 def judge_mission(
-    scene: str, clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]
+    clearance: Clearance, contacts: Sequence[Contact], targets_deg: Sequence[tuple[float, float]]
 ) -> JudgedClearance:
     """Compare a search with where targets really lie, latitude and longitude in degrees."""
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
@@ -158,7 +107,6 @@ def judge_mission(
     inside = (east >= 0) & (east < n_east) & (north >= 0) & (north < n_north)
     p_detected = clearance.p_detected
     return JudgedClearance(
-        scene=scene,
         n_targets=len(at_m),
         n_found=int(np.count_nonzero((distance_m <= gates_m(GATE_M, sigma_m)).any(axis=1))),
         by_tables=float(p_detected[north[inside], east[inside]].sum()),
@@ -174,36 +122,41 @@ def fitted_share(missions: Sequence[JudgedClearance]) -> float:
     return max(left / doubtful, 0.0) if doubtful > 0.0 else 0.0
 
 
-def report(missions: Sequence[JudgedClearance], in_markdown: bool = False) -> str:
-    """Lay out missions by scene and all together.
+def _add_without_mines(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--without-mines", action="store_true", help="take the mines out of the scenes")
 
-    The share that the scene's estimates use is fitted on the other scenes alone.
-    """
-    names = list(dict.fromkeys(mission.scene for mission in missions))
-    shares = {
-        name: fitted_share([mission for mission in missions if mission.scene != name] or missions) for name in names
-    }
-    rows = []
-    for name in (*names, "all"):
-        some = [mission for mission in missions if name in (mission.scene, "all")]
-        counts = [len(some), sum(m.n_targets for m in some), sum(m.n_found for m in some)]
-        inside, inside_left_out = (sum(m.is_inside() for m in some), sum(m.is_inside(shares[m.scene]) for m in some))
-        rows.append(
-            [
-                name,
-                *map(str, counts),
-                f"{sum(m.by_tables for m in some):.1f}",
-                str(sum(m.n_left for m in some)),
-                f"{sum(m.expected() for m in some):.1f}",
-                f"{inside} of {len(some)}",
-                f"{sum(m.expected(shares[m.scene]) for m in some):.1f}",
-                f"{inside_left_out} of {len(some)}",
-            ]
-        )
-    laid_out = markdown if in_markdown else columns
-    low, high = min(shares.values()), max(shares.values())
-    return laid_out(_HEADER, rows) + (
-        f"\n\nof the sum of p_mine over contacts not called {fitted_share(missions):.3f} were mines left, {low:.3f} to "
-        f"{high:.3f} with a "
-        f"scene left out; {DOUBTFUL_SHARE:g} is what the payload takes"
+
+def _words(flown: Sequence[Mapping[str, JudgedClearance]]) -> str:
+    share = fitted_share([one[CHAIN] for one in flown])
+    return (
+        f"of the sum of p_mine over contacts not called {share:.3f} were mines left; {DOUBTFUL_SHARE:g} is what the "
+        "payload takes"
     )
+
+
+def _inside(missions: Sequence[JudgedClearance]) -> Cell:
+    return Cell(f"{sum(one.is_inside() for one in missions)} of {len(missions)}")
+
+
+EXPERIMENT: Final = Experiment(
+    name="clearance",
+    scenes=SCENES,
+    first_seed=91001,  # of missions that nothing was fitted on
+    n_seeds=2,
+    variant_title="estimate",
+    variants=(CHAIN,),
+    fly=fly,
+    columns=(
+        Column("targets", lambda missions: number(sum(one.n_targets for one in missions))),
+        Column("found", lambda missions: number(sum(one.n_found for one in missions))),
+        Column("by the tables", lambda missions: number(sum(one.by_tables for one in missions), 1)),
+        Column("left", lambda missions: number(sum(one.n_left for one in missions))),
+        Column("expected", lambda missions: number(sum(one.expected() for one in missions), 1)),
+        Column("in the interval", _inside),
+    ),
+    add_options=_add_without_mines,
+    own_options=("without_mines",),
+    words=_words,
+)
+add_arguments = partial(add_experiment_arguments, EXPERIMENT)
+run = partial(run_experiment, EXPERIMENT)

@@ -6,67 +6,46 @@ auv-mcm bench decibels      flies named scenes with a logarithmic recorder, read
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
 import msgspec
 
-from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.pipeline import Pipeline
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    density,
-    run_experiment,
-    share,
-)
-from sim_replay.missions import FIRST_SEED, config_for
-from sim_replay.scoring import ScoredMission, parse_contacts, parse_truth, score_missions
-from sim_replay.scoring.thresholds import pd_at
-from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import SampleRecorder
-from sim_replay.simulator.scene_file import read_scene
+from sim_replay.benches.experiment import Column, Experiment, Task, add_experiment_arguments, run_experiment
+from sim_replay.benches.mission_source import fly_through, mission_source
+from sim_replay.benches.score_columns import density_at, pd_at_limit, pd_at_threshold
+from sim_replay.missions import FIRST_SEED
+from sim_replay.scoring.inputs import ScoredMission, as_reported
+from sim_replay.simulator.scene import SampleRecorder, Scene
 
 FACTORS: Final = {"right": 1.0, "-27%": 0.73, "-15%": 0.85, "+15%": 1.15, "+44%": 1.44}
 """Of the true decibels per count: within 15 % as most estimates are, and the worst estimates of `auv-mcm bench law`."""
 ESTIMATED: Final = "estimated"
 DB_PER_COUNT: Final = 0.3  # dB per count of the recorder simulated
-LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)  # false alarms per km² at which Pd is printed
+
+
+def recorded_as_decibels(scene: Scene) -> Scene:
+    """Give a scene an 8-bit logarithmic recorder."""
+    recorder = SampleRecorder(samples="log_uint8", db_per_count=DB_PER_COUNT)
+    return msgspec.structs.replace(scene, sonar=msgspec.structs.replace(scene.sonar, recorder=recorder))
 
 
 def fly(task: Task) -> dict[str, ScoredMission]:
-    """Fly a scene with an 8-bit logarithmic recorder and read its pings in every way."""
-    scene = read_scene(task.scene)
-    recorder = SampleRecorder(samples="log_uint8", db_per_count=DB_PER_COUNT)
-    scene = msgspec.structs.replace(
-        scene, seed=task.seed, sonar=msgspec.structs.replace(scene.sonar, recorder=recorder)
-    )
-    mission, config = Mission(scene), config_for(scene)
-    sonars = {
-        name: msgspec.structs.replace(config.sonar, transfer="log", db_per_count=DB_PER_COUNT * factor)
-        for name, factor in FACTORS.items()
-    } | {ESTIMATED: config.sonar}
-    pipelines = {name: Pipeline(msgspec.structs.replace(config, sonar=sonar)) for name, sonar in sonars.items()}
-    for event in mission.events():
-        for pipeline in pipelines.values():
-            pipeline.feed(event)
-    for pipeline in pipelines.values():
-        pipeline.finish()
-    place = f"{task.scene}, seed {task.seed}"
-    truth = parse_truth(mission.truth(), place)
+    """Fly a scene with a logarithmic recorder and read its pings in every way."""
+    with mission_source(task, recorded_as_decibels) as source:
+        config = source.config
+        sonars = {
+            name: msgspec.structs.replace(config.sonar, transfer="log", db_per_count=DB_PER_COUNT * factor)
+            for name, factor in FACTORS.items()
+        } | {ESTIMATED: config.sonar}
+        pipelines = {name: Pipeline(msgspec.structs.replace(config, sonar=sonar)) for name, sonar in sonars.items()}
+        fly_through(source.events, pipelines)
+        truth = source.truth()
     return {
-        name: ScoredMission(parse_contacts(json.loads(contacts_geojson(pipeline.contacts)), place), truth, place)
+        name: ScoredMission(as_reported(pipeline.contacts, task.scene), truth, task.scene)
         for name, pipeline in pipelines.items()
     }
-
-
-def _pd_at(missions: Sequence[ScoredMission], limit_per_km2: float) -> Cell:
-    return share(pd_at(score_missions(missions), limit_per_km2))
 
 
 EXPERIMENT: Final = Experiment(
@@ -77,9 +56,9 @@ EXPERIMENT: Final = Experiment(
     variants=(*FACTORS, ESTIMATED),
     fly=fly,
     columns=(
-        *(Column(f"Pd at {limit:g} FA/km²", partial(_pd_at, limit_per_km2=limit)) for limit in LIMITS_PER_KM2),
-        Column("Pd at p_mine 0.5", lambda missions: share(score_missions(missions).at_threshold.pd)),
-        Column("FA/km² at p_mine 0.5", lambda missions: density(score_missions(missions).at_threshold.false_alarms)),
+        *(Column(f"Pd at {limit:g} FA/km²", partial(pd_at_limit, limit)) for limit in (10.0, 30.0, 100.0)),
+        Column("Pd at p_mine 0.5", pd_at_threshold),
+        Column("FA/km² at p_mine 0.5", density_at),
     ),
     by_scene=False,
 )

@@ -11,9 +11,10 @@ of the recorders only 16-bit amplitude of one look. Pd is at the threshold that 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import numpy as np
@@ -22,24 +23,28 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
 from auv_mcm.detect.belief import probability
 from auv_mcm.errors import UsageError
-from sim_replay.augment.recorded_line import check_lines
-from sim_replay.benches.mission_options import (
-    add_line_options,
-    add_scene_options,
-    chosen_draws,
-    chosen_scenes,
-    chosen_seeds,
+from sim_replay.benches.experiment import (
+    Cell,
+    Column,
+    Experiment,
+    Task,
+    add_experiment_arguments,
+    density,
+    number,
+    run_experiment,
+    share,
 )
-from sim_replay.benches.point import Judged, counted_missions, fly_augmented, judged
-from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.benches.point import Judged, fly_augmented, judged
 from sim_replay.fitting.fit_background import SortedContacts, flown_scene
 from sim_replay.fitting.left_out import LIMITS_PER_KM2
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
-from sim_replay.missions import FIRST_SEED
+from sim_replay.missions import FIRST_SEED, SCENES
 from sim_replay.scoring.calibration import Calibration, calibration
-from sim_replay.scoring.intervals import density, proportion
+from sim_replay.scoring.intervals import density as area_density
+from sim_replay.scoring.intervals import proportion
+from sim_replay.scoring.thresholds import threshold_at
 from sim_replay.simulator.scene_file import named_scenes, read_scene
-from sim_replay.text_tables import columns, density_cell, markdown, share_cell
+from sim_replay.text_tables import NOTHING, columns, share_cell
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,71 +52,21 @@ if TYPE_CHECKING:
 FIXED_P_MINE: Final = 0.2  # what a fixed threshold reaches, which the operating point replaces
 
 
-_HEADER: Final = (
-    "domain",
-    "targets",
-    "km²",
-    *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2),
-    f"Pd at p_mine {FIXED_P_MINE:g}",
-    f"FA/km² at p_mine {FIXED_P_MINE:g}",
-    "calibration error",
-    "within the mission",
-    "log loss",
-    "within the mission",
-)
+OWN: Final = "own"  # recorder of the scene or line
 _RELIABILITY_HEADER: Final = ("domains", "p_mine", "contacts", "mean p_mine", "on mines")
 _RESOLUTION_DPI: Final = 120  # legible where the page is half as wide
 _COLUMNS: Final = 4  # diagrams beside one another
 
 
-class Domain(NamedTuple):
-    """Name a mission of a domain.
-
-    source: a named scene or the path of a recorded line. recorder: of RECORDERS, for scenes alone.
-    """
-
-    source: str
-    seed: int
-    recorder: str | None = None
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `auv-mcm bench domains`."""
-    add_scene_options(parser, FIRST_SEED)
-    parser.add_argument("--no-recorders", action="store_true", help="leave out the recorders")
-    add_line_options(parser, 8)
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw reliability diagrams (.png, .svg, .pdf)")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code.
-
-    Raises UsageError for unknown scenes, BadInputError for an unreadable log.
-    """
-    names = chosen_scenes(arguments.scenes)
-    seeds = chosen_seeds(arguments)
-    recorders = [] if arguments.no_recorders else list(RECORDERS)
-    tasks = [Domain(name, seed) for name in names for seed in seeds]
-    tasks += [Domain(name, seed, recorder) for recorder in recorders for name in RECORDED_SCENES for seed in seeds]
-    log_seeds = chosen_draws(arguments)
-    check_lines(arguments.log, log_seeds)
-    tasks += [Domain(str(log), seed) for log in arguments.log for seed in log_seeds]
-    missions = list(counted_missions(run_tasks(fly_domain, tasks, Farm(arguments.workers)), len(tasks)))
-    groups = grouped(missions)
-    print(report(groups, in_markdown=arguments.markdown))
-    if arguments.plot is not None:
-        save_diagrams(groups, arguments.plot)
-    return 0
-
-
-def fly_domain(task: Domain) -> SortedContacts:
-    """Fly one mission of a domain with what ships, and sort its contacts."""
-    if task.source not in named_scenes():
-        return fly_augmented(Path(task.source), task.seed)
-    scene = msgspec.structs.replace(read_scene(task.source), seed=task.seed)
-    if task.recorder is None:
-        return flown_scene(task.source, scene, "cascade")
-    return flown_scene(task.recorder, recorded_by(scene, RECORDERS[task.recorder]), "cascade")
+def fly(task: Task) -> dict[str, SortedContacts]:
+    """Fly one mission with what ships, and with further recorders, and sort its contacts."""
+    if task.scene not in named_scenes():
+        return {OWN: fly_augmented(Path(task.scene), task.seed)}
+    scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
+    asked = RECORDERS if task.scene in RECORDED_SCENES and not task.options["no_recorders"] else {}
+    return {OWN: flown_scene(task.scene, scene, "cascade")} | {
+        name: flown_scene(name, recorded_by(scene, recorder), "cascade") for name, recorder in asked.items()
+    }
 
 
 def grouped(missions: Sequence[SortedContacts]) -> dict[str, list[SortedContacts]]:
@@ -130,11 +85,10 @@ def grouped(missions: Sequence[SortedContacts]) -> dict[str, list[SortedContacts
     return groups | pooled
 
 
-def pd_at(missions: Sequence[SortedContacts], limit_per_km2: float) -> int:
+def n_found_at(missions: Sequence[SortedContacts], limit_per_km2: float) -> int:
     """Count the targets that the best threshold of p_mine finds with so many false alarms per km² or fewer."""
-    allowed = int(limit_per_km2 * sum(one.truth_km2 for one in missions))
-    false_alarms = np.sort(np.concatenate([one.background for one in missions]))[::-1]
-    above = false_alarms[allowed] if allowed < len(false_alarms) else -np.inf
+    n_allowed = limit_per_km2 * sum(one.truth_km2 for one in missions)
+    above = threshold_at(np.concatenate([one.background for one in missions]), n_allowed)
     return sum(int(np.count_nonzero(one.mines > above)) for one in missions)
 
 
@@ -166,19 +120,10 @@ def within_mission(one: Judged) -> tuple[NDArray[np.float64], NDArray[np.float64
         / (np.sqrt(2.0 * np.pi) * one.prior.mine_sd_nats)
         * BIN_NATS
     )
-    share = mines / (mines + background)
-    number = np.clip(np.searchsorted(LEVELS_NATS, log_odds, side="right") - 1, 0, len(LEVELS_NATS) - 1)
+    mine_share = mines / (mines + background)
+    level_bin = np.clip(np.searchsorted(LEVELS_NATS, log_odds, side="right") - 1, 0, len(LEVELS_NATS) - 1)
     is_mine = np.arange(len(log_odds)) >= len(one.mission.background)
-    return np.array([probability(value) for value in log_odds]), share[number], is_mine
-
-
-def report(groups: Mapping[str, Sequence[SortedContacts]], *, in_markdown: bool = False) -> str:
-    """Lay out a row per domain, and the reliability of the pooled ones."""
-    laid_out = markdown if in_markdown else columns
-    pooled = [name for name in groups if name.startswith("all ")] or list(groups)
-    rows = [row for name in pooled for row in _reliability_rows(name, reliability(groups[name]))]
-    domains = laid_out(_HEADER, [_row(name, missions) for name, missions in groups.items()])
-    return domains + "\n\n" + laid_out(_RELIABILITY_HEADER, rows)
+    return np.array([probability(value) for value in log_odds]), mine_share[level_bin], is_mine
 
 
 def save_diagrams(groups: Mapping[str, Sequence[SortedContacts]], path: Path) -> None:
@@ -195,8 +140,8 @@ def save_diagrams(groups: Mapping[str, Sequence[SortedContacts]], path: Path) ->
     known = FigureCanvasAgg(figure).get_supported_filetypes()
     if path.suffix.lower().lstrip(".") not in known:
         raise UsageError(f"--plot {path}: '{path.suffix}' is not a picture format. Use a name that ends in .png")
-    for number, (name, missions) in enumerate(groups.items(), 1):
-        _draw(figure, n_rows, number, name, reliability(missions))
+    for place, (name, missions) in enumerate(groups.items(), 1):
+        _draw(figure, n_rows, place, name, reliability(missions))
     try:
         figure.savefig(path)
     except OSError as error:
@@ -207,9 +152,7 @@ def _draw(figure: Figure, n_rows: int, number: int, name: str, found: Calibratio
     axes = figure.add_subplot(n_rows, _COLUMNS, number)
     shares = [one.on_mines for one in found.bins]
     middle = np.array([one.mean_p_mine for one in found.bins])
-    value, low, high = (
-        np.array([getattr(share, part) or 0.0 for share in shares]) for part in ("value", "low", "high")
-    )
+    value, low, high = (np.array([getattr(bar, part) or 0.0 for bar in shares]) for part in ("value", "low", "high"))
     axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
     axes.errorbar(middle, value, yerr=np.abs([value - low, high - value]), fmt="o", markersize=3.0, color="#1f4e79")
     error = "" if found.error is None else f", error {found.error:.3f}"
@@ -220,31 +163,52 @@ def _draw(figure: Figure, n_rows: int, number: int, name: str, found: Calibratio
     axes.set_ylabel("share on mines", fontsize=8)
 
 
-def _row(name: str, missions: Sequence[SortedContacts]) -> list[str]:
-    n_targets = sum(one.n_targets for one in missions)
-    area_km2 = sum(one.truth_km2 for one in missions)
+def _n_targets(missions: Sequence[SortedContacts]) -> int:
+    return sum(one.n_targets for one in missions)
+
+
+def _area_km2(missions: Sequence[SortedContacts]) -> float:
+    return sum(one.truth_km2 for one in missions)
+
+
+def _n_reaching(missions: Sequence[SortedContacts], part: str) -> int:
+    """Count mines or background at the fixed threshold or above."""
     level = float(np.log(FIXED_P_MINE) - np.log1p(-FIXED_P_MINE))
-    n_called, n_false_alarms = (
-        sum(int(np.count_nonzero(part >= level)) for part in parts)
-        for parts in ([one.mines for one in missions], [one.background for one in missions])
-    )
-    some = [judged(mission, shipped_background()) for mission in missions]
-    plain, within, is_mine = (np.concatenate(parts) for parts in zip(*map(within_mission, some), strict=True))
-    errors = [calibration(p, is_mine).error for p in (plain, within)]
-    losses = [_log_loss(p, is_mine) if len(p) else None for p in (plain, within)]
-    numbers = ["-" if value is None else f"{value:.3f}" for pair in zip(errors, losses, strict=True) for value in pair]
-    return [
-        name,
-        str(n_targets),
-        f"{area_km2:.4f}",
-        *(share_cell(proportion(pd_at(missions, limit), n_targets)) for limit in LIMITS_PER_KM2),
-        share_cell(proportion(n_called, n_targets)),
-        density_cell(density(n_false_alarms, area_km2)),
-        numbers[0],
-        numbers[2],
-        numbers[1],
-        numbers[3],
-    ]
+    return sum(int(np.count_nonzero(getattr(one, part) >= level)) for one in missions)
+
+
+def _pd(missions: Sequence[SortedContacts], limit_per_km2: float) -> Cell:
+    return share(proportion(n_found_at(missions, limit_per_km2), _n_targets(missions)))
+
+
+def _quality(missions: Sequence[SortedContacts], within: bool, measure: Callable[..., float | None]) -> Cell:
+    """Measure p_mine as it is, or as each mission's own mines and background would have it."""
+    some = [within_mission(judged(one, shipped_background())) for one in missions]
+    plain, own, is_mine = (np.concatenate(parts) for parts in zip(*some, strict=True))
+    value = measure(own if within else plain, is_mine) if len(plain) else None
+    return Cell(NOTHING) if value is None else number(value, 3)
+
+
+def _error(p: NDArray[np.float64], is_mine: NDArray[np.bool_]) -> float | None:
+    return calibration(p, is_mine).error
+
+
+def _words(flown: Sequence[Mapping[str, SortedContacts]]) -> str:
+    """Lay out the reliability of the pooled domains, or of each where there are no pools."""
+    groups = grouped([one for each in flown for one in each.values()])
+    pooled = [name for name in groups if name.startswith("all ")] or list(groups)
+    rows = [row for name in pooled for row in _reliability_rows(name, reliability(groups[name]))]
+    return columns(_RELIABILITY_HEADER, rows)
+
+
+def _draw_asked(arguments: argparse.Namespace, flown: Sequence[Mapping[str, SortedContacts]]) -> None:
+    if arguments.plot is not None:
+        save_diagrams(grouped([one for each in flown for one in each.values()]), arguments.plot)
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--no-recorders", action="store_true", help="leave out the recorders")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw reliability diagrams (.png, .svg, .pdf)")
 
 
 def _reliability_rows(name: str, found: Calibration) -> list[list[str]]:
@@ -263,3 +227,38 @@ def _reliability_rows(name: str, found: Calibration) -> list[list[str]]:
 def _log_loss(p: NDArray[np.float64], is_mine: NDArray[np.bool_]) -> float:
     bounded = np.clip(p, 1e-6, 1.0 - 1e-6)
     return float(-np.where(is_mine, np.log(bounded), np.log1p(-bounded)).mean())
+
+
+EXPERIMENT: Final = Experiment(
+    name="domains",
+    scenes=SCENES,
+    first_seed=FIRST_SEED,
+    n_seeds=2,
+    n_draws=8,
+    variant_title="recorder",
+    variants=(OWN, *RECORDERS),
+    fly=fly,
+    columns=(
+        Column("targets", lambda missions: number(_n_targets(missions))),
+        Column("km²", lambda missions: number(_area_km2(missions), 4)),
+        *(Column(f"Pd at {limit:g} FA/km²", partial(_pd, limit_per_km2=limit)) for limit in LIMITS_PER_KM2),
+        Column(
+            f"Pd at p_mine {FIXED_P_MINE:g}",
+            lambda missions: share(proportion(_n_reaching(missions, "mines"), _n_targets(missions))),
+        ),
+        Column(
+            f"FA/km² at p_mine {FIXED_P_MINE:g}",
+            lambda missions: density(area_density(_n_reaching(missions, "background"), _area_km2(missions))),
+        ),
+        Column("calibration error", partial(_quality, within=False, measure=_error)),
+        Column("the same within the mission", partial(_quality, within=True, measure=_error)),
+        Column("log loss", partial(_quality, within=False, measure=_log_loss)),
+        Column("its log loss within", partial(_quality, within=True, measure=_log_loss)),
+    ),
+    add_options=_add_options,
+    own_options=("no_recorders",),
+    words=_words,
+    draw=_draw_asked,
+)
+add_arguments = partial(add_experiment_arguments, EXPERIMENT)
+run = partial(run_experiment, EXPERIMENT)

@@ -1,7 +1,7 @@
 """Run an experiment: missions times variants to columns, as a table, Markdown or JSON, beside an older run.
 
 An experiment is a declaration: which scenes, how one mission is flown with every variant on the same pings, and what
-each column says of the missions of one variant.
+each column says of the missions of one variant. Recorded lines with targets embedded can be missions as well.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Generic, NamedTuple, TypeVar
@@ -17,16 +18,18 @@ import msgspec
 
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count, new_file
-from sim_replay.benches.mission_options import chosen_scenes, chosen_seeds
-from sim_replay.benches.progress import counted
+from sim_replay.augment.recorded_line import check_lines
+from sim_replay.benches.mission_options import add_line_options, chosen_draws, chosen_scenes, chosen_seeds
 from sim_replay.benches.run_time.bench import write_result
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
 from sim_replay.benches.run_time.results import read_bench_file
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.scoring.intervals import Density, Proportion
 from sim_replay.scoring.thresholds import resampled
+from sim_replay.simulator.scene_file import named_scenes
 from sim_replay.text_tables import NOTHING, columns, density_cell, markdown, share_cell
 
+DRAWN: Final = "drawn"  # the scene of a task whose world its seed draws
 _FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 _PAIRED_SEED: Final = 1  # of missions drawn again, fixed so that reports repeat
 _SAME: Final = 1e-9  # relative, and absolute: rounding is no change of a figure
@@ -44,7 +47,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 class Task(NamedTuple):
-    """Name one mission: a scene, a seed, and the experiment's own options."""
+    """Name one mission: a scene or the path of a recorded line, a seed, and the experiment's own options."""
 
     scene: str
     seed: int
@@ -71,10 +74,12 @@ class PairedColumn(NamedTuple, Generic[Result]):
 class Experiment(NamedTuple, Generic[Result]):
     """Declare an experiment.
 
-    variants: their names, in the order of the table; the first is what others are compared with. variant_title: heads
-    them. fly: flies one mission with every variant, of a module's top level, so that processes can share the work.
-    by_scene: whether each scene has rows of its own, before those of all. add_options: adds the experiment's own
-    options, of which `own_options` names those that `fly` needs.
+    scenes: by default; none where every world is drawn from its seed. variants: their names, in the order of the table;
+    the first is what others are compared with. variant_title: heads them. fly: flies one mission with every variant, of
+    a module's top level, so that processes can share the work. n_draws: of targets per recorded line; 0 if it takes
+    none. by_scene: whether each scene has rows of its own, before those of all. add_options: adds the experiment's own
+    options, of which `own_options` names those that `fly` needs. words: says below the table what fits in no column.
+    draw: does what further options ask for. A mission may lack variants, but for the first where figures are paired.
     """
 
     name: str
@@ -85,9 +90,12 @@ class Experiment(NamedTuple, Generic[Result]):
     fly: Callable[[Task], Mapping[str, Result]]
     columns: tuple[Column[Result] | PairedColumn[Result], ...]
     n_seeds: int = 1
+    n_draws: int = 0
     by_scene: bool = True
     add_options: Callable[[argparse.ArgumentParser], None] = lambda parser: None
     own_options: tuple[str, ...] = ()
+    words: Callable[[Sequence[Mapping[str, Result]]], str] = lambda flown: ""
+    draw: Callable[[argparse.Namespace, Sequence[Mapping[str, Result]]], None] = lambda arguments, flown: None
 
 
 class ExperimentRow(msgspec.Struct, frozen=True):
@@ -127,17 +135,29 @@ def number(value: float, digits: int = 0) -> Cell:
 
 def add_experiment_arguments(experiment: Experiment[Any], parser: argparse.ArgumentParser) -> None:
     """Add the options that every experiment has, and its own."""
-    parser.add_argument(
-        "--seeds", type=count, default=experiment.n_seeds, help=f"missions per scene (default {experiment.n_seeds})"
-    )
-    parser.add_argument(
-        "--first-seed",
-        type=count,
-        default=experiment.first_seed,
-        help=f"seed of each scene's first mission (default {experiment.first_seed})",
-    )
-    parser.add_argument("--scenes", help=f"by name, with commas between (default {','.join(experiment.scenes)})")
-    parser.add_argument("--scene", action="append", metavar="NAME", help="one of them, repeatable")
+    first = experiment.first_seed
+    if experiment.scenes:
+        parser.add_argument(
+            "--seeds", type=count, default=experiment.n_seeds, help=f"missions per scene (default {experiment.n_seeds})"
+        )
+        parser.add_argument(
+            "--first-seed", type=count, default=first, help=f"seed of each scene's first mission (default {first})"
+        )
+        parser.add_argument("--scenes", help=f"by name, with commas between (default {','.join(experiment.scenes)})")
+        parser.add_argument("--scene", action="append", metavar="NAME", help="one of them, repeatable")
+    else:
+        parser.add_argument(
+            "--missions",
+            dest="seeds",
+            type=count,
+            default=experiment.n_seeds,
+            help=f"worlds, each flown with every variant (default {experiment.n_seeds})",
+        )
+        parser.add_argument(
+            "--first-seed", type=count, default=first, help=f"seed of the first world (default {first})"
+        )
+    if experiment.n_draws:
+        add_line_options(parser, experiment.n_draws)
     experiment.add_options(parser)
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
@@ -146,26 +166,23 @@ def add_experiment_arguments(experiment: Experiment[Any], parser: argparse.Argum
 
 
 def run_experiment(experiment: Experiment[Any], arguments: argparse.Namespace) -> int:
-    """Fly, print and write; returns the exit code. Raises UsageError for scenes or files that are not there."""
-    if arguments.scene and arguments.scenes:
-        raise UsageError("--scene and --scenes both choose scenes: give one of them")
-    scenes = chosen_scenes(
-        ",".join(arguments.scene) if arguments.scene else arguments.scenes or ",".join(experiment.scenes)
-    )
+    """Fly, print and write; returns the exit code.
+
+    Raises UsageError for scenes or files that are not there, BadInputError for a recorded line that cannot be used.
+    """
+    scenes = _scenes_of(experiment, arguments)
     old = None if arguments.compare is None else read_experiment(arguments.compare, experiment.name)
     options = {name: getattr(arguments, name) for name in experiment.own_options}
-    tasks = [Task(scene, seed, options) for scene in scenes for seed in chosen_seeds(arguments)]
+    tasks = [Task(scene, seed, options) for scene in scenes or (DRAWN,) for seed in chosen_seeds(arguments)]
+    if experiment.n_draws and arguments.log:
+        check_lines(arguments.log, chosen_draws(arguments))
+        tasks += [Task(str(log), seed, options) for log in arguments.log for seed in chosen_draws(arguments)]
     load = os.getloadavg()[0]
-    flown = list(
-        run_tasks(
-            experiment.fly,
-            tasks,
-            Farm(arguments.workers),
-            counted(len(tasks)),
-        )
-    )
-    rows = experiment_rows(experiment, [task.scene for task in tasks], flown)
+    flown = list(run_tasks(experiment.fly, tasks, Farm(arguments.workers), counted(len(tasks))))
+    rows = experiment_rows(experiment, [Path(task.scene).stem for task in tasks], flown)
     print((markdown if arguments.markdown else columns)(*table_of(experiment, rows)))
+    if words := experiment.words(flown):
+        print(f"\n{words}")
     results = ExperimentResults(
         experiment=experiment.name,
         machine=this_machine(load),
@@ -177,34 +194,60 @@ def run_experiment(experiment: Experiment[Any], arguments: argparse.Namespace) -
     if old is not None:
         print("\nmoved:\n" + ("\n".join(moved_figures(old, results)) or "nothing"))
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
+    experiment.draw(arguments, flown)
     return 0
+
+
+def counted(total: int) -> Callable[[int], None]:
+    """Return what shows on standard error how many of a total are flown, and ends the line with the last."""
+
+    def show(done: int) -> None:
+        print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
+
+    return show
+
+
+def _scenes_of(experiment: Experiment[Any], arguments: argparse.Namespace) -> tuple[str, ...]:
+    if not experiment.scenes:
+        return ()
+    if arguments.scene and arguments.scenes is not None:
+        raise UsageError("--scene and --scenes both choose scenes: give one of them")
+    if arguments.scene:
+        return chosen_scenes(",".join(arguments.scene))
+    return chosen_scenes(",".join(experiment.scenes) if arguments.scenes is None else arguments.scenes)
 
 
 def experiment_rows(
     experiment: Experiment[Result], scenes: Sequence[str], flown: Sequence[Mapping[str, Result]]
 ) -> list[ExperimentRow]:
-    """Make the rows of a run: of each scene, and of all missions together.
+    """Make the rows of a run: of each scene or recorded line, and of all missions together.
 
     Parameters
     ----------
     experiment
         What was run.
     scenes
-        The scene of each mission.
+        The scene or recorded line of each mission.
     flown
         What each variant made of each mission.
     """
     groups = {name: [one for one, scene in zip(flown, scenes, strict=True) if scene == name] for name in scenes}
+    simulated = [one for one, scene in zip(flown, scenes, strict=True) if scene in (*named_scenes(), DRAWN)]
+    pooled = {"all": list(flown)}
+    if 0 < len(simulated) < len(flown):
+        recorded = [one for one, scene in zip(flown, scenes, strict=True) if scene not in named_scenes()]
+        pooled = {"all simulated": simulated, "all recorded": recorded}
     if not experiment.by_scene:
-        groups = {"all": list(flown)}
+        groups = pooled
     elif len(groups) > 1:
-        groups["all"] = list(flown)
+        groups |= pooled
     return [
         ExperimentRow(
             title, variant, {column.title: _cell(experiment, column, variant, some) for column in experiment.columns}
         )
         for title, some in groups.items()
         for variant in experiment.variants
+        if any(variant in one for one in some)
     ]
 
 
@@ -256,6 +299,7 @@ def _cell(
     variant: str,
     flown: Sequence[Mapping[str, Result]],
 ) -> Cell:
+    flown = [one for one in flown if variant in one]
     own = [one[variant] for one in flown]
     if isinstance(column, Column):
         return column.of(own)

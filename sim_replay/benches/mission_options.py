@@ -7,24 +7,7 @@ from pathlib import Path
 
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
-from sim_replay.missions import SCENES
 from sim_replay.simulator.scene_file import named_scenes
-
-
-def add_scene_options(parser: argparse.ArgumentParser, first_seed: int, n_seeds: int = 2) -> None:
-    """Add which scenes are flown with which seeds, and how many at once, with these defaults."""
-    parser.add_argument("--seeds", type=count, default=n_seeds, help=f"missions per scene (default {n_seeds})")
-    parser.add_argument(
-        "--first-seed",
-        type=count,
-        default=first_seed,
-        help=f"seed of each scene's first mission (default {first_seed})",
-    )
-    parser.add_argument(
-        "--scenes", help="scenes by name, with commas between (default: the ten that rates are taken on)"
-    )
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
 def add_line_options(parser: argparse.ArgumentParser, n_draws: int) -> None:
@@ -45,13 +28,11 @@ def add_line_options(parser: argparse.ArgumentParser, n_draws: int) -> None:
     )
 
 
-def chosen_scenes(text: str | None) -> tuple[str, ...]:
-    """Return the scenes that `--scenes` names; without it the ten that rates are taken on.
+def chosen_scenes(text: str) -> tuple[str, ...]:
+    """Return the scenes that `--scenes` names.
 
     Raises UsageError for a scene that is not there, or that is named twice.
     """
-    if text is None:
-        return SCENES
     names = tuple(text.split(","))
     if unknown := [repr(name) for name in names if name not in named_scenes()]:
         raise UsageError(f"--scenes: there is no {', '.join(unknown)}. Choose from {', '.join(named_scenes())}")

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from auv_mcm.clearance.detection_performance import Performance, parse_performance, shipped_performance
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import read_regular
-from sim_replay.arguments import count, new_file
+from sim_replay.arguments import count
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.detection_performance.calibrate_performance import fly_all, tables
 from sim_replay.fitting.detection_performance.fit_performance import outcomes
@@ -24,12 +22,9 @@ from sim_replay.fitting.detection_performance.judge import (
     judge_predictions,
     mean_error,
 )
-from sim_replay.scoring.intervals import wilson_interval
 from sim_replay.text_tables import NOTHING, columns, markdown
 
 FIRST_SEED: Final = 9300  # nothing was fitted or tried on seeds from here on
-_COLOURS: Final = {"flat": "#1f4e79", "ripple": "#c98a00", "rough": "#8c2d19", "vegetation": "#3a7d44"}
-_DPI: Final = 110  # of the picture
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,20 +36,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
     parser.add_argument("--tables", type=Path, metavar="FILE", help="tables to judge (default: those that ship)")
-    parser.add_argument("--plot", type=new_file, metavar="FILE", help="draw predicted against realised, PNG")
     parser.add_argument("--markdown", action="store_true", help="print tables in Markdown")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly, judge and print; returns the exit code.
 
-    Raises UsageError for a plot that cannot be written, BadInputError for bad tables.
+    Raises UsageError where no target was seen, BadInputError for bad tables.
     """
     performance = _read(arguments.tables)
-    if arguments.plot is not None and arguments.plot.suffix.lower() != ".png":
-        raise UsageError(
-            f"--plot {arguments.plot}: '{arguments.plot.suffix}' is not drawn. Use a name that ends in .png"
-        )
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     missions = fly_all(seeds, 1, Farm(arguments.workers, arguments.scheduler), _show)
     print(file=sys.stderr)
@@ -67,8 +57,6 @@ def run(arguments: argparse.Namespace) -> int:
     print(tables(performance, laid_out))
     print()
     print(report(found, arguments.markdown))
-    if arguments.plot is not None:
-        plot_performance(found, arguments.plot)
     return 0
 
 
@@ -94,60 +82,6 @@ def report(found: JudgedPredictions, in_markdown: bool = False) -> str:
         for words, pair in (("two looks, same direction", found.same), ("two looks, others", found.other))
     ]
     return "\n".join(lines) + "\n\n" + laid_out(header, [*rows, *two])
-
-
-def plot_performance(found: JudgedPredictions, path: Path) -> None:
-    """Plot realised against predicted: groups of looks with 95 % intervals, and kinds and bands.
-
-    Raises UsageError if it cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.0, 5.6), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
-    for name, colour in _COLOURS.items():
-        chosen = [place.share for place in found.judged if place.seabed == name]
-        axes.scatter(
-            [share.predicted for share in chosen],
-            [share.realised for share in chosen],
-            s=[0.4 * share.n for share in chosen],
-            color=colour,
-            alpha=0.6,
-            linewidth=0.0,
-            label=name,
-        )
-    predicted, realised = (
-        np.array([getattr(share, part) for share in found.bins]) for part in ("predicted", "realised")
-    )
-    n = np.array([share.n for share in found.bins])
-    low, high = wilson_interval(np.rint(realised * n), n)
-    axes.errorbar(
-        predicted,
-        realised,
-        [realised - low, high - realised],
-        fmt="o-",
-        color="black",
-        markersize=4.0,
-        capsize=3.0,
-        label="all",
-    )
-    axes.set_xlim(0.0, 1.0)
-    axes.set_ylim(0.0, 1.0)
-    axes.set_xlabel("predicted probability that a look finds its target")
-    axes.set_ylabel("share found")
-    axes.set_title(
-        f"{found.n_looks} looks in {found.n_missions} missions held out, Brier score {found.brier:.3f}", fontsize=10
-    )
-    axes.grid(color="0.9")
-    axes.set_axisbelow(True)
-    axes.legend(loc="upper left", framealpha=1.0, edgecolor="none")
-    try:
-        figure.savefig(path, format="png")
-    except OSError as error:
-        raise UsageError(f"--plot {path} cannot be written: {error.strerror}") from error
 
 
 def _read(path: Path | None) -> Performance:

@@ -1,18 +1,17 @@
 """Judge the operating point on missions that the odds were not fitted on: false alarms reached and requested, and Pd.
 
 auv-mcm bench point                               flies, judges and prints
-auv-mcm bench point --log LINE.xtf                the same with targets embedded in a recorded line
+auv-mcm bench point --log LINE.xtf                the same with targets embedded in a recorded line as well
 
 Contacts are called as the payload does, by the false alarms that their own odds make expect.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -31,40 +30,28 @@ from auv_mcm.contacts.expected_alarms import called_from_nats, expected_alarms
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
-from sim_replay.augment.recorded_line import check_lines, scattered
-from sim_replay.benches.mission_options import (
-    add_line_options,
-    add_scene_options,
-    chosen_draws,
-    chosen_scenes,
-    chosen_seeds,
+from sim_replay.augment.recorded_line import scattered
+from sim_replay.benches.experiment import (
+    Cell,
+    Column,
+    Experiment,
+    Task,
+    add_experiment_arguments,
+    density,
+    number,
+    run_experiment,
+    share,
 )
-from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
 from sim_replay.logs.recorded import RecordedMission
-from sim_replay.missions import FIRST_SEED
+from sim_replay.missions import FIRST_SEED, SCENES
 from sim_replay.scoring.inputs import parse_truth
-from sim_replay.scoring.intervals import density, proportion
+from sim_replay.scoring.intervals import density as area_density
+from sim_replay.scoring.intervals import proportion
 from sim_replay.simulator.scene_file import named_scenes
-from sim_replay.text_tables import columns, density_cell, markdown, share_cell
 
-ASKED_PER_KM2: Final = (30.0, 100.0, 300.0)  # false alarms per km² that the operating point is set to
-_HEADER: Final = (
-    "domain",
-    "targets",
-    "km²",
-    "asked",
-    "FA asked",
-    "FA reached",
-    "of them on objects",
-    "per km²",
-    "in the interval",
-    "FA, mines taken out",
-    "Pd",
-    "best Pd at as many FA",
-)
-Line = tuple[str, int]
-"""A named scene or the path of a recorded line, and a seed."""
+ASKED_PER_KM2: Final = {"30": 30.0, "100": 100.0, "300": 300.0}
+"""False alarms per km² that the operating point is set to."""
 
 
 class Judged(NamedTuple):
@@ -94,32 +81,21 @@ class Reached(NamedTuple):
     best: int
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `auv-mcm bench point`."""
-    add_scene_options(parser, FIRST_SEED)
-    add_line_options(parser, 3)
+class PointResult(NamedTuple):
+    """Hold a judged mission, and the operating point that it is called at, false alarms per km²."""
+
+    one: Judged
+    asked_per_km2: float
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Fly, judge and print; returns the exit code.
-
-    Raises UsageError for unknown scenes, BadInputError for an unreadable log.
-    """
-    names = chosen_scenes(arguments.scenes)
-    seeds = chosen_seeds(arguments)
-    log_seeds = chosen_draws(arguments)
-    check_lines(arguments.log, log_seeds)
-    lines: list[Line] = [(name, seed) for name in names for seed in seeds]
-    lines += [(str(log), seed) for log in arguments.log for seed in log_seeds]
-    missions = list(counted_missions(run_tasks(fly, lines, Farm(arguments.workers)), len(lines)))
-    print(report(missions, shipped_background(), in_markdown=arguments.markdown))
-    return 0
-
-
-def fly(line: Line) -> SortedContacts:
-    """Fly one mission, simulated or recorded with embedded targets, and sort its contacts."""
-    name, seed = line
-    return flown((name, seed, "cascade")) if name in named_scenes() else fly_augmented(Path(name), seed)
+def fly(task: Task) -> dict[str, PointResult]:
+    """Fly one mission, simulated or recorded with embedded targets, and sort its contacts; all points see the same."""
+    if task.scene in named_scenes():
+        mission = flown((task.scene, task.seed, "cascade"))
+    else:
+        mission = fly_augmented(Path(task.scene), task.seed)
+    one = judged(mission, shipped_background())
+    return {name: PointResult(one, asked_per_km2) for name, asked_per_km2 in ASKED_PER_KM2.items()}
 
 
 def fly_augmented(log: Path, seed: int) -> SortedContacts:
@@ -161,42 +137,6 @@ def reached(missions: Sequence[Judged], asked_per_km2: float) -> Reached:
     return Reached(n_asked, n_false_alarms, n_on_objects, n_without_mines, n_inside, n_judged, n_called, best)
 
 
-def report(missions: Sequence[SortedContacts], model: BackgroundModel, *, in_markdown: bool = False) -> str:
-    """Lay out every domain, and all simulated and all recorded ones together."""
-    laid_out = markdown if in_markdown else columns
-    some = [judged(mission, model) for mission in missions]
-    groups = {
-        name: [one for one in some if one.mission.scene == name]
-        for name in dict.fromkeys(one.mission.scene for one in some)
-    }
-    for title, is_recorded in (("all simulated", False), ("all recorded", True)):
-        pooled = [one for one in some if (one.mission.scene not in named_scenes()) is is_recorded]
-        if len({one.mission.scene for one in pooled}) > 1:
-            groups[title] = pooled
-    rows = [_row(name, of, asked) for asked in ASKED_PER_KM2 for name, of in groups.items()]
-    return laid_out(_HEADER, rows)
-
-
-def _row(name: str, missions: Sequence[Judged], asked_per_km2: float) -> list[str]:
-    found = reached(missions, asked_per_km2)
-    n_targets = sum(one.mission.n_targets for one in missions)
-    area_km2 = sum(one.mission.truth_km2 for one in missions)
-    return [
-        name,
-        str(n_targets),
-        f"{area_km2:.3f}",
-        f"{asked_per_km2:g}",
-        f"{found.n_asked:.1f}",
-        str(found.n_false_alarms),
-        str(found.n_on_objects),
-        density_cell(density(found.n_false_alarms, area_km2)),
-        f"{found.n_inside} of {found.n_judged}",
-        str(found.n_without_mines),
-        share_cell(proportion(found.n_called, n_targets)),
-        f"{found.best / n_targets:.2f}" if n_targets else "-",
-    ]
-
-
 def _reaching(log_odds: NDArray[np.float64], level: float) -> int:
     return int(np.count_nonzero(log_odds >= level))
 
@@ -212,8 +152,44 @@ def _is_inside(n: int, one: Judged, level: float) -> bool:
     return not too_many and pdtr(n, low) >= 0.025
 
 
-def counted_missions(results: Iterator[SortedContacts], total: int) -> Iterator[SortedContacts]:
-    """Print how many missions have been flown."""
-    for done, result in enumerate(results, 1):
-        print(f"\r{done} of {total} missions flown", end="" if done < total else "\n", file=sys.stderr, flush=True)
-        yield result
+def _pooled(results: Sequence[PointResult]) -> Reached:
+    return reached([result.one for result in results], results[0].asked_per_km2)
+
+
+def _n_targets(results: Sequence[PointResult]) -> int:
+    return sum(result.one.mission.n_targets for result in results)
+
+
+def _area_km2(results: Sequence[PointResult]) -> float:
+    return sum(result.one.mission.truth_km2 for result in results)
+
+
+def _inside(results: Sequence[PointResult]) -> Cell:
+    found = _pooled(results)
+    return Cell(f"{found.n_inside} of {found.n_judged}")
+
+
+EXPERIMENT: Final = Experiment(
+    name="point",
+    scenes=SCENES,
+    first_seed=FIRST_SEED,
+    n_seeds=2,
+    n_draws=3,
+    variant_title="asked per km²",
+    variants=tuple(ASKED_PER_KM2),
+    fly=fly,
+    columns=(
+        Column("targets", lambda results: number(_n_targets(results))),
+        Column("km²", lambda results: number(_area_km2(results), 3)),
+        Column("FA asked", lambda results: number(_pooled(results).n_asked, 1)),
+        Column("FA reached", lambda results: number(_pooled(results).n_false_alarms)),
+        Column("of them on objects", lambda results: number(_pooled(results).n_on_objects)),
+        Column("per km²", lambda results: density(area_density(_pooled(results).n_false_alarms, _area_km2(results)))),
+        Column("in the interval", _inside),
+        Column("FA, mines taken out", lambda results: number(_pooled(results).n_without_mines)),
+        Column("Pd", lambda results: share(proportion(_pooled(results).n_called, _n_targets(results)))),
+        Column("best Pd at as many FA", lambda results: share(proportion(_pooled(results).best, _n_targets(results)))),
+    ),
+)
+add_arguments = partial(add_experiment_arguments, EXPERIMENT)
+run = partial(run_experiment, EXPERIMENT)

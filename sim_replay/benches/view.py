@@ -12,7 +12,6 @@ import asyncio
 import math
 import shutil
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -25,8 +24,6 @@ from auv_mcm.errors import UsageError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.settings.config import Config
 from sim_replay.benches.browser import BrowserPage, browser_page, mission_page
-from sim_replay.benches.exact_shadows import exact_heights
-from sim_replay.benches.page_frames import HOURS, N_CONTACTS, bench_frames
 from sim_replay.benches.shadow_edges import ShadowEdges, clearest_shadow
 from sim_replay.replay import replay
 from sim_replay.scoring.inputs import TruthObject, read_truth
@@ -110,11 +107,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--animation", metavar="FILE.webp", type=Path, help="instead, film how contacts of the scene demo are judged"
     )
-    parser.add_argument(
-        "--frames",
-        action="store_true",
-        help=f"instead, count frames of a page with {HOURS:g} h and {N_CONTACTS} contacts",
-    )
     parser.add_argument("--legs", metavar="N", type=int, default=N_LEGS, help=f"legs to simulate (default {N_LEGS})")
 
 
@@ -129,10 +121,6 @@ def run(arguments: argparse.Namespace) -> int:
         from sim_replay.benches.view_animation import film_view
 
         print(f"{asyncio.run(film_view(arguments.out, arguments.animation))} frames: {arguments.animation}")
-        return 0
-    if arguments.frames:
-        with tempfile.TemporaryDirectory(dir=arguments.out) as name:
-            bench_frames(Path(name))
         return 0
     if arguments.pictures is not None:
         asyncio.run(_live_picture(arguments.out, arguments.pictures))
@@ -149,8 +137,6 @@ def run(arguments: argparse.Namespace) -> int:
         for number, (name, log, truth) in enumerate(missions)
     ]
     print(columns(_HEADER, [_line(one) for one in judged]))
-    for name, n_legs in scenes.items():
-        print(f"edges known exactly, {name}: heights {_agreement(exact_heights(_scene(name, n_legs)))}")
     return 0
 
 

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from auv_mcm.commands import Commands, add_json_option, answer, command, whole
+from auv_mcm.errors import UsageError
 
 _MAX_COUNT = 1_000_000  # a larger number is a slip: the training would run for years
 
@@ -42,8 +43,8 @@ def add(commands: Commands) -> None:
         choices=("soft", "stages", "classical"),
         default="soft",
         help=(
-            "soft cascade; for comparison: stages as in the source paper, or a discriminant on classical features "
-            "(default soft)"
+            "soft cascade, or for comparison stages as in the source paper (default soft); 'classical' is finished, "
+            "and kept in the sources at the tag benches-1"
         ),
     )
     parser.add_argument(
@@ -69,6 +70,11 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.fitting.cascade.train_cascade import train_model
     from sim_replay.fitting.cascade.trainer import N_STUMPS
 
+    if arguments.kind == "classical":
+        raise UsageError(
+            "--kind classical is finished, and kept in the sources at the tag benches-1: docs/results.md, 'Finished "
+            "benches', says how to run it. Train --kind soft"
+        )
     started_s = time.monotonic()
 
     def say(line: str) -> None:

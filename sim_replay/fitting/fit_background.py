@@ -8,7 +8,6 @@ a smooth one. Each scene is judged by the prior that the others give.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, TypeAlias
@@ -30,7 +29,6 @@ from auv_mcm.contacts.background import (
     known_background,
 )
 from auv_mcm.contacts.expected_alarms import called_from_nats
-from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
@@ -38,7 +36,7 @@ from auv_mcm.records import Contact, CoveragePatch, Detector, PipelineEvent
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by
-from sim_replay.scoring.inputs import ScoredMission, Truth, parse_contacts, parse_truth
+from sim_replay.scoring.inputs import ScoredMission, Truth, as_reported, parse_truth
 from sim_replay.scoring.layout import Outcome, lay_out, states
 from sim_replay.scoring.score import GATE_M
 from sim_replay.simulator.mission import Mission
@@ -91,7 +89,7 @@ class SeenMission:
 
 def sorted_contacts(scene: str, contacts: Sequence[Contact], truth: Truth, area_km2: float) -> SortedContacts:
     """Sort contacts by the truth, matched as `auv-mcm score` matches them."""
-    reported = parse_contacts(json.loads(contacts_geojson(contacts)), scene)
+    reported = as_reported(contacts, scene)
     layout = lay_out(ScoredMission(reported, truth, scene), GATE_M)
     outcome = np.full(len(layout.contacts), int(Outcome.NOT_CALLED))
     for state in states(layout):

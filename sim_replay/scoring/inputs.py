@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar
 
@@ -18,8 +19,9 @@ import msgspec
 from msgspec import Meta
 
 from auv_mcm.clean_text import clean
+from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import NAN
+from auv_mcm.records import NAN, Contact
 from auv_mcm.safe_files import read_regular
 from sim_replay.scoring.seabed_map import SeabedMap, decode
 
@@ -55,8 +57,6 @@ class ObjectPass(msgspec.Struct, frozen=True, kw_only=True):
 
 class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
     """Hold an object on the sea floor, `burial_m` of its height below it.
-
-    `looks` is None if not stated, empty if the sonar never saw it.
 
     `looks` is None if not stated, empty if the sonar never saw it.
     """
@@ -133,6 +133,11 @@ def read_contacts(path: Path) -> tuple[ReportedContact, ...]:
 def read_truth(path: Path) -> Truth:
     """Read a truth file. Raises BadInputError naming the file, the object and the key."""
     return parse_truth(_read_json(path, _TRUTH_HINT), str(path))
+
+
+def as_reported(contacts: Sequence[Contact], place: str) -> tuple[ReportedContact, ...]:
+    """Report contacts as a mission's file would, and read them back."""
+    return parse_contacts(json.loads(contacts_geojson(contacts)), place)
 
 
 def parse_contacts(document: Any, place: str) -> tuple[ReportedContact, ...]:

@@ -12,9 +12,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim_replay.scoring.inputs import ScoredMission
 from sim_replay.scoring.intervals import CONFIDENCE, Proportion, proportion
-from sim_replay.scoring.score import Score
+from sim_replay.scoring.layout import MissionLayout, lay_out
+from sim_replay.scoring.score import GATE_M, Score
 
+_BAND_SEED: Final = 1  # of missions drawn again, fixed so that bands repeat
 N_RESAMPLES: Final = 2000  # of missions: bounds of 95 % move by less than 0.01 with more
 
 Floats = NDArray[np.float64]
@@ -31,9 +34,7 @@ class Interval(NamedTuple):
         return f"{self.value:+.2f} ({self.low:+.2f} to {self.high:+.2f})"
 
 
-def threshold_at(
-    false_alarms: ArrayLike, n_allowed: float, *, n_tries: float = 0.0, nothing: float = -math.inf
-) -> float:
+def threshold_at(false_alarms: ArrayLike, n_allowed: float, *, nothing: float = -math.inf) -> float:
     """Find the lowest threshold above which no more false alarms lie than allowed.
 
     Parameters
@@ -41,22 +42,12 @@ def threshold_at(
     false_alarms
         Score of each, (n,).
     n_allowed
-        Their number; the part of one that is left over counts only against `n_tries`.
-    n_tries
-        Hypotheses tried on bare floor, of which exp(-t) exceed t nats by chance and take their part of what is
-        allowed; 0 where false alarms were all counted.
+        Their number.
     nothing
         Score of what was not found, the lowest there is.
     """
     ordered = np.append(np.sort(np.asarray(false_alarms, dtype=np.float64))[::-1], nothing)
-    if n_tries == 0.0:
-        return float(ordered[min(math.floor(n_allowed), len(ordered) - 1)])
-    found = math.inf
-    for n_above in range(min(math.floor(n_allowed), len(ordered) - 1) + 1):
-        rest = n_allowed - n_above
-        by_chance = math.log(n_tries / rest) if rest > 0.0 else math.inf
-        found = min(found, max(float(ordered[n_above]), by_chance))
-    return found
+    return float(ordered[min(math.floor(n_allowed), len(ordered) - 1)])
 
 
 def called_at(targets: ArrayLike, others: ArrayLike, share: float, nothing: float = -math.inf) -> Proportion | None:
@@ -120,3 +111,75 @@ def pd_at(score: Score, limit_per_km2: float, *, on_clutter: bool = True) -> Pro
         if point.false_alarms.count - (0 if on_clutter else point.on_known_clutter) <= limit_per_km2 * score.area_km2
     ]
     return max(allowed, key=lambda pd: pd.count, default=proportion(0, score.n_targets))
+
+
+class BestScores(NamedTuple):
+    """Hold one mission by its scores, of any kind that rises with what speaks for a mine.
+
+    targets, rocks: of the best contact on each that was seen, -inf for none. false_alarms: of contacts on no target;
+    bare: of those on no object.
+    """
+
+    targets: Floats
+    rocks: Floats
+    false_alarms: Floats
+    bare: Floats
+    area_km2: float
+
+
+def best_scores(mission: ScoredMission, gate_m: float = GATE_M) -> BestScores:
+    """Place contacts on the nearest object within the gate, on targets before others, and take the best of each."""
+    layout = lay_out(mission, gate_m)
+    on = objects_under(layout)
+    best = np.full(len(layout.objects), -math.inf)
+    np.maximum.at(best, on[on >= 0], layout.p_mine[on >= 0])
+    is_rock = np.array([one.kind == "rock" for one in layout.objects], dtype=np.bool_)
+    on_target = (on >= 0) & np.append(layout.is_target, False)[on]
+    return BestScores(
+        targets=best[layout.is_target & layout.is_seen],
+        rocks=best[is_rock & layout.is_seen],
+        false_alarms=layout.p_mine[~on_target],
+        bare=layout.p_mine[on < 0],
+        area_km2=mission.truth.area_km2,
+    )
+
+
+def objects_under(layout: MissionLayout) -> NDArray[np.intp]:
+    """Find the object that each contact lies on, -1 for none, (n,): the nearest target, or else the nearest object."""
+    found = np.full(len(layout.contacts), -1, dtype=np.intp)
+    for index in range(len(found)):
+        near = np.flatnonzero(layout.near[index])
+        if near.size:
+            away = np.hypot(*layout.offset_m[index][near].T)
+            found[index] = near[np.lexsort((away, ~layout.is_target[near]))[0]]
+    return found
+
+
+def found_at(missions: Sequence[BestScores], limit_per_km2: float, *, on_objects: bool = True) -> Proportion:
+    """Find the share of targets above the lowest threshold with so many false alarms per km² or fewer.
+
+    on_objects: whether false alarms on objects, such as rocks, count.
+    """
+    n_allowed = limit_per_km2 * sum(one.area_km2 for one in missions)
+    alarms = [one.false_alarms if on_objects else one.bare for one in missions]
+    above = threshold_at(np.concatenate(alarms), n_allowed)
+    n_found = sum(int(np.count_nonzero(one.targets > above)) for one in missions)
+    return proportion(n_found, sum(len(one.targets) for one in missions))
+
+
+def rocks_called_at(missions: Sequence[BestScores], share: float) -> Proportion | None:
+    """Count the rocks that are called where this share of the targets is; None if fewer targets were found."""
+    targets, rocks = (np.concatenate([one[part] for one in missions]) for part in (0, 1))
+    return called_at(targets, rocks, share)
+
+
+def banded_at(missions: Sequence[BestScores], limit_per_km2: float, *, seed: int = _BAND_SEED) -> Interval:
+    """Find Pd as `found_at` does, with the wider of two bounds of 95 %: of missions drawn again, and of targets.
+
+    Wilson's, which counts targets, is the wider one where all or none are found: all drawn again agree there.
+    """
+    found = found_at(missions, limit_per_km2)
+    drawn = resampled(
+        lambda some: found_at([missions[k] for k in some], limit_per_km2).value or 0.0, len(missions), seed=seed
+    )
+    return Interval(found.value or 0.0, min(drawn.low, found.low or 0.0), max(drawn.high, found.high or 0.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -74,12 +73,6 @@ class Sea:
         self._gain = recorder_gain(self._range_m, sonar, self._absorption, float(reference_m[0]))
         self._taps = gaussian_taps(sonar.range_resolution_m / (sonar.range_m / sonar.n_samples))
         self._threads = threads
-
-    def with_objects(self, objects: Sequence[PlacedObject]) -> Sea:
-        """Return the same sea with these objects instead of its own; both share the floor."""
-        other = copy.copy(self)
-        other._put(objects)
-        return other
 
     def _put(self, objects: Sequence[PlacedObject]) -> None:
         materials: list[Material] = []
@@ -176,32 +169,6 @@ class Sea:
             for side, stream in enumerate((_PORT_STREAM, _STARBOARD_STREAM))
         ]
         return np.stack(sides, axis=1)
-
-    def mean_received(self, poses: Sequence[SonarPose]) -> Floats:
-        """Return the mean of `received` over all speckle, (n_poses, 2, n_samples)."""
-        energy: Floats = (self.mean_intensity(poses) + self.noise) * (1.0 / self.reference)
-        if self.scene.sonar.speckle_along_track_m > 0.0:  # such speckle is laid over the energy as it is
-            return energy
-        power = self._taps.astype(np.float64) ** 2
-        half = len(power) // 2
-        padded = np.pad(energy, ((0, 0), (0, 0), (half, half)), mode="edge")
-        blurred: Floats = np.zeros_like(energy)
-        for t, share in enumerate(power.tolist()):
-            blurred += share * padded[..., t : t + energy.shape[-1]]
-        return blurred
-
-    @property
-    def samples_per_look(self) -> float:
-        """Return how many samples are worth one that is independent, by the correlation of intensities around one.
-
-        The sum over lags along range and from ping to ping of the squared correlation of the echo field.
-        """
-        sonar, track = self.scene.sonar, self.scene.track
-        along = gaussian_taps(sonar.speckle_along_track_m * sonar.ping_rate_hz / track.speed_mps)
-        worth = 1.0
-        for taps in (self._taps.astype(np.float64), along.astype(np.float64)):
-            worth *= float((np.correlate(taps, taps, mode="full") ** 2).sum())
-        return worth
 
     def record(
         self,

@@ -132,7 +132,7 @@ def streams(draw: st.DrawFn, wire: str) -> list[bytes]:
 def _intact() -> dict[str, list[bytes]]:
     import numpy as np
 
-    from sim_replay.benches.framers import WIRES
+    from sim_replay.fakes.framed_wires import WIRES
 
     random = np.random.Generator(np.random.PCG64(5))
     return {

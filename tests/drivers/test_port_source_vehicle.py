@@ -9,12 +9,11 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-import numpy as np
 import pytest
 
 from auv_mcm.clock import Clock, Stamp, SystemClock
 from auv_mcm.errors import HardwareError, UsageError
-from auv_mcm.records import NAN, Contact, NavSample, SourceEvent, Waypoint
+from auv_mcm.records import Contact, NavSample, SourceEvent, Waypoint
 from auv_mcm.settings.config import Config
 from auv_mcm.settings.port_settings import PortConfig
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES
@@ -35,6 +34,7 @@ from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
+from tests.auv_mcm.classify import drawn_looks
 from tests.drivers.port_traffic import Collected, config_of
 
 GENEROUS_S = 15.0
@@ -168,21 +168,15 @@ class Bench:
 
 
 def contact(number: int, p_mine: float = 0.9) -> Contact:
-    return Contact(
+    return drawn_looks.contact(
         id=f"C{number:05d}",
         time_s=1.7e9,
         latitude_deg=43.001,
         longitude_deg=5.001,
-        covariance_m2=np.eye(2),
         p_mine=p_mine,
         classification="cylinder",
         belief={"cylinder": 0.8, "unknown": 0.2},
         length_m=2.0,
-        width_m=0.5,
-        height_m=NAN,
-        aspects_deg=(),
-        reasons=(),
-        views=(),
     )
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from auv_mcm.records import NAN, VALID, Contact, Detection, PoseTrack, Side, Tile, Waypoint
+from auv_mcm.records import NAN, Contact, Detection, Side, Tile, Waypoint
 from auv_mcm.snippet import pack_snippet
 from sim_replay.report import MissionRecord, PictureCollector
 from tests.auv_mcm.classify import drawn_looks
+from tests.make.records import pose_of, tile_with
 
 ROW_M, COLUMN_M = 0.12, 0.06
 START_S = 1_700_000_000.0
@@ -69,36 +70,19 @@ def tile(
 ) -> Tile:
     first = index * n_rows if first_row is None else first_row
     time_s = START_S + (first + np.arange(n_rows, dtype=np.float64)) * (ROW_M / 2.0)
-    nothing = np.zeros(n_rows)
-    pose = PoseTrack(
-        time_s=time_s,
-        latitude_deg=nothing,
-        longitude_deg=nothing,
-        depth_m=nothing,
-        heading_rad=nothing,
-        pitch_rad=nothing,
-        roll_rad=nothing,
-        speed_mps=nothing,
-        altitude_m=nothing,
-        stale=np.zeros(n_rows, dtype=np.bool_),
-    )
-    speckle = np.random.default_rng(index).gamma(2.0, 0.5, (n_rows, n_columns)).astype(np.float32)
-    plain = Tile(
-        side=side,
-        index=index,
-        first_row=first,
-        core_start=0,
-        core_stop=n_rows,
-        row_spacing_m=ROW_M,
-        column_spacing_m=COLUMN_M,
-        intensity=speckle,
-        mask=np.full((n_rows, n_columns), VALID, dtype=np.uint8),
-        pose=pose,
-        first_return_m=nothing,
-        first_return_sigma_m=nothing,
-        ping_number=first + np.arange(n_rows),
-    )
-    return msgspec.structs.replace(plain, **changes)
+    values: dict[str, Any] = {
+        "side": side,
+        "index": index,
+        "first_row": first,
+        "row_spacing_m": ROW_M,
+        "column_spacing_m": COLUMN_M,
+        "pose": pose_of(n_rows, time_s=time_s),
+        "first_return_m": 0.0,
+        "first_return_sigma_m": np.zeros(n_rows),
+        "ping_number": first + np.arange(n_rows),
+    }
+    drawn = np.random.default_rng(index).gamma(2.0, 0.5, (n_rows, n_columns))
+    return tile_with(**({"intensity": drawn} | values | changes))
 
 
 def detection(side: Side = "port", row: float = 30.0, column: float = 100.0, **changes: Any) -> Detection:

@@ -35,8 +35,7 @@ def test_a_file_is_taken_where_its_folder_is_there(tmp_path: Path) -> None:
     ("bench", "option"),
     [
         *(("chain", "--json"), ("chain", "--page"), ("all", "--json"), ("all", "--page"), ("adapt", "--json")),
-        *(("adapt", "--picture"), ("stability", "--json"), ("scenes", "--json"), ("performance", "--plot")),
-        ("froc", "--json"),
+        *(("scenes", "--json"), ("limit", "--json")),
     ],
 )
 def test_a_missing_folder_is_reported_before_anything_is_measured(

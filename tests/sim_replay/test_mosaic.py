@@ -21,6 +21,7 @@ from auv_mcm.settings.config import Config
 from sim_replay.mosaic import BLOCK, Mosaic
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import EXACT, Lawnmower, Scene, SceneObject, Sonar, Track
+from tests.make.records import pose_of
 from tests.sim_replay.report_samples import tile as plain_tile
 
 LATITUDE_DEG, LONGITUDE_DEG = 54.0, 179.9999  # beside the antimeridian
@@ -34,18 +35,8 @@ def tile(index: int = 0, n_rows: int = 40, n_columns: int = 90, heading_deg: flo
     along_m = (index * n_rows + np.arange(n_rows, dtype=np.float64)) * ROW_M
     enu = np.column_stack([along_m * math.sin(heading_rad), along_m * math.cos(heading_rad), np.zeros(n_rows)])
     latitude, longitude, _ = LocalFrame(latitude_deg=LATITUDE_DEG, longitude_deg=LONGITUDE_DEG).to_geodetic(enu)
-    nothing = np.zeros(n_rows)
-    pose = PoseTrack(
-        time_s=along_m / 2.0,
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        depth_m=nothing,
-        heading_rad=np.full(n_rows, heading_rad),
-        pitch_rad=nothing,
-        roll_rad=nothing,
-        speed_mps=nothing,
-        altitude_m=nothing,
-        stale=np.zeros(n_rows, dtype=np.bool_),
+    pose = pose_of(
+        n_rows, time_s=along_m / 2.0, latitude_deg=latitude, longitude_deg=longitude, heading_rad=heading_rad
     )
     mask = np.full((n_rows, n_columns), VALID, dtype=np.uint8)
     mask[:, :5] |= LOW_RESOLUTION

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from auv_mcm.classify.fit import SOLIDS, Effort, ShapeFits, fit_shapes
 from auv_mcm.classify.likelihood import image_row_sums
@@ -72,16 +70,6 @@ def test_gains_near_the_ends_of_the_numbers(gain: float) -> None:
     assert got.fits[0].solid == expected.fits[0].solid
     if gain > 1e-305:  # denormals have few digits left
         assert got.fits[0].best.cost == pytest.approx(expected.fits[0].best.cost, rel=0.02)
-
-
-@pytest.mark.parametrize("spike", [1e6, 1e12, 1e300])
-def test_one_spike_does_not_outvote_a_region(spike: float) -> None:
-    region = speckled()
-    intensity = region.intensity.copy()
-    intensity[5, 100] = spike
-    expected, got = fit(region), fit(msgspec.structs.replace(region, intensity=intensity))
-    assert got.fits[0].solid == expected.fits[0].solid
-    assert got.fits[0].best.cost == pytest.approx(expected.fits[0].best.cost, abs=5.0)
 
 
 def test_a_million_pixels_do_not_underflow() -> None:
@@ -181,38 +169,6 @@ def test_objects_at_the_track(first_m: float) -> None:
     for costs in (shape_costs("sphere", hypotheses, image), shape_costs_numpy("sphere", hypotheses, image)):
         assert (costs.cost[:3] == FORBIDDEN).all()
         assert not np.isnan(costs.cost).any()
-
-
-def test_the_same_twice_and_on_two_threads() -> None:
-    regions = [speckled(seed) for seed in range(4)]
-    alone = [msgspec.msgpack.encode(fit(region).fits) for region in regions]
-    with ThreadPoolExecutor(2) as pool:
-        together = [msgspec.msgpack.encode(fits.fits) for fits in pool.map(fit, regions)]
-    assert alone == together
-
-
-def nan_planes() -> list[NDArray[np.float64]]:
-    region = speckled()
-    scattered, row, column = (region.intensity.copy() for _ in range(3))
-    scattered[np.random.Generator(np.random.PCG64(3)).uniform(size=scattered.shape) < 0.001] = math.nan
-    row[30], column[:, 60] = math.nan, math.inf
-    return [scattered, row, column]
-
-
-@pytest.mark.parametrize("index", range(3))
-def test_nan_where_nothing_was_measured_and_where_something_was(index: int) -> None:
-    region, intensity = speckled(), nan_planes()[index]
-    unmarked = msgspec.structs.replace(region, intensity=intensity)
-    marked = msgspec.structs.replace(unmarked, valid=np.isfinite(intensity))
-    got = fit(unmarked)
-    assert all_finite(got)
-    assert msgspec.msgpack.encode(got.fits) == msgspec.msgpack.encode(fit(marked).fits)
-
-
-@pytest.mark.parametrize("field", ["altitude_m", "row_spacing_m", "column_spacing_m", "row", "column"])
-def test_a_pose_that_is_no_number_is_refused(field: str) -> None:
-    with pytest.raises(ValueError, match=field.removesuffix("_m")):
-        fit(msgspec.structs.replace(speckled(), **{field: math.nan}))
 
 
 def test_every_corner_of_the_search_has_a_cost() -> None:

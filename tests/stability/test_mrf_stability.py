@@ -4,7 +4,6 @@ gain."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import msgspec
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.mrf import Segmentation, segment
-from auv_mcm.confirm.region import SHADOW, Region
+from auv_mcm.confirm.region import Region
 from sim_replay.benches.every_stage.drawn_regions import Drawing, draw_region
 
 Plane = NDArray[np.float64]
@@ -107,35 +106,3 @@ def test_holes_and_not_a_number(share: float) -> None:
         by_value = checked(msgspec.structs.replace(region, intensity=np.where(hole, mark, region.intensity)))
         np.testing.assert_array_equal(by_mask.labels, by_value.labels)
     assert share < 0.8 or by_mask.flags == ("too_little_data",)
-
-
-def test_a_row_and_a_column_of_not_a_number() -> None:
-    intensity = drawn().intensity.copy()
-    intensity[20], intensity[:, 50] = np.nan, np.inf
-    assert (checked(region_of(intensity)).labels == SHADOW).any()
-
-
-def test_a_masked_border_changes_nothing_inside() -> None:
-    region = drawn()
-    padded = np.pad(region.intensity, ((6, 6), (0, 6)), constant_values=np.nan)
-    wide = region_of(padded, np.isfinite(padded))
-    plain, framed = checked(region).labels, checked(wide).labels[6:-6, :-6]
-    assert (plain != framed).mean() < 0.01
-
-
-def test_mirrored_pings_give_mirrored_labels(n_runs: Callable[[int, int], int]) -> None:
-    changed = []
-    for seed in range(1, n_runs(6, 4)):
-        region = drawn(seed)
-        mirrored = msgspec.structs.replace(region, intensity=region.intensity[::-1].copy())
-        changed.append((checked(region).labels != checked(mirrored).labels[::-1]).mean())
-    assert np.median(changed) < 0.005  # raster order decides near ties along the border
-
-
-def test_runs_and_threads_agree_to_the_bit() -> None:
-    regions = [drawn(seed) for seed in range(4)]
-    once = [segment(region) for region in regions]
-    with ThreadPoolExecutor(2) as pool:
-        for first, again in zip(once, pool.map(segment, regions), strict=True):
-            np.testing.assert_array_equal(first.labels, again.labels)
-            assert (first.energy, first.lower_bound) == (again.energy, again.lower_bound)

@@ -1,4 +1,4 @@
-"""Every row of `auv-mcm bench stability`, with few inputs, within the bound that its table states."""
+"""Every row of `auv-mcm bench all --stress`, with few inputs, within the bound that its table states."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import pytest
 
 from auv_mcm.cli import main
 from auv_mcm.geometry.shadow import shadow_height_m
-from sim_replay.benches.stability import bench
-from sim_replay.benches.stability.bench import every_row
+from sim_replay.benches.every_stage import bench
 from sim_replay.benches.stability.rows import Found, NumberRow, Watch, measure_row, relative
+from sim_replay.benches.stability.stress_table import every_row
 
 ROWS = {row.name: row for row in every_row()}
 
@@ -45,9 +45,9 @@ def test_a_row_that_fails_ends_the_bench_with_code_5(
     row: NumberRow, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(bench, "every_row", lambda: [row])
-    assert main(["bench", "stability", "--quick", "--json", str(tmp_path / "found.json")]) == code
+    assert main(["bench", "all", "--stress", "--quick", "--json", str(tmp_path / "found.json")]) == code
     assert ("FAILED" in capsys.readouterr().out) == (code == 5)
-    (written,) = json.loads((tmp_path / "found.json").read_text())["rows"]
+    (written,) = json.loads((tmp_path / "found.json").read_text())["stress"]
     assert written["bound"] == 1e-9
 
 
@@ -57,3 +57,9 @@ def test_short_shadows_keep_the_digits_of_their_height() -> None:
     with mpmath.workdps(50):
         near, far = (mpmath.hypot(mpmath.mpf(place), mpmath.mpf(0.3)) for place in (150.0, 150.000001))
         assert relative([found], [mpmath.mpf(0.3) * (1 - near / far)]) < 1e-15
+
+
+def test_the_older_name_measures_the_same(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(bench, "every_row", lambda: [row_of(1e-10)])
+    assert main(["bench", "stability", "--quick"]) == 0
+    assert "1 of 1 rows hold" in capsys.readouterr().out

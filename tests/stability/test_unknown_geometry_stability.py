@@ -36,9 +36,13 @@ def test_a_number_that_no_sonar_has_is_refused_by_its_name(field: str, value: fl
 
 
 @pytest.mark.parametrize(
-    "field", ["row_spacing_m", "column_spacing_m", "altitude_m", "first_ground_range_m", "row", "column"]
+    ("field", "value"),
+    [
+        *((field, value) for field in list(IMPOSSIBLE)[:6] for value in (math.nan, math.inf)),
+        ("altitude_m", 0.0),
+        ("row_spacing_m", 0.0),
+    ],
 )
-@pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_contours_of_a_region_without_geometry_are_rejected(field: str, value: float) -> None:
     contours = converge(msgspec.structs.replace(cone_region(), **{field: value}), START)
     assert contours.rejected

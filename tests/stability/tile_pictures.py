@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import VALID, PoseTrack, Tile
+from auv_mcm.records import VALID, Tile
+from tests.make.records import pose_of, tile_with
 
 SHAPE = (130, 220)
 ROW_M, COLUMN_M = 0.12, 0.06
@@ -22,37 +23,14 @@ def tile_of(
     column_m: float = COLUMN_M,
     first_return_m: float = 5.0,
 ) -> Tile:
-    n_rows = intensity.shape[0]
     bits = np.full(intensity.shape, VALID, dtype=np.uint8) if mask is None else mask
-    along_m = (np.arange(n_rows) + 0.5) * row_m
-    latitude, longitude, _ = LocalFrame(latitude_deg=60.0, longitude_deg=5.0).to_geodetic(
-        np.stack((np.zeros(n_rows), along_m, np.zeros(n_rows)), axis=-1)
-    )
-    columns: dict[str, Any] = dict.fromkeys(
-        ("depth_m", "heading_rad", "pitch_rad", "roll_rad", "speed_mps", "altitude_m"), np.zeros(n_rows)
-    )
-    pose = PoseTrack(
-        time_s=np.asarray(along_m / 1.5, dtype=np.float64),
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        stale=np.zeros(n_rows, dtype=np.bool_),
-        **columns,
-    )
-    return Tile(
-        side="port",
-        index=0,
-        first_row=0,
-        core_start=0,
-        core_stop=n_rows,
-        row_spacing_m=row_m,
-        column_spacing_m=column_m,
-        intensity=np.where((bits & VALID) != 0, intensity, 0.0).astype(np.float32),
-        mask=bits,
-        pose=pose,
-        first_return_m=np.full(n_rows, first_return_m),
-        first_return_sigma_m=np.full(n_rows, 0.1),
-        ping_number=np.arange(n_rows, dtype=np.int64),
-    )
+    along_m = (np.arange(len(intensity)) + 0.5) * row_m
+    place = np.stack((0.0 * along_m, along_m, 0.0 * along_m), axis=-1)
+    latitude, longitude, _ = LocalFrame(latitude_deg=60.0, longitude_deg=5.0).to_geodetic(place)
+    pose = pose_of(len(along_m), time_s=along_m / 1.5, latitude_deg=latitude, longitude_deg=longitude)
+    seen = np.where((bits & VALID) != 0, intensity, 0.0)
+    spacing = {"row_spacing_m": row_m, "column_spacing_m": column_m}
+    return tile_with(seen, bits, side="port", pose=pose, first_return_m=first_return_m, **spacing)
 
 
 def speckle(seed: int = 0, shape: tuple[int, int] = SHAPE) -> NDArray[np.float64]:

@@ -1,11 +1,15 @@
-"""Measure every stage's time against its error, beside what a user would take instead, in one run and one form."""
+"""Measure every stage's time against its error, beside what a user would take instead, in one run and one form.
+
+Under stress stages get the inputs that hurt most: gains of 1e-30 and 1e30, offsets, constants, saturation, denormal
+numbers, nadir, 65,535 samples, poles. Tests hold the same rows, with fewer inputs, to the same bounds.
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -14,24 +18,29 @@ import msgspec
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count, new_file
 from sim_replay.benches.every_stage.page import every_stage_page
-from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow
+from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow, measured
 from sim_replay.benches.every_stage.stages import STAGES
 from sim_replay.benches.run_time.bench import progress, write_result
 from sim_replay.benches.run_time.measure import BenchMachine, this_machine
 from sim_replay.benches.run_time.results import read_bench_file
+from sim_replay.benches.stability.rows import STRESS_HEADER, NumberResult, measure_row, stress_cells
+from sim_replay.benches.stability.stress_table import every_row
 from sim_replay.text_tables import NOTHING, columns, markdown
 
 HEADER: Final = ("stage", "setting", "ms", "error", "unit", "alternative", "its ms", "its error", "")
 _FORMAT_VERSION: Final = 1  # of the file; a change of its fields raises it
 _FAILED: Final = 5  # exit code of a check that fails
-_QUICK: Final = Amount(2, 1)
+_QUICK: Final = (2, 1)  # inputs and repetitions
 _N_INPUTS: Final = 8  # regions, worlds and objects of a class per row; a minute in all
 _MIN_CHANGE: Final = 0.15  # of a time: what runs of the same program differ by on a computer that is not idle
 _SAME_ERROR: Final = 1e-9  # relative, and absolute: rounding is no change of an error
 
 
 class EveryStageResults(msgspec.Struct, frozen=True, kw_only=True):
-    """Hold one run of the bench. n_inputs: per row; stages: by name."""
+    """Hold one run of the bench. n_inputs: per row; stages: by name; stress: rows under stress, if they were asked for.
+
+    Infinite errors are written as null.
+    """
 
     format_version: int = _FORMAT_VERSION
     machine: BenchMachine
@@ -39,12 +48,18 @@ class EveryStageResults(msgspec.Struct, frozen=True, kw_only=True):
     repeat: int
     stages: tuple[str, ...]
     rows: tuple[StageRow, ...]
+    stress: tuple[NumberResult, ...] = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `auv-mcm bench all`."""
     parser.add_argument(
         "--quick", action="store_true", help="few inputs, once each; ends with code 5 if an error exceeds its limit"
+    )
+    parser.add_argument(
+        "--stress",
+        action="store_true",
+        help="instead, the inputs that hurt most against exact arithmetic; ends with code 5 if a bound does not hold",
     )
     parser.add_argument("--stages", help=f"stages, with commas between (default: {','.join(STAGES)})")
     parser.add_argument("--repeat", type=count, default=5, help="repetitions of every work, in turn (default 5)")
@@ -63,27 +78,44 @@ def run(arguments: argparse.Namespace) -> int:
     if unknown:
         raise UsageError(f"--stages: there is no '{unknown[0]}'; the stages are {', '.join(STAGES)}")
     old = None if arguments.compare is None else read_every_stage(arguments.compare)
-    amount = _QUICK if arguments.quick else Amount(_N_INPUTS, arguments.repeat)
-    load, rows = os.getloadavg()[0], list[StageRow]()
-    for name in chosen:
+    n_inputs, repeat = _QUICK if arguments.quick else (_N_INPUTS, arguments.repeat)
+    load, rows, stress = os.getloadavg()[0], list[StageRow](), list[NumberResult]()
+    for row in every_row() if arguments.stress else ():
+        progress(row.name)
+        stress.append(measure_row(row, arguments.quick))
+    for name in () if arguments.stress else chosen:
         progress(name)
-        rows += STAGES[name](amount)
+        rows += measured(STAGES[name](n_inputs), repeat)
     progress("")
     results = EveryStageResults(
-        machine=this_machine(load), n_inputs=amount.n, repeat=amount.repeat, stages=chosen, rows=tuple(rows)
+        machine=this_machine(load),
+        n_inputs=n_inputs,
+        repeat=repeat,
+        stages=() if arguments.stress else chosen,
+        rows=tuple(rows),
+        stress=tuple(stress),
     )
-    machine = results.machine
-    print(f"{machine.processor}, {machine.cores} cores, kernels: {machine.kernels}, {machine.date}")
-    print(f"processor time of one thread, medians of {amount.repeat} repeats in turn\n")
-    print((markdown if arguments.markdown else columns)(HEADER, stage_cells(results.rows)))
-    for words in sorted({row.alternative.missing for row in rows if row.alternative and row.alternative.missing}):
-        print(f"not measured: {words}")
+    _print(results, markdown if arguments.markdown else columns)
     if old is not None:
         print("\nmoved beyond noise:\n" + ("\n".join(moved_since(old, results)) or "nothing"))
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
-    page = every_stage_page(machine, results.rows, HEADER, stage_cells(results.rows))
+    page = every_stage_page(results.machine, results.rows, HEADER, stage_cells(results.rows))
     write_result("--page", arguments.page, page.encode())
-    return 0 if all(row.holds for row in rows) else _FAILED
+    return 0 if all([*(row.holds for row in rows), *(row.holds for row in stress)]) else _FAILED
+
+
+def _print(results: EveryStageResults, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]) -> None:
+    machine = results.machine
+    versions = ", ".join(f"{name} {version}" for name, version in machine.versions.items())
+    print(f"{machine.processor}, {machine.cores} cores, kernels: {machine.kernels}, {versions}, {machine.date}")
+    if results.stress:
+        print("\n" + laid_out(STRESS_HEADER, [stress_cells(row) for row in results.stress]))
+        print(f"\n{sum(row.holds for row in results.stress)} of {len(results.stress)} rows hold")
+        return
+    print(f"processor time of one thread, medians of {results.repeat} repeats in turn\n")
+    print(laid_out(HEADER, stage_cells(results.rows)))
+    for words in sorted({row.alternative.missing for row in results.rows if row.alternative} - {""}):
+        print(f"not measured: {words}")
 
 
 def stage_cells(rows: Sequence[StageRow]) -> list[list[str]]:
@@ -164,11 +196,7 @@ def _times(row: StageRow) -> tuple[float, float, float]:
     """Take median, lowest and highest time, in units of the alternative where it was measured."""
     own = row.cost
     other = row.alternative.cost if row.alternative and row.alternative.cost else Cost((1.0,))
-    return (
-        own.ms / other.ms,
-        min(own.times_ms) / max(other.times_ms),
-        max(own.times_ms) / min(other.times_ms),
-    )
+    return (own.ms / other.ms, min(own.times_ms) / max(other.times_ms), max(own.times_ms) / min(other.times_ms))
 
 
 def read_every_stage(path: Path) -> EveryStageResults:

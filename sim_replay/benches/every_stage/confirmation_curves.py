@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable
-from typing import Final
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +24,8 @@ from auv_mcm.kernels.snake_descent import Schedule
 from sim_replay.benches.every_stage.drawn_contours import SHAPE, drawn_pair, random_start
 from sim_replay.benches.every_stage.drawn_regions import aperture_drawings, draw_region
 from sim_replay.benches.every_stage.paper_mrf import segment_as_paper
-from sim_replay.benches.every_stage.rendered_solids import (
-    CORRELATION_AREA,
-    SIZES,
-    DrawnSolid,
-    best_class,
-    draw_object,
-)
-from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
+from sim_replay.benches.every_stage.rendered_solids import CORRELATION_AREA, SIZES, DrawnSolid, best_class, draw_object
+from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.scoring.overlap import overlap
 
 Labels = NDArray[np.uint8]
@@ -54,40 +49,31 @@ EFFORTS: Final = {
 }
 
 
-def field_curve_rows(amount: Amount) -> list[StageRow]:
+def field_curve_rows(n: int) -> list[Row]:
     """Label regions of growing grain by the chain's segmentation; instead, by the source paper's."""
     rows = []
     for spread in _SPREADS_PIXELS:
-        drawn = [draw_region(drawing) for drawing in aperture_drawings(amount.n, spread, _FIRST_DRAWING)]
-
-        def ours(drawn: list[tuple[Region, Labels]] = drawn) -> list[Labels]:
-            return [segment(region).labels for region, _ in drawn]
-
-        def papers(drawn: list[tuple[Region, Labels]] = drawn) -> list[Labels]:
-            return [segment_as_paper(region).labels for region, _ in drawn]
-
-        (own, cost), (their, their_cost) = timed(amount.repeat, ours, papers)
-        truths = [truth == SHADOW for _, truth in drawn]
+        drawn = [draw_region(drawing) for drawing in aperture_drawings(n, spread, _FIRST_DRAWING)]
         rows.append(
-            StageRow(
-                stage="field",
-                setting=f"grain {max(1.0, math.sqrt(2.0 * math.pi) * spread):.1f} pixels, {amount.n} regions",
-                cost=cost,
-                error=_missed([labels == SHADOW for labels in own], truths),
-                unit="1 - IoU of the shadow",
-                alternative=Alternative(
-                    name="the source paper's field",
-                    cost=their_cost,
-                    error=_missed([labels == SHADOW for labels in their], truths),
-                ),
+            Row(
+                "field",
+                f"grain {max(1.0, math.sqrt(2.0 * math.pi) * spread):.1f} pixels, {n} regions",
+                partial(_shadows_by, segment, drawn),
+                partial(_missed, [truth == SHADOW for _, truth in drawn]),
+                "1 - IoU of the shadow",
+                alternative=Other("the source paper's field", partial(_shadows_by, segment_as_paper, drawn)),
             )
         )
     return rows
 
 
-def contour_curve_rows(amount: Amount) -> list[StageRow]:
+def _shadows_by(labelled: Callable[[Region], Any], drawn: list[tuple[Region, Labels]]) -> list[NDArray[np.bool_]]:
+    return [labelled(region).labels == SHADOW for region, _ in drawn]
+
+
+def contour_curve_rows(n: int) -> list[Row]:
     """Move contours by schedules of more and more nodes, from random starts."""
-    drawn = [drawn_pair(seed) for seed in range(_FIRST_PAIR, _FIRST_PAIR + amount.n)]
+    drawn = [drawn_pair(seed) for seed in range(_FIRST_PAIR, _FIRST_PAIR + n)]
     starts = [random_start(each, number) for number, each in enumerate(drawn)]
 
     def moved(coarse: Schedule, fine: Schedule) -> list[NDArray[np.bool_]]:
@@ -96,67 +82,49 @@ def contour_curve_rows(amount: Amount) -> list[StageRow]:
             for each, start in zip(drawn, starts, strict=True)
         ]
 
-    works: list[Callable[[], list[NDArray[np.bool_]]]] = [
-        lambda parts=parts: moved(*parts)  # type: ignore[misc]  # a default is its type
-        for parts in SCHEDULES.values()
-    ]
+    error = partial(_missed, [each.shadow for each in drawn])
     return [
-        StageRow(
-            stage="contours",
-            setting=f"{name}, {amount.n} random starts",
-            cost=cost,
-            error=_missed(masks, [each.shadow for each in drawn]),
-            unit="1 - IoU of the shadow",
-        )
-        for name, (masks, cost) in zip(SCHEDULES, timed(amount.repeat, *works), strict=True)
+        Row("contours", f"{name}, {n} random starts", partial(moved, *parts), error, "1 - IoU of the shadow")
+        for name, parts in SCHEDULES.items()
     ]
 
 
-def solid_curve_rows(amount: Amount) -> list[StageRow]:
+def solid_curve_rows(n: int) -> list[Row]:
     """Fit solids to rendered objects with four efforts, judged by one view and by two 90 degrees apart."""
-    drawn = [draw_object(SOLIDS[k % len(SOLIDS)], _FIRST_SOLID + k) for k in range(len(SOLIDS) * amount.n)]
+    drawn = [draw_object(SOLIDS[k % len(SOLIDS)], _FIRST_SOLID + k) for k in range(len(SOLIDS) * n)]
 
     def fitted(effort: Effort) -> list[list[ShapeFits]]:
         return [[fit_shapes(region, None, CORRELATION_AREA, effort=effort) for region in each.views] for each in drawn]
 
-    works: list[Callable[[], list[list[ShapeFits]]]] = [
-        lambda effort=effort: fitted(effort)  # type: ignore[misc]  # a default is its type
-        for effort in EFFORTS.values()
-    ]
     rows = []
-    for name, (fits, cost) in zip(EFFORTS, timed(amount.repeat, *works), strict=True):
+    for name, effort in EFFORTS.items():
+        work = partial(fitted, effort)
         for unit, error in (
             ("share of classes wrong, one view", _wrong_of_one),
             ("share of classes wrong, two views", _wrong_of_two),
             ("relative, root mean square of sizes", _size_error),
         ):
             rows.append(
-                StageRow(
-                    stage="solids",
-                    setting=f"{name} effort, {len(drawn)} rendered objects",
-                    cost=cost,
-                    error=error(fits, drawn),
-                    unit=unit,
-                )
+                Row("solids", f"{name} effort, {len(drawn)} rendered objects", work, partial(error, drawn), unit)
             )
     return rows
 
 
-def _missed(found: list[NDArray[np.bool_]], truths: list[NDArray[np.bool_]]) -> float:
+def _missed(truths: list[NDArray[np.bool_]], found: list[NDArray[np.bool_]]) -> float:
     return 1.0 - statistics.median(overlap(mask, truth) for mask, truth in zip(found, truths, strict=True))
 
 
-def _wrong_of_one(fits: list[list[ShapeFits]], drawn: list[DrawnSolid]) -> float:
+def _wrong_of_one(drawn: list[DrawnSolid], fits: list[list[ShapeFits]]) -> float:
     return statistics.fmean(
         best_class([view]) != each.solid for views, each in zip(fits, drawn, strict=True) for view in views
     )
 
 
-def _wrong_of_two(fits: list[list[ShapeFits]], drawn: list[DrawnSolid]) -> float:
+def _wrong_of_two(drawn: list[DrawnSolid], fits: list[list[ShapeFits]]) -> float:
     return statistics.fmean(best_class(views) != each.solid for views, each in zip(fits, drawn, strict=True))
 
 
-def _size_error(fits: list[list[ShapeFits]], drawn: list[DrawnSolid]) -> float:
+def _size_error(drawn: list[DrawnSolid], fits: list[list[ShapeFits]]) -> float:
     """Return the error of the right class's sizes over all views that it was fitted to; inf if to none."""
     errors: list[float] = []
     for views, each in zip(fits, drawn, strict=True):

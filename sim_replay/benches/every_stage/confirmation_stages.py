@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import statistics
-from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, Final
@@ -26,7 +26,7 @@ from auv_mcm.confirm.speckle import Correlation
 from auv_mcm.kernels.shape import Solid, intervals_numpy, single_solid
 from auv_mcm.kernels.trws import energy_of, icm, trws
 from sim_replay.benches.every_stage.expansion import expanded
-from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
+from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.scoring.overlap import overlap
 
 Plane = NDArray[np.float64]
@@ -54,9 +54,9 @@ def _drawn_field(seed: int) -> tuple[Plane, NDArray[np.uint8]]:
     return _LEVELS[labels] * random.exponential(size=labels.shape), labels
 
 
-def field_rows(amount: Amount) -> list[StageRow]:
+def field_rows(n: int) -> list[Row]:
     """Label drawn regions by tree-reweighted messages; instead, iterated conditional modes and alpha expansion."""
-    drawn = [_drawn_field(seed) for seed in range(amount.n)]
+    drawn = [_drawn_field(seed) for seed in range(n)]
     costs = [np.asarray(np.log(_LEVELS) + plane[:, :, np.newaxis] / _LEVELS) for plane, _ in drawn]
     bounds = [trws(cost, _INDEPENDENT, 300).lower_bound for cost in costs]
 
@@ -77,39 +77,19 @@ def field_rows(amount: Amount) -> list[StageRow]:
             overlap(labels == SHADOW, truth == SHADOW) for labels, (_, truth) in zip(found, drawn, strict=True)
         )
 
-    sweeps = (1, 3, 10, 50)
-    works: list[Callable[[], list[NDArray[np.uint8]]]] = [
-        lambda n=n: [trws(cost, _INDEPENDENT, n).labels for cost in costs]  # type: ignore[misc]  # a default is its type
-        for n in sweeps
-    ]
-    done = timed(amount.repeat, *works, by_icm, by_flow)
     rows = []
-    for n, (labels, cost) in zip(sweeps, done, strict=False):
-        (icm_labels, icm_cost), (flow_labels, flow_cost) = done[-2:]
-        for name, other, other_cost in (("ICM", icm_labels, icm_cost), (_FLOW_S, flow_labels, flow_cost)):
-            rows.append(
-                StageRow(
-                    stage="field",
-                    setting=f"{n} sweeps, {amount.n} regions",
-                    cost=cost,
-                    error=gap(labels),
-                    unit="% above the bound",
-                    limit=0.2 if n >= 10 else None,
-                    alternative=Alternative(name=name, cost=other_cost, error=gap(other)),
-                )
-            )
-        rows.append(
-            StageRow(
-                stage="field",
-                setting=f"{n} sweeps, {amount.n} regions",
-                cost=cost,
-                error=missed(labels),
-                unit="1 - IoU of the shadow",
-                limit=0.4 if n >= 10 else None,
-                alternative=Alternative(name=_FLOW_S, cost=flow_cost, error=missed(flow_labels)),
-            )
-        )
+    for sweeps in (1, 3, 10, 50):
+        work = partial(_labels_after, costs, sweeps)
+        setting, is_held = f"{sweeps} sweeps, {n} regions", sweeps >= 10
+        for other in (Other("ICM", by_icm), Other(_FLOW_S, by_flow)):
+            rows.append(Row("field", setting, work, gap, "% above the bound", 0.2 if is_held else None, other))
+        bound = 0.4 if is_held else None
+        rows.append(Row("field", setting, work, missed, "1 - IoU of the shadow", bound, Other(_FLOW_S, by_flow)))
     return rows
+
+
+def _labels_after(costs: list[Plane], sweeps: int) -> list[NDArray[np.uint8]]:
+    return [trws(cost, _INDEPENDENT, sweeps).labels for cost in costs]
 
 
 def _region_of(plane: Plane) -> Region:
@@ -126,9 +106,9 @@ def _region_of(plane: Plane) -> Region:
     )
 
 
-def contour_rows(amount: Amount) -> list[StageRow]:
+def contour_rows(n: int) -> list[Row]:
     """Draw contours of shadows with more and more nodes; instead, two methods of scikit-image."""
-    drawn = [_drawn_field(seed) for seed in range(amount.n)]
+    drawn = [_drawn_field(seed) for seed in range(n)]
     box = [np.array([[14.0, a], [14.0, b], [34.0, b], [34.0, a]]) for a, b in ((14.0, 22.0), (22.0, 46.0))]
     start = Start(*box)
     shape = drawn[0][1].shape
@@ -168,30 +148,16 @@ def contour_rows(amount: Amount) -> list[StageRow]:
             for p, _ in drawn
         ]
 
-    has_skimage = find_spec("skimage") is not None
-    nodes = (4, 8, 16)
-    works: list[Callable[[], list[NDArray[np.bool_]]]] = [lambda n=n: by_snake(n) for n in nodes]  # type: ignore[misc]  # a default is its type
-    others = {"scikit-image Chan-Vese": by_chan_vese, "scikit-image active contour": by_active_contour}
-    done = timed(amount.repeat, *works, *(others.values() if has_skimage else ()))
+    missing = "" if find_spec("skimage") is not None else "scikit-image is not installed"
+    others = [
+        Other("scikit-image Chan-Vese", by_chan_vese, missing=missing),
+        Other("scikit-image active contour", by_active_contour, missing=missing),
+    ]
     rows = []
-    for k, n in enumerate(nodes):
-        for j, name in enumerate(others):
-            mask, cost = done[k]
-            other = Alternative(name=name, missing="scikit-image is not installed")
-            if has_skimage:
-                their_mask, their_cost = done[len(nodes) + j]
-                other = Alternative(name=name, cost=their_cost, error=missed(their_mask))
-            rows.append(
-                StageRow(
-                    stage="contours",
-                    setting=f"{n} nodes, {amount.n} regions",
-                    cost=cost,
-                    error=missed(mask),
-                    unit="1 - IoU of the shadow",
-                    limit=0.4 if n == nodes[-1] else None,
-                    alternative=other,
-                )
-            )
+    for nodes in (4, 8, 16):
+        work, bound = partial(by_snake, nodes), 0.4 if nodes == 16 else None
+        setting, unit = f"{nodes} nodes, {n} regions", "1 - IoU of the shadow"
+        rows += [Row("contours", setting, work, missed, unit, bound, other) for other in others]
     return rows
 
 
@@ -220,11 +186,11 @@ def _masks(ends: Plane, n_columns: int) -> tuple[NDArray[np.bool_], NDArray[np.b
     return begun[0] & ~begun[1], begun[1] & ~begun[2]
 
 
-def solid_rows(amount: Amount) -> list[StageRow]:
+def solid_rows(n: int) -> list[Row]:
     """Fit solids with fewer and more hypotheses to objects drawn by their closed forms; instead, match templates."""
     blank = _region_of(np.ones((61, 170)))
     drawn: list[tuple[Solid, float, Region]] = []
-    for (solid, sizes), number in itertools.product(_SIZES.items(), range(amount.n)):
+    for (solid, sizes), number in itertools.product(_SIZES.items(), range(n)):
         random = _random(7, number)
         scale = random.uniform(0.85, 1.15)
         own = (*(size * scale for size in sizes[:2]), *sizes[2:])
@@ -255,32 +221,14 @@ def solid_rows(amount: Amount) -> list[StageRow]:
             found.append((solid, size_m))
         return found
 
-    efforts = {"160 hypotheses": Effort(160, 4, 10, 6, 2, 10, 6), "default": Effort()}
-    works: list[Callable[[], list[tuple[Solid, float]]]] = [
-        lambda effort=effort: by_fit(effort)  # type: ignore[misc]  # a default is its type
-        for effort in efforts.values()
-    ]
-    done = timed(amount.repeat, *works, by_template)
-    rows = []
-    for name, (fits, cost) in zip(efforts, done, strict=False):
-        matched, other = done[-1]
-        for unit, error, limit in (
+    other, rows = Other("template match, after Myers and Fawcett", by_template), []
+    for name, effort in {"160 hypotheses": Effort(160, 4, 10, 6, 2, 10, 6), "default": Effort()}.items():
+        work, setting = partial(by_fit, effort), f"{name}, {len(drawn)} objects"
+        for unit, error, bound in (
             ("share of classes wrong", _wrong, 0.5),
             ("m, median of the longest size", _size_m, 0.3),
         ):
-            rows.append(
-                StageRow(
-                    stage="solids",
-                    setting=f"{name}, {len(drawn)} objects",
-                    cost=cost,
-                    error=error(fits, drawn),
-                    unit=unit,
-                    limit=limit,
-                    alternative=Alternative(
-                        name="template match, after Myers and Fawcett", cost=other, error=error(matched, drawn)
-                    ),
-                )
-            )
+            rows.append(Row("solids", setting, work, partial(error, drawn), unit, bound, other))
     return rows
 
 
@@ -291,9 +239,9 @@ def _longest_m(shape: Any) -> float:
     return float(max(*widths_m, fields.get("length_m", 0.0), fields.get("width_m", 0.0)))
 
 
-def _wrong(found: list[tuple[Solid, float]], drawn: list[tuple[Solid, float, Region]]) -> float:
+def _wrong(drawn: list[tuple[Solid, float, Region]], found: list[tuple[Solid, float]]) -> float:
     return sum(solid != true for (solid, _), (true, *_) in zip(found, drawn, strict=True)) / len(drawn)
 
 
-def _size_m(found: list[tuple[Solid, float]], drawn: list[tuple[Solid, float, Region]]) -> float:
+def _size_m(drawn: list[tuple[Solid, float, Region]], found: list[tuple[Solid, float]]) -> float:
     return statistics.median(abs(size - true) for (_, size), (_, true, _) in zip(found, drawn, strict=True))

@@ -1,8 +1,8 @@
 """Weigh co-occurrences of grey levels into kinds of sea floor, as a user of scikit-image would.
 
 Statistics of matrices of co-occurrence (R. M. Haralick, K. Shanmugam and I. Dinstein, IEEE Trans. SMC 3, 1973) of the
-pixels around a cell and, coarser and wider, of blocks, go through a network of the size of the payload's own. It is
-fitted by `python -m sim_replay.benches.every_stage.fit_grey_levels FILE`.
+pixels around a cell and, coarser and wider, of blocks, go through a network of the size of the payload's own. What
+fitted it is in the sources at the tag benches-1: `python -m sim_replay.benches.every_stage.fit_grey_levels FILE`.
 """
 
 from __future__ import annotations

@@ -5,18 +5,20 @@ from __future__ import annotations
 import itertools
 import tempfile
 import warnings
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyxtf
 
-from auv_mcm.records import EchoTrace, NavSample, Ping
+from auv_mcm.records import EchoTrace, NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import SonarConfig
-from sim_replay.benches import framers
-from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
+from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.benches.mutations import split
+from sim_replay.fakes.damage import damaged, n_missing
 from sim_replay.logs.xtf import XtfLog
 from sim_replay.logs.xtf_writer import write_xtf
 
@@ -28,44 +30,60 @@ _PERIOD_S: Final = 0.1  # s from ping to ping
 _START_S: Final = 1_700_000_000.0  # UTC, s since 1970
 
 
-def log_rows(amount: Amount) -> list[StageRow]:
+def log_rows(n: int) -> list[Row]:
     """Read drawn pings from an XTF log, whole and with a fault for every twenty of them; instead, by pyxtf.
 
     A ping is lost whose time or samples are not those that were written. Of pyxtf's reading counts what came before it
     failed.
     """
-    pings = _drawn_pings(_PINGS_PER_INPUT * amount.n)
+    pings = _drawn_pings(_PINGS_PER_INPUT * n)
     wanted = [_key(round(100.0 * ping.time_s), ping.port, ping.starboard) for ping in pings]
     rows = []
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
-        whole, hurt = Path(folder) / "whole.xtf", Path(folder) / "damaged.xtf"
-        write_xtf(whole, _with_navigation(pings))
-        pieces = split(whole.read_bytes(), len(pings))
-        packets = [bytes(packet) for packet in pieces.packets]
-        random = np.random.Generator(np.random.PCG64(12))
-        damaged = framers.damaged(packets, len(pings) // _PINGS_PER_FAULT, random)
-        hurt.write_bytes(bytes(pieces.header) + damaged.stream)
-        for path, intact in ((whole, [True] * len(pings)), (hurt, damaged.intact)):
-            kept = list(itertools.compress(wanted, intact))
-            (ours, cost), (theirs, other) = timed(
-                amount.repeat,
-                lambda path=path: list(XtfLog(path, SonarConfig())),  # type: ignore[misc]  # a default is its type
-                lambda path=path: _by_pyxtf(path, 2 * len(pings)),  # type: ignore[misc]  # likewise
+        path = Path(folder) / "whole.xtf"
+        write_xtf(path, _with_navigation(pings))
+        whole = path.read_bytes()
+    pieces = split(whole, len(pings))
+    random = np.random.Generator(np.random.PCG64(12))
+    hurt = damaged([bytes(packet) for packet in pieces.packets], len(pings) // _PINGS_PER_FAULT, random)
+    for name, data, intact in (
+        ("whole", whole, [True] * len(pings)),
+        ("damaged", bytes(pieces.header) + hurt.stream, hurt.intact),
+    ):
+        kept = list(itertools.compress(wanted, intact))
+        rows.append(
+            Row(
+                "logs",
+                f"XTF, {name}, {len(pings)} pings, {sum(intact)} intact",
+                partial(_by_us, data),
+                partial(_n_lost, kept, _our_key),
+                "intact pings lost",
+                0.0,
+                Other("pyxtf", partial(_by_pyxtf, data, 2 * len(pings)), partial(_n_lost, kept, _pyxtf_key)),
             )
-            read = [_key(round(100.0 * e.time_s), e.port, e.starboard) for e in ours if isinstance(e, Ping)]
-            found = [key for packet in theirs if (key := _pyxtf_key(packet)) is not None]
-            rows.append(
-                StageRow(
-                    stage="logs",
-                    setting=f"XTF, {path.stem}, {len(pings)} pings, {sum(intact)} intact",
-                    cost=cost,
-                    error=float(framers.n_missing(kept, read)),
-                    unit="intact pings lost",
-                    limit=0.0,
-                    alternative=Alternative(name="pyxtf", cost=other, error=float(framers.n_missing(kept, found))),
-                )
-            )
+        )
     return rows
+
+
+def _n_lost(kept: list[Hashable], key: Callable[[Any], Hashable], read: list[Any]) -> float:
+    return float(n_missing(kept, [found for one in read if (found := key(one)) is not None]))
+
+
+@contextmanager
+def _file_of(data: bytes) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as folder:
+        path = Path(folder) / "log.xtf"
+        path.write_bytes(data)
+        yield path
+
+
+def _by_us(data: bytes) -> list[SourceEvent]:
+    with _file_of(data) as path:
+        return list(XtfLog(path, SonarConfig()))
+
+
+def _our_key(event: SourceEvent) -> Hashable:
+    return _key(round(100.0 * event.time_s), event.port, event.starboard) if isinstance(event, Ping) else None
 
 
 def _drawn_pings(n: int) -> list[Ping]:
@@ -103,10 +121,10 @@ def _key(hundredths: int, port: EchoTrace | None, starboard: EchoTrace | None) -
     return hundredths, *(None if side is None else side.samples.tobytes() for side in (port, starboard))
 
 
-def _by_pyxtf(path: Path, max_packets: int) -> list[object]:
+def _by_pyxtf(data: bytes, max_packets: int) -> list[object]:
     """Read what pyxtf reads until it fails. max_packets: it goes on for ever at a packet of no length."""
     found: list[object] = []
-    with warnings.catch_warnings():
+    with _file_of(data) as path, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             found.extend(itertools.islice(pyxtf.xtf_read_gen(str(path)), 1, 1 + max_packets))

@@ -1,10 +1,10 @@
-"""Time a stage and what a user would take instead, in turn, and hold what they cost beside how far they err."""
+"""Declare stages at their settings, beside what a user would take instead, and measure what each costs and errs."""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -52,11 +52,66 @@ class StageRow(msgspec.Struct, frozen=True, kw_only=True):
         return self.limit is None or self.error <= self.limit
 
 
-class Amount(NamedTuple):
-    """Say how much to measure. n: inputs per row; repeat: times per input."""
+class Other(NamedTuple):
+    """Declare what a user would take instead of a row.
 
-    n: int
-    repeat: int
+    error: of its answer, as the row's if None. per: as of a row. missing: why it cannot be measured; empty where it can
+    be.
+    """
+
+    name: str
+    work: Callable[[], Any]
+    error: Callable[[Any], float] | None = None
+    per: float = 1.0
+    missing: str = ""
+
+
+class Row(NamedTuple):
+    """Declare a stage at one setting.
+
+    work: does it on inputs that it holds, and gives an answer. error: of the answer, in the unit named. bound: the most
+    that it may be; None for no bound. per: what the time is divided by.
+    """
+
+    stage: str
+    setting: str
+    work: Callable[[], Any]
+    error: Callable[[Any], float]
+    unit: str
+    bound: float | None = None
+    alternative: Other | None = None
+    per: float = 1.0
+
+
+def measured(rows: Sequence[Row], repeat: int) -> list[StageRow]:
+    """Do the works of all rows in turn, each once however many rows it stands in, and take costs and errors."""
+    others = [row.alternative.work for row in rows if row.alternative is not None and not row.alternative.missing]
+    works = list(dict.fromkeys([*(row.work for row in rows), *others]))
+    done = dict(zip(works, timed(repeat, *works), strict=True))
+
+    def cost(work: Callable[[], Any], per: float) -> Cost:
+        return Cost(tuple(ms / per for ms in done[work][1].times_ms))
+
+    found = []
+    for row in rows:
+        other = None
+        if row.alternative is not None:
+            name, work, error, per, missing = row.alternative
+            other = Alternative(name=name, missing=missing)
+            if not missing:
+                other = Alternative(name=name, cost=cost(work, per), error=(error or row.error)(done[work][0]))
+        found.append(
+            StageRow(
+                stage=row.stage,
+                setting=row.setting,
+                cost=cost(row.work, row.per),
+                error=row.error(done[row.work][0]),
+                unit=row.unit,
+                limit=row.bound,
+                alternative=other,
+            )
+        )
+    return found
 
 
 def timed(repeat: int, *works: Callable[[], Any]) -> list[tuple[Any, Cost]]:

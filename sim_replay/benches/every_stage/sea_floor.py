@@ -12,11 +12,13 @@ from auv_mcm.records import Tile
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import kind_indices, seabed_odds, shipped_seabed_model
 from auv_mcm.seabed.texture import Texture, measure_texture
-from sim_replay.benches.every_stage.fit_grey_levels import JUDGED_SEEDS, MIN_KNOWN, share_wrong
 from sim_replay.benches.every_stage.grey_levels import grey_level_inputs, grey_level_odds, shipped_grey_levels
-from sim_replay.benches.every_stage.rows import Alternative, Amount, StageRow, timed
+from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.fitting.seabed.samples import drawn_mission, tiles_of, true_shares
 
+JUDGED_SEEDS: Final = range(91010, 91020)
+"""A mission like each of the ten named scenes; none was fitted on."""
+MIN_KNOWN: Final = 0.5  # of a cell's places, as where the payload's model is fitted
 _MAX_WRONG: Final = 0.3  # of cells of each kind; a check for what is broken, drawn missions differ much
 _OTHER: Final = "scikit-image grey-level co-occurrence"
 
@@ -30,9 +32,9 @@ class _Judged(NamedTuple):
     shares: NDArray[np.float64]
 
 
-def sea_floor_rows(amount: Amount) -> list[StageRow]:
+def sea_floor_rows(n: int) -> list[Row]:
     """Classify tiles of held-out missions, with neighbours and without; instead, by co-occurrences of grey levels."""
-    judged = [_first_tile(seed) for seed in JUDGED_SEEDS[: amount.n]]
+    judged = [_first_tile(seed) for seed in JUDGED_SEEDS[:n]]
     model, kinds = shipped_seabed_model(), kind_indices(shipped_seabed_model())
     shares = np.concatenate([each.shares for each in judged])
 
@@ -67,23 +69,19 @@ def sea_floor_rows(amount: Amount) -> list[StageRow]:
         place[kinds] = np.arange(len(kinds))
         return share_wrong(place[taken], shares)
 
-    has_skimage = find_spec("skimage") is not None
-    done = timed(amount.repeat, alone, with_neighbours, *((by_grey_levels,) if has_skimage else ()))
-    other = Alternative(name=_OTHER, missing="scikit-image is not installed")
-    if has_skimage:
-        other = Alternative(name=_OTHER, cost=done[-1][1], error=wrong(done[-1][0]))
+    missing = "" if find_spec("skimage") is not None else "scikit-image is not installed"
+    other = Other(_OTHER, by_grey_levels, missing=missing)
+    cells, unit = f"{len(judged)} tiles, {len(shares)} cells", "share of cells wrong, mean over kinds"
     return [
-        StageRow(
-            stage="sea floor",
-            setting=f"{name}, {len(judged)} tiles, {len(shares)} cells",
-            cost=cost,
-            error=wrong(found),
-            unit="share of cells wrong, mean over kinds",
-            limit=_MAX_WRONG,
-            alternative=other,
-        )
-        for name, (found, cost) in zip(("each cell alone", "with neighbours"), done, strict=False)
+        Row("sea floor", f"{name}, {cells}", work, wrong, unit, _MAX_WRONG, other)
+        for name, work in (("each cell alone", alone), ("with neighbours", with_neighbours))
     ]
+
+
+def share_wrong(found: NDArray[np.integer], shares: NDArray[np.floating]) -> float:
+    """Measure the share of cells taken for another kind than most of them is, the mean over the kinds there are."""
+    true = shares.argmax(axis=1)
+    return float(np.mean([np.mean(found[true == kind] != kind) for kind in np.unique(true)]))
 
 
 def _first_tile(seed: int) -> _Judged:

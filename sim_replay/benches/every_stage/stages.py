@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
-from collections.abc import Callable, Hashable
-from importlib import import_module
-from importlib.util import find_spec
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -18,16 +14,17 @@ from scipy import ndimage
 from auv_mcm.plan.survey import replan
 from auv_mcm.waterfall.bottom import BottomTracker
 from auv_mcm.waterfall.ground import make_traces, mean_between
-from drivers.framing import Framer
-from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.augment.direct import invert
 from sim_replay.augment.forward import BeamPattern, SeafloorScene, render_image
-from sim_replay.benches import cascade, framers, simulate, tours
+from sim_replay.benches.every_stage.cascade_rows import cascade_rows
 from sim_replay.benches.every_stage.confirmation_curves import contour_curve_rows, field_curve_rows, solid_curve_rows
 from sim_replay.benches.every_stage.confirmation_stages import contour_rows, field_rows, solid_rows
+from sim_replay.benches.every_stage.drawn_worlds import LIMITS, SEED, START, drawn_world, optimum_m2
+from sim_replay.benches.every_stage.framer_rows import framer_rows
 from sim_replay.benches.every_stage.log_reading import log_rows
-from sim_replay.benches.every_stage.rows import Alternative, Amount, Cost, StageRow, timed
+from sim_replay.benches.every_stage.rows import Other, Row
 from sim_replay.benches.every_stage.sea_floor import sea_floor_rows
+from sim_replay.benches.every_stage.shadow_ends import shadow_errors_m
 
 Plane = NDArray[np.float64]
 
@@ -36,7 +33,7 @@ def _random(*seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(list(seed)))
 
 
-def resampling_rows(amount: Amount) -> list[StageRow]:
+def resampling_rows(n: int) -> list[Row]:
     """Resample pings to ground range: against sums of extended precision; instead, points of np.interp."""
     n_samples, spacing_m = 2000, 0.025
     edges_m = np.hypot(0.12 * np.arange(401), 6.0)
@@ -55,25 +52,15 @@ def resampling_rows(amount: Amount) -> list[StageRow]:
     whole = np.minimum(place.astype(np.intp), n_samples - 1)
     reached = sums[:, whole] + (place - whole) * (sums[:, whole + 1] - sums[:, whole])
     truth = np.diff(reached, axis=1) / np.diff(place)
-    (mean, cost), (point, other) = timed(amount.repeat, ours, points)
 
     def error(found: Plane) -> float:
         return float(np.sqrt(np.mean(np.square(np.asarray(found / truth - 1.0, dtype=np.float64)))))
 
-    return [
-        StageRow(
-            stage="waterfall",
-            setting="32 pings of 2000 samples to 400 columns",
-            cost=cost,
-            error=error(mean),
-            unit="root mean square over the true mean",
-            limit=1e-9,
-            alternative=Alternative(name="numpy interp", cost=other, error=error(point)),
-        )
-    ]
+    setting, unit = "32 pings of 2000 samples to 400 columns", "root mean square over the true mean"
+    return [Row("waterfall", setting, ours, error, unit, 1e-9, Other("numpy interp", points))]
 
 
-def bottom_rows(amount: Amount) -> list[StageRow]:
+def bottom_rows(n: int) -> list[Row]:
     """Track the bottom under faint water; instead, take the first half metre above three times the water column."""
     rows = []
     for floor_db in (20.0, 8.0):
@@ -98,70 +85,33 @@ def bottom_rows(amount: Amount) -> list[StageRow]:
             water = smooth[:, 25:75].mean()  # 1 to 3 m
             return np.asarray(slant_m[25 + (smooth[:, 25:] > 3.0 * water).argmax(axis=1)])
 
-        (tracked, cost), (crossed, other) = timed(amount.repeat, ours, first)
-        rows.append(
-            StageRow(
-                stage="bottom tracking",
-                setting=f"{n_pings} pings, floor {floor_db:g} dB over the water",
-                cost=cost,
-                error=float(np.quantile(np.abs(tracked - altitude_m), 0.95)),
-                unit="m, 95 % quantile",
-                limit=0.3,
-                alternative=Alternative(
-                    name="first half metre over 3 times the water",
-                    cost=other,
-                    error=float(np.quantile(np.abs(crossed - altitude_m), 0.95)),
-                ),
-            )
-        )
+        setting = f"{n_pings} pings, floor {floor_db:g} dB over the water"
+        other = Other("first half metre over 3 times the water", first)
+        rows.append(Row("bottom tracking", setting, ours, partial(_off_m, altitude_m), "m, 95 % quantile", 0.3, other))
     return rows
 
 
-def cascade_rows(amount: Amount) -> list[StageRow]:
-    """Run one cascade here and in OpenCV, over the same windows; times are per million windows visited."""
-    cv2.setNumThreads(1)
-    model = cascade.drawn_model("stages")
-    shape = (192, cascade.SHAPE[1]) if amount.n < 4 else cascade.SHAPE
-    rows = []
-    for name, image in cascade.drawn_tiles(shape).items():
-        found = cascade.against_opencv(model, image, amount.repeat)
-        rows.append(
-            StageRow(
-                stage="cascade",
-                setting=f"{name} tile, a million windows",
-                cost=Cost((1e3 / found.ours,)),
-                error=float(found.n_different),
-                unit="windows decided otherwise",
-                limit=0.0,
-                alternative=Alternative(
-                    name=f"cv2.CascadeClassifier, of {found.n_visited} windows it visits",
-                    cost=Cost((1e3 / found.opencv,)),
-                    error=0.0,
-                ),
-            )
-        )
-    return rows
+def _off_m(wanted_m: Any, found_m: Any) -> float:
+    return float(np.quantile(np.abs(found_m - wanted_m), 0.95))
 
 
-def simulator_rows(amount: Amount) -> list[StageRow]:
+def simulator_rows(n: int) -> list[Row]:
     """Cast shadows on cells of several sizes; the reference is the closed form."""
-    rows = []
-    for cell_m in (0.1,) if amount.n < 4 else (0.2, 0.1, 0.05):
-        ((errors, cost),) = timed(amount.repeat, lambda cell_m=cell_m: simulate.shadow_errors_m(cell_m))  # type: ignore[misc]  # a default is its type
-        rows.append(
-            StageRow(
-                stage="simulator",
-                setting=f"cells of {100 * cell_m:g} cm, shadows of 205 objects",
-                cost=cost,
-                error=float(np.quantile(np.abs(errors), 0.95)),
-                unit="m, 95 % quantile of shadows' ends",
-                limit=1.1 * cell_m,
-            )
+    unit = "m, 95 % quantile of shadows' ends"
+    return [
+        Row(
+            "simulator",
+            f"cells of {100 * cell_m:g} cm, shadows of 205 objects",
+            partial(shadow_errors_m, cell_m),
+            partial(_off_m, 0.0),
+            unit,
+            1.1 * cell_m,
         )
-    return rows
+        for cell_m in ((0.1,) if n < 4 else (0.2, 0.1, 0.05))
+    ]
 
 
-def inversion_rows(amount: Amount) -> list[StageRow]:
+def inversion_rows(n: int) -> list[Row]:
     """Recover relief from an image; instead, add brightness up along each ping."""
     shape, column_m = (128, 256), 0.1
     relief = 3.75 * ndimage.gaussian_filter(_random(9).normal(size=shape), (6, 8), mode="wrap")
@@ -192,121 +142,57 @@ def inversion_rows(amount: Amount) -> list[StageRow]:
         def added(image: Plane = image) -> Plane:
             return np.cumsum(image / ndimage.uniform_filter(image, (1, 101)) - 1.0, axis=1) * column_m
 
-        (heights, cost), (sums, other) = timed(amount.repeat, ours, added)
-        rows.append(
-            StageRow(
-                stage="inversion",
-                setting=f"128 pings of 256 columns, {floor}",
-                cost=cost,
-                error=unlike(heights),
-                unit="1 - correlation of heights",
-                limit=0.5,
-                alternative=Alternative(name="brightness added up", cost=other, error=unlike(sums)),
-            )
-        )
+        setting, other = f"128 pings of 256 columns, {floor}", Other("brightness added up", added)
+        rows.append(Row("inversion", setting, ours, unlike, "1 - correlation of heights", 0.5, other))
     return rows
 
 
-def planner_rows(amount: Amount) -> list[StageRow]:
+def planner_rows(n: int) -> list[Row]:
     """Plan second views under a budget; instead, try every set and order."""
     rows = []
-    for n_contacts in (3,) if amount.n < 4 else (3, 5, 7, 9):
+    for n_contacts in (3,) if n < 4 else (3, 5, 7, 9):
         worlds = []
-        for number in range(amount.n):
-            random = np.random.Generator(np.random.PCG64([tours.SEED, n_contacts, number]))
-            world = tours.drawn_world(random, n_contacts, is_open=False)
-            worlds.append((world, tours.LIMITS._replace(budget_m=float(random.uniform(300.0, 2000.0)), fence=None)))
+        for number in range(n):
+            random = np.random.Generator(np.random.PCG64([SEED, n_contacts, number]))
+            world = drawn_world(random, n_contacts, is_open=False)
+            worlds.append((world, LIMITS._replace(budget_m=float(random.uniform(300.0, 2000.0)), fence=None)))
 
         def ours(worlds: list[Any] = worlds) -> list[float]:
-            return [replan(world, tours.START, limits, None, lambda: True).gain_m2 for world, limits in worlds]
+            return [replan(world, START, limits, None, lambda: True).gain_m2 for world, limits in worlds]
 
         def exact(worlds: list[Any] = worlds) -> list[float]:
-            return [tours.optimum_m2(world, limits) for world, limits in worlds]
+            return [optimum_m2(world, limits) for world, limits in worlds]
 
-        (gains, cost), (best, other) = timed(min(amount.repeat, 3), ours, exact)
-        shares = [1.0 - gain / most for gain, most in zip(gains, best, strict=True) if most > 0.0]
         rows.append(
-            StageRow(
-                stage="planner",
-                setting=f"{n_contacts} contacts, {amount.n} worlds",
-                cost=cost,
-                error=max(shares, default=0.0),
-                unit="of the optimum not gained, worst",
-                limit=1e-9,  # rounding
-                alternative=Alternative(name="exact enumeration", cost=other, error=0.0),
+            Row(
+                "planner",
+                f"{n_contacts} contacts, {n} worlds",
+                ours,
+                partial(_not_gained, exact()),
+                "of the optimum not gained, worst",
+                1e-9,  # rounding
+                Other("exact enumeration", exact),
             )
         )
     return rows
 
 
-def framer_rows(amount: Amount) -> list[StageRow]:
-    """Frame Ping Protocol, whole and damaged; instead, brping's parser."""
-    random = _random(4)
-    messages = framers.ping_stream_messages(random, 40 * amount.n)
-    hurt = framers.damaged(messages, 10 * amount.n, random)
-    streams = {"whole": b"".join(messages), "damaged": hurt.stream}
-    has_brping = find_spec("brping") is not None
-    rows = []
-    for name, stream in streams.items():
-        intact = hurt.intact if name == "damaged" else [True] * len(messages)
-        done = timed(
-            amount.repeat,
-            lambda stream=stream: _framed(stream),  # type: ignore[misc]  # a default is its type
-            *((lambda stream=stream: _by_brping(stream),) if has_brping else ()),
-        )
-        other = Alternative(name="brping", missing="brping is not installed: pip install bluerobotics-ping")
-        if has_brping:
-            lost = _lost(_by_brping(streams["whole"]), intact, done[1][0])
-            other = Alternative(name="brping", cost=done[1][1], error=lost)
-        rows.append(
-            StageRow(
-                stage="framers",
-                setting=f"Ping Protocol, {name}, {len(stream)} bytes",
-                cost=done[0][1],
-                error=_lost(_framed(streams["whole"]), intact, done[0][0]),
-                unit="intact messages lost",
-                limit=0.0,
-                alternative=other,
-            )
-        )
-    return rows
+def _not_gained(best_m2: list[float], gains_m2: list[float]) -> float:
+    return max((1.0 - gain / most for gain, most in zip(gains_m2, best_m2, strict=True) if most > 0.0), default=0.0)
 
 
-def _framed(stream: bytes) -> list[Hashable]:
-    framer = Framer(PingGrammar())
-    found = [framed for at in range(0, len(stream), 4096) for framed in framer.feed(stream[at : at + 4096])]
-    return [tuple(framed.message) for framed in found + framer.finish()]
-
-
-def _by_brping(stream: bytes) -> list[Hashable]:
-    brping = import_module("brping")
-    parser, found = brping.PingParser(), list[Hashable]()
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints the numbers of messages that it does not know
-        for byte in stream:
-            if parser.parse_byte(byte) == brping.PingParser.NEW_MESSAGE:
-                found.append(bytes(parser.rx_msg.msg_data))
-    return found
-
-
-def _lost(sent: list[Hashable], intact: list[bool], found: list[Hashable]) -> float:
-    """Count intact messages that were not found, and those that were not even found among whole ones."""
-    if len(sent) != len(intact):
-        return float(abs(len(intact) - len(sent)))
-    return float(framers.n_missing([message for message, whole in zip(sent, intact, strict=True) if whole], found))
-
-
-STAGES: Final[dict[str, Callable[[Amount], list[StageRow]]]] = {
+STAGES: Final[dict[str, Callable[[int], list[Row]]]] = {
     "logs": log_rows,
     "waterfall": resampling_rows,
     "bottom": bottom_rows,
     "cascade": cascade_rows,
-    "field": lambda amount: [*field_rows(amount), *field_curve_rows(amount)],
-    "contours": lambda amount: [*contour_rows(amount), *contour_curve_rows(amount)],
-    "solids": lambda amount: [*solid_rows(amount), *solid_curve_rows(amount)],
+    "field": lambda n: [*field_rows(n), *field_curve_rows(n)],
+    "contours": lambda n: [*contour_rows(n), *contour_curve_rows(n)],
+    "solids": lambda n: [*solid_rows(n), *solid_curve_rows(n)],
     "simulator": simulator_rows,
     "inversion": inversion_rows,
     "sea-floor": sea_floor_rows,
     "planner": planner_rows,
     "framers": framer_rows,
 }
-"""What measures each stage, in the order of the chain."""
+"""What declares each stage's rows for a number of inputs, in the order of the chain."""

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
@@ -60,32 +60,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--knobs", help="turn only these knobs, with commas between, beside the default and the references"
     )
     instead = parser.add_mutually_exclusive_group()
-    instead.add_argument(
-        "--targets",
-        action="store_true",
-        help="the default and the plain script alone, on all that the targets are about",
-    )
-    instead.add_argument(
-        "--skips",
-        action="store_true",
-        help="what each skip of the chain saves, and how far the answer differs without it",
-    )
-    instead.add_argument(
-        "--scaling", action="store_true", help="how cost grows with swath, ping rate, objects, length and threads"
-    )
-    instead.add_argument(
-        "--latency",
-        action="store_true",
-        help="how long after it was passed a target is announced, early and in the end",
-    )
-    instead.add_argument(
-        "--fallback",
-        action="store_true",
-        help="with the C kernels and without them, whether numpy alone keeps up (default scene: flat)",
-    )
-    instead.add_argument(
-        "--quick", action="store_true", help="check errors and counts of work on two small missions; no time is judged"
-    )
+    for name, does in {
+        "--targets": "the default and the plain script alone, on all that the targets are about",
+        "--skips": "what each skip of the chain saves, and how far the answer differs without it",
+        "--scaling": "how cost grows with swath, ping rate, objects, length and threads",
+        "--latency": "how long after it was passed a target is announced, early and in the end",
+        "--fallback": "with the C kernels and without them, whether numpy alone keeps up (default scene: flat)",
+        "--quick": "check errors and counts of work on two small missions; no time is judged",
+    }.items():
+        instead.add_argument(name, action="store_true", help=does)
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write everything measured to FILE")
     parser.add_argument("--page", type=new_file, metavar="FILE", help="write a page with plot and tables to FILE")
     parser.add_argument(
@@ -98,9 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly, run, score and print; returns the exit code. Raises UsageError for scenes or knobs that are not there."""
     if arguments.quick:
         return _quick()
-    if (arguments.skips or arguments.scaling or arguments.latency or arguments.fallback) and (
-        arguments.page is not None or arguments.compare is not None
-    ):
+    asked = next((ask for name, ask in _ASKED.items() if getattr(arguments, name)), None)
+    if asked is not None and (arguments.page is not None or arguments.compare is not None):
         raise UsageError(
             "--page and --compare are for operating points and targets: leave them out beside --skips, --scaling, "
             "--latency and --fallback"
@@ -110,14 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
     names = tuple(arguments.scenes.split(",")) if arguments.scenes else usual
     for name in names:
         read_scene(name)
-    if arguments.scaling:
-        return _scaling(arguments)
-    if arguments.skips:
-        return _skips(arguments, names)
-    if arguments.latency:
-        return _latency(arguments, names)
-    if arguments.fallback:
-        return _fallback(arguments, names)
+    if asked is not None:
+        return _answer(asked, arguments, names)
     chosen = _chosen(arguments.knobs, arguments.targets)
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
@@ -148,71 +124,62 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _skips(arguments: argparse.Namespace, names: Sequence[str]) -> int:
-    laid_out = markdown if arguments.markdown else columns
+def _answer(asked: _Ask, arguments: argparse.Namespace, names: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        lines = _missions(arguments, names, Path(made))
-        effects = measure_skips(lines, arguments.repeat, Path(made), progress)
+        found, words, *tables = asked(arguments, names, Path(made))
     print(file=sys.stderr)
-    print(laid_out(REGISTER_HEADER, register_rows()))
-    print(
-        f"\nTime without a skip in units of the time with it, of whole processes; medians of {arguments.repeat} "
-        "repeats in turn."
-    )
-    print(f"Called: p_mine of {CALLED_P:g} or more. Skips that left out nothing on a mission are not in its rows.\n")
-    print(laid_out(SKIP_HEADER, skip_rows(effects)))
-    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(effects), indent=1))
-    return 0
-
-
-def _scaling(arguments: argparse.Namespace) -> int:
-    laid_out = markdown if arguments.markdown else columns
-    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        found = measure_series(arguments.repeat, Path(made), progress)
-    print(file=sys.stderr)
-    print(
-        "processor time of the chain alone, and elapsed time of whole processes, which says something on an idle "
-        "computer only;"
-    )
-    print(f"medians of {arguments.repeat} repeats; cost = constant * value ** exponent, with its standard error\n")
-    print(laid_out(SERIES_HEADER, series_rows(found)))
+    print(words)
+    for header, rows in tables:
+        print("\n" + (markdown if arguments.markdown else columns)(header, rows))
     write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(found), indent=1))
     return 0
 
 
-def _latency(arguments: argparse.Namespace, names: Sequence[str]) -> int:
-    laid_out = markdown if arguments.markdown else columns
-    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        lines = _missions(arguments, names, Path(made))
-        waits = []
-        for line in lines:
-            progress(f"{line.name}: waits for announcements")
-            waits.append(measure_latency(line))
-    print(file=sys.stderr)
-    print(
+def _skips(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
+    effects = measure_skips(_missions(arguments, names, folder), arguments.repeat, folder, progress)
+    words = (
+        "Time without a skip in units of the time with it, of whole processes; medians of "
+        f"{arguments.repeat} repeats in turn.\nCalled: p_mine of {CALLED_P:g} or more. Skips that left out nothing on "
+        "a mission are not in its rows."
+    )
+    return effects, words, (REGISTER_HEADER, register_rows()), (SKIP_HEADER, skip_rows(effects))
+
+
+def _scaling(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
+    found = measure_series(arguments.repeat, folder, progress)
+    words = (
+        "processor time of the chain alone, and elapsed time of whole processes, which says something on an idle "
+        f"computer only;\nmedians of {arguments.repeat} repeats; cost = constant * value ** exponent, with its "
+        "standard error"
+    )
+    return found, words, (SERIES_HEADER, series_rows(found))
+
+
+def _latency(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
+    waits = []
+    for line in _missions(arguments, names, folder):
+        progress(f"{line.name}: waits for announcements")
+        waits.append(measure_latency(line))
+    words = (
         "Track and mission time from the last ping that saw a target until it is announced; in time: within "
-        f"{WITHIN_M:g} m or"
+        f"{WITHIN_M:g} m or\n{WITHIN_S:g} s, whichever is later. Processor time of early looks is that of the chain's "
+        "other stages in the same run."
     )
-    print(
-        f"{WITHIN_S:g} s, whichever is later. Processor time of early looks is that of the chain's other stages in the "
-        "same run.\n"
-    )
-    print(laid_out(LATENCY_HEADER, latency_rows(waits)))
-    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(waits), indent=1))
-    return 0
+    return waits, words, (LATENCY_HEADER, latency_rows(waits))
 
 
-def _fallback(arguments: argparse.Namespace, names: Sequence[str]) -> int:
-    laid_out = markdown if arguments.markdown else columns
-    with tempfile.TemporaryDirectory(prefix="auv-mcm-bench-") as made:
-        lines = _missions(arguments, names, Path(made))
-        default = _chosen(None, targets_alone=True)[0]
-        both = measure_fallback(default, lines, arguments.repeat, Path(made), progress)
-    print(file=sys.stderr)
-    print("processor time of the chain alone, one core; in common: called either way, to a centimetre\n")
-    print(laid_out(FALLBACK_HEADER, fallback_rows(*both)))
-    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(both), indent=1))
-    return 0
+def _fallback(arguments: argparse.Namespace, names: Sequence[str], folder: Path) -> tuple[Any, ...]:
+    lines, default = _missions(arguments, names, folder), _chosen(None, targets_alone=True)[0]
+    both = measure_fallback(default, lines, arguments.repeat, folder, progress)
+    words = "processor time of the chain alone, one core; in common: called either way, to a centimetre"
+    return both, words, (FALLBACK_HEADER, fallback_rows(*both))
+
+
+_Ask: TypeAlias = Callable[[argparse.Namespace, Sequence[str], Path], tuple[Any, ...]]
+_ASKED: Final[dict[str, _Ask]] = {
+    "scaling": _scaling, "skips": _skips, "latency": _latency, "fallback": _fallback,
+}  # fmt: skip
+"""What gives, instead of operating points: what was found, words about it, and tables of a header and rows."""
 
 
 def _quick() -> int:

@@ -15,11 +15,7 @@ FALLBACK_HEADER: Final = ("mission", "kernels", "times real time", "processor ti
 
 
 def measure_fallback(
-    default: ChainSetting,
-    lines: Sequence[BenchMission],
-    repeat: int,
-    folder: Path,
-    progress: Callable[[str], None],
+    default: ChainSetting, lines: Sequence[BenchMission], repeat: int, folder: Path, progress: Callable[[str], None]
 ) -> tuple[SettingResult, SettingResult]:
     """Run the default operating point with the kernels, then without them."""
     with_c = measure_settings([default], lines, repeat, folder, progress)

@@ -4,16 +4,20 @@ with targets put in."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import math
+import statistics
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
+import numpy as np
 
+from auv_mcm.records import NavSample, Ping
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
-from sim_replay.augment.targets import ScatteredTargets, TargetSpec
-from sim_replay.benches.chain import stored_sample_type, tiled
+from sim_replay.augment.recorded_line import scattered
+from sim_replay.logs.open_log import open_log
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.missions import config_for
 from sim_replay.scoring.inputs import Truth, parse_truth
@@ -27,8 +31,6 @@ LEG_SHARE: Final = 0.5
 MissionKind: TypeAlias = Literal["scene", "empty", "recorded", "long"]
 """scene: a named scene; empty: one without its objects; recorded: with targets put in; long: a recording repeated end
 to end."""
-_TARGETS_PER_LINE: Final = 8  # and as many rocks
-_APART_M: Final = 5.0  # m between embedded objects, minimum
 
 
 class BenchMission(NamedTuple):
@@ -89,6 +91,41 @@ def repeated(line: BenchMission, duration_s: float, folder: Path) -> BenchMissio
     return line._replace(name=name, kind="long", log=log)
 
 
+def tiled(log: Path, duration_s: float) -> Iterator[NavSample | Ping]:
+    """Repeat the log end to end until `duration_s` is reached.
+
+    Each copy is later in time and farther along its own line.
+    """
+    events = [event for event in open_log(log, Config()) if isinstance(event, NavSample | Ping)]
+    times = [event.time_s for event in events if isinstance(event, Ping)]
+    period_s = times[-1] - times[0] + statistics.median(np.diff(times).tolist())
+    fixes = [event for event in events if isinstance(event, NavSample) and math.isfinite(event.latitude_deg)]
+    step_deg = (
+        (fixes[-1].latitude_deg - fixes[0].latitude_deg, fixes[-1].longitude_deg - fixes[0].longitude_deg)
+        if fixes
+        else (0.0, 0.0)
+    )
+    for copy in range(max(1, math.ceil(duration_s / period_s))):
+        for event in events:
+            if isinstance(event, Ping):
+                yield msgspec.structs.replace(event, time_s=event.time_s + copy * period_s)
+            else:
+                yield msgspec.structs.replace(
+                    event,
+                    time_s=event.time_s + copy * period_s,
+                    latitude_deg=event.latitude_deg + copy * step_deg[0],
+                    longitude_deg=event.longitude_deg + copy * step_deg[1],
+                )
+
+
+def stored_sample_type(log: Path) -> Any:
+    """Find the type of the samples of a log."""
+    ping = next(event for event in open_log(log, Config()) if isinstance(event, Ping))
+    trace = ping.port or ping.starboard
+    assert trace is not None
+    return str(trace.samples.dtype)
+
+
 def crowded(scene: Scene, times: float) -> Scene:
     """Multiply a scene's scattered objects, at least one of each kind."""
     scatter: tuple[Scatter, ...] = tuple(
@@ -109,15 +146,3 @@ def augment_logs(
             truth = parse_truth(json.loads(written.truth.read_bytes()), log.name)
             lines.append(BenchMission(f"{log.stem} {seed}", log.stem, "recorded", written.log, Config(), truth))
     return lines
-
-
-def scattered(seed: int) -> TargetSpec:
-    """Scatter targets of all kinds and as many rocks on the sea floor that the line shows."""
-    targets = ScatteredTargets(
-        kinds=("cylinder", "sphere", "truncated_cone", "wedge", "box"),
-        count=_TARGETS_PER_LINE,
-        apart_m=_APART_M,
-        is_target=True,
-    )
-    rocks = ScatteredTargets(kinds=("rock",), count=_TARGETS_PER_LINE, apart_m=_APART_M, is_target=False)
-    return TargetSpec(seed=seed, scatter=(targets, rocks))

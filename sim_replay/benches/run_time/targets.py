@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import statistics
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
 
 import msgspec
 
@@ -63,75 +63,67 @@ def cost_targets(
     def speed(name: str) -> float:
         return times_real_time(runs[name])
 
-    slowest, slowest_recorded = min(scenes, key=speed, default=None), min(recorded, key=speed, default=None)
     by_memory = runs if long is None else {**runs, f"{LONG_S / 60.0:g} minutes of flat": long}
     heaviest = max(by_memory, key=lambda name: by_memory[name].peak_memory_mb)
     swept_km2 = sum(line.truth.area_km2 for line in lines if line.name in flat)
 
-    def target(
-        name: str,
-        values: tuple[float, float, float],
-        at_most: bool,
-        measured: float | None,
-        of: Sequence[str | None],
-        where: str = "",
-    ) -> CostTarget:
-        profile = "" if measured is None else profile_words([runs[one] for one in of if one is not None])
-        made = CostTarget(
-            name=name,
-            before=values[0],
-            target=values[1],
-            aim=values[2],
-            at_most=at_most,
-            measured=measured,
-            where=where,
-            profile=profile,
-        )
-        return msgspec.structs.replace(made, profile="") if made.met else made
-
     script = _median_ratio(chain.process_s(flat), plain.process_s(flat)) if flat else None
-    return [
-        target("chain over plain script, flat, whole process", (10.5, 2.0, 1.0), True, script, flat),
-        target(
-            "times real time, flat",
-            (26.0, 250.0, 500.0),
-            False,
-            statistics.median(map(speed, flat)) if flat else None,
-            flat,
-        ),
-        target(
-            *("times real time, worst named scene", (14.0, 60.0, 100.0), False),
-            *(None if slowest is None else speed(slowest), [slowest], slowest or ""),
-        ),
-        target(
-            *("times real time, recorded line", (18.0, 100.0, 200.0), False),
-            *(
-                None if slowest_recorded is None else speed(slowest_recorded),
-                [slowest_recorded],
-                slowest_recorded or "no --log",
-            ),
-        ),
-        target(
-            *("empty floor over busy floor: flat without objects over flat", (0.99, 0.25, 0.1), True),
+    figures: tuple[_Figure, ...] = (
+        _Figure("chain over plain script, flat, whole process", 10.5, 2.0, 1.0, True, script, flat),
+        _Figure("times real time, flat", 26.0, 250.0, 500.0, False, _median(map(speed, flat)), flat),
+        _Figure("times real time, worst named scene", 14.0, 60.0, 100.0, False, *_slowest(speed, scenes, "")),
+        _Figure("times real time, recorded line", 18.0, 100.0, 200.0, False, *_slowest(speed, recorded, "no --log")),
+        _Figure(
+            *("empty floor over busy floor: flat without objects over flat", 0.99, 0.25, 0.1, True),
             *(_cost_ratio(runs, empty, flat, lambda run: run.pings), empty, "per ping"),
         ),
-        target(
-            *("the same: flat without objects over boulders", (0.40, 0.25, 0.1), True),
+        _Figure(
+            *("the same: flat without objects over boulders", 0.40, 0.25, 0.1, True),
             *(_cost_ratio(runs, empty, busy, lambda run: run.samples), empty, "per sample"),
         ),
-        target(
-            *("contacts per km², flat", (65000.0, 8000.0, 3000.0), True),
+        _Figure(
+            *("contacts per km², flat", 65000.0, 8000.0, 3000.0, True),
             *(sum(runs[name].contacts for name in flat) / swept_km2 if flat else None, []),
         ),
-        target(
-            "peak memory of the chain, MB",
-            (190.0, 200.0, 150.0),
-            True,
-            by_memory[heaviest].peak_memory_mb,
-            [],
-            heaviest,
+        _Figure(
+            *("peak memory of the chain, MB", 190.0, 200.0, 150.0, True),
+            *(by_memory[heaviest].peak_memory_mb, [], heaviest),
         ),
-    ]
+    )
+    return [_with_profile(one, runs) for one in figures]
+
+
+class _Figure(NamedTuple):
+    """Hold a figure as measured. of: missions whose profile says why, where its target is missed."""
+
+    name: str
+    before: float
+    target: float
+    aim: float
+    at_most: bool
+    measured: float | None
+    of: Sequence[str]
+    where: str = ""
+
+
+def _with_profile(one: _Figure, runs: Mapping[str, MissionCost]) -> CostTarget:
+    values = one._asdict() | {"profile": ""}
+    of = values.pop("of")
+    made = CostTarget(**values)
+    return (
+        msgspec.structs.replace(made, profile=profile_words([runs[name] for name in of])) if made.met is False else made
+    )
+
+
+def _median(values: Iterable[float]) -> float | None:
+    found = list(values)
+    return statistics.median(found) if found else None
+
+
+def _slowest(speed: Callable[[str], float], names: Sequence[str], without: str) -> tuple[float | None, list[str], str]:
+    """Find the speed of the slowest mission and name it."""
+    slowest = min(names, key=speed, default=None)
+    return (None, [], without) if slowest is None else (speed(slowest), [slowest], slowest)
 
 
 def profile_words(runs: Sequence[MissionCost]) -> str:

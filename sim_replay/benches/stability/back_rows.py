@@ -40,13 +40,7 @@ from auv_mcm.contacts.assignment import cheapest_columns
 from auv_mcm.contacts.ledger import fused_position
 from auv_mcm.contacts.pairing import MIN_COVARIANCE_M2, squared_deviation
 from auv_mcm.detect.belief import odds_of, probability
-from auv_mcm.geometry.geodesy import (
-    FLATTENING,
-    SEMI_MAJOR_M,
-    LocalFrame,
-    ecef_to_geodetic,
-    geodetic_to_ecef,
-)
+from auv_mcm.geometry.geodesy import FLATTENING, SEMI_MAJOR_M, LocalFrame, ecef_to_geodetic, geodetic_to_ecef
 from auv_mcm.geometry.shadow import shadow_height_m
 from auv_mcm.kernels import mean_field, pair_costs, shape, snake, snake_twin, soft_edges, speckle, trws
 from auv_mcm.kernels.shape import Solid
@@ -674,8 +668,11 @@ def _detected(watch: Watch, _: bool) -> Found:
 
 def back_rows() -> list[NumberRow]:
     """List the rows of confirmation and what follows."""
-    ratio, mp, twin = "fractions", "mpmath", "numpy twin"
-    part = functools.partial
+    return [*_confirmation_rows(), *_place_rows()]
+
+
+def _confirmation_rows() -> list[NumberRow]:
+    ratio, mp, twin, part = "fractions", "mpmath", "numpy twin", functools.partial
     return [
         NumberRow("field's law", "ln K, orders 0 to 50, x 3e-4 to 3e5", mp, "of the value or 1", 1e-12, _bessel),
         NumberRow("field's law", "trigamma, 1e-4 to 1e8", mp, "relative", 1e-10, _trigamma),
@@ -727,6 +724,12 @@ def back_rows() -> list[NumberRow]:
         NumberRow(
             "shadow height", "shadows of 0 to 40 m, altitude 0.3 to 200 m", mp, "relative", 1e-15, _shadow_height
         ),
+    ]
+
+
+def _place_rows() -> list[NumberRow]:
+    ratio, mp, part = "fractions", "mpmath", functools.partial
+    return [
         NumberRow("odds", "shipped trees, features 1e-30 to 100", ratio, "nats", 1e-12, _mine_odds),
         NumberRow("odds", "probabilities of -700 to 700 nats", mp, "relative", 1e-15, _probabilities),
         *(

@@ -503,8 +503,11 @@ def _contrast_twins(watch: Watch, _: bool) -> Found:
 
 def front_rows() -> list[NumberRow]:
     """List the rows of waterfall and detection."""
-    fsum, ratio, mp, twin = "exact summation", "fractions", "mpmath", "numpy twin"
-    part = functools.partial
+    return [*_waterfall_rows(), *_detection_rows()]
+
+
+def _waterfall_rows() -> list[NumberRow]:
+    fsum, ratio, mp, twin, part = "exact summation", "fractions", "mpmath", "numpy twin", functools.partial
     return [
         NumberRow("transfer", "amplitudes 1e-15 to 1e15", ratio, "relative", _ROUNDED, _amplitudes),
         NumberRow("transfer", "decibel counts 0 to 255", mp, "relative", 1e-5, _decibels),
@@ -542,6 +545,12 @@ def front_rows() -> list[NumberRow]:
             for scale in (1e-30, 2.0**-20, 1e30)
         ),
         NumberRow("waterfall kernels", "all inputs above", twin, "numbers unlike", 0.0, _waterfall_twins),
+    ]
+
+
+def _detection_rows() -> list[NumberRow]:
+    fsum, ratio, mp, twin, part = "exact summation", "fractions", "mpmath", "numpy twin", functools.partial
+    return [
         *(
             NumberRow("integral image", kind, fsum, "relative", 1e-10, part(_boxes, kind))
             for kind in INTENSITIES

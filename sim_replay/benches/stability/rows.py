@@ -14,6 +14,9 @@ import numpy as np
 Exact: TypeAlias = Fraction | mpmath.mpf | int | float
 
 DIGITS: Final = 50  # decimal digits of the reference: three times those of float64
+STRESS_HEADER: Final = (
+    *("stage", "inputs", "against", "largest error", "bound", "in float32", "condition", "exceptions", ""),
+)
 _ALLOWED: Final = "underflow"  # a number that is lost below 1e-308 is 0 to every stage
 
 
@@ -142,3 +145,25 @@ def unlike(one: Any, other: Any) -> float:
 def random_of(seed: int) -> np.random.Generator:
     """Make the generator of one row."""
     return np.random.Generator(np.random.PCG64(seed))
+
+
+def stress_cells(result: NumberResult) -> list[str]:
+    """Write a row of text of a measured row."""
+    unit = "" if result.unit == "relative" else f" {result.unit}"
+    return [
+        result.stage,
+        result.inputs,
+        result.reference,
+        f"{_number(result.error)}{unit}",
+        _number(result.bound),
+        _number(result.single),
+        _number(result.condition),
+        ", ".join(result.exceptions),
+        "ok" if result.holds else "FAILED",
+    ]
+
+
+def _number(value: float) -> str:
+    if math.isnan(value):
+        return ""
+    return f"{value:.0f}" if value == 0.0 else f"{value:.1e}"

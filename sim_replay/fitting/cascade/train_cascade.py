@@ -11,18 +11,14 @@ import msgspec
 
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.errors import UsageError
-from auv_mcm.settings.config import Config
 from auv_mcm.shell.whole_files import write_file
-from sim_replay.fitting.cascade.classical.classical_model import format_model
-from sim_replay.fitting.cascade.classical.train_classical import train_classical
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.cascade.spec import read_training_spec
-from sim_replay.fitting.cascade.store import MANIFEST_NAME, read_manifest, read_tiles
+from sim_replay.fitting.cascade.store import MANIFEST_NAME, read_manifest
 from sim_replay.fitting.cascade.trainer import train
 from sim_replay.fitting.cascade.training_images import render_set, tile_set_words
-from sim_replay.missions import untrained_alone
 
-Kind: TypeAlias = Literal["soft", "stages", "classical"]
+Kind: TypeAlias = Literal["soft", "stages"]
 
 
 def train_model(
@@ -60,11 +56,7 @@ def train_model(
         if not _holds_tiles_of(folder, spec):
             for line in tile_set_words(render_set(spec, folder, farm)).splitlines():
                 say(line)
-        if kind == "classical":
-            labelled = read_tiles(folder, read_manifest(folder), "train")
-            data = format_model(train_classical(labelled, untrained_alone(Config())))
-        else:
-            data = encode_model(train(folder, kind, farm, say, n_stumps))
+        data = encode_model(train(folder, kind, farm, say, n_stumps))
     try:
         write_file(out, data)
     except OSError as error:

@@ -18,7 +18,6 @@ from sim_replay.scoring.calibration import calibration_error
 Array = NDArray[np.float64]
 
 MIN_LOOKS: Final = 30  # with fewer, a share carries no information
-_N_BINS: Final = 8  # of predictions, with equally many views each
 _MEAN_DEVIATION: Final = math.sqrt(2.0 / math.pi)  # of a normal distribution, in standard deviations
 
 
@@ -54,8 +53,8 @@ class JudgedPredictions(NamedTuple):
     """Hold how well predictions hold.
 
     brier: mean square of probability less outcome; brier_constant: that of one and the same probability for all.
-    calibration_error: as in `scoring.calibration`. places: those with looks. bins: by rising prediction. same, other:
-    pairs of looks at one target, from the same direction and from others, found by either; None without any.
+    calibration_error: as in `scoring.calibration`. places: those with looks. same, other: pairs of looks at one target,
+    from the same direction and from others, found by either; None without any.
     """
 
     n_looks: int
@@ -64,7 +63,6 @@ class JudgedPredictions(NamedTuple):
     brier_constant: float
     calibration_error: float
     places: tuple[PerformancePlace, ...]
-    bins: tuple[PerformanceShare, ...]
     same: PerformanceShare | None
     other: PerformanceShare | None
 
@@ -78,7 +76,6 @@ def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredict
     """Judge the tables by looks whose floor is the true one. Raises ValueError if there are none."""
     p = predicted(performance, seen)
     base = float(seen.found.mean()) if len(p) else 0.0
-    order = np.argsort(p, kind="stable")
     return JudgedPredictions(
         n_looks=len(p),
         n_missions=len(np.unique(seen.mission)),
@@ -86,9 +83,6 @@ def judge_predictions(performance: Performance, seen: Outcomes) -> JudgedPredict
         brier=float(((p - seen.found) ** 2).mean()),
         brier_constant=base * (1.0 - base),
         places=tuple(_places(performance, seen, p)),
-        bins=tuple(
-            share(p[part], seen.found[part], seen.mission[part]) for part in np.array_split(order, _N_BINS) if len(part)
-        ),
         same=_either(seen, p, *pairs(seen)[0], performance.same_look_correlation),
         other=_either(seen, p, *pairs(seen)[1], performance.other_look_correlation),
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import LOW_RESOLUTION, VALID, PoseTrack, Side, Tile
+from tests.make.records import tile_with
 
 ROW_M, COLUMN_M = 0.12, 0.25
 FIRST_RETURN_M = 5.0
@@ -44,21 +45,18 @@ def tile_of(
     side: Side = "starboard",
     core: tuple[int, int] | None = None,
 ) -> Tile:
-    n_rows = mask.shape[0]
-    return Tile(
+    first, stop = core or (0, len(mask))
+    return tile_with(
+        np.ones(mask.shape),
+        mask,
         side=side,
         index=3,
-        first_row=0,
-        core_start=0 if core is None else core[0],
-        core_stop=n_rows if core is None else core[1],
+        core_start=first,
+        core_stop=stop,
         row_spacing_m=ROW_M,
         column_spacing_m=COLUMN_M,
-        intensity=np.ones(mask.shape, dtype=np.float32),
-        mask=mask,
-        pose=track(n_rows) if pose is None else pose,
-        first_return_m=np.full(n_rows, FIRST_RETURN_M),
-        first_return_sigma_m=np.full(n_rows, 0.1),
-        ping_number=np.arange(n_rows, dtype=np.int64),
+        pose=track(len(mask)) if pose is None else pose,
+        first_return_m=FIRST_RETURN_M,
     )
 
 

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, Clearance, ClearanceMap, look_bit
-from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side, SurveyedCells
+from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedType, Side
+from tests.make.records import cells_of, patch_of
 
 
 class Model(NamedTuple):
@@ -46,33 +47,16 @@ class Reported(NamedTuple):
 def patch(
     reported: Reported, *, seabed: SeabedType = "flat", confidence: float = 0.9, origin_deg: float = 43.0
 ) -> CoveragePatch:
-    n = len(reported.places)
-    east, north, fraction, ground = (np.array([place[i] for place in reported.places]) for i in range(4))
-    cells = SurveyedCells(
+    cells = cells_of(
+        {(place[0], place[1]): place[2] for place in reported.places},
         origin_latitude_deg=origin_deg,
-        origin_longitude_deg=5.0,
-        cell_m=4.0,
-        east_index=east.astype(np.int32),
-        north_index=north.astype(np.int32),
-        fraction=fraction.astype(np.float32),
-        ground_range_m=ground.astype(np.float32),
-        altitude_m=np.full(n, 5.0, dtype=np.float32),
-        look_rad=np.full(n, math.radians(reported.look_deg), dtype=np.float32),
-        seabed=np.full(n, SEABED_TYPES.index(seabed), dtype=np.uint8),
-        confidence=np.full(n, confidence, dtype=np.float32),
-        ripple_rad=np.full(n, np.nan, dtype=np.float32),
-        wavelength_m=np.full(n, np.nan, dtype=np.float32),
+        ground_range_m=[place[3] for place in reported.places],
+        altitude_m=5.0,
+        look_rad=math.radians(reported.look_deg),
+        seabed=SEABED_TYPES.index(seabed),
+        confidence=confidence,
     )
-    return CoveragePatch(
-        side=reported.side,
-        tile_index=0,
-        start_s=reported.start_s,
-        stop_s=reported.start_s + 30.0,
-        rings_deg=(),
-        covered_m2=0.0,
-        lost_m2={},
-        cells=cells,
-    )
+    return patch_of(side=reported.side, start_s=reported.start_s, stop_s=reported.start_s + 30.0, cells=cells)
 
 
 def snapshot(*patches: CoveragePatch, model: Model | None = None) -> Clearance:

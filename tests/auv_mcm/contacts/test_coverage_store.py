@@ -15,18 +15,13 @@ from auv_mcm.records import CoveragePatch, Side
 from auv_mcm.shell.results import write_results
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.contacts.whole_exports import coverage_geojson
+from tests.make.records import patch_of
 
 
 def patch(tile_index: int, side: Side) -> CoveragePatch:
     ring = np.array([[179.9, 43.0], [-179.9, 43.0], [-179.9, 43.1], [179.9, 43.0]])
-    return CoveragePatch(
-        side=side,
-        tile_index=tile_index,
-        start_s=0.0,
-        stop_s=1.0,
-        rings_deg=(ring,),
-        covered_m2=float(tile_index),
-        lost_m2={"turn": 1.0},
+    return patch_of(
+        side=side, tile_index=tile_index, rings_deg=(ring,), covered_m2=float(tile_index), lost_m2={"turn": 1.0}
     )
 
 

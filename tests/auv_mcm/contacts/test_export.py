@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import Any
 from xml.etree import ElementTree
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -25,6 +24,7 @@ from auv_mcm.records import NAN, Contact, CoveragePatch, Detection, Waypoint
 from auv_mcm.snippet import pack_snippet
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.whole_exports import contacts_csv, contacts_kml, coverage_geojson
+from tests.make.records import patch_of
 
 KML = "{http://www.opengis.net/kml/2.2}"
 
@@ -66,16 +66,13 @@ def contact(**changes: Any) -> Contact:
 
 
 def patch(ring: list[tuple[float, float]], **changes: Any) -> CoveragePatch:
-    plain = CoveragePatch(
-        side="port",
-        tile_index=0,
-        start_s=0.0,
-        stop_s=1.5,
-        rings_deg=(np.array(ring),),
-        covered_m2=12.0,
-        lost_m2={"turn": 3.0, "invalid": NAN},
-    )
-    return msgspec.structs.replace(plain, **changes)
+    known = {
+        "stop_s": 1.5,
+        "rings_deg": (np.array(ring),),
+        "covered_m2": 12.0,
+        "lost_m2": {"turn": 3.0, "invalid": NAN},
+    }
+    return patch_of(**(known | changes))
 
 
 def strict(data: bytes) -> Any:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from auv_mcm.contacts.seen_area import SeenArea
-from auv_mcm.records import CoveragePatch, SurveyedCells
+from auv_mcm.records import CoveragePatch
+from tests.make.records import cells_of, patch_of
 
 CELLS = st.dictionaries(
     st.tuples(st.integers(-70, 70), st.integers(-70, 70)), st.sampled_from([0.25, 0.5, 1.0]), max_size=20
@@ -16,34 +16,7 @@ CELLS = st.dictionaries(
 
 
 def patch(cells: dict[tuple[int, int], float] | None, covered_m2: float = 0.0, cell_m: float = 4.0) -> CoveragePatch:
-    n = len(cells or ())
-    places = np.array(list(cells or ()), dtype=np.int32).reshape(-1, 2)
-    nothing = np.zeros(n, dtype=np.float32)
-    surveyed = SurveyedCells(
-        origin_latitude_deg=43.0,
-        origin_longitude_deg=5.0,
-        cell_m=cell_m,
-        east_index=places[:, 0],
-        north_index=places[:, 1],
-        fraction=np.array(list((cells or {}).values()), dtype=np.float32),
-        ground_range_m=nothing,
-        altitude_m=nothing,
-        look_rad=nothing,
-        seabed=np.zeros(n, dtype=np.uint8),
-        confidence=nothing,
-        ripple_rad=nothing,
-        wavelength_m=nothing,
-    )
-    return CoveragePatch(
-        side="port",
-        tile_index=0,
-        start_s=0.0,
-        stop_s=1.0,
-        rings_deg=(),
-        covered_m2=covered_m2,
-        lost_m2={},
-        cells=None if cells is None else surveyed,
-    )
+    return patch_of(covered_m2=covered_m2, cells=None if cells is None else cells_of(cells, cell_m=cell_m))
 
 
 @given(st.lists(CELLS, max_size=5))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.records import VALID, PoseTrack, Side, Tile
+from auv_mcm.records import Side, Tile
+from tests.make.records import pose_of, tile_with
 
 ROW_M, COLUMN_M = 0.12, 0.06
 Array = NDArray[np.float64]
@@ -36,30 +36,14 @@ def tile_of(
     core: tuple[int, int] | None = None,
     heading_deg: float = 0.0,
 ) -> Tile:
-    n_rows = intensity.shape[0]
-    nothing: dict[str, Any] = dict.fromkeys(
-        ("depth_m", "pitch_rad", "roll_rad", "speed_mps", "longitude_deg"), np.zeros(n_rows)
+    row = np.arange(len(intensity), dtype=np.float64)
+    pose = pose_of(
+        len(row),
+        time_s=row * 0.07,
+        latitude_deg=43.0 + row * ROW_M / 111e3,
+        heading_rad=math.radians(heading_deg),
+        altitude_m=5.0,
     )
-    pose = PoseTrack(
-        time_s=np.arange(n_rows, dtype=np.float64) * 0.07,
-        latitude_deg=43.0 + np.arange(n_rows, dtype=np.float64) * ROW_M / 111e3,
-        heading_rad=np.full(n_rows, math.radians(heading_deg)),
-        altitude_m=np.full(n_rows, 5.0),
-        stale=np.zeros(n_rows, dtype=np.bool_),
-        **nothing,
-    )
-    return Tile(
-        side=side,
-        index=0,
-        first_row=0,
-        core_start=0 if core is None else core[0],
-        core_stop=n_rows if core is None else core[1],
-        row_spacing_m=ROW_M,
-        column_spacing_m=COLUMN_M,
-        intensity=intensity.astype(np.float32),
-        mask=np.full(intensity.shape, VALID, dtype=np.uint8) if mask is None else mask,
-        pose=pose,
-        first_return_m=np.full(n_rows, 5.0),
-        first_return_sigma_m=np.full(n_rows, 0.1),
-        ping_number=np.arange(n_rows, dtype=np.int64),
-    )
+    first, stop = core or (0, len(row))
+    spacing = {"row_spacing_m": ROW_M, "column_spacing_m": COLUMN_M}
+    return tile_with(intensity, mask, side=side, core_start=first, core_stop=stop, pose=pose, **spacing)

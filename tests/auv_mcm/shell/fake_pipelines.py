@@ -34,6 +34,7 @@ from auv_mcm.records import (
 )
 from auv_mcm.settings.config import Config
 from tests.auv_mcm.classify import drawn_looks
+from tests.make.records import patch_of
 
 START_S = 1_700_000_000.0
 
@@ -59,21 +60,14 @@ def navigation(number: int) -> NavSample:
 
 
 def contact(number: int, n_views: int = 0) -> Contact:
-    return Contact(
+    return drawn_looks.contact(
         id=f"C{number:04d}",
         time_s=START_S + number,
-        latitude_deg=43.0,
         longitude_deg=5.0,
-        covariance_m2=np.eye(2),
         p_mine=0.25,
-        classification="unknown",
-        belief={"unknown": 1.0},
         length_m=NAN,
         width_m=NAN,
-        height_m=NAN,
-        aspects_deg=(),
         reasons=(f"view {n_views}",),
-        views=(),
     )
 
 
@@ -266,15 +260,8 @@ class Stuck(Base):
 
 def patch(number: int) -> CoveragePatch:
     ring = np.array([[5.0, 43.0], [5.001, 43.0], [5.001, 43.001], [5.0, 43.0]])
-    return CoveragePatch(
-        side="port",
-        tile_index=number,
-        start_s=START_S,
-        stop_s=START_S + 1,
-        rings_deg=(ring,),
-        covered_m2=100.0,
-        lost_m2={"turn": 1.0},
-    )
+    times = {"start_s": START_S, "stop_s": START_S + 1}
+    return patch_of(tile_index=number, rings_deg=(ring,), covered_m2=100.0, lost_m2={"turn": 1.0}, **times)
 
 
 def empty_tile() -> Tile:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from auv_mcm.records import NAN, Contact, Waypoint
+from auv_mcm.records import Contact, Waypoint
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from drivers.navigation.corrections import moved, offset_m
 from drivers.vehicle.dialect import (
@@ -28,6 +28,7 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from drivers.vehicle.pilot import Pilot
+from tests.drivers.vehicle.test_report_queue import contact as queued_contact
 from tests.drivers.vehicle.vehicle_on_paper import GOES_BY_ITSELF, IS_STEERED, PaperTalker, calls, stamp
 
 HOME_DEG = (54.0, 8.0)
@@ -65,22 +66,7 @@ TWO_LEGS = plan(((0.0, 40.0), (0.0, 90.0)), ((60.0, 90.0), (60.0, 40.0)))
 
 
 def contact(number: int, p_mine: float = 0.9) -> Contact:
-    return Contact(
-        id=f"C{number:05d}",
-        time_s=1.7e9,
-        latitude_deg=54.0,
-        longitude_deg=8.0,
-        covariance_m2=np.eye(2),
-        p_mine=p_mine,
-        classification="cylinder",
-        belief={"cylinder": p_mine, "unknown": 1.0 - p_mine},
-        length_m=2.0,
-        width_m=0.5,
-        height_m=NAN,
-        aspects_deg=(90.0,),
-        reasons=(),
-        views=(),
-    )
+    return queued_contact(number, p_mine, time_s=1.7e9, covariance_m2=np.eye(2))
 
 
 class Sea:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from auv_mcm.records import NAN, Contact, EarlyContact
 from drivers.vehicle.dialect import ContactReport
 from drivers.vehicle.report_queue import MAX_CONTACTS, MAX_UNACKNOWLEDGED, DueReport, ReportQueue, report_of
+from tests.auv_mcm.classify import drawn_looks
 
 
 def contact(number: int, p_mine: float = 0.9, **changes: Any) -> Contact:
@@ -28,13 +29,9 @@ def contact(number: int, p_mine: float = 0.9, **changes: Any) -> Contact:
         "classification": "cylinder",
         "belief": {"cylinder": p_mine, "unknown": 1.0 - p_mine},
         "length_m": 2.0,
-        "width_m": 0.5,
-        "height_m": NAN,
         "aspects_deg": (90.0,),
-        "reasons": (),
-        "views": (),
     }
-    return Contact(**{**fields, **changes})
+    return drawn_looks.contact(**{**fields, **changes})
 
 
 def empty_queue(*, acknowledges: bool = True) -> ReportQueue:

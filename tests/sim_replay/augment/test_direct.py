@@ -87,16 +87,6 @@ def test_render_of_what_was_found_is_the_image_without_speckle(relief: float) ->
     assert abs(10.0 * math.log10(found.mean() / wanted.mean())) < 0.2
 
 
-@pytest.mark.parametrize("gain", [1e-9, 1e9])
-def test_gain_of_the_recorder_goes_into_the_beam_alone(gain: float) -> None:
-    scene = scene_of(ripples())
-    image = image_of(scene, 4)
-    one, other = inverted(image, scene), inverted(gain * image, scene)
-    np.testing.assert_allclose(other.elevation_m, one.elevation_m, atol=1e-9)
-    np.testing.assert_allclose(other.reflectivity, one.reflectivity, rtol=1e-9)
-    np.testing.assert_allclose(other.beam.gain, gain * one.beam.gain, rtol=1e-9)
-
-
 def test_what_is_not_valid_does_not_count() -> None:
     scene = scene_of(ripples())
     valid = ALL.copy()

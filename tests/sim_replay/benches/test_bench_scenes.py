@@ -1,8 +1,7 @@
-"""Check the bench over scenes: what it rejects, and what the chain is given of a sonar."""
+"""Check the bench over scenes: what each system reports, and what the chain is given of a sonar."""
 
 from __future__ import annotations
 
-import argparse
 import math
 
 import pytest
@@ -10,51 +9,37 @@ import pytest
 from auv_mcm.contacts.background import LOWEST_P_MINE
 from auv_mcm.contacts.ledger import Ledger
 from auv_mcm.detect.cascade.choose import configured_model, fitting
-from auv_mcm.errors import UsageError
 from auv_mcm.records import Contact, Detector, LookStep
 from auv_mcm.settings.config import Config, ContactsConfig
-from sim_replay.benches import scenes
-from sim_replay.benches.scenes import add_arguments, as_after, run
-from sim_replay.missions import FIRST_SEED, config_for, served_by
-from sim_replay.simulator.scene_file import read_scene
+from sim_replay.benches import mission_source
+from sim_replay.benches.experiment import Task, experiment_rows
+from sim_replay.benches.scenes import EXPERIMENT, as_after, fly
+from sim_replay.missions import config_for, served_by
+from sim_replay.simulator.scene_file import parse_scene, read_scene
 from tests.auv_mcm.classify.drawn_looks import confirmation, detection
 
 PRIOR = math.log(0.02 / 0.98)
 
 
-def run_with(*arguments: str) -> None:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    run(parser.parse_args(arguments))
+SCENE = """
+world: {depth_m: 12, seabeds: [{type: sand, stones_per_ha: 0}], relief_rms_m: 0}
+sonar: {frequency_khz: 450, range_m: 25, n_samples: 500, ping_rate_hz: 10}
+track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 40}}
+objects: [{kind: cylinder, leg: 0, along_m: 20, across_m: 12, azimuth_deg: 0, length_m: 2, width_m: 0.5}]
+"""
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--scenes", "flat,reef"), "there is no 'reef'"),
-        (("--scenes", "flat,flat"), "flat,flat"),
-        (("--scenes", ""), "--scenes"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_by_name(arguments: tuple[str, ...], named: str) -> None:
-    with pytest.raises(UsageError, match=named):
-        run_with(*arguments)
-
-
-@pytest.mark.parametrize(("arguments", "detector"), [((), "cascade"), (("--detector", "contrast"), "contrast")])
-def test_the_chain_looks_at_what_the_detector_asked_for_finds(
-    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], detector: Detector
-) -> None:
-    asked = []
-
-    def fly(name: str, seed: int, detector: Detector) -> scenes.FlownMission:
-        asked.append((name, seed, detector))
-        raise UsageError("enough")
-
-    monkeypatch.setattr(scenes, "fly_mission", fly)
-    with pytest.raises(UsageError, match="enough"):
-        run_with("--scenes", "flat", "--seeds", "1", "--workers", "1", *arguments)
-    assert asked == [("flat", FIRST_SEED, detector)]
+@pytest.mark.parametrize("detector", ["cascade", "contrast"])
+def test_every_system_reports_of_one_mission(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mission_source, "read_scene", lambda name: parse_scene(SCENE, name))
+    monkeypatch.setattr(mission_source, "named_scenes", lambda: ("one-target",))
+    flown = fly(Task("one-target", 3, {"detector": detector}))
+    assert list(flown) == list(EXPERIMENT.variants)
+    *_, last = flown.values()
+    assert all(one.mission.truth is last.mission.truth for one in flown.values())
+    (row,) = (one for one in experiment_rows(EXPERIMENT, ["one-target"], [flown]) if one.variant.endswith("the chain"))
+    assert row.cells["Pd at 100 FA/km²"].text.startswith("1.00")
+    assert (row.cells["s per hour of survey"].value or 0.0) > 0.0
 
 
 def test_contrasts_serve_as_for_a_sonar_without_a_model() -> None:

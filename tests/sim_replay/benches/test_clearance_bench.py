@@ -12,7 +12,8 @@ from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.clearance.residual import without_contact
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
-from sim_replay.benches.clearance import JudgedClearance, fitted_share, judge_mission, report
+from sim_replay.benches.clearance import CHAIN, EXPERIMENT, JudgedClearance, fitted_share, judge_mission
+from sim_replay.benches.experiment import experiment_rows
 
 FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
 
@@ -51,7 +52,7 @@ def searched(p: float) -> Clearance:
 
 def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> None:
     contacts = [contact(10.5, 10.0, 0.9), contact(20.0, 21.0, 0.15), contact(35.0, 5.0, 0.7), contact(5.0, 35.0, 0.1)]
-    judged = judge_mission("flat", searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
+    judged = judge_mission(searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
     assert (judged.n_targets, judged.n_found, judged.n_left) == (3, 1, 2)
     assert judged.by_tables == pytest.approx(1.8)
     assert judged.p_doubtful == pytest.approx(0.25)
@@ -59,31 +60,28 @@ def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> 
 
 
 def test_a_floor_without_contacts_or_targets_is_judged_too() -> None:
-    judged = judge_mission("flat", searched(0.6), [], [])
+    judged = judge_mission(searched(0.6), [], [])
     assert (judged.n_targets, judged.n_found, judged.p_doubtful) == (0, 0, 0.0)
 
 
-def mission(scene: str, n_left: int, p_doubtful: float) -> JudgedClearance:
-    return JudgedClearance(
-        scene=scene, n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5
-    )
+def mission(n_left: int, p_doubtful: float) -> JudgedClearance:
+    return JudgedClearance(n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5)
 
 
 def test_the_share_makes_as_many_mines_expected_as_were_left() -> None:
-    missions = [mission("flat", 2, 3.0), mission("rough", 12, 17.0), mission("mixed", 9, 14.0)]
+    missions = [mission(2, 3.0), mission(12, 17.0), mission(9, 14.0)]
     share = fitted_share(missions)
     assert sum(each.expected(share) for each in missions) == pytest.approx(23.0)
     assert missions[0].expected(share) == pytest.approx(3.0 * share + without_contact(0.5))
 
 
-def test_a_scene_is_judged_with_a_share_that_the_others_gave() -> None:
-    missions = [mission("flat", 5, 10.0), mission("rough", 12, 12.0)]
-    row = next(line for line in report(missions).splitlines() if line.startswith("flat"))
-    left_out = (12.0 - without_contact(0.5)) / 12.0 * 10.0 + without_contact(0.5)
-    assert row.split()[-4] == f"{left_out:.1f}"
-
-
 def test_an_estimate_far_off_is_outside_the_interval() -> None:
-    assert mission("flat", 4, 6.0).is_inside()
-    assert not mission("flat", 19, 3.0).is_inside()
-    assert not mission("flat", 0, 40.0).is_inside()
+    assert mission(4, 6.0).is_inside()
+    assert not mission(19, 3.0).is_inside()
+    assert not mission(0, 40.0).is_inside()
+
+
+def test_the_table_says_what_was_left_and_what_was_expected() -> None:
+    rows = experiment_rows(EXPERIMENT, ["flat", "rough"], [{CHAIN: mission(4, 6.0)}, {CHAIN: mission(19, 3.0)}])
+    cells = rows[-1].cells
+    assert (cells["targets"].value, cells["left"].value, cells["in the interval"].text) == (40.0, 23.0, "1 of 2")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim_replay.benches import decibels
+from sim_replay.benches import mission_source
 from sim_replay.benches.decibels import ESTIMATED, EXPERIMENT, FACTORS, fly
 from sim_replay.benches.experiment import Task, experiment_rows
 from sim_replay.simulator.scene_file import parse_scene
@@ -18,7 +18,8 @@ objects: [{kind: cylinder, leg: 0, along_m: 20, across_m: 12, azimuth_deg: 0, le
 
 
 def test_a_mission_is_read_with_right_wrong_and_estimated_decibels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decibels, "read_scene", lambda name: parse_scene(SCENE, name))
+    monkeypatch.setattr(mission_source, "read_scene", lambda name: parse_scene(SCENE, name))
+    monkeypatch.setattr(mission_source, "named_scenes", lambda: ("one-target",))
     flown = fly(Task("one-target", 3))
     assert list(flown) == [*FACTORS, ESTIMATED]
     rows = {row.variant: row.cells for row in experiment_rows(EXPERIMENT, ["one-target"], [flown])}

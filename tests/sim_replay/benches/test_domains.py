@@ -11,13 +11,15 @@ import pytest
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.errors import UsageError
 from sim_replay.benches.domains import (
+    EXPERIMENT,
+    OWN,
     grouped,
-    pd_at,
+    n_found_at,
     reliability,
-    report,
     save_diagrams,
     within_mission,
 )
+from sim_replay.benches.experiment import experiment_rows
 from sim_replay.benches.point import judged
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.simulator.scene_file import check_scene, read_scene
@@ -42,7 +44,7 @@ def test_targets_are_counted_above_the_threshold_that_lets_so_many_false_alarms_
             (np.count_nonzero(mines >= at) for at in mines if np.count_nonzero(background >= at) <= limit * area_km2),
             default=0,
         )
-        assert pd_at(missions, limit) == best
+        assert n_found_at(missions, limit) == best
 
 
 def test_reliability_counts_every_contact_once() -> None:
@@ -58,8 +60,6 @@ def test_domains_are_pooled_by_kind() -> None:
     groups = grouped([drawn_mission(number, name) for number, name in enumerate(names, 1)])
     assert [len(groups[name]) for name in ("all scenes", "all recorded lines")] == [2, 2]
     assert "all recorders" not in groups
-    lines = report(groups, in_markdown=True).splitlines()
-    assert all(any(line.startswith(f"| {name} |") for line in lines) for name in groups)
 
 
 @pytest.mark.parametrize("name", RECORDED_SCENES)
@@ -78,3 +78,19 @@ def test_reliability_is_drawn_into_a_file_and_a_format_that_is_not_one_is_reject
     assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(UsageError, match="picture format"):
         save_diagrams(groups, tmp_path / "reliability.txt")
+
+
+def test_every_scene_and_line_has_a_row_for_each_recorder_that_it_was_flown_with() -> None:
+    recorder = next(iter(RECORDERS))
+    flown = [
+        {OWN: drawn_mission(1, "flat"), recorder: drawn_mission(2, recorder)},
+        {OWN: drawn_mission(3, "rough")},
+        {OWN: drawn_mission(4, "reef")},
+    ]
+    rows = experiment_rows(EXPERIMENT, ["flat", "rough", "reef"], flown)
+    assert [(row.missions, row.variant) for row in rows] == [
+        *(("flat", OWN), ("flat", recorder), ("rough", OWN), ("reef", OWN)),
+        *(("all simulated", OWN), ("all simulated", recorder), ("all recorded", OWN)),
+    ]
+    assert all(row.cells["calibration error"].value is not None for row in rows)
+    assert "reef" in EXPERIMENT.words(flown[2:])

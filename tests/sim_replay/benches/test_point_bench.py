@@ -11,8 +11,9 @@ import pytest
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.errors import BadInputError
-from sim_replay.benches import point
-from sim_replay.benches.point import judged, reached, report
+from sim_replay.benches import experiment, point
+from sim_replay.benches.experiment import experiment_rows
+from sim_replay.benches.point import ASKED_PER_KM2, EXPERIMENT, PointResult, judged, reached
 from tests.sim_replay.fitting.test_background_fit import drawn_mission
 
 
@@ -47,16 +48,13 @@ def test_false_alarms_and_targets_are_counted_at_each_missions_own_level() -> No
     assert found.best == sum(np.count_nonzero(one.mission.mines > above) for one in some)
 
 
-def test_the_report_has_a_row_per_domain_and_density_asked() -> None:
-    missions = [
-        drawn_mission(1, "flat"),
-        drawn_mission(2, "rough"),
-        drawn_mission(3, "reef"),
-        drawn_mission(4, "river"),
-    ]
-    lines = report(missions, shipped_background(), in_markdown=True).splitlines()
-    for name, n_tables in (("flat", 3), ("reef", 3), ("all simulated", 3), ("all recorded", 3)):
-        assert sum(line.startswith(f"| {name} |") for line in lines) == n_tables
+def test_the_table_has_a_row_per_domain_and_density_asked() -> None:
+    names = ("flat", "rough", "reef", "river")
+    some = [judged(drawn_mission(number, name), shipped_background()) for number, name in enumerate(names, 1)]
+    flown = [{name: PointResult(one, asked) for name, asked in ASKED_PER_KM2.items()} for one in some]
+    rows = experiment_rows(EXPERIMENT, names, flown)
+    assert [row.missions for row in rows[::3]] == [*names, "all simulated", "all recorded"]
+    assert [row.cells["FA asked"].value for row in rows[:3]] == pytest.approx([6.0, 20.0, 60.0])
 
 
 def test_a_log_that_cannot_be_read_is_rejected_before_any_mission_is_flown(
@@ -65,6 +63,6 @@ def test_a_log_that_cannot_be_read_is_rejected_before_any_mission_is_flown(
     (empty := tmp_path / "empty.xtf").touch()
     parser = argparse.ArgumentParser()
     point.add_arguments(parser)
-    monkeypatch.setattr(point, "run_tasks", lambda *_: pytest.fail("a mission is flown"))
+    monkeypatch.setattr(experiment, "run_tasks", lambda *_: pytest.fail("a mission is flown"))
     with pytest.raises(BadInputError, match="is empty"):
         point.run(parser.parse_args(["--log", str(empty)]))

@@ -16,9 +16,10 @@ from auv_mcm.confirmation import Thoroughness
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.settings.config import Config
 from auv_mcm.skips import SKIPS
+from sim_replay.augment.recorded_line import scattered
 from sim_replay.benches.run_time import plain_script
 from sim_replay.benches.run_time.fallback import WITHOUT_KERNELS, fallback_rows
-from sim_replay.benches.run_time.lines import BenchMission, scattered, with_short_legs, without_objects
+from sim_replay.benches.run_time.lines import BenchMission, with_short_legs, without_objects
 from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, SettingResult, run_once
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import run_time_page

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -81,18 +79,6 @@ def test_augment_writes_xtf_alone(
     printed = capsys.readouterr().err
     assert words in printed
     assert "Export it as XTF" in printed
-
-
-@pytest.mark.parametrize("name", ["jsf", "svlog", "folder"])
-def test_benches_take_every_format(name: str, logs: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "detect", str(logs[name]), "--repeat", "1"]) == 0
-    assert capsys.readouterr().out
-
-
-def test_the_bench_of_the_chain_runs_over_a_sonars_own_log(logs: dict[str, Path]) -> None:
-    command = [sys.executable, "-m", "sim_replay.benches.chain", str(logs["svlog"])]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    assert json.loads(done.stdout)["pings"] == 212
 
 
 @pytest.mark.parametrize(

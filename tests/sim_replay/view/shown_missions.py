@@ -16,6 +16,7 @@ from auv_mcm.records import SIDES, VALID, PoseTrack, Side, Tile
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import MissionFeed, OpenedMission
 from sim_replay.view.waterfall_store import WaterfallStore
+from tests.make.records import tile_with
 
 ROW_M, COLUMN_M, ALTITUDE_M, DEPTH_M = 0.12, 0.06, 5.0, 10.0
 HOME = LocalFrame(latitude_deg=54.1, longitude_deg=10.2)
@@ -51,19 +52,16 @@ def poses(first_row: int, n_rows: int) -> PoseTrack:
 def tile(side: Side, first_row: int, intensity: NDArray[np.float32]) -> Tile:
     """A tile without overlap whose pixels are `intensity`, 0 for no echo."""
     n_rows = intensity.shape[0]
-    return Tile(
+    return tile_with(
+        intensity,
+        np.where(intensity > 0.0, VALID, 0).astype(np.uint8),
         side=side,
         index=first_row // 64,
         first_row=first_row,
-        core_start=0,
-        core_stop=n_rows,
         row_spacing_m=ROW_M,
         column_spacing_m=COLUMN_M,
-        intensity=intensity,
-        mask=np.where(intensity > 0.0, VALID, 0).astype(np.uint8),
         pose=poses(first_row, n_rows),
-        first_return_m=np.full(n_rows, ALTITUDE_M),
-        first_return_sigma_m=np.full(n_rows, 0.05),
+        first_return_m=ALTITUDE_M,
         ping_number=np.arange(first_row, first_row + n_rows),
     )
 

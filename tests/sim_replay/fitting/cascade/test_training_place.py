@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
 from auv_mcm.geometry.navigation import interpolate_track
-from auv_mcm.records import NAN, VALID, PoseTrack, Side, Tile
+from auv_mcm.records import NAN, Side, Tile
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.fitting.cascade.place import PlacedTarget, cropped, near_side_m, objects_in
+from tests.make.records import pose_of, tile_with
 
 ROW_M, COLUMN_M = 0.12, 0.06
 N_ROWS, N_COLUMNS = 120, 500
@@ -26,37 +27,30 @@ def tile_of(
     side: Side, *, heading_rad: float = 0.0, pitch_rad: float = 0.0, turn_rad: float = 0.0, first_return_m: float = 6.0
 ) -> Tile:
     """Steady way in one direction, turned by turn_rad over the whole tile."""
-    even = np.ones(N_ROWS)
     heading = heading_rad + np.linspace(0.0, turn_rad, N_ROWS)
     east, north = np.cumsum(np.sin(heading)) * ROW_M, np.cumsum(np.cos(heading)) * ROW_M
     frame = LocalFrame(latitude_deg=43.0, longitude_deg=5.9)
-    latitude, longitude, _ = frame.to_geodetic(np.stack((east, north, 0.0 * even), axis=1))
-    pose = PoseTrack(
-        time_s=0.06 * np.arange(N_ROWS, dtype=np.float64),
+    latitude, longitude, _ = frame.to_geodetic(np.stack((east, north, np.zeros(N_ROWS)), axis=1))
+    pose = pose_of(
+        N_ROWS,
+        time_s=0.06 * np.arange(N_ROWS),
         latitude_deg=latitude,
         longitude_deg=longitude,
-        depth_m=14.0 * even,
+        depth_m=14.0,
         heading_rad=heading,
-        pitch_rad=pitch_rad * even,
-        roll_rad=0.0 * even,
-        speed_mps=2.0 * even,
-        altitude_m=first_return_m * math.cos(pitch_rad) * even,
-        stale=np.zeros(N_ROWS, dtype=np.bool_),
+        pitch_rad=pitch_rad,
+        speed_mps=2.0,
+        altitude_m=first_return_m * math.cos(pitch_rad),
     )
-    return Tile(
+    return tile_with(
+        np.ones((N_ROWS, N_COLUMNS)),
         side=side,
-        index=0,
-        first_row=0,
         core_start=10,
         core_stop=110,
         row_spacing_m=ROW_M,
         column_spacing_m=COLUMN_M,
-        intensity=np.ones((N_ROWS, N_COLUMNS), dtype=np.float32),
-        mask=np.full((N_ROWS, N_COLUMNS), VALID, dtype=np.uint8),
         pose=pose,
-        first_return_m=first_return_m * even,
-        first_return_sigma_m=0.05 * even,
-        ping_number=np.arange(N_ROWS),
+        first_return_m=first_return_m,
     )
 
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import NAN, CoveragePatch, Side, SurveyedCells
+from auv_mcm.records import CoveragePatch, Side
 from sim_replay.fitting.detection_performance.looks import Part, cell_passes, looks_of, seen_parts
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import EXACT, Lawnmower, Scene, SceneObject, Seabed, Sonar, Track, World
+from tests.make.records import cells_of, patch_of
 
 ORIGIN = (43.0, 5.0)
 
@@ -22,32 +23,15 @@ def part(start_s: float, look_deg: float, side: Side = "port") -> Part:
 
 
 def patch(start_s: float, cells: list[tuple[int, int, float]]) -> CoveragePatch:
-    east, north, fraction = (np.array(column) for column in zip(*cells, strict=True))
-    n = len(cells)
-    return CoveragePatch(
-        side="port",
-        tile_index=0,
-        start_s=start_s,
-        stop_s=start_s + 10.0,
-        rings_deg=(),
-        covered_m2=0.0,
-        lost_m2={},
-        cells=SurveyedCells(
-            origin_latitude_deg=ORIGIN[0],
-            origin_longitude_deg=ORIGIN[1],
-            cell_m=4.0,
-            east_index=east.astype(np.int32),
-            north_index=north.astype(np.int32),
-            fraction=fraction.astype(np.float32),
-            ground_range_m=np.full(n, 20.0, dtype=np.float32),
-            altitude_m=np.full(n, 6.0, dtype=np.float32),
-            look_rad=np.zeros(n, dtype=np.float32),
-            seabed=np.zeros(n, dtype=np.uint8),
-            confidence=np.ones(n, dtype=np.float32),
-            ripple_rad=np.full(n, NAN, dtype=np.float32),
-            wavelength_m=np.full(n, NAN, dtype=np.float32),
-        ),
+    places = {(east, north): fraction for east, north, fraction in cells}
+    seen = cells_of(
+        places,
+        origin_latitude_deg=ORIGIN[0],
+        origin_longitude_deg=ORIGIN[1],
+        ground_range_m=20.0,
+        altitude_m=6.0,
     )
+    return patch_of(start_s=start_s, stop_s=start_s + 10.0, cells=seen)
 
 
 def test_a_pass_ends_where_a_minute_goes_by_or_the_look_turns() -> None:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SEABED_TYPES
-from sim_replay.benches.seabed import report
+from sim_replay.benches.experiment import experiment_rows
+from sim_replay.benches.seabed import EXPERIMENT, MAP, Scored
 from sim_replay.fitting.seabed.seabed_score import confusion_m2, shares
 from sim_replay.scoring.seabed_map import NOT_SWEPT, SeabedMap, encode
 
@@ -94,5 +95,6 @@ def test_a_report_has_each_scene_and_all_of_them_together() -> None:
     area_m2[FLAT, FLAT] = 3e4
     other_m2 = np.zeros((5, 5))
     other_m2[RIPPLE, FLAT] = 1e4
-    lines = report({"one": area_m2, "two": other_m2}).splitlines()
-    assert [line.split()[2] for line in lines if line.startswith(("one", "two", "all"))] == ["1.00", "0.00", "0.75"]
+    flown = [{MAP: Scored(one, 0.0)} for one in (area_m2, other_m2)]
+    rows = experiment_rows(EXPERIMENT, ["one", "two"], flown)
+    assert [(row.missions, row.cells["right"].value) for row in rows] == [("one", 1.0), ("two", 0.0), ("all", 0.75)]

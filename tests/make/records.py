@@ -1,0 +1,69 @@
+"""Make tiles, poses and coverage of which a test states what matters to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_mcm.records import NAN, VALID, CoveragePatch, PoseTrack, SurveyedCells, Tile
+
+ROW_M, COLUMN_M = 0.12, 0.06  # of tiles
+
+
+def pose_of(n_rows: int, **columns: Any) -> PoseTrack:
+    """A pose per row: 0 but for what is given, a number or (n_rows,) values; nothing is stale."""
+    known: dict[str, Any] = dict.fromkeys(PoseTrack.__struct_fields__, 0.0) | columns
+    stale = known.pop("stale") or False
+    return PoseTrack(
+        **{name: np.broadcast_to(np.asarray(value, np.float64), n_rows).copy() for name, value in known.items()},
+        stale=np.full(n_rows, stale, dtype=np.bool_),
+    )
+
+
+def tile_with(intensity: NDArray[Any], mask: NDArray[np.uint8] | None = None, **changes: Any) -> Tile:
+    """A tile of these pixels, all valid without a mask and all core, seen from 5 m; changes as of Tile."""
+    n_rows = len(intensity)
+    first_return_m = changes.pop("first_return_m", 5.0)
+    plain = Tile(
+        side="starboard",
+        index=0,
+        first_row=0,
+        core_start=0,
+        core_stop=n_rows,
+        row_spacing_m=ROW_M,
+        column_spacing_m=COLUMN_M,
+        intensity=intensity.astype(np.float32),
+        mask=np.full(intensity.shape, VALID, dtype=np.uint8) if mask is None else mask,
+        pose=pose_of(n_rows),
+        first_return_m=np.full(n_rows, first_return_m),
+        first_return_sigma_m=np.full(n_rows, 0.1),
+        ping_number=np.arange(n_rows, dtype=np.int64),
+    )
+    return msgspec.structs.replace(plain, **changes)
+
+
+def patch_of(**changes: Any) -> CoveragePatch:
+    """What was covered by a tile of one second: nothing but what is given."""
+    plain = CoveragePatch(side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(), covered_m2=0.0, lost_m2={})
+    return msgspec.structs.replace(plain, **changes)
+
+
+def cells_of(places: Mapping[tuple[int, int], float], **columns: Any) -> SurveyedCells:
+    """Cells of 4 m, each seen in this share; columns as of SurveyedCells, a number or a value per cell."""
+    n = len(places)
+    known: dict[str, Any] = {
+        "ground_range_m": 0.0, "altitude_m": 0.0, "look_rad": 0.0, "seabed": 0, "confidence": 1.0, "ripple_rad": NAN,
+        "wavelength_m": NAN, "origin_latitude_deg": 43.0, "origin_longitude_deg": 5.0, "cell_m": 4.0,
+    } | columns  # fmt: skip
+    scalars = {name: known.pop(name) for name in ("origin_latitude_deg", "origin_longitude_deg", "cell_m")}
+    index = np.array(list(places), dtype=np.int32).reshape(-1, 2)
+    values: dict[str, Any] = {
+        name: np.broadcast_to(np.asarray(value, np.uint8 if name == "seabed" else np.float32), n).copy()
+        for name, value in known.items()
+    }
+    fraction = np.array(list(places.values()), dtype=np.float32)
+    return SurveyedCells(**scalars, east_index=index[:, 0], north_index=index[:, 1], fraction=fraction, **values)
