@@ -67,7 +67,7 @@ def long_mission(folder: Path, hours: float, n_contacts: int) -> ShownMission:
     feed = MissionFeed(store, lambda stop: None)
     feed.start()
     feed.join()
-    mission = ShownMission(folder, store, feed, by="bench", is_live=False)
+    mission = ShownMission(folder, feed, by="bench", is_live=False)
     mission.refresh()
     return mission
 

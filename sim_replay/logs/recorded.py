@@ -100,9 +100,14 @@ class RecordedMission:
         """List the corrected bottom lines beside the logs."""
         return [line for line in self._lines if line is not None]
 
+    @property
+    def named_logs(self) -> list[tuple[Path, Log]]:
+        """List the logs in use and how they were named, in order of time."""
+        return list(zip(self._paths, self._logs, strict=True))
+
     def log_at(self, time_s: float) -> tuple[Path, Log] | None:
         """Find the log, as it was named, that has pings before and after a time; None for none read so far."""
-        for path, log in zip(self._paths, self._logs, strict=True):
+        for path, log in self.named_logs:
             first_s, last_s = self._spans.get(path, (math.inf, -math.inf))
             if first_s <= time_s <= last_s:
                 return path, log
