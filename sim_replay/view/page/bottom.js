@@ -107,6 +107,12 @@ export function bottomEditor(changed) {
       added = [null];
       changed();
     },
+    reset() { added = []; stretches = []; current = null; changed(); },
+    // The first return that was tracked, m of slant range, nearest to a row.
+    returnAt(row) {
+      const index = tracked.row.findIndex((one) => one >= row);
+      return tracked.first_return[index < 0 ? tracked.row.length - 1 : index];
+    },
     saved() { added = []; current = null; changed(); },
     get stretches() { return stretches.map((stretch) => stretch.map(({row, range}) => [row, range])); },
     get isChanged() { return added.length > 0; },

@@ -11,7 +11,7 @@ import {tileStore} from "./tiles.js";
 import {waterfallView} from "./waterfall.js";
 import {clock, metres, position} from "./words.js";
 
-const POLL_MS = 1000;
+const POLL_MS = 1000, FIRST_POLL_MS = 100, FIRST_S = 10; // oftener until there is a first picture, at first
 const THEMES = ["day", "dusk", "night"];
 const CLOSE_SCALE = 25; // pixels per metre at which a chosen contact is shown: an object of 2 m is 50 pixels
 
@@ -100,7 +100,7 @@ async function poll() {
     byId("message").dataset.lost = "yes";
     message(new Error(`the server does not answer: ${error.message}`));
   }
-  setTimeout(poll, POLL_MS);
+  setTimeout(poll, state.stop_row || state.done || performance.now() > 1000 * FIRST_S ? POLL_MS : FIRST_POLL_MS);
   return undefined;
 }
 
@@ -330,5 +330,5 @@ poll();
 // What a test asks of the page.
 window.bench = {
   get state() { return state; }, get contacts() { return contacts; }, get selected() { return selected; },
-  get busy() { return tiles.busy || slant.busy; }, tiles, bottom, screenOf: waterfall.screenOf, view: waterfall.view,
+  get busy() { return tiles.busy || slant.busy; }, tiles, bottom, redraw: waterfall.redraw, screenOf: waterfall.screenOf, view: waterfall.view,
 };
