@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -76,9 +76,9 @@ class WaterColumn:
     def _draw(self, side: Side, trace: EchoTrace | None) -> NDArray[np.float32] | None:
         if trace is None or not trace.samples.size or not trace.spacing_m > 0.0:
             return None
-        samples = np.nan_to_num(np.asarray(trace.samples, dtype=np.float64), posinf=0.0, neginf=0.0)
+        samples = trace.samples
         if self._n_pings % _SCALE_PINGS == 0 or side not in self._dark_bright:
-            now = np.percentile(samples, _SHARES)
+            now = np.percentile(_finite(samples), _SHARES)
             before = self._dark_bright.get(side, now)
             self._dark_bright[side] = before + _NEW_SHARE * (now - before)
         dark, bright = self._dark_bright[side]
@@ -86,6 +86,10 @@ class WaterColumn:
         slant_m = (np.arange(max(1, int(reach_m / self._column_m))) + 0.5) * self._column_m
         index = np.rint((slant_m - trace.first_range_m) / trace.spacing_m).astype(np.int64)
         inside = (index >= 0) & (index < samples.shape[0])
-        share = np.clip((samples[np.where(inside, index, 0)] - dark) / max(bright - dark, 1e-12), 0.0, 1.0)
+        share = np.clip((_finite(samples[np.where(inside, index, 0)]) - dark) / max(bright - dark, 1e-12), 0.0, 1.0)
         shown = 10.0 ** ((_BLACK_DB + share * (_WHITE_DB - _BLACK_DB)) / 10.0)
         return np.where(inside, shown, 0.0).astype(np.float32)
+
+
+def _finite(samples: NDArray[Any]) -> NDArray[np.float64]:
+    return np.nan_to_num(np.asarray(samples, dtype=np.float64), posinf=0.0, neginf=0.0)
