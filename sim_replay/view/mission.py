@@ -100,8 +100,9 @@ class ReplayAgain(NamedTuple):
 
 
 class ShownMission:
-    """Read one mission for the page. Nothing but verdicts and bottom lines is ever written, until somebody asks for
-    another replay.
+    """Read one mission for the page.
+
+    Nothing but verdicts and bottom lines is ever written, until somebody asks for another replay.
     """
 
     def __init__(

@@ -156,7 +156,7 @@ export function waterfallView(ground, slant, bottom, handlers) {
         context.lineWidth = 3;
         context.strokeStyle = "#000c";
         context.strokeText(text, x + half + 3, y + 4);
-        context.fillStyle = "#fff";
+        context.fillStyle = colour("label");
         context.fillText(text, x + half + 3, y + 4);
       }
     }
@@ -178,7 +178,7 @@ export function waterfallView(ground, slant, bottom, handlers) {
     context.lineWidth = 4;
     context.strokeStyle = "#000c";
     context.strokeText(text, x, y);
-    context.fillStyle = "#fff";
+    context.fillStyle = colour("label");
     context.fillText(text, x, y);
   }
 
