@@ -30,6 +30,7 @@ _LOCAL_NAMES: Final = ("localhost", LOOPBACK, "::1")
 MAX_REQUEST_BYTES: Final = 16384  # bytes of a body: a verdict with the longest comment, escaped, has 12 kB
 BOTTOM_BYTES: Final = 1 << 19  # of a corrected bottom line: its 10 000 points of 40 bytes
 _MAX_HEAD_BYTES: Final = 4096  # of the first line and of each header: a browser's have some 200
+_LINGER_S: Final = 1.0  # s that the rest of a refused body is read, so that its sender reads the answer; chosen
 _CACHED_TILES: Final = 512  # of 64 kB: 32 MB
 _MAX_STRIP_ROWS: Final = 1 << 20  # rows of one answer: 16384 strips
 _PAGE: Final = Path(__file__).parent / "page"
@@ -109,6 +110,7 @@ class MissionServer:
             access_log=None,
             max_line_size=_MAX_HEAD_BYTES,
             max_field_size=_MAX_HEAD_BYTES,
+            lingering_time=_LINGER_S,
             logger=http_log,
         )
         self._patience = patience or Patience()
