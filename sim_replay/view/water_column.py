@@ -18,15 +18,18 @@ _SCALE_PINGS: Final = 16  # pings between two looks at what samples are dark and
 _SHARES: Final = (2.0, 99.0)  # per cent of samples below which they are black, and above which white; chosen
 _BLACK_DB, _WHITE_DB = -13.0, 14.0
 """About the mean of the sea floor: what the page shows as black and white at first."""
+_INTENSITY: Final = np.concatenate([[0.0], 10.0 ** (np.linspace(_BLACK_DB, _WHITE_DB, 255) / 10.0)]).astype(
+    np.float32
+)  # linear, of each shade; shade 0 is no echo
 _NEW_SHARE: Final = 0.2  # of the newest look at dark and bright: a change of gain is followed within some 100 pings
 _NEAR_S: Final = 1.0  # s between a row and its ping, maximum
 
 
 class _Drawn(NamedTuple):
-    """Hold a ping as it is shown: linear intensity of either side over slant range, None without that side."""
+    """Hold a ping as it is shown: shades of either side over slant range, None without that side."""
 
     time_s: float
-    sides: dict[Side, NDArray[np.float32] | None]
+    sides: dict[Side, NDArray[np.uint8] | None]
 
 
 class WaterColumn:
@@ -45,7 +48,7 @@ class WaterColumn:
 
     def add_ping(self, ping: Ping) -> None:
         """Draw a ping."""
-        drawn: dict[Side, NDArray[np.float32] | None] = {
+        drawn: dict[Side, NDArray[np.uint8] | None] = {
             "port": self._draw("port", ping.port),
             "starboard": self._draw("starboard", ping.starboard),
         }
@@ -66,14 +69,14 @@ class WaterColumn:
         nearest = np.where(wanted_s - times_s[before] <= times_s[after] - wanted_s, before, after)
         lines = [held[index].sides[tile.side] for index in nearest]
         n_columns = max(len(line) for line in lines if line is not None)
-        pixels = np.zeros((tile.intensity.shape[0], n_columns), dtype=np.float32)
+        shades = np.zeros((tile.intensity.shape[0], n_columns), dtype=np.uint8)
         for row, (line, index) in enumerate(zip(lines, nearest, strict=True), tile.core_start):
             if line is not None and abs(times_s[index] - wanted_s[row - tile.core_start]) <= _NEAR_S:
-                pixels[row, : len(line)] = line
-        mask = np.where(pixels > 0.0, VALID, 0).astype(np.uint8)
-        self._store.add(msgspec.structs.replace(tile, intensity=pixels, mask=mask))
+                shades[row, : len(line)] = line
+        mask = np.where(shades > 0, VALID, 0).astype(np.uint8)
+        self._store.add(msgspec.structs.replace(tile, intensity=_INTENSITY[shades], mask=mask))
 
-    def _draw(self, side: Side, trace: EchoTrace | None) -> NDArray[np.float32] | None:
+    def _draw(self, side: Side, trace: EchoTrace | None) -> NDArray[np.uint8] | None:
         if trace is None or not trace.samples.size or not trace.spacing_m > 0.0:
             return None
         samples = trace.samples
@@ -87,8 +90,7 @@ class WaterColumn:
         index = np.rint((slant_m - trace.first_range_m) / trace.spacing_m).astype(np.int64)
         inside = (index >= 0) & (index < samples.shape[0])
         share = np.clip((_finite(samples[np.where(inside, index, 0)]) - dark) / max(bright - dark, 1e-12), 0.0, 1.0)
-        shown = 10.0 ** ((_BLACK_DB + share * (_WHITE_DB - _BLACK_DB)) / 10.0)
-        return np.where(inside, shown, 0.0).astype(np.float32)
+        return np.where(inside, 1.0 + np.rint(254.0 * share), 0.0).astype(np.uint8)
 
 
 def _finite(samples: NDArray[Any]) -> NDArray[np.float64]:
