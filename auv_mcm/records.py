@@ -68,6 +68,8 @@ class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     transfer: what the samples are, where the sonar's own protocol says so. squint_rad: 0 for side scan and for a whole
     synthetic aperture; middle of a sub-aperture's bearings, positive ahead of abeam. Pings are given a sub-aperture at
     a time, each at its line's own time: what has another squint is another image of the same ground.
+
+    first_return_m: slant range of the first bottom return as a person corrected it, NaN where nobody did.
     """
 
     number: int
@@ -79,6 +81,7 @@ class Ping(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     place: str = ""
     transfer: Literal["amplitude", "intensity"] | None = None
     squint_rad: float = 0.0
+    first_return_m: float = NAN
 
 
 class NavSample(msgspec.Struct, frozen=True, kw_only=True):

@@ -25,7 +25,7 @@ from drivers.links.uri import TcpAddress
 from drivers.navigation.nav_protocols import TEXT_PROTOCOLS
 from drivers.port_source import open_link
 from drivers.port_stream import PortStream
-from drivers.ports import PULSE, PortSettings, open_to_all, read_ports
+from drivers.ports import PULSE, PortSettings, open_to_all, read_ports, without_sonar
 from drivers.vehicle.vehicles import VEHICLES
 
 LISTEN_S: Final = 4.0  # units send once a second and more, sonars ping every 2 s and more
@@ -44,6 +44,7 @@ def port_findings(config: Config, listen_s: float = LISTEN_S) -> Iterator[Findin
     """
     ports = read_ports(config)
     yield from (Finding(f"port {notice.place}", "warning", notice.text) for notice in open_to_all(ports))
+    yield from (Finding("sonar", "warning", notice.text) for notice in without_sonar(ports))
 
     listeners = [_Listener(port, config.sonar, SystemClock()) for port in ports]
 

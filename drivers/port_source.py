@@ -26,7 +26,7 @@ from drivers.links.link import Link, LinkState
 from drivers.links.open_link import byte_link, can_link
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can
-from drivers.ports import PortSettings, open_to_all, read_ports
+from drivers.ports import PortSettings, open_to_all, read_ports, without_sonar
 from drivers.vehicle.dialect import VehicleMessage
 from drivers.vehicle.pilot import Pilot
 from drivers.vehicle.port_pilot import PortPilot
@@ -99,7 +99,8 @@ class PortSource:
         ports = read_ports(config)
         self._ports = [_ServedPort(port, self, open_link, clock, config) for port in ports]
         self._vehicle_port = next((port for port in self._ports if port.vehicle is not None), None)
-        self._early: list[SourceEvent] = [*open_to_all(ports)]  # from before `run`: its vehicle may be served first
+        # from before `run`: its vehicle may be served first
+        self._early: list[SourceEvent] = [*open_to_all(ports), *without_sonar(ports)]
         self._push: Callable[[SourceEvent], None] = self._early.append
 
     def record_with(self, record: Record) -> None:

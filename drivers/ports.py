@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 from msgspec import structs
@@ -81,6 +81,15 @@ def open_to_all(ports: Iterable[PortSettings]) -> list[Notice]:
             )
             notices.append(Notice(code="port_open_to_all", text=text, place=port.name))
     return notices
+
+
+def without_sonar(ports: Sequence[PortSettings]) -> list[Notice]:
+    """Report that no port has a sonar, so that a mission would find nothing."""
+    if not ports or any(port.is_sonar for port in ports):
+        return []
+    names = ", ".join(port.name for port in ports)
+    text = f"no sonar among the ports ({names}): nothing will be found. Add the sonar's port, or correct its device."
+    return [Notice(code="no_sonar", text=text)]
 
 
 def merge_settings(config: Config, ports: tuple[PortSettings, ...]) -> NavMergeSettings:

@@ -32,6 +32,8 @@ def closing_line(summary: Mapping[str, Any]) -> str:
         )
     else:
         parts.append("no sea floor searched")
+    if n_corrected := summary.get("counters", {}).get("bottom.corrected"):
+        parts.append(f"bottom line corrected by hand over {n_corrected} pings")
     line = "; ".join(parts) + "."
     mend = to_mend(summary)
     return line + (f" To mend: {'; '.join(mend)}." if mend else "")

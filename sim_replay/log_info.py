@@ -34,7 +34,7 @@ _MIN_GAP_S: Final = 1.0  # s: a shorter pause is none, however fast the sonar pi
 _SHOWN_GAPS: Final = 10  # the longest are listed
 _COURSE_M: Final = 2.0  # m between fixes, over which a course is taken: ten times the noise of a good receiver (chosen)
 _EARTH_M_PER_DEG: Final = 111_195.0  # m per degree of a great circle (mean radius 6371 km)
-_USED: Final = ("reader.pings", "ping.received")
+_USED: Final = ("reader.pings", "ping.received", "bottom.corrected")
 
 
 def describe(path: Path, config: Config, progress: Callable[[float], None] = lambda fraction: None) -> Info:
@@ -93,6 +93,7 @@ def describe(path: Path, config: Config, progress: Callable[[float], None] = lam
         "clock": {**pings.clock(), **_counted(counters, "time", "clock", "pause")},
         "navigation": {**navigation.table(), "sources": dict(getattr(log, "navigation_sources", dict)())},
         "altitude": floor.table(),
+        "bottom_line": [{**line.entry(), "problem": line.problem} for line in mission.bottom_lines],
         "used": _used(pings, counters),
         "left_out": {name: count for name, count in sorted(counters.items()) if name not in _USED},
         "notices": [_notice(notice) for notice in notices if not notice.for_the_record],
@@ -110,7 +111,8 @@ def _counted(counters: Counter[str], *words: str) -> dict[str, int]:
 
 def _used(pings: _Pings, counters: Counter[str]) -> Info:
     placed = pings.count - counters["navigation.ping_stale"]
-    return {"pings": pings.count, "pings_with_position": max(placed, 0)}
+    lines = {"bottom_corrected": n} if (n := counters["bottom.corrected"]) else {}
+    return {"pings": pings.count, "pings_with_position": max(placed, 0), **lines}
 
 
 def _known(number: float, digits: int = 3) -> float | None:

@@ -174,6 +174,7 @@ def replay(
             {"path": str(path.absolute()), "bytes": size, "relative": os.path.relpath(path, folder)}
             for path, size in mission.sizes_bytes.items()
         ],
+        **({"bottom_lines": lines} if (lines := [line.entry() for line in mission.bottom_lines]) else {}),
         **totals,
         "waypoints": len(waypoints),
         "counters": dict(sorted(counters.items())),

@@ -16,6 +16,7 @@ from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import RECORDING, SUMMARY
 from auv_mcm.shell.whole_files import finite
+from sim_replay.logs.bottom_lines import lines_beside
 
 RESULTS_SUFFIX: Final = "-results"
 _LONGEST: Final = 60  # characters of a log's name that are kept: a folder's name stays readable
@@ -65,12 +66,16 @@ def resolved_log(entry: object, folder: Path) -> Path:
 
 
 def is_replayed(folder: Path, config: Config) -> bool:
-    """Check whether a folder holds whole results of unchanged logs, by this version with this configuration."""
+    """Check whether a folder holds whole results of unchanged logs, by this version with this configuration.
+
+    Bottom lines that were corrected since count as a change.
+    """
     summary = summary_of(folder)
     if summary is None:
         return False
     made_ns = (folder / SUMMARY).stat().st_mtime_ns
     same_log = all(_is_unchanged(entry, made_ns) for entry in summary["logs"])
+    same_log = same_log and _used_lines(summary) == lines_beside(Path(entry["path"]) for entry in summary["logs"])
     return same_log and _is_same(summary["config"], config) and summary["version"] == __version__
 
 
@@ -98,6 +103,10 @@ def _is_unchanged(entry: dict[str, Any], made_ns: int) -> bool:
     except OSError:
         return False
     return status.st_size == entry["bytes"] and status.st_mtime_ns <= made_ns
+
+
+def _used_lines(summary: dict[str, Any]) -> set[tuple[str, str]]:
+    return {(str(line["path"]), str(line["sha256"])) for line in summary.get("bottom_lines", ())}
 
 
 def _may_be_taken(folder: Path, logs: Sequence[Path]) -> bool:

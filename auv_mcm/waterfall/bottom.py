@@ -5,7 +5,8 @@ step in the mean of ln I (variance of single-look ln I: pi^2/6), both sides summ
 logarithm keeps a short ring-down or a fish from outweighing metres of dark water, and makes the score independent of
 gain. A best-path search over pings then takes the sequence of ranges that fits all pings together. An altitude reading
 only favours its neighbourhood: recorders disagree with the first return by metres. Where all echoes begin beyond the
-reading, as in an image without a water column, no sample can show the bottom and the reading is taken as it is.
+reading, as in an image without a water column, no sample can show the bottom and the reading is taken as it is. So is
+a first return that a person corrected, and the path around leads to it.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ _ALTITUDE_PULL: Final = 1.0  # nats per nat between range and altitude reading: 
 # of the altitude reading, 1-sigma where echoes begin beyond it; chosen, not measured
 _STATED_SIGMA: Final = 0.02
 _UNSEEN_SIGMA: Final = 0.25  # of the first return, 1-sigma where the bottom was not seen; chosen, not measured
+_CORRECTED_SIGMA_M: Final = 0.1  # m, 1-sigma of a correction: two pixels of a screen that shows 40 m; chosen
+_CORRECTED_VOTE: Final = 2.0 * _SIDE_VOTE  # nats for the path to go through a correction: what both sides may add
 _MAX_SLOPE_BINS: Final = 8  # bins that the path may move from ping to ping: 0.4 m
 _STEP_COST: Final = 0.5  # nats per bin that the path moves from ping to ping
 _EVIDENCE: Final = 6.0  # nats over the pings around, from which the bottom counts as seen
@@ -84,12 +87,14 @@ class _Path(NamedTuple):
 class _Scored(NamedTuple):
     """Hold a block's scores (n_pings, n_bins) and its steps back.
 
-    stated_m: (n_pings,) the altitude reading where it alone tells, else NaN.
+    stated_m: (n_pings,) the altitude reading where it alone tells, else NaN. corrected_m: (n_pings,), NaN where nobody
+    corrected the first return.
     """
 
     score: NDArray[np.float64]
     back: NDArray[np.int32]
     stated_m: NDArray[np.float64]
+    corrected_m: NDArray[np.float64]
 
 
 _NO_PATH: Final = _Path(np.empty(0, dtype=np.int64), np.empty(0))
@@ -106,7 +111,11 @@ class BottomTracker:
         self._level: float | None = None
 
     def add(
-        self, sides: list[Traces | None], altitude_m: NDArray[np.float64], max_range_m: float
+        self,
+        sides: list[Traces | None],
+        altitude_m: NDArray[np.float64],
+        max_range_m: float,
+        corrected_m: NDArray[np.float64] | None = None,
     ) -> BottomTrack | None:
         """Score a block; return the path of the block before it, None for the first.
 
@@ -116,10 +125,16 @@ class BottomTracker:
             Cumulative sums per side, None for a side without data.
         altitude_m
             (n_pings,) float64 prior, NaN where unknown.
+        corrected_m
+            (n_pings,) float64 first return as a person corrected it, NaN elsewhere; None for no correction.
         """
         stated_m = _stated_m(sides, altitude_m)
+        corrected_m = np.full(altitude_m.shape, math.nan) if corrected_m is None else corrected_m
         score = self._score(sides, altitude_m, max_range_m, np.isfinite(stated_m))
         n_bins = score.shape[1]
+        for ping in np.flatnonzero(np.isfinite(corrected_m)):
+            score[ping] = -_CORRECTED_VOTE
+            score[ping, min(round(float(corrected_m[ping]) / BIN_M), n_bins - 1)] = _CORRECTED_VOTE
         if self._cost is None:
             self._cost = np.zeros(n_bins)
         if self._cost.shape[0] < n_bins:
@@ -128,7 +143,7 @@ class BottomTracker:
             score = np.pad(score, ((0, 0), (0, self._cost.shape[0] - n_bins)))
         self._cost, back = viterbi_forward(self._cost, score, _MAX_SLOPE_BINS, _STEP_COST)
         end = int(self._cost.argmax())
-        scored = _Scored(score, back, stated_m)
+        scored = _Scored(score, back, stated_m, corrected_m)
         path = _path(end, scored)
         done = self._finish_held(int(back[0, path.bins[0]]), path) if self._held is not None else None
         self._held = scored
@@ -148,17 +163,20 @@ class BottomTracker:
         start, stop = self._before.bins.shape[0], self._before.bins.shape[0] + path.bins.shape[0]
         bins = np.concatenate([self._before.bins, path.bins, after.bins])
         evidence = np.concatenate([self._before.evidence, path.evidence, after.evidence])
-        stated_m = self._held.stated_m
-        stated = np.isfinite(stated_m)
+        stated_m, corrected_m = self._held.stated_m, self._held.corrected_m
+        stated, corrected = np.isfinite(stated_m), np.isfinite(corrected_m)
         # In noise single pings look convincing, in weak contrast they do not: a few together decide.
-        seen = (_running_means(evidence, _SEEN_PINGS, start, stop) >= _EVIDENCE) | stated
+        seen = (_running_means(evidence, _SEEN_PINGS, start, stop) >= _EVIDENCE) | stated | corrected
         smooth = _running_medians(bins, _SMOOTHING_PINGS, start, stop)
         level = self._levelled(_running_medians(bins, _LEVEL_PINGS, start, stop))
         self._before = _Path(bins[:stop][-_LEVEL_PINGS:], evidence[:stop][-_LEVEL_PINGS:])
         roughness = np.abs(path.bins - smooth)
         sigma = np.where(seen, 1.5 * BIN_M + roughness * BIN_M, _UNSEEN_SIGMA * np.maximum(smooth * BIN_M, 1.0))
         sigma = np.where(stated, _STATED_SIGMA * stated_m, sigma)
+        sigma[corrected] = _CORRECTED_SIGMA_M
         first_return_m, level_m = (np.where(stated, stated_m, bins * BIN_M) for bins in (smooth, level))
+        for line_m in (first_return_m, level_m):
+            line_m[corrected] = corrected_m[corrected]
         return BottomTrack(first_return_m, level_m, sigma, seen)
 
     def _levelled(self, medians: NDArray[np.float64]) -> NDArray[np.float64]:

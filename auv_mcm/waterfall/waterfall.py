@@ -70,7 +70,10 @@ class Waterfall:
             max((t.first_range_m + t.n_samples * t.spacing_m for t in traces.values()), default=1.0),
             self._config.sonar.max_range_m,
         )
-        track = self._tracker.add([traces.get(side) for side in SIDES], block.poses.altitude_m, max_range_m)
+        corrected_m = self._corrected_m(block.pings, max_range_m)
+        track = self._tracker.add(
+            [traces.get(side) for side in SIDES], block.poses.altitude_m, max_range_m, corrected_m
+        )
         self._cutter.squint_rad = block.pings[0].squint_rad  # a segment has one
         tiles = self._finish_block(track) if track is not None else []
         self._held = _HeldBlock(block, traces)
@@ -93,6 +96,17 @@ class Waterfall:
     def next_segment_m(self) -> float:
         """Give the along-track distance at which the next segment may start."""
         return self._cutter.next_segment_row() * self._config.waterfall.row_spacing_m
+
+    def _corrected_m(self, pings: list[Ping], max_range_m: float) -> NDArray[np.float64]:
+        """Take the first returns that a person corrected, (n_pings,) float64, NaN elsewhere and beyond the range."""
+        stated_m = np.array([ping.first_return_m for ping in pings])
+        corrected_m = np.where((stated_m > 0.0) & (stated_m < max_range_m), stated_m, math.nan)
+        n_corrected = int(np.count_nonzero(np.isfinite(corrected_m)))
+        if n_corrected:
+            self._counters["bottom.corrected"] += n_corrected
+        if n_beyond := int(np.count_nonzero(np.isfinite(stated_m))) - n_corrected:
+            self._counters["bottom.correction_beyond_range"] += n_beyond
+        return corrected_m
 
     def _traces(self, side: Side, pings: list[Ping]) -> Traces | None:
         first = pings[0].port if side == "port" else pings[0].starboard

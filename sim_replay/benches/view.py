@@ -26,6 +26,7 @@ from auv_mcm.settings.config import Config
 from sim_replay.benches.browser import BrowserPage, browser_page, mission_page
 from sim_replay.benches.shadow_edges import ShadowEdges, clearest_shadow
 from sim_replay.replay import replay
+from sim_replay.report.report_file import redraw_report
 from sim_replay.scoring.inputs import TruthObject, read_truth
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import Scene
@@ -43,6 +44,7 @@ N_LEGS: Final = 14
 _FLAT_LEGS: Final = 6  # at most, of the scene `flat`, where no relief takes part in the heights: 17 minutes
 _GATE_M: Final = 3.0  # m from a target, within which a contact is judged mine-like
 _HEIGHT_M: Final = 0.1  # m: error of a height that a decision can bear
+_PICTURED: Final = "demo"  # of the named scenes: objects of every kind in three minutes
 _LIVE_ROWS: Final = 600  # rows of 0.12 m of the live mission in the picture
 _LIVE_SCENE: Final = """\
 name: live
@@ -123,19 +125,15 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{asyncio.run(film_view(arguments.out, arguments.animation))} frames: {arguments.animation}")
         return 0
     if arguments.pictures is not None:
-        asyncio.run(_live_picture(arguments.out, arguments.pictures))
+        _renew_pictures(arguments.out, arguments.pictures)
+        return 0
     missions: list[tuple[str, Path, tuple[TruthObject, ...]]] = []
     scenes = {"ripple": arguments.legs, "flat": min(arguments.legs, _FLAT_LEGS)} if arguments.legs else {}
     for name, n_legs in scenes.items():
-        folder = arguments.out / name
-        if not (folder / "truth.json").exists():
-            simulate(_scene(name, n_legs), folder)
-        missions.append((name, folder / "mission.xtf", read_truth(folder / "truth.json").objects))
+        log, objects = _flown(_scene(name, n_legs), arguments.out / name)
+        missions.append((name, log, objects))
     missions += [(log.stem, log, ()) for log in arguments.logs]
-    judged = [
-        _judge_mission(name, log, truth, arguments.out, None if number else arguments.pictures)
-        for number, (name, log, truth) in enumerate(missions)
-    ]
+    judged = [_judge_mission(name, log, truth, arguments.out) for name, log, truth in missions]
     print(columns(_HEADER, [_line(one) for one in judged]))
     return 0
 
@@ -146,19 +144,42 @@ def _scene(name: str, n_legs: int) -> Scene:
     return msgspec.structs.replace(scene, track=msgspec.structs.replace(scene.track, plan=plan))
 
 
-def _judge_mission(
-    name: str, log: Path, truth: Sequence[TruthObject], out: Path, pictures: Path | None
-) -> JudgedMission:
-    results, again = out / f"{name}-results", out / f"{name}-again"
-    config = Config()
-    summary = read_summary(results) or replay([log], results, config)
+def _flown(scene: Scene, folder: Path) -> tuple[Path, tuple[TruthObject, ...]]:
+    if not (folder / "truth.json").exists():
+        simulate(scene, folder)
+    return folder / "mission.xtf", read_truth(folder / "truth.json").objects
+
+
+def _judged(log: Path, truth: Sequence[TruthObject], results: Path, pictures: Path | None) -> NDArray[np.float64]:
+    """Replay a log and judge it; returns heights measured and true, (n, 2)."""
+    if read_summary(results) is None:
+        replay([log], results, Config())
     (results / VERDICTS_FILE).unlink(missing_ok=True)
     mission = open_shown(results, [], None, "bench")
     mission.feed.join()
     heights_m = asyncio.run(_judge(mission, truth, pictures))
     mission.feed.close()
-    if pictures is not None:
-        asyncio.run(_report_picture(results, pictures))
+    return heights_m
+
+
+def _renew_pictures(out: Path, pictures: Path) -> None:
+    """Take every picture that the documentation shows of the page and of the report, instead of judging."""
+    pictures.mkdir(parents=True, exist_ok=True)
+    log, truth = _flown(read_scene(_PICTURED), out / _PICTURED)
+    results = out / f"{_PICTURED}-results"
+    _judged(log, truth, results, pictures)
+    redraw_report(results)
+    asyncio.run(_report_picture(results, pictures))
+    asyncio.run(_live_picture(out, pictures))
+    print(f"renewed in {pictures}")
+
+
+def _judge_mission(name: str, log: Path, truth: Sequence[TruthObject], out: Path) -> JudgedMission:
+    results, again = out / f"{name}-results", out / f"{name}-again"
+    config = Config()
+    heights_m = _judged(log, truth, results, None)
+    summary = read_summary(results)
+    assert summary is not None
     verdicts = read_verdicts(results)
     # Another detector finds other contacts under other numbers; the verdicts have to find them by place.
     if read_summary(again) is None:
@@ -276,7 +297,6 @@ async def _measure_shadows(page: BrowserPage, shadows: Sequence[ShadowEdges]) ->
 
 
 async def _overview_pictures(page: BrowserPage, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
     await page.evaluate("document.querySelector('[data-layer=coverage]').click()")
     await page.wait_for("bench.tiles.size > 8 && !bench.busy")
     await page.evaluate(_TWO_FRAMES)
@@ -287,11 +307,27 @@ async def _overview_pictures(page: BrowserPage, folder: Path) -> None:
         await page.evaluate(_TWO_FRAMES)
         if theme != "dusk":
             await page.screenshot(folder / f"view-{theme}.webp", quality=30)
+    await _bottom_picture(page, folder)
+
+
+async def _bottom_picture(page: BrowserPage, folder: Path) -> None:
+    """Draw a stretch along the bottom line, which is not kept."""
+    await page.press("b")
+    await page.wait_for("!document.querySelector('#bottom-tools').hidden && !bench.busy")
+    await page.evaluate("(bench.view.along = 40, bench.view.across = 0, bench.view.scale = 22, bench.redraw())")
+    await page.evaluate(_TWO_FRAMES)
+    await page.wait_for("!bench.busy")
+    for row in (280.0, 340.0, 400.0):
+        place = await page.evaluate(f"bench.screenOf({row}, bench.bottom.returnAt({row}))")
+        await page.click(place["x"], place["y"])
+    await page.evaluate(_TWO_FRAMES)
+    await page.screenshot(folder / "view-bottom.webp", quality=30)
+    await page.evaluate("bench.bottom.reset()")
+    await page.press("Escape")
 
 
 async def _report_picture(results: Path, folder: Path) -> None:
     """Take the report from its head to the first contacts."""
-    folder.mkdir(parents=True, exist_ok=True)
     async with browser_page(*_REPORT_PX) as page:
         await page.open((results / "report.html").resolve().as_uri())
         await page.evaluate(_TWO_FRAMES)
@@ -315,7 +351,6 @@ async def _live_picture(out: Path, pictures: Path) -> None:
             await page.open(server.url)
             await page.wait_for("window.bench && bench.state.live")
             await page.wait_for(f"bench.state.stop_row > {_LIVE_ROWS} && bench.contacts.length && !bench.busy")
-            pictures.mkdir(parents=True, exist_ok=True)
             await page.screenshot(pictures / "view-live.webp", quality=30)
         await server.close()
         mission.feed.close()

@@ -147,6 +147,10 @@ def _rows(info: dict[str, Any]) -> Iterator[Row]:
         f"stated {_or_unknown(altitude['stated_m'], 'm')}, first return {_or_unknown(altitude['first_return_m'], 'm')}",
     )
     used = info["used"]
+    for line in info["bottom_line"]:
+        by = f" by {line['by']}" if line.get("by") else ""
+        corrected = f"corrected by hand{by} over {used.get('bottom_corrected', 0)} pings"
+        yield "bottom line", f"{corrected if line['used'] else 'not used'}: {line['path']}"
     yield "a replay uses", f"{used['pings']} pings, {used['pings_with_position']} of them with a position"
     counted = ", ".join(f"{name} {count}" for name, count in info["left_out"].items())
     yield "counts", counted or "nothing is left out or mended"

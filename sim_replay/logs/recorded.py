@@ -15,6 +15,7 @@ from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.source import EventSink, SourceUri
+from sim_replay.logs.bottom_lines import FoundLine, corrected, find_bottom_line, unused_notice
 from sim_replay.logs.log_reader import Log
 from sim_replay.logs.open_log import CHUNK_BYTES, is_session, open_log
 from sim_replay.logs.same_log import OpenedLog, first_ping, without_repeats
@@ -74,6 +75,13 @@ class RecordedMission:
         self._counters["replay.log_repeated"] += len(repeated)
         self._notices += repeated
         self._logs = [item.log for item in found]
+        self._paths = [paths[item.place] for item in found]
+        self._lines = [find_bottom_line(path, log) for path, log in zip(self._paths, self._logs, strict=True)]
+        for line in self.bottom_lines:
+            if line.line is None:
+                self._counters["replay.bottom_line_unused"] += 1
+                self._notices.append(unused_notice(line.path, line.problem))
+        self._spans: dict[Path, tuple[float, float]] = {}
         self._done_bytes = 0
         self._reading: Log | None = None
 
@@ -86,6 +94,24 @@ class RecordedMission:
     def notices(self) -> list[Notice]:
         """List what is to say of logs that are left out."""
         return self._notices
+
+    @property
+    def bottom_lines(self) -> list[FoundLine]:
+        """List the corrected bottom lines beside the logs."""
+        return [line for line in self._lines if line is not None]
+
+    @property
+    def named_logs(self) -> list[tuple[Path, Log]]:
+        """List the logs in use and how they were named, in order of time."""
+        return list(zip(self._paths, self._logs, strict=True))
+
+    def log_at(self, time_s: float) -> tuple[Path, Log] | None:
+        """Find the log, as it was named, that has pings before and after a time; None for none read so far."""
+        for path, log in self.named_logs:
+            first_s, last_s = self._spans.get(path, (math.inf, -math.inf))
+            if first_s <= time_s <= last_s:
+                return path, log
+        return None
 
     @property
     def sizes_bytes(self) -> dict[Path, int]:
@@ -106,9 +132,13 @@ class RecordedMission:
         """Read every log once, in order of time."""
         yield from self._notices
         self._done_bytes = 0
-        for log in self._logs:
+        for path, log, line in zip(self._paths, self._logs, self._lines, strict=True):
             self._reading = log
-            yield from log
+            for event in log if line is None or line.line is None else corrected(log, line):
+                if isinstance(event, Ping) and math.isfinite(event.time_s):
+                    first_s, last_s = self._spans.get(path, (event.time_s, event.time_s))
+                    self._spans[path] = min(first_s, event.time_s), max(last_s, event.time_s)
+                yield event
             self._done_bytes += sum(log.sizes_bytes.values())
             self._reading = None
 

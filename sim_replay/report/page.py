@@ -344,8 +344,8 @@ def _mines_left(searched: Mapping[str, Any]) -> str:
         return ""
     left = searched["mines_left"]
     return (
-        f"Contacts called mine-like stand for {searched['mines_found']:.1f} mines found; mines left are those among "
-        f"the {left['among_contacts']} contacts that are not called: their p_mine add up to {left['p_mine_sum']:.1f}, "
+        f"Mine-like contacts stand for {searched['mines_found']:.1f} mines found; mines left are those among the "
+        f"{left['among_contacts']} contacts that are not mine-like: their chances add up to {left['p_mine_sum']:.1f}, "
         f"of which {DOUBTFUL_SHARE:.0%} were mines in simulated missions, and a little is added for mines that make no "
         f"contact at all. That holds where mines lie about as densely as there, {USUAL_PER_KM2} per km²; over a floor "
         "without mines the number is too high."

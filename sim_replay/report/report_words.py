@@ -82,6 +82,7 @@ MEANINGS: Final = {
     "quality.trace_scaled": "traces scaled by a power of two, since their squares would not fit into single precision",
     "quality.stuck": "traces that repeat the one before, sample by sample",
     "replay.log_unusable": "logs nothing could be read from",
+    "replay.bottom_line_unused": "corrected bottom lines that do not belong to their log, not used",
     "perception.restarted": "times that the perception process ended too early and was started again",
     "service.event_dropped": "results dropped because the receiver was too slow",
     "service.journal_failed": "results that could not be written to disk",
@@ -93,6 +94,8 @@ MEANINGS: Final = {
     "bottom.not_seen": (
         "pings whose first bottom return did not stand out; the altitude was carried over from their neighbours"
     ),
+    "bottom.corrected": "pings whose first bottom return a person corrected",
+    "bottom.correction_beyond_range": "pings whose corrected first bottom return is beyond their range, not used",
     "navigation.not_finite": "navigation values that were not numbers, dropped",
     "navigation.ping_stale": (
         "pings too far from a navigation sample: their position is uncertain, they earn no coverage"

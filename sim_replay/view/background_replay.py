@@ -43,7 +43,10 @@ class BackgroundReplay:
         )
 
     def start(self) -> None:
-        """Begin."""
+        """Begin, with a folder that holds no results of an earlier replay. Raises OSError, UsageError."""
+        make_results_directory(self.folder)
+        for name in (SUMMARY, CONTACTS, JOURNAL):
+            (self.folder / name).unlink(missing_ok=True)
         self._process.start()
         self._sends.close()
 
@@ -91,9 +94,6 @@ def _replay_into(logs: list[Path], folder: Path, config: Config, fraction: Any, 
 
     os.nice(_NICENESS)
     try:
-        make_results_directory(folder)
-        for name in (SUMMARY, CONTACTS, JOURNAL):  # of an earlier replay
-            (folder / name).unlink(missing_ok=True)
         found = _FoundContacts(folder)
         replay(logs, folder, config, progress=show, found=found.add)
         found.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -33,6 +34,7 @@ from sim_replay.verdicts import (
     read_verdicts,
 )
 from sim_replay.view.background_replay import BackgroundReplay
+from sim_replay.view.correction import Stretch, bottom_shown, keep_bottom
 from sim_replay.view.mission_feed import MissionFeed
 from sim_replay.view.mission_files import (
     ContactFile,
@@ -90,24 +92,39 @@ class Judged(NamedTuple):
     by_contact: dict[str, Verdict]
 
 
+class ReplayAgain(NamedTuple):
+    """Hold what a mission is shown from once more: its waterfall, and a replay that looks for contacts."""
+
+    feed: MissionFeed
+    replay: BackgroundReplay
+
+
 class ShownMission:
-    """Read one mission for the page. Nothing but verdicts is ever written."""
+    """Read one mission for the page.
+
+    Nothing but verdicts and bottom lines is ever written, until somebody asks for another replay.
+    """
 
     def __init__(
         self,
         folder: Path,
-        store: WaterfallStore,
         feed: MissionFeed,
         *,
         by: str,
         is_live: bool,
         replay: BackgroundReplay | None = None,
+        again: Callable[[], ReplayAgain] | None = None,
     ) -> None:
-        """folder: of the results or session. by: who judges. is_live: it may still grow. replay: looks for contacts."""
+        """folder: of the results or session. by: who judges. is_live: it may still grow. replay: looks for contacts.
+
+        again: prepares another replay into the folder, None where that is not what the folder is for.
+        """
         self.replay = replay
         self.folder = folder
-        self.store = store
         self.feed = feed
+        self.generation = 0
+        """Counts replays that were asked for at the page: what was shown before is outdated."""
+        self._again = again
         self._by = clean(by)
         self._is_live = is_live
         self._contacts = ContactFile(folder)
@@ -119,6 +136,11 @@ class ShownMission:
         self._verdict_version = 0
         self._matched: tuple[tuple[int, int], dict[str, Verdict]] = ((-1, -1), {})
         self.summary = read_summary(folder)
+
+    @property
+    def store(self) -> WaterfallStore:
+        """Return the waterfall over ground range."""
+        return self.feed.store
 
     def refresh(self) -> None:
         """Read what is new in the folder. Raises BadInputError for damaged files."""
@@ -175,12 +197,14 @@ class ShownMission:
             "verdicts": len(self._verdicts),
             "judged": self._judged_words(),
             "max_comment": MAX_COMMENT,
+            "generation": self.generation,
+            "replay_again": self._again is not None and self.feed.is_done and not self._is_replaying(),
         }
 
     def contacts(self) -> dict[str, Any]:
         """List all contacts as columns, every object that people judged, and structures that contacts are part of."""
         found = self._overviews
-        rows = self._rows([contact.time_s for contact in found])
+        rows = self.store.rows_at([contact.time_s for contact in found])
         by_contact = self.judged().by_contact
         shown = {verdict.object for verdict in by_contact.values()}
         return _finite(
@@ -222,7 +246,7 @@ class ShownMission:
                 "coordinates": (feature.get("geometry") or {}).get("coordinates"),
                 "depth_m": depth_m,
                 "said": msgspec.structs.asdict(place.said),
-                "view_rows": self._rows([time_s(time) for time in times]),
+                "view_rows": self.store.rows_at([time_s(time) for time in times]),
                 "history": [msgspec.to_builtins(verdict) for verdict in verdicts],
             }
         )
@@ -254,6 +278,36 @@ class ShownMission:
         needs = f"{MIN_MINE_LIKE} mine-like and {MIN_NOT_MINE_LIKE} not, of {MIN_MISSIONS} missions, to learn from them"
         return f"judged {mines} mine-like, {others} not; it takes {needs}"
 
+    def bottom(self) -> dict[str, Any]:
+        """Give the first bottom return along the waterfall, and what people corrected of it; see `bottom_shown`."""
+        return _finite(bottom_shown(self.store, self.feed.recorded))
+
+    def correct_bottom(self, stretches: Sequence[Stretch]) -> list[Path]:
+        """Keep corrected first returns beside the logs; see `keep_bottom`. Raises UsageError, OSError."""
+        if self.feed.recorded is None or not self.feed.is_done:
+            raise UsageError(
+                "the bottom line can be corrected as soon as the whole waterfall is made, and a session ended"
+            )
+        return keep_bottom(self.store, self.feed.recorded, self._by, stretches)
+
+    def replay_again(self) -> None:
+        """Replay the logs into the folder once more, and show that. Raises UsageError where it cannot be."""
+        if self._again is None or self._is_replaying() or not self.feed.is_done:
+            raise UsageError("this cannot be replayed here or now: use 'auv-mcm replay'")
+        feed, replay = self._again()
+        if self.replay is not None:
+            self.replay.close()
+        self.feed.close()
+        self.feed, self.replay, self.summary = feed, replay, None
+        self._contacts = ContactFile(self.folder)
+        self._overview_version = -1
+        self.generation += 1
+        replay.start()
+        feed.start()
+
+    def _is_replaying(self) -> bool:
+        return self.replay is not None and self.replay.is_running
+
     def place(self, points: list[WaterfallPoint]) -> SeabedPlaces:
         """Place points of the waterfall on the sea floor."""
         return place_points(self.store, self.feed.config.sonar, points)
@@ -276,7 +330,7 @@ class ShownMission:
         seen = [(contact.time_s, contact.side, contact.ground_range_m)]
         for view in feature["properties"].get("views") or []:
             seen.append((time_s(view.get("time")), view.get("side"), number(view.get("ground_range_m"))))
-        rows = np.array(self._rows([when for when, _, _ in seen]))
+        rows = np.array(self.store.rows_at([when for when, _, _ in seen]))
         across_m = np.array([-range_m if side == "port" else range_m for _, side, range_m in seen])
         away_m = np.concatenate(
             [np.hypot((rows - end.row) * self.store.row_spacing_m, across_m - end.across_m) for end in ends]
@@ -385,23 +439,10 @@ class ShownMission:
     def _drawn(self, shown: set[str]) -> tuple[list[Verdict], list[float]]:
         """List objects that no contact of these results stands for, with their rows."""
         alone = [verdict for name, verdict in newest_verdicts(self._verdicts).items() if name not in shown]
-        return alone, self._rows([time_s(verdict.view_time) for verdict in alone])
-
-    def _rows(self, times_s: list[float]) -> list[float]:
-        """Find the row of the waterfall at each time, NaN where there is none (yet)."""
-        times = self.store.times()
-        known = np.flatnonzero(np.isfinite(times))
-        if not len(known):
-            return [math.nan] * len(times_s)
-        wanted = np.array(times_s, dtype=np.float64)
-        ordered = np.maximum.accumulate(times[known])
-        rows = np.interp(wanted, ordered, known + 0.5)
-        # a metre at 0.5 m/s is within two seconds: what lies farther off is not in this waterfall
-        outside = ~((wanted >= ordered[0] - 2.0) & (wanted <= ordered[-1] + 2.0))
-        return [float(row) for row in np.where(outside, np.nan, rows)]
+        return alone, self.store.rows_at([time_s(verdict.view_time) for verdict in alone])
 
     def _depth_m(self, contact: Overview) -> float:
-        row = self._rows([contact.time_s])[0]
+        row = self.store.rows_at([contact.time_s])[0]
         if not (math.isfinite(row) and math.isfinite(contact.ground_range_m)):
             return math.nan
         across_m = -contact.ground_range_m if contact.side == "port" else contact.ground_range_m

@@ -18,9 +18,10 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, Ping, SourceEvent, Tile
 from auv_mcm.settings.config import Config
 from sim_replay.logs.port_log import PortLog
-from sim_replay.logs.recorded import open_mission
+from sim_replay.logs.recorded import RecordedMission, open_mission
 from sim_replay.logs.session_reader import recorded_config
 from sim_replay.view.growing_session import GrowingSession
+from sim_replay.view.water_column import WaterColumn
 from sim_replay.view.waterfall_store import WaterfallStore
 
 log = logging.getLogger(__name__)
@@ -31,11 +32,15 @@ on the demo scene, 2 cores)."""
 
 
 class OpenedMission(NamedTuple):
-    """Hold the events of a mission, the configuration they are processed with, and what gives the fraction read."""
+    """Hold the events of a mission, the configuration they are processed with, and what gives the fraction read.
+
+    recorded: the logs they come from; None for a session that may still grow.
+    """
 
     config: Config
     events: Iterable[SourceEvent]
     fraction_done: Callable[[], float]
+    recorded: RecordedMission | None = None
 
 
 class MissionFeed:
@@ -43,7 +48,11 @@ class MissionFeed:
 
     def __init__(self, store: WaterfallStore, open_events: Callable[[threading.Event], OpenedMission | None]) -> None:
         """open_events: opens the mission, in the thread; None if there is none. It may wait until the event is set."""
-        self._store = store
+        self.store = store
+        """The waterfall over ground range."""
+        self.slant = WaterfallStore()
+        """The same rows over slant range: the water column and the first bottom return."""
+        self.recorded: RecordedMission | None = None
         self.config = Config()
         self._open_events = open_events
         self._stop = threading.Event()
@@ -71,6 +80,8 @@ class MissionFeed:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
+        self.store.close()
+        self.slant.close()
 
     def join(self) -> None:
         """Wait until everything was read."""
@@ -80,7 +91,7 @@ class MissionFeed:
         try:
             opened = self._open_events(self._stop)
             if opened is not None:
-                self.config, events, self._fraction = opened
+                self.config, events, self._fraction, self.recorded = opened
                 self._read(events)
         except (AuvMcmError, OSError) as error:
             self.problem = str(error)
@@ -92,17 +103,21 @@ class MissionFeed:
         config = msgspec.structs.replace(self.config, waterfall=waterfall)
         nothing = TileDetections((), 0, 0)
         pipeline = Pipeline(config, detect=lambda tile: nothing, seabed=lambda tile: None)
+        column = WaterColumn(self.slant, config.waterfall.column_spacing_m, config.sonar.max_range_m)
         for event in events:
             if self._stop.is_set():
                 return
-            self.n_pings += isinstance(event, Ping)
-            self._take(pipeline.feed(event))
-        self._take(pipeline.finish())
+            if isinstance(event, Ping):
+                self.n_pings += 1
+                column.add_ping(event)
+            self._take(pipeline.feed(event), column)
+        self._take(pipeline.finish(), column)
 
-    def _take(self, events: Iterable[object]) -> None:
+    def _take(self, events: Iterable[object], column: WaterColumn) -> None:
         for event in events:
             if isinstance(event, Tile):
-                self._store.add(event)
+                self.store.add(event)
+                column.add_tile(event)
             elif isinstance(event, CoveragePatch):
                 self.coverage += [np.round(ring, 7).tolist() for ring in event.rings_deg]  # 1e-7 degrees: 1 cm
             elif isinstance(event, Notice):
@@ -112,7 +127,7 @@ class MissionFeed:
 def open_logs(paths: list[Path], config: Config) -> OpenedMission:
     """Open finished logs. Raises UsageError or BadInputError."""
     mission = open_mission(paths, config)
-    return OpenedMission(config, mission.events(), lambda: mission.fraction_done)
+    return OpenedMission(config, mission.events(), lambda: mission.fraction_done, mission)
 
 
 def follow_session(folder: Path, config: Config | None, stop: threading.Event) -> OpenedMission | None:

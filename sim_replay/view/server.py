@@ -23,12 +23,14 @@ from sim_replay.view.mission import MAX_POINTS, Judgement, MeasuredQuantity, Sho
 from sim_replay.view.patience import BODY_S, Patience
 from sim_replay.view.patience import log as http_log
 from sim_replay.view.places import WaterfallPoint
-from sim_replay.view.waterfall_store import MAX_LEVEL
+from sim_replay.view.waterfall_store import MAX_LEVEL, WaterfallStore
 
 LOOPBACK: Final = "127.0.0.1"
 _LOCAL_NAMES: Final = ("localhost", LOOPBACK, "::1")
 MAX_REQUEST_BYTES: Final = 16384  # bytes of a body: a verdict with the longest comment, escaped, has 12 kB
+BOTTOM_BYTES: Final = 1 << 19  # of a corrected bottom line: its 10 000 points of 40 bytes
 _MAX_HEAD_BYTES: Final = 4096  # of the first line and of each header: a browser's have some 200
+_LINGER_S: Final = 1.0  # s that the rest of a refused body is read, so that its sender reads the answer; chosen
 _CACHED_TILES: Final = 512  # of 64 kB: 32 MB
 _MAX_STRIP_ROWS: Final = 1 << 20  # rows of one answer: 16384 strips
 _PAGE: Final = Path(__file__).parent / "page"
@@ -58,6 +60,10 @@ class _Points(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     points: list[WaterfallPoint]
 
 
+class _Stretches(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    stretches: list[list[tuple[float, float]]]
+
+
 class _Ends(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quantity: MeasuredQuantity
     ends: tuple[WaterfallPoint, WaterfallPoint]
@@ -76,15 +82,16 @@ class MissionServer:
         """
         self._mission = mission
         self._host, self._port = host, port
-        self._tiles: OrderedDict[tuple[int, int, int], bytes] = OrderedDict()
+        self._tiles: OrderedDict[tuple[int, int, int, int], bytes] = OrderedDict()
         self._refreshing = asyncio.Lock()
         self._drawing = asyncio.Lock()
         self._page = {path.name: path for path in _PAGE.iterdir() if path.suffix in _KINDS}
-        app = web.Application(client_max_size=MAX_REQUEST_BYTES, middlewares=[self._guard])
+        app = web.Application(client_max_size=BOTTOM_BYTES, middlewares=[self._guard])
         app.router.add_get("/", self._index)
         app.router.add_get("/page/{name}", self._file)
         app.router.add_get("/api/state", self._state)
-        app.router.add_get(r"/api/tile/{level:\d{1,2}}/{row:\d{1,9}}/{column:-?\d{1,4}}", self._tile)
+        for kind, handler in (("tile", self._tile), ("slant", self._slant_tile)):
+            app.router.add_get(rf"/api/{kind}/{{level:\d{{1,2}}}}/{{row:\d{{1,9}}}}/{{column:-?\d{{1,4}}}}", handler)
         app.router.add_get("/api/contacts", self._contacts)
         app.router.add_get("/api/contacts/{id}", self._contact)
         app.router.add_get("/api/snippets/{id}", self._snippet)
@@ -94,12 +101,16 @@ class MissionServer:
         app.router.add_post("/api/place", self._place)
         app.router.add_post("/api/measure", self._measure)
         app.router.add_post("/api/verdicts", self._judge)
+        app.router.add_get("/api/bottom", self._bottom)
+        app.router.add_post("/api/bottom", self._correct_bottom)
+        app.router.add_post("/api/replay", self._replay)
         app.router.add_post("/api/report", self._report)
         self._runner = web.AppRunner(
             app,
             access_log=None,
             max_line_size=_MAX_HEAD_BYTES,
             max_field_size=_MAX_HEAD_BYTES,
+            lingering_time=_LINGER_S,
             logger=http_log,
         )
         self._patience = patience or Patience()
@@ -195,14 +206,20 @@ class MissionServer:
         return _json(self._mission.state())
 
     async def _tile(self, request: web.Request) -> web.StreamResponse:
+        return await self._picture(request, self._mission.store)
+
+    async def _slant_tile(self, request: web.Request) -> web.StreamResponse:
+        return await self._picture(request, self._mission.feed.slant)
+
+    async def _picture(self, request: web.Request, store: WaterfallStore) -> web.StreamResponse:
         level, row, column = (int(request.match_info[name]) for name in ("level", "row", "column"))
         if level > MAX_LEVEL:
             raise web.HTTPNotFound
-        key = (level, row, column)
-        is_final = self._mission.store.is_final(level, row)
+        key = (id(store), level, row, column)
+        is_final = store.is_final(level, row)
         data = self._tiles.get(key)
         if data is None:
-            data = (await asyncio.to_thread(self._mission.store.picture, *key)).tobytes()
+            data = (await asyncio.to_thread(store.picture, level, row, column)).tobytes()
             if is_final:
                 self._tiles[key] = data
                 while len(self._tiles) > _CACHED_TILES:
@@ -262,6 +279,19 @@ class MissionServer:
         verdict = await asyncio.to_thread(self._mission.judge, judgement)
         return _json(msgspec.to_builtins(verdict))
 
+    async def _bottom(self, request: web.Request) -> web.StreamResponse:
+        return _json(await asyncio.to_thread(self._mission.bottom))
+
+    async def _correct_bottom(self, request: web.Request) -> web.StreamResponse:
+        asked = await _body(request, _Stretches, BOTTOM_BYTES)
+        files = await asyncio.to_thread(self._mission.correct_bottom, asked.stretches)
+        return _json({"files": [clean(str(path)) for path in files]})
+
+    async def _replay(self, request: web.Request) -> web.StreamResponse:
+        await asyncio.to_thread(self._mission.replay_again)
+        self._tiles.clear()
+        return _json({"generation": self._mission.generation})
+
     async def _report(self, request: web.Request) -> web.StreamResponse:
         from sim_replay.report.report_file import REPORT, redraw_report  # late: half a second at the start of a page
 
@@ -275,9 +305,12 @@ class MissionServer:
             await asyncio.to_thread(self._mission.refresh)
 
 
-async def _body(request: web.Request, kind: type[_Body]) -> _Body:
+async def _body(request: web.Request, kind: type[_Body], max_bytes: int = MAX_REQUEST_BYTES) -> _Body:
     try:
-        return msgspec.json.decode(await asyncio.wait_for(request.read(), BODY_S), type=kind)
+        data = await asyncio.wait_for(request.read(), BODY_S)
+        if len(data) > max_bytes:
+            raise web.HTTPRequestEntityTooLarge(max_bytes, len(data))
+        return msgspec.json.decode(data, type=kind)
     except TimeoutError as error:
         raise BadInputError(f"the request did not come whole within {BODY_S:g} s") from error
     except msgspec.MsgspecError as error:

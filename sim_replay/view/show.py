@@ -21,12 +21,13 @@ from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.logs.session_parts import recordings_of, session_of
 from sim_replay.results_folder import default_results, is_replayed, resolved_log
 from sim_replay.view.background_replay import BackgroundReplay
-from sim_replay.view.mission import ShownMission
+from sim_replay.view.mission import ReplayAgain, ShownMission
 from sim_replay.view.mission_feed import MissionFeed, OpenedMission, follow_session, open_logs
 from sim_replay.view.mission_files import CONTACTS, JOURNAL, SUMMARY, read_summary, summary_config
 from sim_replay.view.server import LOOPBACK, MissionServer
 from sim_replay.view.waterfall_store import WaterfallStore
 
+Opens = Callable[[threading.Event], OpenedMission | None]
 _POLL_S: Final = 0.5  # s between two looks for a session that is to begin
 
 
@@ -87,7 +88,6 @@ def show(
                 print("the replay is not finished: what it found so far goes with the next one")
             mission.replay.close()
         mission.feed.close()
-        mission.store.close()
     return 0
 
 
@@ -120,17 +120,25 @@ def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -
         )
     summary = read_summary(folder)
     is_live = summary is None
-    opens: Callable[[threading.Event], OpenedMission | None]
+    opens: Opens
     if logs:
         used = config or (summary_config(summary, folder) if summary else Config())
         opens = lambda stop: open_logs(logs, used)  # noqa: E731
-    elif recordings or is_live:
+    elif recordings and not is_live:
+        opens = lambda stop: open_logs([folder], config or logs_config([folder]) or Config())  # noqa: E731
+    elif is_live:
         opens = partial(follow_session, folder, config)
     else:
         assert summary is not None
         opens = lambda stop: open_logs(named_logs(summary, folder), config or summary_config(summary, folder))  # noqa: E731
-    store = WaterfallStore()
-    mission = ShownMission(folder, store, MissionFeed(store, opens), by=by, is_live=is_live)
+
+    def again() -> ReplayAgain:
+        assert summary is not None
+        used = config or summary_config(summary, folder)
+        return ReplayAgain(_feed(opens), BackgroundReplay(logs or named_logs(summary, folder), folder, used))
+
+    is_session = is_live or bool(recordings)
+    mission = ShownMission(folder, _feed(opens), by=by, is_live=is_live, again=None if is_session else again)
     mission.refresh()
     mission.feed.start()
     return mission
@@ -189,11 +197,18 @@ def open_new(logs: list[Path], config: Config | None, by: str) -> ShownMission:
         print(f"replayed before: {clean(str(folder))}", flush=True)
         return open_shown(folder, logs, config, by)
     make_results_directory(folder)
-    store = WaterfallStore()
-    feed = MissionFeed(store, lambda stop: open_logs(logs, used))
-    mission = ShownMission(folder, store, feed, by=by, is_live=False, replay=BackgroundReplay(logs, folder, used))
+
+    def again() -> ReplayAgain:
+        return ReplayAgain(_feed(lambda stop: open_logs(logs, used)), BackgroundReplay(logs, folder, used))
+
+    feed, found = again()
+    mission = ShownMission(folder, feed, by=by, is_live=False, replay=found, again=again)
     feed.start()
     return mission
+
+
+def _feed(opens: Opens) -> MissionFeed:
+    return MissionFeed(WaterfallStore(), opens)
 
 
 def named_logs(summary: dict[str, Any], folder: Path) -> list[Path]:

@@ -7,11 +7,12 @@ axis. Means are taken over linear intensity.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import weakref
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -138,6 +139,19 @@ class WaterfallStore:
     def times(self) -> NDArray[np.float64]:
         """Give the time of each row from row 0, UTC seconds, NaN where there is none; a view of what is kept."""
         return self._rows[: self.stop_row, 0]
+
+    def rows_at(self, times_s: Sequence[float]) -> list[float]:
+        """Find the row at each time, UTC seconds, from the upper edge of row 0; NaN where there is none (yet)."""
+        times = self.times()
+        known = np.flatnonzero(np.isfinite(times))
+        if not len(known):
+            return [math.nan] * len(times_s)
+        wanted = np.array(times_s, dtype=np.float64)
+        ordered = np.maximum.accumulate(times[known])
+        rows = np.interp(wanted, ordered, known + 0.5)
+        # a metre at 0.5 m/s is within two seconds: what lies farther off is not in this waterfall
+        outside = ~((wanted >= ordered[0] - 2.0) & (wanted <= ordered[-1] + 2.0))
+        return [float(row) for row in np.where(outside, np.nan, rows)]
 
     def _keep_rows(self, tile: Tile, core: slice, first_row: int) -> None:
         stop = first_row + tile.core_stop - tile.core_start

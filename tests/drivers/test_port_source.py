@@ -357,7 +357,9 @@ def test_what_is_known_before_the_source_runs_is_given_first() -> None:
         source.raise_notice(Notice(code="late", text="after its end"))
 
     asyncio.run(main())
-    assert [event.code for event in sink.events if isinstance(event, Notice)] == ["port_open_to_all", "early"]
+    assert [event.code for event in sink.events if isinstance(event, Notice)] == [
+        *("port_open_to_all", "no_sonar", "early")
+    ]
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from drivers.navigation.n2k_messages import Heading, Identifier, can_id_of, enco
 from drivers.navigation.nav_protocols import CAN_PROTOCOL, TEXT_PROTOCOLS
 from drivers.port_intake import NO_PORT, PortIntake
 from drivers.port_stream import pack_can, unpack_can
-from drivers.ports import open_to_all, read_ports
+from drivers.ports import open_to_all, read_ports, without_sonar
 from drivers.sonar.imagenex import commands as sportscan_commands
 from drivers.sonar.jsf_messages import PING_RANGE, Command, JsfMessage, to_wire
 from drivers.sonar.ping_messages import Nack
@@ -380,3 +380,13 @@ def test_the_words_of_a_refusal_forge_no_line_and_fill_no_log() -> None:
 def test_the_names_in_the_configuration_are_those_of_the_drivers() -> None:
     assert set(SONAR_NAMES) == set(SONARS)
     assert set(get_args(NavUnitName)) == {*TEXT_PROTOCOLS, CAN_PROTOCOL, "pixse"}
+
+
+@pytest.mark.parametrize(
+    ("devices", "codes"), [(["nmea0183"], ["no_sonar"]), (["nmea0183", "ping_protocol"], []), (["jsf"], [])]
+)
+def test_a_configuration_without_a_sonar_is_reported(devices: list[str], codes: list[str]) -> None:
+    ports = ", ".join(
+        f"{{name: {device}, link: 'tcp://10.0.0.2:{6000 + n}', device: {device}}}" for n, device in enumerate(devices)
+    )
+    assert [notice.code for notice in without_sonar(read_ports(config_of(f"ports: [{ports}]")))] == codes

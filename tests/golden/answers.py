@@ -41,6 +41,7 @@ from sim_replay.missions import config_for
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import Lawnmower, Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
+from tests.contradictions import all_contradictions
 
 Answer: TypeAlias = dict[str, Any]
 
@@ -132,7 +133,9 @@ def chain_answer(log: Path, config: Config, folder: Path) -> Answer:
     write_clearance(folder, clearance, b"")
     gather(list(clearance_notices(clearance)))
     totals = {**tally.totals(), **contact_totals(contacts, coverage), **search_totals(clearance, contacts)}
+    said = all_contradictions(folder / "contacts.geojson")
     return {
+        **({"contradictions": said} if said else {}),
         "contacts": _contacts(json.loads((folder / "contacts.geojson").read_bytes())),
         "totals": {**_numbers(totals), "waypoints": len(waypoints)},
         "notices": _notices(notice_lists(notices)),

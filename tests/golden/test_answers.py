@@ -30,6 +30,7 @@ needs_c = pytest.mark.skipif(
 
 
 def same(name: str, new: Answer) -> None:
+    assert new.get("contradictions", []) == [], "what is said of a contact contradicts itself"
     old = read_stored(name)
     assert old is not None, f"no answer is stored: {HOW}"
     if old["platform"] != new["platform"]:

@@ -14,14 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.contacts.contact_words import contact_words
 from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, NavSample, Notice, Ping
 from auv_mcm.settings.config import Config, ContactsConfig
 from sim_replay.logs.xtf import XtfLog
-from tests.contradictions import contradictions
 
 SharedData = Callable[[str], Path]
 
@@ -128,13 +126,6 @@ def test_scotsman_objects_with_clear_shadows_are_among_the_most_mine_like_contac
     strongest = sorted(mission(log), key=lambda contact: -contact.p_mine)
     for mark, place in zip(clear, places, strict=True):
         assert min(np.hypot(*(of(contact) - place)) for contact in strongest[: FIRST[mark.name]]) < 1.0, mark.name
-
-
-@pytest.mark.parametrize("log", ["sidescan/scotsman-iver2.xtf", "sidescan/colorado-river-455k.xtf"])
-def test_what_is_said_of_a_contact_never_contradicts_itself(log: str, shared_data: SharedData) -> None:
-    for contact in mission(shared_data(log)):
-        words = contact_words(contact)
-        assert contradictions(words, contact.p_mine, contact.belief, contact.called) == [], words.sentence
 
 
 @pytest.mark.parametrize(("name", "height_m"), [("A", 0.45), ("F", 0.22), ("I", 0.28), ("K", 0.27)])

@@ -18,9 +18,10 @@ from tests.sim_replay.test_report import full_page
 
 BROWSER: Final = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PROBE: Final = """
+const box = document.querySelector('.table');
 const texts = (rows) => rows.filter((row) => !row.hidden).map((row) => row.dataset.id);
 const rows = () => texts(Array.from(document.querySelectorAll('#table tbody tr')));
-const found = {first: rows()};
+const found = {first: rows(), cut_px: box.scrollWidth - box.clientWidth};
 const heads = Array.from(document.querySelectorAll('#table th'));
 heads[1].querySelector('button').click(); found.by_p = rows();
 heads[1].querySelector('button').click(); found.by_p_rising = rows();
@@ -47,7 +48,14 @@ def shown(page: str, path: Path) -> str:
     if BROWSER is None:
         pytest.skip("no Chromium is installed (apt-get install chromium)")
     path.write_text(page, encoding="utf-8")
-    words = (BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={path.parent / 'profile'}")
+    words = (
+        BROWSER,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--window-size=1400,900",
+        f"--user-data-dir={path.parent / 'profile'}",
+    )
     done = subprocess.run((*words, "--dump-dom", path.as_uri()), capture_output=True, timeout=120, check=True)
     return done.stdout.decode()
 
@@ -65,6 +73,7 @@ def test_table_and_map_obey(tmp_path: Path) -> None:
     assert found["words"] == ["C0002"]
     assert [len(found["judged"]), len(found["not_judged"])] == [1, 2]
     assert sorted(found["least"]) == ["C0001", "C0003"]
+    assert found["cut_px"] <= 0  # no column of the table is cut off
     assert found["out"] == ["C0002"]
     assert found["zoomed"] == pytest.approx(1.5)
     assert found["back"][:2] == [0, 0]

@@ -16,8 +16,8 @@ async function answer(response) {
 }
 
 // Codes of one picture tile, and whether it is complete.
-export async function getTile(level, row, column) {
-  const response = await fetch(`api/tile/${level}/${row}/${column}`);
+export async function getTile(kind, level, row, column) {
+  const response = await fetch(`api/${kind}/${level}/${row}/${column}`);
   if (!response.ok) throw new Error(response.statusText);
   return {codes: new Uint8Array(await response.arrayBuffer()), final: response.headers.get("X-Final") === "1"};
 }

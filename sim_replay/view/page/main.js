@@ -1,6 +1,7 @@
 // Put the page together: what the server knows, three views of it, and what people do.
 
 import {get, post} from "./api.js";
+import {bottomEditor} from "./bottom.js";
 import {contactCard} from "./card.js";
 import {ask, byId, element, message} from "./dom.js";
 import {mapView} from "./map.js";
@@ -10,7 +11,7 @@ import {tileStore} from "./tiles.js";
 import {waterfallView} from "./waterfall.js";
 import {clock, metres, position} from "./words.js";
 
-const POLL_MS = 1000;
+const POLL_MS = 1000, FIRST_POLL_MS = 100, FIRST_S = 10; // oftener until there is a first picture, at first
 const THEMES = ["day", "dusk", "night"];
 const CLOSE_SCALE = 25; // pixels per metre at which a chosen contact is shown: an object of 2 m is 50 pixels
 
@@ -18,21 +19,25 @@ let state = {}, contacts = [], selected = null, details = null, follows = false,
 let wanted = null; // the chosen contact, as long as its pings are not made yet
 
 let mapWaits = 0;
-const tiles = tileStore(() => {
+const tiles = tileStore("tile", () => {
   waterfall.redraw();
   mapWaits ||= setTimeout(() => { // with all that has come within a quarter of a second
     mapWaits = 0;
     map.redraw();
   }, 250);
 });
-const waterfall = waterfallView(tiles, {select, measure, draw: drawMissed, cursor: showCursor, moved: () => setFollow(false)});
+const slant = tileStore("slant", () => waterfall.redraw());
+const bottom = bottomEditor(() => waterfall.redrawMarks());
+const waterfall = waterfallView(tiles, slant, bottom, {select, measure, draw: drawMissed, cursor: showCursor, moved: () => setFollow(false)});
 const map = mapView(tiles, {select});
 const list = contactTable({select, shown: (rows) => { waterfall.setContacts(rows); map.setContacts(rows); }});
 const card = contactCard({judge, goTo, close: () => select(null)});
 
 function look() {
   const theme = document.documentElement.dataset.theme;
-  tiles.recolour(colourTable(byId("palette").value, Number(byId("gain").value), Number(byId("contrast").value), theme));
+  const colours = colourTable(byId("palette").value, Number(byId("gain").value), Number(byId("contrast").value), theme);
+  tiles.recolour(colours);
+  slant.recolour(colours);
   waterfall.redraw();
   map.redraw();
 }
@@ -55,6 +60,8 @@ async function poll() {
   try {
     const now = await get("api/state"), before = state;
     state = now;
+    if (before.generation !== undefined && now.generation !== before.generation) return location.reload();
+    byId("replay-again").hidden = !now.replay_again;
     byId("name").textContent = document.title = now.name;
     byId("live").hidden = !now.live;
     const made = now.stop_row * now.row_m;
@@ -68,6 +75,7 @@ async function poll() {
     byId("judged").hidden = !now.verdicts;
     if (now.stop_row !== before.stop_row || now.columns !== before.columns) {
       tiles.outdate();
+      slant.outdate();
       waterfall.setGrid(now);
       map.setGrid(now);
       const track = await get("api/track");
@@ -79,6 +87,7 @@ async function poll() {
         if (now.live) setFollow(true);
       }
       if (follows) waterfall.toNewest();
+      if (waterfall.mode === "bottom") bottom.load(await get("api/bottom"));
       waterfall.redraw();
     }
     if (now.done && !before.done && !now.stop_row) map.setTrack(await get("api/track"));
@@ -91,7 +100,8 @@ async function poll() {
     byId("message").dataset.lost = "yes";
     message(new Error(`the server does not answer: ${error.message}`));
   }
-  setTimeout(poll, POLL_MS);
+  setTimeout(poll, state.stop_row || state.done || performance.now() > 1000 * FIRST_S ? POLL_MS : FIRST_POLL_MS);
+  return undefined;
 }
 
 // What stands over the waterfall: why there is none, or that the chosen contact is not in what is shown.
@@ -211,6 +221,28 @@ async function measure(mode, ends, drawn) {
   return undefined;
 }
 
+async function saveBottom() {
+  try {
+    const {files} = await post("api/bottom", {stretches: bottom.stretches});
+    bottom.saved();
+    bottom.load(await get("api/bottom"));
+    const again = state.replay_again ? "press 'replay again' to use it" : "the next replay uses it";
+    message(files.length ? `kept in ${files.join(", ")}; ${again}` : "nothing to keep");
+  } catch (error) {
+    message(error);
+  }
+}
+
+async function replayAgain() {
+  try {
+    if (bottom.isChanged && !await ask("Points of the bottom line are not saved. Replay without them?")) return;
+    await post("api/replay", {});
+    location.reload();
+  } catch (error) {
+    message(error);
+  }
+}
+
 async function drawMissed(point) {
   setMode("look");
   await judge({row: point.row, across_m: point.across_m, call: "mine_like"});
@@ -219,7 +251,9 @@ async function drawMissed(point) {
 function setMode(mode) {
   for (const button of document.querySelectorAll("[data-mode]")) button.setAttribute("aria-pressed", String(button.dataset.mode === mode));
   waterfall.setMode(mode);
+  byId("bottom-tools").hidden = mode !== "bottom";
   if (mode !== "look") byId("waterfall-view").focus();
+  if (mode === "bottom") get("api/bottom").then((found) => { bottom.load(found); waterfall.redraw(); }, message);
 }
 
 let cursorAsked = null, cursorBusy = false;
@@ -230,6 +264,10 @@ async function showCursor(point) {
   while (cursorAsked) {
     const asked = cursorAsked;
     cursorAsked = null;
+    if (waterfall.mode === "bottom") {
+      byId("cursor").textContent = `slant range ${metres(Math.abs(asked.across_m), 2)} ${asked.across_m < 0 ? "port" : "starboard"}`;
+      continue;
+    }
     try {
       const found = await post("api/place", {points: [[asked.row, asked.across_m]]});
       const range = `${metres(Math.abs(asked.across_m))} ${asked.across_m < 0 ? "port" : "starboard"}`;
@@ -253,7 +291,7 @@ document.addEventListener("keydown", (event) => {
     j: () => list.step(1), k: () => list.step(-1),
     m: () => card.judge("mine_like"), n: () => card.judge("not_mine_like"), u: () => card.judge("undecided"),
     c: () => byId("comment") && byId("comment").focus(),
-    l: () => setMode("length"), w: () => setMode("width"), s: () => setMode("shadow"), d: () => setMode("draw"),
+    l: () => setMode("length"), w: () => setMode("width"), s: () => setMode("shadow"), d: () => setMode("draw"), b: () => setMode("bottom"),
     "/": () => byId("search").focus(), f: () => setFollow(!follows), "?": () => byId("help").showModal(),
     t: () => setTheme(THEMES[(THEMES.indexOf(document.documentElement.dataset.theme) + 1) % THEMES.length]),
     0: () => waterfall.fit(), "+": () => waterfall.zoom(1.4), "-": () => waterfall.zoom(1 / 1.4),
@@ -279,6 +317,11 @@ byId("report").addEventListener("click", async () => {
     message(error);
   }
 });
+byId("bottom-save").addEventListener("click", saveBottom);
+byId("bottom-undo").addEventListener("click", () => bottom.undo());
+byId("bottom-next").addEventListener("click", () => bottom.next());
+byId("bottom-clear").addEventListener("click", () => bottom.clear());
+byId("replay-again").addEventListener("click", replayAgain);
 byId("help-button").addEventListener("click", () => byId("help").showModal());
 for (const button of document.querySelectorAll("[data-mode]")) button.addEventListener("click", () => setMode(button.dataset.mode));
 setTheme(THEMES.includes(localStorage.getItem("theme")) ? localStorage.getItem("theme") : "dusk");
@@ -287,5 +330,5 @@ poll();
 // What a test asks of the page.
 window.bench = {
   get state() { return state; }, get contacts() { return contacts; }, get selected() { return selected; },
-  get busy() { return tiles.busy; }, tiles, screenOf: waterfall.screenOf, view: waterfall.view,
+  get busy() { return tiles.busy || slant.busy; }, tiles, bottom, redraw: waterfall.redraw, screenOf: waterfall.screenOf, view: waterfall.view,
 };

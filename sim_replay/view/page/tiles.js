@@ -6,7 +6,8 @@ export const TILE = 256; // rows and columns
 const KEPT = 300; // tiles: 100 MB with their pictures
 const AT_ONCE = 6; // requests, as many as browsers send to one host
 
-export function tileStore(onArrival) {
+// kind: "tile" over ground range, "slant" over slant range.
+export function tileStore(kind, onArrival) {
   const kept = new Map();
   let wanted = [], running = 0, version = 0, colours = new Uint32Array(256), look = 0;
 
@@ -23,7 +24,7 @@ export function tileStore(onArrival) {
     const tile = wanted.pop();
     running++;
     try {
-      const {codes, final} = await getTile(tile.level, tile.row, tile.column);
+      const {codes, final} = await getTile(kind, tile.level, tile.row, tile.column);
       Object.assign(tile, {codes, final, stale: false, look: -1});
       version++;
       onArrival();

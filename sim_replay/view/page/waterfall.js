@@ -7,11 +7,11 @@ import {clock, niceStep} from "./words.js";
 const MIN_SCALE = 0.002, MAX_SCALE = 200; // pixels of the screen per metre
 const NEAR_PX = 14; // around a mark or a cross that a click belongs to
 
-export function waterfallView(tiles, handlers) {
+export function waterfallView(ground, slant, bottom, handlers) {
   const box = byId("waterfall-view"), picture = byId("waterfall-picture"), marks = byId("waterfall-marks");
   const view = {along: 0, across: 0, scale: 8};
   let grid = null, shown = [], selected = null, mode = "look", first = null, pointer = null, results = [];
-  let times = null, showMarks = true, drag = null, wasFitted = false;
+  let times = null, showMarks = true, drag = null, wasFitted = false, tiles = ground;
 
   const redraw = perFrame(draw);
   const redrawMarks = perFrame(drawMarks);
@@ -27,6 +27,7 @@ export function waterfallView(tiles, handlers) {
       across: view.across + (x - width / 2) / view.scale,
     };
   }
+  const placed = (width, height) => (row, across) => [toX(across, width), toY(row * grid.row_m, height)];
   const asked = (point) => ({row: point.along / grid.row_m, across_m: point.across});
 
   function draw() {
@@ -86,7 +87,10 @@ export function waterfallView(tiles, handlers) {
     if (!grid || !grid.row_m) return;
     context.font = `${colour("weight")} 12px system-ui, "DejaVu Sans", sans-serif`;
     drawScale(context, width, height);
-    if (showMarks) drawContacts(context, width, height);
+    if (mode === "bottom") {
+      const [low, high] = [pointAt(0, height), pointAt(0, 0)].map((point) => point.along / grid.row_m);
+      bottom.draw(context, placed(width, height), low, high);
+    } else if (showMarks) drawContacts(context, width, height);
     for (const result of results) drawLine(context, width, height, result.ends, result.text, colour("missed"));
     if (first) drawLine(context, width, height, [first, pointer || first], "", colour("missed"));
     if (mode !== "look") drawCross(context, width, height, pointer || {along: view.along, across: view.across});
@@ -152,7 +156,7 @@ export function waterfallView(tiles, handlers) {
         context.lineWidth = 3;
         context.strokeStyle = "#000c";
         context.strokeText(text, x + half + 3, y + 4);
-        context.fillStyle = "#fff";
+        context.fillStyle = colour("label");
         context.fillText(text, x + half + 3, y + 4);
       }
     }
@@ -174,7 +178,7 @@ export function waterfallView(tiles, handlers) {
     context.lineWidth = 4;
     context.strokeStyle = "#000c";
     context.strokeText(text, x, y);
-    context.fillStyle = "#fff";
+    context.fillStyle = colour("label");
     context.fillText(text, x, y);
   }
 
@@ -240,7 +244,8 @@ export function waterfallView(tiles, handlers) {
   }
 
   async function click(point, x, y) {
-    if (mode === "look") {
+    if (mode === "bottom") bottom.click(asked(point));
+    else if (mode === "look") {
       const contact = showMarks ? nearest(x, y) : null;
       if (contact) handlers.select(contact.key);
     } else if (mode === "draw") {
@@ -258,7 +263,9 @@ export function waterfallView(tiles, handlers) {
   box.addEventListener("pointerdown", (event) => {
     box.focus();
     if (event.button !== 0) return;
-    drag = {x: event.offsetX, y: event.offsetY, moved: false};
+    const {width, height} = size();
+    const holds = mode === "bottom" && grid && grid.row_m && bottom.press(event.offsetX, event.offsetY, placed(width, height));
+    drag = {x: event.offsetX, y: event.offsetY, moved: false, holds};
     try { box.setPointerCapture(event.pointerId); } catch { /* a pointer that is gone */ }
   });
   box.addEventListener("pointermove", (event) => {
@@ -268,9 +275,12 @@ export function waterfallView(tiles, handlers) {
       const [dx, dy] = [x - drag.x, y - drag.y];
       if (drag.moved || Math.hypot(dx, dy) > 4) {
         drag.moved = true;
-        handlers.moved();
-        move(dy, -dx);
-        [drag.x, drag.y] = [x, y];
+        if (drag.holds) bottom.drag(asked(pointAt(x, y)));
+        else {
+          handlers.moved();
+          move(dy, -dx);
+          [drag.x, drag.y] = [x, y];
+        }
       }
     }
     pointer = pointAt(x, y);
@@ -280,7 +290,8 @@ export function waterfallView(tiles, handlers) {
   box.addEventListener("pointerup", (event) => {
     const {left, top} = size();
     const x = event.clientX - left, y = event.clientY - top;
-    if (drag && !drag.moved && grid && grid.row_m) click(pointAt(x, y), x, y);
+    if (drag && !drag.moved && !drag.holds && grid && grid.row_m) click(pointAt(x, y), x, y);
+    if (drag && drag.holds) bottom.release();
     drag = null;
   });
   box.addEventListener("pointerleave", () => {
@@ -328,7 +339,13 @@ export function waterfallView(tiles, handlers) {
     setContacts(contacts) { shown = contacts; redrawMarks(); },
     select(key) { selected = key; results = []; redrawMarks(); },
     setMarks(on) { showMarks = on; redrawMarks(); },
-    setMode(name) { mode = name; first = null; box.classList.toggle("measuring", name !== "look"); redrawMarks(); },
+    setMode(name) {
+      mode = name;
+      first = null;
+      tiles = name === "bottom" ? slant : ground;
+      box.classList.toggle("measuring", name !== "look");
+      redraw();
+    },
     addResult(result) { results = [...results.filter((held) => held.mode !== result.mode), result]; redrawMarks(); },
     goTo(row, across, scale) {
       view.along = row * grid.row_m;
@@ -342,6 +359,7 @@ export function waterfallView(tiles, handlers) {
       view.along = grid.stop_row * grid.row_m - (0.5 * size().height) / view.scale + 4;
       redraw();
     },
+    get mode() { return mode; },
     view, // for tests
     screenOf: (row, across) => {
       const {left, top, width, height} = size();

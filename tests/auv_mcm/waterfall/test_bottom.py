@@ -303,3 +303,35 @@ def test_scores_are_likelihood_ratios(log_intensity: NDArray[np.float64], valid:
 def test_traces_too_short_for_any_bottom_score_nothing() -> None:
     for n_bins in (2, 5, 20, 33):
         assert not change_point_scores(np.zeros((3, n_bins)), np.ones((3, n_bins), dtype=np.bool_), 20).any()
+
+
+@settings(max_examples=25)
+@given(
+    first=st.integers(0, N_PINGS - 2),
+    length=st.integers(1, N_PINGS),
+    return_m=st.floats(0.2, 0.94 * RANGE_M),
+    block=st.sampled_from([32, 48]),
+)
+def test_where_a_person_corrected_the_first_return_it_is_that_and_far_from_there_what_it_was(
+    first: int, length: int, return_m: float, block: int
+) -> None:
+    sides = two_sides(10.0)
+    corrected_m = UNKNOWN.copy()
+    corrected_m[first : first + length] = return_m + 0.01 * np.arange(N_PINGS)[first : first + length]
+    here = np.isfinite(corrected_m)
+    tracker = BottomTracker(BLANK_M)
+    done = []
+    for start in range(0, N_PINGS, block):
+        pings = slice(start, start + block)
+        done.append(tracker.add([traces(side[pings]) for side in sides], UNKNOWN[pings], RANGE_M, corrected_m[pings]))
+    found = BottomTrack(
+        *(np.concatenate(parts) for parts in zip(*[t for t in [*done, tracker.flush()] if t is not None], strict=True))
+    )
+    for line_m in (found.first_return_m, found.level_return_m):
+        np.testing.assert_array_equal(line_m[here], corrected_m[here])
+    assert found.seen[here].all()
+    assert (found.sigma_m[here] <= 0.1).all()
+    # the path leads back within what it may move from ping to ping, 0.4 m, and the reach of the median
+    steps = np.abs(np.arange(N_PINGS)[:, None] - np.flatnonzero(here)[None, :]).min(axis=1)
+    far = steps > 8 + np.nanmax(np.abs(corrected_m - FIRST_RETURN_M)) / 0.4
+    np.testing.assert_allclose(found.first_return_m[far], track([*sides]).first_return_m[far], atol=2 * BIN_M + 1e-9)

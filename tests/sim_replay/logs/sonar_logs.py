@@ -48,19 +48,19 @@ class Run(NamedTuple):
 
 
 @cache
-def mission() -> tuple[NavSample | Ping, ...]:
+def mission(leg_m: float = 30.0) -> tuple[NavSample | Ping, ...]:
     """A straight line past two boxes, in order of time."""
     boxes = tuple(
         SceneObject(kind="box", leg=0, along_m=along_m, across_m=across_m, length_m=0.9, width_m=0.7, height_m=0.45)
         for along_m, across_m in ((10.0, 9.0), (20.0, -8.0))
     )
     sonar = Sonar(range_m=RANGE_M, n_samples=800, ping_rate_hz=12.5, beam_lines=3)
-    track = Track(plan=Lawnmower(heading_deg=20.0, n_legs=1, leg_m=30.0), altitude_m=5.0)
+    track = Track(plan=Lawnmower(heading_deg=20.0, n_legs=1, leg_m=leg_m), altitude_m=5.0)
     return tuple(Mission(Scene(objects=boxes, sonar=sonar, track=track)).events())
 
 
 @cache
-def run_of(kind: SonarKind, late_s: float = 0.0) -> Run:
+def run_of(kind: SonarKind, late_s: float = 0.0, leg_m: float = 30.0) -> Run:
     """The mission with a fake sonar and a satellite compass at two ports; every message arrives up to late_s late.
 
     Everything happens at full milliseconds, the resolution of the sonars' clocks. The compass needs as long as an echo
@@ -77,9 +77,9 @@ ports:
     for command in read_ports(config)[0].commands:
         sonar.heard(command, DeviceTime(0.0, UTC_S))
     random = np.random.Generator(np.random.PCG64(7))
-    start_s = mission()[0].time_s
+    start_s = mission(leg_m)[0].time_s
     arrivals: list[tuple[float, str, bytes]] = []
-    for event in mission():
+    for event in mission(leg_m):
         at_s = round(event.time_s - start_s, 3)
         if isinstance(event, NavSample):
             measured = unit.measured(event, UTC_S + at_s)

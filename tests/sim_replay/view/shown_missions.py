@@ -131,6 +131,6 @@ def shown(folder: Path, store: WaterfallStore | None = None, by: str = "kim") ->
     feed = MissionFeed(store, open_nothing)
     feed.start()
     feed.join()
-    mission = ShownMission(folder, store, feed, by=by, is_live=False)
+    mission = ShownMission(folder, feed, by=by, is_live=False)
     mission.refresh()
     return mission

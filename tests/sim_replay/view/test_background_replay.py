@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from auv_mcm.errors import BadInputError, UsageError
@@ -76,3 +77,34 @@ def test_a_folder_stands_for_the_logs_below_it(log: Path, tmp_path: Path) -> Non
     (tmp_path / "nothing").mkdir()
     with pytest.raises(BadInputError, match="neither results nor a session nor a log"):
         logs_named([tmp_path / "nothing"])
+
+
+def test_a_corrected_bottom_line_is_kept_beside_its_log_and_shown_again(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs = [tmp_path / "one.xtf", tmp_path / "two.xtf"]
+    write_xtf(logs[1], Mission(scene(1_700_000_100.0, 40.0)).events())
+    logs[0].write_bytes(log.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    mission = open_new(logs, None, "kim")
+    mission.feed.join()
+    stop = mission.state()["stop_row"]
+    first, last = ([(row, 3.0), (row + 40.0, 3.5)] for row in (20.0, stop - 60.0))
+    assert mission.correct_bottom([first, last]) == [logs[0].with_name(f"{one.name}.bottom-line.json") for one in logs]
+    shown = mission.bottom()["stretches"]
+    assert np.array(shown) == pytest.approx(np.array([first, last]), abs=0.6)  # a row stands for its ping
+    again = open_new(logs, None, "kim")
+    again.feed.join()
+    rows = np.array(again.bottom()["row"])
+    inside = (rows > 22.0) & (rows < 58.0)
+    now_m, before_m = (np.array(one.bottom()["first_return"])[inside] for one in (again, mission))
+    assert now_m == pytest.approx(np.interp(rows[inside], [20.0, 60.0], [3.0, 3.5]), abs=0.05)
+    assert (before_m > 4.0).all()
+    for refused in ([first[:1]], [[first[0], last[0]]], [[(-5.0, 3.0), first[0]]], [[(20.0, -1.0), (60.0, 3.0)]]):
+        with pytest.raises(UsageError, match=r"stretch|bottom line"):
+            mission.correct_bottom(refused)
+    assert mission.correct_bottom([first]) == mission.correct_bottom([first, last])
+    assert mission.correct_bottom([])
+    assert not list(tmp_path.glob("*bottom-line.json"))
+    for one in (mission, again):
+        one.feed.close()

@@ -204,5 +204,14 @@ def test_what_was_drawn_has_the_time_it_was_judged_at(tmp_path: Path) -> None:
         assert "null" not in text
         assert "undefined" not in text
         assert "kim: mine-like" in text
+        # on a small screen the card of a contact that is chosen is in sight, and the header is a line
+        await page.press("Escape")
+        size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+        await page.command("Emulation.setDeviceMetricsOverride", **size)
+        await page.wait_for("innerWidth === 390")
+        await page.press("j")
+        box = "document.querySelector('#card').getBoundingClientRect()"
+        await page.wait_for(f"!document.querySelector('#card').hidden && {box}.top >= 0 && {box}.top < 600")
+        assert await page.evaluate("document.querySelector('header').getBoundingClientRect().height") < 80
 
     in_browser(mission, visit)
