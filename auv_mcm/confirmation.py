@@ -333,12 +333,18 @@ def contour_cost(image: ImageRowSums | None, region: Region, contours: Contours,
 def shape_mass(
     fits: ShapeFits, poor: bool, weight: SizeWeight = NO_WEIGHT, opinion: Opinion = NO_OPINION
 ) -> NDArray[np.float64]:
-    """Weigh which mines a view may show, (32,).
+    """Weigh which mines a view may show, (32,). Clutter is weighed from everything together instead.
 
-    Clutter is weighed from everything together instead. weight: of the mines expected; a kind that it makes less
-    probable than the most expected one counts as that much less likely, before the masses are tempered. opinion: of the
-    network, a source of its own, beside which solids count as of a poor view: of 100 called mines of eight scenes 82
-    have the right kind so, 78 with solids in full, 60 without the network.
+    Parameters
+    ----------
+    poor
+        Whether something speaks against the view.
+    weight
+        Of the mines expected; a kind that it makes less probable than the most expected one counts as that much less
+        likely, before the masses are tempered.
+    opinion
+        Of the network, a source of its own, beside which solids count as of a poor view: of 100 called mines of eight
+        scenes 82 have the right kind so, 78 with solids in full, 60 without the network.
     """
     highest = max(weight.factors.values(), default=1.0)
     evidence: dict[ContactClass, ClassEvidence] = {

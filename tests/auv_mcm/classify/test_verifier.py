@@ -85,7 +85,7 @@ def test_what_is_no_network_is_refused(data: bytes) -> None:
 
 
 def scores_of(*probabilities: float) -> NDArray[np.float64]:
-    return np.log(np.maximum(np.array([probabilities]), 1e-300)) + 3.0
+    return np.asarray(np.log(np.maximum(np.array([probabilities]), 1e-300)) + 3.0)
 
 
 def test_the_rest_is_other_objects_and_floor() -> None:
