@@ -210,7 +210,7 @@ class NavBuffer:
         # Later chords and lines have their middle at or after this instant; the next fix after a hole starts anew.
         next_chord_s = next_fix_s
         start, last = self._chord_start, self._last_fix
-        if start is not None and last is not None and next_fix_s - last.time_s <= self._position.limits.bridge_s:
+        if start is not None and last is not None and next_fix_s - last.time_s <= self._chord_hole_s:
             next_chord_s = 0.5 * (start.time_s + next_fix_s)
         next_line_s = self._line.earliest_middle_s(next_fix_s)
         course_s = self._course.final_until(next_chord_s)
@@ -282,8 +282,15 @@ class NavBuffer:
 
     @property
     def wait_s(self) -> float:
-        """Give how long a later fix may be worth waiting for, s."""
-        return self._lend_s
+        """Give how long a later fix may be worth waiting for, s: two of them, until speed and heading are judged."""
+        return self._judge_s if self._is_undecided() else self._lend_s
+
+    @property
+    def _judge_s(self) -> float:
+        """Give how long two holes between fixes may be, as far as is known, s."""
+        open_s = 0.0 if self._last_fix is None else min(self._newest_s - self._last_fix.time_s, MAX_HOLE_S)
+        longest_s = max(self._lend_s, _LEND_FACTOR * open_s)
+        return 2.0 * longest_s if longest_s > max(_LEND_S, self._position.limits.look_ahead_s) else self._lend_s
 
     def _restart(self) -> None:
         self._newest_s = self._oldest_s = -math.inf
@@ -355,7 +362,7 @@ class NavBuffer:
         if speed_mps == speed_mps:
             self._way.append(time_s, self._odometer.go_to(time_s, heading_rad, speed_mps))
         self._judge_speed()
-        if self._is_undecided() and time_s - self._oldest_s > _GIVE_UP_S:
+        if self._is_undecided() and time_s - self._oldest_s > max(_GIVE_UP_S, self._judge_s):
             self._believe()
 
     def _judge_speed(self) -> None:
@@ -550,11 +557,14 @@ class NavBuffer:
         start, last = self._chord_start, self._last_fix
         self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt, self._lend_s), joined)
         self._new_fixes.append((fix, joined))
-        if joined and last is not None and self._position.limits.bridge_s < fix.time_s - last.time_s <= MAX_HOLE_S:
-            self._lend_s = min(max(self._lend_s, _LEND_FACTOR * (fix.time_s - last.time_s)), MAX_HOLE_S)
+        chord_hole_s, hole_s = self._chord_hole_s, math.inf if last is None else fix.time_s - last.time_s
+        if joined and self._position.limits.bridge_s < hole_s <= MAX_HOLE_S:
+            self._lend_s = min(max(self._lend_s, _LEND_FACTOR * hole_s), MAX_HOLE_S)
         self._last_fix = fix
-        if start is None or last is None or not joined or fix.time_s - last.time_s > self._position.limits.bridge_s:
+        if start is None or last is None or not joined or hole_s > chord_hole_s:
             self._chord_start = fix
+            if last is not None and joined and hole_s <= MAX_HOLE_S and chord_m(last, fix) >= CHORD_M:
+                self._check_zero_heading(fix.time_s, course_rad(last, fix), chord_m(last, fix))
             return
         distance, duration = chord_m(start, fix), fix.time_s - start.time_s
         if duration < CHORD_MIN_S or (distance < self._chord_m and duration < CHORD_MAX_S):
@@ -564,10 +574,17 @@ class NavBuffer:
         if distance >= CHORD_M:
             self._last_course = self._unwrap(course_rad(start, fix), fix.time_s)
             self._course.append(middle_s, self._last_course)
+            self._check_zero_heading(middle_s, self._last_course, distance)
             self._check_heading(middle_s, self._last_course)
 
-    def _check_heading(self, time_s: float, course_rad: float) -> None:
-        course_deg = self._zero_heading.off_course_deg(course_rad)
+    @property
+    def _chord_hole_s(self) -> float:
+        """Give how far apart two fixes of a chord may be, s: farther where they are known to come seldom."""
+        is_sparse = self._lend_s > max(_LEND_S, self._position.limits.look_ahead_s)
+        return self._lend_s if is_sparse else self._position.limits.bridge_s
+
+    def _check_zero_heading(self, time_s: float, course_rad: float, way_m: float) -> None:
+        course_deg = self._zero_heading.off_course_deg(course_rad, way_m)
         if course_deg is not None:
             is_empty = abs(course_deg) > MAX_ZERO_OFFSET_DEG
             self._heading_is_empty.decide(self._newest_s, is_empty)
@@ -578,6 +595,8 @@ class NavBuffer:
                     "logged."
                 )
                 self._raise_once("navigation.heading_zero", text, time_s)
+
+    def _check_heading(self, time_s: float, course_rad: float) -> None:
         if self._heading_is_empty.newest:
             return
         heading = self._heading.at(np.array([time_s]))

@@ -50,6 +50,7 @@ MAX_ZERO_OFFSET_DEG: Final = 5.0
 """Between a heading of 0 in every sample and the course, degrees: a compass never reads exactly 0 for long."""
 _MIN_ZERO_HEADINGS: Final = 20  # before a verdict: a compass in steps of a degree may read 0 for a second
 _ZERO_CHORDS: Final = 3  # newest chords, 6 m or more, whose mean course is compared
+_ZERO_WAY_M: Final = 6.0  # m: one chord as long, between fixes that come seldom, serves as well
 
 
 class ZeroHeadingCheck:
@@ -71,10 +72,14 @@ class ZeroHeadingCheck:
         self._n_zeros += not self._is_filled
         return not self._is_filled
 
-    def off_course_deg(self, course_rad: float) -> float | None:
-        """Take a chord's course; return the mean course if it can be compared with a heading of 0, else None."""
+    def off_course_deg(self, course_rad: float, way_m: float) -> float | None:
+        """Take a chord's course and length; return the mean course if it can be compared with a heading of 0, else
+        None.
+        """
         self._courses.append(cmath.rect(1.0, course_rad))
-        if self._is_filled or self._n_zeros < _MIN_ZERO_HEADINGS or len(self._courses) < _ZERO_CHORDS:
+        if self._is_filled or self._n_zeros < _MIN_ZERO_HEADINGS:
+            return None
+        if len(self._courses) < _ZERO_CHORDS and way_m < _ZERO_WAY_M:
             return None
         return math.degrees(cmath.phase(sum(self._courses)))
 
