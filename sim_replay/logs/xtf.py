@@ -235,7 +235,10 @@ class XtfLog:
 
     def _no_ping_text(self) -> str:
         seen = ", ".join(f"{name} {n}" for name, n in sorted(self.counters.items())) or "no packets"
-        return (
-            f"{self._path} has side-scan channels but no usable side-scan ping ({seen}). Check that the recording was "
-            "not stopped at once."
-        )
+        remedy = "Check that the recording was not stopped at once."
+        if self.counters["reader.ping_empty"]:
+            remedy = (
+                "Its pings have no samples, or neither a slant range nor a duration. Export the log again with one of "
+                "them."
+            )
+        return f"{self._path} has side-scan channels but no usable side-scan ping ({seen}). {remedy}"
