@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import ecef_to_geodetic, local_to_ecef_rotation
-from auv_mcm.geometry.timed_values import CLOCK_S, TimedValues
+from auv_mcm.geometry.timed_values import CLOCK_S, TimedValues, measured_or_derived
+from auv_mcm.geometry.track_speed import Verdicts
 
 MAX_HOLE_S: Final = 15.0  # s between two fixes: at 2 m/s and 5 % of the way, the middle of it is known to 0.8 m
 SHARE_OF_WAY: Final = 0.05  # 1-sigma per way since the nearer fix: 3 degrees of heading, or 5 % of speed
@@ -114,10 +115,15 @@ class Bridged(NamedTuple):
 
 
 class Dated(NamedTuple):
-    """Hold what places instants: fixes (x, y, z, and in column 5 how far back a fix may serve, s), headings, ways."""
+    """Hold what places instants: fixes (x, y, z, and in column 5 how far back a fix may serve, s), headings, ways.
+
+    course: serves where no heading is known, or where heading_is_empty.
+    """
 
     position: TimedValues
     heading: TimedValues
+    course: TimedValues
+    heading_is_empty: Verdicts
     way: TimedValues
 
     def bridged(self, times: NDArray[np.float64], place: NDArray[np.float64], carry_s: float) -> Bridged:
@@ -140,9 +146,7 @@ class Dated(NamedTuple):
             return Bridged(place, sigma_m, bridged)
         rows, left_s, right_s, left, right = hole
         usable = (right_s - left_s <= MAX_HOLE_S + CLOCK_S) & (right_s - times[rows] < right[:, 5])
-        headings = [self.heading.at(left_s + share * (right_s - left_s)) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-        turned = np.ptp([heading.values[:, 0] for heading in headings], axis=0)
-        steady = np.all([heading.fresh for heading in headings], axis=0) & (turned <= STEADY_RAD)
+        steady = self._is_steady(left_s, right_s)
         made, until, before = (self.way.at(when).values for when in (times[rows], right_s, left_s))
         fraction = (times[rows] - left_s) / (right_s - left_s)
         placed, placed_sigma_m, known = bridge(Hole(left[:, :3], right[:, :3], fraction, made, until, before, steady))
@@ -150,6 +154,17 @@ class Dated(NamedTuple):
         place[rows[chosen]], sigma_m[rows[chosen]] = placed[chosen], placed_sigma_m[chosen]
         bridged[rows[chosen]] = True
         return Bridged(place, sigma_m, bridged, int(np.count_nonzero(usable & ~known)), float(np.max(right_s - left_s)))
+
+    def _is_steady(self, left_s: NDArray[np.float64], right_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Check whether a heading or course is known that hardly changes from one instant to another, (n,)."""
+        values, fresh = [], []
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+            when_s = left_s + share * (right_s - left_s)
+            is_empty = self.heading_is_empty.at(when_s)
+            headings, known, _ = measured_or_derived(self.heading, self.course, is_empty, when_s)
+            values.append(headings)
+            fresh.append(known)
+        return np.asarray(np.all(fresh, axis=0) & (np.ptp(values, axis=0) <= STEADY_RAD))
 
     def _carry_on(self, times: NDArray[np.float64], into: Bridged, carry_s: float) -> None:
         """Place instants behind the last fix by the way made since then."""

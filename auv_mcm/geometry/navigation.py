@@ -76,7 +76,6 @@ class NavBuffer:
         self._course = TimedValues(chord_limits)
         self._track_speed = TimedValues(chord_limits)
         self._way = TimedValues(limits, width=4)  # as WayMade
-        self._dated = Dated(self._position, self._heading, self._way)
         self._all = (self._position, self._heading, *self._plain, self._course, self._track_speed, self._way)
         self._odometer = Odometer(config.max_gap_s)
         self._line = TrackSpeed()
@@ -84,6 +83,7 @@ class NavBuffer:
         self._speed_is_off = Verdicts()
         self._zero_heading = ZeroHeadingCheck()
         self._heading_is_empty = Verdicts()
+        self._dated = Dated(self._position, self._heading, self._course, self._heading_is_empty, self._way)
         self._last_speed_mps = NAN
         self._has_speed = False  # other than zero
         self._new_fixes: list[tuple[Fix, bool]] = []  # accepted, not used for the speed yet; joined to the one before?

@@ -98,6 +98,17 @@ def test_fixes_five_seconds_apart_are_bridged(speed_mps: float) -> None:
     assert 0.0 < track.position_sigma_m[bridged].max() < 1.0
 
 
+@pytest.mark.parametrize("heading_rad", [NAN, 0.0])
+def test_the_course_bridges_fixes_five_seconds_apart_where_no_heading_is_known(heading_rad: float) -> None:
+    events = [msgspec.structs.replace(one, heading_rad=heading_rad, speed_mps=NAN) for one in samples(NAN, fix_s=5.0)]
+    track = flown(NavBuffer(NavigationConfig()), *events)
+    places = FRAME.to_enu(track.latitude_deg, track.longitude_deg, 0.0)[:, :2]
+    way_m = SPEED_MPS * np.arange(0.0, 59.0, 0.5)
+    expected = way_m[:, None] * np.array([math.sin(HEADING_RAD), math.cos(HEADING_RAD)])
+    assert not track.stale[12:100].any()
+    np.testing.assert_allclose(places[12:100], expected[12:100], atol=0.05)
+
+
 @pytest.mark.parametrize("heading_rad", [0.0, math.tau])
 def test_a_heading_of_zero_everywhere_gives_way_to_the_course(heading_rad: float) -> None:
     buffer = NavBuffer(NavigationConfig())
