@@ -80,9 +80,7 @@ class ZeroHeadingCheck:
         return not self._is_filled
 
     def off_course_deg(self, course_rad: float, way_m: float) -> float | None:
-        """Take a chord's course and length; return the mean course if it can be compared with a heading of 0, else
-        None.
-        """
+        """Take a chord's course and length; return the mean course where it can be compared with a heading of 0."""
         self._courses.append(cmath.rect(1.0, course_rad))
         if self._is_filled or self._n_zeros < _MIN_ZERO_HEADINGS:
             return None

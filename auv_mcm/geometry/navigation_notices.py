@@ -9,7 +9,7 @@ from typing import Final
 from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES
 from auv_mcm.records import Notice
 
-_MAX_STEPS_REPORTED: Final = 10
+_MAX_STEPS_REPORTED: Final = 10  # of a mission; further jumps are only counted (chosen)
 
 
 class NavNotices:

@@ -106,7 +106,7 @@ class PlanState(enum.IntEnum):
 
 
 class Message(msgspec.Struct, frozen=True):
-    pass
+    """Hold a message of IMC."""
 
 
 class Heartbeat(Message, frozen=True):
