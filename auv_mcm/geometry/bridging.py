@@ -140,7 +140,8 @@ class Dated(NamedTuple):
         """
         place, sigma_m = place.copy(), np.zeros(times.shape)
         bridged = np.zeros(times.shape, dtype=np.bool_)
-        self._carry_on(times, Bridged(place, sigma_m, bridged), carry_s)
+        if carry_s > 0.0:
+            self._carry_on(times, Bridged(place, sigma_m, bridged), carry_s)
         hole = self.position.holes(times)
         if hole is None:
             return Bridged(place, sigma_m, bridged)
