@@ -158,11 +158,15 @@ def silent_faults(odd: Odd, result: Result) -> list[str]:
     if not wrong:
         return []
     unusual = {name: values[0] for name, values in PROPERTIES[odd.kind].items() if odd.values[name] != values[0]}
-    mended = [
-        name for name, usual in unusual.items() if not faults(run(odd._replace(values={**odd.values, name: usual})))
-    ]
-    named = any(result.codes & NAMED_BY[name] for name in mended or unusual)
-    return [] if named else [*wrong, f"by {', '.join(mended or unusual)}"]
+
+    def makes_it_wrong(name: str) -> bool:
+        return not faults(run(odd._replace(values={**odd.values, name: unusual[name]})))
+
+    named = [name for name in unusual if result.codes & NAMED_BY[name]]
+    if any(map(makes_it_wrong, named)):
+        return []
+    causes = [name for name in unusual if name not in named and makes_it_wrong(name)]
+    return [*wrong, f"by {', '.join(causes or unusual)}"] if causes or not named else []
 
 
 def _report(seeds: range) -> Iterator[tuple[Odd, list[str], list[str]]]:
