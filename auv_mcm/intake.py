@@ -14,8 +14,9 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.navigation import NavBuffer, slice_pose
+from auv_mcm.geometry.navigation import NavBuffer
 from auv_mcm.geometry.navigation_checks import AltitudeCheck
+from auv_mcm.geometry.pose_track import slice_pose
 from auv_mcm.records import EchoTrace, NavSample, Notice, Ping, PoseTrack, Transfer
 from auv_mcm.settings.config import Config
 

@@ -18,7 +18,7 @@ from drivers.links.uri import EXAMPLES
 from drivers.navigation import dvl_pd6, dvl_water_linked, n2k_messages, nmea0183, sentences
 from drivers.ports import PULSE, PortSettings, read_ports
 from drivers.sonar import imagenex, jsf_messages, ping_messages
-from drivers.vehicle import bluefin_sentences, can_messages, imc_messages
+from drivers.vehicle import bluefin_sentences, can_messages, imc_codec
 from drivers.vehicle.ascii_fields import Table
 from drivers.vehicle.iver_sentences import table_of as iver_table
 from drivers.vehicle.recon_sentences import table_of as recon_table
@@ -275,17 +275,17 @@ def _nmea2000() -> Iterable[MessageLayout]:
 
 
 def _imc() -> Iterable[MessageLayout]:
-    for number, layout in imc_messages.LAYOUTS.items():
+    for number, layout in imc_codec.LAYOUTS.items():
         names = iter(layout.kind.__struct_fields__)
         fields = []
         for part in layout.parts:
-            if isinstance(part, imc_messages.Numbers):
+            if isinstance(part, imc_codec.Numbers):
                 fields += [f"{_TYPES[code]:8} {next(names)}" for code in part.layouts["<"].format[1:]]
             elif isinstance(part, str):
                 fields.append(f"{part:8} {next(names)}")
             else:
                 kind = "any message" if part.kind is None else part.kind.__name__
-                many = "list of " if isinstance(part, imc_messages.Many) else ""
+                many = "list of " if isinstance(part, imc_codec.Many) else ""
                 fields.append(f"{'message':8} {next(names)}: {many}{kind}")
         yield MessageLayout(f"message {number}", layout.kind, fields)
 
@@ -316,7 +316,7 @@ _LANGUAGES: Final[Mapping[str, _Language]] = MappingProxyType(
         "pd6": _Language(dvl_pd6, _pd6),
         "water_linked": _Language(dvl_water_linked, _water_linked),
         "nmea2000": _Language(n2k_messages, _nmea2000),
-        "imc": _Language(imc_messages, _imc),
+        "imc": _Language(imc_codec, _imc),
         "bluefin": _Language(bluefin_sentences, lambda: _table(bluefin_sentences.table_of(BluefinSettings()), "$")),
         "iver": _Language(iver, lambda: _table(iver_table(IverSettings()), "$")),
         "recon": _Language(recon, lambda: _table(recon_table(ReconSettings()), "#")),

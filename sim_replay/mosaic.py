@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.contact_picture import CEILING_DB, FLOOR_DB
 from auv_mcm.geometry.geodesy import SEMI_MAJOR_M, wrap_longitude_deg
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate, position_covariance
-from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.geometry.pose_track import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Tile
 from auv_mcm.settings.config import Config
 from sim_replay.projections import Projection, projection

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
-from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.geometry.pose_track import interpolate_track
 from auv_mcm.records import NAN, SEABED_TYPES, SeabedCells, SurveyedCells, Tile
 from auv_mcm.settings.config import SonarConfig
 

@@ -11,7 +11,7 @@ from auv_mcm.clearance.cells import surveyed_cells
 from auv_mcm.clearance.shadowed import in_large_shadow
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
-from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.geometry.pose_track import interpolate_track
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, SeabedCells, Tile
 from auv_mcm.settings.config import SonarConfig
 

@@ -16,7 +16,7 @@ from auv_mcm.detect.gate import Gate
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, aspect_deg, locate, position_covariance
-from auv_mcm.geometry.navigation import interpolate_track, slice_pose
+from auv_mcm.geometry.pose_track import interpolate_track, slice_pose
 from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Surroundings, Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.skips import NO_SKIPS, Skips

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import ecef_to_geodetic, local_to_ecef_rotation
+from auv_mcm.geometry.timed_values import CLOCK_S, TimedValues, measured_or_derived
+from auv_mcm.geometry.track_speed import Verdicts
 
 MAX_HOLE_S: Final = 15.0  # s between two fixes: at 2 m/s and 5 % of the way, the middle of it is known to 0.8 m
 SHARE_OF_WAY: Final = 0.05  # 1-sigma per way since the nearer fix: 3 degrees of heading, or 5 % of speed
@@ -97,3 +99,84 @@ def bridge(hole: Hole) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArra
     way_m = np.minimum(np.linalg.norm(place - hole.from_m, axis=1), np.linalg.norm(hole.to_m - place, axis=1))
     sigma_m = np.where(is_shaped, SHARE_OF_WAY, UNSHAPED_SHARE) * way_m
     return place, sigma_m, is_shaped | hole.is_steady
+
+
+class Bridged(NamedTuple):
+    """Hold the places of n instants: (n, 3) Earth-centred, with the 1-sigma, m, of those that were bridged, (n,) each.
+
+    n_left: instants in holes that nothing bridges; hole_s: the longest hole that any instant is in, s.
+    """
+
+    place: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    bridged: NDArray[np.bool_]
+    n_left: int = 0
+    hole_s: float = 0.0
+
+
+class Dated(NamedTuple):
+    """Hold what places instants: fixes (x, y, z, and in column 5 how far back a fix may serve, s), headings, ways.
+
+    course: serves where no heading is known, or where heading_is_empty.
+    """
+
+    position: TimedValues
+    heading: TimedValues
+    course: TimedValues
+    heading_is_empty: Verdicts
+    way: TimedValues
+
+    def bridged(self, times: NDArray[np.float64], place: NDArray[np.float64], carry_s: float) -> Bridged:
+        """Place instants in holes between fixes, and behind the last one, by the way made.
+
+        Parameters
+        ----------
+        times
+            Of the instants, (n,).
+        place
+            By the fixes alone, (n, 3), Earth-centred.
+        carry_s
+            How long behind the last fix, s; 0 for not at all.
+        """
+        place, sigma_m = place.copy(), np.zeros(times.shape)
+        bridged = np.zeros(times.shape, dtype=np.bool_)
+        if carry_s > 0.0:
+            self._carry_on(times, Bridged(place, sigma_m, bridged), carry_s)
+        hole = self.position.holes(times)
+        if hole is None:
+            return Bridged(place, sigma_m, bridged)
+        rows, left_s, right_s, left, right = hole
+        usable = (right_s - left_s <= MAX_HOLE_S + CLOCK_S) & (right_s - times[rows] < right[:, 5])
+        steady = self._is_steady(left_s, right_s)
+        made, until, before = (self.way.at(when).values for when in (times[rows], right_s, left_s))
+        fraction = (times[rows] - left_s) / (right_s - left_s)
+        placed, placed_sigma_m, known = bridge(Hole(left[:, :3], right[:, :3], fraction, made, until, before, steady))
+        chosen = known & usable
+        place[rows[chosen]], sigma_m[rows[chosen]] = placed[chosen], placed_sigma_m[chosen]
+        bridged[rows[chosen]] = True
+        return Bridged(place, sigma_m, bridged, int(np.count_nonzero(usable & ~known)), float(np.max(right_s - left_s)))
+
+    def _is_steady(self, left_s: NDArray[np.float64], right_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Check whether a heading or course is known that hardly changes from one instant to another, (n,)."""
+        values, fresh = [], []
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+            when_s = left_s + share * (right_s - left_s)
+            is_empty = self.heading_is_empty.at(when_s)
+            headings, known, _ = measured_or_derived(self.heading, self.course, is_empty, when_s)
+            values.append(headings)
+            fresh.append(known)
+        return np.asarray(np.all(fresh, axis=0) & (np.ptp(values, axis=0) <= STEADY_RAD))
+
+    def _carry_on(self, times: NDArray[np.float64], into: Bridged, carry_s: float) -> None:
+        """Place instants behind the last fix by the way made since then."""
+        last_s = self.position.last_s
+        rows = np.flatnonzero((times > last_s) & (times - last_s <= carry_s))
+        if not rows.size:
+            return
+        last = self.position.at(np.full(rows.size, last_s)).values[:, :3]
+        made, before = self.way.at(times[rows]).values, self.way.at(np.full(rows.size, last_s)).values
+        placed, placed_sigma_m, known = bridge(
+            Hole(last, last, np.zeros(rows.size), made, before, before, np.zeros(rows.size, dtype=np.bool_))
+        )
+        into.place[rows[known]], into.sigma_m[rows[known]] = placed[known], placed_sigma_m[known]
+        into.bridged[rows[known]] = True

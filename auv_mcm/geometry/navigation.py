@@ -1,45 +1,41 @@
 """Turn navigation samples into vehicle poses at ping times.
 
-Each quantity lives in its own time-ordered channel, because sources measure them at different rates. Positions that
-contradict each other are settled by `auv_mcm.geometry.fix_agreement`; notices about them come from here alone, so that
-live and replayed missions report the same. A pose at a given instant becomes final, that is, no later sample can change
-it, up to `NavBuffer.ready_until_s`; a caller that waits for it gets the same poses however the stream was cut into
-pieces.
+Each quantity lives in time-ordered values of its own, because sources measure them at different rates. Positions that
+contradict each other are settled by `auv_mcm.geometry.fix_agreement`. A pose at a given instant becomes final, that is,
+no later sample can change it, up to `NavBuffer.ready_until_s`; a caller that waits for it gets the same poses however
+the stream was cut into pieces.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from datetime import UTC, datetime
-from operator import attrgetter
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.bridging import MAX_HOLE_S, STEADY_RAD, Hole, Odometer, bridge
+from auv_mcm.geometry.bridging import MAX_HOLE_S, Bridged, Dated, Odometer
 from auv_mcm.geometry.fix import Fix, chord_m, course_rad, fix_at
 from auv_mcm.geometry.fix_agreement import FixAgreement, FixDecision
-from auv_mcm.geometry.geodesy import ecef_to_geodetic, geodetic_to_ecef
+from auv_mcm.geometry.geodesy import ecef_to_geodetic
 from auv_mcm.geometry.navigation_checks import MAX_ZERO_OFFSET_DEG, ZERO_ALTITUDES, HeadingCheck, ZeroHeadingCheck
+from auv_mcm.geometry.navigation_notices import NavNotices
+from auv_mcm.geometry.sample_values import MAX_SPEED_MPS, RANGES, values_of
+from auv_mcm.geometry.timed_values import CLOCK_S, Limits, TimedValues, measured_or_derived
 from auv_mcm.geometry.track_speed import SpeedCheck, SpeedEstimate, TrackPoint, TrackSpeed, Verdicts
 from auv_mcm.records import NAN, NavSample, Notice, PoseTrack
 from auv_mcm.settings.config import NavigationConfig
 
-MAX_SPEED_MPS: Final = 30.0  # no vehicle that carries this payload is faster; a fix that implies more is wrong
 JUMP_SLACK_M: Final = 3.0  # fixes scatter and are rounded, which over a few milliseconds looks like any speed
 # Fixes that contradict the ones before must agree this long until they are accepted: a receiver that was 1 degree off
 # for 4 s came back.
 # Pings wait 5 s for navigation by default, so the decision comes before they are placed.
 AGREE_S: Final = 4.5
 DRIFT_MPS: Final = 1.5  # error of a position per second of its age where no speed is known: a survey speed
-_REJECTED_WINDOW: Final = (
-    40  # newest decided fixes, of which _REJECTED_SHARE and _MIN_REJECTED rejected ones raise a notice
-)
+_REJECTED_WINDOW: Final = 40  # newest decided fixes, of which so many rejected ones raise a notice
 _REJECTED_SHARE: Final = 0.2
 _MIN_REJECTED: Final = 5
-_MAX_STEPS_REPORTED: Final = 10
 MAX_TIME_LEAP_S: Final = (
     60.0  # a time stamp farther ahead waits for a second one, else one bad stamp would silence the source
 )
@@ -53,43 +49,6 @@ _LEND_S: Final = 4.0
 _LEND_FACTOR: Final = 1.25  # of the longest time between fixes seen: it varies
 _GIVE_UP_S: Final = 8.0  # s of navigation after which a speed or heading that nothing was compared with is believed
 _SPARSE_INSTANTS: Final = 64  # in holes that nothing bridges, before a notice: a fix that is lost once is no habit
-_ROOM: Final = 128  # values a channel has room for at first, and gathers at once
-_CLOCK_S: Final = 1e-6  # s: float64 UTC seconds resolve 0.24 microseconds; limits hold to this
-
-_FIELDS: Final = attrgetter(
-    "latitude_deg", "longitude_deg", "heading_rad", "pitch_rad", "roll_rad", "depth_m", "altitude_m", "speed_mps"
-)
-# Valid range of each quantity after the position. A full turn rounded up by a source in single precision is still
-# valid.
-_RANGES: Final = (
-    ("heading", math.radians(-361.0), math.radians(361.0)),
-    ("pitch", math.radians(-90.0), math.radians(90.0)),
-    ("roll", math.radians(-181.0), math.radians(181.0)),
-    ("depth", -100.0, 12_000.0),
-    ("altitude", 1e-3, 12_000.0),  # zero: no bottom lock
-    ("speed", -MAX_SPEED_MPS, MAX_SPEED_MPS),
-)
-
-
-# Quantities interpolated between two rows of a track besides the position, and whether it is stale.
-_BLENDED: Final = (
-    "time_s",
-    "depth_m",
-    "heading_rad",
-    "pitch_rad",
-    "roll_rad",
-    "speed_mps",
-    "altitude_m",
-    "position_sigma_m",
-)
-
-
-class _Limits(NamedTuple):
-    """Set how a channel is read between and beyond its samples; seconds."""
-
-    bridge_s: float  # interpolate between neighbours at most this far apart
-    fresh_s: float  # elsewhere the nearest sample's value counts as fresh this long
-    look_ahead_s: float  # a later sample may lend its value this far back, no farther, so that waiting for it ends
 
 
 class NavBuffer:
@@ -104,21 +63,19 @@ class NavBuffer:
     def __init__(self, config: NavigationConfig, raised: set[str] | None = None) -> None:
         """raised: codes of notices that are not raised again, as of the buffer before a clock step; grows."""
         self.counters: Counter[str] = Counter()
-        limits = _Limits(
-            config.max_gap_s, config.max_extrapolation_s, max(config.max_gap_s, config.max_extrapolation_s)
-        )
+        limits = Limits(config.max_gap_s, config.max_extrapolation_s, max(config.max_gap_s, config.max_extrapolation_s))
         # Derived values stand at the middle of a chord, so they are as far apart as chords are long.
         chord_s = CHORD_MAX_S + config.max_gap_s
-        chord_limits = _Limits(chord_s, chord_s, chord_s)
-        self._position = _Channel(
+        chord_limits = Limits(chord_s, chord_s, chord_s)
+        self._position = TimedValues(
             limits, width=6
         )  # Earth-centred metres, doubt in metres, 1 where the position is disputed, how far back it lends, s
-        self._heading = _Channel(limits)
-        self._pitch, self._roll, self._depth, self._altitude, self._speed = (_Channel(limits) for _ in range(5))
+        self._heading = TimedValues(limits)
+        self._pitch, self._roll, self._depth, self._altitude, self._speed = (TimedValues(limits) for _ in range(5))
         self._plain = (self._pitch, self._roll, self._depth, self._altitude, self._speed)  # in the order of _FIELDS
-        self._course = _Channel(chord_limits)
-        self._track_speed = _Channel(chord_limits)
-        self._way = _Channel(limits, width=4)  # as WayMade
+        self._course = TimedValues(chord_limits)
+        self._track_speed = TimedValues(chord_limits)
+        self._way = TimedValues(limits, width=4)  # as WayMade
         self._all = (self._position, self._heading, *self._plain, self._course, self._track_speed, self._way)
         self._odometer = Odometer(config.max_gap_s)
         self._line = TrackSpeed()
@@ -126,11 +83,13 @@ class NavBuffer:
         self._speed_is_off = Verdicts()
         self._zero_heading = ZeroHeadingCheck()
         self._heading_is_empty = Verdicts()
+        self._dated = Dated(self._position, self._heading, self._course, self._heading_is_empty, self._way)
         self._last_speed_mps = NAN
         self._has_speed = False  # other than zero
         self._new_fixes: list[tuple[Fix, bool]] = []  # accepted, not used for the speed yet; joined to the one before?
         self._chord_m = CHORD_M
-        self._lend_s = max(_LEND_S, limits.look_ahead_s)  # as long as the position waits for a later fix
+        self._shortest_lend_s = max(_LEND_S, limits.look_ahead_s)  # as long as the position waits for a later fix
+        self._lend_s = self._shortest_lend_s
         self._n_unbridged = 0
         self._newest_s = -math.inf
         self._oldest_s = -math.inf
@@ -143,8 +102,7 @@ class NavBuffer:
         self._steps_s: list[tuple[float, float]] = []  # fixes between which the track steps to another place
         self._heading_check = HeadingCheck()
         self._n_zero_altitudes = 0  # in a row
-        self._notices: list[Notice] = []
-        self._raised = set() if raised is None else raised
+        self._notices = NavNotices(set() if raised is None else raised)
         self._last_fix: Fix | None = None
         self._chord_start: Fix | None = None
 
@@ -179,8 +137,7 @@ class NavBuffer:
 
     def take_notices(self) -> list[Notice]:
         """Take the notices raised since the last call."""
-        notices, self._notices = self._notices, []
-        return notices
+        return self._notices.take()
 
     def n_steps_before(self, times_s: NDArray[np.float64]) -> NDArray[np.intp]:
         """Count how often the track has stepped to another place before each instant, (n,)."""
@@ -188,9 +145,9 @@ class NavBuffer:
             return np.zeros(len(times_s), dtype=np.intp)
         before_s, after_s = np.array([*self._steps_s, (np.inf, np.inf)]).T
         n_steps = np.searchsorted(after_s, times_s, side="right")
-        # As _Channel.at has it: between two fixes that are not joined an instant is at the nearer one.
+        # As TimedValues.at has it: between two fixes that are not joined an instant is at the nearer one.
         until_s = after_s[n_steps] - times_s
-        at_next = (until_s < times_s - before_s[n_steps]) & (until_s <= self._position.limits.look_ahead_s + _CLOCK_S)
+        at_next = (until_s < times_s - before_s[n_steps]) & (until_s <= self._position.limits.look_ahead_s + CLOCK_S)
         return np.asarray(n_steps + at_next)
 
     @property
@@ -210,7 +167,7 @@ class NavBuffer:
         # Later chords and lines have their middle at or after this instant; the next fix after a hole starts anew.
         next_chord_s = next_fix_s
         start, last = self._chord_start, self._last_fix
-        if start is not None and last is not None and next_fix_s - last.time_s <= self._position.limits.bridge_s:
+        if start is not None and last is not None and next_fix_s - last.time_s <= self._chord_hole_s:
             next_chord_s = 0.5 * (start.time_s + next_fix_s)
         next_line_s = self._line.earliest_middle_s(next_fix_s)
         course_s = self._course.final_until(next_chord_s)
@@ -218,7 +175,7 @@ class NavBuffer:
         if self._is_undecided():
             return -math.inf
         ready_s = min(channel.final_until(newest_s) for channel in (self._heading, *self._plain))
-        ready_s = min(ready_s, max(self._position.last_s, next_fix_s - self._lend_s - 2 * _CLOCK_S))
+        ready_s = min(ready_s, max(self._position.last_s, next_fix_s - self._lend_s - 2 * CLOCK_S))
         for channel, derived_s, verdicts in (
             (self._heading, course_s, self._heading_is_empty),
             (self._speed, track_speed_s, self._speed_is_off),
@@ -251,14 +208,15 @@ class NavBuffer:
         )
         if not self._has_speed and not math.isnan(self._last_speed_mps):
             speed = np.where(np.isnan(speed), 0.0, speed)
-        place, bridged_sigma_m, bridged = self._bridged(times, position)
-        latitude, longitude, _ = ecef_to_geodetic(place)
+        placed = self._dated.bridged(times, position.values[:, :3], self._lend_s if self._is_sparse else 0.0)
+        self._count_unbridged(placed, float(times[0]) if times.size else math.nan)
+        latitude, longitude, _ = ecef_to_geodetic(placed.place)
         doubt_m, disputed = np.nan_to_num(position.values[:, 3]), position.values[:, 4] > 0.0
         doubt_m = np.where(
             times >= self._agreement.waiting_since_s, np.maximum(doubt_m, self._agreement.waiting_apart_m), doubt_m
         )
-        drift_m = np.where(bridged, bridged_sigma_m, 0.0)
-        drift_m = np.where(position.fresh | bridged, drift_m, position.age_s * np.fmax(np.abs(speed), DRIFT_MPS))
+        drift_m = np.where(placed.bridged, placed.sigma_m, 0.0)
+        drift_m = np.where(position.fresh | placed.bridged, drift_m, position.age_s * np.fmax(np.abs(speed), DRIFT_MPS))
         return PoseTrack(
             time_s=times,
             latitude_deg=latitude,
@@ -269,7 +227,7 @@ class NavBuffer:
             roll_rad=self._or_level(self._roll, "navigation.roll_absent", times),
             speed_mps=speed,
             altitude_m=self._altitude.at(times).values[:, 0],
-            stale=~((position.fresh | bridged) & heading_fresh) | disputed,
+            stale=~((position.fresh | placed.bridged) & heading_fresh) | disputed,
             position_sigma_m=np.hypot(doubt_m, np.where(np.isfinite(drift_m), drift_m, 0.0)),
         )
 
@@ -282,8 +240,15 @@ class NavBuffer:
 
     @property
     def wait_s(self) -> float:
-        """Give how long a later fix may be worth waiting for, s."""
-        return self._lend_s
+        """Give how long a later fix may be worth waiting for, s: two of them, until speed and heading are judged."""
+        return self._judge_s if self._is_undecided() else self._lend_s
+
+    @property
+    def _judge_s(self) -> float:
+        """Give how long two holes between fixes may be, as far as is known, s."""
+        open_s = 0.0 if self._last_fix is None else min(self._newest_s - self._last_fix.time_s, MAX_HOLE_S)
+        longest_s = max(self._lend_s, _LEND_FACTOR * open_s)
+        return 2.0 * longest_s if longest_s > self._shortest_lend_s else self._lend_s
 
     def _restart(self) -> None:
         self._newest_s = self._oldest_s = -math.inf
@@ -302,22 +267,13 @@ class NavBuffer:
         if self._oldest_s == -math.inf:
             self._oldest_s = time_s
         self._newest_s = time_s
-        latitude, longitude, heading, *plain = _FIELDS(sample)
-        if latitude == 0.0 and longitude == 0.0:
-            # A record that was never filled: its other zeros are not measurements either.
-            self.counters["navigation.position_zero"] += 1
-            latitude = longitude = NAN
-            zeros = (heading == 0.0) + plain.count(0.0)
-            if zeros:
-                self.counters["navigation.zero_with_position"] += zeros
-                heading = NAN if heading == 0.0 else heading
-                plain = [NAN if value == 0.0 else value for value in plain]
+        latitude, longitude, heading, *plain = values_of(sample, self.counters)
         if latitude == latitude or longitude == longitude:
             self._store_position(time_s, latitude, longitude)
         if math.isfinite(self._agreement.waiting_since_s):
             self._decide(self._agreement.advance(time_s))
         for channel, value, (name, low, high) in zip(
-            (self._heading, *self._plain), (heading, *plain), _RANGES, strict=True
+            (self._heading, *self._plain), (heading, *plain), RANGES, strict=True
         ):
             if value != value:  # NaN: not measured
                 continue
@@ -355,7 +311,7 @@ class NavBuffer:
         if speed_mps == speed_mps:
             self._way.append(time_s, self._odometer.go_to(time_s, heading_rad, speed_mps))
         self._judge_speed()
-        if self._is_undecided() and time_s - self._oldest_s > _GIVE_UP_S:
+        if self._is_undecided() and time_s - self._oldest_s > max(_GIVE_UP_S, self._judge_s):
             self._believe()
 
     def _judge_speed(self) -> None:
@@ -376,19 +332,8 @@ class NavBuffer:
         if is_off is not None:
             self._speed_is_off.decide(self._newest_s, is_off)
         ways_m = self._speed_check.reported(estimate)
-        if ways_m is None:
-            return
-        by_track_m, measured_m = ways_m
-        text = (
-            f"the measured speed makes {measured_m:.0f} m where positions moved {by_track_m:.0f} m: along-track scale "
-            "and coverage come from the positions. Check the speed's source and its unit (knots or m/s)."
-        )
-        if measured_m == 0.0:
-            text = (
-                f"speed is 0 while positions moved {by_track_m:.0f} m: along-track scale and coverage come from the "
-                "positions. Check that the speed is logged and its sensor works."
-            )
-        self._raise_once("navigation.speed_off_track", text, estimate.middle_s)
+        if ways_m is not None:
+            self._notices.speed_off_track(*ways_m, estimate.middle_s)
 
     def _is_undecided(self) -> bool:
         """Check whether it has to be found out yet if measured speed and heading can be used."""
@@ -415,70 +360,15 @@ class NavBuffer:
         if self._is_undecided():
             self._believe()
 
-    def _bridged(
-        self, times: NDArray[np.float64], position: _Values
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Place instants in holes between fixes by the way made; return places, 1-sigma, m, and which were placed."""
-        place, sigma_m = position.values[:, :3].copy(), np.zeros(times.shape)
-        bridged = np.zeros(times.shape, dtype=np.bool_)
-        hole = self._position.holes(times)
-        if self._lend_s > max(_LEND_S, self._position.limits.look_ahead_s):
-            self._carry_on(times, place, sigma_m, bridged)
-        if hole is None:
-            return place, sigma_m, bridged
-        rows, left_s, right_s, left, right = hole
-        usable = (right_s - left_s <= MAX_HOLE_S + _CLOCK_S) & (right_s - times[rows] < right[:, 5])
-        headings = [self._heading.at(left_s + share * (right_s - left_s)) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-        turned = np.ptp([heading.values[:, 0] for heading in headings], axis=0)
-        steady = np.all([heading.fresh for heading in headings], axis=0) & (turned <= STEADY_RAD)
-        made, until, before = (self._way.at(when).values for when in (times[rows], right_s, left_s))
-        fraction = (times[rows] - left_s) / (right_s - left_s)
-        placed, placed_sigma_m, known = bridge(Hole(left[:, :3], right[:, :3], fraction, made, until, before, steady))
-        chosen = known & usable
-        place[rows[chosen]], sigma_m[rows[chosen]] = placed[chosen], placed_sigma_m[chosen]
-        bridged[rows[chosen]] = True
-        self._count_unbridged(int(np.count_nonzero(usable & ~known)), times, float(np.max(right_s - left_s)))
-        return place, sigma_m, bridged
-
-    def _carry_on(
-        self,
-        times: NDArray[np.float64],
-        place: NDArray[np.float64],
-        sigma_m: NDArray[np.float64],
-        bridged: NDArray[np.bool_],
-    ) -> None:
-        """Place instants behind the last fix by the way made since then, where fixes are known to be far apart."""
-        last_s = self._position.last_s
-        rows = np.flatnonzero((times > last_s) & (times - last_s <= self._lend_s))
-        if not rows.size:
-            return
-        last = self._position.at(np.full(rows.size, last_s)).values[:, :3]
-        made, before = self._way.at(times[rows]).values, self._way.at(np.full(rows.size, last_s)).values
-        placed, placed_sigma_m, known = bridge(
-            Hole(last, last, np.zeros(rows.size), made, before, before, np.zeros(rows.size, dtype=np.bool_))
-        )
-        place[rows[known]], sigma_m[rows[known]], bridged[rows[known]] = placed[known], placed_sigma_m[known], True
-
-    def _count_unbridged(self, n_instants: int, times: NDArray[np.float64], hole_s: float) -> None:
-        self._n_unbridged += n_instants
-        if self._n_unbridged < _SPARSE_INSTANTS:
-            return
-        limit_s = self._position.limits.bridge_s
-        text = (
-            f"positions come as far as {hole_s:.1f} s apart, and heading and speed do not bridge the time between: "
-            f"nothing there counts as covered. Record heading and speed, or raise navigation.max_gap_s ({limit_s:g} s) "
-            "if the track is straight."
-        )
-        self._raise_once("navigation.fixes_sparse", text, float(times[0]))
+    def _count_unbridged(self, placed: Bridged, time_s: float) -> None:
+        self._n_unbridged += placed.n_left
+        if placed.hole_s and self._n_unbridged >= _SPARSE_INSTANTS:
+            self._notices.fixes_sparse(placed.hole_s, self._position.limits.bridge_s, time_s)
 
     def _count_zero_altitude(self, time_s: float) -> None:
         self._n_zero_altitudes += 1
         if self._n_zero_altitudes >= ZERO_ALTITUDES:
-            text = (
-                f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found "
-                "from the echoes alone. Check that the altimeter is connected, logged, and has bottom lock."
-            )
-            self._raise_once("navigation.altitude_zero", text, time_s)
+            self._notices.altitude_zero(time_s)
 
     def _store_position(self, time_s: float, latitude: float, longitude: float) -> None:
         if not (math.isfinite(latitude) and math.isfinite(longitude)):
@@ -504,12 +394,7 @@ class NavBuffer:
             doubt = (decision.doubt_m, float(decision.disputed))
             self._accept(fix, number > 0 or decision.step_m == 0.0, doubt)
         if decision.disputed and accepted:
-            text = (
-                f"fixes give two places {decision.doubt_m:.0f} m apart again and again: which one is right is not "
-                "known. Contacts there carry that distance as their sigma and nothing there counts as covered. Check "
-                "the navigation units and their cables."
-            )
-            self._raise_once("navigation.position_disputed", text, accepted[-1].time_s)
+            self._notices.position_disputed(decision.doubt_m, accepted[-1].time_s)
         self._decided.extend([False] * len(accepted))
         if decision.n_rejected:
             self._reject(decision.n_rejected, "navigation.position_jump")
@@ -520,41 +405,27 @@ class NavBuffer:
         self._decided.extend([True] * n_fixes)
         n_rejected = self._decided.count(True)
         if n_rejected >= max(_MIN_REJECTED, _REJECTED_SHARE * len(self._decided)):
-            text = (
-                f"{n_rejected} of the last {len(self._decided)} positions were rejected: they do not exist on Earth, "
-                "or the vehicle cannot have moved there and back. Check the navigation unit, its antenna and its "
-                "cable. Further ones are only counted."
-            )
-            self._raise_once("navigation.positions_rejected", text, self._last_offered_s)
+            self._notices.positions_rejected(n_rejected, len(self._decided), self._last_offered_s)
 
     def _step(self, fix: Fix, step_m: float) -> None:
         """Record that the track goes on at another place from this fix on."""
         self.counters["navigation.position_refix"] += 1
         self._steps_s.append((self._position.last_s, fix.time_s))
-        if len(self._steps_s) > _MAX_STEPS_REPORTED:
-            return
-        text = (
-            f"the position jumped by {step_m:.0f} m and stays there: the new place is used from now on. Find out which "
-            "place is right: contacts on one side of the jump may be wrong by as much."
-        )
-        text += " Further jumps are only counted." * (len(self._steps_s) == _MAX_STEPS_REPORTED)
-        self._notices.append(Notice(code="nav_position_jump", text=text, place=_utc(fix.time_s)))
-
-    def _raise_once(self, code: str, text: str, time_s: float) -> None:
-        if code not in self._raised:
-            self._raised.add(code)
-            self._notices.append(Notice(code=code, text=text, place=_utc(time_s)))
+        self._notices.position_jump(step_m, len(self._steps_s), fix.time_s)
 
     def _accept(self, fix: Fix, joined: bool, doubt: tuple[float, float]) -> None:
         """Take a fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
         start, last = self._chord_start, self._last_fix
         self._position.append(fix.time_s, (fix.x, fix.y, fix.z, *doubt, self._lend_s), joined)
         self._new_fixes.append((fix, joined))
-        if joined and last is not None and self._position.limits.bridge_s < fix.time_s - last.time_s <= MAX_HOLE_S:
-            self._lend_s = min(max(self._lend_s, _LEND_FACTOR * (fix.time_s - last.time_s)), MAX_HOLE_S)
+        chord_hole_s, hole_s = self._chord_hole_s, math.inf if last is None else fix.time_s - last.time_s
+        if joined and self._position.limits.bridge_s < hole_s <= MAX_HOLE_S:
+            self._lend_s = min(max(self._lend_s, _LEND_FACTOR * hole_s), MAX_HOLE_S)
         self._last_fix = fix
-        if start is None or last is None or not joined or fix.time_s - last.time_s > self._position.limits.bridge_s:
+        if start is None or last is None or not joined or hole_s > chord_hole_s:
             self._chord_start = fix
+            if last is not None and joined and hole_s <= MAX_HOLE_S and chord_m(last, fix) >= CHORD_M:
+                self._check_zero_heading(fix.time_s, course_rad(last, fix), chord_m(last, fix))
             return
         distance, duration = chord_m(start, fix), fix.time_s - start.time_s
         if duration < CHORD_MIN_S or (distance < self._chord_m and duration < CHORD_MAX_S):
@@ -564,20 +435,28 @@ class NavBuffer:
         if distance >= CHORD_M:
             self._last_course = self._unwrap(course_rad(start, fix), fix.time_s)
             self._course.append(middle_s, self._last_course)
+            self._check_zero_heading(middle_s, self._last_course, distance)
             self._check_heading(middle_s, self._last_course)
 
-    def _check_heading(self, time_s: float, course_rad: float) -> None:
-        course_deg = self._zero_heading.off_course_deg(course_rad)
+    @property
+    def _chord_hole_s(self) -> float:
+        """Give how far apart two fixes of a chord may be, s: farther where they are known to come seldom."""
+        return self._lend_s if self._is_sparse else self._position.limits.bridge_s
+
+    @property
+    def _is_sparse(self) -> bool:
+        """Check whether fixes are known to come seldom."""
+        return self._lend_s > self._shortest_lend_s
+
+    def _check_zero_heading(self, time_s: float, course_rad: float, way_m: float) -> None:
+        course_deg = self._zero_heading.off_course_deg(course_rad, way_m)
         if course_deg is not None:
             is_empty = abs(course_deg) > MAX_ZERO_OFFSET_DEG
             self._heading_is_empty.decide(self._newest_s, is_empty)
             if is_empty:
-                text = (
-                    f"heading is 0 in every sample while the vehicle makes good a course of {course_deg % 360.0:.0f} "
-                    "degrees: it is taken as unknown, and the course is used. Check that a compass is connected and "
-                    "logged."
-                )
-                self._raise_once("navigation.heading_zero", text, time_s)
+                self._notices.heading_zero(course_deg, time_s)
+
+    def _check_heading(self, time_s: float, course_rad: float) -> None:
         if self._heading_is_empty.newest:
             return
         heading = self._heading.at(np.array([time_s]))
@@ -585,13 +464,7 @@ class NavBuffer:
             return
         offset_rad = self._heading_check.add(float(heading.values[0, 0]), course_rad)
         if offset_rad is not None:
-            side = "right" if offset_rad > 0.0 else "left"
-            text = (
-                f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: "
-                "contacts lie on the wrong side if the compass is wrong. Check its mounting, its heading offset and "
-                "sign, and whether port and starboard are swapped."
-            )
-            self._raise_once("navigation.heading_off_course", text, time_s)
+            self._notices.heading_off_course(offset_rad, time_s)
 
     def _unwrap(self, angle_rad: float, time_s: float) -> float:
         """Choose the turn count nearest to the heading, or to the course while the compass is silent.
@@ -605,26 +478,14 @@ class NavBuffer:
         return angle_rad if last is None else angle_rad + 2 * math.pi * round((last - angle_rad) / (2 * math.pi))
 
     def _measured_or_derived(
-        self, channels: tuple[_Channel, _Channel], is_off: Verdicts, counter: str, times: NDArray[np.float64]
+        self, channels: tuple[TimedValues, TimedValues], is_off: Verdicts, counter: str, times: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Give fresh measured values, else fresh derived ones, else the nearest known; and which are fresh.
+        values, fresh, n_derived = measured_or_derived(*channels, is_off.at(times), times)
+        if n_derived:
+            self.counters[counter] += n_derived
+        return values, fresh
 
-        Where the measured ones are off, only derived ones, if there are any.
-        """
-        measured, derived = channels
-        first, off = measured.at(times), is_off.at(times)
-        if first.fresh.all() and not off.any():
-            return first.values[:, 0], first.fresh
-        second = derived.at(times)
-        use_derived = ~first.fresh & (second.fresh | np.isnan(first.values[:, 0]))
-        use_derived |= off & ~np.isnan(second.values[:, 0])
-        values = np.where(use_derived, second.values[:, 0], first.values[:, 0])
-        count = int(np.count_nonzero(use_derived & ~np.isnan(values)))
-        if count:
-            self.counters[counter] += count
-        return values, (first.fresh & ~off) | second.fresh
-
-    def _or_level(self, channel: _Channel, counter: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _or_level(self, channel: TimedValues, counter: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
         values = channel.at(times).values[:, 0]
         absent = np.isnan(values)
         if absent.any():
@@ -633,207 +494,5 @@ class NavBuffer:
         return values
 
 
-def interpolate_track(track: PoseTrack, position: NDArray[np.float64]) -> PoseTrack:
-    """Interpolate poses at fractional row indices `position` (n,), linear between rows.
-
-    Indices beyond the ends give the end rows.
-
-    A NaN in one of the two rows leaves the other row's value. `stale` if any row that contributes is.
-    Raises ValueError for a track without rows or an index that is not finite.
-    """
-    rows = np.asarray(position, dtype=np.float64)
-    if len(track) == 0 or not np.isfinite(rows).all():
-        raise ValueError("interpolate_track: needs a track with at least one row and finite row indices")
-    rows = np.clip(rows, 0.0, len(track) - 1.0)
-    below = np.floor(rows).astype(np.int64)
-    above = np.minimum(below + 1, len(track) - 1)
-    fraction = rows - below
-
-    # Earth-centred, so that any place will do; all in one array, (n, quantities), since each operation costs more than
-    # its numbers.
-    known = np.column_stack(
-        [
-            geodetic_to_ecef(track.latitude_deg, track.longitude_deg, 0.0),
-            *(getattr(track, name) for name in _BLENDED),
-        ]
-    )
-    low, high, weight = known[below], known[above], fraction[:, np.newaxis]
-    values = np.where(np.isnan(low), high, np.where(np.isnan(high) | (weight == 0.0), low, low + weight * (high - low)))
-    latitude, longitude, _ = ecef_to_geodetic(values[:, :3])
-    return PoseTrack(
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        stale=track.stale[below] | (track.stale[above] & (fraction > 0.0)),
-        **dict(zip(_BLENDED, np.ascontiguousarray(values[:, 3:].T), strict=True)),
-    )
-
-
-def slice_pose(pose: PoseTrack, rows: slice) -> PoseTrack:
-    """Take some rows of a track."""
-    return PoseTrack(**{name: getattr(pose, name)[rows] for name in pose.__struct_fields__})
-
-
-class _Values(NamedTuple):
-    """Hold values of instants.
-
-    values: (n, width), NaN where not known; fresh: (n,); age_s: (n,) to the nearest value, inf without one.
-    """
-
-    values: NDArray[np.float64]
-    fresh: NDArray[np.bool_]
-    age_s: NDArray[np.float64]
-
-
-class _Holes(NamedTuple):
-    """Hold instants between values too far apart to interpolate: their rows, and the times and values of both."""
-
-    rows: NDArray[np.intp]
-    left_s: NDArray[np.float64]
-    right_s: NDArray[np.float64]
-    left: NDArray[np.float64]
-    right: NDArray[np.float64]
-
-
-class _Channel:
-    """Hold time-ordered values of one quantity, `width` numbers each; grow at the end, drop at the start."""
-
-    def __init__(self, limits: _Limits, width: int = 1) -> None:
-        self.limits = limits
-        self._times = np.empty(_ROOM)
-        self._values = np.empty((_ROOM, width))
-        self._joined = np.empty(_ROOM, dtype=np.bool_)
-        self._new: list[
-            tuple[float, float | tuple[float, ...], bool]
-        ] = []  # values not in the arrays yet: adding them one by one costs more
-        self.clear()
-
-    def clear(self) -> None:
-        self._start = self._stop = 0
-        self._new.clear()
-        self.last_s = -math.inf
-        self._hole_end_s = math.inf  # of the newest hole too long to bridge; the time before the first sample is one
-
-    def append(self, time_s: float, value: float | tuple[float, ...], joined: bool = True) -> None:
-        """Add a value later than all others; `joined` is False if no line may lead to it from its predecessor."""
-        self._new.append((time_s, value, joined))
-        if len(self._new) == _ROOM:
-            self._gather()
-        if time_s - self.last_s > self.limits.bridge_s:
-            self._hole_end_s = time_s
-        self.last_s = time_s
-
-    def final_until(self, next_s: float) -> float:
-        """Give the time up to which no value at `next_s` or later can change the result of `at`."""
-        return max(self.last_s, next_s - self.limits.look_ahead_s - 2 * _CLOCK_S)
-
-    def has_hole(self, from_s: float, newest_s: float) -> bool:
-        """Check whether any instant from `from_s` to `newest_s` is not between values close enough to interpolate."""
-        return newest_s - self.last_s > self.limits.bridge_s or from_s < self._hole_end_s
-
-    def at(self, times: NDArray[np.float64]) -> _Values:
-        self._gather()
-        limits = self.limits
-        known_s = self._times[self._start : self._stop]
-        known = self._values[self._start : self._stop]
-        if known_s.size == 0:
-            return _Values(
-                np.full((times.size, known.shape[1]), NAN),
-                np.zeros(times.size, dtype=np.bool_),
-                np.full(times.size, np.inf),
-            )
-        last = known_s.size - 1
-        right = np.searchsorted(known_s, times, side="right")
-        left = np.maximum(right - 1, 0)
-        since = np.where(right > 0, times - known_s[left], np.inf)
-        if times.size and right.max() <= last and right.min() > 0:
-            # Between two values everywhere, as a rule close enough to each other.
-            span = known_s[right] - known_s[left]
-            if span.max() <= limits.bridge_s + _CLOCK_S and self._joined[self._start + right].all():
-                since = times - known_s[left]
-                values = known[left] + (since / span)[:, np.newaxis] * (known[right] - known[left])
-                return _Values(values, np.ones(times.size, dtype=np.bool_), np.minimum(since, known_s[right] - times))
-        has_right = right <= last
-        right = np.minimum(right, last)
-        until = np.where(has_right, known_s[right] - times, np.inf)
-        until = np.where(until <= limits.look_ahead_s + _CLOCK_S, until, np.inf)
-        span = known_s[right] - known_s[left]
-        bridged = (
-            np.isfinite(since)
-            & np.isfinite(until)
-            & (span <= limits.bridge_s + _CLOCK_S)
-            & self._joined[self._start + right]
-        )
-        fraction = np.where(bridged, since, 0.0) / np.where(bridged, span, 1.0)
-        nearest = np.where(until < since, right, left)
-        distance = np.minimum(since, until)
-        values = np.where(
-            bridged[:, np.newaxis], known[left] + fraction[:, np.newaxis] * (known[right] - known[left]), known[nearest]
-        )
-        values = np.where(np.isfinite(distance)[:, np.newaxis], values, NAN)
-        return _Values(values, bridged | (distance <= limits.fresh_s + _CLOCK_S), distance)
-
-    @property
-    def first_s(self) -> float:
-        """Give the time of the oldest value that is kept; inf without one."""
-        self._gather()
-        return float(self._times[self._start]) if self._stop > self._start else math.inf
-
-    def holes(self, times: NDArray[np.float64]) -> _Holes | None:
-        """Find the instants in holes too long to interpolate, but joined; None if there are none."""
-        self._gather()
-        known_s = self._times[self._start : self._stop]
-        if known_s.size < 2 or not times.size:
-            return None
-        right = np.searchsorted(known_s, times, side="right")
-        rows = np.flatnonzero((right > 0) & (right < known_s.size))
-        right = right[rows]
-        is_hole = (known_s[right] - known_s[right - 1] > self.limits.bridge_s + _CLOCK_S) & self._joined[
-            self._start + right
-        ]
-        if not is_hole.any():
-            return None
-        rows, right = rows[is_hole], right[is_hole]
-        known = self._values[self._start : self._stop]
-        return _Holes(rows, known_s[right - 1], known_s[right], known[right - 1], known[right])
-
-    def forget_before(self, time_s: float) -> None:
-        """Keep the last sample at or before `time_s`, as left neighbour, and all later ones."""
-        self._gather()
-        known_s = self._times[self._start : self._stop]
-        self._start += max(0, int(np.searchsorted(known_s, time_s, side="right")) - 1)
-
-    def _gather(self) -> None:
-        """Put new values into the arrays."""
-        if not self._new:
-            return
-        times, values, joined = zip(*self._new, strict=True)
-        n_new = len(times)
-        if self._stop + n_new > self._times.shape[0]:
-            self._make_room(n_new)
-        rows = slice(self._stop, self._stop + n_new)
-        self._times[rows], self._joined[rows] = times, joined
-        self._values[rows] = np.array(values).reshape(n_new, -1)
-        self._stop += n_new
-        self._new.clear()
-
-    def _make_room(self, n_new: int) -> None:
-        """Drop the forgotten; double the room if the rest needs it."""
-        kept = slice(self._start, self._stop)
-        count = self._stop - self._start
-        room = max(_ROOM, 2 * (count + n_new))
-        times, values, joined = np.empty(room), np.empty((room, self._values.shape[1])), np.empty(room, dtype=np.bool_)
-        times[:count], values[:count], joined[:count] = self._times[kept], self._values[kept], self._joined[kept]
-        self._times, self._values, self._joined = times, values, joined
-        self._start, self._stop = 0, count
-
-
 def _reach_m(a: Fix, b: Fix) -> float:
     return JUMP_SLACK_M + MAX_SPEED_MPS * (b.time_s - a.time_s)
-
-
-def _utc(time_s: float) -> str:
-    """Write the instant for messages."""
-    try:
-        return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    except (OverflowError, ValueError, OSError):
-        return f"time {time_s:g} s"

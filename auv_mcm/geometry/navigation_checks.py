@@ -15,6 +15,8 @@ _N_CHORDS: Final = 25
 # A vehicle crabs by asin(cross current / speed): 60 degrees needs a current of 0.87 of its speed, in which no survey
 # line is held.
 _MAX_OFFSET_RAD: Final = math.radians(60.0)
+# One number in every sample is no compass's: off a course by more than a current makes it, it is worth a look.
+_MAX_STILL_OFFSET_RAD: Final = math.radians(15.0)
 _MIN_RESULTANT: Final = (
     0.9  # of the unit vectors of the differences: a circular standard deviation of 26 degrees; turns scatter more
 )
@@ -32,24 +34,30 @@ class HeadingCheck:
 
     def __init__(self) -> None:
         self._differences: deque[complex] = deque(maxlen=_N_CHORDS)
+        self._headings: deque[float] = deque(maxlen=_N_CHORDS)
 
     def add(self, heading_rad: float, course_rad: float) -> float | None:
         """Take one chord, and find how far heading is steadily off the course.
 
-        Returns radians in (-pi, pi], None unless the angle is steady and large.
+        Returns radians in (-pi, pi], None unless the angle is steady and large; one that is not so large counts where
+        the heading is the same number all the time.
         """
+        self._headings.append(heading_rad)
         self._differences.append(cmath.rect(1.0, heading_rad - course_rad))
         if len(self._differences) < _N_CHORDS:
             return None
         mean = sum(self._differences) / _N_CHORDS
         offset_rad = cmath.phase(mean)
-        return offset_rad if abs(mean) >= _MIN_RESULTANT and abs(offset_rad) > _MAX_OFFSET_RAD else None
+        stands_still = min(self._headings) == max(self._headings)
+        limit_rad = _MAX_STILL_OFFSET_RAD if stands_still else _MAX_OFFSET_RAD
+        return offset_rad if abs(mean) >= _MIN_RESULTANT and abs(offset_rad) > limit_rad else None
 
 
 MAX_ZERO_OFFSET_DEG: Final = 5.0
 """Between a heading of 0 in every sample and the course, degrees: a compass never reads exactly 0 for long."""
 _MIN_ZERO_HEADINGS: Final = 20  # before a verdict: a compass in steps of a degree may read 0 for a second
 _ZERO_CHORDS: Final = 3  # newest chords, 6 m or more, whose mean course is compared
+_ZERO_WAY_M: Final = 6.0  # m: one chord as long, between fixes that come seldom, serves as well
 
 
 class ZeroHeadingCheck:
@@ -67,14 +75,16 @@ class ZeroHeadingCheck:
 
     def add(self, heading_rad: float) -> bool:
         """Take a heading; return whether all were 0 until now."""
-        self._is_filled = self._is_filled or heading_rad != 0.0
+        self._is_filled = self._is_filled or math.remainder(heading_rad, math.tau) != 0.0
         self._n_zeros += not self._is_filled
         return not self._is_filled
 
-    def off_course_deg(self, course_rad: float) -> float | None:
-        """Take a chord's course; return the mean course if it can be compared with a heading of 0, else None."""
+    def off_course_deg(self, course_rad: float, way_m: float) -> float | None:
+        """Take a chord's course and length; return the mean course where it can be compared with a heading of 0."""
         self._courses.append(cmath.rect(1.0, course_rad))
-        if self._is_filled or self._n_zeros < _MIN_ZERO_HEADINGS or len(self._courses) < _ZERO_CHORDS:
+        if self._is_filled or self._n_zeros < _MIN_ZERO_HEADINGS:
+            return None
+        if len(self._courses) < _ZERO_CHORDS and way_m < _ZERO_WAY_M:
             return None
         return math.degrees(cmath.phase(sum(self._courses)))
 

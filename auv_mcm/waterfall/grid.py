@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.navigation import interpolate_track, slice_pose
+from auv_mcm.geometry.pose_track import interpolate_track, slice_pose
 from auv_mcm.kernels.waterfall import average_rows
 from auv_mcm.records import PoseTrack, Side
 

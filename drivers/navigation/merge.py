@@ -16,7 +16,8 @@ from msgspec import structs
 
 from auv_mcm.clock import Stamp
 from auv_mcm.geometry.fix_agreement import FixAgreement
-from auv_mcm.geometry.navigation import JUMP_SLACK_M, MAX_SPEED_MPS
+from auv_mcm.geometry.navigation import JUMP_SLACK_M
+from auv_mcm.geometry.sample_values import MAX_SPEED_MPS
 from auv_mcm.records import NAN, NavSample, Notice
 from auv_mcm.settings.port_settings import QUANTITIES, NavUnitSettings, Quantity
 from drivers.clocks import DeviceClock, wire_delay_s
@@ -25,14 +26,13 @@ from drivers.navigation.corrections import (
     HeadingReading,
     Position,
     Readings,
-    SpeedReading,
     arm_north_east_down,
     moved,
     offset_m,
     readings_of,
 )
-from drivers.navigation.gnss_watch import Doubt, GnssWatch
-from drivers.navigation.health import Fallback, UnitHealth
+from drivers.navigation.given import N_SIGMA, SLACK, Channel, Given, apart_m, difference, sample_of
+from drivers.navigation.health import Fallback
 from drivers.navigation.nav_decoder import NavFix
 from drivers.navigation.nav_settings import NavMergeSettings
 from drivers.navigation.reckoning import MAX_HOLD_S, Reckoner
@@ -47,7 +47,6 @@ _LOST_AFTER_S: Final = 2.0 * MAX_HOLD_S  # without a position, measured or recko
 _RECKONED_SHARE: Final = 0.2  # of the way: a speed or course that far off is wrong, whatever the current
 _COMPARE_S: Final = 0.5  # values farther apart in time are not compared
 _N_DISAGREE: Final = 5  # in a row, before a notice is raised; as many that agree end it
-_N_SIGMA: Final = 3.0  # standard deviations: of sound values one in 370 is further off
 _N_IMPOSSIBLE: Final = (
     20  # values in a row, 2 s at 10 Hz: a bottom lock is lost for longer than a ping, a sentence damaged only once
 )
@@ -62,15 +61,6 @@ _FIELDS: Final[dict[Quantity, tuple[str, ...]]] = {
 _UNITS: Final = {"deg": "degrees", "rad": "rad", "m": "m", "mps": "m/s"}
 _MAX_UNKNOWN: Final = 32  # sources; bounds memory where a damaged bus invents them
 _TICK_S: Final = 1e-3  # s: times nearer than that are the same
-# Differences that need no notice: the units measure at different places and instants.
-_SLACK: Final[dict[Quantity, float]] = {
-    "position": 2.0,
-    "heading": math.radians(2.0),
-    "attitude": math.radians(3.0),
-    "depth": 1.0,
-    "altitude": 1.0,
-    "speed": 0.3,
-}
 
 
 class QuantityHealth(NamedTuple):
@@ -82,29 +72,6 @@ class QuantityHealth(NamedTuple):
 
     serving: str | None
     age_s: dict[str, float]
-
-
-class _Given(NamedTuple):
-    """Hold the last value of a quantity from one unit. time_s: of the measurement, monotonic."""
-
-    time_s: float
-    value: Any
-
-
-class _Channel:
-    """Hold the state of one quantity of one unit."""
-
-    def __init__(
-        self, source: str, unit: NavUnitSettings, surface_depth_m: float, agreement: FixAgreement[_Given]
-    ) -> None:
-        self.health = UnitHealth(source, unit.priority, unit.valid_s)
-        self.watch = GnssWatch(surface_depth_m) if unit.surface_only else None
-        self.doubt: Doubt | None = None  # of its newest position
-        self.given: _Given | None = None
-        self.unit_time_s: float | None = None
-        self.agreement = agreement
-        self.n_disagree = 0
-        self.disagrees = False
 
 
 class NavMerge:
@@ -119,7 +86,7 @@ class NavMerge:
         self.counters: Counter[str] = Counter()
         self.position_sigma_m = NAN  # of the newest sample with a position
         self._settings = settings
-        self._channels: dict[tuple[Quantity, str], _Channel] = {}
+        self._channels: dict[tuple[Quantity, str], Channel] = {}
         self._fallbacks = {quantity: Fallback(settings.recover_s) for quantity in QUANTITIES}
         self._clocks: dict[str, DeviceClock] = {}
         self._unknown: set[str] = set()
@@ -178,7 +145,7 @@ class NavMerge:
                 reading = self._vertical(quantity, reading, unit)
             if reading is None:
                 continue
-            channel.given = _Given(time_s, reading)
+            channel.given = Given(time_s, reading)
             channel.health.gave(self._now_s)
             events += self._choose(quantity)
             if self._fallbacks[quantity].serving is channel.health:
@@ -190,7 +157,7 @@ class NavMerge:
                 self._reckon_with(quantity, time_s, reading)
         given = self._thinned(time_s, served if leap is None else {**served, "position": leap}, fix.source)
         if given:
-            self._put(time_s, _sample(utc_s, given, position_leaps=leap is not None and "position" in given))
+            self._put(time_s, sample_of(utc_s, given, position_leaps=leap is not None and "position" in given))
         if "position" in served:
             self._position_s, self.position_sigma_m = time_s, served["position"].sigma_m
             events += self._position_back()
@@ -275,16 +242,16 @@ class NavMerge:
             events.append(host_time.notice)
         return (fix.received.mono_ns - host_time.mono_ns) * 1e-9
 
-    def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> _Channel:
+    def _channel(self, quantity: Quantity, source: str, unit: NavUnitSettings) -> Channel:
         channel = self._channels.get((quantity, source))
         if channel is None:
-            channel = self._channels[quantity, source] = _Channel(
-                source, unit, self._settings.surface_depth_m, FixAgreement(_apart_m, self._reach_m, span_s=0.0)
+            channel = self._channels[quantity, source] = Channel(
+                source, unit, self._settings.surface_depth_m, FixAgreement(apart_m, self._reach_m, span_s=0.0)
             )
             self._fallbacks[quantity].add(channel.health)
         return channel
 
-    def _repeats(self, channel: _Channel, fix: NavFix, quantity: Quantity) -> bool:
+    def _repeats(self, channel: Channel, fix: NavFix, quantity: Quantity) -> bool:
         """Return whether the unit repeats an instant: another sentence of one epoch, or a unit that hangs."""
         if fix.time_utc_s is not None and fix.time_utc_s == channel.unit_time_s:
             self.counters[f"nav.same_instant.{quantity}.{fix.source}"] += 1
@@ -326,7 +293,7 @@ class NavMerge:
         down_m = arm_north_east_down(unit.lever_arm_m, 0.0, *attitude)[2]
         return value_m - down_m if quantity == "depth" else value_m + down_m
 
-    def _believed(self, channel: _Channel, time_s: float, position: Position) -> Position | None:
+    def _believed(self, channel: Channel, time_s: float, position: Position) -> Position | None:
         """Accept the position, unless a satellite receiver cannot have it or the vehicle cannot have got there."""
         source = channel.health.source
         if channel.watch is not None:
@@ -334,7 +301,7 @@ class NavMerge:
             if channel.doubt is not None:
                 self.counters[f"nav.gnss_{channel.doubt}.{source}"] += 1
                 return None
-        decision = channel.agreement.add(_Given(time_s, position))
+        decision = channel.agreement.add(Given(time_s, position))
         if decision.accepted and decision.step_m == 0.0:
             return position
         self.counters[f"nav.jump.{source}"] += 1
@@ -343,7 +310,7 @@ class NavMerge:
         self.counters[f"nav.refix.{source}"] += 1  # reported by perception, once it follows
         return position
 
-    def _is_for_perception(self, channel: _Channel, time_s: float, position: Position) -> bool:
+    def _is_for_perception(self, channel: Channel, time_s: float, position: Position) -> bool:
         """Check whether perception has to see a position that was not believed, as it sees it in a recorded log.
 
         Only with it can perception find that two places alternate, and that neither is known to be right. What it would
@@ -353,7 +320,7 @@ class NavMerge:
         if channel.doubt is not None or last is None or serving not in (None, channel.health):
             return False
         reach_m = JUMP_SLACK_M + MAX_SPEED_MPS * abs(time_s - last.time_s)
-        return _apart_m(last, _Given(time_s, position)) > reach_m
+        return apart_m(last, Given(time_s, position)) > reach_m
 
     def _submerged(self, source: str) -> bool:
         """Return whether a satellite receiver is under water, or sends positions as if it were."""
@@ -363,8 +330,8 @@ class NavMerge:
             channel is not None and channel.doubt is not None
         )
 
-    def _reach_m(self, before: _Given, after: _Given) -> float:
-        slack_m = JUMP_SLACK_M + _N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
+    def _reach_m(self, before: Given, after: Given) -> float:
+        slack_m = JUMP_SLACK_M + N_SIGMA * math.hypot(before.value.sigma_m, after.value.sigma_m)
         return slack_m + self._settings.max_speed_mps * abs(after.time_s - before.time_s)
 
     def _choose(self, quantity: Quantity) -> list[Event]:
@@ -401,15 +368,15 @@ class NavMerge:
         text = f"{quantity} now comes from '{now.source}', {why}"
         return [Notice(code="nav_source_changed", text=text, for_the_record=before.is_healthy(self._now_s))]
 
-    def _compare(self, quantity: Quantity, channel: _Channel) -> list[Event]:
+    def _compare(self, quantity: Quantity, channel: Channel) -> list[Event]:
         """Compare a unit that does not serve with the one that does."""
         serving = self._fallbacks[quantity].serving
         reference = None if serving is None else self._channels[quantity, serving.source].given
         given = channel.given
         if serving is None or reference is None or given is None or abs(given.time_s - reference.time_s) > _COMPARE_S:
             return []
-        apart = _difference(quantity, given, reference, self._settings.max_speed_mps)
-        if apart <= _SLACK[quantity]:
+        apart = difference(quantity, given, reference, self._settings.max_speed_mps)
+        if apart <= SLACK[quantity]:
             channel.n_disagree = max(channel.n_disagree - 1, 0)
             channel.disagrees = channel.disagrees and channel.n_disagree > 0
             return []
@@ -431,7 +398,7 @@ class NavMerge:
             return []
         off_m = math.hypot(*offset_m(reckoned[1][:2], position[:2]))
         way_m = self._reckoner.way_m()
-        if off_m <= _N_SIGMA * position.sigma_m + _RECKONED_SHARE * way_m:
+        if off_m <= N_SIGMA * position.sigma_m + _RECKONED_SHARE * way_m:
             return []
         self._reckoned_off = True
         text = (
@@ -463,7 +430,7 @@ class NavMerge:
         self.counters["nav.reckoned"] += 1
         self.position_sigma_m = position.sigma_m
         utc_s = stamp.utc_ns * 1e-9 - (stamp.mono_ns * 1e-9 - time_s)
-        self._put(time_s, _sample(utc_s, {"position": position}))
+        self._put(time_s, sample_of(utc_s, {"position": position}))
         events: list[Event] = []
         if not self._reckoning:
             self._reckoning, self._position_lost = True, False
@@ -530,53 +497,3 @@ class NavMerge:
             self._last_utc_s = sample.time_s
             due.append(sample)
         return due
-
-
-def _apart_m(before: _Given, after: _Given) -> float:
-    return math.hypot(*offset_m(before.value[:2], after.value[:2]))
-
-
-def _sample(utc_s: float, served: dict[Quantity, Any], position_leaps: bool = False) -> NavSample:
-    reported: dict[str, float] = {}
-    for quantity, reading in served.items():
-        match reading:
-            case Position():
-                reported.update(latitude_deg=reading.latitude_deg, longitude_deg=reading.longitude_deg)
-            case HeadingReading():
-                reported["heading_rad"] = reading.heading_rad
-            case AttitudeReading():
-                reported.update(pitch_rad=reading.pitch_rad, roll_rad=reading.roll_rad)
-            case SpeedReading():
-                reported["speed_mps"] = reading.speed_mps
-            case _:
-                reported[f"{quantity}_m"] = reading
-    return NavSample(time_s=utc_s, position_leaps=position_leaps, **reported)
-
-
-def _difference(quantity: Quantity, given: _Given, reference: _Given, max_speed_mps: float) -> float:
-    """Return how far two values are apart beyond their errors and what can have changed between them."""
-    one, other = given.value, reference.value
-    apart_s = abs(given.time_s - reference.time_s)
-    match quantity:
-        case "position":
-            distance_m = math.hypot(*offset_m(one[:2], other[:2]))
-            apart = distance_m - _N_SIGMA * math.hypot(one.sigma_m, other.sigma_m) - max_speed_mps * apart_s
-        case "heading":
-            apart = (
-                _angle(one.heading_rad - other.heading_rad)
-                - _N_SIGMA * math.hypot(one.sigma_rad, other.sigma_rad)
-                - apart_s
-            )
-        case "attitude":
-            apart = max(_angle(one.pitch_rad - other.pitch_rad), _angle(one.roll_rad - other.roll_rad)) - apart_s
-        case "speed":
-            apart = (
-                abs(one.speed_mps - other.speed_mps) - _N_SIGMA * math.hypot(one.sigma_mps, other.sigma_mps) - apart_s
-            )
-        case _:
-            apart = abs(one - other) - max_speed_mps * apart_s
-    return float(apart)
-
-
-def _angle(difference_rad: float) -> float:
-    return abs(math.remainder(difference_rad, 2.0 * math.pi))

@@ -8,32 +8,43 @@ IEC 61162-1 for the standard ones, the makers' published descriptions for PASHR,
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Callable, Sequence
-from datetime import date, timedelta
 from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
 
 from auv_mcm.records import NAN
+from drivers.navigation.sentence_fields import (
+    ANGLE_CENTI,
+    ANGLE_MILLI,
+    ANGLE_TENTHS,
+    CENTI,
+    COUNT,
+    DECIMAL_DEGREES,
+    LATITUDE,
+    LONGITUDE,
+    METRES,
+    MILLI,
+    MODE,
+    STATUS,
+    TENTHS,
+    TIME,
+    VARIATION,
+    Codec,
+    clock,
+    letter,
+    named,
+    number,
+    read_depths,
+    read_six_digit_date,
+    read_three_field_date,
+    with_unit,
+    write_depths,
+    write_six_digit_date,
+    write_three_field_date,
+)
 
 KNOT_MPS: Final = 1852.0 / 3600.0  # m/s: a nautical mile in an hour
-_FOOT_M: Final = 0.3048  # m, the international foot
-_FATHOM_M: Final = 1.8288  # m: six feet
 _SUBTYPED: Final = ("PIXSE", "PSAT", "PTNL", "PFEC")  # makers whose second field says what a sentence is
 _OCEANSERVER: Final = "OHPR"  # without a talker, though it does not begin with P
-_EPOCH: Final = date(1970, 1, 1)
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
-_CLOCK: Final = re.compile(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)")
-_ANGLE: Final = re.compile(r"(\d{2,3})(\d\d(?:\.\d*)?)")
-_MICRO: Final = 1_000_000  # millionths of a minute of arc per minute: 2 mm
-
-
-class Codec(NamedTuple):
-    """Read and write one value in one or several fields. read raises ValueError for an impossible one."""
-
-    n_fields: int
-    read: Callable[[Sequence[str]], Any]
-    write: Callable[[Any], Sequence[str]]
 
 
 class Gga(NamedTuple):
@@ -352,251 +363,69 @@ def body_of(record: Record, talker: str = "GP") -> str:
     return ",".join(fields)
 
 
-def _read_number(fields: Sequence[str]) -> float:
-    text = fields[0]
-    if not text:
-        return NAN
-    if _NUMBER.fullmatch(text) is None:
-        raise ValueError(f"not a number: {text}")
-    return float(text)
-
-
-def _number(decimals: int, unit: float = 1.0) -> Codec:
-    """Make the codec of a decimal number; unit: the SI value of 1 on the wire."""
-
-    def read(fields: Sequence[str]) -> float:
-        return _read_number(fields) * unit
-
-    def write(value: float) -> Sequence[str]:
-        return ("",) if math.isnan(value) else (f"{value / unit:.{decimals}f}",)
-
-    return Codec(1, read if unit != 1.0 else _read_number, write)
-
-
-def _letter(allowed: str) -> Codec:
-    def read(fields: Sequence[str]) -> str:
-        if len(fields[0]) > 1 or fields[0] not in allowed:
-            raise ValueError(f"not one of {allowed}: {fields[0]}")
-        return fields[0]
-
-    return Codec(1, read, lambda value: (value,))
-
-
-def _with_unit(number: Codec, unit: str) -> Codec:
-    """Make the codec of a number and the letter of its unit, which may be missing but not be another."""
-
-    def read(fields: Sequence[str]) -> float:
-        if fields[1] not in ("", unit):
-            raise ValueError(f"unit {fields[1]} where {unit} belongs")
-        value: float = number.read(fields)
-        return value
-
-    return Codec(2, read, lambda value: (*number.write(value), unit))
-
-
-def _named(number: Codec, name: str) -> Codec:
-    """Make the codec of a number and the name of what it is, which is not there where the number is not."""
-
-    def read(fields: Sequence[str]) -> float:
-        if fields[1].lower() not in ("", name.lower()):
-            raise ValueError(f"{fields[1]} where {name} belongs")
-        value: float = number.read(fields)
-        return value
-
-    def write(value: float) -> Sequence[str]:
-        return ("", "") if math.isnan(value) else (*number.write(value), name)
-
-    return Codec(2, read, write)
-
-
-def _east_or_west(number: Codec) -> Codec:
-    """Make the codec of an angle and the letter of its side; positive to the east."""
-
-    def read(fields: Sequence[str]) -> float:
-        if len(fields[1]) > 1 or fields[1] not in "EW":
-            raise ValueError(f"not E or W: {fields[1]}")
-        value: float = number.read(fields)
-        return -value if fields[1] == "W" else value
-
-    def write(value: float) -> Sequence[str]:
-        return ("", "") if math.isnan(value) else (*number.write(abs(value)), "W" if value < 0.0 else "E")
-
-    return Codec(2, read, write)
-
-
-def _degrees_and_minutes(n_degree_digits: int, hemispheres: str) -> Codec:
-    """Make the codec of ddmm.mmmm and a hemisphere; written to a millionth of a minute, 2 mm."""
-    limit_deg = {2: 90.0, 3: 180.0}[n_degree_digits]
-
-    def read(fields: Sequence[str]) -> float:
-        text, hemisphere = fields
-        if not text and not hemisphere:
-            return NAN
-        match = _ANGLE.fullmatch(text)
-        if match is None or len(match[1]) != n_degree_digits or not hemisphere or hemisphere not in hemispheres:
-            raise ValueError(f"not an angle: {text},{hemisphere}")
-        minutes = float(match[2])
-        degrees = int(match[1]) + minutes / 60.0
-        if minutes >= 60.0 or degrees > limit_deg:
-            raise ValueError(f"not an angle: {text},{hemisphere}")
-        return -degrees if hemisphere == hemispheres[1] else degrees
-
-    def write(value: float) -> Sequence[str]:
-        if math.isnan(value):
-            return "", ""
-        degrees, micro_minutes = divmod(round(abs(value) * 60 * _MICRO), 60 * _MICRO)
-        minutes, fraction = divmod(micro_minutes, _MICRO)
-        return f"{degrees:0{n_degree_digits}d}{minutes:02d}.{fraction:06d}", hemispheres[
-            math.copysign(1.0, value) < 0.0
-        ]
-
-    return Codec(2, read, write)
-
-
-def _clock(decimals: int) -> Codec:
-    """Make the codec of a time of day, hhmmss.sss."""
-    scale = 10**decimals
-
-    def read(fields: Sequence[str]) -> float:
-        if not fields[0]:
-            return NAN
-        match = _CLOCK.fullmatch(fields[0])
-        if match is None:
-            raise ValueError(f"not a time: {fields[0]}")
-        hours, minutes, seconds = int(match[1]), int(match[2]), float(match[3])
-        if hours > 23 or minutes > 59 or seconds >= 61.0:  # leap seconds are
-            raise ValueError(f"not a time: {fields[0]}")
-        return hours * 3600 + minutes * 60 + seconds
-
-    def write(value: float) -> Sequence[str]:
-        if math.isnan(value):
-            return ("",)
-        whole, fraction = divmod(round(value * scale) % (86_400 * scale), scale)
-        return (f"{whole // 3600:02d}{whole // 60 % 60:02d}{whole % 60:02d}.{fraction:0{decimals}d}",)
-
-    return Codec(1, read, write)
-
-
-def _read_six_digit_date(fields: Sequence[str]) -> float:
-    """Read a date as ddmmyy; years 80 to 99 are of the last century, since GPS began in 1980."""
-    text = fields[0]
-    if not text:
-        return NAN
-    if len(text) != 6 or not text.isdecimal():
-        raise ValueError(f"not a date: {text}")
-    year = int(text[4:])
-    return _days(year + (1900 if year >= 80 else 2000), int(text[2:4]), int(text[:2]))
-
-
-def _read_three_field_date(fields: Sequence[str]) -> float:
-    """Read a date from three fields, dd,mm,yyyy."""
-    if not all(fields):
-        return NAN
-    if not all(field.isdecimal() and len(field) <= 4 for field in fields):
-        raise ValueError(f"not a date: {','.join(fields)}")
-    day, month, year = map(int, fields)
-    return _days(year, month, day)
-
-
-def _days(year: int, month: int, day: int) -> float:
-    return float((date(year, month, day) - _EPOCH).days)
-
-
-def _write_six_digit_date(days: float) -> Sequence[str]:
-    return ("",) if math.isnan(days) else (f"{_EPOCH + timedelta(days):%d%m%y}",)
-
-
-def _write_three_field_date(days: float) -> Sequence[str]:
-    return ("", "", "") if math.isnan(days) else f"{_EPOCH + timedelta(days):%d,%m,%Y}".split(",")
-
-
-def _read_depths(fields: Sequence[str]) -> float:
-    """Read a depth from feet,f,metres,M,fathoms,F: metres if they are there."""
-    if any(unit not in ("", expected) for unit, expected in zip(fields[1::2], "fMF", strict=True)):
-        raise ValueError(f"units {fields[1::2]} where f, M, F belong")
-    feet, metres, fathoms = (_read_number((text,)) for text in fields[::2])
-    return next((depth for depth in (metres, feet * _FOOT_M, fathoms * _FATHOM_M) if not math.isnan(depth)), NAN)
-
-
-def _write_depths(depth_m: float) -> Sequence[str]:
-    if math.isnan(depth_m):
-        return "", "f", "", "M", "", "F"
-    depth_m = round(depth_m, 2)
-    return f"{depth_m / _FOOT_M:.2f}", "f", f"{depth_m:.2f}", "M", f"{depth_m / _FATHOM_M:.2f}", "F"
-
-
-_DEGREE: Final = math.pi / 180.0
-_COUNT, _TENTHS, _CENTI, _MILLI = (_number(decimals) for decimals in range(4))
-_ANGLE_TENTHS, _ANGLE_CENTI, _ANGLE_MILLI = (_number(decimals, _DEGREE) for decimals in (1, 2, 3))
-_VARIATION: Final = _east_or_west(_ANGLE_CENTI)
-_DECIMAL_DEGREES: Final = _number(8)
-_LATITUDE, _LONGITUDE = _degrees_and_minutes(2, "NS"), _degrees_and_minutes(3, "EW")
-_TIME: Final = _clock(3)
-_STATUS, _MODE = _letter("AV"), _letter("ADEFMNPRS")
-_METRES: Final = _with_unit(_TENTHS, "M")
 _SKIPPED: Final = (None,)
 
 SENTENCES: Final[dict[str, Sentence[Any]]] = {
     kind.key: kind
     for kind in (
-        Sentence("GGA", Gga, (_TIME, _LATITUDE, _LONGITUDE, _COUNT, _COUNT, _TENTHS, _METRES, _METRES)),
+        Sentence("GGA", Gga, (TIME, LATITUDE, LONGITUDE, COUNT, COUNT, TENTHS, METRES, METRES)),
         Sentence(
             "RMC",
             Rmc,
             (
-                _TIME,
-                _STATUS,
-                _LATITUDE,
-                _LONGITUDE,
-                _number(3, KNOT_MPS),
-                _ANGLE_CENTI,
-                Codec(1, _read_six_digit_date, _write_six_digit_date),
-                _VARIATION,
-                _MODE,
+                TIME,
+                STATUS,
+                LATITUDE,
+                LONGITUDE,
+                number(3, KNOT_MPS),
+                ANGLE_CENTI,
+                Codec(1, read_six_digit_date, write_six_digit_date),
+                VARIATION,
+                MODE,
             ),
         ),
-        Sentence("GLL", Gll, (_LATITUDE, _LONGITUDE, _TIME, _STATUS, _MODE)),
-        Sentence("HDT", Hdt, (_with_unit(_ANGLE_MILLI, "T"),)),
-        Sentence("THS", Ths, (_ANGLE_MILLI, _letter("AEMSV"))),
-        Sentence("HDG", Hdg, (_ANGLE_MILLI, _VARIATION, _VARIATION)),
-        Sentence("HDM", Hdm, (_with_unit(_ANGLE_MILLI, "M"),)),
-        Sentence("PSAT,HPR", Hpr, (_TIME, *(_ANGLE_MILLI,) * 3, _letter("NG"))),
+        Sentence("GLL", Gll, (LATITUDE, LONGITUDE, TIME, STATUS, MODE)),
+        Sentence("HDT", Hdt, (with_unit(ANGLE_MILLI, "T"),)),
+        Sentence("THS", Ths, (ANGLE_MILLI, letter("AEMSV"))),
+        Sentence("HDG", Hdg, (ANGLE_MILLI, VARIATION, VARIATION)),
+        Sentence("HDM", Hdm, (with_unit(ANGLE_MILLI, "M"),)),
+        Sentence("PSAT,HPR", Hpr, (TIME, *(ANGLE_MILLI,) * 3, letter("NG"))),
         Sentence(
             "PTNL,AVR",
             Avr,
             (
-                _TIME,
-                _named(_ANGLE_MILLI, "Yaw"),
-                _named(_ANGLE_MILLI, "Tilt"),
-                _named(_ANGLE_MILLI, "Roll"),
-                _MILLI,
-                _COUNT,
+                TIME,
+                named(ANGLE_MILLI, "Yaw"),
+                named(ANGLE_MILLI, "Tilt"),
+                named(ANGLE_MILLI, "Roll"),
+                MILLI,
+                COUNT,
             ),
         ),
-        Sentence("PFEC,GPatt", Gpatt, (_ANGLE_TENTHS,) * 3),
-        Sentence("OHPR", Ohpr, (_ANGLE_TENTHS,) * 3),
+        Sentence("PFEC,GPatt", Gpatt, (ANGLE_TENTHS,) * 3),
+        Sentence("OHPR", Ohpr, (ANGLE_TENTHS,) * 3),
         Sentence(
             "VTG",
             Vtg,
-            (_with_unit(_ANGLE_CENTI, "T"), *_SKIPPED * 2, _with_unit(_number(3, KNOT_MPS), "N"), *_SKIPPED * 2, _MODE),
+            (with_unit(ANGLE_CENTI, "T"), *_SKIPPED * 2, with_unit(number(3, KNOT_MPS), "N"), *_SKIPPED * 2, MODE),
         ),
-        Sentence("ZDA", Zda, (_TIME, Codec(3, _read_three_field_date, _write_three_field_date))),
-        Sentence("DPT", Dpt, (_CENTI, _CENTI, _TENTHS)),
-        Sentence("DBT", Dbt, (Codec(6, _read_depths, _write_depths),)),
+        Sentence("ZDA", Zda, (TIME, Codec(3, read_three_field_date, write_three_field_date))),
+        Sentence("DPT", Dpt, (CENTI, CENTI, TENTHS)),
+        Sentence("DBT", Dbt, (Codec(6, read_depths, write_depths),)),
         Sentence(
             "PASHR",
             Pashr,
-            (_TIME, _with_unit(_ANGLE_CENTI, "T"), *(_ANGLE_CENTI,) * 2, _CENTI, *(_ANGLE_MILLI,) * 3, _COUNT, _COUNT),
+            (TIME, with_unit(ANGLE_CENTI, "T"), *(ANGLE_CENTI,) * 2, CENTI, *(ANGLE_MILLI,) * 3, COUNT, COUNT),
         ),
-        Sentence("PRDID", Prdid, (_ANGLE_CENTI, _ANGLE_CENTI, _ANGLE_CENTI)),
-        Sentence("PIXSE,ATITUD", PixseAttitude, (_ANGLE_MILLI, _ANGLE_MILLI)),
-        Sentence("PIXSE,POSITI", PixsePosition, (_DECIMAL_DEGREES, _DECIMAL_DEGREES, _MILLI)),
-        Sentence("PIXSE,SPEED_", PixseSpeed, (_MILLI, _MILLI, _MILLI)),
-        Sentence("PIXSE,HEAVE_", PixseHeave, (_MILLI, _MILLI, _MILLI)),
-        Sentence("PIXSE,TIME__", PixseTime, (_clock(6),)),
-        Sentence("PIXSE,STDHRP", PixseAttitudeSigma, (_ANGLE_MILLI, _ANGLE_MILLI, _ANGLE_MILLI)),
-        Sentence("PIXSE,STDPOS", PixsePositionSigma, (_CENTI, _CENTI, _CENTI)),
-        Sentence("PIXSE,STDSPD", PixseSpeedSigma, (_MILLI, _MILLI, _MILLI)),
+        Sentence("PRDID", Prdid, (ANGLE_CENTI, ANGLE_CENTI, ANGLE_CENTI)),
+        Sentence("PIXSE,ATITUD", PixseAttitude, (ANGLE_MILLI, ANGLE_MILLI)),
+        Sentence("PIXSE,POSITI", PixsePosition, (DECIMAL_DEGREES, DECIMAL_DEGREES, MILLI)),
+        Sentence("PIXSE,SPEED_", PixseSpeed, (MILLI, MILLI, MILLI)),
+        Sentence("PIXSE,HEAVE_", PixseHeave, (MILLI, MILLI, MILLI)),
+        Sentence("PIXSE,TIME__", PixseTime, (clock(6),)),
+        Sentence("PIXSE,STDHRP", PixseAttitudeSigma, (ANGLE_MILLI, ANGLE_MILLI, ANGLE_MILLI)),
+        Sentence("PIXSE,STDPOS", PixsePositionSigma, (CENTI, CENTI, CENTI)),
+        Sentence("PIXSE,STDSPD", PixseSpeedSigma, (MILLI, MILLI, MILLI)),
     )
 }
 _BY_RECORD: Final[dict[Any, Sentence[Any]]] = {kind.make: kind for kind in SENTENCES.values()}

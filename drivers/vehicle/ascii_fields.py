@@ -13,7 +13,8 @@ from itertools import chain, islice, repeat
 from typing import Any, Final, get_args
 
 from auv_mcm.records import ContactClass
-from drivers.navigation.sentences import SENTENCES, Codec, Sentence
+from drivers.navigation.sentence_fields import Codec
+from drivers.navigation.sentences import SENTENCES, Sentence
 from drivers.vehicle.dialect import ContactReport
 
 FOOT_M: Final = 0.3048  # m, the international foot

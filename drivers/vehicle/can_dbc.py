@@ -11,7 +11,8 @@ from typing import Final
 
 from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.vehicle import can_messages
-from drivers.vehicle.can_messages import CRC16_BYTES, CRC32_BYTES, FRAME_BYTES, MESSAGES, CanMessage, Signal, can_id_of
+from drivers.vehicle.can_messages import CRC16_BYTES, CRC32_BYTES, FRAME_BYTES, MESSAGES, CanMessage, can_id_of
+from drivers.vehicle.can_signals import Signal
 
 _EXTENDED: Final = 1 << 31  # marks identifiers of 29 bits in a DBC file
 _NODES: Final = {"payload": "PAYLOAD", "vehicle": "VEHICLE"}

@@ -17,7 +17,6 @@ transfer, or halves of two, are nothing.
 
 from __future__ import annotations
 
-import math
 from binascii import crc_hqx
 from collections.abc import Callable, Iterator
 from itertools import islice
@@ -26,6 +25,7 @@ from zlib import crc32
 
 from auv_mcm.records import ContactClass
 from drivers.links.can_frame import CanFrame
+from drivers.vehicle.can_signals import Signal, code, length, number, packed, share, unpacked
 
 FRAME_BYTES: Final = 8  # of a classic CAN frame
 HEAD_BYTES: Final = 2  # of a frame of a transfer: part, sequence
@@ -192,28 +192,6 @@ Record: TypeAlias = (
 )
 
 
-class Signal(NamedTuple):
-    """Describe one number.
-
-    scale: of a quantity; None: whole. low, high: what it may be. names: of a code's values from 0 on.
-    """
-
-    name: str
-    n_bytes: int
-    low: float
-    high: float
-    comment: str
-    scale: float | None = None
-    unit: str = ""
-    signed: bool = False
-    names: tuple[str, ...] = ()
-
-    @property
-    def unavailable(self) -> int:
-        """Return the number that stands for an unknown quantity."""
-        return (1 << 8 * self.n_bytes - self.signed) - 1
-
-
 class PlacedSignal(NamedTuple):
     """Place a signal in a message. part: of its transfer, 0 where there is one frame. first_byte: in the frame."""
 
@@ -272,7 +250,7 @@ def encode(record: Record, address: int, sequence: int = 0) -> list[CanFrame]:
     message = BY_RECORD[type(record)]
     values = iter(record)
     can_id = can_id_of(message, address)
-    contents = [b"".join(map(_packed, signals, islice(values, len(signals)))) for signals in message.parts]
+    contents = [b"".join(map(packed, signals, islice(values, len(signals)))) for signals in message.parts]
     if not message.is_transfer:
         content = contents[0].ljust(FRAME_BYTES - CRC16_BYTES, b"\xff")
         return [CanFrame(can_id, content + crc16(message.number, address, content).to_bytes(CRC16_BYTES, "little"))]
@@ -295,7 +273,7 @@ def decode(message: CanMessage, contents: list[bytes]) -> Record:
     values = []
     for part, first_byte, signal in message.placed:
         at = first_byte - start
-        values.append(_unpacked(signal, contents[part][at : at + signal.n_bytes]))
+        values.append(unpacked(signal, contents[part][at : at + signal.n_bytes]))
     return message.make(*values)
 
 
@@ -314,49 +292,6 @@ def goes_on(counter: int, last: int) -> bool:
     return 0 < (counter - last) % N_NUMBERS < N_NUMBERS // 2
 
 
-def _packed(signal: Signal, value: float) -> bytes:
-    if signal.scale is None:
-        is_within = signal.low <= value <= signal.high
-        raw = int(value) if is_within else 0
-    elif math.isnan(value):
-        is_within, raw = True, signal.unavailable
-    else:
-        raw = round(value / signal.scale) if math.isfinite(value) else signal.unavailable
-        is_within = round(signal.low / signal.scale) <= raw <= round(signal.high / signal.scale)
-    if not is_within:
-        raise ValueError(f"{signal.name}: {value} is not within {signal.low} to {signal.high}")
-    return raw.to_bytes(signal.n_bytes, "little", signed=signal.signed)
-
-
-def _unpacked(signal: Signal, data: bytes) -> float:
-    raw = int.from_bytes(data, "little", signed=signal.signed)
-    if signal.scale is None:
-        low, high = signal.low, signal.high
-    elif raw == signal.unavailable:
-        return math.nan
-    else:
-        low, high = round(signal.low / signal.scale), round(signal.high / signal.scale)
-    if not low <= raw <= high:
-        raise ValueError(f"{signal.name}: {raw} is not within {low} to {high}")
-    return raw if signal.scale is None else raw * signal.scale
-
-
-def _code(name: str, names: tuple[str, ...], comment: str) -> Signal:
-    return Signal(name, 1, 0, len(names) - 1, comment, names=names)
-
-
-def _number(name: str, n_bytes: int, comment: str) -> Signal:
-    return Signal(name, n_bytes, 0, (1 << 8 * n_bytes) - 1, comment)
-
-
-def _share(name: str, comment: str) -> Signal:
-    return Signal(name, 2, 0.0, 1.0, comment, 2e-5)
-
-
-def _length(name: str, comment: str, high: float = 65.53) -> Signal:
-    return Signal(name, 2, 0.0, high, comment, 1e-3, "m")
-
-
 _LATITUDE: Final = Signal("latitude_deg", 4, -90.0, 90.0, "WGS 84, north positive", 1e-7, "deg", signed=True)
 _LONGITUDE: Final = Signal("longitude_deg", 4, -180.0, 180.0, "WGS 84, east positive", 1e-7, "deg", signed=True)
 _HEADING: Final = Signal("heading_rad", 2, 0.0, 6.2832, "clockwise from true north; a full turn is 0", 1e-4, "rad")
@@ -365,14 +300,14 @@ _DEPTH: Final = Signal("depth_m", 4, 0.0, 12_000.0, "below the surface", 1e-3, "
 _VERTICAL: Final = Signal(
     "vertical_m", 4, 0.0, 12_000.0, "rounded to the shallower: altitudes up, depths down", 1e-3, "m"
 )
-_REFERENCE: Final = _code("vertical_reference", REFERENCES, "vertical_m is below the surface, or above the sea floor")
+_REFERENCE: Final = code("vertical_reference", REFERENCES, "vertical_m is below the surface, or above the sea floor")
 _VALID: Final = Signal("valid_s", 1, 0.0, 25.0, "expires this long after its last frame, unless repeated", 0.1, "s")
-_COMMAND_NUMBER: Final = _number(
+_COMMAND_NUMBER: Final = number(
     "command_number", 1, "goes on by 1 for a command unlike the one before, not for a repetition"
 )
-_REQUEST_NUMBER: Final = _number("request_number", 1, "of the request in whose grant it is given; refused in any other")
+_REQUEST_NUMBER: Final = number("request_number", 1, "of the request in whose grant it is given; refused in any other")
 _REASON: Final = Signal("reason", 1, 0, 255, "why the grant is what it is; readers take any number", names=REASONS)
-_COUNTER: Final = _number(
+_COUNTER: Final = number(
     "counter", 1, "goes on by 1 with every frame; one that does not, or goes back, does not count as a sign of life"
 )
 
@@ -389,10 +324,10 @@ MESSAGES: Final = (
         f"counter. Without one for {PAYLOAD_SILENT_S:g} s the vehicle takes control back.",
         (
             (
-                _code("health", HEALTH_STATES, "fault: it works, degraded. failure: do not rely on it"),
-                _code("authority", AUTHORITY_STATES, "as the payload sees it"),
-                _code("demand", DEMANDS, "request: as long as it is repeated. release: ends control at once"),
-                _number("request_number", 1, "of the request that is made or was made last; 0: none yet"),
+                code("health", HEALTH_STATES, "fault: it works, degraded. failure: do not rely on it"),
+                code("authority", AUTHORITY_STATES, "as the payload sees it"),
+                code("demand", DEMANDS, "request: as long as it is repeated. release: ends control at once"),
+                number("request_number", 1, "of the request that is made or was made last; 0: none yet"),
                 _COUNTER,
             ),
         ),
@@ -439,28 +374,28 @@ MESSAGES: Final = (
         "identify a repetition. Sizes, errors and depths too large are sent as the largest value.",
         (
             (
-                _number("ticket", 2, "repeated in the answer; 1 to 65535"),
-                _number("number", 4, "of the contact in its session"),
+                number("ticket", 2, "repeated in the answer; 1 to 65535"),
+                number("number", 4, "of the contact in its session"),
             ),
             (
-                _number("session", 4, "of the run that numbers its contacts"),
-                _number("revision", 2, "which report of the contact; 1 the first"),
+                number("session", 4, "of the run that numbers its contacts"),
+                number("revision", 2, "which report of the contact; 1 the first"),
             ),
             (Signal("time_s", 6, 0.0, 1e11, "UTC since 1970 of the first view", 1e-3, "s"),),
             (
                 _LATITUDE,
                 Signal("sigma_m", 2, 0.0, 655.0, "1-sigma, semi-major axis of the position's error ellipse", 0.01, "m"),
             ),
-            (_LONGITUDE, _share("p_mine", "probability of a mine")),
+            (_LONGITUDE, share("p_mine", "probability of a mine")),
             (
                 _DEPTH._replace(comment="of the sea floor below the surface"),
-                _code("classification", CLASSES, "the likeliest class"),
-                _number("n_views", 1, "number of views; 255 stands for 255 or more"),
+                code("classification", CLASSES, "the likeliest class"),
+                number("n_views", 1, "number of views; 255 stands for 255 or more"),
             ),
-            tuple(_length(f"{axis}_m", "of the object") for axis in ("length", "width", "height")),
-            tuple(_length(f"{axis}_sigma_m", "1-sigma") for axis in ("length", "width", "height")),
-            tuple(_share(f"belief_{name}", "mass; of all classes together 1 within rounding") for name in CLASSES[:3]),
-            tuple(_share(f"belief_{name}", "mass; of all classes together 1 within rounding") for name in CLASSES[3:]),
+            tuple(length(f"{axis}_m", "of the object") for axis in ("length", "width", "height")),
+            tuple(length(f"{axis}_sigma_m", "1-sigma") for axis in ("length", "width", "height")),
+            tuple(share(f"belief_{name}", "mass; of all classes together 1 within rounding") for name in CLASSES[:3]),
+            tuple(share(f"belief_{name}", "mass; of all classes together 1 within rounding") for name in CLASSES[3:]),
             (),
         ),
     ),
@@ -474,8 +409,8 @@ MESSAGES: Final = (
         "Why the payload's health is as it is, for people: up to 44 bytes of UTF-8, filled up with zeros. Also sent "
         "when it changes.",
         (
-            *((_number(f"text_{n}", 6, "first byte least significant"),) for n in range(1, 8)),
-            (_number("text_8", 2, "first byte least significant"),),
+            *((number(f"text_{n}", 6, "first byte least significant"),) for n in range(1, 8)),
+            (number("text_8", 2, "first byte least significant"),),
         ),
     ),
     CanMessage(
@@ -489,11 +424,11 @@ MESSAGES: Final = (
         f"{VEHICLE_SILENT_S:g} s the payload has no control and sends no command.",
         (
             (
-                _code("grant", GRANTS, "withheld answers the request of that number; a new try needs a new number"),
+                code("grant", GRANTS, "withheld answers the request of that number; a new try needs a new number"),
                 _REASON,
-                _number("request_number", 1, "of the payload's request that this answers; 0: none heard"),
-                _code("command_state", COMMAND_STATES, "what has become of the command"),
-                _number("command_number", 1, "of the command that was heard last"),
+                number("request_number", 1, "of the payload's request that this answers; 0: none heard"),
+                code("command_state", COMMAND_STATES, "what has become of the command"),
+                number("command_number", 1, "of the command that was heard last"),
                 _COUNTER,
             ),
         ),
@@ -528,8 +463,8 @@ MESSAGES: Final = (
         "repetitions too.",
         (
             (
-                _number("ticket", 2, "of the report"),
-                _number(
+                number("ticket", 2, "of the report"),
+                number(
                     "report_crc",
                     2,
                     "lower 16 bits of the report's CRC, so that no other report with this ticket is meant",

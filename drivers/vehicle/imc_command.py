@@ -10,7 +10,8 @@ from typing import Final, Literal
 from auv_mcm.records import NAN
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import Vertical, WireCommand
-from drivers.vehicle.imc_messages import RefFlag, ZUnits, decode, number_of
+from drivers.vehicle.imc_codec import decode, number_of
+from drivers.vehicle.imc_messages import RefFlag, ZUnits
 from drivers.vehicle.imc_wire import ImcGrammar
 
 _REFERENCE: Final = number_of(imc.Reference)

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.framing import Grammar, Refused
+from drivers.vehicle.imc_codec import LAYOUTS, MAX_PAYLOAD_BYTES, Order, encode, in_limits, number_of
 from drivers.vehicle.imc_crc import RunningRemainder, crc16_arc
-from drivers.vehicle.imc_messages import LAYOUTS, MAX_PAYLOAD_BYTES, ImcMessage, Order, encode, in_limits, number_of
+from drivers.vehicle.imc_messages import ImcMessage
 
 SYNC: Final = 0xFE54  # first two bytes of a packet; their order gives the byte order (IMC 5.4)
 ANYONE: Final = 0xFFFF  # destination: all

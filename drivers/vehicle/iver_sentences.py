@@ -15,7 +15,8 @@ from typing import Any, Final, NamedTuple
 
 from auv_mcm.settings.vehicle_settings import IverSettings
 from drivers.navigation.nmea0183 import NmeaGrammar, sentence
-from drivers.navigation.sentences import KNOT_MPS, Codec, Sentence
+from drivers.navigation.sentence_fields import Codec
+from drivers.navigation.sentences import KNOT_MPS, Sentence
 from drivers.vehicle.ascii_fields import (
     CENTI,
     CONTACT,

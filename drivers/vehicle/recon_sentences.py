@@ -20,7 +20,8 @@ from auv_mcm.settings.vehicle_settings import ReconSettings
 from drivers.framing import Grammar
 from drivers.message_candidates import MessageCandidates
 from drivers.navigation.nmea0183 import BYTE_OF_HEX, MAX_SENTENCE_BYTES
-from drivers.navigation.sentences import Codec, Sentence
+from drivers.navigation.sentence_fields import Codec
+from drivers.navigation.sentences import Sentence
 from drivers.vehicle.ascii_fields import (
     CLOCK,
     CONTACT,

@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.georeference import EchoGeometry, locate
-from auv_mcm.geometry.navigation import slice_pose
+from auv_mcm.geometry.pose_track import slice_pose
 from auv_mcm.records import Side
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config

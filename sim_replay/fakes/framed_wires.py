@@ -24,7 +24,7 @@ from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader
 from drivers.sonar.ping_messages import AsciiText, OsMonoProfile
 from drivers.sonar.ping_protocol import PingGrammar
-from drivers.vehicle import bluefin_sentences, can_messages, imc_messages, iver_sentences, recon_sentences
+from drivers.vehicle import bluefin_sentences, can_messages, imc_codec, imc_messages, iver_sentences, recon_sentences
 from drivers.vehicle.bluefin_sentences import BluefinGrammar
 from drivers.vehicle.can_receiver import CanReceiver
 from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, to_wire
@@ -160,7 +160,7 @@ def _imc_messages(random: np.random.Generator, n: int) -> list[bytes]:
     """Make packets of a vehicle in either byte order, some of kinds that the reader does not know."""
     wired = []
     for number in range(n):
-        order: imc_messages.Order = ">" if random.random() < 0.2 else "<"
+        order: imc_codec.Order = ">" if random.random() < 0.2 else "<"
         message: imc_messages.ImcMessage
         if number % 4 == 0:
             message = imc_messages.EstimatedState(*random.uniform(-1.5, 1.5, 2), *random.normal(0.0, 10.0, 18))
@@ -176,9 +176,9 @@ def _imc_messages(random: np.random.Generator, n: int) -> list[bytes]:
                 )
             )
             continue
-        payload = imc_messages.encode(message, order)
+        payload = imc_codec.encode(message, order)
         wired.append(
-            to_wire(ImcPacket(imc_messages.number_of(type(message)), payload, 0x1E, time_s=float(number), order=order))
+            to_wire(ImcPacket(imc_codec.number_of(type(message)), payload, 0x1E, time_s=float(number), order=order))
         )
     return wired
 

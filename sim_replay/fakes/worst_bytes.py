@@ -15,7 +15,7 @@ from drivers.links import slcan
 from drivers.links.can_frame import CanFrame
 from drivers.sonar import ping_messages
 from drivers.vehicle import can_messages
-from drivers.vehicle.imc_messages import MAX_PAYLOAD_BYTES
+from drivers.vehicle.imc_codec import MAX_PAYLOAD_BYTES
 
 _IGX: Final = (
     b"IGX\x10\xfc\x00\x03\x1e\x00\x00\x10\x03"  # its status is the terminator of another that begins 408 bytes before

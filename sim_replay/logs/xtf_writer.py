@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NAN, SIDES, EchoTrace, NavSample, Ping, Side
 from auv_mcm.safe_files import replacing
-from sim_replay.logs.xtf import KNOT_MPS
+from sim_replay.logs.xtf_fields import KNOT_MPS
 from sim_replay.logs.xtf_header import LATITUDE_LONGITUDE, PORT, STARBOARD
 
 SampleType: TypeAlias = Literal["uint8", "uint16", "float32"]

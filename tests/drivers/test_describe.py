@@ -23,7 +23,7 @@ from drivers.ports import read_ports
 from drivers.sonar.jsf_messages import DATA_HEADER, SideScanHeader
 from drivers.sonar.ping_messages import FIXED_LAYOUTS, PROFILE_FIELDS, PROFILE_HEADER
 from drivers.vehicle.can_messages import MESSAGES as CAN_MESSAGES
-from drivers.vehicle.imc_messages import LAYOUTS
+from drivers.vehicle.imc_codec import LAYOUTS
 from drivers.vehicle.vehicles import VEHICLES
 from tests.drivers.port_traffic import PORTS, config_of
 

@@ -14,7 +14,7 @@ from auv_mcm.records import Contact, CoveragePatch, NavSample, Notice, Ping, Sou
 from auv_mcm.settings.config import Config
 from drivers.navigation.corrections import offset_m
 from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
+from sim_replay.simulator.scene import EXACT, Lawnmower, Scene, SceneObject, Sonar, Track
 
 RANGE_M: Final = 20.0
 HEADING_DEG: Final = 20.0
@@ -47,7 +47,7 @@ def line() -> Line:
     )
     sonar = Sonar(range_m=RANGE_M, n_samples=500, ping_rate_hz=10.0, beam_lines=3)
     track = Track(plan=Lawnmower(heading_deg=HEADING_DEG, n_legs=1, leg_m=40.0), altitude_m=5.0)
-    mission = Mission(Scene(objects=objects, sonar=sonar, track=track))
+    mission = Mission(Scene(objects=objects, sonar=sonar, track=track, navigation_error=EXACT))
     events = tuple(mission.events())
     truth = mission.truth()
     return Line(

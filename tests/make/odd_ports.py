@@ -23,8 +23,9 @@ from drivers.ports import read_ports
 from drivers.sonar.jsf import JsfGrammar
 from drivers.sonar.jsf_messages import DATA_HEADER, JsfMessage, SideScanHeader, Validity
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
-from drivers.sonar.ping_messages import NMEA_WRAPPER, JsonWrapper, PingMessage, encode
+from drivers.sonar.ping_messages import NMEA_WRAPPER, JsonWrapper, OsMonoProfile, PingMessage, decode, encode
 from drivers.sonar.ping_messages import to_wire as ping_wire
+from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.fakes.device import SONARS
 from sim_replay.fakes.sonar import DeviceTime
 from tests.make.odd_line import RANGE_M, line
@@ -32,16 +33,17 @@ from tests.make.odd_line import RANGE_M, line
 UTC_S: Final = 1_790_000_000.0  # 2026-09: no rollover by itself
 _MONO_S: Final = 5000.0
 _WEEKS_S: Final = 1024 * 7 * 86_400.0
-_SPEEDS: Final = {"right": 1.0, "zero": 0.0, "thrice": 3.0}
-_AHEAD_S: Final = {"ahead_60_s": 60.0, "ahead_20_min": 1200.0}
+_SPEEDS: Final = {"right": 1.0, "zero": 0.0, "half": 0.5144, "thrice": 3.0, "tenth": 0.1}
+_AHEAD_S: Final = {"ahead_60_s": 60.0, "ahead_20_min": 1200.0, "behind_3_min": -180.0}
+_PERIODS_S: Final = {"each_second": 1.0, "each_5_s": 5.0}
 _BACK_S: Final = {"rollover": _WEEKS_S, "two_rollovers": 2.0 * _WEEKS_S}
 _VARIATION_DEG: Final = 12.0
 _KNOT_MPS: Final = 1852.0 / 3600.0
 
 
 def scattered(sample: NavSample, random: np.random.Generator) -> NavSample:
-    """Move a position by 0.1 m on each axis or so."""
-    east_m, north_m = random.normal(0.0, 0.1, 2)
+    """Move a position by 0.3 m on each axis or so."""
+    east_m, north_m = random.normal(0.0, 0.3, 2)
     latitude, longitude = moved(sample.latitude_deg, sample.longitude_deg, float(east_m), float(north_m))
     return structs.replace(sample, latitude_deg=latitude, longitude_deg=longitude)
 
@@ -78,6 +80,7 @@ def _sentences(sample: NavSample, values: dict[str, str], gives_position: bool) 
         "THS": Ths(heading, "A"),
         "HDG": Hdg(magnetic, math.nan, variation),
         "HDM_RMC": Hdm(magnetic),
+        "HDM": Hdm(magnetic),
         "PSAT": Hpr(day_s, heading, 0.0, 0.0, "N"),
         "PTNL": Avr(day_s, heading, 0.0, math.nan, 1.0, 3.0),
         "PFEC": Gpatt(heading, 0.0, 0.0),
@@ -100,7 +103,7 @@ ports:
         sonar.heard(command, DeviceTime(0.0, UTC_S))
     events = line().events
     start_s, last_fix_s = events[0].time_s, -math.inf
-    period_s = 1.0 if values["position"] == "each_second" else 0.0
+    period_s = _PERIODS_S.get(values["position"], 0.0)
     for event in events:
         at_s = round(event.time_s - start_s, 3)
         if isinstance(event, NavSample):
@@ -111,8 +114,28 @@ ports:
             last_fix_s = at_s if gives_position else last_fix_s
             yield at_s, "nav", _sentences(sample, values, gives_position)
             continue
-        for message in sonar.ping(event, DeviceTime(77.0 + at_s, UTC_S + at_s)):
+        messages = sonar.ping(event, DeviceTime(77.0 + at_s, UTC_S + at_s))
+        for message in _profiles(messages, values["sides"]) if kind == "ping_protocol" else messages:
             yield at_s + 2.0 * RANGE_M / event.sound_speed_mps, "sonar", message
+
+
+def _profiles(messages: list[bytes], sides: str) -> Iterator[bytes]:
+    """Give the profiles of a ping other channels, look angles or frequencies; port comes first."""
+    framer = Framer(PingGrammar())
+    profiles = [decode(framed.message) for message in messages for framed in framer.feed(message)]
+    for place, profile in enumerate(profiles):
+        assert isinstance(profile, OsMonoProfile)
+        if "from_one" in sides:
+            profile = profile._replace(channel_number=place + 1)
+        elif "zeros" in sides:
+            profile = profile._replace(channel_number=0)
+        elif "exchanged" in sides:
+            profile = profile._replace(channel_number=1 - place)
+        if "angles" in sides:
+            profile = profile._replace(transducer_heading_deg=(-90.0, 90.0)[place])
+        if "frequencies" in sides:
+            yield encode(profile._replace(ping_hz=100_000, pwr_results=profile.pwr_results[::2] // 2))
+        yield encode(profile)
 
 
 def write_svlog(path: Path, values: dict[str, str], seed: int) -> None:
@@ -163,7 +186,7 @@ def write_jsf(path: Path, values: dict[str, str]) -> None:
             for framed in Framer(JsfGrammar()).feed(data + bytes(16)):
                 if values["position"] == "header" or at_s - held_s >= 5.0:
                     held, held_s = sample, at_s
-                parts.append(_jsf_ping(framed.message, sample, held, values))
+                parts += _jsf_sides(framed.message, _jsf_ping(framed.message, sample, held, values), values)
     path.write_bytes(b"".join(parts))
 
 
@@ -185,7 +208,23 @@ def _jsf_navigation(sample: NavSample, values: dict[str, str], at_s: float) -> l
     return parts
 
 
-def _jsf_ping(message: JsfMessage, sample: NavSample, held: NavSample, values: dict[str, str]) -> bytes:
+def _jsf_sides(message: JsfMessage, filled: JsfMessage, values: dict[str, str]) -> Iterator[bytes]:
+    """Write a side of a ping under another channel, beside another frequency, or behind a large message."""
+    match values["sides"]:
+        case "zeros":
+            filled = filled._replace(channel=0)
+        case "from_one":
+            filled = filled._replace(channel=message.channel + 1)
+        case "frequencies":
+            low = SideScanHeader(*DATA_HEADER.unpack_from(filled.body))
+            low = low._replace(start_frequency_dahz=10_000, end_frequency_dahz=10_000)
+            yield jsf_wire(filled._replace(subsystem=20, body=DATA_HEADER.pack(*low) + filled.body[DATA_HEADER.size :]))
+        case "bathymetry":
+            yield jsf_wire(JsfMessage(3000, _jsf_time(0.0, values) + bytes(18_000), subsystem=40))
+    yield jsf_wire(filled)
+
+
+def _jsf_ping(message: JsfMessage, sample: NavSample, held: NavSample, values: dict[str, str]) -> JsfMessage:
     """Fill in what a sonar's message says of the vehicle; held: the newest position that it was given."""
     header = SideScanHeader(*DATA_HEADER.unpack_from(message.body))
     validity = header.validity
@@ -216,4 +255,4 @@ def _jsf_ping(message: JsfMessage, sample: NavSample, held: NavSample, values: d
                 second=when.second,
             )
     body = DATA_HEADER.pack(*header._replace(validity=validity)) + message.body[DATA_HEADER.size :]
-    return jsf_wire(message._replace(body=body, version=7 if values["clock"] == "version_7" else message.version))
+    return message._replace(body=body, version=7 if values["clock"] == "version_7" else message.version)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import shutil
+import socket
+import threading
 from pathlib import Path
 
 import pytest
@@ -10,8 +13,12 @@ import pytest
 from auv_mcm.clock import Stamp
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Notice
-from auv_mcm.settings.config import Config
+from auv_mcm.settings.config import Config, parse_config
+from drivers.framing import Framer
 from drivers.navigation.nav_protocols import text_decoder
+from drivers.port_check import port_findings
+from drivers.sonar.ping_messages import OsMonoProfile, decode, encode
+from drivers.sonar.ping_protocol import PingGrammar
 from sim_replay.logs.recorded import RecordedMission
 
 WILD = Path(__file__).parents[3] / "shared" / "data" / "wild"
@@ -51,3 +58,35 @@ def test_the_json_of_a_water_linked_dvl_gives_velocity_altitude_and_yaw() -> Non
     assert fixes[0].speed_mps == pytest.approx(1.78, abs=0.01)
     assert fixes[0].altitude_m == pytest.approx(5.9)
     assert math.degrees(fixes[1].heading_rad) == pytest.approx(53.9)
+
+
+def test_a_log_under_two_names_gives_every_contact_and_all_floor_once(tmp_path: Path) -> None:
+    log = WILD / "xtf-channel-number-zero" / "chnum0.xtf"
+    copy = shutil.copy(log, tmp_path / "a copy.xtf")
+    one, two = (RecordedMission(paths, Config()) for paths in ([log], [log, Path(copy)]))
+    assert [notice.code for notice in two.notices] == ["log_repeated"]
+    assert sum(1 for _ in two.events()) == 1 + sum(1 for _ in one.events())  # the notice
+
+
+def test_check_ends_in_one_line_of_a_sonar_that_pings_as_soon_as_it_is_connected(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    data = (WILD / "svlog-side-in-look-angle" / "stbd_on_channel0.svlog").read_bytes()
+    messages = [decode(framed.message) for framed in Framer(PingGrammar()).feed(data)]
+    heads = [message for message in messages if isinstance(message, OsMonoProfile)]
+    profiles = b"".join(encode(head._replace(channel_number=1)) for head in heads)  # as its look angle says
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.sendall(profiles)
+                connection.recv(1)  # until the check hangs up
+
+        threading.Thread(target=serve, daemon=True).start()
+        link = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        config = parse_config(f"ports: [{{name: sonar, link: '{link}', device: ping_protocol}}]", "vehicle.yaml")
+        (found,) = port_findings(config, 1.0)
+    assert (found.verdict, found.name) == ("ok", "port sonar")
+    assert "pings of starboard, 580 samples a side to 22.7 m" in found.detail
+    assert capsys.readouterr().err == ""

@@ -13,7 +13,8 @@ from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.framing import StampedFramer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import ReportedState, VehicleMessage, fix_of
-from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, decode
+from drivers.vehicle.imc_codec import LAYOUTS, decode
+from drivers.vehicle.imc_messages import ImcMessage
 from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket
 
 VEHICLE_TYPES: Final = frozenset({2, 3})  # Announce.sys_type: under water, on the surface

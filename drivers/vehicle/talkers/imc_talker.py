@@ -41,6 +41,7 @@ from drivers.vehicle.dialect import (
     WireCommand,
     Withheld,
 )
+from drivers.vehicle.imc_codec import number_of
 from drivers.vehicle.imc_command import command_in
 from drivers.vehicle.imc_contact import imc_contact_of, target_of
 from drivers.vehicle.imc_messages import (
@@ -54,7 +55,6 @@ from drivers.vehicle.imc_messages import (
     RefFlag,
     RefState,
     ZUnits,
-    number_of,
 )
 from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, packed
 from drivers.vehicle.sender_clock import SenderClock

@@ -17,9 +17,9 @@ from auv_mcm.records import NavSample
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import Command, ContactReport, GoTo, Vertical
+from drivers.vehicle.imc_codec import LAYOUTS, decode, number_of
 from drivers.vehicle.imc_contact import report_from_imc
 from drivers.vehicle.imc_messages import (
-    LAYOUTS,
     EntityStatus,
     ImcMessage,
     OpMode,
@@ -30,8 +30,6 @@ from drivers.vehicle.imc_messages import (
     RefFlag,
     RefState,
     ZUnits,
-    decode,
-    number_of,
 )
 from drivers.vehicle.imc_wire import ANY_ENTITY, ANYONE, ImcGrammar, ImcPacket, packed, to_wire
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
-from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.geometry.pose_track import interpolate_track
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SEABED_TYPES, SeabedType, Tile
 from auv_mcm.seabed.texture import Texture, measure_texture

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.coverage import CoverageGrid, cover_tile
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.georeference import EchoGeometry, locate
-from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.geometry.pose_track import interpolate_track
 from auv_mcm.records import SEABED_TYPES, TURN, VALID, SeabedCells, Side, SurveyedCells, Tile
 from auv_mcm.settings.config import SonarConfig
 from tests.auv_mcm.clearance.covered_tiles import COLUMN_M, FIRST_RETURN_M, ROW_M, plain, tile_of, track

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from auv_mcm.geometry.bridging import MAX_HOLE_S
 from auv_mcm.geometry.geodesy import LocalFrame, geodetic_to_ecef
-from auv_mcm.geometry.navigation import NavBuffer, interpolate_track
+from auv_mcm.geometry.navigation import NavBuffer
+from auv_mcm.geometry.pose_track import interpolate_track
 from auv_mcm.records import NAN, NavSample, PoseTrack
 from auv_mcm.settings.config import NavigationConfig
 

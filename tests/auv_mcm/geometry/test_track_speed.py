@@ -98,9 +98,41 @@ def test_fixes_five_seconds_apart_are_bridged(speed_mps: float) -> None:
     assert 0.0 < track.position_sigma_m[bridged].max() < 1.0
 
 
-def test_a_heading_of_zero_everywhere_gives_way_to_the_course() -> None:
+@pytest.mark.parametrize("heading_rad", [NAN, 0.0])
+def test_the_course_bridges_fixes_five_seconds_apart_where_no_heading_is_known(heading_rad: float) -> None:
+    events = [msgspec.structs.replace(one, heading_rad=heading_rad, speed_mps=NAN) for one in samples(NAN, fix_s=5.0)]
+    track = flown(NavBuffer(NavigationConfig()), *events)
+    places = FRAME.to_enu(track.latitude_deg, track.longitude_deg, 0.0)[:, :2]
+    way_m = SPEED_MPS * np.arange(0.0, 59.0, 0.5)
+    expected = way_m[:, None] * np.array([math.sin(HEADING_RAD), math.cos(HEADING_RAD)])
+    assert not track.stale[12:100].any()
+    np.testing.assert_allclose(places[12:100], expected[12:100], atol=0.05)
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, math.tau])
+def test_a_heading_of_zero_everywhere_gives_way_to_the_course(heading_rad: float) -> None:
     buffer = NavBuffer(NavigationConfig())
-    events = [msgspec.structs.replace(event, heading_rad=0.0) for event in samples(SPEED_MPS)]
-    track = flown(buffer, *events)
-    np.testing.assert_allclose(track.heading_rad, HEADING_RAD, atol=math.radians(2.0))
+    events = [msgspec.structs.replace(event, heading_rad=heading_rad) for event in samples(SPEED_MPS)]
+    off_rad = flown(buffer, *events).heading_rad - HEADING_RAD  # but for whole turns
+    np.testing.assert_allclose(np.cos(off_rad), 1.0, atol=1.0 - math.cos(math.radians(2.0)))
     assert codes(buffer) == ["navigation.heading_zero"]
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.1, 3.0])
+def test_fixes_five_seconds_apart_judge_speed_and_a_heading_of_zero(factor: float) -> None:
+    buffer = NavBuffer(NavigationConfig())
+    events = [msgspec.structs.replace(event, heading_rad=0.0) for event in samples(factor * SPEED_MPS, fix_s=5.0)]
+    track = flown(buffer, *events)
+    known = slice(4, 110)  # the first course stands in the middle of the second hole
+    np.testing.assert_allclose(track.heading_rad[known], HEADING_RAD, atol=math.radians(2.0))
+    np.testing.assert_allclose(track.speed_mps[known], SPEED_MPS, rtol=0.05)
+    assert set(codes(buffer)) == {"navigation.heading_zero", "navigation.speed_off_track"}
+
+
+@pytest.mark.parametrize(("off_deg", "expected"), [(10.0, []), (25.0, ["navigation.heading_off_course"])])
+def test_a_heading_that_stands_still_beside_the_course_is_reported(off_deg: float, expected: list[str]) -> None:
+    buffer = NavBuffer(NavigationConfig())
+    heading_rad = HEADING_RAD + math.radians(off_deg)
+    track = flown(buffer, *(msgspec.structs.replace(one, heading_rad=heading_rad) for one in samples(SPEED_MPS)))
+    np.testing.assert_allclose(track.heading_rad, heading_rad)
+    assert codes(buffer) == expected

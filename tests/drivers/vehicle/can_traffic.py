@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
-from drivers.vehicle.can_messages import MESSAGES, CanMessage, Record, Signal
+from drivers.vehicle.can_messages import MESSAGES, CanMessage, Record
+from drivers.vehicle.can_signals import Signal
 
 
 def at(seconds: float) -> Stamp:

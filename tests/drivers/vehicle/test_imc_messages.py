@@ -15,8 +15,21 @@ from hypothesis import strategies as st
 
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import ContactReport
+from drivers.vehicle.imc_codec import (
+    LAYOUTS,
+    MAX_DEPTH,
+    MAX_TEXT_BYTES,
+    Many,
+    Numbers,
+    One,
+    Order,
+    decode,
+    encode,
+    in_limits,
+    number_of,
+)
 from drivers.vehicle.imc_contact import CLASSES, imc_contact_of, report_from_imc, target_of
-from drivers.vehicle.imc_messages import LAYOUTS, ImcMessage, Many, Numbers, One, decode, encode, number_of
+from drivers.vehicle.imc_messages import ImcMessage
 from drivers.vehicle.imc_wire import HEADER_BYTES, ImcPacket, packed, to_wire
 
 NEEDS_IMCPY = pytest.mark.skipif(
@@ -109,11 +122,11 @@ MESSAGES = st.sampled_from([layout.kind for layout in LAYOUTS.values()]).flatmap
 
 
 @given(message=MESSAGES, order=st.sampled_from(["<", ">"]))
-def test_what_is_written_is_read_again_in_either_byte_order(message: ImcMessage, order: imc.Order) -> None:
+def test_what_is_written_is_read_again_in_either_byte_order(message: ImcMessage, order: Order) -> None:
     payload = encode(message, order)
     again = decode(number_of(type(message)), payload, order)
     assert repr(again) == repr(message)  # NaN is not equal to itself
-    assert imc.in_limits(number_of(type(message)), len(payload))
+    assert in_limits(number_of(type(message)), len(payload))
 
 
 def reported_by_imcpy(message: ImcMessage) -> Any:
@@ -145,7 +158,7 @@ def test_imcpy_writes_and_reads_the_same(message: ImcMessage) -> None:
 
 
 @given(number=st.sampled_from(sorted(LAYOUTS)), payload=st.binary(max_size=200), order=st.sampled_from(["<", ">"]))
-def test_any_payload_is_a_message_or_refused_as_such(number: int, payload: bytes, order: imc.Order) -> None:
+def test_any_payload_is_a_message_or_refused_as_such(number: int, payload: bytes, order: Order) -> None:
     with suppress(ValueError):
         assert number_of(type(decode(number, payload, order))) == number
 
@@ -164,7 +177,7 @@ def test_a_damaged_payload_is_a_message_or_refused(message: ImcMessage, data: st
 
 def test_messages_inside_messages_end_somewhere() -> None:
     message = imc.PlanControl(0, 0, 1, "")
-    for _ in range(imc.MAX_DEPTH):
+    for _ in range(MAX_DEPTH):
         message = imc.PlanControl(0, 0, 1, "", arg=message)
     assert decode(559, encode(message)) == message
     with pytest.raises(ValueError, match="deeper"):
@@ -184,7 +197,7 @@ def test_a_message_inside_another_must_be_of_the_kind_that_belongs_there() -> No
 def test_long_texts_are_cut() -> None:
     again = decode(1, encode(imc.EntityState(1, 0, "ä" * 5000)))
     assert isinstance(again, imc.EntityState)
-    assert again.description == "ä" * (imc.MAX_TEXT_BYTES // 2)
+    assert again.description == "ä" * (MAX_TEXT_BYTES // 2)
 
 
 def a_report(**changes: Any) -> ContactReport:

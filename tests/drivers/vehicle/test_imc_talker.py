@@ -30,6 +30,7 @@ from drivers.vehicle.dialect import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.imc_codec import decode
 from drivers.vehicle.imc_contact import imc_contact_of
 from drivers.vehicle.imc_messages import (
     EntityStatus,
@@ -42,7 +43,6 @@ from drivers.vehicle.imc_messages import (
     RefFlag,
     RefState,
     ZUnits,
-    decode,
 )
 from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket, packed
 from drivers.vehicle.talkers.imc_talker import PLAN_ID

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
+from drivers.vehicle.imc_codec import MAX_PAYLOAD_BYTES, encode
 from drivers.vehicle.imc_crc import crc16_arc
-from drivers.vehicle.imc_messages import MAX_PAYLOAD_BYTES, encode
 from drivers.vehicle.imc_wire import ImcGrammar, ImcPacket, packed, to_wire
 
 HEARTBEAT = bytes.fromhex("54fe9600000000001040fc54d9410060051e00ff4a31")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import re
 import struct
 import zipfile
 from collections.abc import Callable
@@ -106,3 +107,18 @@ def test_the_name_of_a_readable_log_does_not_count(tmp_path: Path) -> None:
     path = tmp_path / "log.sdf"
     path.write_bytes(b"\x7b" + bytes(1023))
     assert find_format(path).name == "xtf"
+
+
+def test_the_page_of_formats_has_a_row_for_every_format_that_is_read_or_named() -> None:
+    page = (Path(__file__).parents[3] / "auv_mcm/docs/reference/interoperability.md").read_text("utf-8").lower()
+    lines = page[page.index("## formats") : page.index("## sides and channels")].splitlines()
+
+    def words_of(outcome: str) -> set[str]:
+        return {word for line in lines if f"| {outcome}" in line for word in re.findall(r"[\w-]+", line)}
+
+    assert {{"session": "mcap"}.get(one.name, one.name) for one in FORMATS} <= words_of("read")
+    refused = words_of("refused")
+    for row in FOREIGN:
+        names = re.findall(r"\w+-\w+|\b\w*[A-Z]\w*\b|(?<=\()[\w-]+", row.title)
+        names += [suffix[1:] for suffix in row.suffixes]
+        assert {name.lower() for name in names} & refused, row.title

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyxtf
@@ -145,3 +145,76 @@ def same_trace(a: EchoTrace | None, b: EchoTrace | None) -> bool:
         and math.isclose(a.spacing_m, b.spacing_m, rel_tol=2e-7)
         and math.isclose(a.first_range_m, b.first_range_m, rel_tol=1e-6)
     )
+
+
+# --- channels, however packets hold them ---
+
+FOUR = [(1, "port", 100.0), (2, "stbd", 100.0), (1, "port", 450.0), (2, "stbd", 450.0)]
+
+
+class Stored(NamedTuple):
+    """One channel of one ping as a recorder writes it."""
+
+    header: bytearray
+    samples: bytes
+
+    def with_fields(self, **fields: Any) -> Stored:
+        header = bytearray(self.header)
+        view = pyxtf.XTFPingChanHeader.from_buffer(header)
+        for name, value in fields.items():
+            setattr(view, name, value)
+        del view
+        return Stored(header, self.samples)
+
+
+class StoredPing(NamedTuple):
+    """A ping's header, and its channels: port, starboard."""
+
+    header: bytes
+    sides: tuple[Stored, Stored]
+
+
+def stored(path: Path) -> tuple[bytearray, list[StoredPing]]:
+    """Take a plain log of two channels of 16 bit apart."""
+    data = path.read_bytes()
+    found = []
+    for offset in packet_offsets(data):
+        at, sides = offset + 256, []
+        for _ in range(2):
+            header = bytearray(data[at : at + 64])
+            n_bytes = 2 * pyxtf.XTFPingChanHeader.from_buffer(header).NumSamples
+            sides.append(Stored(header, data[at + 64 : at + 64 + n_bytes]))
+            at += 64 + n_bytes
+        found.append(StoredPing(data[offset : offset + 256], (sides[0], sides[1])))
+    return bytearray(data[:FILE_HEADER]), found
+
+
+def packet(header: bytes, channels: Sequence[Stored], **fields: Any) -> bytes:
+    """Write one packet of these channels."""
+    start = bytearray(header)
+    view = pyxtf.XTFPingHeader.from_buffer(start)
+    body = b"".join(bytes(channel.header) + channel.samples for channel in channels)
+    padding = -(len(start) + len(body)) % 64
+    view.NumChansToFollow, view.NumBytesThisRecord = len(channels), len(start) + len(body) + padding
+    for name, value in fields.items():
+        setattr(view, name, value)
+    del view
+    return bytes(start) + body + bytes(padding)
+
+
+def describe(head: bytearray, channels: Sequence[tuple[int, str, float]]) -> None:
+    """Describe channels in a file header: type, name, frequency."""
+    header = pyxtf.XTFFileHeader.from_buffer(head)
+    header.NumberOfSonarChannels = len(channels)
+    for number, (kind, name, frequency) in enumerate(channels):
+        info = header.ChanInfo[number]
+        info.TypeOfChannel, info.ChannelName, info.Frequency = kind, name.encode(), frequency
+        info.CorrectionFlags, info.UniPolar, info.BytesPerSample, info.SampleFormat = 1, 1, 2, 3
+        info.SubChannelNumber = number
+    del header, info
+
+
+def low(side: Stored) -> Stored:
+    """The same ping at a low frequency: an eighth of the samples, and darker."""
+    thin = np.frombuffer(side.samples, "<u2")[::8] // 4
+    return Stored(side.header, thin.astype("<u2").tobytes()).with_fields(NumSamples=thin.shape[0])

@@ -27,19 +27,9 @@ from drivers.vehicle.dialect import (
     Vertical,
     Withheld,
 )
+from drivers.vehicle.imc_codec import LAYOUTS, decode
 from drivers.vehicle.imc_contact import imc_contact_of
-from drivers.vehicle.imc_messages import (
-    LAYOUTS,
-    ImcMessage,
-    OpMode,
-    PlanOp,
-    PlanState,
-    PlanType,
-    Proximity,
-    RefFlag,
-    RefState,
-    decode,
-)
+from drivers.vehicle.imc_messages import ImcMessage, OpMode, PlanOp, PlanState, PlanType, Proximity, RefFlag, RefState
 from drivers.vehicle.imc_wire import ImcGrammar, packed
 from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc

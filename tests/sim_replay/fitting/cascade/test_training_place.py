@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
-from auv_mcm.geometry.navigation import interpolate_track
+from auv_mcm.geometry.pose_track import interpolate_track
 from auv_mcm.records import NAN, Side, Tile
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.fitting.cascade.place import PlacedTarget, cropped, near_side_m, objects_in
