@@ -17,7 +17,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.shell.recovery import JOURNAL
 from drivers.port_intake import PortIntake
 from drivers.recording.session_layout import Recorded
-from sim_replay.benches.announced import not_in_journal
+from sim_replay.hil.announced import not_in_journal
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.session_parts import JoinedSession, recordings_of
 from sim_replay.logs.session_reader import Session, recorded_config

@@ -313,12 +313,9 @@ class _Run:
             killed_s = self._mission_time().at(time.monotonic())
             self._is_down = True
             await self._services[-1].kill()
-            every = self._scenario.power_cut_every
-            if every is not None and (len(self._restarts) + 1) % every == 0:
-                session = (self._folder / RESULTS / "latest").resolve()
-                n_gone = cut_power(
-                    session, self._folder / _SYNCED, np.random.default_rng((self._scenario.seed, int(at_s)))
-                )
+            if (every := self._scenario.power_cut_every) is not None and (len(self._restarts) + 1) % every == 0:
+                session, notes = (self._folder / RESULTS / "latest").resolve(), self._folder / _SYNCED
+                n_gone = cut_power(session, notes, np.random.default_rng((self._scenario.seed, notes.stat().st_size)))
                 self._progress(f"a power cut takes {n_gone} bytes")
             for device in self._devices:
                 device.send_line("hang_up 0\n")

@@ -106,7 +106,6 @@ def drawn(source: random.Random, lasts_s: float = SHORT_S) -> History:
         events = [Event("frozen_altitude", GOOD_S + share() * SHORT_S, LONGEST_S["frozen_altitude"], 0.0), *events[:1]]
     slope_mps, noise_m = (2.0 * share() - 1.0) * RISES_MPS, source.choice((0.02, 0.1))
     digits_m = source.choice((0.0, 0.0, 0.01, 0.1, 0.5, 1.0))
-    # An altitude that stands still and is taken for the depth is a depth that stands still for longer than 4 s.
     wave_s = 3.0 if any(event.kind == "swap" for event in events) else source.choice((3.0, 12.0))
     return History(lasts_s, slope_mps, noise_m, source.randrange(1 << 30), tuple(events), wave_s, digits_m)
 
@@ -234,6 +233,8 @@ def _flown_through(voyage: Voyage, history: History) -> list[str]:
             true["altitude_m"] = round(true["altitude_m"] / history.digits_m) * history.digits_m
         reports.append(true)
         active = [event for event in history.events if event.begins_s <= at_s < event.begins_s + event.lasts_s]
+        if any(event.kind == "swap" for event in active):  # else a depth stands still for longer than 4 s
+            active = [event for event in active if event.kind != "frozen_altitude"]
         reported = dict(true)
         for event in active:
             _disturb(reported, event, reports, last, at_s)
