@@ -235,8 +235,8 @@ class Guard:
         if not math.isfinite(floor_m):
             return Refusal(
                 "floor_unknown",
-                "the sea floor below the vehicle is not known: its depth and altitude are not of one moment, or change "
-                "faster than they can",
+                "the sea floor below the vehicle is not known: its depth and altitude are not of one moment, change "
+                "faster than they can, or the altitude stands still while the depth changes: look after its altimeter",
             )
         if not 0.0 <= vertical.value_m < math.inf:
             return Refusal("vertical", f"{vertical.reference} {vertical.value_m:g} m is not valid")

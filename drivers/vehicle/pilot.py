@@ -193,7 +193,8 @@ class Pilot(Generic[W]):
             match event:
                 case ReportedState():
                     self._whereabouts.hear(event, now_s)
-                    self._floor.hear(event.depth_m, event.altitude_m, now_s)
+                    in_control = self._authority.state == "granted"
+                    self._floor.hear(event.depth_m, event.altitude_m, now_s, is_commanded=in_control)
                 case Granted():
                     self._authority.granted(event.reason, now_s)
                 case Withheld():
@@ -391,9 +392,9 @@ class Pilot(Generic[W]):
 
     def _vertical(self, now_s: float) -> Vertical:
         """Return the altitude to command, or, to a vehicle that holds depths alone, the depth over the floor below."""
-        altitude_m = self._config.altitude_m
+        altitude_m = self._floor.altitude_to_keep_m(self._config.altitude_m)
         if Capability.DEPTHS_ALONE not in self._talker.capabilities:
-            return Vertical("altitude", altitude_m)
+            return Vertical("altitude", altitude_m + self._floor.doubt_m)
         return Vertical("depth", max(self._floor.at(now_s).shallowest_m - altitude_m, 0.0))
 
     def _go_to(self, latitude_deg: float, longitude_deg: float, vertical: Vertical) -> GoTo:

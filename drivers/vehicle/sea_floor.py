@@ -18,7 +18,12 @@ LEAP_M: Final = 1.0  # m beyond the slope: chosen, echo noise and what a vehicle
 BELIEVED_S: Final = 3.0  # s that a floor counts: chosen, six reports of a vehicle that reports twice a second
 SETTLE_S: Final = 2.0  # s that reports must follow one another before a floor is believed: longer than a glitch
 MIN_REPORTS: Final = 3  # in that time, so that two wrong ones are not a floor
-STILL_M: Final = 1.0  # m of change in depth, while an altitude that stands still to the last digit is taken for frozen
+STILL_M: Final = (
+    1.25  # m of change in depth with the same altitude, for a frozen one: 1 m of the coarsest digits, noise
+)
+STANDS_S: Final = BELIEVED_S  # s that an altitude may stand still: a report counts for as long
+LOST_S: Final = 15.0  # s of doubt after which it is frozen: chosen, a vehicle that is led up rises by 1.25 m sooner
+DOUBT_STEP_M: Final = 0.5  # m: chosen, so that commands do not change all the time
 
 
 class SeaFloor(NamedTuple):
@@ -36,11 +41,17 @@ class FloorBelow:
 
     Depth and altitude make a floor if they are of one moment. It is believed once reports have followed one another for
     2 s, and then while it deepens no faster than a slope of 0.5 does under way: a deeper one is rejected, and counted.
-    A shallower one counts at once, since it leads up. An altitude that stands still makes no floor deeper than at
-    first, and none at all once the depth has changed by 1 m.
+    A shallower one counts at once, since it leads up.
+
+    An altitude that stands still to the last digit is either frozen or one of coarse digits over a level floor. It
+    makes no floor deeper than at first, and after 3 s leads no lower than the vehicle was then. Under command the floor
+    is then taken to rise as the slope allows, in steps of 0.5 m, which leads the vehicle up: digits of 1 m or finer
+    change with it, and all is as before. One that does not change over 1.25 m of depth, or 15 s of that, is frozen and
+    makes no floor.
 
     speed_mps: maximum under way. valid_s: how long what was reported counts for the deepest floor. counters:
-    vehicle.floors_rejected (deeper than can be), vehicle.altitudes_frozen.
+    vehicle.floors_rejected (deeper than can be), vehicle.altitudes_doubted (that stood still under command),
+    vehicle.altitudes_frozen.
     """
 
     def __init__(self, *, speed_mps: float, valid_s: float) -> None:
@@ -48,22 +59,27 @@ class FloorBelow:
         self._max_deepening_mps = MAX_SLOPE * speed_mps
         self._valid_s = valid_s
         self._depth = self._altitude = (NAN, -math.inf)  # value, when
-        self._still = (NAN, NAN)  # altitude, and the depth when it was first reported
-        self._frozen = False
+        self._still = (NAN, NAN, math.inf)  # altitude, the depth when it was first reported, and when
+        self._commanded_s = math.inf  # since when
+        self._doubted = self._frozen = False
         self._reported: deque[tuple[float, float]] = deque()  # when, depth of the floor
         self._believed: deque[tuple[float, float]] = deque()
         self._settling: list[tuple[float, float]] = []
         self._track: tuple[float, float] | None = None  # when, and the floor that others are held against
         self._first_s = math.inf  # when depth and altitude were first reported
 
-    def hear(self, depth_m: float, altitude_m: float, now_s: float) -> None:
-        """Take what the vehicle reported; NaN for what it did not."""
+    def hear(self, depth_m: float, altitude_m: float, now_s: float, *, is_commanded: bool = False) -> None:
+        """Take what the vehicle reported, NaN for what it did not, and whether the payload commands it."""
+        self._commanded_s = min(self._commanded_s, now_s) if is_commanded else math.inf
         if math.isfinite(depth_m):
             self._depth = depth_m, now_s
         if math.isfinite(altitude_m):
             self._altitude = altitude_m, now_s
             if altitude_m != self._still[0]:
-                self._still, self._frozen = (altitude_m, self._depth[0]), False
+                self._still, self._doubted, self._frozen = (altitude_m, self._depth[0], now_s), False, False
+            elif self.doubt_m and not self._doubted:
+                self._doubted = True
+                self.counters["vehicle.altitudes_doubted"] += 1
         self._drop_old(now_s)
         if not abs(self._depth[1] - self._altitude[1]) <= ONE_MOMENT_S or now_s not in (
             self._depth[1],
@@ -89,12 +105,28 @@ class FloorBelow:
         return self._track is None and now_s - self._first_s <= SETTLE_S + BELIEVED_S
 
     def at(self, now_s: float) -> SeaFloor:
-        """Return the floor as it is known now."""
+        """Return the floor as it is known now, shallower by the doubt; NaN while the altitude is frozen."""
+        if self._frozen:
+            return SeaFloor(NAN, NAN)
         self._drop_old(now_s)
         return SeaFloor(
-            min((floor_m for _, floor_m in self._believed), default=NAN),
+            min((floor_m for _, floor_m in self._believed), default=NAN) - self.doubt_m,
             max((floor_m for _, floor_m in self._reported), default=NAN),
         )
+
+    @property
+    def doubt_m(self) -> float:
+        """Return how much the floor may have risen under command while the altitude stood still, m."""
+        return math.ceil(self._doubted_s * self._max_deepening_mps / DOUBT_STEP_M) * DOUBT_STEP_M
+
+    @property
+    def _doubted_s(self) -> float:
+        return max(self._altitude[1] - max(self._still[2] + STANDS_S, self._commanded_s), 0.0)
+
+    def altitude_to_keep_m(self, wanted_m: float) -> float:
+        """Return the altitude to keep over the floor in `at`: no lower than now where the altitude stands still."""
+        stands = self._altitude[1] - self._still[2] > STANDS_S
+        return max(wanted_m, self._still[0]) if stands else wanted_m
 
     def safe_depth_m(self, altitude_m: float, now_s: float, holds_s: float) -> float:
         """Return a depth that stays above a floor that is not seen any more; 0 where none was ever believed.
@@ -110,11 +142,12 @@ class FloorBelow:
             return 0.0
         since_s, floor_m = self._track
         floor_m = min([floor_m, *(believed_m for _, believed_m in self._believed)])
-        return max(floor_m - altitude_m - self._max_deepening_mps * (now_s - since_s + holds_s), 0.0)
+        return max(floor_m - self.doubt_m - altitude_m - self._max_deepening_mps * (now_s - since_s + holds_s), 0.0)
 
     def _is_frozen(self) -> bool:
-        """Find whether the altitude stands still since the depth was another; it does until it changes."""
-        self._frozen |= abs(self._depth[0] - self._still[1]) > STILL_M
+        """Find whether the altitude stands still since the depth was another, or too long; it does until it changes."""
+        is_repeated = self._altitude[1] >= self._depth[1]  # not merely older than the depth
+        self._frozen |= is_repeated and (abs(self._depth[0] - self._still[1]) > STILL_M or self._doubted_s > LOST_S)
         return self._frozen
 
     def _seen_m(self) -> float:

@@ -11,21 +11,16 @@ decoders made of the bytes that are left. Events, contacts and coverage have to 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from auv_mcm.contacts.record_file import packed
-from auv_mcm.errors import BadInputError
-from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import CoveragePatch, Notice, SourceEvent
 from auv_mcm.settings.config import Config
-from drivers.port_intake import PortIntake
 from drivers.recording.session_layout import Recorded
 from drivers.recording.session_writer import SessionWriter
-from sim_replay.logs.recorded import open_mission
+from sim_replay.hil.joined_twin import compared_with_twin
 from sim_replay.logs.session_parts import JoinedSession
 from sim_replay.logs.session_reader import Session, recorded_config
 
@@ -79,41 +74,5 @@ def _outcome(
             size = file.stat().st_size
             os.truncate(file, int(random.integers(round((1.0 - _TORN_SHARE) * size), size)))
         first = end + int(random.integers(0, _MAX_SKIPPED))
-    joined = [event for event in open_mission([folder], config).events() if not _is_of_reading(event)]
-    twin = list(_twin(folder, n_cuts + 1, config))
-    problems = [] if list(map(packed, joined)) == list(map(packed, twin)) else ["events differ"]
-    contacts, coverage = _results(joined, config)
-    if (contacts, coverage) != _results(twin, config):
-        problems.append("contacts or coverage differ")
-    return JoinedOutcome(n_cuts - sum(is_power), sum(is_power), len(joined), len(contacts), tuple(problems))
-
-
-def _twin(folder: Path, n_parts: int, config: Config) -> Iterator[SourceEvent]:
-    """Give one chain what each start's decoders made of its bytes; those that were cut off lost what they held."""
-    for number in range(1, n_parts + 1):
-        intake = PortIntake(config)
-        for chunk in _left_in(folder / ("recording" if number == 1 else f"recording-{number}")):
-            yield from intake.feed(chunk.port, chunk.data, chunk.stamp)
-        if number == n_parts:
-            yield from intake.finish()
-
-
-def _left_in(part: Path) -> Iterable[Recorded]:
-    try:
-        return [chunk for chunk in Session(part) if chunk.direction == "in"]
-    except BadInputError:  # a power cut before the first chunk was whole
-        return []
-
-
-def _results(events: Iterable[SourceEvent], config: Config) -> tuple[list[bytes], list[bytes]]:
-    """Run the chain; give its contacts and its coverage."""
-    pipeline = Pipeline(config)
-    coverage = []
-    for event in events:
-        coverage += [packed(made) for made in pipeline.feed(event) if isinstance(made, CoveragePatch)]
-    coverage += [packed(made) for made in pipeline.finish() if isinstance(made, CoveragePatch)]
-    return [packed(one) for one in sorted(pipeline.contacts, key=lambda one: one.id)], coverage
-
-
-def _is_of_reading(event: SourceEvent) -> bool:
-    return isinstance(event, Notice) and event.code.startswith("session_")
+    compared = compared_with_twin(folder, n_cuts + 1, config)
+    return JoinedOutcome(n_cuts - sum(is_power), sum(is_power), *compared)

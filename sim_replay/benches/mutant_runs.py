@@ -21,6 +21,7 @@ MAX_WALL_S: Final = 30.0  # s of wall clock asleep, beyond which it is ended and
 _ADDRESS_SPACE_BYTES: Final = 6 << 30
 # Loaded once, not by every process; the last three read images.
 _PRELOADED: Final = (
+    *("auv_mcm.cli", "jinja2", "drivers.port_intake"),
     *("auv_mcm.pipeline", "sim_replay.replay", "sim_replay.logs.recorded", "sim_replay.simulator.scene_file"),
     *("sim_replay.logs.image_log", "sim_replay.logs.image_tiff", "sim_replay.logs.image_hdf5"),
 )

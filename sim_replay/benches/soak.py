@@ -36,7 +36,6 @@ import numpy as np
 from auv_mcm.errors import HardwareError, SelfCheckError, UsageError
 from auv_mcm.records import Ping
 from sim_replay.arguments import count, duration_min
-from sim_replay.benches.announced import CONTACT, not_in_journal
 from sim_replay.benches.joined import joined_outcomes
 from sim_replay.benches.long_mission import bench_long_mission
 from sim_replay.benches.restarts import WAYS, Cut, cut_off, keep_mission
@@ -51,6 +50,7 @@ from sim_replay.benches.watched_service import (
     service_pid,
     simulate_mission,
 )
+from sim_replay.hil.announced import CONTACT, not_in_journal
 from sim_replay.hil.run import RESULTS, SERVICE_LOG, run_scenario
 from sim_replay.hil.scenario import Read
 from sim_replay.logs.open_log import open_log

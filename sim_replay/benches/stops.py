@@ -25,7 +25,6 @@ from auv_mcm.errors import HardwareError
 from auv_mcm.records import Ping
 from auv_mcm.shell.event_spool import read_events
 from auv_mcm.shell.recovery import JOURNAL, RECORDING, STATE, SUMMARY
-from sim_replay.benches.announced import not_in_journal
 from sim_replay.benches.watched_service import (
     FLOWN_MPS,
     SERVICE,
@@ -34,6 +33,7 @@ from sim_replay.benches.watched_service import (
     service_pid,
     simulate_mission,
 )
+from sim_replay.hil.announced import not_in_journal
 from sim_replay.hil.run import RESULTS, run_scenario
 from sim_replay.hil.scenario import Read
 from sim_replay.hil.verdict import Evidence

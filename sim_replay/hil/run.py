@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 import yaml
 
 from auv_mcm.errors import AuvMcmError, HardwareError
@@ -31,7 +32,9 @@ from auv_mcm.shell.health.files import HEALTH, read_health
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report, Restart
-from sim_replay.hil.scenario import AsReplayed, Kill, Read, Scenario, service_config, service_yaml
+from sim_replay.hil.joined_twin import problems_of
+from sim_replay.hil.power_cut import cut_power
+from sim_replay.hil.scenario import AsReplayed, JoinedAsTwin, Kill, Read, Scenario, service_config, service_yaml
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.replay import replay
@@ -42,8 +45,9 @@ from sim_replay.simulator.truth import TruthLog, truth_of
 
 RESULTS: Final = "results"
 SERVICE_LOG: Final = "service.log"
+_SYNCED: Final = "synced.txt"  # what the service synced
 
-_READY_S: Final = 60.0  # for a process to come up on a computer that has much else to do
+_READY_S: Final = 300.0  # for a process to come up on a computer that has much else to do
 _SETTLE_S: Final = 0.5  # for the service to open its ports
 _GRACE_S: Final = 5.0  # s for a program to end after a signal, before it is killed
 _DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units count as silent after 1.5 s
@@ -84,6 +88,10 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
     if log is not None and any(isinstance(expectation.expected, AsReplayed) for expectation in scenario.expectations):
         progress("direct replay")
         replayed = _replayed(log, folder / "replayed", config)
+    not_joined = None
+    if any(isinstance(expectation.expected, JoinedAsTwin) for expectation in scenario.expectations):
+        progress("joined replay, and its twin")
+        not_joined = problems_of(results.resolve(), len(live.restarts) + 1, [line.text for line in live.lines])
     return Evidence(
         exit_code=live.exit_code,
         lines=live.lines,
@@ -96,6 +104,7 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         stopped_s=live.stopped_s,
         fence_deg=config.vehicle.fence_deg,
         restarts=live.restarts,
+        not_joined=not_joined,
     )
 
 
@@ -197,7 +206,8 @@ class _Run:
         """Let every device wait for one that is late.
 
         While the service is down or perception is behind the mission goes at real time: it never stands still, which
-        would be a fault of the ports, and what a restart takes does not depend on its speed.
+        would be a fault of the ports, and what a restart takes does not depend on its speed. With power cuts it stands
+        still while the service is down.
         """
         n_seen = [0] * len(self._devices)
         while True:
@@ -208,6 +218,8 @@ class _Run:
                             other.send_line(f"hold {for_s:.4f}\n")
                 n_seen[index] = len(late.holds)
             still_s = _PACE_S * max(1.0 - 1.0 / self._scenario.speed, 0.0)
+            if self._is_down and self._scenario.power_cut_every is not None:
+                still_s = _PACE_S
             is_behind = _pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS
             if still_s and (self._is_down or is_behind):
                 self._holds.append((time.monotonic() + still_s, still_s))
@@ -251,8 +263,11 @@ class _Run:
         arguments = ["-m", "auv_mcm", "run", "--config", str(path)]
         if step is not None:
             arguments = ["-m", "sim_replay.hil.stepping_service", str(path), str(step.at_s), str(step.by_s)]
+        elif self._scenario.power_cut_every is not None:
+            arguments = ["-m", "sim_replay.hil.power_cut", str(path), str(self._folder / _SYNCED)]
         if not self._services:
             (self._folder / SERVICE_LOG).unlink(missing_ok=True)
+            (self._folder / _SYNCED).unlink(missing_ok=True)
         service = await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
         self._services.append(service)
         await service.printed("ready: ", _READY_S)
@@ -298,6 +313,10 @@ class _Run:
             killed_s = self._mission_time().at(time.monotonic())
             self._is_down = True
             await self._services[-1].kill()
+            if (every := self._scenario.power_cut_every) is not None and (len(self._restarts) + 1) % every == 0:
+                session, notes = (self._folder / RESULTS / "latest").resolve(), self._folder / _SYNCED
+                n_gone = cut_power(session, notes, np.random.default_rng((self._scenario.seed, notes.stat().st_size)))
+                self._progress(f"a power cut takes {n_gone} bytes")
             for device in self._devices:
                 device.send_line("hang_up 0\n")
             await self._service(uris)

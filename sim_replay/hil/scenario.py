@@ -144,6 +144,14 @@ class AsReplayed(_Rule, frozen=True, kw_only=True, tag="as_replayed"):
     p_mine_within: float
 
 
+class JoinedAsTwin(_Rule, frozen=True, kw_only=True, tag="joined_as_twin"):
+    """Expect the joined replay of the session to be that of its undisturbed twin, to the byte.
+
+    The twin is one chain that was never stopped and was given what each start's decoders made of the bytes on the disk.
+    Also every announced contact has to be in the journal, and every start to have gone on with the session.
+    """
+
+
 class ReportRule(_Count, frozen=True, kw_only=True, tag="reported"):
     """Count a fake device's reports, in all or between two instants of the run. containing: in its details, as JSON."""
 
@@ -243,6 +251,7 @@ Rule: TypeAlias = (
     | AnswersStop
     | Reopened
     | AsReplayed
+    | JoinedAsTwin
     | ReportedInTime
     | InsideFence
     | AboveFloor
@@ -295,8 +304,10 @@ class Scenario(_Record, frozen=True, kw_only=True):
     file_limit_bytes: no file of the service, once it is ready, grows beyond it, as on a disk that is full; room for its
     results must be left. host_clock_step: what the service takes for this computer's UTC steps. kill: the service,
     while the devices go on. restarts_s: all processes of the service are killed so long after the run's start, and it
-    is started again at once. waits: the mission waits for a device that is late, and goes at real time while
-    perception is behind or the service is down.
+    is started again at once. power_cut_every: every so many of these are power cuts, after which files end anywhere
+    behind what was synced; the mission then stands still while the service is down, however long a start takes. waits:
+    the mission waits for a device that is late, and goes at real time while perception is behind or the service is
+    down.
     """
 
     about: Annotated[str, Meta(min_length=1)]
@@ -313,6 +324,7 @@ class Scenario(_Record, frozen=True, kw_only=True):
     host_clock_step: HostClockStep | None = None
     kill: Kill | None = None
     restarts_s: tuple[Annotated[float, Meta(ge=0.0)], ...] = ()
+    power_cut_every: Annotated[int, Meta(ge=1)] | None = None
     waits: bool = False
     ends_after: EndsAfter | None = None
 
@@ -402,6 +414,10 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
         yield "`kill` leaves the service dead, and `restarts_s` starts it again: give one of them"
     if list(scenario.restarts_s) != sorted(scenario.restarts_s):
         yield "`restarts_s` has to be in order"
+    if scenario.power_cut_every is not None and not (scenario.restarts_s and scenario.waits):
+        yield "`power_cut_every` needs `restarts_s`, of which some are power cuts, and `waits: true`"
+    if scenario.power_cut_every is not None and scenario.host_clock_step is not None:
+        yield "`power_cut_every` and `host_clock_step` each run the service in a way of their own: give one of them"
     if scenario.ends_after is not None and scenario.ends_after.device not in scenario.devices:
         yield f"`ends_after` names '{scenario.ends_after.device}', which is none of `devices`"
     for name in scenario.devices:

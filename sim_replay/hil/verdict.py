@@ -26,6 +26,7 @@ from sim_replay.hil.scenario import (
     ExitCode,
     Expectation,
     InsideFence,
+    JoinedAsTwin,
     LineRule,
     NoticeRule,
     OwnPlanAtEnd,
@@ -68,7 +69,7 @@ class Evidence(NamedTuple):
 
     targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it. killed_s: when the
     service was killed by intent; stopped_s: when it was requested to stop. fence_deg: of the service's configuration.
-    restarts: of the service, by intent.
+    restarts: of the service, by intent. not_joined: what is wrong with the joined replay, None where nobody asked.
     """
 
     exit_code: int | None
@@ -82,6 +83,7 @@ class Evidence(NamedTuple):
     stopped_s: float | None = None
     fence_deg: Sequence[tuple[float, float]] = ()
     restarts: Sequence[Restart] = ()
+    not_joined: Sequence[str] | None = None
 
 
 class Verdict(NamedTuple):
@@ -201,6 +203,10 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _limited(rule, n_found, what)
         case AsReplayed():
             return _as_replayed(rule, evidence)
+        case JoinedAsTwin():
+            problems = evidence.not_joined
+            found = f"{len(evidence.restarts)} cuts: {'; '.join(problems or ()) or 'to the byte'}"
+            return "the joined replay is that of its undisturbed twin", found, problems is not None and not problems
         case ReportRule():
             first_s, last_s = rule.between_s or (-math.inf, math.inf)
             reports = [

@@ -11,9 +11,9 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.errors import SelfCheckError
 from sim_replay.benches import soak
-from sim_replay.benches.announced import not_in_journal
 from sim_replay.benches.soak import MAX_LOST_S, KillOutcome, killed
 from sim_replay.benches.stops import MAX_STOP_S, StopOutcome
+from sim_replay.hil.announced import not_in_journal
 
 LINE = "contact C00012 updated: cylinder, p_mine 0.91, 43.0931026 5.8874099, 2 views"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -32,8 +33,10 @@ EVERY = pytest.mark.parametrize("name", sorted(VEHICLES))
 DEPTHS_ALONE = pytest.mark.parametrize("name", ["iver", "recon"])
 N_HISTORIES = 60  # of each dialect
 
-# Each leads towards the floor where an altitude that stands still is believed while the depth grows by up to 1 m.
+# Each leads towards the floor where an altitude that stands still is believed while the depth grows by up to 1 m, the
+# first where it is believed while the depth is held.
 STOOD_STILL = (
+    History(LONG_S, -0.3, 0.02, 1, (Event("frozen_altitude", 5.0, 25.0, 0.0),), 12.0),
     History(LONG_S, 0.3, 0.02, 222665156, (Event("frozen_altitude", 11.05, 7.55, 0.0),)),
     History(LONG_S, 0.3, 0.02, 1, (Event("swap", 8.0, 3.0, 0.0), Event("frozen_altitude", 11.0, 8.0, 0.0))),
     History(
@@ -64,6 +67,48 @@ def test_no_command_leads_towards_the_true_floor_whatever_the_vehicle_reports(na
 def test_an_altitude_that_stands_still_leads_nobody_to_the_floor(name: str, history: History) -> None:
     wrong, _ = fly(name, [history])
     assert wrong == []
+
+
+def report(voyage: Voyage, for_s: float, altitude_m: Callable[[float], float], rises_mps: float = 0.0) -> None:
+    """Report true depths, wavering by 3 cm, and an altitude made of the true one, over a floor that rises."""
+    for step in range(round(for_s / 0.1)):
+        voyage.floor_m -= rises_mps * 0.1
+        altitude = altitude_m(voyage.floor_m - voyage.depth_m)
+        for sent in voyage.step(0.1, depth_m=voyage.depth_m + 0.03 * (step % 2), altitude_m=altitude):
+            assert sent.depth_m is None or sent.depth_m <= voyage.floor_m - 2.0
+
+
+@EVERY
+@pytest.mark.parametrize("rises_mps", [0.0, 0.75])
+def test_an_altitude_that_freezes_while_the_depth_is_held_is_noticed_and_leads_up(name: str, rises_mps: float) -> None:
+    """Before, an Iver was commanded 2 m below the floor."""
+    voyage = Voyage(name, ask_again_s=1.0)
+    voyage.run(15.0)
+    assert voyage.pilot.authority == "granted"
+    frozen_m = voyage.floor_m - voyage.depth_m
+    report(voyage, 8.0, lambda true_m: frozen_m, rises_mps)
+    assert voyage.pilot.authority != "granted"
+    assert voyage.pilot.counters["vehicle.refused.floor_unknown"] == 1
+    assert (
+        "look after its altimeter" in [n.text for n in voyage.pilot.take_notices() if n.code == "vehicle_refused"][-1]
+    )
+    n_commands = len(voyage.commands)
+    report(voyage, 5.0, lambda true_m: frozen_m)
+    assert len(voyage.commands) == n_commands
+
+
+@EVERY
+@pytest.mark.parametrize("digits_m", [0.1, 1.0])
+def test_coarse_digits_over_a_level_floor_end_no_command_and_lead_up_by_less_than_2_m(
+    name: str, digits_m: float
+) -> None:
+    voyage = Voyage(name, ask_again_s=1.0)
+    voyage.run(15.0)
+    for _ in range(10):
+        report(voyage, 1.0, lambda true_m: round(true_m / digits_m) * digits_m)
+        assert voyage.pilot.authority == "granted"
+        assert 3.9 <= voyage.floor_m - voyage.depth_m <= 7.0
+    assert voyage.pilot.counters["vehicle.altitudes_doubted"] > 0
 
 
 @EVERY

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import random
+from collections import Counter
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from drivers.framing import Framer
+from drivers.vehicle import imc_crc
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.imc_codec import MAX_PAYLOAD_BYTES, encode
 from drivers.vehicle.imc_crc import crc16_arc
@@ -85,3 +91,27 @@ def test_a_flipped_bit_is_noticed_wherever_it_is() -> None:
         flipped[bit // 8] ^= 1 << bit % 8
         framer = Framer(ImcGrammar())
         assert not [*framer.feed(flipped), *framer.finish()]
+
+
+@pytest.mark.parametrize("n_read", [31, 97])
+def test_junk_in_small_datagrams_is_searched_once(n_read: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Attack `drvfuzz2.py`: each datagram of 97 bytes looked at all candidates and summed up all that was held."""
+    looked: Counter[str] = Counter()
+    powers, first_in = imc_crc._powers, ImcGrammar._first_in
+
+    def counted_powers(data: NDArray[np.uint8], phase: int) -> NDArray[np.uint16]:
+        looked["summed"] += len(data)
+        return powers(data, phase)
+
+    def counted_first_in(self: ImcGrammar, buffer: bytearray, start: int, stop: int) -> tuple[int, int]:
+        looked["searched"] += stop - start
+        return first_in(self, buffer, start, stop)
+
+    monkeypatch.setattr(imc_crc, "_powers", counted_powers)
+    monkeypatch.setattr(ImcGrammar, "_first_in", counted_first_in)
+    framer, source = Framer(ImcGrammar()), random.Random(1)
+    junk = b"".join(HEARTBEAT[:2] + source.randbytes(3) + bytes([source.randrange(16)]) for _ in range(3000))
+    for start in range(0, len(junk), n_read):
+        list(framer.feed(junk[start : start + n_read]))
+    assert looked["summed"] <= 4 * len(junk)
+    assert 0 < looked["searched"] <= len(junk)

@@ -87,11 +87,12 @@ class Sea:
         self.pilot.hear([calls(self.now_s, *events)], stamp(self.now_s))
 
     def state(self) -> ReportedState:
-        return ReportedState(
+        state = ReportedState(
             stamp(self.now_s), *moved(*HOME_DEG, *self.place_m), heading_rad=self.heading_rad
         )._replace(
             **self.reported  # type: ignore[arg-type]  # settings of one test each
         )
+        return state._replace(altitude_m=state.altitude_m + 0.01 * (round(10.0 * self.now_s) % 2))  # it has noise
 
     def tick(self, seconds: float = 0.1) -> None:
         for _ in range(max(1, round(seconds / 0.1))):

@@ -127,3 +127,41 @@ def test_a_safe_depth_stays_above_what_the_floor_can_have_risen_to(
     assert floor.safe_depth_m(5.0, now_s + since_s, holds_s) == pytest.approx(wanted_m)
     assert FloorBelow(speed_mps=1.5, valid_s=3.0).safe_depth_m(5.0, 0.0, 0.0) == 0.0
     assert BELIEVED_S < 4.0
+
+
+def frozen(for_s: float, *, depth_m: float = 10.0, is_commanded: bool = True) -> tuple[FloorBelow, float]:
+    """Report an altitude of 8 m to the digit, twice a second."""
+    floor, now_s = FloorBelow(speed_mps=1.5, valid_s=3.0), 100.0
+    for step in range(round(2.0 * for_s) + 1):
+        now_s = 100.0 + 0.5 * step
+        floor.hear(depth_m + 0.05 * (step % 2), 8.0, now_s, is_commanded=is_commanded)
+    return floor, now_s
+
+
+@pytest.mark.parametrize(("for_s", "doubt_m"), [(3.0, 0.0), (3.5, 0.5), (5.0, 1.5), (18.0, 11.5)])
+def test_under_command_the_floor_rises_as_a_slope_allows_while_the_altitude_stands_still(
+    for_s: float, doubt_m: float
+) -> None:
+    floor, now_s = frozen(for_s)
+    assert floor.doubt_m == doubt_m
+    assert floor.at(now_s).shallowest_m == 18.0 - doubt_m
+    assert floor.at(now_s).deepest_m == pytest.approx(18.0, abs=0.1)
+    assert floor.counters["vehicle.altitudes_doubted"] == (doubt_m > 0.0)
+    assert floor.safe_depth_m(5.0, now_s, 0.0) == pytest.approx(max(13.0 - doubt_m, 0.0))
+
+
+def test_another_digit_ends_the_doubt_and_15_s_of_it_the_floor() -> None:
+    floor, now_s = frozen(18.0)
+    floor.hear(10.0, 8.1, now_s + 0.5, is_commanded=True)
+    assert (floor.doubt_m, floor.at(now_s + 0.5).shallowest_m) == (0.0, 18.0)
+    floor, now_s = frozen(19.0)
+    assert all(map(math.isnan, floor.at(now_s)))
+
+
+def test_a_vehicle_that_is_not_commanded_may_hold_its_altitude_for_long_but_is_led_no_lower() -> None:
+    floor, now_s = frozen(600.0, is_commanded=False)
+    assert (floor.doubt_m, floor.at(now_s).shallowest_m) == (0.0, 18.0)
+    assert floor.altitude_to_keep_m(5.0) == 8.0
+    assert floor.altitude_to_keep_m(9.0) == 9.0
+    floor.hear(10.0, 8.1, now_s + 0.5)
+    assert floor.altitude_to_keep_m(5.0) == 5.0

@@ -25,6 +25,7 @@ from sim_replay.fakes.vehicle_device import CONTROLLERS
 from tests.drivers.vehicle.wire_parser import Sent, commands_of
 
 FLOOR_M: Final = 18.0
+SHALLOWEST_M: Final = 8.0  # floor of a history
 HOME_DEG: Final = (48.0, -68.0)
 FENCE_DEG: Final = ((47.998, -68.003), (47.998, -67.997), (48.002, -67.997), (48.002, -68.003))
 M_PER_DEG: Final = 111_195.0  # of latitude
@@ -45,7 +46,7 @@ LONGEST_S: Final = {  # of each event; a false value stands no longer than a flo
     "swap": 8.0,
     "no_lock": 12.0,
     "no_depth": 12.0,
-    "frozen_altitude": 15.0,
+    "frozen_altitude": 25.0,
     "frozen_depth": 4.0,
     "frozen": 2.5,
     "delay": 10.0,
@@ -73,13 +74,18 @@ class Event(NamedTuple):
 
 
 class History(NamedTuple):
-    """Hold what happens. slope_mps: of the floor, up and down every 20 s; noise_m: of depth and altitude."""
+    """Hold what happens. slope_mps: of the floor, up and down every 2 pi wave_s; noise_m: of depth and altitude.
+
+    digits_m: of the altitude that is reported.
+    """
 
     lasts_s: float
     slope_mps: float
     noise_m: float
     seed: int
     events: tuple[Event, ...]
+    wave_s: float = 3.0
+    digits_m: float = 0.0
 
 
 def drawn(source: random.Random, lasts_s: float = SHORT_S) -> History:
@@ -96,8 +102,12 @@ def drawn(source: random.Random, lasts_s: float = SHORT_S) -> History:
             other = source.choice(events)
             begins_s = min(other.begins_s + source.choice((0.0, other.lasts_s)), lasts_s - 1.0)
         events.append(Event(kind, begins_s, for_s, 2.0 * share() - 1.0))
+    if lasts_s > LONGEST_S["frozen_altitude"] and source.random() < 0.5:  # while the vehicle holds its depth
+        events = [Event("frozen_altitude", GOOD_S + share() * SHORT_S, LONGEST_S["frozen_altitude"], 0.0), *events[:1]]
     slope_mps, noise_m = (2.0 * share() - 1.0) * RISES_MPS, source.choice((0.02, 0.1))
-    return History(lasts_s, slope_mps, noise_m, source.randrange(1 << 30), tuple(events))
+    digits_m = source.choice((0.0, 0.0, 0.01, 0.1, 0.5, 1.0))
+    wave_s = 3.0 if any(event.kind == "swap" for event in events) else source.choice((3.0, 12.0))
+    return History(lasts_s, slope_mps, noise_m, source.randrange(1 << 30), tuple(events), wave_s, digits_m)
 
 
 def settings_of(name: str) -> Any:
@@ -211,16 +221,20 @@ def _flown_through(voyage: Voyage, history: History) -> list[str]:
     wrong = []
     for step in range(round(history.lasts_s / STEP_S)):
         at_s = step * STEP_S
-        rise_m = math.copysign(history.slope_mps, math.sin(at_s / 3.0) * history.slope_mps) * STEP_S
-        voyage.floor_m = min(max(voyage.floor_m + rise_m, 14.0), 30.0)
+        rise_m = math.copysign(history.slope_mps, math.sin(at_s / history.wave_s) * history.slope_mps) * STEP_S
+        voyage.floor_m = min(max(voyage.floor_m + rise_m, SHALLOWEST_M), 30.0)
         true = {
             "depth_m": max(voyage.depth_m + source.gauss(0.0, history.noise_m / 3.0), 0.0),
             "altitude_m": voyage.floor_m - voyage.depth_m + source.gauss(0.0, history.noise_m / 3.0),
             "latitude_deg": HOME_DEG[0] + source.gauss(0.0, 1e-7),
             "longitude_deg": HOME_DEG[1] + source.gauss(0.0, 1e-7),
         }
+        if history.digits_m:
+            true["altitude_m"] = round(true["altitude_m"] / history.digits_m) * history.digits_m
         reports.append(true)
         active = [event for event in history.events if event.begins_s <= at_s < event.begins_s + event.lasts_s]
+        if any(event.kind == "swap" for event in active):  # else a depth stands still for longer than 4 s
+            active = [event for event in active if event.kind != "frozen_altitude"]
         reported = dict(true)
         for event in active:
             _disturb(reported, event, reports, last, at_s)
