@@ -71,14 +71,14 @@ def _modules(root: Path) -> list[_Module]:
     for package in _PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             name, text = path.relative_to(root).as_posix(), path.read_text("utf-8")
-            if not name.startswith(_LEFT_OUT) and re.search(r"\bNotice\(|Counter\b", text):
-                modules.append(_Module(name, ast.parse(text)))
+            if not name.startswith(_LEFT_OUT) and re.search(r"\bNotice\(|Counter\b|\breport\.", text):
+                modules.append(_Module(name, ast.parse(text), root))
     return modules
 
 
 class _Module:
-    def __init__(self, name: str, tree: ast.Module) -> None:
-        self.name = name
+    def __init__(self, name: str, tree: ast.Module, root: Path) -> None:
+        self.name, self._root = name, root
         self._nodes = list(ast.walk(tree))
         self._functions = [node for node in self._nodes if isinstance(node, _Function)]
         self._calls = [node for node in self._nodes if isinstance(node, ast.Call)]
@@ -91,25 +91,40 @@ class _Module:
 
     def notices(self) -> Iterator[RaisedNotice]:
         """Find the notices of this module, also those raised through a function that takes the code and the text."""
-        raising: list[tuple[_Function | None, ast.Call]] = [(None, call) for call in self._calls_of("Notice")]
+        raising: list[tuple[_Function | None, ast.Call, _Module]] = [
+            (None, call, self) for call in self._calls_of("Notice")
+        ]
         flag: ast.expr | None = None
         passed_on = set()
         while raising:
-            through, call = raising.pop()
+            through, call, where = raising.pop()
             given = _arguments(call, through)
-            function = self._function_around(call)
+            function = where._function_around(call)
             code = given["code"]
             if isinstance(code, ast.Name) and function is not None and code.id in _parameters(function):
                 flag = given.get("for_the_record", flag) if through is None else flag
                 if function.name not in passed_on:
                     passed_on.add(function.name)
-                    raising += [(function, further) for further in self._calls_of(function.name)]
+                    raising += [
+                        (function, further, module)
+                        for module in (self, *self._importers(function))
+                        for further in module._calls_of(function.name)
+                    ]
                 continue
-            text = " ".join(self._text(given["text"], function).split())
-            for one in self._codes(code, function):
+            text = " ".join(where._text(given["text"], function).split())
+            for one in where._codes(code, function):
                 known = {**given, "code": ast.Constant(one)}
                 for_the_record = self._value(given.get("for_the_record") if through is None else flag, known)
-                yield RaisedNotice(one, text, for_the_record, self.name, call.lineno)
+                yield RaisedNotice(one, text, for_the_record, where.name, call.lineno)
+
+    def _importers(self, function: _Function) -> list[_Module]:
+        """Find the modules that import this one, where the function is public."""
+        dotted = self.name.removesuffix(".py").replace("/", ".")
+        return [
+            module
+            for module in (() if function.name.startswith("_") else _modules(self._root))
+            if any(isinstance(node, ast.ImportFrom) and node.module == dotted for node in module._nodes)
+        ]
 
     def _codes(self, code: ast.expr, function: _Function | None) -> list[str]:
         """Read the codes that an expression can have. Raises ValueError where the source does not show them."""
