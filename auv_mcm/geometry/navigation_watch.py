@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,6 +24,10 @@ _TURNED_RAD: Final = math.radians(40.0)
 so far on a straight line within 40 m would have to change by two thirds of its speed."""
 _STRAIGHT_RAD: Final = math.radians(15.0)  # of the course over as many chords: in a turn the current's side changes
 _SCATTER_RAD: Final = math.radians(12.0)  # RMS about the line: more is no drift
+_COURSE_SCATTER_RAD: Final = math.radians(8.0)
+"""RMS of `_N_COURSES` courses over `_CHORD_M` about a straight line that is reported where no heading is known: a
+contact at a range of 10 m may lie 1 m off. Fixes that scatter by 0.2 m give as much, by 0.1 m once in 10^4."""
+_N_COURSES: Final = 10  # 20 m of track
 _STILL_M: Final = 0.05  # fixes this near are one; receivers give 0.01 to 0.1 m, and drift more
 _STILL_S: Final = 12.0  # a unit that gives a fix every 10 s repeats it no longer
 _STILL_WAY_M: Final = 25.0  # reported way meanwhile: five times the error of a usual acoustic fix
@@ -38,11 +43,24 @@ class _Moment(NamedTuple):
     speed_mps: float
 
 
+def _scattered_course(courses_rad: Sequence[float]) -> list[Notice]:
+    """Raise a notice where courses scatter about a nearly straight line too far to stand for a heading."""
+    change_rad, scatter_rad = _line(tuple(courses_rad))
+    if scatter_rad <= _COURSE_SCATTER_RAD or abs(change_rad) > _STRAIGHT_RAD + 2.0 * scatter_rad:
+        return []
+    text = (
+        "no heading is known, and positions scatter so that the course, which stands for it, is off by "
+        f"{math.degrees(scatter_rad):.0f} degrees: contacts lie off along the track by that share of their range. "
+        "Connect a compass or gyro, or give smoother positions."
+    )
+    return [Notice(code="navigation.course_scattered", text=text)]
+
+
 class NavigationWatch:
     """Raise notices about navigation that cannot go on so, each once in a mission.
 
-    A heading that drifts away from the course, a position that stands still at a reported speed, a time that leaps
-    ahead while the vehicle went on, altitudes below 0, and depths above the surface.
+    A heading that drifts away from the course, no heading with fixes that scatter, a position that stands still at a
+    reported speed, a time that leaps ahead while the vehicle went on, altitudes below 0, and depths above the surface.
     """
 
     def __init__(self) -> None:
@@ -109,22 +127,23 @@ class NavigationWatch:
         return math.isfinite(value_m) and self._n_below[name] == _IN_A_ROW
 
     def _check_heading(self, fix: Fix) -> list[Notice]:
-        if not math.isfinite(self._heading_rad):
-            return []
         start = self._chord_start
+        headings = [self._heading_rad] if math.isfinite(self._heading_rad) else []
         if start is None or not 0.0 <= fix.time_s - start[0].time_s <= _MAX_CHORD_S:
             self._chords.clear()
-            self._chord_start = (fix, [self._heading_rad])
+            self._chord_start = (fix, headings)
             return []
         if chord_m(start[0], fix) < _CHORD_M:
             return []
-        self._chord_start = (fix, [self._heading_rad])
+        self._chord_start = (fix, headings)
         mean = sum(complex(math.cos(heading), math.sin(heading)) for heading in start[1])
         course, off = course_rad(start[0], fix), math.atan2(mean.imag, mean.real)
         off -= course
         if self._chords:
             course, off = _unwrapped(course, self._chords[-1][0]), _unwrapped(off, self._chords[-1][1])
         self._chords.append((course, off))
+        if not headings and len(self._chords) >= _N_COURSES:
+            return _scattered_course([course for course, _ in self._chords][-_N_COURSES:])
         if len(self._chords) < _N_CHORDS:
             return []
         (course_change, _), (change, scatter) = (_line(values) for values in zip(*self._chords, strict=True))

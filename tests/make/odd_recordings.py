@@ -80,6 +80,7 @@ NAMED_BY: Final[dict[str, frozenset[str]]] = {
             "nav_heading_not_read",
             "nav_heading_not_valid",
             "navigation.heading_off_course",
+            "navigation.course_scattered",
         }
     ),
     "position": frozenset(

@@ -80,6 +80,15 @@ def test_what_goes_wrong_slowly_or_as_a_whole_is_reported_once(code: str, noise_
     assert codes(lying) == [code]
 
 
+@pytest.mark.parametrize(("noise_m", "found"), [(0.0, []), (0.05, []), (0.3, ["navigation.course_scattered"])])
+def test_positions_that_scatter_are_reported_where_the_course_stands_for_the_heading(
+    noise_m: float, found: list[str]
+) -> None:
+    without = [structs.replace(sample, heading_rad=math.nan) for sample in line(noise_m=noise_m)]
+    assert codes(without) == found
+    assert codes(line(noise_m=noise_m)) == []
+
+
 def test_a_position_that_stands_still_for_14_s_at_3_mps_is_reported_live() -> None:
     """Each quantity in a sample of its own, as a live merge gives them."""
     samples, on_line = [], line(n=200, speed_mps=3.0)
