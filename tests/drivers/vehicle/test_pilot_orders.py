@@ -289,11 +289,12 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.pilot.health()
 
     def teardown(self) -> None:
-        """With a vehicle that answers, a good position and a plan, there is a command in bounded time."""
+        """With a vehicle that answers, a good position over a sound floor and a plan, there is a command in time."""
         if not hasattr(self, "pilot") or self.stopped:
             return
         self.connect()
         self.place_m = (40.0, 40.0)
+        self.report_place(self.place_m, 20.0, 8.1, 0.0)  # the altitude changes with the depth: it is not frozen
         self.propose(GOOD_PLAN_M)
         n_commands, start_s = self.n_commands, self.now_s
         while self.n_commands == n_commands:
