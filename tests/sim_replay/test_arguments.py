@@ -34,8 +34,8 @@ def test_a_file_is_taken_where_its_folder_is_there(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("bench", "option"),
     [
-        *(("chain", "--json"), ("chain", "--page"), ("all", "--json"), ("all", "--page"), ("adapt", "--json")),
-        *(("scenes", "--json"), ("limit", "--json")),
+        *(("chain", "--json"), ("chain", "--page"), ("all", "--json"), ("all", "--page"), ("clearance", "--json")),
+        *(("scenes", "--json"), ("seabed", "--json")),
     ],
 )
 def test_a_missing_folder_is_reported_before_anything_is_measured(
