@@ -30,9 +30,11 @@ from sim_replay.benches.experiment import (
     number,
     run_experiment,
 )
-from sim_replay.benches.mission_source import fly_through, mission_source
+from sim_replay.benches.mission_source import mission_source
 from sim_replay.fitting.detection_performance.looks import GATE_M
+from sim_replay.flights import fly_through
 from sim_replay.missions import SCENES
+from sim_replay.scoring.inputs import parse_truth
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.scene import TARGET_KINDS, Scene
 
@@ -77,7 +79,7 @@ def fly(task: Task) -> dict[str, JudgedClearance]:
         fly_through(
             source.events, {CHAIN: pipeline}, lambda one: searched.add(one) if isinstance(one, CoveragePatch) else None
         )
-        truth = source.truth()
+        truth = parse_truth(source.truth(), task.scene)
     clearance = searched.snapshot()
     assert clearance is not None  # a named scene is seen
     targets = [(one.latitude_deg, one.longitude_deg) for one in truth.objects if one.is_target and one.looks]

@@ -23,11 +23,11 @@ from auv_mcm.records import Contact, NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.logs.image_looks import doppler_centroid, mean_of_looks, sub_band, sub_bands
 from sim_replay.logs.image_sidecar import sidecar_path
-from sim_replay.logs.image_writer import write_images
 from sim_replay.logs.open_log import describe_log, kind_doubt, logs_config, open_log
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.transverse_mercator import utm_to_geodetic
 from sim_replay.logs.xtf_writer import write_xtf
+from tests.sim_replay.logs.image_writer import write_images
 from tests.sim_replay.logs.sonar_logs import (
     contacts_of,
     mission,
