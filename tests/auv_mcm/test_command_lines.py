@@ -37,12 +37,12 @@ from sim_replay.commands.bench import BENCHES
 from sim_replay.fakes.navigation import NAVIGATION_UNITS
 from sim_replay.fakes.sonar import DeviceTime, PingProtocolSonar
 from sim_replay.fitting.measure_prices import PriceList
-from tests.sim_replay.logs.image_writer import write_images
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
 from sim_replay.verdicts import Verdict, append_verdict
 from tests.manual_clock import ManualClock
+from tests.sim_replay.logs.image_writer import write_images
 from tests.sim_replay.logs.sonar_logs import mission, run_of, write_jsf
 
 ROOT = Path(__file__).parents[2]
