@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -34,13 +33,8 @@ def loaded() -> Loaded:
     return load_library(Path(__file__).parent, "_kernels", VERSION)
 
 
-def load_library(
-    folder: Path, name: str, version: int, declare: Callable[[ctypes.CDLL], None] = lambda library: None
-) -> Loaded:
-    """Load the library `name` in `folder`, if it reports `version` by its function auv_mcm<name>_version.
-
-    `declare` sets the argument types of its functions.
-    """
+def load_library(folder: Path, name: str, version: int) -> Loaded:
+    """Load the library `name` in `folder`, if it reports `version` by its function auv_mcm<name>_version."""
     if os.environ.get("AUV_MCM_KERNELS", "") == "numpy":
         return Loaded(None, "AUV_MCM_KERNELS=numpy is set")
     path = folder / f"{name}.abi3.so"
@@ -57,7 +51,6 @@ def load_library(
                 None,
                 f"{path.name} is of another version of this package ({reported}, not {version}): reinstall the package",
             )
-        declare(library)
     except (OSError, AttributeError) as error:
         return Loaded(None, f"{path.name} cannot be loaded ({error}): reinstall the package")
     return Loaded(library, path.name)

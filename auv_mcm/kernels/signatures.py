@@ -91,10 +91,24 @@ def call(name: str, *arguments: Any) -> bool:
 
     Raises ValueError for an array to write to that is not contiguous.
     """
-    found = _declared(name)
-    if found is None:
+    return call_in(kernels.loaded().library, name, SIGNATURES[name], *arguments)
+
+
+def call_in(library: ctypes.CDLL | None, name: str, signature: str, *arguments: Any) -> bool:
+    """Call a C function of a library as `call` does those of the kernels.
+
+    Parameters
+    ----------
+    library
+        None where numpy serves.
+    name
+        Without auv_mcm_.
+    signature
+        Of the function, as in SIGNATURES.
+    """
+    if library is None:
         return False
-    function, declared = found
+    function, declared = _declared(library, name, signature)
     arrays, values = [], []
     for argument, (of_array, dtype) in zip(arguments, declared, strict=True):
         if not of_array or argument is None:
@@ -122,13 +136,10 @@ def _address(array: NDArray[Any]) -> int:
 
 
 @functools.cache
-def _declared(name: str) -> tuple[Callable[..., None], tuple[Argument, ...]] | None:
-    """Give a C function and its arguments, None where numpy serves."""
-    library = kernels.loaded().library
-    if library is None:
-        return None
+def _declared(library: ctypes.CDLL, name: str, signature: str) -> tuple[Callable[..., None], tuple[Argument, ...]]:
+    """Give a C function and its arguments."""
     function: Callable[..., None] = getattr(library, f"auv_mcm_{name}")
-    words = SIGNATURES[name].split()
+    words = signature.split()
     function.argtypes = [_NUMBERS.get(word, ctypes.c_void_p) for word in words]  # type: ignore[attr-defined]
     function.restype = None  # type: ignore[attr-defined]
     return function, tuple(
