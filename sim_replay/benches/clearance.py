@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Final
 
 import msgspec
@@ -21,15 +20,7 @@ from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    number,
-    run_experiment,
-)
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, number
 from sim_replay.benches.mission_source import mission_source
 from sim_replay.fitting.detection_performance.looks import GATE_M
 from sim_replay.flights import fly_through
@@ -160,5 +151,3 @@ EXPERIMENT: Final = Experiment(
     own_options=("without_mines",),
     words=_words,
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

@@ -23,17 +23,7 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
 from auv_mcm.detect.belief import probability
 from auv_mcm.errors import UsageError
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    density,
-    number,
-    run_experiment,
-    share,
-)
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
 from sim_replay.benches.point import Judged, judged
 from sim_replay.fitting.fit_background import SortedContacts, flown_along, flown_scene
 from sim_replay.fitting.left_out import LIMITS_PER_KM2
@@ -260,5 +250,3 @@ EXPERIMENT: Final = Experiment(
     words=_words,
     draw=_draw_asked,
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

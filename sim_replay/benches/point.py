@@ -9,7 +9,6 @@ Contacts are called as the payload does, by the false alarms that their own odds
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -25,17 +24,7 @@ from auv_mcm.contacts.background import (
     shipped_background,
 )
 from auv_mcm.contacts.expected_alarms import called_from_nats, expected_alarms
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    density,
-    number,
-    run_experiment,
-    share,
-)
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
 from sim_replay.fitting.fit_background import SortedContacts, flown, flown_along
 from sim_replay.missions import FIRST_SEED, SCENES
 from sim_replay.scoring.intervals import density as area_density
@@ -171,5 +160,3 @@ EXPERIMENT: Final = Experiment(
         Column("best Pd at as many FA", lambda results: share(proportion(_pooled(results).best, _n_targets(results)))),
     ),
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

@@ -21,16 +21,7 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detector, LookStep, NavSample, Ping, SourceEvent
 from sim_replay.benches import score_columns
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    PairedColumn,
-    Task,
-    add_experiment_arguments,
-    number,
-    run_experiment,
-)
+from sim_replay.benches.experiment import Cell, Column, Experiment, PairedColumn, Task, number
 from sim_replay.benches.mission_source import mission_source
 from sim_replay.flights import fly_through
 from sim_replay.missions import FIRST_SEED, SCENES, served_by, untrained_alone
@@ -165,5 +156,3 @@ EXPERIMENT: Final = Experiment(
     add_options=add_options,
     own_options=("detector",),
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

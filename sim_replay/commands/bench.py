@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import importlib
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from auv_mcm.commands import Commands, Parser, command
 from auv_mcm.errors import UsageError
 
-BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
+BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments and run; imported when chosen
     "chain": ("benches.run_time.bench", "run time against error of the whole chain, beside a plain script"),
     "all": (
         "benches.every_stage.bench",
@@ -83,7 +85,20 @@ def _run(chosen: argparse.Namespace) -> int:
             )
     name, *options = ALIASES.get(chosen.bench, [chosen.bench])
     module, does = BENCHES[name]
-    bench = importlib.import_module(f"sim_replay.{module}")
     parser = Parser(prog=f"auv-mcm bench {name}", description=f"Measure {does}.")
-    bench.add_arguments(parser)
-    return int(bench.run(parser.parse_args([*options, *chosen.arguments])))
+    run = opened(module, parser)
+    return run(parser.parse_args([*options, *chosen.arguments]))
+
+
+def opened(module: str, parser: argparse.ArgumentParser) -> Callable[[argparse.Namespace], int]:
+    """Import a bench, add its options to a parser, and return what runs it. A declared experiment has both alike."""
+    bench = importlib.import_module(f"sim_replay.{module}")
+    experiment = getattr(bench, "EXPERIMENT", None)
+    if experiment is None:
+        bench.add_arguments(parser)
+        run: Callable[[argparse.Namespace], int] = bench.run
+        return run
+    from sim_replay.benches.experiment import add_experiment_arguments, run_experiment
+
+    add_experiment_arguments(experiment, parser)
+    return partial(run_experiment, experiment)

@@ -232,8 +232,8 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
     """A copy of the prepared folder to run in, with the first step of every long work ended by `Reached`."""
     shutil.copytree(prepared, tmp_path / "here")
     monkeypatch.chdir(tmp_path / "here")
-    for module, _ in BENCHES.values():  # before anything is replaced, or they would keep the stand-ins
-        importlib.import_module(f"sim_replay.{module}")
+    # Before anything is replaced, or they would keep the stand-ins.
+    benches = [importlib.import_module(f"sim_replay.{module}") for module, _ in BENCHES.values()]
 
     def reached(*_: Any, **__: Any) -> NoReturn:
         raise Reached
@@ -252,7 +252,8 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.fitting.looks.run_tasks",
         "sim_replay.fitting.recalibrate.refit",
         "sim_replay.fitting.verifier.build.fly_all",
-        *(f"sim_replay.{module}.run" for module, _ in BENCHES.values()),
+        "sim_replay.benches.experiment.run_experiment",
+        *(f"{bench.__name__}.run" for bench in benches if hasattr(bench, "run")),
     ):
         monkeypatch.setattr(place, reached)
     monkeypatch.setattr(
