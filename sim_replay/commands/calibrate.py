@@ -303,14 +303,18 @@ def _between(low: float, high: float) -> Callable[[str], float]:
     return parse
 
 
+def _option(name: str, **how: Any) -> Option:
+    return name, how
+
+
 def _out(what: str, metavar: str = "FILE") -> Option:
-    return "--out", {"metavar": metavar, "type": Path, "required": True, "help": f"new {what}"}
+    return _option("--out", metavar=metavar, type=Path, required=True, help=f"new {what}")
 
 
 def _missions(first: int, last: int) -> Option:
     shown = f"{first}-{last}" if last > first else f"{first}"
     words = f"seeds of the missions (default {shown})"
-    return "--seeds", {"metavar": "FIRST-LAST", "type": _seeds, "default": range(first, last + 1), "help": words}
+    return _option("--seeds", metavar="FIRST-LAST", type=_seeds, default=range(first, last + 1), help=words)
 
 
 def _number(name: str, words: str, default: int | None = None) -> Option:
@@ -320,12 +324,12 @@ def _number(name: str, words: str, default: int | None = None) -> Option:
 
 def _on_farm(seeds: str) -> tuple[Option, ...]:
     shown = f"seeds of the missions (default {seeds})"
-    workers = {"metavar": "N", "type": whole(1, 1000), "default": 2, "help": "missions flown at once here (default 2)"}
+    workers = "missions flown at once here (default 2)"
     return (
-        ("--out", {"metavar": "FILE", "type": Path, "help": "new file for the result, JSON"}),
-        ("--seeds", {"metavar": "FIRST-LAST", "type": _seeds, "help": shown}),
-        ("--workers", workers),
-        ("--scheduler", {"metavar": "ADDRESS", "help": "fly on a dask cluster, tcp://HOST:PORT"}),
+        _option("--out", metavar="FILE", type=Path, help="new file for the result, JSON"),
+        _option("--seeds", metavar="FIRST-LAST", type=_seeds, help=shown),
+        _option("--workers", metavar="N", type=whole(1, 1000), default=2, help=workers),
+        _option("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT"),
     )
 
 
@@ -374,24 +378,20 @@ FITS: Final = (
             "auv-mcm calibrate odds --verdicts monday tuesday wednesday --out recalibrated.json",
         ),
         (
-            (
+            _option(
                 "--verdicts",
-                {
-                    "metavar": "DIR",
-                    "nargs": "+",
-                    "type": Path,
-                    "help": "fly nothing: change the odds that ship by what people judged of these missions, folders "
-                    "of results or sessions; 'confirm.odds' of the configuration loads the file. Other options but "
-                    "--out have no part in it",
-                },
+                metavar="DIR",
+                nargs="+",
+                type=Path,
+                help="fly nothing: change the odds that ship by what people judged of these missions, folders "
+                "of results or sessions; 'confirm.odds' of the configuration loads the file. Other options but "
+                "--out have no part in it",
             ),
-            (
+            _option(
                 "--detector",
-                {
-                    "choices": ("cascade", "contrast"),
-                    "default": "cascade",
-                    "help": "detector whose odds to fit (default cascade)",
-                },
+                choices=("cascade", "contrast"),
+                default="cascade",
+                help="detector whose odds to fit (default cascade)",
             ),
             _number("--seeds", "missions per scene", 2),
             _number("--crowded", "further missions per scene with 3 times as many mines and rocks"),
@@ -402,25 +402,20 @@ FITS: Final = (
             ),
             _number("--first-seed", "seed of each scene's first mission", 500),
             _number("--judged", "missions per scene and kind of recorder that are judged and never fitted on"),
-            (
+            _option(
                 "--judge-log",
-                {
-                    "type": Path,
-                    "action": "append",
-                    "default": [],
-                    "metavar": "FILE",
-                    "help": "a recorded line, XTF, that is judged with embedded targets and never fitted on; "
-                    "repeatable",
-                },
+                type=Path,
+                action="append",
+                default=[],
+                metavar="FILE",
+                help="a recorded line, XTF, that is judged with embedded targets and never fitted on; repeatable",
             ),
-            ("--log-seeds", {"type": count, "default": 7, "help": "draws of targets per recorded line (default 7)"}),
-            (
+            _option("--log-seeds", type=count, default=7, help="draws of targets per recorded line (default 7)"),
+            _option(
                 "--looks",
-                {
-                    "type": Path,
-                    "metavar": "FOLDER",
-                    "help": "folder that keeps what looks measured; a second run only fits",
-                },
+                type=Path,
+                metavar="FOLDER",
+                help="folder that keeps what looks measured; a second run only fits",
             ),
             _WORKERS,
             _out("file for the weights, JSON"),
@@ -441,7 +436,7 @@ FITS: Final = (
         ),
         (
             *_on_farm("800-815"),
-            ("--flights", {"metavar": "N", "type": whole(1, 1000), "help": "missions of each seed (default 2)"}),
+            _option("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 2)"),
         ),
         _run_performance,
     ),
@@ -480,15 +475,13 @@ FITS: Final = (
         "the same missions; weights repeat on one computer. Refit gate and background afterwards.",
         ("auv-mcm calibrate verifier --looks looks --out made",),
         (
-            (
+            _option(
                 "--missions",
-                {
-                    "metavar": "N",
-                    "type": count,
-                    "help": "to train on (default: as many as what ships was trained on)",
-                },
+                metavar="N",
+                type=count,
+                help="to train on (default: as many as what ships was trained on)",
             ),
-            ("--looks", {"metavar": "FOLDER", "type": Path, "required": True, "help": "of the missions flown"}),
+            _option("--looks", metavar="FOLDER", type=Path, required=True, help="of the missions flown"),
             _WORKERS,
             _out("folder for the network and the odds", "FOLDER"),
         ),
