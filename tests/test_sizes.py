@@ -30,10 +30,10 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(40_600, 35_500),
     "drivers": Limit(18_150, 15_500),
-    "sim_replay": Limit(53_950, 42_000),
+    "sim_replay": Limit(53_900, 42_000),
     "sim_replay/augment": Limit(2_610, 2_400),
     "sim_replay/batch": Limit(570, 600),
-    "sim_replay/benches": Limit(10_200, 6_000),
+    "sim_replay/benches": Limit(10_150, 6_000),
     "sim_replay/commands": Limit(1_940, 700),
     "sim_replay/fakes": Limit(4_300, 3_500),
     "sim_replay/fitting": Limit(8_000, 5_200),
