@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeVar
 
-import msgspec
-
 from auv_mcm.errors import BadInputError
 from auv_mcm.safe_files import read_regular
 
@@ -41,19 +39,3 @@ def read_model(
     except BadInputError as error:  # a pipe or a device
         raise BadInputError(f"{key} {error}") from error
     return parse(data, f"{key} {name}")
-
-
-def parse_fitted(data: bytes, place: str, kind: type[Model], fit: str) -> Model:
-    """Parse what a fit wrote. Raises BadInputError naming `place`, what is wrong with it, and how to write it again.
-
-    Parameters
-    ----------
-    kind
-        Of the model.
-    fit
-        As `auv-mcm calibrate` calls it.
-    """
-    try:
-        return msgspec.json.decode(data, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate {fit}'") from error

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
-from auv_mcm.model_file import SHIPPED, parse_fitted, read_model
+from auv_mcm.model_file import SHIPPED, read_model
 from auv_mcm.records import Detector, MeasuredStep
 
 _TEMPER: Final = (
@@ -287,7 +287,10 @@ def configured_odds(name: str, detector: Detector) -> MineOdds:
 
 def parse_odds(data: bytes, place: str) -> MineOdds:
     """Parse weights from JSON. Raises BadInputError naming `place` and what is wrong with it."""
-    return parse_fitted(data, place, MineOdds, "odds")
+    try:
+        return msgspec.json.decode(data, type=MineOdds)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate odds'") from error
 
 
 def share_of_ratio(log_ratio: float) -> float:

@@ -44,8 +44,8 @@ from auv_mcm.classify.targets import (
     ExpectedWedge,
     TargetLibrary,
 )
+from auv_mcm.errors import BadInputError
 from auv_mcm.kernels.shape import FORBIDDEN, Solid
-from auv_mcm.model_file import parse_fitted
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -114,7 +114,10 @@ def shipped_size_model() -> SizeModel:
 
 def parse_size_model(data: bytes, place: str) -> SizeModel:
     """Parse a model from JSON. Raises BadInputError naming `place` and what is wrong with it."""
-    return parse_fitted(data, place, SizeModel, "sizes")
+    try:
+        return msgspec.json.decode(data, type=SizeModel)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate sizes'") from error
 
 
 def log_sizes(fit: ShapeFit) -> tuple[float, ...]:

@@ -20,7 +20,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from auv_mcm.model_file import parse_fitted, read_model
+from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import read_model
 from auv_mcm.records import SEABED_TYPES, SeabedType
 from auv_mcm.settings.config import Config
 
@@ -196,7 +197,10 @@ def _of_kind(name: SeabedType, by_floor: Array, look_rad: Array, ripple_rad: Arr
 
 def parse_performance(data: bytes, place: str) -> Performance:
     """Parse tables from JSON. Raises BadInputError naming `place` and what is wrong with it."""
-    return parse_fitted(data, place, Performance, "performance")
+    try:
+        return msgspec.json.decode(data, type=Performance)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate performance'") from error
 
 
 def configured_performance(config: Config) -> Performance:

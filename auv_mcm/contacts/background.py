@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from auv_mcm.model_file import parse_fitted
+from auv_mcm.errors import BadInputError
 from auv_mcm.records import Detector
 
 Array: TypeAlias = NDArray[np.float64]
@@ -240,7 +240,10 @@ def shipped_background() -> BackgroundModel:
 
 def parse_background(data: bytes, place: str) -> BackgroundModel:
     """Read a model from JSON. Raises BadInputError naming `place` and what is wrong with it."""
-    return parse_fitted(data, place, BackgroundModel, "background")
+    try:
+        return msgspec.json.decode(data, type=BackgroundModel)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate background'") from error
 
 
 def interpolation(log_odds: Array) -> Array:

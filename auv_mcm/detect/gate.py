@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.model_file import parse_fitted
+from auv_mcm.errors import BadInputError
 
 Values: TypeAlias = NDArray[np.float64]
 Feature: TypeAlias = Literal[
@@ -113,4 +113,7 @@ def shipped_gate() -> Gate:
 
 def parse_gate(data: bytes, place: str) -> Gate:
     """Read a gate from JSON. Raises BadInputError naming `place` and what is wrong with it."""
-    return parse_fitted(data, place, Gate, "gate")
+    try:
+        return msgspec.json.decode(data, type=Gate)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate gate'") from error

@@ -16,7 +16,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from auv_mcm.model_file import parse_fitted, read_model
+from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import read_model
 from auv_mcm.records import SEABED_TYPES, SeabedType
 from auv_mcm.seabed.texture import NAMES
 from auv_mcm.settings.config import Config
@@ -171,7 +172,10 @@ def as_stored(values: Array) -> tuple[float, ...]:
 
 def parse_seabed_model(data: bytes, place: str) -> SeabedModel:
     """Read a model from JSON. Raises BadInputError naming `place` and what is wrong with it."""
-    return parse_fitted(data, place, SeabedModel, "seabed")
+    try:
+        return msgspec.json.decode(data, type=SeabedModel)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{place}: {error}. Write the file again with 'auv-mcm calibrate seabed'") from error
 
 
 def configured_seabed_model(config: Config) -> SeabedModel:
