@@ -53,3 +53,12 @@ def shared_data() -> Callable[[str], Path]:
         return path
 
     return path_of
+
+
+@pytest.fixture
+def without_perception(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`auv-mcm check` without a perception process, which takes a second of a core to start each time."""
+    from auv_mcm.shell.check.finding import Finding
+
+    found = Finding("perception process", "ok", "not started")
+    monkeypatch.setattr("auv_mcm.shell.check._perception", lambda config: [found])

@@ -11,6 +11,7 @@ import argparse
 import importlib
 import inspect
 import json
+import os
 import re
 import shlex
 import shutil
@@ -227,10 +228,18 @@ def record(folder: Path) -> None:
     recorder.close()
 
 
+def copied(source: str, target: str) -> None:
+    """Link what no line writes into, as logs and pictures; copy the others."""
+    if source.endswith((".xtf", ".jsf", ".mcap", ".png", ".tif")):
+        os.link(source, target)
+    else:
+        shutil.copy(source, target)
+
+
 @pytest.fixture
 def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the prepared folder to run in, with the first step of every long work ended by `Reached`."""
-    shutil.copytree(prepared, tmp_path / "here")
+    shutil.copytree(prepared, tmp_path / "here", copy_function=copied)
     monkeypatch.chdir(tmp_path / "here")
     for module, _ in BENCHES.values():  # before anything is replaced, or they would keep the stand-ins
         importlib.import_module(f"sim_replay.{module}")
