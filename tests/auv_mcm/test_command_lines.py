@@ -57,8 +57,8 @@ PROGRAMS = ("auv-mcm ", "python -m ", "sh deploy/")
 SCENE = """
 world: {depth_m: 12, seabeds: [{type: sand}]}
 sonar: {frequency_khz: 450, range_m: 25, n_samples: 400, ping_rate_hz: 10}
-track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 30, spacing_m: 40}}
-objects: [{kind: cylinder, leg: 0, along_m: 15, across_m: 12, azimuth_deg: 30}]
+track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 16, spacing_m: 40}}
+objects: [{kind: cylinder, leg: 0, along_m: 8, across_m: 12, azimuth_deg: 30}]
 """
 PORTS = """
 ports:

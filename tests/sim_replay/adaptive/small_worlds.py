@@ -1,10 +1,8 @@
-"""A world small enough to be flown in a second, and a look that is worth the same anywhere."""
+"""A world small enough to be flown in a second."""
 
 from __future__ import annotations
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from auv_mcm.settings.config import Config
 from sim_replay.adaptive.decide import by_replanning
@@ -12,27 +10,9 @@ from sim_replay.adaptive.flight import AdaptiveFlight, fly_adaptive
 from sim_replay.adaptive.order import Order, drawn_scene, limits_of, usual_order
 from sim_replay.simulator.plan import local_frame
 from sim_replay.simulator.scene import Scene, Seabed, World
+from tests.make.looks import EvenLook
 
 SIDE_M = 36.0
-
-
-class Worth:
-    """A look that finds p of all mines, whatever it looks at."""
-
-    def __init__(self, p: float, same: float = 0.5, other: float = 0.1) -> None:
-        self._p = p
-        self.same_look_correlation = same
-        self.other_look_correlation = other
-
-    def p_look(
-        self,
-        seabed: NDArray[np.uint8],
-        ground_range_m: NDArray[np.float32],
-        altitude_m: NDArray[np.float32],
-        look_rad: NDArray[np.float32],
-        ripple_rad: NDArray[np.float32],
-    ) -> NDArray[np.float64]:
-        return np.full(len(seabed), self._p)
 
 
 def small_scene(seed: int = 1) -> Scene:
@@ -60,7 +40,7 @@ def coarse_config() -> Config:
     )
 
 
-def fly_small(worth: Worth, order: Order, seed: int = 1) -> AdaptiveFlight:
+def fly_small(worth: EvenLook, order: Order, seed: int = 1) -> AdaptiveFlight:
     scene = small_scene(seed)
     limits = limits_of(scene, order)
     replanning = by_replanning(order, worth, limits, local_frame(scene.origin))

@@ -14,9 +14,10 @@ from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower
 from sim_replay.adaptive.order import limits_of
 from sim_replay.adaptive.ordered_ground import clearance_over_order, would_come_to
 from sim_replay.simulator.plan import local_frame, planned_legs
-from tests.sim_replay.adaptive.small_worlds import SIDE_M, Worth, coarse_config, fly_small, small_order, small_scene
+from tests.make.looks import EvenLook
+from tests.sim_replay.adaptive.small_worlds import SIDE_M, coarse_config, fly_small, small_order, small_scene
 
-GOOD = Worth(0.6)
+GOOD = EvenLook(0.6)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_the_same_seed_gives_the_same_flight(cleared: AdaptiveFlight) -> None:
 
 
 def test_a_sea_floor_on_which_nothing_is_found_ends_the_flight_at_once_with_words() -> None:
-    flight = fly_small(Worth(0.0), small_order())
+    flight = fly_small(EvenLook(0.0), small_order())
     assert flight.verdict.startswith("cannot, because")
     assert flight.way_m == 0.0
     assert flight.reached_m == np.inf
@@ -93,7 +94,7 @@ def test_what_a_lawnmower_would_come_to_is_what_was_expected_where_the_floor_is_
 
 
 def test_an_order_that_takes_more_track_than_there_is_ends_within_the_budget() -> None:
-    flight = fly_small(Worth(0.2), small_order(required=0.95, budget_m=230.0))
+    flight = fly_small(EvenLook(0.2), small_order(required=0.95, budget_m=230.0))
     assert flight.verdict.startswith("cannot, because")
     assert flight.way_m <= 231.0
 
@@ -115,7 +116,7 @@ def test_a_flight_with_nothing_left_to_decide_waits_for_what_it_has_flown_over()
         asked.append(now)
         return LegDecision((leg,) if len(asked) == 1 else (), "cannot, because the test has one leg", "one leg")
 
-    flight = fly_adaptive(scene, order, one_leg, limits, Worth(0.3), coarse_config(), lambda ground: order.required)
+    flight = fly_adaptive(scene, order, one_leg, limits, EvenLook(0.3), coarse_config(), lambda ground: order.required)
     assert not asked[1].complete
     assert asked[-1].complete
     assert flight.verdict == "cannot, because the test has one leg"

@@ -11,7 +11,7 @@ from auv_mcm.plan.dubins import PlanePose, dubins_path
 from auv_mcm.plan.limits import Limits
 from sim_replay.adaptive.lawnmower import expected_clearance, shortest_lawnmower, way_m, worst_seabed
 from sim_replay.simulator.plan import Leg
-from tests.sim_replay.adaptive.small_worlds import Worth
+from tests.make.looks import EvenLook
 
 START = PlanePose(10.0, -30.0, 0.0)
 LIMITS = Limits(turn_radius_m=10.0, budget_m=9000.0, fence=None, altitude_m=5.0, min_altitude_m=2.0, swath=(2.0, 30.0))
@@ -43,7 +43,7 @@ def clearance_place_by_place(legs: tuple[Leg, ...], side_m: float, p: float, sam
 
 @pytest.mark.parametrize("required", [0.5, 0.8, 0.95])
 def test_expected_clearance_is_the_sum_over_all_looks_at_all_places(required: float) -> None:
-    lawnmower = shortest_lawnmower(80.0, required, {"flat": 1.0}, Worth(0.6), LIMITS, START)
+    lawnmower = shortest_lawnmower(80.0, required, {"flat": 1.0}, EvenLook(0.6), LIMITS, START)
     assert lawnmower is not None
     assert lawnmower.expected >= required
     assert lawnmower.expected == pytest.approx(clearance_place_by_place(lawnmower.legs, 80.0, 0.6, 0.5, 0.1), abs=1e-9)
@@ -52,14 +52,14 @@ def test_expected_clearance_is_the_sum_over_all_looks_at_all_places(required: fl
 def test_more_clearance_is_never_shorter() -> None:
     lengths = []
     for required in (0.3, 0.5, 0.7, 0.9):
-        lawnmower = shortest_lawnmower(80.0, required, {"flat": 1.0}, Worth(0.6), LIMITS, START)
+        lawnmower = shortest_lawnmower(80.0, required, {"flat": 1.0}, EvenLook(0.6), LIMITS, START)
         assert lawnmower is not None
         lengths.append(lawnmower.length_m)
     assert lengths == sorted(lengths)
 
 
 def test_the_length_is_that_of_legs_and_turns_between_them() -> None:
-    lawnmower = shortest_lawnmower(80.0, 0.8, {"flat": 1.0}, Worth(0.6), LIMITS, START)
+    lawnmower = shortest_lawnmower(80.0, 0.8, {"flat": 1.0}, EvenLook(0.6), LIMITS, START)
     assert lawnmower is not None
     length, pose = 0.0, START
     for leg in lawnmower.legs:
@@ -70,11 +70,11 @@ def test_the_length_is_that_of_legs_and_turns_between_them() -> None:
 
 
 def test_where_nothing_is_found_there_is_no_lawnmower() -> None:
-    assert shortest_lawnmower(80.0, 0.5, {"flat": 1.0}, Worth(0.0), LIMITS, START) is None
+    assert shortest_lawnmower(80.0, 0.5, {"flat": 1.0}, EvenLook(0.0), LIMITS, START) is None
 
 
 def test_a_mixture_is_expected_to_give_the_mean_of_its_parts() -> None:
-    class ByKind(Worth):
+    class ByKind(EvenLook):
         def p_look(self, seabed, ground_range_m, altitude_m, look_rad, ripple_rad):  # type: ignore[no-untyped-def]  # as of LookModel
             return np.where(seabed == 0, 0.8, 0.2)
 
