@@ -237,7 +237,7 @@ def copied(source: str, target: str) -> None:
 
 
 @pytest.fixture
-def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_perception: None) -> Path:
     """A copy of the prepared folder to run in, with the first step of every long work ended by `Reached`."""
     shutil.copytree(prepared, tmp_path / "here", copy_function=copied)
     monkeypatch.chdir(tmp_path / "here")
