@@ -93,7 +93,6 @@ SOLIDS: dict[str, st.SearchStrategy[Shape]] = {
     "polyhedron": st.builds(random_polyhedron, st.integers(0, 2**32 - 1), AZIMUTH, SHARE),
 }
 EVERY_SOLID = pytest.mark.parametrize("kind", sorted(SOLIDS))
-ANY_SOLID = st.one_of(*SOLIDS.values())
 
 
 def clear_of_edges(see: Callable[[Array], SolidView], offset: Array, reach: float) -> Array:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sim_replay.simulator.backscatter import TABLE_SIZE
-from sim_replay.simulator.bodies import POLYHEDRON, Body
-from sim_replay.simulator.render import Lines
+from sim_replay.simulator.bodies import POLYHEDRON, Bodies, Body, pack
+from sim_replay.simulator.render import Lines, Rendered, render_pings
 from sim_replay.simulator.world import NODES, Patches
 
 Floats: TypeAlias = NDArray[np.float64]
-EVEN_BEAM = np.ones(TABLE_SIZE, dtype=np.float32)
+NO_BODIES = pack([])
 EVEN = np.ones((2, TABLE_SIZE), dtype=np.float32)
+EVEN_BEAM = np.ones(TABLE_SIZE, dtype=np.float32)
 
 
 def flat_patches(size: int = 10) -> Patches:
@@ -62,6 +63,18 @@ def rays(
     )
 
 
+def rendered(
+    lines: Lines,
+    patches: Patches,
+    bodies: Bodies = NO_BODIES,
+    tables: NDArray[np.float32] = EVEN,
+    beam: NDArray[np.float32] = EVEN_BEAM,
+    **grid: Any,
+) -> Rendered:
+    """Render one ping over a floor and under a beam that are even, with no body on it, unless others are given."""
+    return render_pings(lines, patches, bodies, tables, beam, n_pings=1, **grid)
+
+
 def block(length_m: float, width_m: float, planes: tuple[tuple[float, float, float], ...]) -> Body:
     sides = (
         (1.0, 0.0, 0.5 * length_m),
@@ -73,15 +86,3 @@ def block(length_m: float, width_m: float, planes: tuple[tuple[float, float, flo
 
 
 TURN, BURIED = st.floats(-math.pi, math.pi), st.floats(0.0, 0.6)
-
-
-def rough_pool(seed: int) -> NDArray[np.float32]:
-    """Patches of three roughnesses: level, rough, and steep."""
-    random = np.random.Generator(np.random.PCG64(seed))
-    rough = random.normal(0.0, 0.02, (NODES, NODES))
-    steep = np.cumsum(random.normal(0.0, 0.03, (NODES, NODES)), axis=1)
-    return np.stack([np.zeros((NODES, NODES)), rough, steep - steep.mean()]).astype(np.float32)
-
-
-POOL = rough_pool(3)
-SEABED = np.random.Generator(np.random.PCG64(5)).integers(0, 2, POOL.shape).astype(np.uint8)

@@ -12,14 +12,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from sim_replay.simulator import backend
 from sim_replay.simulator.backscatter import TABLE_SIZE
-from sim_replay.simulator.bodies import pack
-from sim_replay.simulator.render import render_pings
+from sim_replay.simulator.bodies import CONE, CYLINDER, ELLIPSOID, MOAT, POLYHEDRON, SCAR, TORUS, Bodies, Body, pack
+from sim_replay.simulator.render import Rendered, render_numpy, render_pings
 from sim_replay.simulator.world import NODES, Patches
-from tests.sim_replay.simulator.rendered_lines import EVEN, EVEN_BEAM, POOL, SEABED, Floats, block, flat_patches, rays
+from tests.sim_replay.simulator.rendered_lines import (
+    EVEN,
+    EVEN_BEAM,
+    NO_BODIES,
+    TURN,
+    Floats,
+    block,
+    flat_patches,
+    rays,
+    rendered,
+)
 
 Height: TypeAlias = Callable[[Floats, Floats], Floats]
-NO_BODIES = pack([])
+needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.simulator_library().reason}")
 
 
 def one_patch(elevation_m: NDArray[np.float32]) -> Patches:
@@ -71,19 +82,7 @@ def test_nodes_are_lit_where_a_slow_ray_caster_sees_them(
         (north, east), n_nodes = ((20.0, 31.0), (31.0, 20.0), (42.0, 31.0), (31.0, 42.0))[quarter], 24
     elevation_m += float(bilinear(floor, np.array([north]), np.array([east]))[0])
     lines = rays(north, east, direction, elevation_m)
-    out = render_pings(
-        lines,
-        one_patch(floor),
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
-        cell_m=cell_m,
-        n_nodes=n_nodes,
-        n_pings=1,
-        n_bins=50,
-        bin_m=0.1,
-        keep_nodes=True,
-    )
+    out = rendered(lines, one_patch(floor), cell_m=cell_m, n_nodes=n_nodes, n_bins=50, bin_m=0.1, keep_nodes=True)
     nodes = np.arange(n_nodes, dtype=np.float64)
 
     def along(at: Floats) -> Floats:
@@ -105,15 +104,11 @@ def test_a_facet_is_lit_as_far_as_the_shadow_before_it_leaves_it() -> None:
     cell_m, altitude_m = 0.1, 5.0
     heights = np.zeros((64, 64), dtype=np.float32)
     heights[:, 20] = 0.5
-    out = render_pings(
+    out = rendered(
         rays(30.0, 0.0, 0.5 * math.pi, altitude_m),
         one_patch(heights),
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
         cell_m=cell_m,
         n_nodes=40,
-        n_pings=1,
         n_bins=80,
         bin_m=0.1,
         keep_nodes=True,
@@ -125,6 +120,19 @@ def test_a_facet_is_lit_as_far_as_the_shadow_before_it_leaves_it() -> None:
     expected[21:23] = 0.0
     expected[math.ceil(end_cells)] = math.ceil(end_cells) - end_cells
     np.testing.assert_allclose(out.lit[0], expected, atol=1e-5)
+
+
+def rough_pool(seed: int) -> NDArray[np.float32]:
+    """Patches of three roughnesses: level, rough, and steep."""
+    random = np.random.Generator(np.random.PCG64(seed))
+    rough = random.normal(0.0, 0.02, (NODES, NODES))
+    steep = np.cumsum(random.normal(0.0, 0.03, (NODES, NODES)), axis=1)
+    return np.stack([np.zeros((NODES, NODES)), rough, steep - steep.mean()]).astype(np.float32)
+
+
+POOL = rough_pool(3)
+TEXTURE = np.random.Generator(np.random.PCG64(4)).gamma(4.0, 0.25, POOL.shape).astype(np.float32)
+SEABED = np.random.Generator(np.random.PCG64(5)).integers(0, 2, POOL.shape).astype(np.uint8)
 
 
 @given(
@@ -144,19 +152,7 @@ def test_no_energy_is_lost_or_made_on_the_way_into_bins(
         POOL[slot : slot + 1], np.ones_like(POOL[:1]), np.zeros_like(SEABED[:1]), np.zeros((1, 1), np.int32), 0, 0
     )
     lines = rays(128.0 + seed % 7 / 7.0, 128.4, direction_rad, 6.0, pitch_rad=pitch_rad)
-    out = render_pings(
-        lines,
-        patches,
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
-        cell_m=cell_m,
-        n_nodes=n_nodes,
-        n_pings=1,
-        n_bins=n_bins,
-        bin_m=bin_m,
-        keep_nodes=True,
-    )
+    out = rendered(lines, patches, cell_m=cell_m, n_nodes=n_nodes, n_bins=n_bins, bin_m=bin_m, keep_nodes=True)
     assert out.lit is not None
     nodes = np.arange(n_nodes, dtype=np.float64)
     north = lines.north_cells[0] + nodes * lines.step_north[0]
@@ -187,18 +183,7 @@ def test_a_level_floor_fills_every_bin_by_its_ground(bin_m: float, altitude_m: f
     cell_m, n_nodes = 0.05, 800
     lines = rays(0.3, 0.2, 1.0, altitude_m)._replace(weight=np.array([weight]))
     n_bins = int((math.hypot((n_nodes - 2) * cell_m, altitude_m)) / bin_m)
-    out = render_pings(
-        lines,
-        flat_patches(),
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
-        cell_m=cell_m,
-        n_nodes=n_nodes,
-        n_pings=1,
-        n_bins=n_bins,
-        bin_m=bin_m,
-    )
+    out = rendered(lines, flat_patches(), cell_m=cell_m, n_nodes=n_nodes, n_bins=n_bins, bin_m=bin_m)
     edges = np.sqrt(np.maximum((np.arange(n_bins + 1) * bin_m) ** 2 - altitude_m**2, 0.0))
     cumulative = np.concatenate([[0.0], np.cumsum(out.energy[0])]) / weight
     np.testing.assert_allclose(cumulative, edges, atol=0.25 * cell_m)
@@ -218,15 +203,13 @@ def box_echo(tables: NDArray[np.float32], turned_rad: float, cell_m: float = 0.0
     incidence.
     """
     body = block(1.0, 1.0, ((0.0, 0.0, 0.5),))._replace(north_m=0.0, east_m=10.0, azimuth_rad=turned_rad)
-    out = render_pings(
+    out = rendered(
         rays(0.0, 0.0, 0.5 * math.pi, 4.0),
         flat_patches(24),
-        pack([body]),
-        tables,
-        EVEN_BEAM,
+        tables=tables,
+        bodies=pack([body]),
         cell_m=cell_m,
         n_nodes=int(12.0 / cell_m),
-        n_pings=1,
         n_bins=1,
         bin_m=100.0,
     )
@@ -255,15 +238,12 @@ def test_the_beam_is_looked_up_by_the_angle_off_its_axis(side: float) -> None:
     beam = np.zeros(TABLE_SIZE, dtype=np.float32)
     low, high = sorted((side * 0.1, side * 0.3))
     beam[int((1.0 + low) * 0.5 * TABLE_SIZE) : int((1.0 + high) * 0.5 * TABLE_SIZE)] = 1.0
-    out = render_pings(
+    out = rendered(
         rays(0.0, 0.0, 2.0, altitude_m, pitch_rad=pitch_rad),
         flat_patches(),
-        NO_BODIES,
-        EVEN,
-        beam,
+        beam=beam,
         cell_m=0.05,
         n_nodes=900,
-        n_pings=1,
         n_bins=900,
         bin_m=0.05,
     )
@@ -273,3 +253,110 @@ def test_the_beam_is_looked_up_by_the_angle_off_its_axis(side: float) -> None:
     tolerance = 0.06 * np.abs(np.gradient(off, r))
     assert np.all((off > low - tolerance) & (off < high + tolerance))
     assert len(r) > 5
+
+
+PLACE, PART = st.floats(-12.0, 12.0), st.floats(0.1, 1.0)
+
+
+def any_body(kind: int) -> st.SearchStrategy[Body]:
+    def built(
+        east: float, north: float, azimuth: float, base: float, a: float, b: float, c: float, tilt: float
+    ) -> Body:
+        sizes = {
+            ELLIPSOID: (a, b, c, 0.5 * c),
+            CYLINDER: (0.5 * a, b, 0.4 * c, math.sin(tilt), math.cos(tilt)),
+            CONE: (a, b * a, c, 0.2 * c),
+            TORUS: (a, 0.3 * b, 0.2 * c, 0.1),
+            SCAR: (4.0 * a, b, 0.3 * c),
+            MOAT: (a, b, 0.2 * c, 0.6),
+        }
+        place = (kind, east, north, base, azimuth, 5.0)
+        if kind != POLYHEDRON:
+            return Body(*place, sizes[kind], 2)
+        planes = (
+            (1.0, 0.0, a),
+            (-1.0, 0.0, a),
+            (0.0, 1.0, b),
+            (0.0, -1.0, b),
+            (0.6, 0.8, 0.9 * a),
+            (tilt, 0.0, c),
+            (-0.5, 0.2, c),
+        )
+        return Body(*place, (), 2, planes, 5)
+
+    return st.builds(
+        built, PLACE, PLACE, TURN, st.floats(-0.3, 0.3), PART, PART, PART, st.sampled_from([0.0, 0.1, 0.4])
+    )
+
+
+BODIES = st.lists(st.one_of(*(any_body(kind) for kind in range(7))), max_size=12).map(pack)
+
+
+@needs_c
+@given(
+    seed=st.integers(0, 2**32),
+    bodies=BODIES,
+    elevation_m=st.floats(0.2, 9.0),
+    pitch_rad=st.floats(-0.5, 0.5),
+    roll_rad=st.floats(-0.5, 0.5),
+    bin_m=st.sampled_from([0.007, 0.02, 0.05, 0.4]),
+    n_bins=st.integers(1, 400),
+)
+@settings(max_examples=150)
+def test_c_and_numpy_give_the_same_bytes(
+    seed: int, bodies: Bodies, elevation_m: float, pitch_rad: float, roll_rad: float, bin_m: float, n_bins: int
+) -> None:
+    random = np.random.Generator(np.random.PCG64(seed))
+    size, n_lines, n_nodes = 4, 35, 210
+    patches = Patches(POOL, TEXTURE, SEABED, random.integers(0, 3, (size, size)).astype(np.int32), -2, -2)
+    place = random.uniform(-280.0, 280.0, (2, n_lines))
+    lines = rays(
+        place[0],
+        place[1],
+        random.uniform(-math.pi, math.pi, n_lines),
+        elevation_m,
+        pitch_rad=pitch_rad,
+        roll_rad=roll_rad,
+        ping=random.integers(0, 4, n_lines),
+    )
+    tables = random.uniform(0.0, 1.0, (3, TABLE_SIZE)).astype(np.float32)
+    beam = random.uniform(0.0, 1.0, TABLE_SIZE).astype(np.float32)
+
+    compiled, plain = (
+        work(
+            lines,
+            patches,
+            bodies,
+            tables,
+            beam,
+            cell_m=0.05,
+            n_nodes=n_nodes,
+            n_pings=4,
+            n_bins=n_bins,
+            bin_m=bin_m,
+            keep_nodes=True,
+        )
+        for work in (render_pings, render_numpy)
+    )
+    for name, one, other in zip(Rendered._fields, compiled, plain, strict=True):
+        assert one is not None
+        assert other is not None
+        assert one.tobytes() == other.tobytes(), name
+    assert np.isfinite(compiled.energy).all()
+
+
+def test_patches_may_lie_anywhere_without_a_bit_of_difference() -> None:
+    """The same rays over the same floor, the request of which began elsewhere."""
+    lines = rays(np.linspace(-200.0, 200.0, 9), -37.3, np.linspace(0.0, 6.0, 9), 5.0)
+    small = np.arange(16, dtype=np.int32).reshape(4, 4) % 3
+    large = np.zeros((9, 8), dtype=np.int32)
+    large[3:7, 2:6] = small
+
+    def energy(slots: NDArray[np.int32], first_row: int, first_column: int) -> bytes:
+        patches = Patches(POOL, TEXTURE, SEABED, slots, first_row, first_column)
+        body = Body(ELLIPSOID, -1.0, -3.0, 0.0, 0.3, 0.6, (0.5, 0.4, 0.4, 0.3), 1)
+        return render_pings(
+            lines, patches, pack([body]), EVEN, EVEN_BEAM, cell_m=0.05, n_nodes=210, n_pings=9, n_bins=200, bin_m=0.05
+        ).energy.tobytes()
+
+    assert energy(small, -2, -2) == energy(large, -5, -4)

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from auv_mcm.solids.shapes import Box, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge, view_shape
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import CONE, CYLINDER, ELLIPSOID, Body, pack
-from sim_replay.simulator.render import render_pings
 from sim_replay.simulator.world import PATCH
-from tests.sim_replay.simulator.rendered_lines import BURIED, EVEN_BEAM, TURN, block, flat_patches, rays
+from tests.sim_replay.simulator.rendered_lines import BURIED, TURN, block, flat_patches, rays, rendered
 
 ONLY_BODIES = np.stack([np.zeros(TABLE_SIZE, dtype=np.float32), np.ones(TABLE_SIZE, dtype=np.float32)])
 
@@ -97,7 +96,7 @@ def closed_form(solid: Standing, ground_range_m: float, altitude_m: float) -> So
     return view_shape(solid.shape, offset, ground_range_m, altitude_m)
 
 
-def rendered(
+def viewed(
     solid: Standing,
     ground_range_m: float,
     altitude_m: float,
@@ -124,15 +123,13 @@ def rendered(
     lines = rays(foot[0] / cell_m, foot[1] / cell_m, heading_rad + 0.5 * math.pi, altitude_m)
     n_bins = math.ceil(math.hypot(end_m, altitude_m) / bin_m)
     size = 2 * math.ceil(n_nodes / PATCH + 1)
-    out = render_pings(
+    out = rendered(
         lines,
         flat_patches(size),
-        pack([body]),
-        ONLY_BODIES,
-        EVEN_BEAM,
+        tables=ONLY_BODIES,
+        bodies=pack([body]),
         cell_m=cell_m,
         n_nodes=n_nodes,
-        n_pings=1,
         n_bins=n_bins,
         bin_m=bin_m,
         keep_nodes=True,
@@ -155,7 +152,7 @@ def test_shadows_end_and_highlights_begin_as_in_the_closed_forms(
     """
     cell_m, bin_m, ground_range_m = 0.05, 0.01, slope * altitude_m
     view = closed_form(solid, ground_range_m, altitude_m)
-    seen = rendered(solid, ground_range_m, altitude_m, heading_rad, cell_m, bin_m, part)
+    seen = viewed(solid, ground_range_m, altitude_m, heading_rad, cell_m, bin_m, part)
     over = altitude_m - solid.height_m
     cast = altitude_m / over * (1.0 + solid.rise * (ground_range_m + 2.0) / over)
     if math.isnan(seen.shadow_end_m):
@@ -182,9 +179,7 @@ def test_errors_of_shadow_ends_shrink_with_the_cell(name: str) -> None:
         errors = []
         for ground_range_m in np.linspace(21.0, 21.3, 24):
             end_m = float(closed_form(FIXED[name], ground_range_m, altitude_m).shadow_end_m)
-            errors.append(
-                rendered(FIXED[name], ground_range_m, altitude_m, 0.7, cell_m, 0.05, 0.3).shadow_end_m - end_m
-            )
+            errors.append(viewed(FIXED[name], ground_range_m, altitude_m, 0.7, cell_m, 0.05, 0.3).shadow_end_m - end_m)
         return float(np.abs(errors).mean())
 
     errors = np.array([error_m(cell_m) for cell_m in (0.16, 0.08, 0.04, 0.02)])
