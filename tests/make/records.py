@@ -18,8 +18,8 @@ ROW_M, COLUMN_M = 0.12, 0.06  # of tiles
 
 def nav_of(time_s: float, **changes: float) -> NavSample:
     """A full sample, level and on a heading of 0, at 43° N 5° E, but for what is given."""
-    known = {"latitude_deg": 43.0, "longitude_deg": 5.0, "heading_rad": 0.0, "pitch_rad": 0.0, "roll_rad": 0.0}
-    known |= {"depth_m": 10.0, "altitude_m": 5.0, "speed_mps": 1.5}
+    known: dict[str, Any] = {"latitude_deg": 43.0, "longitude_deg": 5.0, "heading_rad": 0.0, "pitch_rad": 0.0}
+    known |= {"roll_rad": 0.0, "depth_m": 10.0, "altitude_m": 5.0, "speed_mps": 1.5}
     return NavSample(time_s=time_s, **(known | changes))
 
 
