@@ -21,7 +21,7 @@ from drivers.links.link import Link
 from drivers.links.slcan import encode
 from sim_replay.fakes.port import FakePort
 from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
-from tests.drivers.links.link_watch import Watch, running, until, until_equal, watched_can
+from tests.drivers.links.link_watch import Watch, running, until, until_equal, up, watched_can
 
 POSITION = CanFrame(0x09F80103, bytes.fromhex("406dab1cc0b9da06"))
 DEPTH = CanFrame(0x0DF50B03, bytes.fromhex("00d2040000000000"))
@@ -125,8 +125,7 @@ async def test_one_bad_byte_costs_one_frame(tmp_path: Path) -> None:
 async def test_frames_pass_both_ways_on_a_virtual_bus() -> None:
     other = can.Bus(interface="virtual", channel="both_ways", ignore_config=True)
     link, watch = watched_can("can-virtual://both_ways")
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         other.send(can.Message(arbitration_id=POSITION.can_id, data=POSITION.data))
         other.send(can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False))
         other.send(can.Message(arbitration_id=0x123, is_remote_frame=True))

@@ -20,7 +20,7 @@ from drivers.links.open_link import byte_link
 from drivers.links.stream import MAX_QUEUED_BYTES
 from drivers.links.uri import SerialAddress
 from sim_replay.fakes.port import FakePort
-from tests.drivers.links.link_watch import Watch, open_descriptors, running, until, until_equal, watched_bytes
+from tests.drivers.links.link_watch import Watch, open_descriptors, running, until, until_equal, up, watched_bytes
 from tests.drivers.links.loop_time import LoopTime, run_in_loop_time
 from tests.manual_clock import ManualClock
 
@@ -37,8 +37,7 @@ async def plugged(folder: Path, options: str = "") -> AsyncIterator[tuple[FakePo
     port = FakePort(folder / "tty", BAUD)
     port.plug()
     link, watch = link_at(port.path, options)
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         yield port, link, watch
     port.unplug()
 
@@ -51,8 +50,7 @@ async def test_bytes_pass_both_ways_with_the_stamp_of_their_reading(tmp_path: Pa
     clock.advance_to(1_700_000_002.5)
     watch = Watch[bytes]()
     link = byte_link(SerialAddress(str(port.path), 115200), watch.on_data, watch.on_state, clock)
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         assert port.host_baud == 115200
         await port.send(b"$GPHDT,90.0,T*0C\r\n")
         await until(lambda: b"".join(watch.items) == b"$GPHDT,90.0,T*0C\r\n")
@@ -141,8 +139,7 @@ async def test_silence_is_measured_with_the_clock_that_is_given(tmp_path: Path) 
     clock = ManualClock()
     watch = Watch[bytes]()
     link = byte_link(SerialAddress(str(port.path), BAUD, 0.05), watch.on_data, watch.on_state, clock)
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         await asyncio.sleep(0.15)
         assert link.state == "up"
         clock.advance_to(0.06)
@@ -154,8 +151,7 @@ async def test_writes_queue_up_to_a_bound_and_leave_in_order_when_the_device_rea
     """The device is a bare pseudo-terminal that nobody reads until the end."""
     master, slave = os.openpty()
     link, _ = link_at(Path(os.ttyname(slave)))
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         sent = b""
         for n in range(100_000):
             piece = b"%06d" % n
@@ -191,8 +187,7 @@ async def test_being_woken_for_nothing_is_not_taken_for_a_hang_up(tmp_path: Path
     thieves = [os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK) for _ in range(2)]
     link, watch = link_at(port.path)
     loop.add_reader(thieves[0], steal, thieves[0])
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         loop.add_reader(thieves[1], steal, thieves[1])
         for _ in range(50):
             await port.send(b"x")
@@ -215,8 +210,7 @@ async def test_garbage_as_fast_as_it_comes_leaves_nothing_behind(tmp_path: Path)
         n_bytes += len(data)
 
     link = byte_link(SerialAddress(os.ttyname(slave), BAUD), count, lambda state, reason: None, ManualClock())
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         os.set_blocking(master, False)
         garbage = bytes(range(256)) * 16
         n_sent = 0
@@ -248,8 +242,7 @@ def test_receivers_that_fail_do_not_stop_a_link(tmp_path: Path, caplog: pytest.L
         link = byte_link(SerialAddress(str(port.path), BAUD), fail, fail_too, ManualClock())
         loop_errors: list[object] = []
         asyncio.get_running_loop().set_exception_handler(lambda loop, context: loop_errors.append(context))
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with up(link):
             for n in range(1, 4):
                 await port.send(b"x")
                 await until_equal(lambda: n_calls, n)
@@ -343,8 +336,8 @@ def test_modem_lines_are_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         port = FakePort(tmp_path / "tty", BAUD)
         port.plug()
         link, _ = link_at(port.path)
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with up(link):
+            pass
         port.unplug()
 
     asyncio.run(scenario())
@@ -355,8 +348,8 @@ async def test_no_descriptor_stays_open_whenever_a_link_is_ended(tmp_path: Path)
     port = FakePort(tmp_path / "tty", BAUD)
     port.plug()
     link, _ = link_at(port.path)
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
+        pass
     before = open_descriptors()
     for wait_s in (0.0, 0.0002, 0.0005, 0.001, 0.002, 0.01):
         link, _ = link_at(port.path)
