@@ -24,7 +24,7 @@ from sim_replay.simulator.scene_file import read_scene
 
 SCENES = ("flat", "ripple", "rough")
 SEED = 9100
-LEG_M = 90.0
+LEG_M = 60.0
 N_TARGETS = 17  # on each leg
 GATE_M = 3.0
 
