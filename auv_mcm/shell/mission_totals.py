@@ -12,7 +12,7 @@ import numpy as np
 from auv_mcm.clearance.area import area_state, over_area
 from auv_mcm.clearance.clearance_export import BANDS
 from auv_mcm.clearance.clearance_map import Clearance
-from auv_mcm.clearance.residual import remaining_mines
+from auv_mcm.clearance.residual import PRIOR_SHARE, remaining_mines
 from auv_mcm.contacts.background import FalseAlarms
 from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.operating_point import OperatingPoint
@@ -82,33 +82,36 @@ def point_totals(point: OperatingPoint | None) -> dict[str, Any]:
 def search_totals(clearance: Clearance | None, contacts: Iterable[Contact]) -> dict[str, Any]:
     """Sum up the search over all that was seen; empty if there is none.
 
-    mines_found: the sum of p_mine of contacts called mine-like. mines_left: see `remaining_mines`.
+    share_missed: of mines that lie there, by the tables, whatever their density. mines_found: the sum of p_mine of
+    contacts called mine-like. mines_left: see `remaining_mines`.
     """
     if clearance is None:
         return {}
     seen = clearance.seen
     p = clearance.p_detected[seen]
     cell_m2 = clearance.cell_m**2
-    p_called: list[float] = []
-    p_doubtful: list[float] = []
-    for contact in contacts:
-        (p_called if is_mine_like(contact) else p_doubtful).append(contact.p_mine)
-    left = remaining_mines(p_doubtful, p)
+    judged = [(contact.p_mine, is_mine_like(contact)) for contact in contacts]
+    p_mine = np.array([p_mine for p_mine, _ in judged], dtype=np.float64)
+    mine_like = np.array([is_one for _, is_one in judged], dtype=np.bool_)
+    left = remaining_mines(p_mine, mine_like, p)
     kinds = {kind: int(np.count_nonzero(clearance.seabed[seen] == index)) for index, kind in enumerate(SEABED_TYPES)}
     return {
         "searched": {
             "km2": round(p.size * cell_m2 * 1e-6, 6),
             "p_detected_mean": round(float(p.mean()), 4),
+            "share_missed": round(1.0 - float(p.mean()), 4),
             "km2_elsewhere": round(clearance.n_elsewhere * cell_m2 * 1e-6, 6),
             "km2_at_p": {f"{low:g}": round(int(np.count_nonzero(p >= low)) * cell_m2 * 1e-6, 6) for low in BANDS[1:-1]},
             "seabed_km2": {kind: round(n_cells * cell_m2 * 1e-6, 6) for kind, n_cells in kinds.items()},
-            "mines_found": round(math.fsum(p_called), 4),
+            "mines_found": round(math.fsum(p_mine[mine_like]), 4),
             "mines_left": {
                 "expected": round(left.expected, 4),
                 "at_most_95": left.at_most_95,
                 "p_none": round(left.p_none, 4),
-                "among_contacts": len(p_doubtful),
-                "p_mine_sum": round(math.fsum(p_doubtful), 4),
+                "among_contacts": int(np.count_nonzero(~mine_like)),
+                "p_mine_sum": round(math.fsum(p_mine[~mine_like]), 4),
+                "mine_share": round(left.share, 4),
+                "mine_share_presumed": PRIOR_SHARE,
             },
         }
     }

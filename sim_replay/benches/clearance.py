@@ -6,16 +6,15 @@ auv-mcm bench clearance                           flies, judges and prints
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import msgspec
 import numpy as np
 
-from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.clearance_map import Clearance, ClearanceMap
 from auv_mcm.clearance.detection_performance import shipped_performance
-from auv_mcm.clearance.residual import DOUBTFUL_SHARE, remaining_about, without_contact
+from auv_mcm.clearance.residual import remaining_about, remaining_mines
 from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
@@ -37,27 +36,23 @@ class JudgedClearance(msgspec.Struct, frozen=True, kw_only=True):
 
     n_targets: seen on legs; n_found: near a contact called mine-like. by_tables: sum of p_detected where they lie.
 
-    p_doubtful: sum of p_mine over contacts not called. p_detected: mean over what was searched.
+    expected: mines left, by the mission's own evidence.
     """
 
     n_targets: int
     n_found: int
     by_tables: float
-    p_doubtful: float
-    p_detected: float
+    expected: float
 
     @property
     def n_left(self) -> int:
         """Count the targets that were not found."""
         return self.n_targets - self.n_found
 
-    def expected(self, share: float = DOUBTFUL_SHARE) -> float:
-        """Compute the mines left, with a share of the doubtful sum."""
-        return share * self.p_doubtful + without_contact(self.p_detected)
-
-    def is_inside(self, share: float = DOUBTFUL_SHARE) -> bool:
+    @property
+    def is_inside(self) -> bool:
         """Check whether the 95 % interval holds the mines left."""
-        remaining = remaining_about(self.expected(share))
+        remaining = remaining_about(self.expected)
         return remaining.low <= self.n_left <= remaining.high
 
 
@@ -103,32 +98,20 @@ def judge_mission(
         n_targets=len(at_m),
         n_found=int(np.count_nonzero((distance_m <= gates_m(GATE_M, sigma_m)).any(axis=1))),
         by_tables=float(p_detected[north[inside], east[inside]].sum()),
-        p_doubtful=float(sum(contact.p_mine for contact in contacts if contact.p_mine < MINE_LIKE_P)),
-        p_detected=float(p_detected[clearance.seen].mean()),
+        expected=remaining_mines(
+            [contact.p_mine for contact in contacts],
+            [is_mine_like(contact) for contact in contacts],
+            p_detected[clearance.seen],
+        ).expected,
     )
-
-
-def fitted_share(missions: Sequence[JudgedClearance]) -> float:
-    """Fit the share of the doubtful sum that makes the mines expected as many as those left."""
-    doubtful = sum(mission.p_doubtful for mission in missions)
-    left = sum(mission.n_left - without_contact(mission.p_detected) for mission in missions)
-    return max(left / doubtful, 0.0) if doubtful > 0.0 else 0.0
 
 
 def _add_without_mines(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--without-mines", action="store_true", help="take the mines out of the scenes")
 
 
-def _words(flown: Sequence[Mapping[str, JudgedClearance]]) -> str:
-    share = fitted_share([one[CHAIN] for one in flown])
-    return (
-        f"of the sum of p_mine over contacts not called {share:.3f} were mines left; {DOUBTFUL_SHARE:g} is what the "
-        "payload takes"
-    )
-
-
 def _inside(missions: Sequence[JudgedClearance]) -> Cell:
-    return Cell(f"{sum(one.is_inside() for one in missions)} of {len(missions)}")
+    return Cell(f"{sum(one.is_inside for one in missions)} of {len(missions)}")
 
 
 EXPERIMENT: Final = Experiment(
@@ -144,10 +127,9 @@ EXPERIMENT: Final = Experiment(
         Column("found", lambda missions: number(sum(one.n_found for one in missions))),
         Column("by the tables", lambda missions: number(sum(one.by_tables for one in missions), 1)),
         Column("left", lambda missions: number(sum(one.n_left for one in missions))),
-        Column("expected", lambda missions: number(sum(one.expected() for one in missions), 1)),
+        Column("expected", lambda missions: number(sum(one.expected for one in missions), 1)),
         Column("in the interval", _inside),
     ),
     add_options=_add_without_mines,
     own_options=("without_mines",),
-    words=_words,
 )

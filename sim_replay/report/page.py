@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import MINE_LIKE_P
-from auv_mcm.clearance.residual import DOUBTFUL_SHARE, USUAL_PER_KM2
+from auv_mcm.clearance.residual import PRIOR_SHARE
 from auv_mcm.contacts.contact import depth_m, is_mine_like, sigma_m
 from auv_mcm.contacts.contact_picture import CEILING_DB, COLOURS, FLOOR_DB
 from auv_mcm.contacts.contact_words import ContactWords, contact_words
@@ -326,14 +326,10 @@ def _searched(searched: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """List figures of the search: value, name, detail."""
     if not searched:
         return []
-    left, at_p = searched["mines_left"], searched["km2_at_p"]
+    left, at_p, missed = searched["mines_left"], searched["km2_at_p"], 1.0 - searched["p_detected_mean"]
     return [
-        (
-            f"{searched['p_detected_mean']:.0%}",
-            "to find a mine",
-            "by the tables for such sea floor and ranges, on average over what was seen",
-        ),
-        (words.area(1e6 * at_p["0.9"]), "at 90 % or more", f"of {words.area(1e6 * searched['km2'])} seen"),
+        (f"{missed:.0%}", "of mines missed", "by the tables for such sea floor and ranges, on average"),
+        (words.area(1e6 * at_p["0.9"]), "missed with 10 % or less", f"of {words.area(1e6 * searched['km2'])} seen"),
         (f"{left['expected']:.1f}", "mines left, expected", f"no more than {left['at_most_95']} with 95 %"),
     ]
 
@@ -343,12 +339,14 @@ def _mines_left(searched: Mapping[str, Any]) -> str:
     if not searched:
         return ""
     left = searched["mines_left"]
+    own = ""
+    if "mine_share" in left:  # results of older versions lack it
+        own = f"; of this mission's own contacts {left['mine_share']:.0%} are, by which the chances are weighed anew"
     return (
         f"Mine-like contacts stand for {searched['mines_found']:.1f} mines found; mines left are those among the "
-        f"{left['among_contacts']} contacts that are not mine-like: their chances add up to {left['p_mine_sum']:.1f}, "
-        f"of which {DOUBTFUL_SHARE:.0%} were mines in simulated missions, and a little is added for mines that make no "
-        f"contact at all. That holds where mines lie about as densely as there, {USUAL_PER_KM2} per km²; over a floor "
-        "without mines the number is too high."
+        f"{left['among_contacts']} contacts that are not mine-like: their chances add up to {left['p_mine_sum']:.1f}. "
+        f"They presume that {PRIOR_SHARE:.0%} of contacts are mines{own}. A little is added for mines that make no "
+        "contact at all; on floors unlike those of simulated missions these can be many."
     )
 
 

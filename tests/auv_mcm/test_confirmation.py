@@ -18,7 +18,16 @@ from auv_mcm.classify.size_evidence import size_evidence
 from auv_mcm.classify.targets import NOT_LISTED, parse_targets
 from auv_mcm.classify.verifier import mean_scores, opinions_of, shipped_network
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
-from auv_mcm.confirmation import confirm_detection, labels_near, opinions_on, region_of, without_confirmation
+from auv_mcm.confirm.snake import RegionContext, converge_on, survey
+from auv_mcm.confirm.speckle import grain_area
+from auv_mcm.confirmation import (
+    confirm_detection,
+    examine,
+    labels_near,
+    opinions_on,
+    region_of,
+    without_confirmation,
+)
 from auv_mcm.records import NAN, Confirmation, Detection, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import pack_snippet
@@ -111,6 +120,14 @@ def test_a_list_takes_from_a_kind_that_it_does_not_hold_no_more_than_its_bound(c
         assert (change > 0.0) is is_listed
         assert abs(change) <= -math.log(NOT_LISTED) + 1e-9
         assert ("not_listed" in found.reasons) is (change <= -0.5)
+
+
+def test_contours_move_again_from_the_labels_where_that_explains_more() -> None:
+    region = mine("sphere", 0, width_m=0.8)
+    ground = survey(region, grain_area(region.intensity, region.valid))
+    assert isinstance(ground, RegionContext)
+    first = converge_on(ground, ground.boxes)
+    assert examine(detection_in(region), region, None, 0.0).contours.criterion < first.criterion - 5.0
 
 
 def test_what_is_drawn_lies_on_the_object_in_the_snippet(cylinder: Detection) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 import scipy
 from msgspec.structs import replace
 
+from auv_mcm.classify.beliefs import MINE_LIKE_P
 from auv_mcm.clearance.clearance_map import ClearanceMap
 from auv_mcm.clearance.detection_performance import configured_performance
 from auv_mcm.cli import _parser
@@ -37,6 +38,7 @@ from sim_replay.commands.bench import BENCHES, opened
 from sim_replay.hil.scenario import read_scenario, shipped
 from sim_replay.logs.recorded import open_mission
 from sim_replay.missions import config_for
+from sim_replay.scoring import score_files
 from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import Lawnmower, Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -87,10 +89,13 @@ def scene_answer(name: str) -> Answer:
     scene = shortened(read_scene(name))
     with tempfile.TemporaryDirectory() as folder:
         simulated = simulate(scene, Path(folder))
+        answer = chain_answer(simulated.log, config_for(scene), Path(folder))
+        found = score_files([Path(folder) / "contacts.geojson", simulated.truth], threshold=MINE_LIKE_P).at_threshold.pd
         return {
             "platform": platform(),
             "log": _digest(simulated.log.read_bytes()),
-            **chain_answer(simulated.log, config_for(scene), Path(folder)),
+            **answer,
+            "totals": {**answer["totals"], "targets_seen": found.of, "targets_found": found.count},
         }
 
 

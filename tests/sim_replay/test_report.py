@@ -309,10 +309,13 @@ def test_the_page_says_where_the_number_of_mines_left_comes_from() -> None:
         "p_detected_mean": 0.6,
         "km2_at_p": {"0.9": 0.01},
         "mines_found": 5.8,
-        "mines_left": {"expected": 6.2, "at_most_95": 13, "p_none": 0.01, "among_contacts": 412, "p_mine_sum": 9.4},
+        "mines_left": {"expected": 6.2, "at_most_95": 13, "p_none": 0.01, "among_contacts": 412, "p_mine_sum": 9.4}
+        | {"mine_share": 0.12, "mine_share_presumed": 0.2},
     }
     text = Page(full_page(mission=mission(searched=searched, clearance_png=b"picture"))).text
     assert "6.2" in text
+    assert "of mines missed" in text
+    assert "presume that 20% of contacts are mines; of this mission's own contacts 12% are" in text
     assert "no more than 13 with 95 %" in text
     assert "412 contacts that are not mine-like: their chances add up to 9.4" in text
     assert "Mine-like contacts stand for 5.8 mines found" in text

@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 
 from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance
-from auv_mcm.clearance.residual import sweep_width_m
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.detection_performance.looks import CellPass, looks_of
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
@@ -75,7 +74,7 @@ def sweep_widths_m(performance: Performance) -> list[float]:
     """Return the sweep width per floor of FLOORS, of one side, at the reference altitude and over all bands."""
     range_m = np.arange(0.0, performance.edges_m[-1] + _SWEEP_STEP_M, _SWEEP_STEP_M)
     altitude_m = performance.altitude_m
-    return [sweep_width_m(range_m, p) for p in performance.p_by_floor(range_m, altitude_m)]
+    return [float(np.trapezoid(p, range_m)) for p in performance.p_by_floor(range_m, altitude_m)]
 
 
 def _cell(band: Band) -> str:

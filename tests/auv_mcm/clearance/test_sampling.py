@@ -64,6 +64,7 @@ def test_two_samples_over_30_m_earn_no_coverage() -> None:
 
 def test_samples_of_a_usual_sonar_change_nothing() -> None:
     tile, sampling = tile_of(plain()), Sampling()
-    assert sampling.add(ping(0.0, 0.2, 0.05)) == []
+    assert sampling.add(ping(0.0, 0.2, 0.47)) == []
+    assert Sampling().add(ping(0.0, 0.2, 0.49)) != []
     fine = cover_tile(tile, SonarConfig())
     assert cover_tile(tile, SonarConfig(), coarse_rows=sampling.coarse_rows(tile)).covered_m2 == fine.covered_m2

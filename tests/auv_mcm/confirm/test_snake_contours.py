@@ -15,7 +15,7 @@ from auv_mcm.confirm import snake_rules
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import Contours, Start, converge, start_from_detection, start_from_labels
 from auv_mcm.confirm.snake_rules import Findings, Spot, contour_mask
-from sim_replay.benches.every_stage.drawn_contours import drawn_pair, plain_region, random_start
+from sim_replay.benches.every_stage.drawn_contours import box, drawn_pair, plain_region, random_start
 from sim_replay.scoring.overlap import overlap
 
 SHAPE = (128, 128)
@@ -58,6 +58,17 @@ def test_shadow_is_found_from_any_of_many_starts(overlaps: NDArray[np.float64]) 
 def test_starts_hardly_matter(overlaps: NDArray[np.float64]) -> None:
     assert np.median(overlaps.max(axis=1) - overlaps.min(axis=1)) < 0.05
     assert np.median(overlaps.std(axis=1)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_shadow_is_found_from_a_corner_of_it(seed: int) -> None:
+    """Fine moves alone stay there, or lose it: coarse ones go first."""
+    drawn = drawn_pair(seed)
+    rows, columns = np.nonzero(drawn.shadow)
+    low, foot, far = int(rows.max()), int(columns.min()), int(columns.max())
+    start = Start(box(low - 5, foot - 6, low, foot), box(low - 5, far - 10, low, far))
+    contours = converge(drawn.region, start)
+    assert overlap(contour_mask(contours.shadow, SHAPE), drawn.shadow) > 0.9
 
 
 @pytest.mark.parametrize("seed", range(20, 26))

@@ -18,6 +18,7 @@ def test_the_search_is_summed_up_over_what_was_seen() -> None:
     searched = search_totals(searched_half(), [])["searched"]
     assert searched["km2"] == pytest.approx(3 * 16e-6, abs=1e-6)
     assert searched["p_detected_mean"] == pytest.approx((0.5 + 0.9 + 0.96) / 3.0, abs=1e-4)
+    assert searched["share_missed"] == pytest.approx(1.0 - (0.5 + 0.9 + 0.96) / 3.0, abs=1e-4)
     assert searched["km2_at_p"]["0.9"] == pytest.approx(2 * 16e-6, abs=1e-6)
     assert sum(searched["seabed_km2"].values()) == pytest.approx(searched["km2"], abs=1e-6)
     seen_p = np.array([0.5, 0.9001, 0.96])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from auv_mcm.clearance.clearance_map import Clearance
-from auv_mcm.clearance.residual import without_contact
+from auv_mcm.clearance.residual import remaining_mines
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import Contact
-from sim_replay.benches.clearance import CHAIN, EXPERIMENT, JudgedClearance, fitted_share, judge_mission
+from sim_replay.benches.clearance import CHAIN, EXPERIMENT, JudgedClearance, judge_mission
 from sim_replay.benches.experiment import experiment_rows
 
 FRAME = LocalFrame(latitude_deg=43.0, longitude_deg=5.0)
@@ -55,30 +55,22 @@ def test_a_target_is_found_by_a_contact_called_near_it_and_others_are_left() -> 
     judged = judge_mission(searched(0.6), contacts, [place(10.0, 10.0), place(20.0, 20.0), place(30.0, 30.0)])
     assert (judged.n_targets, judged.n_found, judged.n_left) == (3, 1, 2)
     assert judged.by_tables == pytest.approx(1.8)
-    assert judged.p_doubtful == pytest.approx(0.25)
-    assert judged.p_detected == pytest.approx(0.6)
+    assert judged.expected == remaining_mines([0.9, 0.15, 0.7, 0.1], [True, False, True, False], [0.6]).expected
 
 
 def test_a_floor_without_contacts_or_targets_is_judged_too() -> None:
     judged = judge_mission(searched(0.6), [], [])
-    assert (judged.n_targets, judged.n_found, judged.p_doubtful) == (0, 0, 0.0)
+    assert (judged.n_targets, judged.n_found) == (0, 0)
 
 
-def mission(n_left: int, p_doubtful: float) -> JudgedClearance:
-    return JudgedClearance(n_targets=20, n_found=20 - n_left, by_tables=12.0, p_doubtful=p_doubtful, p_detected=0.5)
-
-
-def test_the_share_makes_as_many_mines_expected_as_were_left() -> None:
-    missions = [mission(2, 3.0), mission(12, 17.0), mission(9, 14.0)]
-    share = fitted_share(missions)
-    assert sum(each.expected(share) for each in missions) == pytest.approx(23.0)
-    assert missions[0].expected(share) == pytest.approx(3.0 * share + without_contact(0.5))
+def mission(n_left: int, expected: float) -> JudgedClearance:
+    return JudgedClearance(n_targets=20, n_found=20 - n_left, by_tables=12.0, expected=expected)
 
 
 def test_an_estimate_far_off_is_outside_the_interval() -> None:
-    assert mission(4, 6.0).is_inside()
-    assert not mission(19, 3.0).is_inside()
-    assert not mission(0, 40.0).is_inside()
+    assert mission(4, 6.0).is_inside
+    assert not mission(19, 3.0).is_inside
+    assert not mission(0, 40.0).is_inside
 
 
 def test_the_table_says_what_was_left_and_what_was_expected() -> None:
