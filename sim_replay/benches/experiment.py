@@ -97,6 +97,69 @@ class Experiment(NamedTuple, Generic[Result]):
     words: Callable[[Sequence[Mapping[str, Result]]], str] = lambda flown: ""
     draw: Callable[[argparse.Namespace, Sequence[Mapping[str, Result]]], None] = lambda arguments, flown: None
 
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the options that every experiment has, and its own."""
+        first = self.first_seed
+        if self.scenes:
+            parser.add_argument(
+                "--seeds", type=count, default=self.n_seeds, help=f"missions per scene (default {self.n_seeds})"
+            )
+            parser.add_argument(
+                "--first-seed", type=count, default=first, help=f"seed of each scene's first mission (default {first})"
+            )
+            parser.add_argument("--scenes", help=f"by name, with commas between (default {','.join(self.scenes)})")
+            parser.add_argument("--scene", action="append", metavar="NAME", help="one of them, repeatable")
+        else:
+            parser.add_argument(
+                "--missions",
+                dest="seeds",
+                type=count,
+                default=self.n_seeds,
+                help=f"worlds, each flown with every variant (default {self.n_seeds})",
+            )
+            parser.add_argument(
+                "--first-seed", type=count, default=first, help=f"seed of the first world (default {first})"
+            )
+        if self.n_draws:
+            add_line_options(parser, self.n_draws)
+        self.add_options(parser)
+        parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
+        parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+        parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
+        parser.add_argument("--compare", type=Path, metavar="OLD", help="say what moved since a run that --json wrote")
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Fly, print and write; returns the exit code.
+
+        Raises UsageError for scenes or files that are not there, BadInputError for a recorded line that cannot be used.
+        """
+        scenes = _scenes_of(self, arguments)
+        old = None if arguments.compare is None else read_experiment(arguments.compare, self.name)
+        options = {name: getattr(arguments, name) for name in self.own_options}
+        tasks = [Task(scene, seed, options) for scene in scenes or (DRAWN,) for seed in chosen_seeds(arguments)]
+        if self.n_draws and arguments.log:
+            check_lines(arguments.log, chosen_draws(arguments))
+            tasks += [Task(str(log), seed, options) for log in arguments.log for seed in chosen_draws(arguments)]
+        load = os.getloadavg()[0]
+        flown = list(run_tasks(self.fly, tasks, Farm(arguments.workers), counted(len(tasks))))
+        rows = experiment_rows(self, [Path(task.scene).stem for task in tasks], flown)
+        print((markdown if arguments.markdown else columns)(*table_of(self, rows)))
+        if words := self.words(flown):
+            print(f"\n{words}")
+        results = ExperimentResults(
+            experiment=self.name,
+            machine=this_machine(load),
+            scenes=scenes,
+            first_seed=arguments.first_seed,
+            n_seeds=arguments.seeds,
+            rows=tuple(rows),
+        )
+        if old is not None:
+            print("\nmoved:\n" + ("\n".join(moved_figures(old, results)) or "nothing"))
+        write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
+        self.draw(arguments, flown)
+        return 0
+
 
 class ExperimentRow(msgspec.Struct, frozen=True):
     """Hold one row: which missions, which variant, and a cell per column by its title."""
@@ -131,71 +194,6 @@ def density(found: Density) -> Cell:
 def number(value: float, digits: int = 0) -> Cell:
     """Show a number without an interval."""
     return Cell(f"{value:.{digits}f}", value)
-
-
-def add_experiment_arguments(experiment: Experiment[Any], parser: argparse.ArgumentParser) -> None:
-    """Add the options that every experiment has, and its own."""
-    first = experiment.first_seed
-    if experiment.scenes:
-        parser.add_argument(
-            "--seeds", type=count, default=experiment.n_seeds, help=f"missions per scene (default {experiment.n_seeds})"
-        )
-        parser.add_argument(
-            "--first-seed", type=count, default=first, help=f"seed of each scene's first mission (default {first})"
-        )
-        parser.add_argument("--scenes", help=f"by name, with commas between (default {','.join(experiment.scenes)})")
-        parser.add_argument("--scene", action="append", metavar="NAME", help="one of them, repeatable")
-    else:
-        parser.add_argument(
-            "--missions",
-            dest="seeds",
-            type=count,
-            default=experiment.n_seeds,
-            help=f"worlds, each flown with every variant (default {experiment.n_seeds})",
-        )
-        parser.add_argument(
-            "--first-seed", type=count, default=first, help=f"seed of the first world (default {first})"
-        )
-    if experiment.n_draws:
-        add_line_options(parser, experiment.n_draws)
-    experiment.add_options(parser)
-    parser.add_argument("--workers", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
-    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
-    parser.add_argument("--compare", type=Path, metavar="OLD", help="say what moved since a run that --json wrote")
-
-
-def run_experiment(experiment: Experiment[Any], arguments: argparse.Namespace) -> int:
-    """Fly, print and write; returns the exit code.
-
-    Raises UsageError for scenes or files that are not there, BadInputError for a recorded line that cannot be used.
-    """
-    scenes = _scenes_of(experiment, arguments)
-    old = None if arguments.compare is None else read_experiment(arguments.compare, experiment.name)
-    options = {name: getattr(arguments, name) for name in experiment.own_options}
-    tasks = [Task(scene, seed, options) for scene in scenes or (DRAWN,) for seed in chosen_seeds(arguments)]
-    if experiment.n_draws and arguments.log:
-        check_lines(arguments.log, chosen_draws(arguments))
-        tasks += [Task(str(log), seed, options) for log in arguments.log for seed in chosen_draws(arguments)]
-    load = os.getloadavg()[0]
-    flown = list(run_tasks(experiment.fly, tasks, Farm(arguments.workers), counted(len(tasks))))
-    rows = experiment_rows(experiment, [Path(task.scene).stem for task in tasks], flown)
-    print((markdown if arguments.markdown else columns)(*table_of(experiment, rows)))
-    if words := experiment.words(flown):
-        print(f"\n{words}")
-    results = ExperimentResults(
-        experiment=experiment.name,
-        machine=this_machine(load),
-        scenes=scenes,
-        first_seed=arguments.first_seed,
-        n_seeds=arguments.seeds,
-        rows=tuple(rows),
-    )
-    if old is not None:
-        print("\nmoved:\n" + ("\n".join(moved_figures(old, results)) or "nothing"))
-    write_result("--json", arguments.json, msgspec.json.format(msgspec.json.encode(results), indent=1))
-    experiment.draw(arguments, flown)
-    return 0
 
 
 def counted(total: int) -> Callable[[int], None]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib
 from collections.abc import Callable
-from functools import partial
 from typing import Final
 
 from auv_mcm.commands import Commands, Parser, command
@@ -92,13 +91,8 @@ def _run(chosen: argparse.Namespace) -> int:
 
 def opened(module: str, parser: argparse.ArgumentParser) -> Callable[[argparse.Namespace], int]:
     """Import a bench, add its options to a parser, and return what runs it. A declared experiment has both alike."""
-    bench = importlib.import_module(f"sim_replay.{module}")
-    experiment = getattr(bench, "EXPERIMENT", None)
-    if experiment is None:
-        bench.add_arguments(parser)
-        run: Callable[[argparse.Namespace], int] = bench.run
-        return run
-    from sim_replay.benches.experiment import add_experiment_arguments, run_experiment
-
-    add_experiment_arguments(experiment, parser)
-    return partial(run_experiment, experiment)
+    imported = importlib.import_module(f"sim_replay.{module}")
+    bench = getattr(imported, "EXPERIMENT", imported)
+    bench.add_arguments(parser)
+    run: Callable[[argparse.Namespace], int] = bench.run
+    return run

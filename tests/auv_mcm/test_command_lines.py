@@ -261,7 +261,7 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with
         "sim_replay.fitting.looks.run_tasks",
         "sim_replay.fitting.recalibrate.refit",
         "sim_replay.fitting.verifier.build.fly_all",
-        "sim_replay.benches.experiment.run_experiment",
+        "sim_replay.benches.experiment.Experiment.run",
         *(f"{bench.__name__}.run" for bench in benches if hasattr(bench, "run")),
     ):
         monkeypatch.setattr(place, reached)

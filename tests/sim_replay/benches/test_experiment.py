@@ -15,11 +15,9 @@ from sim_replay.benches.experiment import (
     Experiment,
     PairedColumn,
     Task,
-    add_experiment_arguments,
     experiment_rows,
     moved_figures,
     read_experiment,
-    run_experiment,
     share,
 )
 from sim_replay.scoring.intervals import proportion
@@ -57,8 +55,8 @@ EXPERIMENT = Experiment(
 
 def run(*words: str) -> int:
     parser = argparse.ArgumentParser()
-    add_experiment_arguments(EXPERIMENT, parser)
-    return run_experiment(EXPERIMENT, parser.parse_args(["--workers", "1", *words]))
+    EXPERIMENT.add_arguments(parser)
+    return EXPERIMENT.run(parser.parse_args(["--workers", "1", *words]))
 
 
 def test_rows_are_of_each_scene_and_of_all_and_differences_are_paired() -> None:
