@@ -8,6 +8,7 @@ the next intact message is found.
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Sequence
 from typing import Final, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from auv_mcm.clock import Stamp
@@ -27,6 +28,28 @@ class Framed(NamedTuple, Generic[M]):
     message: M
     offset: int
     n_bytes: int
+
+
+class Decoder(Protocol[M_co]):
+    """Decode bytes of one link. Never raises, whatever the bytes.
+
+    counters: by dotted name, NAME.messages for every message that was whole and NAME.refused.REASON for what was
+    refused. Notices and the self-check judge by the first whether a port can be read.
+    """
+
+    @property
+    def counters(self) -> Counter[str]: ...
+
+    def feed(self, data: bytes, stamp: Stamp) -> Sequence[M_co]:
+        """Return what a chunk completes, in order; bytes of a message may come in any number of chunks.
+
+        stamp: when the chunk's last byte was read.
+        """
+        ...
+
+    def finish(self) -> Sequence[M_co]:
+        """Return what still waited at the end of a log or link."""
+        ...
 
 
 class Grammar(Protocol[M_co]):
@@ -213,11 +236,8 @@ class StampedFramer(Generic[M]):
 
     def __init__(self, grammar: Grammar[M]) -> None:
         self._framer = Framer(grammar)
+        self.counters = self._framer.counters
         self._chunks: deque[tuple[int, Stamp]] = deque()  # stream offset of the end of each chunk that is still needed
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._framer.counters
 
     def feed(self, data: bytes, stamp: Stamp) -> list[StampedMessage[M]]:
         """Return the messages that a chunk completes, in order. stamp: when the chunk was read."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Protocol, runtime_checkable
 
 import msgspec
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN
+from drivers.framing import Decoder
 
 
 class NavFix(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,20 +53,5 @@ class NavFix(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @runtime_checkable
-class NavDecoder(Protocol):
-    """Decode bytes of one link to fixes. Never raises, whatever the bytes.
-
-    counters: by dotted name, NAME.messages for every message that was whole and NAME.refused.REASON for what was
-    refused. Notices and the self-check judge by the first whether a port can be read.
-    """
-
-    @property
-    def counters(self) -> Counter[str]: ...
-
-    def feed(self, data: bytes, stamp: Stamp) -> list[NavFix]:
-        """Return what a chunk completes, in order. stamp: when its last byte was read."""
-        ...
-
-    def finish(self) -> list[NavFix]:
-        """Return what still waited at the end of a log or link."""
-        ...
+class NavDecoder(Decoder[NavFix], Protocol):
+    """Decode bytes of one link to fixes."""

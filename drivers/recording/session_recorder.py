@@ -56,7 +56,7 @@ class SessionRecorder:
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
         self._queue: list[Recorded] = []
-        self._queued_bytes = 0
+        self.queued_bytes = 0
         self._lost_here: Lost | None = None
         self._counters: Counter[str] = Counter()
         self._notices: list[Notice] = []
@@ -93,21 +93,16 @@ class SessionRecorder:
         with self._lock:
             return self._counters.copy()
 
-    @property
-    def queued_bytes(self) -> int:
-        """Return the bytes of memory that wait for the disk."""
-        return self._queued_bytes
-
     def record(self, port: str, direction: Direction, stamp: Stamp, data: bytes) -> None:
         """Take bytes of a port; empty ones record a tick of the clock. Neither waits nor raises."""
         with self._lock:
             size = len(data) + _CHUNK_BYTES
             # Once bytes are lost, so are all until the queue is taken: the mark then stands where they are missing.
-            if self._stopped or self._lost_here or self._queued_bytes + size > self._queue_bytes:
+            if self._stopped or self._lost_here or self.queued_bytes + size > self._queue_bytes:
                 self._lose(port, stamp, data)
                 return
             self._queue.append(Recorded(port, direction, stamp, data))
-            self._queued_bytes += size
+            self.queued_bytes += size
 
     def take_notices(self) -> list[Notice]:
         """Return the notices since the last call."""
@@ -154,7 +149,7 @@ class SessionRecorder:
         with self._lock:
             self._counters["session.chunks_recorded"] += len(chunks)
             self._counters["session.bytes_recorded"] += sum(len(chunk.data) for chunk in chunks)
-            self._queued_bytes -= sum(len(chunk.data) + _CHUNK_BYTES for chunk in chunks)
+            self.queued_bytes -= sum(len(chunk.data) + _CHUNK_BYTES for chunk in chunks)
 
     def _lose(self, port: str, stamp: Stamp, data: bytes) -> None:
         self._counters["session.chunks_lost"] += 1
@@ -176,7 +171,7 @@ class SessionRecorder:
         with self._lock:
             self._stopped = True
             given_up = unsafe + self._queue
-            self._queue, self._queued_bytes = [], 0
+            self._queue, self.queued_bytes = [], 0
             self._counters["session.chunks_lost"] += len(given_up)
             self._counters["session.bytes_lost"] += sum(len(chunk.data) for chunk in given_up)
             why = (error.strerror if isinstance(error, OSError) else None) or error

@@ -6,7 +6,6 @@ byte may be FD; the answer is 'IGX', 9 more bytes of header, 400 echo bytes of 0
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -160,11 +159,8 @@ class SportScanDecoder:
 
     def __init__(self) -> None:
         self._framer = StampedFramer(IgxGrammar())
+        self.counters = self._framer.counters
         self._number = 0
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._framer.counters
 
     def feed(self, data: bytes, stamp: Stamp) -> list[SonarFrame | SonarReply]:
         return [self._frame(arrived) for arrived in self._framer.feed(data, stamp)]

@@ -205,6 +205,7 @@ class JsfDecoder:
     def __init__(self, *, subsystem: int | None = None) -> None:
         """subsystem: 20, 21 or 22, as one sonar may send several frequencies at once; None for the highest heard."""
         self._framer = StampedFramer(JsfGrammar())
+        self.counters = self._framer.counters
         self._pairer = SidePairer(self._framer.counters)
         self._subsystem = subsystem or HIGH_FREQUENCY
         self._heard: Counter[int] | None = Counter() if subsystem is None else None
@@ -214,10 +215,6 @@ class JsfDecoder:
         self._place_since_s = math.inf
         self._is_sparse = False  # positions were seen to come seldom, and far apart
         self._fix: tuple[int, int, float] | None = None  # longitude, latitude, and when they were first reported
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._framer.counters
 
     def feed(self, data: bytes, stamp: Stamp) -> list[SonarItem]:
         return self._decoded(self._framer.feed(data, stamp))

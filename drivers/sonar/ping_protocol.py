@@ -6,7 +6,6 @@ A log (.svlog) is the same stream, stored.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from struct import Struct
 from typing import Final
@@ -154,15 +153,12 @@ class PingDecoder:
             20 for the lowest of several frequencies, else the highest is used.
         """
         self._framer = StampedFramer(PingGrammar())
+        self.counters = self._framer.counters
         self._pairer = SidePairer(self._framer.counters)
         self._sides = HeadSides(
             self._framer.counters, by_number=by_number, subsystem=subsystem, port_channel=port_channel
         )
         self._n_notices = 0
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._framer.counters
 
     def feed(self, data: bytes, stamp: Stamp) -> list[SonarItem]:
         return self._decoded(self._framer.feed(data, stamp))

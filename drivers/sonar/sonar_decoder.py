@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import msgspec
 
 from auv_mcm.clock import Stamp
 from auv_mcm.records import NAN, EchoTrace, NavSample, Notice
+from drivers.framing import Decoder
 
 
 class SonarFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -71,23 +70,5 @@ SonarItem: TypeAlias = SonarFrame | SonarReply | Notice
 
 
 @runtime_checkable
-class SonarDecoder(Protocol):
-    """Decode bytes of one link. Never raises, whatever the bytes.
-
-    counters: by dotted name, NAME.messages for every message that was whole and NAME.refused.REASON for what was
-    refused. Notices and the self-check judge by the first whether a port can be read.
-    """
-
-    @property
-    def counters(self) -> Counter[str]: ...
-
-    def feed(self, data: bytes, stamp: Stamp) -> Sequence[SonarItem]:
-        """Return what a chunk completes, in order; bytes of a message may come in any number of chunks.
-
-        stamp: when the chunk's last byte was read.
-        """
-        ...
-
-    def finish(self) -> Sequence[SonarItem]:
-        """Return what still waited at the end of a log or link."""
-        ...
+class SonarDecoder(Decoder[SonarItem], Protocol):
+    """Decode bytes of one link of a sonar."""
