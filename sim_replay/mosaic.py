@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.contacts.contact_picture import CEILING_DB, FLOOR_DB
 from auv_mcm.geometry.geodesy import SEMI_MAJOR_M, wrap_longitude_deg
-from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate, position_covariance
-from auv_mcm.geometry.pose_track import interpolate_track
+from auv_mcm.geometry.georeference import locate, position_covariance, tile_echoes
 from auv_mcm.records import LOW_RESOLUTION, TURN, VALID, Tile
 from auv_mcm.settings.config import Config
 from sim_replay.projections import Projection, projection
@@ -441,22 +440,10 @@ def _row_distance_m(tile: Tile, centre: NDArray[np.float64], far_m: float, confi
     return float(spacing_m + np.max(turned_m, initial=0.0))
 
 
-def _echoes(tile: Tile, position: NDArray[np.float64], ground_m: float) -> EchoGeometry:
-    at = np.clip(position, 0.0, len(tile.pose) - 1.0)
-    first_return_m = np.interp(at, np.arange(len(tile.pose)), tile.first_return_m)
-    return EchoGeometry(
-        side=tile.side,
-        pose=interpolate_track(tile.pose, at),
-        slant_range_m=np.hypot(ground_m, first_return_m),
-        first_return_m=first_return_m,
-        sound_speed_mps=np.full(at.shape, NOMINAL_SOUND_SPEED_MPS),
-    )
-
-
 def _located(
     tile: Tile, position: NDArray[np.float64], ground_m: float, config: Config
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    latitude_deg, longitude_deg, _ = locate(_echoes(tile, position, ground_m), config.sonar)
+    latitude_deg, longitude_deg, _ = locate(tile_echoes(tile, position, ground_m), config.sonar)
     return latitude_deg, longitude_deg
 
 
@@ -467,7 +454,7 @@ def _variance_m2(
     rows = centre[:: max(1, len(centre) * _COVARIANCE_ROWS // max(int(centre[-1] - centre[0]), 1))]
     few = []
     for distance_m in (0.0, 0.5 * ground_m[-1], ground_m[-1]):
-        echoes = _echoes(tile, rows, float(distance_m))
+        echoes = tile_echoes(tile, rows, float(distance_m))
         sigma_m = np.interp(rows, np.arange(len(tile.pose)), tile.first_return_sigma_m)
         covariance = position_covariance(echoes, config.sonar, config.navigation, sigma_m)
         few.append(np.linalg.eigvalsh(covariance)[:, -1] + echoes.pose.position_sigma_m**2)

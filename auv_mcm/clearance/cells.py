@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
-from auv_mcm.geometry.pose_track import interpolate_track
+from auv_mcm.geometry.georeference import locate, tile_echoes
 from auv_mcm.records import NAN, SEABED_TYPES, SeabedCells, SurveyedCells, Tile
 from auv_mcm.settings.config import SonarConfig
 
@@ -113,16 +112,7 @@ def _sums(covered: NDArray[np.bool_], n_rows: int, n_columns: int) -> Array:
 
 def _placed(tile: Tile, row: Array, ground_m: float, sonar: SonarConfig, frame: LocalFrame) -> Array:
     """Compute (n, 2) east and north of a ground range at fractional rows, m."""
-    position = np.clip(row, 0.0, len(tile.pose) - 1.0)
-    first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
-    echoes = EchoGeometry(
-        side=tile.side,
-        pose=interpolate_track(tile.pose, position),
-        slant_range_m=np.hypot(ground_m, first_return_m),
-        first_return_m=first_return_m,
-        sound_speed_mps=np.full(position.shape, NOMINAL_SOUND_SPEED_MPS),
-    )
-    latitude, longitude, height = locate(echoes, sonar)
+    latitude, longitude, height = locate(tile_echoes(tile, row, ground_m), sonar)
     return frame.to_enu(latitude, longitude, height)[:, :2]
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from auv_mcm.clearance.cells import surveyed_cells
 from auv_mcm.clearance.shadowed import in_large_shadow
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
-from auv_mcm.geometry.pose_track import interpolate_track
+from auv_mcm.geometry.georeference import locate, tile_echoes
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, CoveragePatch, SeabedCells, Tile
 from auv_mcm.settings.config import SonarConfig
 
@@ -158,15 +157,7 @@ def _ring(tile: Tile, run: list[tuple[int, int, int, int]], sonar: SonarConfig) 
     # Rows count from the upper edge of row 0, poses stand at row centres.
     position = np.clip(tile.core_start + np.array(edges + edges[::-1]) - 0.5, 0.0, len(tile.pose) - 1.0)
     ground_m = np.array(near + far[::-1]) * tile.column_spacing_m
-    first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
-    echoes = EchoGeometry(
-        side=tile.side,
-        pose=interpolate_track(tile.pose, position),
-        slant_range_m=np.hypot(ground_m, first_return_m),
-        first_return_m=first_return_m,
-        sound_speed_mps=np.full(position.shape, NOMINAL_SOUND_SPEED_MPS),
-    )
-    latitude, longitude, _ = locate(echoes, sonar)
+    latitude, longitude, _ = locate(tile_echoes(tile, position, ground_m), sonar)
     ring = np.column_stack([longitude, latitude])
     ring = ring[np.isfinite(ring).all(axis=1)]
     if ring.shape[0] < 3 or position.min() == position.max():

@@ -15,8 +15,8 @@ from auv_mcm.detect.cascade.model import CascadeModel
 from auv_mcm.detect.gate import Gate
 from auv_mcm.detect.measure import ROWS_M, Measurement, measure
 from auv_mcm.detect.prescreen import CONTEXT_M, Peak
-from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, aspect_deg, locate, position_covariance
-from auv_mcm.geometry.pose_track import interpolate_track, slice_pose
+from auv_mcm.geometry.georeference import aspect_deg, locate, position_covariance, tile_echoes
+from auv_mcm.geometry.pose_track import slice_pose
 from auv_mcm.records import LOW_RESOLUTION, VALID, Detection, Surroundings, Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.skips import NO_SKIPS, Skips
@@ -143,16 +143,9 @@ def _placed(
         return ()
     # Measured rows count from the upper edge of row 0, poses stand at row centres.
     position = np.clip(np.array([m.row for m in measured]) - 0.5, 0.0, len(tile.pose) - 1.0)
-    pose = interpolate_track(tile.pose, position)
-    first_return_m = _between(tile.first_return_m, position)
     ground_range_m = np.array([m.column for m in measured]) * tile.column_spacing_m
-    echoes = EchoGeometry(
-        side=tile.side,
-        pose=pose,
-        slant_range_m=np.hypot(ground_range_m, first_return_m),
-        first_return_m=first_return_m,
-        sound_speed_mps=np.full(len(measured), NOMINAL_SOUND_SPEED_MPS),
-    )
+    echoes = tile_echoes(tile, position, ground_range_m)
+    pose, first_return_m = echoes.pose, echoes.first_return_m
     latitude, longitude, height = locate(echoes, config.sonar)
     depth_m = np.where(np.isfinite(pose.depth_m), -height, np.nan)  # without a depth, heights start at the vehicle
     first_return_sigma_m = _between(tile.first_return_sigma_m, position)

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import ecef_to_geodetic, geodetic_to_ecef, local_to_ecef_rotation
-from auv_mcm.records import PoseTrack, Side
+from auv_mcm.geometry.pose_track import interpolate_track
+from auv_mcm.records import PoseTrack, Side, Tile
 from auv_mcm.settings.config import NavigationConfig, SonarConfig
 
 NOMINAL_SOUND_SPEED_MPS: Final = 1500.0
@@ -43,6 +44,19 @@ class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     slant_range_m: NDArray[np.float64]
     first_return_m: NDArray[np.float64]
     sound_speed_mps: NDArray[np.float64]
+
+
+def tile_echoes(tile: Tile, position: NDArray[np.float64], ground_m: NDArray[np.float64] | float) -> EchoGeometry:
+    """Make the echoes of a tile at fractional rows, as near as its first and last row, and at ground ranges, m."""
+    at = np.clip(position, 0.0, len(tile.pose) - 1.0)
+    first_return_m = np.interp(at, np.arange(len(tile.pose)), tile.first_return_m)
+    return EchoGeometry(
+        side=tile.side,
+        pose=interpolate_track(tile.pose, at),
+        slant_range_m=np.hypot(ground_m, first_return_m),
+        first_return_m=first_return_m,
+        sound_speed_mps=np.full(at.shape, NOMINAL_SOUND_SPEED_MPS),
+    )
 
 
 def locate(

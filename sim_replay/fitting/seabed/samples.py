@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.detect.detect_tile import TileDetections
-from auv_mcm.geometry.georeference import NOMINAL_SOUND_SPEED_MPS, EchoGeometry, locate
-from auv_mcm.geometry.pose_track import interpolate_track
+from auv_mcm.geometry.georeference import locate, tile_echoes
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SEABED_TYPES, SeabedType, Tile
 from auv_mcm.seabed.texture import Texture, measure_texture
@@ -90,15 +89,7 @@ def true_shares(tile: Tile, texture: Texture, mission: Mission, sonar: SonarConf
     position, ground = (
         part.ravel() for part in np.meshgrid(np.clip(row, 0.0, len(tile.pose) - 1.0), ground_m, indexing="ij")
     )
-    first_return_m = np.interp(position, np.arange(len(tile.pose)), tile.first_return_m)
-    echoes = EchoGeometry(
-        side=tile.side,
-        pose=interpolate_track(tile.pose, position),
-        slant_range_m=np.hypot(ground, first_return_m),
-        first_return_m=first_return_m,
-        sound_speed_mps=np.full(position.shape, NOMINAL_SOUND_SPEED_MPS),
-    )
-    place = local_frame(mission.scene.origin).to_enu(*locate(echoes, sonar))
+    place = local_frame(mission.scene.origin).to_enu(*locate(tile_echoes(tile, position, ground), sonar))
     known = np.isfinite(place).all(axis=1)
     kind_of_cover = np.array([KINDS.index(KIND_OF[cover.type]) for cover in mission.sea.world.covers], dtype=np.int64)
     kind = np.full(position.shape, len(KINDS), dtype=np.int64)
