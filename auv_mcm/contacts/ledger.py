@@ -81,11 +81,6 @@ class Ledger:
         """Read all contacts that have been reported and can be read, by id."""
         return tuple(self._read([number for number, reported in enumerate(self._reported) if reported]).values())
 
-    @property
-    def n_unreported(self) -> int:
-        """Count the contacts that have never reached the lowest p_mine reported."""
-        return self._reported.count(0)
-
     def numbered(self, numbers: Sequence[int]) -> list[Contact]:
         """Read contacts by the numbers in their ids, without those that the disk does not give back."""
         return list(self._read([number - 1 for number in numbers]).values())

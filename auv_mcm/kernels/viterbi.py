@@ -73,12 +73,6 @@ def backtrack(end: int, back: NDArray[np.int32]) -> NDArray[np.int64]:
     return path
 
 
-def viterbi_path_numpy(score: NDArray[np.float64], max_step: int, step_cost: float) -> NDArray[np.int64]:
-    """Do as viterbi_path, in numpy alone."""
-    cost, back = viterbi_forward_numpy(np.zeros(score.shape[1]), score, max_step, step_cost)
-    return backtrack(int(cost.argmax()), back)
-
-
 def viterbi_forward_numpy(
     previous_cost: NDArray[np.float64], score: NDArray[np.float64], max_step: int, step_cost: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -73,32 +73,24 @@ class TruncatedCone(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"top_radius_m {self.top_radius_m} must not exceed base_radius_m {self.base_radius_m}")
 
 
-class Box(msgspec.Struct, frozen=True, kw_only=True):
+class _Upright(msgspec.Struct, frozen=True, kw_only=True):
+    length_m: Real
+    width_m: Real
+    height_m: Real
+    azimuth_rad: Real = 0.0
+    burial_m: Real = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive(self, "length_m", "width_m", "height_m")
+        _require_not_negative(self, "burial_m")
+
+
+class Box(_Upright, frozen=True, kw_only=True):
     """Describe an upright box; length_m is along the azimuth."""
 
-    length_m: Real
-    width_m: Real
-    height_m: Real
-    azimuth_rad: Real = 0.0
-    burial_m: Real = 0.0
 
-    def __post_init__(self) -> None:
-        _require_positive(self, "length_m", "width_m", "height_m")
-        _require_not_negative(self, "burial_m")
-
-
-class Wedge(msgspec.Struct, frozen=True, kw_only=True):
+class Wedge(_Upright, frozen=True, kw_only=True):
     """Describe a ramp: its top rises from the floor to height_m along the azimuth and ends in a vertical face."""
-
-    length_m: Real
-    width_m: Real
-    height_m: Real
-    azimuth_rad: Real = 0.0
-    burial_m: Real = 0.0
-
-    def __post_init__(self) -> None:
-        _require_positive(self, "length_m", "width_m", "height_m")
-        _require_not_negative(self, "burial_m")
 
 
 class ConvexPolyhedron(msgspec.Struct, frozen=True, kw_only=True):
@@ -268,14 +260,14 @@ def _placed(vertices: Array, azimuth: Array, burial: Array) -> Array:
     return np.stack(np.broadcast_arrays(*turned), axis=-1)
 
 
-def _require_positive(shape: Shape, *fields: str) -> None:
+def _require_positive(shape: msgspec.Struct, *fields: str) -> None:
     for field in fields:
         value = getattr(shape, field)
         if not (value > 0.0 if isinstance(value, float) else np.all(np.asarray(value) > 0.0)):
             raise ValueError(f"{field} of a {type(shape).__name__} must be positive, got {getattr(shape, field)}")
 
 
-def _require_not_negative(shape: Shape, *fields: str) -> None:
+def _require_not_negative(shape: msgspec.Struct, *fields: str) -> None:
     for field in fields:
         value = getattr(shape, field)
         if not (value >= 0.0 if isinstance(value, float) else np.all(np.asarray(value) >= 0.0)):
