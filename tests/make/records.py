@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import NAN, VALID, CoveragePatch, NavSample, PoseTrack, SurveyedCells, Tile
+from drivers.vehicle.dialect import ContactReport
 
 ROW_M, COLUMN_M = 0.12, 0.06  # of tiles
 
@@ -77,6 +78,24 @@ def tile_with(intensity: NDArray[Any], mask: NDArray[np.uint8] | None = None, **
 def patch_of(**changes: Any) -> CoveragePatch:
     """What was covered by a tile of one second: nothing but what is given."""
     plain = CoveragePatch(side="port", tile_index=0, start_s=0.0, stop_s=1.0, rings_deg=(), covered_m2=0.0, lost_m2={})
+    return msgspec.structs.replace(plain, **changes)
+
+
+def report_of(**changes: Any) -> ContactReport:
+    """The report of a likely sphere."""
+    plain = ContactReport(
+        session=77,
+        number=3,
+        revision=1,
+        time_s=1.7e9,
+        latitude_deg=41.185,
+        longitude_deg=-8.706,
+        sigma_m=1.5,
+        p_mine=0.75,
+        classification="sphere",
+        belief={"sphere": 0.75, "unknown": 0.25},
+        n_views=1,
+    )
     return msgspec.structs.replace(plain, **changes)
 
 

@@ -39,7 +39,6 @@ from drivers.vehicle.can_translation import text_of
 from drivers.vehicle.dialect import (
     Acknowledged,
     Command,
-    ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
@@ -53,25 +52,14 @@ from drivers.vehicle.dialect import (
 )
 from drivers.vehicle.talkers.can_talker import CanTalker
 from tests.drivers.vehicle.can_traffic import at, records
+from tests.make.records import report_of
 from tests.sim_replay.conversation import Conversation
 
 PAYLOAD, VEHICLE = 96, 32
 PLACE = GoTo(54.0001, 10.0002, Vertical("altitude", 5.0), 1.5, 3.0)
 OTHER_PLACE = PLACE._replace(latitude_deg=54.0003)
 COURSE = Steer(1.25, Vertical("depth", 12.0), 1.5)
-REPORT = ContactReport(
-    session=1,
-    number=1,
-    revision=1,
-    time_s=1_700_000_000.0,
-    latitude_deg=54.0,
-    longitude_deg=10.0,
-    sigma_m=1.0,
-    p_mine=0.9,
-    classification="cylinder",
-    belief={"cylinder": 0.9, "unknown": 0.1},
-    n_views=1,
-)
+REPORT = report_of(number=1, p_mine=0.9, latitude_deg=54.0, longitude_deg=10.0)
 
 
 class Bench:

@@ -16,7 +16,6 @@ import pytest
 from auv_mcm.clock import Stamp
 from auv_mcm.settings.vehicle_settings import ImcSettings
 from drivers.vehicle.dialect import (
-    ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
@@ -26,6 +25,7 @@ from drivers.vehicle.dialect import (
     Vertical,
 )
 from drivers.vehicle.talkers.imc_talker import PLAN_ID
+from tests.make.records import report_of
 from tests.sim_replay.conversation import Conversation
 
 pytestmark = pytest.mark.skipif(
@@ -92,23 +92,6 @@ print(json.dumps(taken, default=int), flush=True)
 """
 
 
-def a_report() -> ContactReport:
-    return ContactReport(
-        session=77,
-        number=3,
-        revision=1,
-        time_s=1.7e9,
-        latitude_deg=41.186,
-        longitude_deg=-8.707,
-        sigma_m=1.5,
-        p_mine=0.75,
-        classification="sphere",
-        belief={"sphere": 0.75, "unknown": 0.25},
-        n_views=1,
-        depth_m=18.5,
-    )
-
-
 def test_an_imcpy_vehicle_is_taken_over_commanded_and_left() -> None:
     peer = subprocess.Popen([sys.executable, "-c", PEER], stdout=subprocess.PIPE, text=True)
     try:
@@ -144,7 +127,7 @@ def talk_to(wire: socket.socket) -> list[VehicleEvent]:
     dialect = Conversation(ImcSettings())
     dialect.connected(time.monotonic())
     dialect.request(time.monotonic())
-    dialect.report(a_report(), 1, time.monotonic())
+    dialect.report(report_of(latitude_deg=41.186, longitude_deg=-8.707, depth_m=18.5), 1, time.monotonic())
     dialect.report_health(PayloadHealth("normal", "all is well"), time.monotonic())
     events: list[VehicleEvent] = []
     until_s = time.monotonic() + DEADLINE_S

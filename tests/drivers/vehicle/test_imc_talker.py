@@ -17,7 +17,6 @@ from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,
     Capability,
-    ContactReport,
     Doubted,
     GoTo,
     Granted,
@@ -47,6 +46,7 @@ from drivers.vehicle.imc_messages import (
 from drivers.vehicle.imc_wire import ANYONE, ImcGrammar, ImcPacket, packed
 from drivers.vehicle.talkers.imc_talker import PLAN_ID
 from drivers.vehicle.vehicles import talker_of
+from tests.make.records import report_of
 from tests.sim_replay.conversation import Conversation
 
 US, VEHICLE, OTHER = 0x6000, 0x1E, 0x2F
@@ -120,22 +120,6 @@ def follow_state(
 
 def estimated(latitude_deg: float, longitude_deg: float, **others: float) -> imc.EstimatedState:
     return imc.EstimatedState(math.radians(latitude_deg), math.radians(longitude_deg), **others)
-
-
-def a_report(number: int = 3, revision: int = 1) -> ContactReport:
-    return ContactReport(
-        session=77,
-        number=number,
-        revision=revision,
-        time_s=float(UTC_S),
-        latitude_deg=41.185,
-        longitude_deg=-8.706,
-        sigma_m=1.5,
-        p_mine=0.75,
-        classification="sphere",
-        belief={"sphere": 0.75, "unknown": 0.25},
-        n_views=1,
-    )
 
 
 def test_take_over_flight_and_return() -> None:
@@ -460,7 +444,7 @@ def test_packets_are_stamped_with_the_time_that_was_heard() -> None:
 def test_contacts_go_as_targets_where_the_vehicle_knows_no_more() -> None:
     talk = Talk(LEARNS)
     assert Capability.ACKNOWLEDGED not in talk.dialect.capabilities
-    talk.dialect.report(a_report(), 1, talk.now_s)
+    talk.dialect.report(report_of(), 1, talk.now_s)
     (target,) = [message for message in talk.sent() if not isinstance(message, imc.Heartbeat)]
     assert isinstance(target, imc.Target)
     assert (target.label, target.z_units) == ("MLC-00003", ZUnits.NONE)
@@ -470,9 +454,9 @@ def test_contacts_go_as_targets_where_the_vehicle_knows_no_more() -> None:
 def test_contacts_are_reported_in_full_until_they_are_acknowledged() -> None:
     talk = Talk()
     assert Capability.ACKNOWLEDGED in talk.dialect.capabilities
-    report = a_report()
+    report = report_of()
     talk.dialect.report(report, 9, talk.now_s)
-    talk.dialect.report(a_report(number=4), 10, talk.now_s)
+    talk.dialect.report(report_of(number=4), 10, talk.now_s)
     first = [message for message in talk.sent() if isinstance(message, imc.Target | imc.MineContact)]
     assert [type(message) for message in first] == [imc.Target, imc.Target, imc.MineContact, imc.MineContact]
     taken = imc.MineContactTaken(77, 3, 1, 1)
@@ -488,8 +472,8 @@ def test_contacts_are_reported_in_full_until_they_are_acknowledged() -> None:
 
 def test_a_report_that_is_sent_anew_is_answered_under_its_new_ticket() -> None:
     talk = Talk()
-    talk.dialect.report(a_report(), 9, talk.now_s)
-    talk.dialect.report(a_report(), 10, talk.now_s)
+    talk.dialect.report(report_of(), 9, talk.now_s)
+    talk.dialect.report(report_of(), 10, talk.now_s)
     assert len(talk.sent_of(imc.MineContact)) == 1
     assert talk.hear(imc.MineContactTaken(77, 3, 1, 1)) == [Acknowledged(10)]
 
@@ -498,7 +482,7 @@ def test_a_new_connection_forgets_what_was_half_sent() -> None:
     talk = Talk()
     talk.take_over()
     talk.dialect.command(GOAL, talk.now_s)
-    talk.dialect.report(a_report(), 9, talk.now_s)
+    talk.dialect.report(report_of(), 9, talk.now_s)
     talk.dialect.disconnected()
     assert talk.sent() == []
     talk.dialect.connected(talk.now_s)
@@ -516,7 +500,7 @@ def test_steering_is_not_sent() -> None:
 
 def test_messages_of_no_use_are_counted() -> None:
     talk = Talk()
-    data = packed(imc.EntityState(1), VEHICLE) + packed(imc_contact_of(a_report()), VEHICLE)
+    data = packed(imc.EntityState(1), VEHICLE) + packed(imc_contact_of(report_of()), VEHICLE)
     assert talk.dialect.hear(data, stamp_at(1.0)) == []
     assert talk.dialect.counters["imc.other_messages"] == 2
 
@@ -590,7 +574,7 @@ def test_no_reference_leaves_without_a_grant(settings: ImcSettings, steps: list[
         elif what == "request":
             dialect.request(talk.now_s)
         elif what == "report":
-            dialect.report(a_report(), 1, talk.now_s)
+            dialect.report(report_of(), 1, talk.now_s)
         elif what != "take":
             dialect.command(GOAL if what == "command" else Steer(NAN, GOAL.vertical, 1.0), talk.now_s)
         for event in events:

@@ -27,7 +27,6 @@ from drivers.vehicle.can_messages import (
 from drivers.vehicle.can_translation import command_message
 from drivers.vehicle.dialect import (
     Acknowledged,
-    ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
@@ -39,7 +38,7 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from sim_replay.fakes.vehicles.can import FakeCan
-from tests.make.records import nav_of
+from tests.make.records import nav_of, report_of
 from tests.sim_replay.conversation import Conversation
 
 PAYLOAD: Final = 96
@@ -48,19 +47,7 @@ PLACE = GoTo(54.0001, 10.0002, Vertical("altitude", 5.0), 1.5, 3.0)
 COURSE = Steer(1.25, Vertical("depth", 12.0), 1.5)
 HERE = {"latitude_deg": 54.0, "longitude_deg": 10.0, "depth_m": 7.0}
 POSE = nav_of(1_700_000_000.0, **HERE, heading_rad=-0.5, pitch_rad=0.05, roll_rad=-0.1)
-REPORT = ContactReport(
-    session=1,
-    number=1,
-    revision=1,
-    time_s=1_700_000_000.0,
-    latitude_deg=54.0,
-    longitude_deg=10.0,
-    sigma_m=1.0,
-    p_mine=0.9,
-    classification="cylinder",
-    belief={"cylinder": 0.9, "unknown": 0.1},
-    n_views=1,
-)
+REPORT = report_of(number=1, p_mine=0.9, latitude_deg=54.0, longitude_deg=10.0)
 
 
 class Loop:

@@ -17,7 +17,6 @@ from drivers.framing import Framer
 from drivers.vehicle import imc_messages as imc
 from drivers.vehicle.dialect import (
     Acknowledged,
-    ContactReport,
     GoTo,
     Granted,
     PayloadHealth,
@@ -33,7 +32,7 @@ from drivers.vehicle.imc_messages import ImcMessage, OpMode, PlanOp, PlanState, 
 from drivers.vehicle.imc_wire import ImcGrammar, packed
 from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc
-from tests.make.records import nav_of
+from tests.make.records import nav_of, report_of
 from tests.sim_replay.conversation import Conversation
 
 US, OTHER = 0x6000, 0x2F
@@ -51,22 +50,6 @@ def pose_at(east_m: float, north_m: float, now_s: float) -> NavSample:
     goal = goal_at(east_m, north_m)
     place = {"latitude_deg": goal.latitude_deg, "longitude_deg": goal.longitude_deg, "depth_m": 15.0}
     return nav_of(UTC_S + now_s, **place, heading_rad=1.0, pitch_rad=0.01, roll_rad=-0.02)
-
-
-def a_report(number: int = 3, revision: int = 1) -> ContactReport:
-    return ContactReport(
-        session=77,
-        number=number,
-        revision=revision,
-        time_s=UTC_S,
-        latitude_deg=41.185,
-        longitude_deg=-8.706,
-        sigma_m=1.5,
-        p_mine=0.75,
-        classification="sphere",
-        belief={"sphere": 0.75, "unknown": 0.25},
-        n_views=1,
-    )
 
 
 class Sea:
@@ -216,14 +199,14 @@ def test_a_plan_left_from_an_earlier_run_is_stopped() -> None:
 def test_contacts_and_health_arrive_once() -> None:
     sea = Sea()
     sea.dialect.report_health(PayloadHealth("fault", "port bow is silent"), sea.now_s)
-    sea.dialect.report(a_report(), 4, sea.now_s)
+    sea.dialect.report(report_of(), 4, sea.now_s)
     assert sea.run(1.0) == [Acknowledged(4)]
     assert sea.fake.take_health() == ["fault: port bow is silent"]
     (report,) = sea.fake.take_reports()
     assert (report.session, report.number, report.revision, report.classification) == (77, 3, 1, "sphere")
     assert report.belief["sphere"] == 0.75
-    sea.dialect.report(a_report(), 5, sea.now_s)
-    sea.dialect.report(a_report(revision=2), 6, sea.now_s)
+    sea.dialect.report(report_of(), 5, sea.now_s)
+    sea.dialect.report(report_of(revision=2), 6, sea.now_s)
     assert sea.run(1.0) == [Acknowledged(5), Acknowledged(6)]
     assert [report.revision for report in sea.fake.take_reports()] == [2]
     counters = sea.fake.counters
@@ -351,7 +334,7 @@ def test_it_boots() -> None:
 
 def test_nonsense_is_counted() -> None:
     wire = Wire()
-    contact = imc_contact_of(a_report())
+    contact = imc_contact_of(report_of())
     bad_class = imc.MineContact(
         *(getattr(contact, name) if name != "classification" else 9 for name in contact.__struct_fields__)
     )
