@@ -8,11 +8,14 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole, write_new
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
+
+if TYPE_CHECKING:
+    from sim_replay.fitting.theatre import Theatre
 
 Show = Callable[[int, int], None]
 """Takes how many missions are flown, and of how many."""
@@ -106,6 +109,7 @@ def _add_background(kinds: Commands) -> None:
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the model, JSON")
+    _add_theatre(parser)
     parser.set_defaults(command=partial(_with_progress, _run_background))
 
 
@@ -161,6 +165,7 @@ def _add_gate(kinds: Commands) -> None:
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the gate, JSON")
+    _add_theatre(parser)
     parser.set_defaults(command=partial(_with_progress, _run_gate))
 
 
@@ -233,6 +238,7 @@ def _add_odds(kinds: Commands) -> None:
     )
     parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the weights, JSON")
+    _add_theatre(parser)
     parser.set_defaults(command=partial(_with_progress, _run_odds))
 
 
@@ -300,6 +306,25 @@ def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
         "--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)"
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
+    _add_theatre(parser)
+
+
+def _add_theatre(parser: argparse.ArgumentParser) -> None:
+    add_config_option(parser)
+    parser.add_argument(
+        "--theatre",
+        metavar="SPEC",
+        type=Path,
+        help="YAML file of 'auv-mcm train': its scenes are flown, with its sonars, in place of what ships",
+    )
+
+
+def _theatre_of(arguments: argparse.Namespace) -> Theatre:
+    from sim_replay.fitting.theatre import USUAL, read_theatre
+
+    given = {"--config": arguments.config, "--theatre": arguments.theatre}
+    options = " ".join(f"{name} {path}" for name, path in given.items() if path is not None)
+    return read_theatre(arguments.theatre, read_config(arguments.config), options) if options else USUAL
 
 
 def _run_budget_or_ask(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
@@ -342,7 +367,10 @@ def _run_background(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_background import background_json, calibrate_background
 
     _check_new(arguments.out)
-    write_new(arguments.out, background_json(calibrate_background(arguments.seeds, arguments.workers, show)))
+    write_new(
+        arguments.out,
+        background_json(calibrate_background(arguments.seeds, arguments.workers, show, _theatre_of(arguments))),
+    )
     return 0
 
 
@@ -387,7 +415,9 @@ def _run_gate(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
 
     _check_new(arguments.out)
-    write_new(arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, show)))
+    write_new(
+        arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, show, _theatre_of(arguments)))
+    )
     return 0
 
 
@@ -416,6 +446,7 @@ def _run_odds(arguments: argparse.Namespace, show: Show) -> int:
         n_judged=arguments.judged or 0,
         judged_logs=tuple(arguments.judge_log),
         n_log_seeds=arguments.log_seeds,
+        theatre=_theatre_of(arguments).before_odds(),
     )
     fit_from_missions(arguments.out, missions, arguments.looks, arguments.workers, show)
     return 0
@@ -458,7 +489,7 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
-    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), show)
+    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), show, _theatre_of(arguments))
     looks = [look for mission in missions for look in mission]
     performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
     print(performance.fitted_on)
@@ -482,7 +513,8 @@ def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
     farm = Farm(arguments.workers, arguments.scheduler)
-    samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: show(done, len(seeds)))))
+    collect = partial(samples_of, theatre=_theatre_of(arguments))
+    samples = pooled(list(run_tasks(collect, list(seeds), farm, lambda done: show(done, len(seeds)))))
     model = fit_seabed_model(samples, seabed_fit_words(seeds, samples.shares))
     print(model.fitted_on)
     if arguments.out is not None:

@@ -9,6 +9,7 @@ import json
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,8 @@ from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.recorded_line import scattered
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.cascade.spec import on_grid
+from sim_replay.fitting.cascade.training_images import augmented_truth
 from sim_replay.fitting.fit_odds import (
     STEPS,
     LookTable,
@@ -34,8 +37,10 @@ from sim_replay.fitting.fit_odds import (
     look_table,
 )
 from sim_replay.fitting.recorders import RECORDERS, recorded_by
+from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.logs.recorded import RecordedMission
-from sim_replay.missions import config_for, served_by
+from sim_replay.missions import served_by
+from sim_replay.simulate import TRUTH_NAME
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -49,7 +54,8 @@ class LookTask(NamedTuple):
     """Name a mission.
 
     source: a named scene, DRAWN, or the path of a recorded line. times: as many mines and rocks as the scene has.
-    recorder: of RECORDERS, for named scenes alone. detector: whose detections are looked at.
+    recorder: of RECORDERS, for named scenes alone. detector: whose detections are looked at. theatre: what is flown.
+    A folder of `auv-mcm augment` is a recorded line too, with the targets that it has.
     """
 
     source: str
@@ -57,16 +63,17 @@ class LookTask(NamedTuple):
     times: int = 1
     recorder: str | None = None
     detector: Detector = "cascade"
+    theatre: Theatre = USUAL
 
     @property
     def is_line(self) -> bool:
         """Check whether it is a recorded line."""
-        return self.source not in (DRAWN, *named_scenes())
+        return self.source not in (DRAWN, *named_scenes(), *self.theatre.scenes)
 
     @property
     def domain(self) -> str:
         """Return the name under which the mission is judged."""
-        return self.recorder or (Path(self.source).stem if self.is_line else self.source)
+        return self.recorder or (self.source if self.source in (DRAWN, *named_scenes()) else Path(self.source).stem)
 
 
 class MissionLooks(NamedTuple):
@@ -107,7 +114,7 @@ def fly_looks(task: LookTask) -> MissionLooks:
     Raises BadInputError or UsageError for a recorded line, as augment does.
     """
     with flight_of(task) as flight:
-        usual = task.times == 1 and task.source != DRAWN
+        usual = task.times == 1 and task.source != DRAWN and not Path(task.source).is_dir()
         examples = examples_along(flight.config, flight.events, flight.objects, usual=usual)
         truth = flight.truth()
     n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
@@ -135,14 +142,13 @@ def flight_of(task: LookTask) -> Iterator[Flight]:
     """Prepare a mission. Raises BadInputError or UsageError for a recorded line, as augment does."""
     if task.is_line:
         with tempfile.TemporaryDirectory() as folder:
-            written = augment(Path(task.source), scattered(task.seed), Path(folder), Config())
-            events = RecordedMission([written.log], Config()).events()
-            config = served_by(task.detector, Config())
-            yield Flight(_NO_LAW, config, events, lambda: dict(json.loads(written.truth.read_bytes())))
+            log, truth = _line_of(task, Path(folder))
+            config = served_by(task.detector, on_grid(task.theatre.config, task.theatre.sonars[0]))
+            yield Flight(_NO_LAW, config, RecordedMission([log], config).events(), lambda: truth)
         return
-    scene = _scene_of(task)
+    scene, config = task.theatre.carried(_scene_of(task), task.seed)
     mission = Mission(scene)
-    config = served_by(task.detector, config_for(scene))
+    config = served_by(task.detector, config)
     yield Flight(scene.sonar.recorder.samples, config, mission.events(), mission.truth)
 
 
@@ -201,7 +207,19 @@ def place_of(folder: Path, task: LookTask) -> Path:
     parts = [task.domain, *([task.source] if task.recorder else []), f"x{task.times}", str(task.seed)]
     if task.detector != "cascade":
         parts.append(task.detector)
+    if task.theatre != USUAL:
+        parts.append(f"{zlib.crc32(repr((task.theatre, task.source)).encode()):08x}")
     return folder / ("-".join(parts).replace(" ", "_") + ".npz")
+
+
+def _line_of(task: LookTask, folder: Path) -> tuple[Path, dict[str, Any]]:
+    """Find the log with targets and its truth; targets are scattered into `folder` unless the line has them."""
+    place = Path(task.source)
+    if place.is_dir():
+        log, truth = place / augmented_truth(place / TRUTH_NAME)[0], place / TRUTH_NAME
+    else:
+        log, truth, *_ = augment(place, scattered(task.seed), folder, Config())
+    return log, dict(json.loads(truth.read_bytes()))
 
 
 def _scene_of(task: LookTask) -> Scene:

@@ -16,6 +16,7 @@ from sim_replay.fitting.detection_performance.fit_performance import Outcomes
 from sim_replay.fitting.detection_performance.judge import judge_predictions, mean_error, share
 from sim_replay.fitting.detection_performance.looks import CellPass
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
+from sim_replay.fitting.theatre import Theatre
 
 P = {"flat": 0.8, "ripple_across": 0.2, "ripple_oblique": 0.5, "ripple_along": 0.4, "rough": 0.3, "vegetation": 0.1}
 SEABED = (0, 1, 1, 1, 2, 3)  # of FLOORS
@@ -102,7 +103,7 @@ def test_two_looks_are_judged_by_what_the_further_one_adds() -> None:
     assert found.other.realised == found.same.realised  # the same draw each time
 
 
-def looks_of_flight(flight: Flight) -> list[CellPass]:
+def looks_of_flight(flight: Flight, theatre: Theatre) -> list[CellPass]:
     rng = np.random.Generator(np.random.PCG64([flight.seed, flight.number]))
     return [
         CellPass(
@@ -157,7 +158,7 @@ def test_bad_files_are_refused_before_anything_is_flown(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def none_flown(flight: Flight) -> list[CellPass]:
+    def none_flown(flight: Flight, theatre: Theatre) -> list[CellPass]:
         raise AssertionError(flight)
 
     monkeypatch.setattr(calibrate, "fly_scene", none_flown)
