@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
@@ -34,7 +35,7 @@ CONFIG: Final = "vehicle.yaml"
 _SPEC: Final = "theatre.yaml"
 LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)
 """False alarms per km² that own and shipped are compared at."""
-_N_BACKGROUND: Final = 3  # seeds of its missions, as of what ships
+_N_MISSIONS: Final = {"odds": 18, "gate": 9, "background": 27}  # or a few more, as of what ships
 
 Show = Callable[[int, int], None]
 
@@ -90,14 +91,15 @@ def fit_theatre(
 def _steps(train: Callable[[Path], None], farm: Farm, show: Show) -> Iterator[Step]:
     def odds(theatre: Theatre, out: Path) -> None:
         with redirect_stdout(sys.stderr):
-            fit_from_missions(out, Missions(theatre=theatre.before_odds()), out.with_name("looks"), farm.workers, show)
+            missions = Missions(n_seeds=_n_seeds("odds", theatre), theatre=theatre.before_odds())
+            fit_from_missions(out, missions, out.with_name("looks"), farm.workers, show)
 
     def gate(theatre: Theatre, out: Path) -> None:
-        found = calibrate_gate(range(GATE_SEED, GATE_SEED + 1), farm.workers, show, theatre)
-        write_file(out, gate_json(found).encode())
+        seeds = range(GATE_SEED, GATE_SEED + _n_seeds("gate", theatre))
+        write_file(out, gate_json(calibrate_gate(seeds, farm.workers, show, theatre)).encode())
 
     def background(theatre: Theatre, out: Path) -> None:
-        seeds = range(BACKGROUND_SEED, BACKGROUND_SEED + _N_BACKGROUND)
+        seeds = range(BACKGROUND_SEED, BACKGROUND_SEED + _n_seeds("background", theatre))
         write_file(out, background_json(calibrate_background(seeds, farm.workers, show, theatre)).encode())
 
     def tables(theatre: Theatre, out: Path) -> None:
@@ -111,6 +113,10 @@ def _steps(train: Callable[[Path], None], farm: Farm, show: Show) -> Iterator[St
     yield Step("gate", "gate.json", gate)
     yield Step("background", "background.json", background)
     yield Step("performance", "performance.json", tables)
+
+
+def _n_seeds(step: str, theatre: Theatre) -> int:
+    return math.ceil(_N_MISSIONS[step] / len(theatre.flown))
 
 
 def judged(theatres: dict[str, Theatre], farm: Farm, show: Show) -> str:
