@@ -44,7 +44,8 @@ found.rings = Array.from(document.querySelectorAll('.box.p1, .box.p2')).map((box
   words.style.display = 'block';
   const name = words.getBoundingClientRect(), x = (ring.left + ring.right) / 2, y = (ring.top + ring.bottom) / 2;
   const aside = Math.min(Math.abs(name.left - x), Math.abs(name.right - x));
-  return [Math.max(aside, Math.abs((name.top + name.bottom) / 2 - y)), getComputedStyle(words).color === getComputedStyle(box, '::before').borderTopColor];
+  const isAlike = getComputedStyle(words).color === getComputedStyle(box, '::before').borderTopColor;
+  return [Math.max(aside, Math.abs((name.top + name.bottom) / 2 - y)), isAlike];
 });
 document.body.dataset.found = JSON.stringify(found);
 """
