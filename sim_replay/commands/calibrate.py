@@ -15,6 +15,7 @@ from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
 
 if TYPE_CHECKING:
+    from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.theatre import Theatre
 
 Show = Callable[[int, int], None]
@@ -100,16 +101,7 @@ def _add_background(kinds: Commands) -> None:
             "auv-mcm calibrate background --seeds 1500-1501 --out background.json",
         ],
     )
-    parser.add_argument(
-        "--seeds",
-        metavar="FIRST-LAST",
-        type=_seeds,
-        default=range(1500, 1503),
-        help="seeds of the missions (default 1500-1502)",
-    )
-    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the model, JSON")
-    _add_theatre(parser)
+    _add_mission_options(parser, "1500-1502", range(1500, 1503), is_out_required=True)
     parser.set_defaults(command=partial(_with_progress, _run_background))
 
 
@@ -156,16 +148,7 @@ def _add_gate(kinds: Commands) -> None:
         "same gate.",
         ["auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"],
     )
-    parser.add_argument(
-        "--seeds",
-        metavar="FIRST-LAST",
-        type=_seeds,
-        default=range(500, 501),
-        help="seeds of the missions (default 500)",
-    )
-    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the gate, JSON")
-    _add_theatre(parser)
+    _add_mission_options(parser, "500", range(500, 501), is_out_required=True)
     parser.set_defaults(command=partial(_with_progress, _run_gate))
 
 
@@ -299,9 +282,14 @@ def _add_sizes(kinds: Commands) -> None:
     parser.set_defaults(command=partial(_with_progress, _run_sizes))
 
 
-def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
-    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for the result, JSON")
-    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help=f"seeds of the missions (default {seeds})")
+def _add_mission_options(
+    parser: argparse.ArgumentParser, seeds: str, default: range | None = None, *, is_out_required: bool = False
+) -> None:
+    parser.add_argument(
+        "--out", metavar="FILE", type=Path, required=is_out_required, help="new file for the result, JSON"
+    )
+    words = f"seeds of the missions (default {seeds})"
+    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, default=default, help=words)
     parser.add_argument(
         "--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)"
     )
@@ -317,6 +305,12 @@ def _add_theatre(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="YAML file of 'auv-mcm train': its scenes are flown, with its sonars, in place of what ships",
     )
+
+
+def _farm_of(arguments: argparse.Namespace) -> Farm:
+    from sim_replay.fitting.cascade.farm import Farm
+
+    return Farm(arguments.workers, arguments.scheduler)
 
 
 def _theatre_of(arguments: argparse.Namespace) -> Theatre:
@@ -369,7 +363,7 @@ def _run_background(arguments: argparse.Namespace, show: Show) -> int:
     _check_new(arguments.out)
     write_new(
         arguments.out,
-        background_json(calibrate_background(arguments.seeds, arguments.workers, show, _theatre_of(arguments))),
+        background_json(calibrate_background(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments))),
     )
     return 0
 
@@ -416,7 +410,7 @@ def _run_gate(arguments: argparse.Namespace, show: Show) -> int:
 
     _check_new(arguments.out)
     write_new(
-        arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, show, _theatre_of(arguments)))
+        arguments.out, gate_json(calibrate_gate(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments)))
     )
     return 0
 
@@ -476,7 +470,6 @@ def _run_verdicts(arguments: argparse.Namespace) -> int:
 
 
 def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
-    from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.detection_performance.calibrate_performance import (
         FIT_SEEDS,
         FLIGHTS,
@@ -489,7 +482,7 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
-    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), show, _theatre_of(arguments))
+    missions = fly_all(seeds, flights, _farm_of(arguments), show, _theatre_of(arguments))
     looks = [look for mission in missions for look in mission]
     performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
     print(performance.fitted_on)
@@ -506,13 +499,13 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     import msgspec
 
-    from sim_replay.fitting.cascade.farm import Farm, run_tasks
+    from sim_replay.fitting.cascade.farm import run_tasks
     from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
     from sim_replay.fitting.seabed.samples import pooled, samples_of
 
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
-    farm = Farm(arguments.workers, arguments.scheduler)
+    farm = _farm_of(arguments)
     collect = partial(samples_of, theatre=_theatre_of(arguments))
     samples = pooled(list(run_tasks(collect, list(seeds), farm, lambda done: show(done, len(seeds)))))
     model = fit_seabed_model(samples, seabed_fit_words(seeds, samples.shares))

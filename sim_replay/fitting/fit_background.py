@@ -201,7 +201,7 @@ def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
 
 def calibrate_background(
     seeds: Sequence[int],
-    n_workers: int,
+    farm: Farm,
     show: Callable[[int, int], None] = lambda done, of: None,
     theatre: Theatre = USUAL,
 ) -> BackgroundModel:
@@ -209,8 +209,6 @@ def calibrate_background(
 
     Parameters
     ----------
-    n_workers
-        Missions flown at once.
     show
         Takes the missions flown so far, and how many there are.
     theatre
@@ -223,9 +221,7 @@ def calibrate_background(
     """
     tasks = background_tasks(seeds, theatre.flown)
     unfitted = theatre if theatre == USUAL else theatre.with_files(background=NONE)
-    missions = list(
-        run_tasks(partial(flown, theatre=unfitted), tasks, Farm(n_workers), lambda done: show(done, len(tasks)))
-    )
+    missions = list(run_tasks(partial(flown, theatre=unfitted), tasks, farm, lambda done: show(done, len(tasks))))
     return fitted_model(tasks, missions)
 
 
