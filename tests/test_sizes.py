@@ -28,7 +28,7 @@ class Limit(NamedTuple):
 
 
 LINES: Final = {
-    "auv_mcm": Limit(41_040, 35_500),
+    "auv_mcm": Limit(41_010, 35_500),
     "drivers": Limit(18_150, 15_500),
     "sim_replay": Limit(58_500, 42_000),
     "sim_replay/adaptive": Limit(830, 500),
@@ -37,7 +37,7 @@ LINES: Final = {
     "sim_replay/benches": Limit(13_200, 6_000),
     "sim_replay/commands": Limit(2_020, 700),
     "sim_replay/fakes": Limit(4_380, 3_500),
-    "sim_replay/fitting": Limit(8_580, 5_200),
+    "sim_replay/fitting": Limit(8_575, 5_200),
     "sim_replay/hil": Limit(1_840, 3_300),
     "sim_replay/logs": Limit(7_220, 3_900),
     "sim_replay/report": Limit(2_040, 2_000),

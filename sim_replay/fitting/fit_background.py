@@ -188,9 +188,10 @@ def judged(missions: Sequence[SortedContacts], asked_per_km2: float) -> ReachedP
 
 
 def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
-    """Judge the missions of each scene by the prior that the other scenes give."""
+    """Judge the missions of each scene by the prior that the other scenes give; none if there is one alone."""
     found = []
-    for scene in dict.fromkeys(mission.scene for mission in missions):
+    scenes = dict.fromkeys(mission.scene for mission in missions)
+    for scene in scenes if len(scenes) > 1 else ():
         prior = fit_prior([mission for mission in missions if mission.scene != scene])
         own = [mission for mission in missions if mission.scene == scene]
         found.append(
