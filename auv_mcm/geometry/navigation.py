@@ -333,10 +333,7 @@ class NavBuffer:
             self._speed_is_off.decide(self._newest_s, is_off)
         ways_m = self._speed_check.reported(estimate)
         if ways_m is not None:
-            by_track_m, measured_m = ways_m
-            self._notices.raise_once(
-                "navigation.speed_off_track", estimate.middle_s, by_track_m=by_track_m, measured_m=measured_m
-            )
+            self._notices.speed_off_track(*ways_m, estimate.middle_s)
 
     def _is_undecided(self) -> bool:
         """Check whether it has to be found out yet if measured speed and heading can be used."""
@@ -366,13 +363,12 @@ class NavBuffer:
     def _count_unbridged(self, placed: Bridged, time_s: float) -> None:
         self._n_unbridged += placed.n_left
         if placed.hole_s and self._n_unbridged >= _SPARSE_INSTANTS:
-            limit_s = self._position.limits.bridge_s
-            self._notices.raise_once("navigation.fixes_sparse", time_s, hole_s=placed.hole_s, limit_s=limit_s)
+            self._notices.fixes_sparse(placed.hole_s, self._position.limits.bridge_s, time_s)
 
     def _count_zero_altitude(self, time_s: float) -> None:
         self._n_zero_altitudes += 1
         if self._n_zero_altitudes >= ZERO_ALTITUDES:
-            self._notices.raise_once("navigation.altitude_zero", time_s)
+            self._notices.altitude_zero(time_s)
 
     def _store_position(self, time_s: float, latitude: float, longitude: float) -> None:
         if not (math.isfinite(latitude) and math.isfinite(longitude)):
@@ -398,7 +394,7 @@ class NavBuffer:
             doubt = (decision.doubt_m, float(decision.disputed))
             self._accept(fix, number > 0 or decision.step_m == 0.0, doubt)
         if decision.disputed and accepted:
-            self._notices.raise_once("navigation.position_disputed", accepted[-1].time_s, doubt_m=decision.doubt_m)
+            self._notices.position_disputed(decision.doubt_m, accepted[-1].time_s)
         self._decided.extend([False] * len(accepted))
         if decision.n_rejected:
             self._reject(decision.n_rejected, "navigation.position_jump")
@@ -409,10 +405,7 @@ class NavBuffer:
         self._decided.extend([True] * n_fixes)
         n_rejected = self._decided.count(True)
         if n_rejected >= max(_MIN_REJECTED, _REJECTED_SHARE * len(self._decided)):
-            n_decided = len(self._decided)
-            self._notices.raise_once(
-                "navigation.positions_rejected", self._last_offered_s, n_rejected=n_rejected, n_decided=n_decided
-            )
+            self._notices.positions_rejected(n_rejected, len(self._decided), self._last_offered_s)
 
     def _step(self, fix: Fix, step_m: float) -> None:
         """Record that the track goes on at another place from this fix on."""
@@ -461,7 +454,7 @@ class NavBuffer:
             is_empty = abs(course_deg) > MAX_ZERO_OFFSET_DEG
             self._heading_is_empty.decide(self._newest_s, is_empty)
             if is_empty:
-                self._notices.raise_once("navigation.heading_zero", time_s, course_deg=course_deg % 360.0)
+                self._notices.heading_zero(course_deg, time_s)
 
     def _check_heading(self, time_s: float, course_rad: float) -> None:
         if self._heading_is_empty.newest:

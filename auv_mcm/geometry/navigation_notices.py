@@ -10,30 +10,6 @@ from auv_mcm.geometry.navigation_checks import ZERO_ALTITUDES
 from auv_mcm.records import Notice
 
 _MAX_STEPS_REPORTED: Final = 10  # of a mission; further jumps are only counted (chosen)
-_TEXTS: Final = {
-    "navigation.fixes_sparse": "positions come as far as {hole_s:.1f} s apart, and heading and speed do not bridge the "
-    "time between: nothing there counts as covered. Record heading and speed, or raise navigation.max_gap_s "
-    "({limit_s:g} s) if the track is straight.",
-    "navigation.altitude_zero": f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea "
-    "floor is found from the echoes alone. Check that the altimeter is connected, logged, and has bottom lock.",
-    "navigation.position_disputed": "fixes give two places {doubt_m:.0f} m apart again and again: which one is right "
-    "is not known. Contacts there carry that distance as their sigma and nothing there counts as covered. Check the "
-    "navigation units and their cables.",
-    "navigation.positions_rejected": "{n_rejected} of the last {n_decided} positions were rejected: they do not exist "
-    "on Earth, or the vehicle cannot have moved there and back. Check the navigation unit, its antenna and its cable. "
-    "Further ones are only counted.",
-    "navigation.heading_zero": "heading is 0 in every sample while the vehicle makes good a course of "
-    "{course_deg:.0f} degrees: it is taken as unknown, and the course is used. Check that a compass is connected and "
-    "logged.",
-    "navigation.heading_off_course": "heading is {off_deg:.0f} degrees {side} of the course made good, steadily: "
-    "contacts lie on the wrong side if the compass is wrong. Check its mounting, its heading offset and sign, and "
-    "whether port and starboard are swapped.",
-    "navigation.speed_off_track": "the measured speed makes {measured_m:.0f} m where positions moved "
-    "{by_track_m:.0f} m: along-track scale and coverage come from the positions. Check the speed's source and its unit "
-    "(knots or m/s).",
-    "no speed": "speed is 0 while positions moved {by_track_m:.0f} m: along-track scale and coverage come from the "
-    "positions. Check that the speed is logged and its sensor works.",
-}
 
 
 class NavNotices:
@@ -49,12 +25,53 @@ class NavNotices:
         notices, self._notices = self._notices, []
         return notices
 
-    def raise_once(self, code: str, time_s: float, **values: float | str) -> None:
-        """Report what a code stands for, the first time; values: in its text; time_s: since 1970, as below."""
-        if code not in self._raised:
-            self._raised.add(code)
-            text = _TEXTS["no speed" if values.get("measured_m") == 0.0 else code].format(**values)
-            self._notices.append(Notice(code=code, text=text, place=_utc(time_s)))
+    def speed_off_track(self, by_track_m: float, measured_m: float, time_s: float) -> None:
+        """Report a way by the measured speed that is not the way by positions, m; time_s: since 1970, as below."""
+        text = (
+            f"the measured speed makes {measured_m:.0f} m where positions moved {by_track_m:.0f} m: along-track scale "
+            "and coverage come from the positions. Check the speed's source and its unit (knots or m/s)."
+        )
+        if measured_m == 0.0:
+            text = (
+                f"speed is 0 while positions moved {by_track_m:.0f} m: along-track scale and coverage come from the "
+                "positions. Check that the speed is logged and its sensor works."
+            )
+        self._raise_once("navigation.speed_off_track", text, time_s)
+
+    def fixes_sparse(self, hole_s: float, limit_s: float, time_s: float) -> None:
+        """Report holes between fixes that nothing bridges, longer than the limit of interpolation; s."""
+        text = (
+            f"positions come as far as {hole_s:.1f} s apart, and heading and speed do not bridge the time between: "
+            f"nothing there counts as covered. Record heading and speed, or raise navigation.max_gap_s ({limit_s:g} s) "
+            "if the track is straight."
+        )
+        self._raise_once("navigation.fixes_sparse", text, time_s)
+
+    def altitude_zero(self, time_s: float) -> None:
+        """Report an altitude that stays 0."""
+        text = (
+            f"altitude was 0 in {ZERO_ALTITUDES} samples in a row and is taken as unknown: the sea floor is found "
+            "from the echoes alone. Check that the altimeter is connected, logged, and has bottom lock."
+        )
+        self._raise_once("navigation.altitude_zero", text, time_s)
+
+    def position_disputed(self, doubt_m: float, time_s: float) -> None:
+        """Report fixes at two places, of which none is known to be right."""
+        text = (
+            f"fixes give two places {doubt_m:.0f} m apart again and again: which one is right is not "
+            "known. Contacts there carry that distance as their sigma and nothing there counts as covered. Check "
+            "the navigation units and their cables."
+        )
+        self._raise_once("navigation.position_disputed", text, time_s)
+
+    def positions_rejected(self, n_rejected: int, n_decided: int, time_s: float) -> None:
+        """Report that many of the newest fixes were rejected."""
+        text = (
+            f"{n_rejected} of the last {n_decided} positions were rejected: they do not exist on Earth, "
+            "or the vehicle cannot have moved there and back. Check the navigation unit, its antenna and its "
+            "cable. Further ones are only counted."
+        )
+        self._raise_once("navigation.positions_rejected", text, time_s)
 
     def position_jump(self, step_m: float, n_steps: int, time_s: float) -> None:
         """Report a step of the track to another place; n_steps: with it."""
@@ -67,10 +84,29 @@ class NavNotices:
         text += " Further jumps are only counted." * (n_steps == _MAX_STEPS_REPORTED)
         self._notices.append(Notice(code="nav_position_jump", text=text, place=_utc(time_s)))
 
+    def heading_zero(self, course_deg: float, time_s: float) -> None:
+        """Report a heading of 0 in every sample on another course."""
+        text = (
+            f"heading is 0 in every sample while the vehicle makes good a course of {course_deg % 360.0:.0f} "
+            "degrees: it is taken as unknown, and the course is used. Check that a compass is connected and "
+            "logged."
+        )
+        self._raise_once("navigation.heading_zero", text, time_s)
+
     def heading_off_course(self, offset_rad: float, time_s: float) -> None:
         """Report a heading that is steadily off the course; positive to the right."""
         side = "right" if offset_rad > 0.0 else "left"
-        self.raise_once("navigation.heading_off_course", time_s, off_deg=abs(math.degrees(offset_rad)), side=side)
+        text = (
+            f"heading is {abs(math.degrees(offset_rad)):.0f} degrees {side} of the course made good, steadily: "
+            "contacts lie on the wrong side if the compass is wrong. Check its mounting, its heading offset and "
+            "sign, and whether port and starboard are swapped."
+        )
+        self._raise_once("navigation.heading_off_course", text, time_s)
+
+    def _raise_once(self, code: str, text: str, time_s: float) -> None:
+        if code not in self._raised:
+            self._raised.add(code)
+            self._notices.append(Notice(code=code, text=text, place=_utc(time_s)))
 
 
 def _utc(time_s: float) -> str:

@@ -15,6 +15,7 @@ from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
 
 if TYPE_CHECKING:
+    from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.theatre import Theatre
 
 Show = Callable[[int, int], None]
@@ -108,6 +109,12 @@ def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> N
     )
 
 
+def _farm_of(arguments: argparse.Namespace) -> Farm:
+    from sim_replay.fitting.cascade.farm import Farm
+
+    return Farm(arguments.workers, arguments.scheduler)
+
+
 def _theatre_of(arguments: argparse.Namespace) -> Theatre:
     from sim_replay.fitting.theatre import USUAL, read_theatre
 
@@ -158,7 +165,7 @@ def _run_background(arguments: argparse.Namespace, show: Show) -> int:
     _check_new(arguments.out)
     write_new(
         arguments.out,
-        background_json(calibrate_background(arguments.seeds, arguments.workers, show, _theatre_of(arguments))),
+        background_json(calibrate_background(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments))),
     )
     return 0
 
@@ -179,7 +186,7 @@ def _run_gate(arguments: argparse.Namespace, show: Show) -> int:
 
     _check_new(arguments.out)
     write_new(
-        arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, show, _theatre_of(arguments)))
+        arguments.out, gate_json(calibrate_gate(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments)))
     )
     return 0
 
@@ -239,7 +246,6 @@ def _run_verdicts(arguments: argparse.Namespace) -> int:
 
 
 def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
-    from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.detection_performance.calibrate_performance import (
         FIT_SEEDS,
         FLIGHTS,
@@ -252,7 +258,7 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
-    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), show, _theatre_of(arguments))
+    missions = fly_all(seeds, flights, _farm_of(arguments), show, _theatre_of(arguments))
     looks = [look for mission in missions for look in mission]
     performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
     print(performance.fitted_on)
@@ -269,13 +275,13 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     import msgspec
 
-    from sim_replay.fitting.cascade.farm import Farm, run_tasks
+    from sim_replay.fitting.cascade.farm import run_tasks
     from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
     from sim_replay.fitting.seabed.samples import pooled, samples_of
 
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
-    farm = Farm(arguments.workers, arguments.scheduler)
+    farm = _farm_of(arguments)
     collect = partial(samples_of, theatre=_theatre_of(arguments))
     samples = pooled(list(run_tasks(collect, list(seeds), farm, lambda done: show(done, len(seeds)))))
     model = fit_seabed_model(samples, seabed_fit_words(seeds, samples.shares))
@@ -351,15 +357,19 @@ _THEATRE: Final = (
 )
 
 
+_FARM: Final = (
+    _option("--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)"),
+    _option("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT"),
+    *_THEATRE,
+)
+
+
 def _on_farm(seeds: str) -> tuple[Option, ...]:
     shown = f"seeds of the missions (default {seeds})"
-    workers = "missions flown at once here (default 2)"
     return (
         _option("--out", metavar="FILE", type=Path, help="new file for the result, JSON"),
         _option("--seeds", metavar="FIRST-LAST", type=_seeds, help=shown),
-        _option("--workers", metavar="N", type=whole(1, 1000), default=2, help=workers),
-        _option("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT"),
-        *_THEATRE,
+        *_FARM,
     )
 
 
@@ -378,7 +388,7 @@ FITS: Final = (
             "auv-mcm calibrate background --out background.json",
             "auv-mcm calibrate background --seeds 1500-1501 --out background.json",
         ),
-        (_missions(1500, 1502), _WORKERS, _out("file for the model, JSON"), *_THEATRE),
+        (_missions(1500, 1502), _out("file for the model, JSON"), *_FARM),
         _run_background,
     ),
     Fit(
@@ -389,7 +399,7 @@ FITS: Final = (
         "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine "
         f"in the end follow from the score, contrast and range of a place. {_AFTER_ODDS} gate.",
         ("auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"),
-        (_missions(500, 500), _WORKERS, _out("file for the gate, JSON"), *_THEATRE),
+        (_missions(500, 500), _out("file for the gate, JSON"), *_FARM),
         _run_gate,
     ),
     Fit(

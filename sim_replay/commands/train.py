@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config, whole
@@ -111,15 +113,13 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError("--all needs a SPEC that names scenes, sonars and augmented lines: see docs/how-to")
     options = f"--theatre {arguments.spec}"
     theatre = read_theatre(arguments.spec, read_config(arguments.config), options)
-    with Progress("missions") as progress:
-        tables = fit_theatre(
-            theatre,
-            arguments.spec.read_bytes(),
-            arguments.out,
-            train,
-            farm,
-            lambda done, of: progress.show(done / max(of, 1)),
-        )
+    tables = fit_theatre(theatre, arguments.spec.read_bytes(), arguments.out, train, farm, _watched)
     made = arguments.out / CONFIG
     answer({"config": made, "judged": tables.splitlines()}, [tables, f"configuration: {made}"], as_json=arguments.json)
     return 0
+
+
+@contextmanager
+def _watched(step: str) -> Iterator[Callable[[int, int], None]]:
+    with Progress(step) as progress:
+        yield lambda done, of: progress.show(done / max(of, 1))

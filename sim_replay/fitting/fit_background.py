@@ -182,9 +182,10 @@ def judged(missions: Sequence[SortedContacts], asked_per_km2: float) -> ReachedP
 
 
 def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
-    """Judge the missions of each scene by the prior that the other scenes give."""
+    """Judge the missions of each scene by the prior that the other scenes give; none if there is one alone."""
     found = []
-    for scene in dict.fromkeys(mission.scene for mission in missions):
+    scenes = dict.fromkeys(mission.scene for mission in missions)
+    for scene in scenes if len(scenes) > 1 else ():
         prior = fit_prior([mission for mission in missions if mission.scene != scene])
         own = [mission for mission in missions if mission.scene == scene]
         found.append(
@@ -195,7 +196,7 @@ def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
 
 def calibrate_background(
     seeds: Sequence[int],
-    n_workers: int,
+    farm: Farm,
     show: Callable[[int, int], None] = lambda done, of: None,
     theatre: Theatre = USUAL,
 ) -> BackgroundModel:
@@ -203,8 +204,6 @@ def calibrate_background(
 
     Parameters
     ----------
-    n_workers
-        Missions flown at once.
     show
         Takes the missions flown so far, and how many there are.
     theatre
@@ -217,9 +216,7 @@ def calibrate_background(
     """
     tasks = background_tasks(seeds, theatre.flown)
     unfitted = theatre if theatre == USUAL else theatre.with_files(background=NONE)
-    missions = list(
-        run_tasks(partial(flown, theatre=unfitted), tasks, Farm(n_workers), lambda done: show(done, len(tasks)))
-    )
+    missions = list(run_tasks(partial(flown, theatre=unfitted), tasks, farm, lambda done: show(done, len(tasks))))
     return fitted_model(tasks, missions)
 
 

@@ -81,7 +81,7 @@ def outcomes_of(task: tuple[str, int, Detector], theatre: Theatre = USUAL) -> li
 
 def calibrate_gate(
     seeds: Sequence[int],
-    n_workers: int,
+    farm: Farm,
     show: Callable[[int, int], None] = lambda done, of: None,
     theatre: Theatre = USUAL,
 ) -> Gate:
@@ -89,8 +89,6 @@ def calibrate_gate(
 
     Parameters
     ----------
-    n_workers
-        Missions flown at once.
     show
         Takes the missions flown so far, and how many there are.
     theatre
@@ -105,9 +103,7 @@ def calibrate_gate(
     unfitted = theatre if theatre == USUAL else theatre.with_files(gate=NONE, background=NONE)
     detectors: tuple[Detector, ...] = get_args(Detector)
     tasks = [(name, seed, detector) for detector in detectors for name in scenes for seed in seeds]
-    outcomes = list(
-        run_tasks(partial(outcomes_of, theatre=unfitted), tasks, Farm(n_workers), lambda done: show(done, len(tasks)))
-    )
+    outcomes = list(run_tasks(partial(outcomes_of, theatre=unfitted), tasks, farm, lambda done: show(done, len(tasks))))
     found = {
         detector: [one for task, some in zip(tasks, outcomes, strict=True) if task[2] == detector for one in some]
         for detector in detectors

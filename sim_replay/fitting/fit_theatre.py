@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stdout
+from contextlib import AbstractContextManager, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -39,6 +39,7 @@ LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)
 _N_MISSIONS: Final = {"odds": 18, "gate": 9, "background": 27}  # or a few more, as of what ships
 
 Show = Callable[[int, int], None]
+Watched = Callable[[str], AbstractContextManager[Show]]
 
 
 class Step(NamedTuple):
@@ -46,11 +47,11 @@ class Step(NamedTuple):
 
     key: str
     file: str
-    fit: Callable[[Theatre, Path], None]
+    fit: Callable[[Theatre, Path, Show], None]
 
 
 def fit_theatre(
-    theatre: Theatre, spec: bytes, folder: Path, train: Callable[[Path], None], farm: Farm, show: Show
+    theatre: Theatre, spec: bytes, folder: Path, train: Callable[[Path], None], farm: Farm, watched: Watched
 ) -> str:
     """Fit detector, odds, gate, background and detection performance, and write a configuration that names them.
 
@@ -63,8 +64,8 @@ def fit_theatre(
         Text of the training set that the theatre was read from.
     train
         Writes the detector's cascade to a file.
-    show
-        Takes the missions flown of a step, and how many it has.
+    watched
+        Gives, by a step's name, what takes the missions flown and how many it has.
 
     Raises
     ------
@@ -80,36 +81,38 @@ def fit_theatre(
         raise UsageError(f"--out {folder} has files that were fitted for another spec, {kept}: name a new folder")
     write_file(kept, spec)
     shipped = theatre
-    for step in _steps(train, farm, show):
+    for step in _steps(train, farm):
         place = folder.absolute() / step.file
         if not place.exists():
-            step.fit(theatre, place)
+            with watched(step.key) as show:
+                step.fit(theatre, place, show)
         theatre = theatre.with_files(**{step.key: str(place)})
     write_file(folder / CONFIG, config_yaml(theatre.config).encode())
-    return judged({"shipped": shipped, "own": theatre}, farm, show)
+    with watched("judging") as show:
+        return judged({"shipped": shipped, "own": theatre}, farm, show)
 
 
-def _steps(train: Callable[[Path], None], farm: Farm, show: Show) -> Iterator[Step]:
-    def odds(theatre: Theatre, out: Path) -> None:
+def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
+    def odds(theatre: Theatre, out: Path, show: Show) -> None:
         with redirect_stdout(sys.stderr):
             missions = Missions(n_seeds=_n_seeds("odds", theatre), theatre=theatre.before_odds())
             fit_from_missions(out, missions, out.with_name("looks"), farm.workers, show)
 
-    def gate(theatre: Theatre, out: Path) -> None:
+    def gate(theatre: Theatre, out: Path, show: Show) -> None:
         seeds = range(GATE_SEED, GATE_SEED + _n_seeds("gate", theatre))
-        write_file(out, gate_json(calibrate_gate(seeds, farm.workers, show, theatre)).encode())
+        write_file(out, gate_json(calibrate_gate(seeds, farm, show, theatre)).encode())
 
-    def background(theatre: Theatre, out: Path) -> None:
+    def background(theatre: Theatre, out: Path, show: Show) -> None:
         seeds = range(BACKGROUND_SEED, BACKGROUND_SEED + _n_seeds("background", theatre))
-        write_file(out, background_json(calibrate_background(seeds, farm.workers, show, theatre)).encode())
+        write_file(out, background_json(calibrate_background(seeds, farm, show, theatre)).encode())
 
-    def tables(theatre: Theatre, out: Path) -> None:
+    def tables(theatre: Theatre, out: Path, show: Show) -> None:
         seeds, flights = performance.FIT_SEEDS, performance.FLIGHTS
         looks = [look for one in performance.fly_all(seeds, flights, farm, show, theatre) for look in one]
         words = performance.performance_fit_words(seeds, flights, looks)
         write_file(out, performance.performance_json(fit_performance(looks, words)))
 
-    yield Step("model", "model.json", lambda theatre, out: train(out))
+    yield Step("model", "model.json", lambda theatre, out, show: train(out))
     yield Step("odds", "odds.json", odds)
     yield Step("gate", "gate.json", gate)
     yield Step("background", "background.json", background)

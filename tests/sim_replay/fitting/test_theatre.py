@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +138,7 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
         fit_theatre, "run_tasks", lambda fly, tasks, *_: [found_by(fly.keywords["config"])] * len(tasks)
     )
     farm, train = Farm(1), lambda out: out.write_bytes(encode_model(shipped_model()))
-    said = fit_theatre.fit_theatre(theatre, b"a", folder, train, farm, lambda done, of: None)
+    said = fit_theatre.fit_theatre(theatre, b"a", folder, train, farm, watched)
     assert seen == {
         "odds": ["model.json", "shipped", "none", "shipped"],
         "gate": ["model.json", "odds.json", "shipped", "shipped"],
@@ -150,10 +152,14 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     assert said.endswith("2 missions left out, 4 targets, 0.060 km²")
     seen.clear()
     alone = theatre._replace(test_seeds=())
-    assert "nothing was judged" in fit_theatre.fit_theatre(alone, b"a", folder, train, farm, lambda done, of: None)
+    assert "nothing was judged" in fit_theatre.fit_theatre(alone, b"a", folder, train, farm, watched)
     assert seen == {}
     with pytest.raises(UsageError, match="for another spec"):
-        fit_theatre.fit_theatre(alone, b"b", folder, train, farm, lambda done, of: None)
+        fit_theatre.fit_theatre(alone, b"b", folder, train, farm, watched)
+
+
+def watched(step: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    return nullcontext(lambda done, of: None)
 
 
 def found_by(config: Config) -> BestScores:
