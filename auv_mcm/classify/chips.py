@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.confirm.region import Region
+from auv_mcm.kernels.cell_sums import cell_sums
 
 N_ROWS: Final = 40
 """Rows of both pictures, along the track."""
@@ -59,20 +60,13 @@ def chip_of(region: Region, along_m: float = 0.0, across_m: float = 0.0) -> Chip
     rows = region.row + (along_m + rows) / region.row_spacing_m
     top = min(max(int(rows[0]), 0), len(region.valid) - 1)
     end = min(max(int(rows[-1]) + 1, top + 1), len(region.valid))
-    valid = region.valid[top:end]
-    sums = np.zeros((2, len(valid) + 1, valid.shape[1] + 1))
-    np.cumsum(np.where(valid, region.intensity[top:end], 0.0), axis=0, out=sums[0, 1:, 1:])
-    np.cumsum(valid, axis=0, dtype=np.float64, out=sums[1, 1:, 1:])
-    rows -= top
-    strips = np.diff(_between(sums, rows, 1), axis=1)
-    np.cumsum(strips, axis=2, out=strips)
     centre_m = region.first_ground_range_m + region.column * region.column_spacing_m + across_m
     by_metres_m = centre_m - _NEAR_M + _COLUMN_M * np.arange(N_COLUMNS + 1, dtype=np.float64)
     by_height_m = shadow_ends_m(centre_m, region.altitude_m, _HEIGHT_M * np.arange(N_HEIGHTS + 1, dtype=np.float64))
-    metres, heights = (
-        np.diff(_between(strips, (edges_m - region.first_ground_range_m) / region.column_spacing_m, 2), axis=2)
-        for edges_m in (by_metres_m, by_height_m)
-    )
+    edges = (np.concatenate([by_metres_m, by_height_m]) - region.first_ground_range_m) / region.column_spacing_m
+    sums = cell_sums(region.intensity[top:end], region.valid[top:end], rows - top, edges)
+    # Between the two pictures lies what is a cell of neither.
+    metres, heights = sums[:, :, :N_COLUMNS], sums[:, :, N_COLUMNS + 1 :]
     levels_db = _levels_db(metres)
     middle_db, spread_db = floor_of(levels_db)
     by_metres, by_height = (
@@ -113,16 +107,6 @@ def floor_of(levels_db: NDArray[np.float64]) -> tuple[float, float]:
     middle_db = float(np.median(known))
     spread_db = _SIGMAS_PER_DEVIATION * float(np.median(np.abs(known - middle_db)))
     return middle_db, max(spread_db, _LEAST_SPREAD_DB)
-
-
-def _between(sums: NDArray[np.float64], edges: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Read cumulative sums at fractional places along an axis."""
-    last = sums.shape[axis] - 1
-    places = np.clip(edges, 0.0, last)
-    whole = np.minimum(places.astype(np.int64), last - 1)
-    part = (places - whole).reshape([-1 if k == axis else 1 for k in range(sums.ndim)])
-    below = sums.take(whole, axis=axis)
-    return np.asarray(below + part * (sums.take(whole + 1, axis=axis) - below))
 
 
 def _levels_db(sums: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -24,6 +24,7 @@ SIGNATURES: Final = {
     "cascade_rank": "i i4 i a a a",
     "cascade_run": "u4 i i a i i a i a a a a",
     "cascade_sums": "i i i i i u u2 a",
+    "cell_sums": "i i f8 b1 i i8 f8 i i8 f8 a a a",
     "contrast_background": "i i f4 u1 w w f i4 i4 d d i i a a a a a a",
     "contrast_before": "i i i i i4 f4 i a",
     "contrast_bright": "i i i i f8 i4 f4 b1 i i4 f8 i i i i a a a a a",

@@ -17,6 +17,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
+from auv_mcm.kernels.cell_sums import cell_sums, cell_sums_numpy
 from auv_mcm.kernels.signatures import SIGNATURES, call
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward, viterbi_forward_numpy, viterbi_path, viterbi_path_numpy
 
@@ -52,6 +53,30 @@ def test_path_is_the_best_of_all_paths(score: NDArray[np.float64], max_step: int
 
     assert path in allowed
     assert best == -np.inf or worth(path, score, step_cost) == best
+
+
+@needs_c
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    rows=hnp.arrays(np.float64, st.integers(2, 6), elements=st.floats(-3.0, 12.0)),
+    columns=hnp.arrays(np.float64, st.integers(2, 6), elements=st.floats(-3.0, 12.0)),
+)
+@settings(deadline=None)
+def test_sums_over_cells_are_those_of_the_twin_and_of_areas_in_common(
+    seed: int, shape: tuple[int, int], rows: NDArray[np.float64], columns: NDArray[np.float64]
+) -> None:
+    random = np.random.default_rng(seed)
+    values, valid = random.exponential(size=shape), random.random(shape) < 0.8
+    found = cell_sums(values, valid, rows, columns)
+    np.testing.assert_array_equal(found, cell_sums_numpy(values, valid, rows, columns))
+    down, across = (
+        np.array([[min(max(edge - pixel, 0.0), 1.0) for pixel in range(n)] for edge in edges])
+        for edges, n in ((rows, shape[0]), (columns, shape[1]))
+    )
+    for one, plane in zip(found, (np.where(valid, values, 0.0), valid.astype(np.float64)), strict=True):
+        expected = np.diff(down, axis=0) @ plane @ np.diff(across, axis=0).T
+        np.testing.assert_allclose(one, expected, atol=1e-12)
 
 
 @needs_c
