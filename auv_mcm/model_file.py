@@ -10,6 +10,7 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.safe_files import read_regular
 
 SHIPPED: Final = "shipped"
+NONE: Final = "none"
 Model = TypeVar("Model")
 
 

@@ -36,14 +36,14 @@ from auv_mcm.confirmation import (
     opinions_on,
     without_confirmation,
 )
-from auv_mcm.contacts.background import shipped_background
+from auv_mcm.contacts.background import configured_background
 from auv_mcm.contacts.ledger import Contacts, Ledger
 from auv_mcm.contacts.operating_point import CallWatch, OperatingPoint
 from auv_mcm.defects import Defect, caught, defect_notice
 from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.detect.cascade.model import rejecting_last
 from auv_mcm.detect.detect_tile import OVERLAP_M, TileDetections, detect_tile, worth_looking
-from auv_mcm.detect.gate import shipped_gate
+from auv_mcm.detect.gate import configured_gate
 from auv_mcm.detect.place_counts import PlaceCounts
 from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.early import EarlyLook
@@ -144,14 +144,15 @@ class Pipeline:
         }
         model, self._detector = fitting(configured_model(config), config)
         detector: Detector = "contrast" if model is None else "cascade"
-        self._odds = configured_odds(config.confirm.odds, detector)
+        self._odds = configured_odds(config, detector)
         sizes = size_evidence(configured_targets(config.confirm.targets))
         # The gate forecasts what confirmation says, and backgrounds are known in log-odds that it ends with.
-        gate = shipped_gate() if config.confirm.enabled else None
-        background = shipped_background().prior(detector) if config.confirm.enabled else None
+        gate = configured_gate(config.detect.gate) if config.confirm.enabled else None
+        background = configured_background(config.contacts.background, detector) if config.confirm.enabled else None
         change = self._odds.recalibrated
-        if gate is not None and background is not None and change is not None:
+        if gate is not None and change is not None:
             gate = gate.recalibrated(change.slope, change.offset_nats)
+        if background is not None and change is not None:
             background = background.recalibrated(change.slope, change.offset_nats, change.background_nats)
         if model is not None and "cascade-rejection" in without_skips:
             model = rejecting_last(model)

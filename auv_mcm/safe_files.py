@@ -86,7 +86,10 @@ def replacing(path: Path, *, directory: int | None = None, durable: bool = True)
         On disk when the block ends.
     """
     temporary = path.with_name(f".{secrets.token_hex(8)}.new")
-    descriptor = os.open(temporary, _NEW, 0o666, dir_fd=directory)
+    try:
+        descriptor = os.open(temporary, _NEW, 0o666, dir_fd=directory)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None  # of the file that is meant
     try:
         with open(descriptor, "wb") as file:
             yield file

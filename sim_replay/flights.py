@@ -19,6 +19,7 @@ from sim_replay.missions import config_for
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
 
+_USUAL: Final = Config()
 _NO_LAW: Final = "recorded"  # of recorded lines, whose law is found out anew each time
 
 
@@ -38,22 +39,28 @@ class Flight(NamedTuple):
         return list(self.truth()["objects"])
 
 
-def flight_through(scene: Scene) -> Flight:
-    """Prepare a flight through a scene."""
+def flight_through(scene: Scene, config: Config | None = None) -> Flight:
+    """Prepare a flight through a scene. config: of the payload, if not the usual one for the scene's sonar."""
     mission = Mission(scene)
-    return Flight(scene.sonar.recorder.samples, config_for(scene), mission.events(), mission.truth)
+    return Flight(scene.sonar.recorder.samples, config or config_for(scene), mission.events(), mission.truth)
+
+
+def flight_with_targets(log: Path, truth: Path, config: Config) -> Flight:
+    """Prepare the replay of a line with embedded targets. truth: the file that says where they lie."""
+    return Flight(
+        _NO_LAW, config, RecordedMission([log], config).events(), lambda: dict(json.loads(truth.read_bytes()))
+    )
 
 
 @contextmanager
-def flight_along(log: Path, seed: int) -> Iterator[Flight]:
+def flight_along(log: Path, seed: int, config: Config = _USUAL) -> Iterator[Flight]:
     """Embed targets and rocks drawn by a seed in a recorded line; its files go when it is left.
 
     Raises BadInputError or UsageError as augment does.
     """
     with tempfile.TemporaryDirectory() as folder:
-        written = augment(log, scattered(seed), Path(folder), Config())
-        events = RecordedMission([written.log], Config()).events()
-        yield Flight(_NO_LAW, Config(), events, lambda: dict(json.loads(written.truth.read_bytes())))
+        written = augment(log, scattered(seed), Path(folder), _USUAL)
+        yield flight_with_targets(written.log, written.truth, config)
 
 
 def fly_through(

@@ -120,7 +120,7 @@ def _columns(features: Iterable[Feature]) -> dict[str, str]:
                 types[name] = "DOUBLE"
             else:
                 types[name] = "TEXT" if types.get(name) else found
-    return {name: of_type or "TEXT" for name, of_type in types.items()}
+    return {name: of_type or ("DATETIME" if name in _TIMES else "TEXT") for name, of_type in types.items()}
 
 
 def _write_style(base: sqlite3.Connection) -> None:

@@ -7,19 +7,19 @@ from typing import Final
 
 import msgspec
 
-from auv_mcm.detect.cascade.choose import NONE
-from auv_mcm.model_file import SHIPPED
+from auv_mcm.model_file import NONE, SHIPPED
 from auv_mcm.records import Detector
 from auv_mcm.settings.config import Config
 from sim_replay.simulator.scene import Scene
 
+_USUAL: Final = Config()
 SCENES: Final = ("flat", "ripple", "mixed", "rough", "boulders", "seagrass", "slope", "shallow", "deep", "sas")
 HELD_OUT: Final = frozenset({"seagrass"})
 """Scenes whose sea floor neither the trained detector nor the odds of its detections were fitted on."""
 FIRST_SEED: Final = 9100  # seeds from here on were not used to choose scenes or constants
 
 
-def config_for(scene: Scene) -> Config:
+def config_for(scene: Scene, config: Config = _USUAL) -> Config:
     """Configure the payload with what an operator knows of the scene's sonar: its beam width.
 
     For a synthetic aperture that is the angle of its along-track resolution at half range.
@@ -28,14 +28,19 @@ def config_for(scene: Scene) -> Config:
     width_deg = sonar.beam_width_deg
     if sonar.synthetic_aperture is not None:
         width_deg = math.degrees(sonar.synthetic_aperture.along_track_resolution_m / (0.5 * sonar.range_m))
-    config = Config()
     return msgspec.structs.replace(config, sonar=msgspec.structs.replace(config.sonar, beam_width_deg=width_deg))
 
 
 def served_by(detector: Detector, config: Config) -> Config:
-    """Choose one of the two detectors."""
-    model = SHIPPED if detector == "cascade" else NONE
-    return msgspec.structs.replace(config, detect=msgspec.structs.replace(config.detect, model=model))
+    """Choose one of the two detectors, with the odds that ship where it is not the one configured."""
+    configured: Detector = "contrast" if config.detect.model == NONE else "cascade"
+    if detector == configured:
+        return config
+    return msgspec.structs.replace(
+        config,
+        detect=msgspec.structs.replace(config.detect, model=SHIPPED if detector == "cascade" else NONE),
+        confirm=msgspec.structs.replace(config.confirm, odds=SHIPPED),
+    )
 
 
 def reporting_everything(config: Config) -> Config:

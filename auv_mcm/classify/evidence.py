@@ -1,17 +1,10 @@
 """Turn the match of shape models with one view into belief masses.
 
 Appriou ("Probabilités et incertitude en fusion de données multi-senseurs", 1991) derives two families of masses from
-likelihoods, one statement per class, combined over the classes.
-
-The first, which the source paper uses, states of class i: m({i}) = a R/(1 + R), m(not i) = a/(1 + R), with R its
-likelihood over the mean of all. Of two classes that match alike each gets half the belief and next to nothing goes to
-"one of these two": ambiguity looks like two sure half truths. And because a weighs evidence against a class as well as
-for it, a poor match of implausible size keeps its class possible, and the best match of an impossible size wins by the
-evidence against all others.
-
-The second states only m(not i) = a (1 - mu), with mu the likelihood over the best of all. Classes that match alike keep
-their mass together, as {sphere, truncated_cone}, which is what was seen. `view_mass` takes it, with plausible size
-inside mu.
+likelihoods, one statement per class, combined over the classes. The first splits the belief among classes that match
+alike, as if each were known. The second is used: it states only m(not i) = a (1 - mu), with mu the likelihood over the
+best of all and plausible size inside it. Classes that match alike keep their mass together, as {sphere,
+truncated_cone}, which is what was seen.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ from auv_mcm.classify.beliefs import MINES, Array, conjunctive, subset, vacuous
 from auv_mcm.errors import BadInputError
 from auv_mcm.model_file import SHIPPED, read_model
 from auv_mcm.records import Detector, MeasuredStep
+from auv_mcm.settings.config import Config
 
 _TEMPER: Final = (
     0.5  # two views of 6 nats each that contradict each other have a conflict of 0.9, at which they are kept apart
@@ -222,7 +223,7 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     prior: log-odds of a mine among the detections they were fitted on. fitted_on: what those were. made_by: version and
     command that make the same file again. left_out: a row per domain, then per kind of domain, then of all.
     recalibrated: None for weights that no verdict has changed. verifier: decides in place of contours and shape; None
-    where those decide.
+    where those decide. fitted_for: whose detections, None for the weights that ship.
     """
 
     fitted_on: str
@@ -234,6 +235,7 @@ class MineOdds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     left_out: tuple[LeftOut, ...] = ()
     recalibrated: Recalibration | None = None
     verifier: Verification | None = None
+    fitted_for: Detector | None = None
 
     def verified_ratio(self, detector_ratio: float, network_nats: float) -> float:
         """Compute evidence in nats from the detector's and the network's, without the prior, at most 12 either way.
@@ -269,18 +271,27 @@ def shipped_odds(detector: Detector) -> MineOdds:
     return parse_odds(resources.files("auv_mcm.classify").joinpath(name).read_bytes(), name)
 
 
-def configured_odds(name: str, detector: Detector) -> MineOdds:
+def configured_odds(config: Config, detector: Detector) -> MineOdds:
     """Read the weights that `confirm.odds` names, for detections of the detector that serves.
 
-    Raises BadInputError naming the file, for one that is damaged, is of the other detector, or was not made by
-    `auv-mcm calibrate odds --verdicts`, as the background belongs to the weights.
+    Raises BadInputError naming the file, for one that is damaged or of the other detector, and where gate and
+    background belong to other weights: verdicts change those that ship, a fit makes new ones.
     """
+    name = config.confirm.odds
     odds = read_model("confirm.odds", name, parse_odds, lambda: shipped_odds(detector))
-    if name != SHIPPED and (odds.recalibrated is None or odds.recalibrated.detector != detector):
-        made = "no verdicts were used" if odds.recalibrated is None else f"it is for the {odds.recalibrated.detector}"
+    change = odds.recalibrated
+    if name == SHIPPED:
+        return odds
+    if (fitted_for := odds.fitted_for if change is None else change.detector) != detector:
         raise BadInputError(
-            f"confirm.odds {name}: {made}, and the {detector} serves here. Name a file of 'auv-mcm calibrate odds "
-            f"--verdicts' on missions of this configuration, or '{SHIPPED}'"
+            f"confirm.odds {name}: it is for the {fitted_for or 'detector of another version'}, and the {detector} "
+            f"serves here. Name a file of 'auv-mcm calibrate odds' for this configuration, or '{SHIPPED}'"
+        )
+    others = {"detect.gate": config.detect.gate, "contacts.background": config.contacts.background}
+    if change is None and (unfitted := [key for key, value in others.items() if value == SHIPPED]):
+        raise BadInputError(
+            f"confirm.odds {name}: {' and '.join(unfitted)} that ship belong to the odds that ship. Name files that "
+            "'auv-mcm calibrate gate' and 'auv-mcm calibrate background' wrote with this configuration, or 'none'"
         )
     return odds
 

@@ -101,11 +101,17 @@ def _wrapped(text: str) -> str:
     )
 
 
+CONFIG: Final[tuple[str, dict[str, Any]]] = (
+    "--config",
+    {"metavar": "FILE", "type": Path, "help": "configuration in YAML; see 'auv-mcm config --write'"},
+)
+"""The option of a configuration, as `add_argument` takes it."""
+
+
 def add_config_option(parser: argparse.ArgumentParser) -> None:
     """Add `--config` to a command."""
-    parser.add_argument(
-        "--config", metavar="FILE", type=Path, help="configuration in YAML; see 'auv-mcm config --write'"
-    )
+    name, how = CONFIG
+    parser.add_argument(name, **how)
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import NONE, read_model
 from auv_mcm.records import Detector
 
 Array: TypeAlias = NDArray[np.float64]
@@ -231,6 +232,15 @@ def expected_background(prior: BackgroundPrior) -> tuple[Array, Array]:
     The logarithm of the density that reaches each level, and its standard deviation, (N_BINS,).
     """
     return _log_survival(np.array(prior.mean), np.array(prior.covariance))
+
+
+def configured_background(name: str, detector: Detector) -> BackgroundPrior | None:
+    """Read the prior that `contacts.background` names, None for `none`. Raises BadInputError if it cannot be read."""
+    if name == NONE:
+        return None
+    return read_model("contacts.background", name, parse_background, shipped_background, f", or '{NONE}'").prior(
+        detector
+    )
 
 
 def shipped_background() -> BackgroundModel:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.errors import BadInputError
+from auv_mcm.model_file import NONE, read_model
 
 Values: TypeAlias = NDArray[np.float64]
 Feature: TypeAlias = Literal[
@@ -104,6 +105,11 @@ def may_reach(forecast: Forecast | None, min_p_mine: float, features: Mapping[Fe
     if min_p_mine >= 1.0:
         return np.zeros(n_places, dtype=np.bool_)
     return np.asarray(forecast.log_odds(features) + forecast.margin_nats >= math.log(min_p_mine / (1.0 - min_p_mine)))
+
+
+def configured_gate(name: str) -> Gate | None:
+    """Read the gate that `detect.gate` names, None for `none`. Raises BadInputError if it cannot be read."""
+    return None if name == NONE else read_model("detect.gate", name, parse_gate, shipped_gate, f", or '{NONE}'")
 
 
 def shipped_gate() -> Gate:

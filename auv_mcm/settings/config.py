@@ -205,6 +205,14 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
             "that 'auv-mcm calibrate performance' wrote",
         ),
     ] = "shipped"
+    gate: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="which places can become contacts and are measured: shipped, none for all, or the path of a "
+            "file that 'auv-mcm calibrate gate' wrote with the odds below",
+        ),
+    ] = "shipped"
 
     p_false_alarm: Annotated[
         float,
@@ -236,7 +244,8 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
         Meta(
             min_length=1,
             description="what measurements say about the odds of a mine, with the background of non-mines that belongs "
-            "to it: shipped, or the path of a file that 'auv-mcm calibrate odds --verdicts' wrote",
+            "to it: shipped, or the path of a file that 'auv-mcm calibrate odds' wrote; without --verdicts it needs a "
+            "gate and a background of its own",
         ),
     ] = "shipped"
     targets: Annotated[
@@ -291,6 +300,14 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
             "on stones and other objects, and what is reported does not depend on it",
         ),
     ] = 100.0
+    background: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            description="how densely non-mines reach each p_mine: shipped, none, or the path of a file that 'auv-mcm "
+            "calibrate background' wrote with the odds configured",
+        ),
+    ] = "shipped"
 
 
 class PlanConfig(_Section, frozen=True, kw_only=True):

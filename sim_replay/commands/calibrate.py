@@ -8,11 +8,15 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
-from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole, write_new
+from auv_mcm.commands import CONFIG, Commands, Progress, add_config_option, command, read_config, whole, write_new
 from auv_mcm.errors import UsageError
 from sim_replay.arguments import count
+
+if TYPE_CHECKING:
+    from sim_replay.fitting.cascade.farm import Farm
+    from sim_replay.fitting.theatre import Theatre
 
 Show = Callable[[int, int], None]
 """Takes how many missions are flown, and of how many."""
@@ -105,6 +109,20 @@ def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> N
     )
 
 
+def _farm_of(arguments: argparse.Namespace) -> Farm:
+    from sim_replay.fitting.cascade.farm import Farm
+
+    return Farm(arguments.workers, arguments.scheduler)
+
+
+def _theatre_of(arguments: argparse.Namespace) -> Theatre:
+    from sim_replay.fitting.theatre import USUAL, read_theatre
+
+    given = {"--config": arguments.config, "--theatre": arguments.theatre}
+    options = " ".join(f"{name} {path}" for name, path in given.items() if path is not None)
+    return read_theatre(arguments.theatre, read_config(arguments.config), options) if options else USUAL
+
+
 def _run_budget_or_ask(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     if arguments.speed is None:
         parser.error(
@@ -145,7 +163,10 @@ def _run_background(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_background import background_json, calibrate_background
 
     _check_new(arguments.out)
-    write_new(arguments.out, background_json(calibrate_background(arguments.seeds, arguments.workers, show)))
+    write_new(
+        arguments.out,
+        background_json(calibrate_background(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments))),
+    )
     return 0
 
 
@@ -164,7 +185,9 @@ def _run_gate(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
 
     _check_new(arguments.out)
-    write_new(arguments.out, gate_json(calibrate_gate(arguments.seeds, arguments.workers, show)))
+    write_new(
+        arguments.out, gate_json(calibrate_gate(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments)))
+    )
     return 0
 
 
@@ -193,6 +216,7 @@ def _run_odds(arguments: argparse.Namespace, show: Show) -> int:
         n_judged=arguments.judged or 0,
         judged_logs=tuple(arguments.judge_log),
         n_log_seeds=arguments.log_seeds,
+        theatre=_theatre_of(arguments).before_odds(),
     )
     fit_from_missions(arguments.out, missions, arguments.looks, arguments.workers, show)
     return 0
@@ -222,7 +246,6 @@ def _run_verdicts(arguments: argparse.Namespace) -> int:
 
 
 def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
-    from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.detection_performance.calibrate_performance import (
         FIT_SEEDS,
         FLIGHTS,
@@ -235,7 +258,7 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 
     _check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
-    missions = fly_all(seeds, flights, Farm(arguments.workers, arguments.scheduler), show)
+    missions = fly_all(seeds, flights, _farm_of(arguments), show, _theatre_of(arguments))
     looks = [look for mission in missions for look in mission]
     performance = fit_performance(looks, performance_fit_words(seeds, flights, looks))
     print(performance.fitted_on)
@@ -252,14 +275,15 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
 def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     import msgspec
 
-    from sim_replay.fitting.cascade.farm import Farm, run_tasks
+    from sim_replay.fitting.cascade.farm import run_tasks
     from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
     from sim_replay.fitting.seabed.samples import pooled, samples_of
 
     _check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
-    farm = Farm(arguments.workers, arguments.scheduler)
-    samples = pooled(list(run_tasks(samples_of, list(seeds), farm, lambda done: show(done, len(seeds)))))
+    farm = _farm_of(arguments)
+    collect = partial(samples_of, theatre=_theatre_of(arguments))
+    samples = pooled(list(run_tasks(collect, list(seeds), farm, lambda done: show(done, len(seeds)))))
     model = fit_seabed_model(samples, seabed_fit_words(seeds, samples.shares))
     print(model.fitted_on)
     if arguments.out is not None:
@@ -322,14 +346,30 @@ def _number(name: str, words: str, default: int | None = None) -> Option:
     return name, {"metavar": "N", "type": count, "default": default, "help": shown}
 
 
+_THEATRE: Final = (
+    CONFIG,
+    _option(
+        "--theatre",
+        metavar="SPEC",
+        type=Path,
+        help="YAML file of 'auv-mcm train': its scenes are flown, with its sonars, in place of what ships",
+    ),
+)
+
+
+_FARM: Final = (
+    _option("--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)"),
+    _option("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT"),
+    *_THEATRE,
+)
+
+
 def _on_farm(seeds: str) -> tuple[Option, ...]:
     shown = f"seeds of the missions (default {seeds})"
-    workers = "missions flown at once here (default 2)"
     return (
         _option("--out", metavar="FILE", type=Path, help="new file for the result, JSON"),
         _option("--seeds", metavar="FIRST-LAST", type=_seeds, help=shown),
-        _option("--workers", metavar="N", type=whole(1, 1000), default=2, help=workers),
-        _option("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT"),
+        *_FARM,
     )
 
 
@@ -348,7 +388,7 @@ FITS: Final = (
             "auv-mcm calibrate background --out background.json",
             "auv-mcm calibrate background --seeds 1500-1501 --out background.json",
         ),
-        (_missions(1500, 1502), _WORKERS, _out("file for the model, JSON")),
+        (_missions(1500, 1502), _out("file for the model, JSON"), *_FARM),
         _run_background,
     ),
     Fit(
@@ -359,7 +399,7 @@ FITS: Final = (
         "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine "
         f"in the end follow from the score, contrast and range of a place. {_AFTER_ODDS} gate.",
         ("auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"),
-        (_missions(500, 500), _WORKERS, _out("file for the gate, JSON")),
+        (_missions(500, 500), _out("file for the gate, JSON"), *_FARM),
         _run_gate,
     ),
     Fit(
@@ -419,6 +459,7 @@ FITS: Final = (
             ),
             _WORKERS,
             _out("file for the weights, JSON"),
+            *_THEATRE,
         ),
         _run_odds,
     ),

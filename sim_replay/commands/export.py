@@ -126,22 +126,12 @@ def _add_mosaic(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--palette", choices=PALETTES, default="", help="GeoTIFF in colour, in place of decibels and errors"
     )
-    parser.add_argument(
-        "--mask-nadir",
-        metavar="SHARE",
-        type=_metres(0.0),
-        default=0.0,
-        help="leave out what is nearer to the track than this share of the altitude; 0.3 hides the bright line below "
-        "the vehicle (default 0)",
-    )
-    parser.add_argument(
-        "--fade-nadir",
-        metavar="SHARE",
-        type=_metres(0.0),
-        default=0.0,
-        help="fade what is nearer to the track than this share of the altitude into the floor around, below other "
-        "passes (default 0)",
-    )
+    for option, change in (
+        ("--mask-nadir", "leave out {}; 0.3 hides the bright line below the vehicle (default 0)"),
+        ("--fade-nadir", "fade {} into the floor around, below other passes (default 0)"),
+    ):
+        near = change.format("what is nearer to the track than this share of the altitude")
+        parser.add_argument(option, metavar="SHARE", type=_metres(0.0), default=0.0, help=near)
     parser.add_argument(
         "--gain",
         choices=("local", "survey"),
@@ -181,6 +171,8 @@ def _run(arguments: argparse.Namespace) -> int:
     for path in wanted:
         if not path.absolute().parent.is_dir():
             raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
+        if path.exists() and not path.is_file() and path not in chips:
+            raise UsageError(f"{path} cannot be written: it is a folder or a device. Name a file.")
     missing = next((path for path in arguments.source if not path.exists()), None)
     if missing is not None:
         raise UsageError(f"there is no {missing}. Name a folder of results, the folder of a session, or logs.")

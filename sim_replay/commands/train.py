@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from auv_mcm.commands import Commands, add_json_option, answer, command, whole
+from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config, whole
 from auv_mcm.errors import UsageError
 
 _MAX_COUNT = 1_000_000  # a larger number is a slip: the training would run for years
@@ -20,18 +22,28 @@ def add(commands: Commands) -> None:
         "train",
         "train the detector's cascade from simulated missions and augmented logs",
         "Renders labelled tiles as a YAML file says, or takes those of a folder, and writes a model file for "
-        "'detect.model'.\n"
-        "Without a SPEC the set that ships is rendered. The same files and seeds give the same bytes on one platform.",
+        "'detect.model'. Without a SPEC the set that ships is rendered. The same files and seeds give the same bytes "
+        "on one platform. --all fits all that follows the detector as well, on missions with the SPEC's scenes and "
+        "sonars, and compares it with what ships on the split 'test'; a run that was interrupted goes on.",
         [
             "auv-mcm train --out model.json",
             "auv-mcm train theatre.yaml --out model.json --tiles tiles",
+            "auv-mcm train theatre.yaml --all --config vehicle.yaml --out theatre",
             "auv-mcm train theatre.yaml --out model.json --scheduler tcp://10.0.0.1:8786",
         ],
     )
     parser.add_argument(
         "spec", nargs="?", type=Path, metavar="SPEC", help="YAML file: what to render (default: the set that ships)"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="new file for the model, JSON")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="new file for the model, JSON; with --all a folder"
+    )
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="fit odds, gate, background and detection performance too, and write a configuration that names them",
+    )
+    add_config_option(parser)
     parser.add_argument(
         "--tiles",
         type=Path,
@@ -80,14 +92,34 @@ def _run(arguments: argparse.Namespace) -> int:
     def say(line: str) -> None:
         print(f"{time.monotonic() - started_s:6.0f} s  {line}", file=sys.stderr, flush=True)
 
-    train_model(
-        arguments.spec,
-        arguments.out,
-        tiles=arguments.tiles,
-        kind=arguments.kind,
-        n_stumps=arguments.stumps or N_STUMPS,
-        farm=Farm(arguments.workers, arguments.scheduler),
-        say=say,
-    )
-    answer({"model": arguments.out}, [f"model: {arguments.out}"], as_json=arguments.json)
+    farm = Farm(arguments.workers, arguments.scheduler)
+
+    def train(out: Path) -> None:
+        n_stumps = arguments.stumps or N_STUMPS
+        train_model(
+            arguments.spec, out, tiles=arguments.tiles, kind=arguments.kind, n_stumps=n_stumps, farm=farm, say=say
+        )
+
+    if not arguments.all:
+        if arguments.config is not None:
+            raise UsageError("--config says what follows the detector: give it with --all")
+        train(arguments.out)
+        answer({"model": arguments.out}, [f"model: {arguments.out}"], as_json=arguments.json)
+        return 0
+    from sim_replay.fitting.fit_theatre import CONFIG, fit_theatre
+    from sim_replay.fitting.theatre import read_theatre
+
+    if arguments.spec is None:
+        raise UsageError("--all needs a SPEC that names scenes, sonars and augmented lines: see docs/how-to")
+    options = f"--theatre {arguments.spec}"
+    theatre = read_theatre(arguments.spec, read_config(arguments.config), options)
+    tables = fit_theatre(theatre, arguments.spec.read_bytes(), arguments.out, train, farm, _watched)
+    made = arguments.out / CONFIG
+    answer({"config": made, "judged": tables.splitlines()}, [tables, f"configuration: {made}"], as_json=arguments.json)
     return 0
+
+
+@contextmanager
+def _watched(step: str) -> Iterator[Callable[[int, int], None]]:
+    with Progress(step) as progress:
+        yield lambda done, of: progress.show(done / max(of, 1))

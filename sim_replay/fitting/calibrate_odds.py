@@ -17,7 +17,8 @@ from typing import Final, NamedTuple
 import msgspec
 
 from auv_mcm import __version__
-from auv_mcm.classify.odds import MineOdds
+from auv_mcm.classify.odds import MineOdds, shipped_odds
+from auv_mcm.classify.verifier import shipped_network
 from auv_mcm.errors import UsageError
 from auv_mcm.records import Detector, MeasuredStep
 from auv_mcm.shell.whole_files import make_directory, write_file
@@ -35,6 +36,9 @@ from sim_replay.fitting.left_out import (
     left_out_tasks,
 )
 from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks, all_looks, pooled
+from sim_replay.fitting.theatre import USUAL, Theatre
+from sim_replay.fitting.verifier.mill import fly_all
+from sim_replay.fitting.verifier.weigh import looks_of, weighed
 from sim_replay.missions import HELD_OUT, SCENES
 
 _FOLDS: Final = 6  # parts that the domains are dealt into: two or three domains are left out at a time
@@ -46,7 +50,7 @@ class Missions(NamedTuple):
     detector: whose detections to weigh. n_seeds: missions per scene, from `first_seed` on. n_crowded: further ones with
     CROWD times as many mines and rocks. n_drawn: missions of the wide world. n_judged: missions per scene and kind of
     recorder that are judged and not fitted on; without any, and without a log, nothing is judged. judged_logs: recorded
-    lines that are judged, each with `n_log_seeds` draws of targets.
+    lines that are judged, each with `n_log_seeds` draws of targets. theatre: what is flown and fitted on.
     """
 
     detector: Detector = "cascade"
@@ -57,6 +61,7 @@ class Missions(NamedTuple):
     n_judged: int = 0
     judged_logs: tuple[Path, ...] = ()
     n_log_seeds: int = 7
+    theatre: Theatre = USUAL
 
     @property
     def command(self) -> str:
@@ -66,12 +71,12 @@ class Missions(NamedTuple):
         words += [f"--{name} {n}" for name, n in options.items() if n]
         words += [f"--judge-log {log.name}" for log in self.judged_logs]
         words += [f"--log-seeds {self.n_log_seeds}"] if self.judged_logs else []
-        return " ".join([*words, f"--first-seed {self.first_seed}"])
+        return " ".join([*words, f"--first-seed {self.first_seed}", self.theatre.options]).strip()
 
     @property
     def scenes(self) -> list[str]:
         """Name the scenes that weights are fitted on."""
-        return [name for name in SCENES if self.detector == "contrast" or name not in HELD_OUT]
+        return [*(SCENES if self.detector == "contrast" and not self.theatre.scenes else self.theatre.flown)]
 
     @property
     def seeds(self) -> range:
@@ -95,12 +100,13 @@ class Missions(NamedTuple):
         tasks += [LookTask(name, seed, CROWD) for seed in self.crowds for name in self.scenes]
         first = self.first_seed + DRAWN_SEEDS
         tasks += [LookTask(DRAWN, seed) for seed in range(first, first + self.n_drawn)]
-        return [task._replace(detector=self.detector) for task in tasks]
+        tasks += [LookTask(folder, 0) for folder in self.theatre.lines_of("validate")]
+        return [task._replace(detector=self.detector, theatre=self.theatre) for task in tasks]
 
     def judged_tasks(self) -> list[LookTask]:
         """List the missions that are judged and not fitted on."""
         tasks = left_out_tasks(SCENES, self.n_judged, self.judged_logs, self.n_log_seeds)
-        return [task._replace(detector=self.detector) for task in tasks]
+        return [task._replace(detector=self.detector, theatre=self.theatre) for task in tasks]
 
 
 def fit_from_missions(
@@ -139,8 +145,11 @@ def fit_from_missions(
     check_lines(missions.judged_logs, missions.log_seeds)
     fitted, judged = missions.fitted_tasks(), missions.judged_tasks()
     with tempfile.TemporaryDirectory() as folder:
-        flown = all_looks([*judged, *fitted], looks or Path(folder), Farm(n_workers), show)
-    odds = fitted_odds(missions, flown[len(judged) :])
+        farm = Farm(n_workers)
+        flown = all_looks([*judged, *fitted], looks or Path(folder), farm, show)
+        odds = fitted_odds(missions, flown[len(judged) :])
+        if missions.theatre != USUAL and missions.detector == "cascade":
+            odds = beside_network(odds, fitted, (looks or Path(folder)) / "verifier", farm, show)
     if judged:
         odds = judged_on_left_out(odds, missions.detector, flown, frozenset(judged))
     try:
@@ -162,7 +171,20 @@ def fitted_odds(missions: Missions, flown: Sequence[MissionLooks]) -> MineOdds:
     if missions.n_drawn:
         words += f"; {missions.n_drawn} drawn from the wide world"
     odds = fit_table(training, words, n_trees_of(missions.detector))
-    return msgspec.structs.replace(odds, made_by=f"version {__version__}, {missions.command}")
+    made_by = f"version {__version__}, {missions.command}"
+    return msgspec.structs.replace(odds, made_by=made_by, fitted_for=missions.detector)
+
+
+def beside_network(
+    odds: MineOdds, tasks: Sequence[LookTask], folder: Path, farm: Farm, show: Callable[[int, int], None]
+) -> MineOdds:
+    """Weigh the network that ships beside these odds, on missions with as many mines as usual."""
+    usual = [task for task in tasks if task.times == 1 and task.source != DRAWN and not task.is_line]
+    verifier = shipped_odds("cascade").verifier
+    assert verifier is not None
+    network = shipped_network(verifier.digest)
+    seen = [looks_of(place, "scenes", network, odds) for place in fly_all(usual, folder, farm, show)]
+    return msgspec.structs.replace(odds, verifier=weighed(seen, network.digest))
 
 
 def n_trees_of(detector: Detector) -> dict[MeasuredStep, int]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -32,12 +33,14 @@ from auv_mcm.contacts.background import (
 from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.errors import UsageError
+from auv_mcm.model_file import NONE
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, Detector
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.flights import Flight, flight_along, flight_through, fly_through
-from sim_replay.missions import HELD_OUT, SCENES, served_by
+from sim_replay.missions import served_by
 from sim_replay.scoring.inputs import ScoredMission, Truth, as_reported, parse_truth
 from sim_replay.scoring.layout import Outcome, lay_out, states
 from sim_replay.scoring.score import GATE_M
@@ -102,15 +105,15 @@ def log_odds_of(p_mine: Sequence[float]) -> Array:
     return np.asarray(np.log(p) - np.log1p(-p))
 
 
-def flown(task: Task) -> SortedContacts:
-    """Fly one mission through a named scene, with a seed and a detector, and sort its contacts."""
+def flown(task: Task, theatre: Theatre = USUAL) -> SortedContacts:
+    """Fly one mission through a scene, with a seed and a detector, and sort its contacts."""
     name, seed, detector = task
-    return flown_scene(name, msgspec.structs.replace(read_scene(name), seed=seed), detector)
+    return flown_scene(name, msgspec.structs.replace(read_scene(name), seed=seed), detector, theatre)
 
 
-def flown_scene(name: str, scene: Scene, detector: Detector) -> SortedContacts:
+def flown_scene(name: str, scene: Scene, detector: Detector, theatre: Theatre = USUAL) -> SortedContacts:
     """Fly a mission of a domain and sort its contacts."""
-    flight = flight_through(scene)
+    flight = flight_through(*theatre.carried(scene, scene.seed))
     return _sorted(name, flight, _reporting_all(served_by(detector, flight.config)))
 
 
@@ -179,9 +182,10 @@ def judged(missions: Sequence[SortedContacts], asked_per_km2: float) -> ReachedP
 
 
 def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
-    """Judge the missions of each scene by the prior that the other scenes give."""
+    """Judge the missions of each scene by the prior that the other scenes give; none if there is one alone."""
     found = []
-    for scene in dict.fromkeys(mission.scene for mission in missions):
+    scenes = dict.fromkeys(mission.scene for mission in missions)
+    for scene in scenes if len(scenes) > 1 else ():
         prior = fit_prior([mission for mission in missions if mission.scene != scene])
         own = [mission for mission in missions if mission.scene == scene]
         found.append(
@@ -191,40 +195,35 @@ def left_out(missions: Sequence[SortedContacts]) -> tuple[LeftOutScene, ...]:
 
 
 def calibrate_background(
-    seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None
+    seeds: Sequence[int],
+    farm: Farm,
+    show: Callable[[int, int], None] = lambda done, of: None,
+    theatre: Theatre = USUAL,
 ) -> BackgroundModel:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the model.
 
     Parameters
     ----------
-    n_workers
-        Missions flown at once.
     show
         Takes the missions flown so far, and how many there are.
+    theatre
+        What is flown; contacts of its own odds and gate, which have no background yet.
 
     Raises
     ------
     UsageError
         As fit_prior does.
     """
-    tasks = background_tasks(seeds)
-    missions = list(run_tasks(flown, tasks, Farm(n_workers), lambda done: show(done, len(tasks))))
+    tasks = background_tasks(seeds, theatre.flown)
+    unfitted = theatre if theatre == USUAL else theatre.with_files(background=NONE)
+    missions = list(run_tasks(partial(flown, theatre=unfitted), tasks, farm, lambda done: show(done, len(tasks))))
     return fitted_model(tasks, missions)
 
 
-def background_tasks(seeds: Sequence[int]) -> list[Task]:
-    """List the missions to fly.
-
-    Every named scene that is not held out, by the cascade with all seeds and by contrasts with the first.
-    """
+def background_tasks(seeds: Sequence[int], scenes: Sequence[str] = USUAL.flown) -> list[Task]:
+    """List the missions to fly: every scene, by the cascade with all seeds and by contrasts with the first."""
     of_detector: tuple[tuple[Detector, Sequence[int]], ...] = (("cascade", seeds), ("contrast", seeds[:1]))
-    return [
-        (name, seed, detector)
-        for detector, own in of_detector
-        for name in SCENES
-        if name not in HELD_OUT
-        for seed in own
-    ]
+    return [(name, seed, detector) for detector, own in of_detector for name in scenes for seed in own]
 
 
 def fitted_model(tasks: Sequence[Task], missions: Sequence[SortedContacts]) -> BackgroundModel:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final, NamedTuple, get_args
 
 import msgspec
@@ -17,12 +18,14 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect.gate import Feature, Forecast, Gate, place_features
 from auv_mcm.errors import UsageError
+from auv_mcm.model_file import NONE
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Detection, Detector
 from auv_mcm.settings.config import ContactsConfig
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.missions import HELD_OUT, SCENES, config_for, reporting_everything, served_by
-from sim_replay.simulator.mission import Mission
+from sim_replay.fitting.theatre import USUAL, Theatre
+from sim_replay.flights import flight_through, fly_through
+from sim_replay.missions import reporting_everything, served_by
 from sim_replay.simulator.scene_file import read_scene
 
 FIRST_SEED: Final = 500  # rates are taken on seeds from 9100 on
@@ -67,38 +70,40 @@ def fit_gate(
     )
 
 
-def outcomes_of(task: tuple[str, int, Detector]) -> list[PlaceOutcome]:
-    """Fly one mission through a named scene, with a seed and a detector, and return what became of all detections."""
+def outcomes_of(task: tuple[str, int, Detector], theatre: Theatre = USUAL) -> list[PlaceOutcome]:
+    """Fly one mission through a scene, with a seed and a detector, and return what became of all detections."""
     name, seed, detector = task
-    scene = msgspec.structs.replace(read_scene(name), seed=seed)
-    pipeline = Pipeline(reporting_everything(served_by(detector, config_for(scene))))
-    for event in Mission(scene).events():
-        pipeline.feed(event)
-    pipeline.finish()
+    flight = flight_through(*theatre.carried(msgspec.structs.replace(read_scene(name), seed=seed), seed))
+    pipeline = Pipeline(reporting_everything(served_by(detector, flight.config)))
+    fly_through(flight.events, {name: pipeline})
     return [_outcome(name, view) for contact in pipeline.contacts for view in contact.views]
 
 
 def calibrate_gate(
-    seeds: Sequence[int], n_workers: int, show: Callable[[int, int], None] = lambda done, of: None
+    seeds: Sequence[int],
+    farm: Farm,
+    show: Callable[[int, int], None] = lambda done, of: None,
+    theatre: Theatre = USUAL,
 ) -> Gate:
     """Fly missions with these seeds through the named scenes that are not held out, and fit the gate.
 
     Parameters
     ----------
-    n_workers
-        Missions flown at once.
     show
         Takes the missions flown so far, and how many there are.
+    theatre
+        What is flown; detections of its own odds, which have no gate yet.
 
     Raises
     ------
     UsageError
         As fit_gate does.
     """
-    scenes = [name for name in SCENES if name not in HELD_OUT]
+    scenes = theatre.flown
+    unfitted = theatre if theatre == USUAL else theatre.with_files(gate=NONE, background=NONE)
     detectors: tuple[Detector, ...] = get_args(Detector)
     tasks = [(name, seed, detector) for detector in detectors for name in scenes for seed in seeds]
-    outcomes = list(run_tasks(outcomes_of, tasks, Farm(n_workers), lambda done: show(done, len(tasks))))
+    outcomes = list(run_tasks(partial(outcomes_of, theatre=unfitted), tasks, farm, lambda done: show(done, len(tasks))))
     found = {
         detector: [one for task, some in zip(tasks, outcomes, strict=True) if task[2] == detector for one in some]
         for detector in detectors

@@ -272,6 +272,7 @@ def fit_step(looks: LookTable, step: MeasuredStep, n_trees: int, usual: LookTabl
 def written(odds: MineOdds) -> bytes:
     """Format JSON with a line per weight and per tree."""
     entries: dict[str, Any] = {"fitted_on": odds.fitted_on, "made_by": odds.made_by, "prior": odds.prior}
+    entries |= {"fitted_for": odds.fitted_for} if odds.fitted_for else {}
     parts = [f' "{name}": {json.dumps(value)}' for name, value in entries.items()]
     if odds.left_out:
         rows = ",\n".join(f"  {msgspec.json.encode(row).decode()}" for row in odds.left_out)

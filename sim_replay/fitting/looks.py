@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import os
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +19,10 @@ import numpy as np
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import Detector
 from auv_mcm.safe_files import open_regular
+from sim_replay.augment.augment_log import TRUTH_NAME
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.cascade.spec import on_grid
+from sim_replay.fitting.cascade.training_images import augmented_truth
 from sim_replay.fitting.fit_odds import (
     STEPS,
     LookTable,
@@ -29,7 +33,8 @@ from sim_replay.fitting.fit_odds import (
     look_table,
 )
 from sim_replay.fitting.recorders import RECORDERS, recorded_by
-from sim_replay.flights import Flight, flight_along, flight_through
+from sim_replay.fitting.theatre import USUAL, Theatre
+from sim_replay.flights import Flight, flight_along, flight_through, flight_with_targets
 from sim_replay.missions import served_by
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
@@ -42,7 +47,8 @@ class LookTask(NamedTuple):
     """Name a mission.
 
     source: a named scene, DRAWN, or the path of a recorded line. times: as many mines and rocks as the scene has.
-    recorder: of RECORDERS, for named scenes alone. detector: whose detections are looked at.
+    recorder: of RECORDERS, for named scenes alone. detector: whose detections are looked at. theatre: what is flown.
+    A folder of `auv-mcm augment` is a recorded line too, with the targets that it has.
     """
 
     source: str
@@ -50,16 +56,17 @@ class LookTask(NamedTuple):
     times: int = 1
     recorder: str | None = None
     detector: Detector = "cascade"
+    theatre: Theatre = USUAL
 
     @property
     def is_line(self) -> bool:
         """Check whether it is a recorded line."""
-        return self.source not in (DRAWN, *named_scenes())
+        return self.source not in (DRAWN, *named_scenes(), *self.theatre.scenes)
 
     @property
     def domain(self) -> str:
         """Return the name under which the mission is judged."""
-        return self.recorder or (Path(self.source).stem if self.is_line else self.source)
+        return self.recorder or (self.source if self.source in (DRAWN, *named_scenes()) else Path(self.source).stem)
 
 
 class MissionLooks(NamedTuple):
@@ -100,7 +107,7 @@ def fly_looks(task: LookTask) -> MissionLooks:
     Raises BadInputError or UsageError for a recorded line, as augment does.
     """
     with flight_of(task) as flight:
-        usual = task.times == 1 and task.source != DRAWN
+        usual = task.times == 1 and task.source != DRAWN and not Path(task.source).is_dir()
         examples = examples_along(flight.config, flight.events, flight.objects, usual=usual)
         truth = flight.truth()
     n_targets = sum(len(one["looks"]) for one in truth["objects"] if one["is_target"])
@@ -110,9 +117,17 @@ def fly_looks(task: LookTask) -> MissionLooks:
 @contextmanager
 def flight_of(task: LookTask) -> Iterator[Flight]:
     """Prepare a mission. Raises BadInputError or UsageError for a recorded line, as augment does."""
-    with (
-        flight_along(Path(task.source), task.seed) if task.is_line else nullcontext(flight_through(_scene_of(task)))
-    ) as flight:
+    theatre, place = task.theatre, Path(task.source)
+    found: AbstractContextManager[Flight]
+    config = on_grid(theatre.config, theatre.sonars[0])
+    if task.is_line and place.is_dir():
+        log, _ = augmented_truth(place / TRUTH_NAME)
+        found = nullcontext(flight_with_targets(place / log, place / TRUTH_NAME, config))
+    elif task.is_line:
+        found = flight_along(place, task.seed, config)
+    else:
+        found = nullcontext(flight_through(*theatre.carried(_scene_of(task), task.seed)))
+    with found as flight:
         yield flight._replace(config=served_by(task.detector, flight.config))
 
 
@@ -171,6 +186,8 @@ def place_of(folder: Path, task: LookTask) -> Path:
     parts = [task.domain, *([task.source] if task.recorder else []), f"x{task.times}", str(task.seed)]
     if task.detector != "cascade":
         parts.append(task.detector)
+    if task.theatre != USUAL:
+        parts.append(f"{zlib.crc32(repr((task.theatre, task.source)).encode()):08x}")
     return folder / ("-".join(parts).replace(" ", "_") + ".npz")
 
 

@@ -125,8 +125,10 @@ class MissionFeed:
 
 
 def open_logs(paths: list[Path], config: Config) -> OpenedMission:
-    """Open finished logs. Raises UsageError or BadInputError."""
+    """Open finished logs, and warn of those that are left out. Raises UsageError or BadInputError."""
     mission = open_mission(paths, config)
+    for notice in mission.notices:
+        log.warning("%s", notice.text)
     return OpenedMission(config, mission.events(), lambda: mission.fraction_done, mission)
 
 

@@ -8,7 +8,7 @@ from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from auv_mcm.detect.cascade.choose import NONE
+from auv_mcm.model_file import NONE
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config, ContactsConfig, DetectConfig, SonarConfig
 from sim_replay.simulator.mission import Mission

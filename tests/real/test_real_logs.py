@@ -10,12 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import auv_mcm
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
-from auv_mcm.settings.config import SonarConfig
+from auv_mcm.settings.config import Config, SonarConfig
+from sim_replay.augment.background_log import read_survey
+from sim_replay.augment.targets import parse_target_spec, place_targets
+from sim_replay.augment.track import track_of
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
 from sim_replay.logs.xtf import XtfLog
 
+PAGES = Path(auv_mcm.__file__).parent / "docs"
 SCOTSMAN = "sidescan/scotsman-iver2.xtf"
 COLORADO = "sidescan/colorado-river-455k.xtf"
 BATHYMETRY = "sidescan/bathymetry-only.xtf"
@@ -134,3 +139,10 @@ def test_a_cut_copy_delivers_the_same_pings_up_to_the_cut(shared_data: Located, 
         assert a.port is not None
         assert b.port is not None
         assert np.array_equal(a.port.samples, b.port.samples)
+
+
+def test_the_targets_of_the_page_on_training_fit_a_line_of_56_m(shared_data: Located) -> None:
+    page = (PAGES / "how-to" / "train-for-your-sonar.md").read_text("utf-8")
+    spec = parse_target_spec(page.split("```yaml\n")[1].split("```")[0], "the page")
+    placed = place_targets(spec, track_of(read_survey(shared_data(SCOTSMAN), Config()), Config()))
+    assert len(placed) == 10

@@ -39,6 +39,14 @@ const chart = document.querySelector('.chart'), before = chart.getAttribute('vie
 chart.dispatchEvent(new KeyboardEvent('keydown', {key: '+'}));
 found.zoomed = Number(before.split(' ')[2]) / Number(chart.getAttribute('viewBox').split(' ')[2]);
 document.getElementById('map-back').click(); found.back = chart.getAttribute('viewBox').split(' ').map(Number);
+found.rings = Array.from(document.querySelectorAll('.box.p1, .box.p2')).map((box) => {
+  const words = box.querySelector('b'), ring = box.getBoundingClientRect();
+  words.style.display = 'block';
+  const name = words.getBoundingClientRect(), x = (ring.left + ring.right) / 2, y = (ring.top + ring.bottom) / 2;
+  const aside = Math.min(Math.abs(name.left - x), Math.abs(name.right - x));
+  const isAlike = getComputedStyle(words).color === getComputedStyle(box, '::before').borderTopColor;
+  return [Math.max(aside, Math.abs((name.top + name.bottom) / 2 - y)), isAlike];
+});
 document.body.dataset.found = JSON.stringify(found);
 """
 
@@ -77,6 +85,8 @@ def test_table_and_map_obey(tmp_path: Path) -> None:
     assert found["out"] == ["C0002"]
     assert found["zoomed"] == pytest.approx(1.5)
     assert found["back"][:2] == [0, 0]
+    assert found["rings"]
+    assert all(away_px < 10.0 and is_alike for away_px, is_alike in found["rings"])  # a name stands at its own ring
 
 
 def test_the_policy_admits_the_script_of_the_page_and_no_other(tmp_path: Path) -> None:

@@ -6,11 +6,10 @@ from importlib import resources
 from typing import Final
 
 from auv_mcm.detect.cascade.model import CascadeModel, fits_sonar, parse_model
-from auv_mcm.model_file import read_model
+from auv_mcm.model_file import NONE, read_model
 from auv_mcm.records import Notice
 from auv_mcm.settings.config import Config
 
-NONE: Final = "none"
 _FILE: Final = "model.json"
 
 

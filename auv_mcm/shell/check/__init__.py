@@ -167,8 +167,9 @@ def _models(config: Config) -> Iterator[Finding]:
     from auv_mcm.model_file import SHIPPED
     from auv_mcm.seabed.seabed_model import configured_seabed_model
 
-    if config.confirm.odds != SHIPPED:
-        yield from _looked_at("recalibrated odds", partial(_recalibrated_odds, config))
+    fitted_together = (config.confirm.odds, config.detect.gate, config.contacts.background)
+    if any(name != SHIPPED for name in fitted_together):
+        yield from _looked_at("odds configured", partial(_configured_odds, config))
     if config.confirm.targets != SHIPPED:
         yield from _looked_at(
             "mines expected", lambda: [expected_mines(config.confirm.targets, config.contacts.min_p_mine)]
@@ -181,13 +182,17 @@ def _models(config: Config) -> Iterator[Finding]:
     )
 
 
-def _recalibrated_odds(config: Config) -> Iterator[Finding]:
+def _configured_odds(config: Config) -> Iterator[Finding]:
     from auv_mcm.classify.odds import configured_odds
+    from auv_mcm.contacts.background import configured_background
     from auv_mcm.detect.cascade.choose import configured_model, fitting
+    from auv_mcm.detect.gate import configured_gate
     from auv_mcm.records import Detector
 
     detector: Detector = "contrast" if fitting(configured_model(config), config)[0] is None else "cascade"
-    yield Finding("recalibrated odds", "ok", configured_odds(config.confirm.odds, detector).fitted_on)
+    odds, gate = configured_odds(config, detector), configured_gate(config.detect.gate)
+    configured_background(config.contacts.background, detector)
+    yield Finding("odds configured", "ok", f"{odds.fitted_on}; gate: {'none' if gate is None else gate.fitted_on}")
 
 
 def expected_mines(name: str, min_p_mine: float) -> Finding:

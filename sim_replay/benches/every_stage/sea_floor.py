@@ -85,8 +85,8 @@ def share_wrong(found: NDArray[np.integer], shares: NDArray[np.floating]) -> flo
 
 
 def _first_tile(seed: int) -> _Judged:
-    mission, sonar = drawn_mission(seed)
-    tile = next(tiles_of(mission, sonar))
+    mission, config = drawn_mission(seed)
+    tile, sonar = next(tiles_of(mission, config)), config.sonar
     texture = measure_texture(tile)
     shares = true_shares(tile, texture, mission, sonar)
     cells = np.argwhere(np.isfinite(texture.features).all(axis=-1) & (shares.sum(axis=-1) >= MIN_KNOWN))

@@ -14,8 +14,9 @@ import msgspec
 from auv_mcm.classify.fit import Effort
 from auv_mcm.confirm.snake import FINE
 from auv_mcm.confirmation import Thoroughness
-from auv_mcm.detect.cascade.choose import NONE, shipped_model
+from auv_mcm.detect.cascade.choose import shipped_model
 from auv_mcm.detect.cascade.model import encode_model
+from auv_mcm.model_file import NONE
 from auv_mcm.settings.config import Config
 from auv_mcm.skips import NO_SKIPS, Skips
 from sim_replay.benches.run_time.one_run import DEFAULT

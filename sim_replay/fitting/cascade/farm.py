@@ -112,8 +112,7 @@ def _on_cluster(
 
         def begin(n_tasks: int) -> list[Any]:
             return [
-                client.submit(function, task, key=f"{function.__name__}-{run}-{k}", pure=False)
-                for k, task in islice(waiting, n_tasks)
+                client.submit(function, task, key=f"task-{run}-{k}", pure=False) for k, task in islice(waiting, n_tasks)
             ]
 
         try:

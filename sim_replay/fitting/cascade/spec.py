@@ -210,11 +210,23 @@ def lines_of(spec: Spec, folder: Path) -> tuple[SimulatedLine | AugmentedLine, .
     return (*simulated, *(AugmentedLine(folder / log.folder, Config(), log.split) for log in spec.augmented))
 
 
+def carrying(scene: Scene, sonar: SonarVariant) -> Scene:
+    """Let the scene's vehicle carry a sonar; what that leaves out is the scene's."""
+    given = {name: value for name in Sonar.__struct_fields__ if (value := getattr(sonar, name, None)) is not None}
+    return msgspec.structs.replace(scene, sonar=msgspec.structs.replace(scene.sonar, **given))
+
+
+def on_grid(config: Config, sonar: SonarVariant) -> Config:
+    """Configure the grid of a sonar's picture."""
+    names = ("row_spacing_m", "column_spacing_m")
+    grid = {name: value for name in names if (value := getattr(sonar, name)) is not None}
+    return msgspec.structs.replace(config, waterfall=msgspec.structs.replace(config.waterfall, **grid))
+
+
 def training_scene(spec: Spec, scene: Scene, seed: int, sonar: SonarVariant) -> Scene:
     """Change the scene to how it is flown for training."""
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, _STREAM])))
     factor = float(random.uniform(*spec.altitude_factor))
-    given = {name: value for name in SonarVariant.__struct_fields__ if (value := getattr(sonar, name)) is not None}
     seabeds = tuple(
         msgspec.structs.replace(seabed, share=share)
         for seabed in scene.world.seabeds
@@ -225,12 +237,9 @@ def training_scene(spec: Spec, scene: Scene, seed: int, sonar: SonarVariant) -> 
             f"`seabed_factors` leave nothing of the sea floor of scene '{scene.name}'. Take the scene out of `scenes`"
         )
     flown = msgspec.structs.replace(
-        scene,
+        carrying(scene, sonar),
         seed=seed,
         world=msgspec.structs.replace(scene.world, seabeds=seabeds),
-        sonar=msgspec.structs.replace(
-            scene.sonar, **{name: value for name, value in given.items() if name in Sonar.__struct_fields__}
-        ),
         track=msgspec.structs.replace(scene.track, altitude_m=scene.track.altitude_m * factor, pings_in_turns=False),
         navigation_error=EXACT,
         faults=(),
@@ -242,12 +251,7 @@ def _simulated(spec: Spec, label: str, scene: Scene, seed: int, number: int, spl
     sonar = spec.sonars[number % len(spec.sonars)]
     flown = training_scene(spec, scene, seed, sonar)
     check_scene(flown, f"scene {label} as the spec changes it")
-    config = config_for(flown)
-    grid = {
-        name: value for name in ("row_spacing_m", "column_spacing_m") if (value := getattr(sonar, name)) is not None
-    }
-    config = msgspec.structs.replace(config, waterfall=msgspec.structs.replace(config.waterfall, **grid))
-    return SimulatedLine(flown, config, split, f"{label}/{seed}")
+    return SimulatedLine(flown, on_grid(config_for(flown), sonar), split, f"{label}/{seed}")
 
 
 def _scatter(spec: Spec, scene: Scene) -> tuple[Scatter, ...]:

@@ -69,7 +69,7 @@ def render_line(line: SimulatedLine | AugmentedLine) -> Packed:
     gc.collect()  # a mission refers to itself: the sea floor of the one before, 300 MB, would stay for long
     if isinstance(line, SimulatedLine):
         return pack(simulated_tiles(line), line.split, line.background, "simulated")
-    background, targets = _augmented_truth(line.folder / TRUTH_NAME)
+    background, targets = augmented_truth(line.folder / TRUTH_NAME)
     return pack(_augmented(line, background, targets), line.split, background, "augmented")
 
 
@@ -230,7 +230,8 @@ def _nothing(tile: Tile) -> TileDetections:
     return TileDetections((), 0, 0)
 
 
-def _augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
+def augmented_truth(path: Path) -> tuple[str, tuple[PlacedTarget, ...]]:
+    """Read the log's name and its targets from a truth of `auv-mcm augment`. Raises BadInputError if it is none."""
     try:
         truth = msgspec.json.decode(read_regular(path), type=_AugmentedTruth)
     except OSError as error:

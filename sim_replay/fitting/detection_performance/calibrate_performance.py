@@ -5,6 +5,7 @@ print.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -15,6 +16,7 @@ from auv_mcm.clearance.detection_performance import FLOORS, Band, Performance
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.detection_performance.looks import CellPass, looks_of
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
+from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.text_tables import columns
 
 FIT_SEEDS: Final = range(800, 816)
@@ -29,20 +31,25 @@ class Flight(NamedTuple):
     number: int
 
 
-def fly_scene(flight: Flight) -> list[CellPass]:
+def fly_scene(flight: Flight, theatre: Theatre = USUAL) -> list[CellPass]:
     """Return every look of one mission."""
-    return looks_of(target_scene(flight.seed, flight.number))
+    return looks_of(target_scene(flight.seed, flight.number), theatre)
 
 
 def fly_all(
-    seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None]
+    seeds: Iterable[int], flights: int, farm: Farm, progress: Callable[[int, int], None], theatre: Theatre = USUAL
 ) -> list[list[CellPass]]:
     """Return looks by mission, `flights` of each seed, in that order.
 
-    progress: called with missions done and all there are.
+    Parameters
+    ----------
+    progress
+        Takes the missions done and all there are.
+    theatre
+        Whose sonars and payload.
     """
     tasks = [Flight(seed, number) for seed in seeds for number in range(flights)]
-    return list(run_tasks(fly_scene, tasks, farm, lambda done: progress(done, len(tasks))))
+    return list(run_tasks(partial(fly_scene, theatre=theatre), tasks, farm, lambda done: progress(done, len(tasks))))
 
 
 def performance_fit_words(seeds: range, flights: int, looks: Sequence[CellPass]) -> str:

@@ -15,7 +15,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import SEABED_TYPES, SIDES, CoveragePatch, Detection, Side
 from sim_replay.fitting.seabed.seabed_missions import KIND_OF
-from sim_replay.missions import config_for
+from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import local_frame
@@ -61,10 +61,11 @@ class Part(NamedTuple):
     look_rad: float
 
 
-def looks_of(scene: Scene) -> list[CellPass]:
+def looks_of(scene: Scene, theatre: Theatre = USUAL) -> list[CellPass]:
     """Return every look at every target of a mission."""
+    scene, config = theatre.carried(scene, scene.seed)
     mission = Mission(scene)
-    pipeline = Pipeline(config_for(scene))
+    pipeline = Pipeline(config)
     patches: list[CoveragePatch] = []
     for event in mission.events():
         patches += [output for output in pipeline.feed(event) if isinstance(output, CoveragePatch)]

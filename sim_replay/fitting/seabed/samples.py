@@ -15,6 +15,7 @@ from auv_mcm.records import SEABED_TYPES, SeabedType, Tile
 from auv_mcm.seabed.texture import Texture, measure_texture
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.fitting.seabed.seabed_missions import KIND_OF, mission_scene, sonar_config
+from sim_replay.fitting.theatre import USUAL, Theatre
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.plan import local_frame
 
@@ -35,21 +36,21 @@ class SeabedSamples(NamedTuple):
     shares: NDArray[np.float32]
 
 
-def samples_of(seed: int) -> SeabedSamples:
+def samples_of(seed: int, theatre: Theatre = USUAL) -> SeabedSamples:
     """Fly the mission of a seed and take every third of its cells, those at borders between kinds as well."""
-    mission, sonar = drawn_mission(seed)
-    return pooled([tile_samples(tile, mission, sonar) for tile in tiles_of(mission, sonar)])
+    mission, config = drawn_mission(seed, theatre)
+    return pooled([tile_samples(tile, mission, config.sonar) for tile in tiles_of(mission, config)])
 
 
-def drawn_mission(seed: int) -> tuple[Mission, SonarConfig]:
-    """Prepare the mission of a seed, and its sonar's configuration."""
-    scene = mission_scene(seed)
-    return Mission(scene), sonar_config(scene)
+def drawn_mission(seed: int, theatre: Theatre = USUAL) -> tuple[Mission, Config]:
+    """Prepare the mission of a seed, with the picture of a theatre, and its sonar as somebody knows it."""
+    scene, config = theatre.carried(mission_scene(seed), seed)
+    return Mission(scene), Config(sonar=sonar_config(scene), waterfall=config.waterfall)
 
 
-def tiles_of(mission: Mission, sonar: SonarConfig) -> Iterator[Tile]:
+def tiles_of(mission: Mission, config: Config) -> Iterator[Tile]:
     """Fly a mission and give its tiles one after another; nothing is detected in them."""
-    pipeline = Pipeline(Config(sonar=sonar), detect=_nothing, seabed=lambda tile: None)
+    pipeline = Pipeline(config, detect=_nothing, seabed=lambda tile: None)
     for event in mission.events():
         yield from (result for result in pipeline.feed(event) if isinstance(result, Tile))
     yield from (result for result in pipeline.finish() if isinstance(result, Tile))

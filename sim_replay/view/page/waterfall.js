@@ -156,7 +156,7 @@ export function waterfallView(ground, slant, bottom, handlers) {
         context.lineWidth = 3;
         context.strokeStyle = "#000c";
         context.strokeText(text, x + half + 3, y + 4);
-        context.fillStyle = colour("label");
+        context.fillStyle = colour(markColour(contact));
         context.fillText(text, x + half + 3, y + 4);
       }
     }

@@ -58,6 +58,7 @@ def test_a_scene_is_judged_by_what_the_others_give() -> None:
         assert one.prior == fit_prior(others)
         assert one.reached == tuple(judged(own, point.asked_per_km2) for point in one.reached)
         assert all(point.n_targets == 66 for point in one.reached)
+    assert left_out([drawn_mission(seed) for seed in range(3)]) == ()
 
 
 def test_a_model_is_read_back_as_it_was_written() -> None:

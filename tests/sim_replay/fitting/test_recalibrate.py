@@ -27,7 +27,7 @@ from auv_mcm.contacts.background import (
 )
 from auv_mcm.errors import BadInputError
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.settings.config import Config, ConfirmConfig, config_yaml
+from auv_mcm.settings.config import Config, ConfirmConfig, config_yaml, parse_config
 from auv_mcm.shell.results import write_results
 from sim_replay.fitting.fit_background import log_odds_of
 from sim_replay.fitting.fit_odds import written
@@ -169,18 +169,28 @@ def file_of(change: Change, path: Path) -> Path:
     return path
 
 
+def naming(path: Path) -> Config:
+    return Config(confirm=ConfirmConfig(odds=str(path)))
+
+
 def test_the_configuration_names_the_file_which_says_where_it_comes_from(tmp_path: Path) -> None:
     path = file_of(Change(0.9, -0.5, 0.2), tmp_path / "odds.json")
-    odds = configured_odds(str(path), "cascade")
+    odds = configured_odds(naming(path), "cascade")
     assert odds.recalibrated is not None
     assert (odds.recalibrated.missions, odds.recalibrated.slope) == (("m1", "m2"), 0.9)
     assert "verdicts on 2 missions" in odds.fitted_on
     assert odds.prior == pytest.approx(0.9 * shipped_odds("cascade").prior - 0.5)
     with pytest.raises(BadInputError, match=r"it is for the cascade, and the contrast serves"):
-        configured_odds(str(path), "contrast")
+        configured_odds(naming(path), "contrast")
     path.write_bytes(written(msgspec.structs.replace(odds, recalibrated=None)))
-    with pytest.raises(BadInputError, match=r"confirm.odds .*no verdicts were used"):
-        configured_odds(str(path), "cascade")
+    with pytest.raises(BadInputError, match=r"it is for the detector of another version"):
+        configured_odds(naming(path), "cascade")
+    path.write_bytes(written(msgspec.structs.replace(odds, recalibrated=None, fitted_for="cascade")))
+    with pytest.raises(BadInputError, match=r"detect.gate and contacts.background that ship belong to the odds that"):
+        configured_odds(naming(path), "cascade")
+    own = parse_config(f"detect: {{gate: none}}\ncontacts: {{background: none}}\nconfirm: {{odds: {path}}}", "own.yaml")
+    assert configured_odds(own, "cascade").fitted_for == "cascade"
+    assert Pipeline(own).constants["gate"] is None
 
 
 def test_the_chain_gives_each_contact_the_changed_odds(tmp_path: Path) -> None:
@@ -277,7 +287,7 @@ def test_the_command_writes_a_file_that_a_configuration_loads(
     assert "log-loss of a verdict on missions left out: less by +" in said
     config = tmp_path / "c.yaml"
     config.write_text(config_yaml(Config(confirm=ConfirmConfig(odds=str(out)))))
-    assert configured_odds(str(out), "cascade").made_by.endswith("calibrate odds --verdicts m0 m1 m2")
+    assert configured_odds(naming(out), "cascade").made_by.endswith("calibrate odds --verdicts m0 m1 m2")
     assert main(["calibrate", "odds", "--verdicts", "a", "--out", str(out)]) == 2
 
 

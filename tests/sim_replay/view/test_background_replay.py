@@ -14,6 +14,7 @@ from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.replay import replay
 from sim_replay.simulator.mission import Mission
 from sim_replay.view.mission import ShownMission
+from sim_replay.view.mission_feed import open_logs
 from sim_replay.view.show import is_shown, logs_named, open_new
 from tests.sim_replay.test_replay import content, scene
 
@@ -64,6 +65,16 @@ def test_what_stops_a_replay_is_said_on_the_page(tmp_path: Path, monkeypatch: py
     assert "empty.xtf" in state["replay_problem"]
     assert "empty.xtf" in state["problem"]
     assert state["replay_done"]
+
+
+def test_a_log_that_cannot_be_read_is_named_and_the_others_are_shown(
+    log: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "empty.xtf").write_bytes(b"")
+    opened = open_logs([log, tmp_path / "empty.xtf"], Config())
+    assert opened.recorded is not None
+    assert len(opened.recorded.logs) == 1
+    assert "empty.xtf" in caplog.text
 
 
 def test_a_folder_stands_for_the_logs_below_it(log: Path, tmp_path: Path) -> None:

@@ -14,7 +14,9 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -24,20 +26,20 @@ from msgspec import structs
 from pycocotools.coco import COCO
 
 from auv_mcm.cli import main
-from auv_mcm.clock import Stamp
 from auv_mcm.records import NavSample, Ping
-from auv_mcm.settings.config import config_yaml
-from drivers.recording.session_layout import SessionDescription
-from drivers.recording.session_writer import SessionWriter
+from auv_mcm.settings.config import ServiceConfig, WaterfallConfig
+from auv_mcm.shell.service import Service
+from drivers.port_source import PortSource
 from sim_replay.benches.browser import BrowserPage, browser_page, find_browser
+from sim_replay.fakes.net import FakeTcpServer
 from sim_replay.logs.xtf_writer import write_xtf
 from sim_replay.results_folder import summary_of
 from sim_replay.verdicts import read_verdicts
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.server import MissionServer
 from sim_replay.view.show import logs_named, open_new, open_shown
+from tests.manual_clock import ManualClock
 from tests.sim_replay.logs import sonar_logs
-from tests.sim_replay.view.shown_missions import feature
 
 pytestmark = pytest.mark.skipif(
     find_browser() is None, reason="needs Chromium: apt-get install chromium, or name one in CHROMIUM"
@@ -64,20 +66,19 @@ def archived_line(number: int) -> list[NavSample | Ping]:
 
 
 def visit(mission: ShownMission, go: Callable[[BrowserPage, MissionServer], Awaitable[None]]) -> None:
-    async def run() -> None:
-        server = MissionServer(mission)
-        await server.open()
-        try:
-            async with browser_page(1200, 800) as page:
-                await go(page, server)
-                # of scripts: refusals, and pictures that are not there, are answers
-                assert [one for one in page.complaints if "Failed to load resource" not in one] == []
-        finally:
-            await server.close()
+    asyncio.run(visiting(mission, go))
 
+
+async def visiting(mission: ShownMission, go: Callable[[BrowserPage, MissionServer], Awaitable[None]]) -> None:
+    server = MissionServer(mission)
+    await server.open()
     try:
-        asyncio.run(run())
+        async with browser_page(1200, 800) as page:
+            await go(page, server)
+            # of scripts: refusals, and pictures that are not there, are answers
+            assert [one for one in page.complaints if "Failed to load resource" not in one] == []
     finally:
+        await server.close()
         if mission.replay is not None:
             mission.replay.close()
         mission.feed.close()
@@ -199,40 +200,75 @@ def test_contacts_of_an_archive_come_while_it_is_replayed_and_ten_are_judged_by_
     assert len({verdict.object for verdict in judged}) == len(judged) == 10
 
 
-def test_a_running_session_is_seen_as_it_is_recorded_and_its_contacts_as_they_are_announced(
+@asynccontextmanager
+async def live_service(out: Path) -> AsyncIterator[tuple[Callable[[float], Awaitable[None]], Callable[[], None]]]:
+    """Run the service on a sonar and a compass at TCP ports; gives what sends their messages by shares, and stop.
+
+    Its clock goes on with the messages, each of which it has read before the next one is sent.
+    """
+    run = sonar_logs.run_of("jsf", leg_m=60.0)
+    cables = {port.name: FakeTcpServer() for port in run.config.ports}
+    for cable in cables.values():
+        await cable.start()
+    ports = tuple(structs.replace(port, link=f"tcp://127.0.0.1:{cables[port.name].port}") for port in run.config.ports)
+    service = ServiceConfig(source="ports", output_directory=str(out), queue_pings=4096)
+    config = structs.replace(run.config, ports=ports, service=service, waterfall=WaterfallConfig(tile_rows=64))
+    clock = ManualClock(run.recorded[0].stamp.utc_ns * 1e-9)
+    source = PortSource(config, clock)
+    payload = Service(config, source, console=lambda line: None)
+    serving = asyncio.ensure_future(payload.run())
+    sent, messages = dict.fromkeys(cables, 0), iter(run.recorded)
+
+    async def send(share: float) -> None:
+        for message in islice(messages, round(share * len(run.recorded))):
+            clock.advance_to(message.stamp.utc_ns * 1e-9)
+            await cables[message.port].send(message.data)
+            sent[message.port] += len(message.data)
+            while {port.name: port.received_bytes for port in source.health().ports} != sent:
+                await asyncio.sleep(0)
+
+    try:
+        while not all(cable.n_clients for cable in cables.values()):
+            await asyncio.sleep(0.01)
+        yield send, payload.stop
+    finally:
+        payload.stop()
+        await serving
+        for cable in cables.values():
+            await cable.stop()
+
+
+def test_a_service_that_runs_is_seen_and_its_contacts_judged_as_it_finds_them(
     tmp_path: Path, record_property: Record
 ) -> None:
-    run = sonar_logs.run_of("jsf", leg_m=60.0)
-    until = 3 * len(run.recorded) // 4  # three quarters: the first rows come with ping 266 of 422
-    session = SessionDescription(version="1", started=Stamp(0, 0), config_yaml=config_yaml(run.config), ports=())
-    writer = SessionWriter(tmp_path / "recording", session, reserve_bytes=0)
-    for recorded in run.recorded[:until]:
-        writer.add(recorded)
-    writer.flush()
-    (tmp_path / "contacts.jsonl").touch()
-    mission = open_shown(tmp_path, [], None, "kim")
+    async def run() -> None:
+        async with live_service(tmp_path) as (send, stop):
+            await send(0.75)  # the first rows come with ping 266 of 422
+            mission = open_shown(tmp_path / "latest", [], None, "kim")
 
-    async def go(page: BrowserPage, server: MissionServer) -> None:
-        await first_pixels(page, server, record_property)
-        assert await page.evaluate("[bench.state.live, bench.state.done, bench.contacts.length]") == [True, False, 0]
-        rows = await page.evaluate("bench.state.stop_row")
-        with (tmp_path / "contacts.jsonl").open("a") as journal:
-            journal.write(json.dumps({"contact": feature(1)}) + "\n")
-        await page.wait_for("bench.contacts.length === 1")
-        await page.press("j")
-        await page.press("m")
-        await page.wait_for("document.querySelector('#ask').open")  # it was announced of another place
-        await page.click_on("#ask button[value=yes]")
-        await page.wait_for("bench.contacts[0].call === 'mine_like'")
-        # the bottom line waits for the end of the session
-        await page.press("b")
-        await page.wait_for("!document.querySelector('#bottom-tools').hidden")
-        await page.click_on("#bottom-save")
-        await page.wait_for("document.querySelector('#message').textContent.includes('a session ended')")
-        for recorded in run.recorded[until:]:
-            writer.add(recorded)
-        writer.close()
-        await page.wait_for(f"bench.state.stop_row > {rows}")
+            async def go(page: BrowserPage, server: MissionServer) -> None:
+                await first_pixels(page, server, record_property)
+                assert await page.evaluate("[bench.state.live, bench.state.done, bench.contacts.length]") == [
+                    True,
+                    False,
+                    0,
+                ]
+                await send(0.17)
+                await page.wait_for("bench.contacts.length === 1 && bench.contacts[0].row !== null")
+                rows = await page.evaluate("bench.state.stop_row")
+                await page.press("j")
+                await page.press("m")
+                await page.wait_for("bench.contacts[0].call === 'mine_like'")
+                # the bottom line waits for the end of the session
+                await page.press("b")
+                await page.wait_for("!document.querySelector('#bottom-tools').hidden")
+                await page.click_on("#bottom-save")
+                await page.wait_for("document.querySelector('#message').textContent.includes('a session ended')")
+                await send(1.0)
+                stop()
+                await page.wait_for(f"bench.state.done && bench.state.stop_row > {rows} && bench.contacts.length === 2")
 
-    visit(mission, go)
-    assert [verdict.call for verdict in read_verdicts(tmp_path)] == ["mine_like"]
+            await visiting(mission, go)
+        assert [verdict.call for verdict in read_verdicts(mission.folder)] == ["mine_like"]
+
+    asyncio.run(run())

@@ -14,6 +14,7 @@ from sim_replay.fitting.detection_performance import calibrate_performance as ca
 from sim_replay.fitting.detection_performance.calibrate_performance import Flight, performance_json
 from sim_replay.fitting.detection_performance.looks import CellPass
 from sim_replay.fitting.detection_performance.performance_missions import target_scene
+from sim_replay.fitting.theatre import Theatre
 
 P = {"flat": 0.8, "ripple_across": 0.2, "ripple_oblique": 0.5, "ripple_along": 0.4, "rough": 0.3, "vegetation": 0.1}
 SEABED = (0, 1, 1, 1, 2, 3)  # of FLOORS
@@ -34,7 +35,7 @@ def tables() -> Performance:
     )
 
 
-def looks_of_flight(flight: Flight) -> list[CellPass]:
+def looks_of_flight(flight: Flight, theatre: Theatre) -> list[CellPass]:
     rng = np.random.Generator(np.random.PCG64([flight.seed, flight.number]))
     return [
         CellPass(
@@ -80,7 +81,7 @@ def test_bad_files_are_refused_before_anything_is_flown(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def none_flown(flight: Flight) -> list[CellPass]:
+    def none_flown(flight: Flight, theatre: Theatre) -> list[CellPass]:
         raise AssertionError(flight)
 
     monkeypatch.setattr(calibrate, "fly_scene", none_flown)

@@ -1,0 +1,151 @@
+"""Fit everything for a theatre, step by step, and judge it beside what ships: `auv-mcm train --theatre`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, redirect_stdout
+from functools import partial
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import msgspec
+
+from auv_mcm.errors import UsageError
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.settings.config import Config, config_yaml
+from auv_mcm.shell.whole_files import write_file
+from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
+from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.detection_performance import calibrate_performance as performance
+from sim_replay.fitting.detection_performance.fit_performance import fit_performance
+from sim_replay.fitting.fit_background import FIRST_SEED as BACKGROUND_SEED
+from sim_replay.fitting.fit_background import background_json, calibrate_background
+from sim_replay.fitting.fit_gate import FIRST_SEED as GATE_SEED
+from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
+from sim_replay.fitting.looks import LookTask, flight_of
+from sim_replay.fitting.theatre import Theatre
+from sim_replay.flights import fly_through
+from sim_replay.scoring.inputs import ScoredMission, as_reported, parse_truth
+from sim_replay.scoring.thresholds import BestScores, banded_at, best_scores
+from sim_replay.text_tables import columns
+
+CONFIG: Final = "vehicle.yaml"
+"""Name of the configuration that names all other files."""
+_SPEC: Final = "theatre.yaml"
+LIMITS_PER_KM2: Final = (10.0, 30.0, 100.0)
+"""False alarms per km² that own and shipped are compared at."""
+_N_MISSIONS: Final = {"odds": 18, "gate": 9, "background": 27}  # or a few more, as of what ships
+
+Show = Callable[[int, int], None]
+Watched = Callable[[str], AbstractContextManager[Show]]
+
+
+class Step(NamedTuple):
+    """Name a fitted file, and what it is in the configuration. fit: writes it, for a theatre with all files before."""
+
+    key: str
+    file: str
+    fit: Callable[[Theatre, Path, Show], None]
+
+
+def fit_theatre(
+    theatre: Theatre, spec: bytes, folder: Path, train: Callable[[Path], None], farm: Farm, watched: Watched
+) -> str:
+    """Fit detector, odds, gate, background and detection performance, and write a configuration that names them.
+
+    A file that the folder holds is not made again, so that an interrupted run goes on. Returns tables of how all this
+    does beside what ships.
+
+    Parameters
+    ----------
+    spec
+        Text of the training set that the theatre was read from.
+    train
+        Writes the detector's cascade to a file.
+    watched
+        Gives, by a step's name, what takes the missions flown and how many it has.
+
+    Raises
+    ------
+    UsageError
+        For a folder that cannot be written to or has files of another spec, and as the fits do.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out {folder} cannot be made: {error.strerror}. Name a new folder") from error
+    kept = folder / _SPEC
+    if kept.exists() and kept.read_bytes() != spec:
+        raise UsageError(f"--out {folder} has files that were fitted for another spec, {kept}: name a new folder")
+    write_file(kept, spec)
+    shipped = theatre
+    for step in _steps(train, farm):
+        place = folder.absolute() / step.file
+        if not place.exists():
+            with watched(step.key) as show:
+                step.fit(theatre, place, show)
+        theatre = theatre.with_files(**{step.key: str(place)})
+    write_file(folder / CONFIG, config_yaml(theatre.config).encode())
+    with watched("judging") as show:
+        return judged({"shipped": shipped, "own": theatre}, farm, show)
+
+
+def _steps(train: Callable[[Path], None], farm: Farm) -> Iterator[Step]:
+    def odds(theatre: Theatre, out: Path, show: Show) -> None:
+        with redirect_stdout(sys.stderr):
+            missions = Missions(n_seeds=_n_seeds("odds", theatre), theatre=theatre.before_odds())
+            fit_from_missions(out, missions, out.with_name("looks"), farm.workers, show)
+
+    def gate(theatre: Theatre, out: Path, show: Show) -> None:
+        seeds = range(GATE_SEED, GATE_SEED + _n_seeds("gate", theatre))
+        write_file(out, gate_json(calibrate_gate(seeds, farm, show, theatre)).encode())
+
+    def background(theatre: Theatre, out: Path, show: Show) -> None:
+        seeds = range(BACKGROUND_SEED, BACKGROUND_SEED + _n_seeds("background", theatre))
+        write_file(out, background_json(calibrate_background(seeds, farm, show, theatre)).encode())
+
+    def tables(theatre: Theatre, out: Path, show: Show) -> None:
+        seeds, flights = performance.FIT_SEEDS, performance.FLIGHTS
+        looks = [look for one in performance.fly_all(seeds, flights, farm, show, theatre) for look in one]
+        words = performance.performance_fit_words(seeds, flights, looks)
+        write_file(out, performance.performance_json(fit_performance(looks, words)))
+
+    yield Step("model", "model.json", lambda theatre, out, show: train(out))
+    yield Step("odds", "odds.json", odds)
+    yield Step("gate", "gate.json", gate)
+    yield Step("background", "background.json", background)
+    yield Step("performance", "performance.json", tables)
+
+
+def _n_seeds(step: str, theatre: Theatre) -> int:
+    return math.ceil(_N_MISSIONS[step] / len(theatre.flown))
+
+
+def judged(theatres: dict[str, Theatre], farm: Farm, show: Show) -> str:
+    """Fly what nothing was fitted on, the split `test`, with each configuration, and compare them in a table."""
+    theatre = next(iter(theatres.values()))
+    places = [(name, seed) for name in theatre.scenes for seed in theatre.test_seeds]
+    tasks = [LookTask(*place) for place in (*places, *((folder, 0) for folder in theatre.lines_of("test")))]
+    if not tasks:
+        return "nothing was judged: give the spec `seeds: {test: ...}`, or an augmented folder with `split: test`"
+    rows = []
+    for name, one in theatres.items():
+        fly = partial(_scores_of, config=one.config)
+        own = [task._replace(theatre=theatre) for task in tasks]
+        missions = list(run_tasks(fly, own, farm, lambda done: show(done, len(tasks))))
+        bands = [banded_at(missions, limit) for limit in LIMITS_PER_KM2]
+        rows.append([name, *(f"{band.value:.2f} ({band.low:.2f} to {band.high:.2f})" for band in bands)])
+    header = ["models", *(f"Pd at {limit:g} FA/km²" for limit in LIMITS_PER_KM2)]
+    n_targets, area_km2 = sum(len(one.targets) for one in missions), sum(one.area_km2 for one in missions)
+    return f"{columns(header, rows)}\n{len(tasks)} missions left out, {n_targets} targets, {area_km2:.3f} km²"
+
+
+def _scores_of(task: LookTask, config: Config) -> BestScores:
+    with flight_of(task) as flight:
+        sections = {name: getattr(config, name) for name in ("detect", "confirm", "contacts")}
+        pipeline = Pipeline(msgspec.structs.replace(flight.config, **sections))
+        fly_through(flight.events, {task.domain: pipeline})
+        truth = parse_truth(flight.truth(), task.domain)
+    return best_scores(ScoredMission(as_reported(pipeline.contacts, task.domain), truth, task.domain))

@@ -1,0 +1,97 @@
+"""Describe whose sonar and sea floor a model is fitted for: what carries it, over what, and what else is configured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import msgspec
+
+from auv_mcm.model_file import NONE, SHIPPED
+from auv_mcm.settings.config import Config
+from sim_replay.fitting.cascade.spec import SonarVariant, carrying, on_grid, read_training_spec
+from sim_replay.fitting.cascade.tiles import Split
+from sim_replay.missions import HELD_OUT, SCENES, config_for
+from sim_replay.simulator.scene import Scene
+
+_PING_SHARE: Final = 0.95  # of the ping rate that the way of sound to the end of the range and back allows
+
+
+class Theatre(NamedTuple):
+    """Hold what missions are flown with.
+
+    config: of the payload; what it says of picture, detection, confirmation and contacts counts. sonars: carried in
+    turn, by the mission's number. scenes: names or files, none for the named ones. lines: folders of `auv-mcm augment`
+    with the split that each is of. test_seeds: of missions to judge on. options: of the command line, that name all
+    this.
+    """
+
+    config: Config = Config()
+    sonars: tuple[SonarVariant, ...] = (SonarVariant(),)
+    scenes: tuple[str, ...] = ()
+    lines: tuple[tuple[Split, str], ...] = ()
+    test_seeds: tuple[int, ...] = ()
+    options: str = ""
+
+    @property
+    def flown(self) -> tuple[str, ...]:
+        """Name the scenes to fit the cascade's followers on: those that are held out from its training are not."""
+        return self.scenes or tuple(name for name in SCENES if name not in HELD_OUT)
+
+    def lines_of(self, split: Split) -> list[str]:
+        """List the folders of a split."""
+        return [folder for each, folder in self.lines if each == split]
+
+    def carried(self, scene: Scene, number: int) -> tuple[Scene, Config]:
+        """Let a mission carry the sonar whose turn it is, no faster than sound allows, and configure the payload."""
+        sonar = self.sonars[number % len(self.sonars)]
+        flown = carrying(scene, sonar)
+        if sonar.ping_rate_hz is None:
+            fastest_hz = _PING_SHARE * 0.5 * flown.sonar.sound_speed_mps / flown.sonar.range_m
+            rate_hz = min(flown.sonar.ping_rate_hz, fastest_hz) if sonar.range_m else flown.sonar.ping_rate_hz
+            flown = msgspec.structs.replace(flown, sonar=msgspec.structs.replace(flown.sonar, ping_rate_hz=rate_hz))
+        return flown, config_for(flown, on_grid(self.config, sonar))
+
+    def with_files(self, **files: str) -> Theatre:
+        """Name fitted files: model, gate, performance, seabed_model of `detect`, odds, background."""
+        config = self.config
+        detect = {name: file for name, file in files.items() if name not in ("odds", "background")}
+        changed = {
+            "detect": msgspec.structs.replace(config.detect, **detect),
+            "confirm": msgspec.structs.replace(config.confirm, odds=files.get("odds", config.confirm.odds)),
+            "contacts": msgspec.structs.replace(
+                config.contacts, background=files.get("background", config.contacts.background)
+            ),
+        }
+        return self._replace(config=msgspec.structs.replace(config, **changed))
+
+    def before_odds(self) -> Theatre:
+        """Take out what the odds decide, to fit them; the gate of other odds goes if the detector is not the usual."""
+        gate = SHIPPED if self.config.detect.model in (SHIPPED, NONE) else NONE
+        return self.with_files(odds=SHIPPED, gate=gate, background=SHIPPED)
+
+
+USUAL: Final = Theatre()
+"""What ships was fitted for."""
+
+
+def read_theatre(spec: Path | None, config: Config, options: str) -> Theatre:
+    """Read scenes, sonars and augmented lines of a training set, and take from a configuration what fits count.
+
+    Raises UsageError for a set that cannot be read, as `read_training_spec` does.
+    """
+    confirm = msgspec.structs.replace(config.confirm, targets=SHIPPED)
+    own = Config(detect=config.detect, confirm=confirm, contacts=config.contacts, waterfall=config.waterfall)
+    if spec is None:
+        return Theatre(config=own, options=options)
+    known, base = read_training_spec(spec)
+    beside = [str(base / name) if (base / name).is_file() else name for name in known.scenes]
+    test = known.seeds.test if known.seeds is not None else None
+    return Theatre(
+        config=own,
+        sonars=known.sonars,
+        scenes=tuple(beside),
+        lines=tuple((log.split, str(base / log.folder)) for log in known.augmented),
+        test_seeds=() if test is None else tuple(test.seeds),
+        options=options,
+    )

@@ -1,0 +1,169 @@
+"""What is fitted for a sonar of one's own: flown by it, step after step on what was fitted before, and judged."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.classify.verifier import CLASSES
+from auv_mcm.clearance.detection_performance import shipped_performance
+from auv_mcm.cli import main
+from auv_mcm.contacts.background import shipped_background
+from auv_mcm.detect.cascade.choose import shipped_model
+from auv_mcm.detect.cascade.model import encode_model
+from auv_mcm.detect.gate import shipped_gate
+from auv_mcm.errors import UsageError
+from auv_mcm.pipeline import Pipeline
+from auv_mcm.records import Ping
+from auv_mcm.settings.config import Config, parse_config
+from sim_replay.fitting import calibrate_odds, fit_theatre
+from sim_replay.fitting.cascade.farm import Farm
+from sim_replay.fitting.fit_odds import written
+from sim_replay.fitting.looks import LookTask, flight_of
+from sim_replay.fitting.theatre import USUAL, Theatre, read_theatre
+from sim_replay.fitting.verifier.weigh import Looks
+from sim_replay.logs.xtf_writer import write_xtf
+from sim_replay.missions import served_by
+from sim_replay.scoring.thresholds import BestScores
+from sim_replay.simulator.scene_file import read_scene
+from tests.sim_replay.fitting.test_calibrate_odds import Flown, flown
+from tests.sim_replay.logs import sonar_logs
+
+__all__ = ["flown"]
+
+SCENE = """
+name: pond
+world: {depth_m: 15, seabeds: [{type: sand, share: 1}]}
+objects: [{kind: cylinder, east_m: 9, north_m: 12, strength_db: -8}]
+sonar: {range_m: 20, n_samples: 400}
+track: {plan: {pattern: lawnmower, n_legs: 1, leg_m: 24}, altitude_m: 4}
+"""
+SPEC = """
+scenes: [pond.yaml, flat]
+seeds: {train: {first: 600, count: 1}, test: {first: 800, count: 1}}
+sonars: [{frequency_khz: 700, range_m: 100, row_spacing_m: 0.2, column_spacing_m: 0.1}, {}]
+augmented: [{folder: line, split: validate}, {folder: other, split: train}]
+"""
+CONFIG = "detect: {suppression_m: 1.5}\nsonar: {transfer: log}\nconfirm: {targets: listed.yaml}"
+
+
+@pytest.fixture
+def theatre(tmp_path: Path) -> Theatre:
+    (tmp_path / "pond.yaml").write_text(SCENE)
+    (tmp_path / "theatre.yaml").write_text(SPEC)
+    return read_theatre(tmp_path / "theatre.yaml", parse_config(CONFIG, "own.yaml"), "")
+
+
+def test_missions_carry_the_sonars_in_turn_and_show_the_picture_configured(theatre: Theatre, tmp_path: Path) -> None:
+    assert theatre.flown == (str(tmp_path / "pond.yaml"), "flat")
+    scene = read_scene(theatre.flown[0])
+    flown, config = theatre.carried(scene, 2)
+    assert (flown.sonar.frequency_khz, flown.sonar.range_m) == (700.0, 100.0)
+    assert flown.sonar.ping_rate_hz < 7.5  # sound takes 133 ms to 100 m and back
+    assert (config.waterfall.row_spacing_m, config.waterfall.column_spacing_m) == (0.2, 0.1)
+    assert config.detect.suppression_m == 1.5
+    assert (config.sonar.transfer, config.confirm.targets) == ("auto", "shipped"), "of a vehicle, not of its models"
+    assert theatre.carried(scene, 1)[0] == scene
+    assert USUAL.carried(scene, 0)[0] == scene
+    by_cascade = theatre.with_files(model="own.json", odds="odds.json").config
+    assert served_by("cascade", by_cascade) == by_cascade
+    assert served_by("contrast", by_cascade).confirm.odds == "shipped", "those are the cascade's"
+
+
+def test_a_line_with_targets_is_flown_as_it_lies_there(theatre: Theatre, tmp_path: Path) -> None:
+    (tmp_path / "line").mkdir()
+    write_xtf(tmp_path / "line" / "reef.xtf", sonar_logs.mission())
+    truth = {"background": "reef.xtf", "area_km2": 0.1, "objects": []}
+    (tmp_path / "line" / "truth.json").write_text(json.dumps(truth))
+    (folder,) = theatre.lines_of("validate")
+    with flight_of(LookTask(folder, 0, theatre=theatre)) as flight:
+        assert flight.truth() == truth
+        assert flight.config.waterfall.row_spacing_m == 0.2
+        assert any(isinstance(event, Ping) for event in flight.events)
+
+
+def test_odds_are_fitted_on_the_own_scenes_and_lines_and_the_network_weighed_beside_them(
+    flown: Flown, theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.yaml").write_text(CONFIG)
+    (tmp_path / "line").mkdir()
+    random = np.random.Generator(np.random.PCG64(1))
+    label = np.repeat(np.arange(3, dtype=np.int8), 20)
+    weighed = Looks(
+        "scenes", random.normal(size=60), random.normal(size=(60, len(CLASSES))), label, label, label >= 0, 20, 1
+    )
+    monkeypatch.setattr(calibrate_odds, "fly_all", lambda tasks, *_: [one.source for one in tasks])
+    monkeypatch.setattr(calibrate_odds, "looks_of", lambda *_: weighed)
+    options = ["--config", str(tmp_path / "own.yaml"), "--theatre", str(tmp_path / "theatre.yaml")]
+    out = tmp_path / "odds.json"
+    assert main(["calibrate", "odds", "--seeds", "1", *options, "--out", str(out)]) == 0
+    assert [task.source for task in flown.missions] == [*theatre.flown, str(tmp_path / "line")]
+    assert {task.theatre.config for task in flown.missions} == {theatre.config}
+    odds = json.loads(out.read_bytes())
+    assert odds["made_by"].endswith(" ".join(options))
+    assert odds["fitted_for"] == "cascade"
+    assert odds["verifier"]["digest"] == shipped_odds("cascade").verifier.digest  # type: ignore[union-attr]
+
+
+def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
+    theatre: Theatre, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: dict[str, list[str]] = {}
+
+    def note(step: str, one: Theatre, found: Any = None) -> Any:
+        detect, own = one.config.detect, [one.config.confirm.odds, one.config.contacts.background]
+        seen[step] = [Path(name).name for name in (detect.model, own[0], detect.gate, own[1])]
+        return found
+
+    def odds(out: Path, missions: calibrate_odds.Missions, *_: object) -> None:
+        note("odds", missions.theatre)
+        out.write_bytes(written(msgspec.structs.replace(shipped_odds("cascade"), fitted_for="cascade")))
+
+    monkeypatch.setattr(fit_theatre, "fit_from_missions", odds)
+    monkeypatch.setattr(fit_theatre, "calibrate_gate", lambda *a: note("gate", a[-1], shipped_gate()))
+    monkeypatch.setattr(fit_theatre, "calibrate_background", lambda *a: note("background", a[-1], shipped_background()))
+    folder = tmp_path / "own"
+    folder.mkdir()
+    (folder / "performance.json").write_bytes(msgspec.json.encode(shipped_performance()))
+    monkeypatch.setattr(
+        fit_theatre, "run_tasks", lambda fly, tasks, *_: [found_by(fly.keywords["config"])] * len(tasks)
+    )
+    farm, train = Farm(1), lambda out: out.write_bytes(encode_model(shipped_model()))
+    said = fit_theatre.fit_theatre(theatre, b"a", folder, train, farm, watched)
+    assert seen == {
+        "odds": ["model.json", "shipped", "none", "shipped"],
+        "gate": ["model.json", "odds.json", "shipped", "shipped"],
+        "background": ["model.json", "odds.json", "gate.json", "shipped"],
+    }
+    own = parse_config((folder / "vehicle.yaml").read_text(), "vehicle.yaml")
+    assert Path(own.detect.performance).name == "performance.json"
+    assert Pipeline(own).constants["odds"] == msgspec.structs.replace(shipped_odds("cascade"), fitted_for="cascade")
+    assert re.search(r"^shipped +0\.00 .* 0\.00 .* 0\.50 \(", said, re.M)
+    assert re.search(r"^own +0\.00 .* 0\.00 .* 1\.00 \(", said, re.M)
+    assert said.endswith("2 missions left out, 4 targets, 0.060 km²")
+    seen.clear()
+    alone = theatre._replace(test_seeds=())
+    assert "nothing was judged" in fit_theatre.fit_theatre(alone, b"a", folder, train, farm, watched)
+    assert seen == {}
+    with pytest.raises(UsageError, match="for another spec"):
+        fit_theatre.fit_theatre(alone, b"b", folder, train, farm, watched)
+
+
+def watched(step: str) -> AbstractContextManager[Callable[[int, int], None]]:
+    return nullcontext(lambda done, of: None)
+
+
+def found_by(config: Config) -> BestScores:
+    worse = config.detect.model == "shipped"
+    alarms = np.array([9.0, 7.0, 5.0, 3.0, 1.0])
+    targets = np.array([4.0, 0.0]) if worse else np.array([8.0, 6.0])
+    return BestScores(targets, alarms, 0.03)
