@@ -44,7 +44,7 @@ LINES: Final = {
     "sim_replay/scoring": Limit(2_450, 2_200),
     "sim_replay/simulator": Limit(6_540, 6_900),
     "sim_replay/view": Limit(2_320, 2_000),
-    "tests": Limit(79_600, 66_000),
+    "tests": Limit(79_610, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(31, 5)
 LONG_FILES: Final = Limit(18, 0)
