@@ -64,8 +64,9 @@ def unexplained(source: str) -> Iterator[tuple[int, str]]:
     A comment explains the constants on its line, or all that follow it until a blank line or another statement. The
     docstring of a class that holds constants alone explains them.
     """
+    lines = source.splitlines()
     comments = {
-        token.start[0]: source.splitlines()[token.start[0] - 1].lstrip().startswith("#")
+        token.start[0]: lines[token.start[0] - 1].lstrip().startswith("#")
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT
     }

@@ -25,7 +25,8 @@ SharedData = Callable[[str], Path]
 
 EARTH_M = 6_367_000.0
 MAX_OTHERS = 1  # at p_mine 0.5, on either line; there are none
-MAX_CALLED = 2  # on less than 0.01 km², where 100 false alarms per km² allow less than one
+# On less than 0.01 km², where 100 false alarms per km² allow less than one; there are none on the other two.
+MAX_CALLED = {"sidescan/colorado-river-455k.xtf": 2}
 
 
 class Mark(NamedTuple):
@@ -185,4 +186,4 @@ def test_no_recorded_sea_floor_is_taken_for_unlike_all_that_was_learnt_and_few_c
     assert "contacts.background_unlike" not in [notice.code for notice in notices]
     assert point.n_contacts == sum(contact.p_mine >= 0.01 for contact in contacts)
     assert 1e-4 < point.area_km2 < 0.01
-    assert sum(bool(contact.called) for contact in contacts) <= MAX_CALLED
+    assert sum(bool(contact.called) for contact in contacts) <= MAX_CALLED.get(log, 1)

@@ -14,26 +14,35 @@ from auv_mcm.source import EventSink
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell.service_runs import Events, journal, mission, serve, summary
 
+Served = tuple[Path, list[str]]
+"""The folder of a session, and what was said on the way."""
+
+
+def served(folder: Path, make: MakePipeline) -> Served:
+    said: list[str] = []
+    return serve(folder, Events(mission(30)), make, console=said.append), said
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Served:
+    return served(tmp_path_factory.mktemp("undisturbed"), fake.Base)
+
 
 @pytest.mark.parametrize("make", [fake.DyingOnce, fake.HangingOnce, fake.DyingAtItsEndOnce])
 def test_a_mission_whose_perception_ends_on_the_way_gives_the_same_as_one_undisturbed(
-    make: MakePipeline, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: MakePipeline, undisturbed: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAILED_ONCE", str(tmp_path / "failed"))
-    said: dict[str, list[str]] = {"undisturbed": [], "disturbed": []}
-    results = {
-        name: serve(tmp_path / name, Events(mission(30)), pipeline, console=said[name].append)
-        for name, pipeline in (("undisturbed", fake.Base), ("disturbed", make))
-    }
-    assert said["disturbed"] == said["undisturbed"]
-    assert journal(results["disturbed"]) == journal(results["undisturbed"])
+    (results, said), (expected, expected_said) = served(tmp_path / "disturbed", make), undisturbed
+    assert said == expected_said
+    assert journal(results) == journal(expected)
     for file in ("contacts.geojson", "coverage.geojson"):
-        assert (results["disturbed"] / file).read_bytes() == (results["undisturbed"] / file).read_bytes()
-    totals = summary(results["disturbed"])
+        assert (results / file).read_bytes() == (expected / file).read_bytes()
+    totals = summary(results)
     assert totals["counters"].pop("perception.restarted") == 1
-    assert totals["counters"] == summary(results["undisturbed"])["counters"]
+    assert totals["counters"] == summary(expected)["counters"]
     assert totals["pings"] == 30
-    assert not (results["disturbed"] / "state").exists()
+    assert not (results / "state").exists()
 
 
 class Paced(Events):

@@ -80,25 +80,20 @@ def test_a_scheduler_that_does_not_answer_is_reported_with_a_remedy() -> None:
             list(run_tasks(neg, [1], Farm(scheduler=address)))
 
 
-def test_a_cluster_of_two_gives_the_same_results_in_order_and_raises_what_a_task_raises(cluster: Cluster) -> None:
-    for _ in range(2):
-        cluster.worker()
+def test_a_cluster_of_two_gives_the_same_results_in_order_raises_what_a_task_raises_and_outlives_a_worker(
+    cluster: Cluster,
+) -> None:
+    doomed, _ = cluster.worker(), cluster.worker()
     farm = Farm(scheduler=cluster.address)
     assert list(run_tasks(neg, list(range(20)), farm)) == [-task for task in range(20)]
     with pytest.raises(ValueError, match="three"):
         list(run_tasks(int, ["1", "three"], farm))
-    results = run_tasks(neg, list(range(20)), farm)
-    assert next(results) == 0
-    results.close()  # giving up half way must leave nothing behind
-    assert list(run_tasks(neg, [1], farm)) == [-1]
-
-
-def test_tasks_of_a_worker_that_dies_are_done_by_another_and_a_lost_scheduler_is_reported(cluster: Cluster) -> None:
-    doomed = cluster.worker()
-    results = run_tasks(time.sleep, [0.2] * 12, Farm(scheduler=cluster.address))
+    given_up = run_tasks(neg, list(range(20)), farm)
+    assert next(given_up) == 0
+    given_up.close()  # giving up half way must leave nothing behind
+    results = run_tasks(time.sleep, [0.2] * 12, farm)
     assert next(results) is None
-    cluster.worker()
-    doomed.kill()
+    doomed.kill()  # its tasks are done by the other
     assert [next(results) for _ in range(6)] == [None] * 6
     cluster.scheduler.kill()
     with pytest.raises(HardwareError, match="the connection was lost"):
