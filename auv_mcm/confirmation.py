@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_mcm.classify.beliefs import FRAME, dempster, vacuous
-from auv_mcm.classify.chips import chip_of
+from auv_mcm.classify.chips import chip_of, chips_beside
 from auv_mcm.classify.details import contour_details, detection_details, solid_details
 from auv_mcm.classify.evidence import TEMPERATURE, ClassEvidence, view_mass
 from auv_mcm.classify.features import (
@@ -36,7 +36,7 @@ from auv_mcm.classify.likelihood import image_row_sums, labels_cost_of
 from auv_mcm.classify.odds import MineOdds, with_ratio
 from auv_mcm.classify.size_evidence import NO_WEIGHT, SizeEvidence, SizeWeight, size_evidence
 from auv_mcm.classify.targets import shipped_targets
-from auv_mcm.classify.verifier import MINE_KINDS, NO_OPINION, Opinion, opinions_of, shipped_network
+from auv_mcm.classify.verifier import MINE_KINDS, NO_OPINION, Opinion, mean_scores, opinions_of, shipped_network
 from auv_mcm.confirm.mrf import DEFAULT_SWEEPS, Segmentation, segment
 from auv_mcm.confirm.region import BACKGROUND, HIGHLIGHT, SHADOW, Region, require_sound
 from auv_mcm.confirm.snake import COARSE, FINE, Contours, converge_on, start_from_labels, survey
@@ -53,6 +53,7 @@ _QUALITY: Final = 0.95  # of a view that nothing speaks against
 _POOR_QUALITY: Final = 0.6  # reliability of a poor view, where a good one has _QUALITY; chosen, not measured
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
 _NOT_LISTED: Final = -0.5  # nats by the mines expected from which the reasons say so: a third of the odds
+_ASKED_AGAIN_P: Final = 0.05  # p_mine from which the network is asked about chips beside; from .02 Pd is the same
 _MIN_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
@@ -178,16 +179,29 @@ def without_confirmation(detection: Detection, odds: MineOdds, reason: str) -> D
 def opinions_on(detections: Sequence[Detection], beam_width_rad: float, odds: MineOdds) -> list[Opinion]:
     """Ask the verifier's network about detections with surroundings, all together, one opinion each.
 
+    Where p_mine reaches 0.05, the opinion is the mean of four: of chips that lie a little off, too, and are mirrored.
     NO_OPINION on a detection whose region is too small or has no geometry. Raises ValueError for odds without a
     verifier.
     """
     if odds.verifier is None:
         raise ValueError("these odds have no verifier")
-    regions = [region_of(one, one.surroundings, beam_width_rad) for one in detections if one.surroundings is not None]
-    sound = [k for k, region in enumerate(regions) if _fault(region) is None]
-    scores = shipped_network(odds.verifier.digest).scores([chip_of(regions[k]) for k in sound])
-    found = dict(zip(sound, opinions_of(scores, odds.verifier.other_nats), strict=True))
-    return [found.get(k, NO_OPINION) for k in range(len(regions))]
+    network, other_nats = shipped_network(odds.verifier.digest), odds.verifier.other_nats
+    seen = [
+        (one, region_of(one, one.surroundings, beam_width_rad)) for one in detections if one.surroundings is not None
+    ]
+    sound = [k for k, (_, region) in enumerate(seen) if _fault(region) is None]
+    chips = [chip_of(seen[k][1]) for k in sound]
+    scores = network.scores(chips)
+    asked_again = []
+    for number, (k, opinion) in enumerate(zip(sound, opinions_of(scores, other_nats), strict=True)):
+        ratio = odds.verified_ratio(_detector_ratio(seen[k][0], odds), opinion.nats)
+        if odds.p_mine(ratio) >= _ASKED_AGAIN_P:
+            asked_again.append(number)
+    if asked_again:
+        beside = [chip for n in asked_again for chip in chips_beside(seen[sound[n]][1], chips[n])]
+        scores[asked_again] = mean_scores(scores[asked_again], network.scores(beside))
+    found = dict(zip(sound, opinions_of(scores, other_nats), strict=True))
+    return [found.get(k, NO_OPINION) for k in range(len(seen))]
 
 
 def _ended(detection: Detection, p_by_step: dict[LookStep, float], reason: str) -> Detection:

@@ -62,8 +62,10 @@ part "collection" collected
 loop=$!
 as_a_user >"$beside/user" 2>&1 &
 user=$!
-# three files at a time: two cores, and tests that wait for a port; behind the service, which runs in real time
-part "tests" nice -n 10 .venv/bin/python -m pytest tests --ignore tests/hil --numprocesses 3 --dist loadfile
+# three files at a time: two cores, and tests that wait for a port; behind the service, which runs in real time. In the
+# order of their names: by default the files with the fewest tests are last, and those of whole missions take longest
+part "tests" nice -n 10 .venv/bin/python -m pytest tests --ignore tests/hil --numprocesses 3 --dist loadfile \
+    --no-loadscope-reorder
 part "types" shown types "$types"
 part "hardware in the loop" shown loop "$loop"
 part "documentation and replay" shown user "$user"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import Final
 
@@ -15,17 +14,6 @@ def count(text: str) -> int:
     if not text.isdecimal() or len(text) > 9 or not 1 <= int(text) <= _MOST:
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1 to {_MOST}")
     return int(text)
-
-
-def duration_min(text: str) -> float:
-    """Parse minutes above 0, a day at the maximum. Raises ArgumentTypeError."""
-    try:
-        minutes = float(text)
-    except ValueError:
-        minutes = math.nan
-    if not 0.0 < minutes <= 1440.0:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number of minutes above 0 and up to 1440")
-    return minutes
 
 
 def new_file(text: str) -> Path:

@@ -3,7 +3,9 @@ data."""
 
 from __future__ import annotations
 
+import asyncio
 import gc
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,6 +28,16 @@ def pytest_collection_finish() -> None:
     """Look for garbage again, but not among the tests."""
     gc.freeze()
     gc.enable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine in an event loop of its own."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = inspect.signature(pyfuncitem.obj).parameters
+    asyncio.run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
+    return True
 
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -53,3 +65,12 @@ def shared_data() -> Callable[[str], Path]:
         return path
 
     return path_of
+
+
+@pytest.fixture
+def without_perception(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`auv-mcm check` without a perception process, which takes a second of a core to start each time."""
+    from auv_mcm.shell.check.finding import Finding
+
+    found = Finding("perception process", "ok", "not started")
+    monkeypatch.setattr("auv_mcm.shell.check._perception", lambda config: [found])

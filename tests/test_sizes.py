@@ -28,26 +28,25 @@ class Limit(NamedTuple):
 
 
 LINES: Final = {
-    "auv_mcm": Limit(41_000, 35_500),
+    "auv_mcm": Limit(40_600, 35_500),
     "drivers": Limit(18_150, 15_500),
-    "sim_replay": Limit(58_150, 42_000),
-    "sim_replay/adaptive": Limit(830, 500),
+    "sim_replay": Limit(53_900, 42_000),
     "sim_replay/augment": Limit(2_610, 2_400),
     "sim_replay/batch": Limit(570, 600),
-    "sim_replay/benches": Limit(13_200, 6_000),
-    "sim_replay/commands": Limit(1_970, 700),
-    "sim_replay/fakes": Limit(4_380, 3_500),
-    "sim_replay/fitting": Limit(8_270, 5_200),
-    "sim_replay/hil": Limit(1_840, 3_300),
-    "sim_replay/logs": Limit(7_220, 3_900),
+    "sim_replay/benches": Limit(10_150, 6_000),
+    "sim_replay/commands": Limit(1_940, 700),
+    "sim_replay/fakes": Limit(4_300, 3_500),
+    "sim_replay/fitting": Limit(8_000, 5_200),
+    "sim_replay/hil": Limit(2_090, 3_300),
+    "sim_replay/logs": Limit(7_100, 3_900),
     "sim_replay/report": Limit(2_040, 2_000),
-    "sim_replay/scoring": Limit(2_450, 2_200),
-    "sim_replay/simulator": Limit(6_540, 6_900),
+    "sim_replay/scoring": Limit(2_420, 2_200),
+    "sim_replay/simulator": Limit(6_450, 6_900),
     "sim_replay/view": Limit(2_320, 2_000),
-    "tests": Limit(79_900, 66_000),
+    "tests": Limit(79_000, 66_000),
 }
-LONG_FUNCTIONS: Final = Limit(31, 5)
-LONG_FILES: Final = Limit(34, 0)
+LONG_FUNCTIONS: Final = Limit(27, 5)
+LONG_FILES: Final = Limit(18, 0)
 
 
 def sources(folder: str) -> list[Path]:

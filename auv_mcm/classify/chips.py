@@ -25,6 +25,7 @@ N_PLACE: Final = 3
 """Numbers that state the place: ln(ground range / altitude), altitude and the beam's footprint."""
 _ROW_M: Final = 0.125  # 40 rows show 5 m: the longest mine, and the floor beside it
 _COLUMN_M: Final = 0.1  # 72 columns show 7.2 m
+_BESIDE_M: Final = 0.2  # two pixels, as far as the highlight's middle is off on speckle. Chosen
 _NEAR_M: Final = 2.0  # of them before the highlight's middle
 _HEIGHT_M: Final = 0.05  # of a column by height: 36 end at 1.8 m, above any mine
 _LEAST_ABOVE_M: Final = 0.05  # of the sonar above a top whose shadow has an end
@@ -48,13 +49,14 @@ class Chip(NamedTuple):
     place: Picture
 
 
-def chip_of(region: Region) -> Chip:
-    """Cut the chip around a region's highlight.
+def chip_of(region: Region, along_m: float = 0.0, across_m: float = 0.0) -> Chip:
+    """Cut the chip around a region's highlight, or so far beside it.
 
     Every pixel is the mean of the intensities that it covers, each weighed by the area in common. Pixels finer than the
     sonar's repeat the nearest.
     """
-    rows = region.row + _ROW_M * (np.arange(N_ROWS + 1, dtype=np.float64) - 0.5 * N_ROWS) / region.row_spacing_m
+    rows = _ROW_M * (np.arange(N_ROWS + 1, dtype=np.float64) - 0.5 * N_ROWS)
+    rows = region.row + (along_m + rows) / region.row_spacing_m
     top = min(max(int(rows[0]), 0), len(region.valid) - 1)
     end = min(max(int(rows[-1]) + 1, top + 1), len(region.valid))
     valid = region.valid[top:end]
@@ -64,7 +66,7 @@ def chip_of(region: Region) -> Chip:
     rows -= top
     strips = np.diff(_between(sums, rows, 1), axis=1)
     np.cumsum(strips, axis=2, out=strips)
-    centre_m = region.first_ground_range_m + region.column * region.column_spacing_m
+    centre_m = region.first_ground_range_m + region.column * region.column_spacing_m + across_m
     by_metres_m = centre_m - _NEAR_M + _COLUMN_M * np.arange(N_COLUMNS + 1, dtype=np.float64)
     by_height_m = shadow_ends_m(centre_m, region.altitude_m, _HEIGHT_M * np.arange(N_HEIGHTS + 1, dtype=np.float64))
     metres, heights = (
@@ -78,6 +80,18 @@ def chip_of(region: Region) -> Chip:
         for each_db in (levels_db, _levels_db(heights))
     )
     return Chip(by_metres, by_height, _place(region, centre_m))
+
+
+def chips_beside(region: Region, chip: Chip) -> list[Chip]:
+    """Cut chips that show the same object as a region's chip: its mirror image along the track, and two a little off.
+
+    Parameters
+    ----------
+    chip
+        Of `chip_of(region)`.
+    """
+    mirrored = Chip(np.ascontiguousarray(chip.by_metres[::-1]), np.ascontiguousarray(chip.by_height[::-1]), chip.place)
+    return [mirrored, chip_of(region, -_BESIDE_M, -_BESIDE_M), chip_of(region, _BESIDE_M, _BESIDE_M)]
 
 
 def shadow_ends_m(ground_range_m: float, altitude_m: float, height_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,12 +1,13 @@
 """Turn the match of shape models with one view into belief masses.
 
 Appriou ("Probabilités et incertitude en fusion de données multi-senseurs", 1991) derives two families of masses from
-likelihoods, one statement per class, combined over the classes. Both are here.
+likelihoods, one statement per class, combined over the classes.
 
-The first states of class i: m({i}) = a R/(1 + R), m(not i) = a/(1 + R), with R its likelihood over the mean of all. Of
-two classes that match alike each gets half the belief and next to nothing goes to "one of these two": ambiguity looks
-like two sure half truths. And because a weighs evidence against a class as well as for it, a poor match of implausible
-size keeps its class possible, and the best match of an impossible size wins by the evidence against all others.
+The first, which the source paper uses, states of class i: m({i}) = a R/(1 + R), m(not i) = a/(1 + R), with R its
+likelihood over the mean of all. Of two classes that match alike each gets half the belief and next to nothing goes to
+"one of these two": ambiguity looks like two sure half truths. And because a weighs evidence against a class as well as
+for it, a poor match of implausible size keeps its class possible, and the best match of an impossible size wins by the
+evidence against all others.
 
 The second states only m(not i) = a (1 - mu), with mu the likelihood over the best of all. Classes that match alike keep
 their mass together, as {sphere, truncated_cone}, which is what was seen. `view_mass` takes it, with plausible size
@@ -23,7 +24,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from auv_mcm.classify.beliefs import EVERYTHING, FRAME, MAX_RELIABILITY, N_CLASSES, N_SUBSETS, Array, dempster, subset
+from auv_mcm.classify.beliefs import FRAME, MAX_RELIABILITY, N_CLASSES, Array, subset
 from auv_mcm.records import NAN, ContactClass
 
 TEMPERATURE: Final = 4.0  # divisor of log-likelihoods: pixels are correlated and models not exact
@@ -84,29 +85,6 @@ def view_mass(
     for share in excluded.tolist():
         mass = np.concatenate((share * mass, (1.0 - share) * mass))
     return mass
-
-
-def appriou_mass(
-    evidence: Mapping[ContactClass, ClassEvidence], quality: float, temperature: float = TEMPERATURE
-) -> Array:
-    """Compute the (32,) mass of one view by Appriou's first family, for comparison; see the module for its faults.
-
-    Arguments as `view_mass`.
-
-    R_i = exp(l_i - ln mean exp l), l = -nll / temperature; a_i = quality * plausibility, at most 0.95.
-    """
-    tried = _tried(evidence)
-    level = _log_likelihoods(evidence, temperature)[tried]
-    level = level - level.max(initial=-math.inf)
-    log_ratio = level - np.log(np.mean(np.exp(level))) if tried else level
-    masses = np.zeros((1 + len(tried), N_SUBSETS))
-    masses[:, EVERYTHING] = 1.0
-    for mass, i, ratio in zip(masses[1:], tried, log_ratio.tolist(), strict=True):
-        weight = min(_checked_quality(quality) * _known(evidence[FRAME[i]].plausibility), MAX_RELIABILITY)
-        mass[1 << i] = weight * math.exp(-np.logaddexp(0.0, -ratio))
-        mass[EVERYTHING ^ (1 << i)] = weight * math.exp(-np.logaddexp(0.0, ratio))
-        mass[EVERYTHING] = 1.0 - weight
-    return dempster(masses).mass
 
 
 def _checked_quality(quality: float) -> float:

@@ -81,9 +81,10 @@ def fused_ratio(log_ratios: Sequence[float], aspects_deg: Sequence[float]) -> fl
 
     Views of one mine from square directions have a correlation of 0.4 in their evidence, and a mine that one view shows
     badly is a mine: the better view speaks. Sums with a fitted dependence, and as if independent, were no better on
-    simulated scenes that they were not fitted on (`auv-mcm bench limit`). Another view counts by NEWS times the product
-    of 1 - rho over those with more evidence for a mine, with rho = exp(-angle^2 / (2 * 15^2 degrees)) and the opposite
-    direction like the same. A direction that is not known may be any: such a view is new only if it is the only one.
+    simulated scenes that they were not fitted on (`bench limit`, at the tag benches-2). Another view counts by NEWS
+    times the product of 1 - rho over those with more evidence for a mine, with rho = exp(-angle^2 / (2 * 15^2 degrees))
+    and the opposite direction like the same. A direction that is not known may be any: such a view is new only if it is
+    the only one.
     """
     order = sorted(range(len(log_ratios)), key=lambda index: (-log_ratios[index], index))
     total = 0.0

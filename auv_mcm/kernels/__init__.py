@@ -9,9 +9,8 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 VERSION: Final = 17  # of the C signatures; a library that reports another one is not called
 
@@ -31,14 +30,11 @@ def backend() -> Literal["c", "numpy"]:
 @functools.cache
 def loaded() -> Loaded:
     """Load the C library once, from beside this file."""
-    return load_library(Path(__file__).parent, "_kernels", VERSION, _declare)
+    return load_library(Path(__file__).parent, "_kernels", VERSION)
 
 
-def load_library(folder: Path, name: str, version: int, declare: Callable[[ctypes.CDLL], None]) -> Loaded:
-    """Load the library `name` in `folder`, if it reports `version` by its function auv_mcm<name>_version.
-
-    `declare` sets the argument types of its functions.
-    """
+def load_library(folder: Path, name: str, version: int) -> Loaded:
+    """Load the library `name` in `folder`, if it reports `version` by its function auv_mcm<name>_version."""
     if os.environ.get("AUV_MCM_KERNELS", "") == "numpy":
         return Loaded(None, "AUV_MCM_KERNELS=numpy is set")
     path = folder / f"{name}.abi3.so"
@@ -55,27 +51,6 @@ def load_library(folder: Path, name: str, version: int, declare: Callable[[ctype
                 None,
                 f"{path.name} is of another version of this package ({reported}, not {version}): reinstall the package",
             )
-        declare(library)
     except (OSError, AttributeError) as error:
         return Loaded(None, f"{path.name} cannot be loaded ({error}): reinstall the package")
     return Loaded(library, path.name)
-
-
-def c_function(name: str, *argument_types: Any) -> Callable[..., None] | None:
-    """Give the C function auv_mcm_<name> that returns nothing, None where numpy serves.
-
-    Kernels fetch it once and keep it.
-    """
-    library = loaded().library
-    if library is None:
-        return None
-    function: Callable[..., None] = getattr(library, f"auv_mcm_{name}")
-    function.argtypes = list(argument_types)  # type: ignore[attr-defined]  # ctypes' own way
-    function.restype = None  # type: ignore[attr-defined]  # the same
-    return function
-
-
-def _declare(library: ctypes.CDLL) -> None:
-    pointer, integer, real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
-    library.auv_mcm_viterbi_forward.argtypes = [integer, integer, integer, real, pointer, pointer, pointer, pointer]
-    library.auv_mcm_viterbi_forward.restype = None

@@ -9,15 +9,12 @@ C and numpy agree to the bit.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 # integer that stands for the sea floor's mean: steps of 0.1 %; with MAX_INTENSITY it fits 16 bits
 CODE_OF_MEAN: Final = 1024
@@ -31,7 +28,6 @@ in an integral image, from the window's place. leaf: what the score gains where 
 holds."""
 
 _AT_ONCE: Final = 32768  # windows that numpy weighs together: more no longer fit the cache
-_P, _I, _U = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32
 
 
 class Tables(NamedTuple):
@@ -94,12 +90,9 @@ def encode(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[NDA
     its lowest bit marks that an echo was measured. NaN is never valid. Raises ValueError if the shapes differ.
     """
     _same_shape(intensity, mask)
-    function = _c_encode()
-    if function is None:
-        return encode_numpy(intensity, mask)
-    intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
     codes, valid = np.empty(intensity.shape, dtype=np.uint16), np.empty(intensity.shape, dtype=np.bool_)
-    function(intensity.size, *_pointers(intensity, mask, codes, valid))
+    if not call("cascade_encode", intensity.size, intensity, mask, codes, valid):
+        return encode_numpy(intensity, mask)
     return codes, valid
 
 
@@ -141,11 +134,9 @@ def integral(
         raise ValueError(f"out must be {shape} uint32, rows one after the other, not {out.shape} {out.dtype}")
     if values.dtype not in (np.dtype(np.uint16), np.dtype(np.bool_)):
         raise ValueError(f"values must be uint16 or bool, not {values.dtype}")
-    function = _c_sums() if values.dtype == np.uint16 else _c_counts()
-    if function is None:
+    name = "cascade_sums" if values.dtype == np.uint16 else "cascade_counts"
+    if not call(name, *values.shape, *margins, beyond, values, out):
         return integral_numpy(values, margins, beyond, out)
-    values = np.ascontiguousarray(values)
-    function(*values.shape, *margins, beyond, *_pointers(values, out))
     return out
 
 
@@ -169,28 +160,15 @@ def integral_numpy(
 
 def open_windows(field: WindowField, tables: Tables, n_groups: int) -> Opened:
     """Run the first n_groups groups on all windows of a field; with none the windows are only counted."""
-    function = _c_open()
-    if function is None:
-        return open_windows_numpy(field, tables, n_groups)
-    usable, edges = np.ascontiguousarray(field.usable), np.ascontiguousarray(field.edges)
     n_bands, n_stumps = tables.stumps.shape
-    room = int(np.count_nonzero(usable)) + 1
+    room = int(np.count_nonzero(field.usable)) + 1
     windows = Windows(np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(n_bands, dtype=np.int64))
     n_alive, n_windows = np.empty(n_groups, dtype=np.int64), np.empty(1, dtype=np.int64)
-    function(
-        *usable.shape,
-        field.sums.shape[1],
-        field.corner,
-        *_pointers(field.sums, field.counts, usable),
-        n_bands,
-        *_pointers(edges, tables.window, tables.least),
-        n_stumps,
-        *_pointers(tables.stumps),
-        n_groups,
-        *_pointers(tables.groups),
-        tables.restart,
-        *_pointers(*windows, n_alive, n_windows),
-    )
+    shape = *field.usable.shape, field.sums.shape[1], field.corner
+    planes, bands = (field.sums, field.counts, field.usable), (n_bands, field.edges, tables.window, tables.least)
+    stages = n_stumps, tables.stumps, n_groups, tables.groups, tables.restart
+    if not call("cascade_open", *shape, *planes, *bands, *stages, *windows, n_alive, n_windows):
+        return open_windows_numpy(field, tables, n_groups)
     return Opened(_first(windows), int(n_windows[0]), n_alive)
 
 
@@ -226,24 +204,13 @@ def run_groups(
     Raises ValueError unless places rise within each band and bands hold all windows.
     """
     _check_order(windows)
-    function = _c_run()
-    if function is None:
-        return run_groups_numpy(sums, tables, windows, first, last)
     # A copy, which the kernel works in, with room for one more.
     place, score = (np.append(values, np.int32(0)) for values in windows[:2])
-    windows = Windows(place, score, windows.band_stop.copy())
-    n_alive = np.empty(last, dtype=np.int64)
-    function(
-        *_pointers(sums),
-        *tables.stumps.shape,
-        *_pointers(tables.stumps),
-        first,
-        last,
-        *_pointers(tables.groups),
-        tables.restart,
-        *_pointers(*windows, n_alive),
-    )
-    return _first(windows), n_alive[first:]
+    copied, n_alive = Windows(place, score, windows.band_stop.copy()), np.empty(last, dtype=np.int64)
+    stages = *tables.stumps.shape, tables.stumps, first, last, tables.groups, tables.restart
+    if not call("cascade_run", sums, *stages, *copied, n_alive):
+        return run_groups_numpy(sums, tables, windows, first, last)
+    return _first(copied), n_alive[first:]
 
 
 def run_groups_numpy(
@@ -280,16 +247,10 @@ def rank(score: NDArray[np.int32], n_first: int) -> NDArray[np.int32]:
     Ranked are the n_first highest, 1 or more, and all that equal the last of those.
     """
     n_first = min(max(n_first, 1), score.size)
-    function = _c_rank()
-    if function is None or score.size == 0:
+    order, scratch = (np.empty(score.size, dtype=np.int32) for _ in range(2))
+    n_ranked = np.empty(1, dtype=np.int64)
+    if score.size == 0 or not call("cascade_rank", score.size, score, n_first, order, scratch, n_ranked):
         return rank_numpy(score, n_first)
-    score = np.ascontiguousarray(score)
-    order, scratch, n_ranked = (
-        np.empty(score.size, dtype=np.int32),
-        np.empty(score.size, dtype=np.int32),
-        np.empty(1, dtype=np.int64),
-    )
-    function(score.size, *_pointers(score), n_first, *_pointers(order, scratch, n_ranked))
     return order[: n_ranked[0]]
 
 
@@ -350,37 +311,3 @@ def _same_shape(intensity: NDArray[np.float32], mask: NDArray[np.uint8]) -> None
         raise ValueError(
             f"mask must hold a byte for each of {intensity.shape} intensities, not {mask.shape} {mask.dtype}"
         )
-
-
-def _pointers(*arrays: NDArray[Any]) -> list[int]:
-    return [array.ctypes.data for array in arrays]
-
-
-@functools.cache
-def _c_encode() -> Callable[..., None] | None:
-    return kernels.c_function("cascade_encode", _I, *[_P] * 4)
-
-
-@functools.cache
-def _c_sums() -> Callable[..., None] | None:
-    return kernels.c_function("cascade_sums", *[_I] * 5, _U, _P, _P)
-
-
-@functools.cache
-def _c_counts() -> Callable[..., None] | None:
-    return kernels.c_function("cascade_counts", *[_I] * 5, _U, _P, _P)
-
-
-@functools.cache
-def _c_open() -> Callable[..., None] | None:
-    return kernels.c_function("cascade_open", *[_I] * 4, *[_P] * 3, _I, *[_P] * 3, _I, _P, _I, _P, _I, *[_P] * 5)
-
-
-@functools.cache
-def _c_run() -> Callable[..., None] | None:
-    return kernels.c_function("cascade_run", _P, _I, _I, _P, _I, _I, _P, _I, *[_P] * 4)
-
-
-@functools.cache
-def _c_rank() -> Callable[..., None] | None:
-    return kernels.c_function("cascade_rank", _I, _P, _I, *[_P] * 3)

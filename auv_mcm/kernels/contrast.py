@@ -11,23 +11,18 @@ C and numpy agree to the bit.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 from auv_mcm.records import SATURATED, VALID
 
 Plane = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Places = NDArray[np.int32]
 Boxes = NDArray[np.int32]
-
-_P, _I, _W, _F, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_int32, ctypes.c_float, ctypes.c_double
 
 
 class TileSums(NamedTuple):
@@ -89,12 +84,9 @@ def image_sums(intensity: Plane, mask: NDArray[np.uint8], bound: float) -> TileS
     intensity (n_rows, n_columns) is bounded by `bound`.
     """
     shape = (intensity.shape[0] + 1, intensity.shape[1] + 1)
-    function = _c("contrast_sums", _I, _I, _P, _P, _W, _F, _P, _P)
-    if function is None:
-        return image_sums_numpy(intensity, mask, bound)
     sums = TileSums(np.empty(shape), np.empty(shape, dtype=np.int32))
-    intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
-    function(*intensity.shape, *_pointers(intensity, mask), VALID, bound, *_pointers(*sums))
+    if not call("contrast_sums", *intensity.shape, intensity, mask, VALID, bound, *sums):
+        return image_sums_numpy(intensity, mask, bound)
     return sums
 
 
@@ -113,28 +105,14 @@ def background(
     Gives also where pixel and frame are valid and the mean is above it. What is not saturated is sea floor, bounded by
     `bound`.
     """
-    function = _c("contrast_background", _I, _I, _P, _P, _W, _W, _F, _P, _P, _D, _D, _I, _I, *[_P] * 6)
-    if function is None:
-        return background_numpy(intensity, mask, frame, bound, min_mean)
     shape = intensity.shape
-    intensity, mask = np.ascontiguousarray(intensity, dtype=np.float32), np.ascontiguousarray(mask)
     mean, known = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.bool_)
     pad, bands = _bands(shape[1], 2, frame.outer, frame.hollow)
     depth = int(max(frame.outer[1], frame.hollow[1], 0) - min(frame.outer[0], frame.hollow[0], 0)) + 1
     rows = np.empty((depth, shape[1] + 1)), np.empty((depth, shape[1] + 1), dtype=np.int32)
-    function(
-        *shape,
-        *_pointers(intensity, mask),
-        VALID,
-        SATURATED,
-        bound,
-        *_pointers(frame.outer, frame.hollow),
-        frame.least_count,
-        float(min_mean),
-        pad,
-        depth,
-        *_pointers(*rows, *bands, mean, known),
-    )
+    rule, reach = (VALID, SATURATED, bound, *frame, float(min_mean)), (pad, depth)
+    if not call("contrast_background", *shape, intensity, mask, *rule, *reach, *rows, *bands, mean, known):
+        return background_numpy(intensity, mask, frame, bound, min_mean)
     return mean, known
 
 
@@ -156,20 +134,10 @@ def ratios(sums: TileSums, level: Plane, boxes: Boxes, minimum: float) -> Plane:
 
     Returns (n_boxes, n_rows, n_columns).
     """
-    function = _c("contrast_ratios", _I, _I, _P, _P, _P, _I, _P, _F, _I, *[_P] * 3)
-    if function is None:
-        return ratios_numpy(sums, level, boxes, minimum)
     found = np.empty((len(boxes), *sums.shape), dtype=np.float32)
     pad, bands = _bands(sums.shape[1], 1, boxes)
-    function(
-        *sums.shape,
-        *_pointers(sums.total, sums.n_valid, level),
-        len(boxes),
-        *_pointers(boxes),
-        minimum,
-        pad,
-        *_pointers(*bands, found),
-    )
+    if not call("contrast_ratios", *sums.shape, *sums, level, len(boxes), boxes, minimum, pad, *bands, found):
+        return ratios_numpy(sums, level, boxes, minimum)
     return found
 
 
@@ -187,16 +155,12 @@ def local_variances(
     Values are clipped to +-clip and taken over the known pixels within `half` rows and columns; variances are `minimum`
     or more. Of rows [start, stop), one or more; the others repeat the nearest of them.
     """
-    function = _c("contrast_variances", *[_I] * 4, _P, _P, _I, _I, _F, _D, *[_P] * 3)
-    if function is None:
-        return local_variances_numpy(planes, known, rows, half, clip, minimum)
-    planes, known = np.ascontiguousarray(planes), np.ascontiguousarray(known)
     width = planes.shape[2] + 1
     variances = np.empty(planes.shape, dtype=np.float32)
     sums, n_known = np.zeros((6 * len(planes), width)), np.zeros(width, dtype=np.int32)
-    function(
-        *planes.shape[1:], *rows, *_pointers(planes, known), *half, clip, minimum, *_pointers(sums, n_known, variances)
-    )
+    rule, room = (*half, clip, minimum), (sums, n_known, variances)
+    if not call("contrast_variances", *planes.shape[1:], *rows, planes, known, *rule, *room):
+        return local_variances_numpy(planes, known, rows, half, clip, minimum)
     return _beyond(variances, rows)
 
 
@@ -223,12 +187,9 @@ def _beyond(planes: Plane, rows: tuple[int, int]) -> Plane:
 
 def extremes(plane: Plane, blocks: Blocks) -> tuple[Plane, Plane]:
     """Find the lowest and highest value in each block of a plane without NaN, (blocks down, blocks across) each."""
-    function = _c("contrast_extremes", _I, _I, _P, _I, _I, _P, _P)
-    if function is None:
-        return extremes_numpy(plane, blocks)
-    plane = np.ascontiguousarray(plane)
     lowest, highest = (np.empty(blocks.shape((plane.shape[0], plane.shape[1])), dtype=np.float32) for _ in range(2))
-    function(*plane.shape, *_pointers(plane), *blocks, *_pointers(lowest, highest))
+    if not call("contrast_extremes", *plane.shape, plane, *blocks, lowest, highest):
+        return extremes_numpy(plane, blocks)
     return lowest, highest
 
 
@@ -256,23 +217,12 @@ def bright_places(
 
     limits: for each box one for each block, (n_boxes, blocks down, blocks across) float64. Places rise.
     """
-    function = _c("contrast_bright", *[_I] * 4, *[_P] * 4, _I, _P, _P, *[_I] * 4, *[_P] * 5)
-    if function is None:
-        return bright_places_numpy(sums, level, known, rows, boxes, limits, blocks)
     pad, bands = _bands(sums.shape[1], 1, boxes)
     flags, places, n_places = _room(sums.shape, rows, len(boxes))
-    boxes, limits = np.ascontiguousarray(boxes), np.ascontiguousarray(limits)
-    function(
-        *sums.shape,
-        *rows,
-        *_pointers(sums.total, sums.n_valid, level, known),
-        len(boxes),
-        *_pointers(boxes, limits),
-        *blocks,
-        pad,
-        places.shape[1],
-        *_pointers(*bands, flags, places, n_places),
-    )
+    planes, asked = (*sums, level, known), (len(boxes), boxes, limits, *blocks)
+    room = pad, places.shape[1], *bands, flags, places, n_places
+    if not call("contrast_bright", *sums.shape, *rows, *planes, *asked, *room):
+        return bright_places_numpy(sums, level, known, rows, boxes, limits, blocks)
     return _found(places, n_places)
 
 
@@ -301,27 +251,12 @@ def dark_places(
     Their sum is at most limit times level times number of valid pixels. limits: (n_heights, blocks down, blocks
     across).
     """
-    function = _c("contrast_dark", *[_I] * 4, *[_P] * 3, _I, *[_P] * 3, _F, *[_D] * 3, _P, *[_I] * 4, *[_P] * 5)
-    if function is None:
-        return dark_places_numpy(sums, level, rows, shadows, limits, blocks)
     pad, bands = _bands(sums.shape[1], 1, np.array((round(shadows.length_m[1] / shadows.column_m) + 1,)))
     flags, places, n_places = _room(sums.shape, rows, len(shadows.height_m))
-    clearance_m, limits = np.ascontiguousarray(shadows.clearance_m), np.ascontiguousarray(limits)
-    function(
-        *sums.shape,
-        *rows,
-        *_pointers(sums.total, sums.n_valid, level),
-        len(shadows.height_m),
-        *_pointers(shadows.half_rows, shadows.height_m, clearance_m),
-        shadows.least_share,
-        shadows.column_m,
-        *shadows.length_m,
-        *_pointers(limits),
-        *blocks,
-        pad,
-        places.shape[1],
-        *_pointers(*bands, flags, places, n_places),
-    )
+    heights = len(shadows.height_m), *shadows[:3], shadows.least_share, shadows.column_m, *shadows.length_m
+    room = pad, places.shape[1], *bands, flags, places, n_places
+    if not call("contrast_dark", *sums.shape, *rows, *sums, level, *heights, limits, *blocks, *room):
+        return dark_places_numpy(sums, level, rows, shadows, limits, blocks)
     return _found(places, n_places)
 
 
@@ -358,12 +293,8 @@ def raise_before(
 
     They start at places (n,), 1 to `lag` columns behind in the row or one beside it. Of rows [start, stop).
     """
-    function = _c("contrast_before", *[_I] * 4, _P, _P, _I, _P)
-    if function is None:
+    if not call("contrast_before", darkest.shape[1], *rows, len(places), places, deviates, lag, darkest):
         raise_before_numpy(darkest, rows, places, deviates, lag)
-        return
-    places, deviates = np.ascontiguousarray(places, dtype=np.int32), np.ascontiguousarray(deviates, dtype=np.float32)
-    function(darkest.shape[1], *rows, len(places), *_pointers(places, deviates), lag, *_pointers(darkest))
 
 
 def raise_before_numpy(
@@ -394,12 +325,9 @@ def shadow_columns(shadows: Shadows, k: int, row: NDArray[np.integer], column: N
 
 def box_means(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Average one box (n, 4) at each of n places, and count its valid pixels, (n,) each."""
-    function = _c("contrast_means", _I, _I, _P, _P, _I, *[_P] * 4)
-    if function is None:
-        return box_means_numpy(sums, places, boxes)
-    places, boxes = np.ascontiguousarray(places, dtype=np.int32), np.ascontiguousarray(boxes, dtype=np.int32)
     mean, count = np.empty(len(places), dtype=np.float32), np.empty(len(places), dtype=np.int32)
-    function(*sums.shape, *_pointers(sums.total, sums.n_valid), len(places), *_pointers(places, boxes, mean, count))
+    if not call("contrast_means", *sums.shape, *sums, len(places), places, boxes, mean, count):
+        return box_means_numpy(sums, places, boxes)
     return mean, count
 
 
@@ -418,18 +346,9 @@ def box_means_numpy(sums: TileSums, places: Places, boxes: Boxes) -> tuple[NDArr
 
 def peaks(plane: Plane, rows: tuple[int, int], half_rows: int, half_columns: int) -> Places:
     """Find pixels of rows [start, stop) above -inf that are highest within half_rows and half_columns. Places rise."""
-    function = _c("contrast_peaks", *[_I] * 4, _P, _I, _I, _P, _P)
-    if function is None:
-        return peaks_numpy(plane, rows, half_rows, half_columns)
     _, places, n_places = _room((plane.shape[0], plane.shape[1]), rows, 1)
-    function(
-        *plane.shape,
-        *rows,
-        *_pointers(np.ascontiguousarray(plane)),
-        half_rows,
-        half_columns,
-        *_pointers(places, n_places),
-    )
+    if not call("contrast_peaks", *plane.shape, *rows, plane, half_rows, half_columns, places, n_places):
+        return peaks_numpy(plane, rows, half_rows, half_columns)
     return _found(places, n_places)[0]
 
 
@@ -495,12 +414,3 @@ def _room(shape: tuple[int, int], rows: tuple[int, int], n: int) -> tuple[NDArra
 
 def _found(places: Places, n_places: NDArray[np.int64]) -> tuple[Places, ...]:
     return tuple(some[:n].copy() for some, n in zip(places, n_places.tolist(), strict=True))
-
-
-def _pointers(*arrays: NDArray[Any]) -> list[int]:
-    return [array.ctypes.data for array in arrays]
-
-
-@functools.cache
-def _c(name: str, *types: Any) -> Callable[..., None] | None:
-    return kernels.c_function(name, *types)

@@ -6,14 +6,10 @@ C and numpy agree to 1e-12: their exponentials may differ in the last bit.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 Plane = NDArray[np.float64]
 
@@ -28,14 +24,9 @@ def sweep(cost: Plane, weight: Plane, n_sweeps: int, probability: Plane) -> Plan
     weight
         (4,) float64, of the edges right, down-left, down, down-right; both diagonals count as the last one.
     """
-    function = _function()
-    if function is None:
+    found, room = np.array(probability, dtype=np.float64, order="C"), np.empty((2, *cost.shape[1:]))
+    if not call("mean_field", *cost.shape[1:], cost, weight, n_sweeps, found, *room):
         return sweep_numpy(cost, weight, n_sweeps, probability)
-    _, n_rows, n_columns = cost.shape
-    cost, weight = np.ascontiguousarray(cost, dtype=np.float64), np.ascontiguousarray(weight, dtype=np.float64)
-    found, room = np.array(probability, dtype=np.float64, order="C"), np.empty((2, n_rows, n_columns))
-    at = [array.ctypes.data for array in (cost, weight, found, room)]
-    function(n_rows, n_columns, *at[:2], n_sweeps, *at[2:], at[3] + room[0].nbytes)
     return found
 
 
@@ -62,9 +53,3 @@ def _neighbour_sum(probability: Plane, weight: Plane) -> Plane:
     heard[:, 1:] += across[:, :-1]
     heard[:, :-1] += across[:, 1:]
     return heard
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("mean_field", integer, integer, pointer, pointer, integer, *[pointer] * 3)

@@ -7,15 +7,12 @@ cost = whole * (1 - min(1, number * share per pixel)). C and numpy round alike.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 Plane = NDArray[np.float64]
 
@@ -43,15 +40,11 @@ def pair_costs(
     attached
         Columns behind each in which shadows support a highlight.
     """
-    function = _function()
-    if function is None:
-        return pair_costs_numpy(labels, reach, attached, highlight, shadow)
     n_rows, n_columns = labels.shape
-    labels, reach = np.ascontiguousarray(labels, dtype=np.uint8), np.ascontiguousarray(reach, dtype=np.int64)
     scalars, sums, room = np.array([*highlight, *shadow]), np.empty(2 * n_columns + 2), np.empty((2, n_rows, n_columns))
     cost = np.zeros((3, n_rows, n_columns))
-    at = [array.ctypes.data for array in (labels, reach, scalars, sums, room, cost)]
-    function(n_rows, n_columns, *at[:2], attached, *at[2:5], at[4] + room[0].nbytes, at[5])
+    if not call("pair_costs", n_rows, n_columns, labels, reach, attached, scalars, sums, *room, cost):
+        return pair_costs_numpy(labels, reach, attached, highlight, shadow)
     return cost
 
 
@@ -82,9 +75,3 @@ def _three_rows(plane: Plane) -> Plane:
     total[1:] += plane[:-1]
     total[:-1] += plane[1:]
     return total
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("pair_costs", integer, integer, pointer, pointer, integer, *[pointer] * 5)

@@ -8,15 +8,13 @@ C and numpy agree to the bit.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 Values = NDArray[np.float64]
 
@@ -59,9 +57,6 @@ def ping_windows(samples: Values, n_part: int, n_cells: int, lags: Sequence[int]
         raise ValueError(
             f"samples must be ({BLOCK_PINGS}, n_parts * {n_part}), not {samples.shape}, with at least {n_cells} a part"
         )
-    function = _function()
-    if function is None:
-        return ping_windows_numpy(samples, n_part, n_cells, lags, largest)
     n_parts = samples.shape[1] // n_part
     by_cell = (n_parts, n_cells)
     table = WindowTable(
@@ -76,9 +71,9 @@ def ping_windows(samples: Values, n_part: int, n_cells: int, lags: Sequence[int]
     x = np.ascontiguousarray(samples, dtype=np.float64)
     settings = [np.array(values, dtype=np.int64) for values in (cell_edges(n_part, n_cells), STRIDES, lags)]
     scratch = np.empty((BLOCK_PINGS + 5, samples.shape[1]))
-    at = [array.ctypes.data for array in settings]
-    out = [array.ctypes.data for array in (x, *table, scratch, scratch[BLOCK_PINGS:])]
-    function(n_parts, n_part, n_cells, *at[:2], len(lags), at[2], largest, *out)
+    numbers, room = (n_parts, n_part, n_cells), (scratch, scratch[BLOCK_PINGS:])
+    if not call("ping_windows", *numbers, *settings[:2], len(lags), settings[2], largest, x, *table, *room):
+        return ping_windows_numpy(samples, n_part, n_cells, lags, largest)
     return table
 
 
@@ -133,9 +128,3 @@ def _cell_means(values: Values, edges: NDArray[np.int64]) -> Values:
         longer = lengths > column
         total[:, longer] += values[:, edges[:-1][longer] + column]
     return np.asarray(total / lengths)
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    pointer, integer, real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
-    return kernels.c_function("ping_windows", *[integer] * 3, *[pointer] * 2, integer, pointer, real, *[pointer] * 10)

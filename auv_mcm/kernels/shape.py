@@ -21,15 +21,13 @@ C and numpy agree to 1e-9 of the number of pixels; numpy takes the slices from a
 
 from __future__ import annotations
 
-import ctypes
-import functools
 from collections.abc import Callable
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 from auv_mcm.solids.shapes import Cylinder, Shape, Sphere, TruncatedCone, Wedge, flat_ground_range_m, view_shape
 
 Array: TypeAlias = NDArray[np.float64]
@@ -67,7 +65,6 @@ _DARKEST_HIGHLIGHT, _BRIGHTEST_SHADOW = 1.3, 0.6  # relative to the floor
 _AT_ONCE: Final = 256  # hypotheses that numpy weighs together: bounds memory, and more are no faster
 _MIXTURES: Final = 3**_MAX_TAPS
 _CLEARANCE: Final = 1.2  # minimum altitude over the height of a solid
-_P, _I = ctypes.c_void_p, ctypes.c_int64
 
 
 class ImageRowSums(NamedTuple):
@@ -127,17 +124,12 @@ def shape_costs(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam
     """
     hypotheses = np.ascontiguousarray(hypotheses, dtype=np.float64)
     _check(solid, hypotheses, image, beam)
-    function = _function()
-    if function is None:
-        return shape_costs_numpy(solid, hypotheses, image, beam)
     n, (n_rows, n_edges), n_taps = len(hypotheses), image.echoes.shape, beam.share.size
     scalars = np.array(image[2:], dtype=np.float64)
-    echoes, counts = np.ascontiguousarray(image.echoes), np.ascontiguousarray(image.counts)
     costs = Costs(np.empty(n), np.empty((n, 3)))
-    slices = (np.ascontiguousarray(side, dtype=np.float64) for side in beam)
-    arrays = (hypotheses, scalars, echoes, counts, *slices, *costs)
-    at = [array.__array_interface__["data"][0] for array in arrays]
-    function(kind_of(solid), n, at[0], n_rows, n_edges - 1, *at[1:4], n_taps, *at[4:6], SCORING_STEPS, *at[6:])
+    seen = n_rows, n_edges - 1, scalars, image.echoes, image.counts, n_taps, *beam
+    if not call("shape_costs", kind_of(solid), n, hypotheses, *seen, SCORING_STEPS, *costs):
+        return shape_costs_numpy(solid, hypotheses, image, beam)
     return costs
 
 
@@ -166,14 +158,12 @@ def intervals(solid: Solid, hypotheses: Array, image: ImageRowSums, beam: Beam =
     """
     hypotheses = np.ascontiguousarray(hypotheses, dtype=np.float64)
     _check(solid, hypotheses, image, beam)
-    function = _intervals_function()
-    if function is None:
-        return intervals_numpy(solid, hypotheses, image, beam)
     n_rows, n_edges = image.echoes.shape
-    scalars, bearing = np.array(image[2:], dtype=np.float64), np.ascontiguousarray(beam.bearing_rad, dtype=np.float64)
+    scalars, bearing = np.array(image[2:], dtype=np.float64), beam.bearing_rad
     ends = np.empty((len(hypotheses), n_rows, bearing.size, 3))
-    at = [array.ctypes.data for array in (scalars, bearing, ends)]
-    function(kind_of(solid), len(hypotheses), hypotheses.ctypes.data, n_rows, n_edges - 1, at[0], bearing.size, *at[1:])
+    seen = n_rows, n_edges - 1, scalars, bearing.size, bearing
+    if not call("shape_intervals", kind_of(solid), len(hypotheses), hypotheses, *seen, ends):
+        return intervals_numpy(solid, hypotheses, image, beam)
     return ends
 
 
@@ -269,16 +259,6 @@ def up_to(sums: Array, column: Array, row: NDArray[np.intp] | None = None) -> Ar
     at = left + sums.shape[1] * (np.arange(sums.shape[0]) if row is None else row)[:, np.newaxis]
     low, high = np.take(sums, at), np.take(sums, at + 1)
     return np.asarray(low + (high - low) * (column - left), dtype=np.float64)
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    return kernels.c_function("shape_costs", _I, _I, _P, _I, _I, _P, _P, _P, _I, _P, _P, _I, _P, _P)
-
-
-@functools.cache
-def _intervals_function() -> Callable[..., None] | None:
-    return kernels.c_function("shape_intervals", _I, _I, _P, _I, _I, _P, _I, _P, _P)
 
 
 def _wedge_foot(fields: Array, offset: Array) -> Array:

@@ -11,16 +11,13 @@ of pixels.
 
 from __future__ import annotations
 
-import ctypes
 import functools
-from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from auv_mcm import kernels
 from auv_mcm.kernels.shape import SCORING_STEPS, Array, Beam, ImageRowSums, Solid, kind_of, shape_costs
+from auv_mcm.kernels.signatures import call
 from auv_mcm.solids.box_search import (
     APART,
     GROWTH,
@@ -41,7 +38,6 @@ RATIO: Final = 8  # column of the factors: brightness against the class's usual 
 
 _N_FACTORS: Final = 9  # columns of the factors; equal in C
 _UNKNOWN, _OF_ONE_SLICE, _KNOWN = range(3)  # states of the costs of starts, passed to C
-_P, _I = ctypes.c_void_p, ctypes.c_int64
 
 
 class WalkSpace(NamedTuple):
@@ -97,11 +93,9 @@ def search_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, n_starts: i
 
     The box must hold only points that stand for possible solids.
     """
-    function = _function()
-    if function is None:
-        return search_shapes_numpy(chart, image, beam, n_starts, walk)
     starts = spread(n_starts, chart.box.low.size)
-    return _run(function, chart, image, beam, Optima(starts, np.empty(n_starts)), _UNKNOWN, walk)
+    found = _searched(chart, image, beam, Optima(starts, np.empty(n_starts)), _UNKNOWN, walk)
+    return search_shapes_numpy(chart, image, beam, n_starts, walk) if found is None else found
 
 
 def search_shapes_numpy(chart: WalkSpace, image: ImageRowSums, beam: Beam, n_starts: int, walk: Walk) -> Optima:
@@ -115,10 +109,9 @@ def refine_shapes(chart: WalkSpace, image: ImageRowSums, beam: Beam, found: Opti
 
     Those were weighed for a single slice.
     """
-    function = _function()
-    if function is None:
-        return refine_shapes_numpy(chart, image, beam, found, walk)
-    return _run(function, chart, image, beam, found, _OF_ONE_SLICE if beam.share.size > 1 else _KNOWN, walk)
+    known = _OF_ONE_SLICE if beam.share.size > 1 else _KNOWN
+    refined = _searched(chart, image, beam, found, known, walk)
+    return refine_shapes_numpy(chart, image, beam, found, walk) if refined is None else refined
 
 
 def refine_shapes_numpy(chart: WalkSpace, image: ImageRowSums, beam: Beam, found: Optima, walk: Walk) -> Optima:
@@ -140,15 +133,10 @@ def _walked(chart: WalkSpace, image: ImageRowSums, beam: Beam, starts: Optima, w
     )
 
 
-def _run(
-    function: Callable[..., None],
-    chart: WalkSpace,
-    image: ImageRowSums,
-    beam: Beam,
-    starts: Optima,
-    known: int,
-    walk: Walk,
-) -> Optima:
+def _searched(
+    chart: WalkSpace, image: ImageRowSums, beam: Beam, starts: Optima, known: int, walk: Walk
+) -> Optima | None:
+    """Search in C; None where there is none."""
     box = chart.box
     n, d = starts.unit.shape
     span = box.high - box.low
@@ -158,42 +146,14 @@ def _run(
     ways = _directions(walk.n_steps, walk.n_tries, d)
     n_kept = min(n, walk.n_walks)
     unit, best, n_found = np.empty((n_kept, d)), np.empty(n_kept), np.empty(1, dtype=np.int64)
-    echoes, counts, bearing, share = (np.ascontiguousarray(each) for each in (*image[:2], *beam))
-    function(
-        kind_of(chart.solid),
-        n,
-        d,
-        address(sides),
-        address(chart.terms),
-        echoes.shape[0],
-        echoes.shape[1] - 1,
-        address(scalars),
-        address(echoes),
-        address(counts),
-        share.size,
-        address(bearing),
-        address(share),
-        SCORING_STEPS,
-        address(starts.unit),
-        address(starts.cost),
-        known,
-        n_kept,
-        address(strides),
-        walk.n_steps,
-        walk.n_tries,
-        address(ways),
-        address(unit),
-        address(best),
-        address(n_found),
-    )
+    (n_rows, n_edges), n_taps = image.echoes.shape, beam.share.size
+    space = kind_of(chart.solid), n, d, sides, chart.terms
+    seen = n_rows, n_edges - 1, scalars, image.echoes, image.counts, n_taps, *beam, SCORING_STEPS
+    asked = starts.unit, starts.cost, known, n_kept, strides, walk.n_steps, walk.n_tries, ways
+    if not call("shape_search", *space, *seen, *asked, unit, best, n_found):
+        return None
     found = int(n_found[0])
     return Optima(unit[:found], best[:found])
-
-
-def address(array: NDArray[Any]) -> int:
-    """Return where an array's data lie; faster than `array.ctypes.data`."""
-    where: int = array.__array_interface__["data"][0]
-    return where
 
 
 @functools.lru_cache(maxsize=32)
@@ -201,35 +161,3 @@ def _directions(n_steps: int, n_tries: int, n_dimensions: int) -> Array:
     ways = directions(n_steps, n_tries, n_dimensions)
     ways.flags.writeable = False
     return ways
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    return kernels.c_function(
-        "shape_search",
-        _I,
-        _I,
-        _I,
-        _P,
-        _P,
-        _I,
-        _I,
-        _P,
-        _P,
-        _P,
-        _I,
-        _P,
-        _P,
-        _I,
-        _P,
-        _P,
-        _I,
-        _I,
-        _P,
-        _I,
-        _I,
-        _P,
-        _P,
-        _P,
-        _P,
-    )

@@ -26,17 +26,14 @@ Python twin take the same decisions to the last bit.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
 from auv_mcm.kernels import snake_twin
 from auv_mcm.kernels.order import median
+from auv_mcm.kernels.signatures import call
 from auv_mcm.kernels.snake_twin import EdgeSums, Moved, Settings
 
 MAX_NODES: Final = 64  # of a polygon; equal in C, where it bounds memory
@@ -118,11 +115,10 @@ def move_pair(
     table = np.ascontiguousarray(table, dtype=np.float64)
     schedule = np.ascontiguousarray(schedule, dtype=np.float64)
     parts = checked(table, schedule, highlight, shadow)
-    c_snake = c_kernel()
-    if c_snake is None:
+    ran = _ran(table, settings, schedule, parts)
+    if ran is None:
         refuse([snake_twin.fault_of(table, settings, nodes) for nodes in parts], settings)
         return snake_twin.move_pair(table, settings, schedule, parts[0], parts[1])
-    ran = _run(c_snake, table, settings, schedule, parts)
     refuse(ran.faults, settings)
     return moved_of(ran.nodes, ran.n_nodes, ran.out)
 
@@ -173,12 +169,8 @@ def fault_of(table: NDArray[np.float64], settings: Settings, nodes: NDArray[np.f
     """
     table = np.ascontiguousarray(table, dtype=np.float64)
     _check(table, _NO_STAGES, [nodes])
-    c_snake = c_kernel()
-    return (
-        snake_twin.fault_of(table, settings, nodes)
-        if c_snake is None
-        else _run(c_snake, table, settings, _NO_STAGES, [nodes, _NONE]).faults[0]
-    )
+    ran = _ran(table, settings, _NO_STAGES, [nodes, _NONE])
+    return snake_twin.fault_of(table, settings, nodes) if ran is None else ran.faults[0]
 
 
 def sides(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDArray[np.int64]:
@@ -190,11 +182,9 @@ def sides(nodes: NDArray[np.float64], n_rows: int, n_columns: int) -> NDArray[np
     nodes = np.ascontiguousarray(nodes, dtype=np.float64)
     if nodes.ndim != 2 or nodes.shape[1] != 2:
         raise ValueError(f"nodes must have shape (n, 2), not {nodes.shape}")
-    function = _c_sides()
-    if function is None:
-        return sides_numpy(nodes, n_rows, n_columns)
     found = np.empty((2, n_rows), dtype=np.int64)
-    function(n_rows, n_columns, len(nodes), nodes.ctypes.data, found.ctypes.data)
+    if not call("snake_sides", n_rows, n_columns, len(nodes), nodes, found):
+        return sides_numpy(nodes, n_rows, n_columns)
     return found
 
 
@@ -216,47 +206,23 @@ class _Ran(NamedTuple):
     faults: list[int]
 
 
-def _run(
-    c_snake: Callable[..., None],
+def _ran(
     table: NDArray[np.float64],
     settings: Settings,
     schedule: NDArray[np.float64],
     parts: list[NDArray[np.float64]],
-) -> _Ran:
+) -> _Ran | None:
+    """Move polygons in C; None where the twin serves."""
     room = np.zeros((2, MAX_NODES, 2))
     n_nodes = np.array([len(nodes) for nodes in parts], dtype=np.int64)
     for which, nodes in enumerate(parts):
         room[which, : len(nodes)] = nodes
     bound, out, faults = np.empty(len(table)), np.empty(3 + 2 * len(EdgeSums._fields)), np.empty(2, dtype=np.int64)
     numbers = np.array(settings, dtype=np.float64)
-    c_snake(
-        table.shape[0],
-        table.shape[1] - 1,
-        table.ctypes.data,
-        numbers.ctypes.data,
-        len(schedule),
-        schedule.ctypes.data,
-        room[0].ctypes.data,
-        room[1].ctypes.data,
-        n_nodes.ctypes.data,
-        bound.ctypes.data,
-        out.ctypes.data,
-        faults.ctypes.data,
-    )
+    shape = table.shape[0], table.shape[1] - 1
+    if not call("snake", *shape, table, numbers, len(schedule), schedule, *room, n_nodes, bound, out, faults):
+        return None
     return _Ran(room, n_nodes.tolist(), out.tolist(), faults.tolist())
-
-
-@functools.cache
-def _c_sides() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("snake_sides", integer, integer, integer, pointer, pointer)
-
-
-@functools.cache
-def c_kernel() -> Callable[..., None] | None:
-    """Give the C function, None where the twin serves."""
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("snake", integer, integer, pointer, pointer, integer, *[pointer] * 7)
 
 
 def _check(table: NDArray[np.float64], schedule: NDArray[np.float64], parts: list[NDArray[np.float64]]) -> None:

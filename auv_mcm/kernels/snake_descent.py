@@ -10,17 +10,15 @@ C and numpy take the same decisions to the last bit.
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import math
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
 from auv_mcm.kernels import snake
+from auv_mcm.kernels.signatures import call
 from auv_mcm.kernels.snake_twin import EdgeSums, Moved, Settings
 
 Nodes = NDArray[np.float64]
@@ -57,9 +55,6 @@ def descend(
     ValueError
         As move_pair does.
     """
-    function = _function()
-    if function is None:
-        return descend_numpy(table, settings, course, highlight, shadow, strip_px)
     table = np.ascontiguousarray(table, dtype=np.float64)
     n_stages, schedule = _stages(course)
     parts = snake.checked(table, schedule, highlight, shadow)
@@ -72,10 +67,9 @@ def descend(
         np.empty(2, dtype=np.int64),
         np.zeros(1, dtype=np.int64),
     )
-    arrays = (table, numbers, n_stages, schedule, room, n_nodes, bound, out, faults, moves)
-    at = [array.ctypes.data for array in arrays]
-    shadow_at = at[4] + room[0].nbytes
-    function(table.shape[0], table.shape[1] - 1, *at[:4], strip_px, at[4], shadow_at, *at[5:])
+    given, left = (table, numbers, n_stages, schedule, strip_px), (*room, n_nodes, bound, out, faults, moves)
+    if not call("snake_descend", table.shape[0], table.shape[1] - 1, *given, *left):
+        return descend_numpy(table, settings, course, highlight, shadow, strip_px)
     snake.refuse(faults.tolist(), settings)
     return snake.moved_of(room, n_nodes.tolist(), out.tolist()), int(moves[0])
 
@@ -154,9 +148,3 @@ def _stages(course: Course) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     schedule = np.array([stage for schedule in course for stage in schedule], dtype=np.float64).reshape(-1, 3)
     n_stages.flags.writeable = schedule.flags.writeable = False
     return n_stages, schedule
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("snake_descend", integer, integer, *[pointer] * 4, ctypes.c_double, *[pointer] * 7)

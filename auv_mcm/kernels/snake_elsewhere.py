@@ -9,17 +9,15 @@ C and numpy agree to the last bit where numpy takes logarithms from the C librar
 
 from __future__ import annotations
 
-import ctypes
-import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
 from auv_mcm.kernels import snake
+from auv_mcm.kernels.signatures import call
 from auv_mcm.kernels.snake_twin import HIGHLIGHT
 
 Nodes = NDArray[np.float64]
@@ -53,28 +51,14 @@ def elsewhere(table: NDArray[np.float64], polygons: Polygons) -> tuple[float, fl
     nodes = np.concatenate([np.asarray(each, dtype=np.float64) for _, each in polygons])
     if not ((nodes >= 0.0) & (nodes <= (n_rows, n_columns))).all():
         raise ValueError(f"a polygon has nodes outside the window of {n_rows} rows and {n_columns} columns")
-    function = _function()
-    if function is None:
-        return elsewhere_numpy(table, polygons)
-    table = np.ascontiguousarray(table, dtype=np.float64)
     n_room = (n_rows // _ROW_STEP + 1) * (n_columns // _COLUMN_STEP + 1)
     numbers = np.array([[which for which, _ in polygons], [len(each) for _, each in polygons]], dtype=np.int64)
     steps = np.array([_ROW_STEP, _COLUMN_STEP], dtype=np.int64)
     sides, offset, room = np.empty(2 * n_rows, dtype=np.int64), np.empty(n_room, dtype=np.int64), np.empty(3 * n_room)
     found = np.empty(2)
-    at = [array.ctypes.data for array in (table, numbers, nodes, steps, sides, offset, room, found)]
-    function(
-        n_rows,
-        n_columns,
-        at[0],
-        len(polygons),
-        at[1],
-        at[1] + 8 * len(polygons),
-        *at[2:6],
-        at[6],
-        at[6] + 16 * n_room,
-        at[7],
-    )
+    given = table, len(polygons), *numbers, nodes, steps
+    if not call("snake_elsewhere", n_rows, n_columns, *given, sides, offset, room, room[2 * n_room :], found):
+        return elsewhere_numpy(table, polygons)
     best, common = found.tolist()
     return best, common
 
@@ -126,9 +110,3 @@ def evidences(which: int, total: NDArray[np.float64], count: NDArray[np.float64]
     mean = np.maximum(total / np.maximum(count, 1.0), _FAINTEST)
     right = (mean > 1.0) if which == HIGHLIGHT else (mean < 1.0)
     return np.where(right, count * (mean - 1.0 - np.log(mean)), 0.0)
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("snake_elsewhere", integer, integer, pointer, integer, *[pointer] * 9)

@@ -14,16 +14,14 @@ C and numpy round alike: same operations, same order, no fused ones.
 
 from __future__ import annotations
 
-import ctypes
-import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 Plane = NDArray[np.float64]
 Labels = NDArray[np.uint8]
@@ -31,8 +29,6 @@ Labels = NDArray[np.uint8]
 _REACH: Final = 2.5  # of the point spread, in its sigmas
 # rows down and columns right of each of the eight, in the order of the weights; equal in C
 _NEIGHBOURS: Final = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))
-
-_P, _I, _R = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
 def point_spread(sigma: float) -> Plane:
@@ -55,15 +51,11 @@ def smeared(plane: Plane, spread_rows: Plane, spread_columns: Plane) -> Plane:
     spread_rows, spread_columns
         (n,) float64 with odd n, the share of each neighbour.
     """
-    function = _c_smear()
-    if function is None or plane.size == 0:
+    between, found = (np.empty(plane.shape) for _ in range(2))
+    edge, spreads = np.empty(plane.shape[1] + len(spread_columns)), (spread_rows, spread_columns)
+    given = [part for spread in spreads for part in (len(spread), spread)]
+    if plane.size == 0 or not call("smear", *plane.shape, plane, *given, between, edge, found):
         return smeared_numpy(plane, spread_rows, spread_columns)
-    plane, rows, columns = (
-        np.ascontiguousarray(each, dtype=np.float64) for each in (plane, spread_rows, spread_columns)
-    )
-    between, edge, found = np.empty_like(plane), np.empty(plane.shape[1] + len(columns)), np.empty_like(plane)
-    at = [array.ctypes.data for array in (plane, rows, columns, between, edge, found)]
-    function(*plane.shape, at[0], len(rows), at[1], len(columns), *at[2:])
     return found
 
 
@@ -125,15 +117,11 @@ def soft_edges(
         For shapes that do not fit, levels that are not positive, labels above 2.
     """
     start = _prepared(intensity, usable, labels, level, spread_rows, spread_columns, weight)
-    function = _c_soft_edges()
-    if function is None:
-        return _soft_edges_in_place(start, level, weight, information, n_sweeps)
     scratch, done = np.empty((6, len(spread_rows), len(spread_columns))), np.zeros(1, dtype=np.int64)
     settled = np.zeros(labels.shape, dtype=np.uint8)
-    level, weight = np.ascontiguousarray(level), np.ascontiguousarray(weight)
-    planes = (start.data, start.measured, start.mean, start.spread, level, weight, start.labels, scratch, settled, done)
-    reach = len(spread_rows) // 2, len(spread_columns) // 2
-    function(*labels.shape, *reach, n_sweeps, information, *(plane.ctypes.data for plane in planes))
+    numbers = *labels.shape, len(spread_rows) // 2, len(spread_columns) // 2, n_sweeps, information
+    if not call("soft_edges", *numbers, *start[:4], level, weight, start.labels, scratch, settled, done):
+        return _soft_edges_in_place(start, level, weight, information, n_sweeps)
     return start.labels
 
 
@@ -193,16 +181,6 @@ def _prepared(
     mean[inner] = np.where(usable, smeared(level[labels], spread_rows, spread_columns), 1.0)
     spread = np.outer(spread_rows, spread_columns)
     return _Start(data, measured, mean, spread, np.array(labels, dtype=np.uint8, order="C"))
-
-
-@functools.cache
-def _c_smear() -> Callable[..., None] | None:
-    return kernels.c_function("smear", _I, _I, _P, _I, _P, _I, *[_P] * 4)
-
-
-@functools.cache
-def _c_soft_edges() -> Callable[..., None] | None:
-    return kernels.c_function("soft_edges", *[_I] * 5, _R, *[_P] * 10)
 
 
 def _soft_edges_in_place(start: _Start, level: Plane, weight: Plane, information: float, n_sweeps: int) -> Labels:

@@ -6,14 +6,12 @@ orders.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 Plane = NDArray[np.float64]
 
@@ -49,16 +47,12 @@ def half_differences_in(
     n_rows, n_columns = plane.shape
     if not all(0 <= top <= bottom <= n_rows and 0 <= near <= far <= n_columns for top, near, bottom, far in boxes):
         raise ValueError(f"boxes must lie in a plane of {n_rows} rows and {n_columns} columns, not {boxes}")
-    function = _function()
-    if function is None:
-        parts = [(slice(top, bottom), slice(near, far)) for top, near, bottom, far in boxes]
-        return np.array([half_differences_numpy(plane[part], usable[part], lags, min_pairs) for part in parts])
-    plane, usable = np.ascontiguousarray(plane, dtype=np.float64), np.ascontiguousarray(usable, dtype=np.bool_)
     wanted, places = np.array(lags, dtype=np.int64), np.array(boxes, dtype=np.int64)
     shape = len(boxes), 2, len(lags)
     squares, numbers = np.zeros(shape), np.zeros(shape, dtype=np.int64)
-    at = [array.ctypes.data for array in (plane, usable, places, wanted, squares, numbers)]
-    function(n_columns, *at[:2], len(boxes), at[2], len(lags), *at[3:])
+    if not call("speckle_lags", n_columns, plane, usable, len(boxes), places, len(lags), wanted, squares, numbers):
+        parts = [(slice(top, bottom), slice(near, far)) for top, near, bottom, far in boxes]
+        return np.array([half_differences_numpy(plane[part], usable[part], lags, min_pairs) for part in parts])
     return np.where(numbers >= min_pairs, 0.5 * squares / np.maximum(numbers, 1), np.nan)
 
 
@@ -73,9 +67,3 @@ def half_differences_numpy(plane: Plane, usable: NDArray[np.bool_], lags: Sequen
                 difference = np.where(both, values[:, lag:] - values[:, :-lag], 0.0)
                 halves[axis, k] = 0.5 * float((difference**2).sum()) / number
     return halves
-
-
-@functools.cache
-def _function() -> Callable[..., None] | None:
-    pointer, integer = ctypes.c_void_p, ctypes.c_int64
-    return kernels.c_function("speckle_lags", integer, pointer, pointer, integer, pointer, integer, *[pointer] * 3)

@@ -5,15 +5,12 @@ Sums go down the rows first and then along the few sums of a cell or block. C an
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 from auv_mcm.records import SATURATED, VALID
 
 Floats = NDArray[np.float32]
@@ -48,7 +45,6 @@ MAPS: Final = (
 LAG: Final = 4
 """Blocks over which the lag's differences reach; equal in C."""
 _BEFORE: Final = 1  # block before one that a difference reaches; equal in C
-_P, _I, _F = ctypes.c_void_p, ctypes.c_int64, ctypes.c_float
 
 
 class PixelBlocks(NamedTuple):
@@ -93,24 +89,12 @@ def blocks(intensity: Floats, mask: NDArray[np.uint8], layout: PixelBlocks) -> F
     intensity, mask
         (n_rows, n_columns), intensity finite.
     """
-    function = _c("texture_blocks", *[_I] * 9, _F, *[_P] * 5)
-    if function is None:
-        return blocks_numpy(intensity, mask, layout)
-    intensity, mask = np.ascontiguousarray(intensity), np.ascontiguousarray(mask)
     (down, across), width = layout.shape, layout.shape[1] * layout.size[1]
     sums, echo = np.empty((4, width), dtype=np.float32), np.empty(width + layout.lag, dtype=np.float32)
     planes = np.zeros((4, down, across + 2 * layout.margin), dtype=np.float32)
-    function(
-        *intensity.shape,
-        layout.first,
-        down,
-        across,
-        *layout.size,
-        layout.lag,
-        layout.margin,
-        layout.most,
-        *(array.ctypes.data for array in (intensity, mask, sums, echo, planes)),
-    )
+    numbers = *intensity.shape, layout.first, down, across, *layout.size, layout.lag, layout.margin, layout.most
+    if not call("texture_blocks", *numbers, intensity, mask, sums, echo, planes):
+        return blocks_numpy(intensity, mask, layout)
     return planes
 
 
@@ -148,16 +132,13 @@ def cell_sums(planes: Floats, level: Floats, cell: int, limits: CellLimits) -> d
     level
         (n_down, n_across), logarithm of the mean, 0 where it is not known.
     """
-    function = _c("texture_cells", *[_I] * 3, *[_P] * 6)
-    if function is None:
-        return cell_sums_numpy(planes, level, cell, limits)
-    planes, level = np.ascontiguousarray(planes), np.ascontiguousarray(level)
     n_down, n_across = level.shape
     room = np.zeros((8, _BEFORE + n_across + LAG), dtype=np.float32)
     sums = np.empty((len(MAPS), n_across), dtype=np.float32)
     found = np.empty((len(MAPS), n_down // cell, n_across // cell), dtype=np.float32)
     settings = np.array(limits, dtype=np.float32)
-    function(n_down, n_across, cell, *(array.ctypes.data for array in (planes, level, settings, room, sums, found)))
+    if not call("texture_cells", n_down, n_across, cell, planes, level, settings, room, sums, found):
+        return cell_sums_numpy(planes, level, cell, limits)
     return dict(zip(MAPS, found, strict=True))
 
 
@@ -225,8 +206,3 @@ def _tensor(level: Floats, known: Floats, limits: CellLimits) -> dict[str, Float
     along[1:-1] = (level[2:] - level[:-2]) * known[2:] * known[:-2] / np.float32(limits.along_m)
     across[:, 1:-1] = (level[:, 2:] - level[:, :-2]) * known[:, 2:] * known[:, :-2] / np.float32(limits.across_m)
     return {"tensor_along": along * along, "tensor_across": across * across, "tensor_both": along * across}
-
-
-@functools.cache
-def _c(name: str, *types: Any) -> Callable[..., None] | None:
-    return kernels.c_function(name, *types)

@@ -17,22 +17,17 @@ Among equally good labels the smaller one wins. C and numpy round alike: same op
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 N_LABELS = 3  # background, shadow and highlight; equal in C
 N_EDGES = 4  # of a pixel to the neighbours that come after it, of eight; equal in C
 
 _EARLIER = ((0, -1), (-1, 1), (-1, 0), (-1, -1))  # of a cell: where the other end of edge e is; later ones are opposite
-
-_P, _I, _R = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
 class Minimum(NamedTuple):
@@ -81,15 +76,12 @@ def trws(
     if messages is not None and messages.shape != shape:
         raise ValueError(f"messages must have shape {shape} for this grid, not {messages.shape}")
     start = np.zeros(shape) if messages is None else np.array(messages, dtype=np.float64, order="C")  # updated in place
-    function = _c_trws()
-    if function is None:
-        return _trws_in_place(unary, weight, n_sweeps, tolerance, start)
     labels = np.empty((n_rows, n_columns), dtype=np.uint8)
     scratch = np.empty_like(labels)
     trace = np.empty((n_sweeps, 2))
     done = np.zeros(1, dtype=np.int64)
-    planes = (unary, weight, start, labels, scratch, trace, done)
-    function(n_rows, n_columns, n_sweeps, tolerance, *(plane.ctypes.data for plane in planes))
+    if not call("trws", n_rows, n_columns, n_sweeps, tolerance, unary, weight, start, labels, scratch, trace, done):
+        return _trws_in_place(unary, weight, n_sweeps, tolerance, start)
     return _minimum(labels, trace[: done[0]], start)
 
 
@@ -124,11 +116,9 @@ def icm(
             f"{labels.shape}"
         )
     labels = np.array(labels, dtype=np.uint8, order="C")
-    function = _c_icm()
-    if function is None:
-        return icm_numpy(unary, weight, labels, n_sweeps)
     done = np.zeros(1, dtype=np.int64)
-    function(*labels.shape, n_sweeps, *(plane.ctypes.data for plane in (unary, weight, labels, done)))
+    if not call("icm", *labels.shape, n_sweeps, unary, weight, labels, done):
+        return icm_numpy(unary, weight, labels, n_sweeps)
     return labels, int(done[0])
 
 
@@ -168,16 +158,6 @@ def energy_of(labels: NDArray[np.uint8], unary: NDArray[np.float64], weight: NDA
         (labels[1:, 1:], labels[:-1, :-1]),
     )
     return float(own + sum(float(w) * int((a != b).sum()) for w, (a, b) in zip(weight, pairs, strict=True)))
-
-
-@functools.cache
-def _c_trws() -> Callable[..., None] | None:
-    return kernels.c_function("trws", _I, _I, _I, _R, *[_P] * 7)
-
-
-@functools.cache
-def _c_icm() -> Callable[..., None] | None:
-    return kernels.c_function("icm", _I, _I, _I, *[_P] * 4)
 
 
 class _Skewed:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 
 
 def viterbi_path(score: NDArray[np.float64], max_step: int, step_cost: float) -> NDArray[np.int64]:
@@ -52,15 +52,11 @@ def viterbi_forward(
     score = np.ascontiguousarray(score, dtype=np.float64)
     cost = np.array(previous_cost, dtype=np.float64, order="C")  # a copy: the kernel updates it in place
     _check(cost, score, max_step, step_cost)
-    library = kernels.loaded().library
-    if library is None:
-        return viterbi_forward_numpy(cost, score, max_step, step_cost)
     n_pings, n_bins = score.shape
     scratch = np.empty((2, n_bins))
     back = np.empty((n_pings, n_bins), dtype=np.int32)
-    library.auv_mcm_viterbi_forward(
-        n_pings, n_bins, max_step, step_cost, score.ctypes.data, cost.ctypes.data, scratch.ctypes.data, back.ctypes.data
-    )
+    if not call("viterbi_forward", n_pings, n_bins, max_step, step_cost, score, cost, scratch, back):
+        return viterbi_forward_numpy(cost, score, max_step, step_cost)
     return cost, back
 
 

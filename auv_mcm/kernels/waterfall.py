@@ -8,15 +8,12 @@ C and numpy agree to the bit.
 
 from __future__ import annotations
 
-import ctypes
-import functools
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm import kernels
+from auv_mcm.kernels.signatures import call
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID
 
 Plane = NDArray[np.float32]
@@ -29,8 +26,6 @@ _ROWS_SUMMED: Final = 8  # 2 ROWS_TOGETHER of waterfall.c
 _USUAL_SHARE_OF_BRIGHT: Final = (
     16  # one pixel in so many has room at first: large arrays that are hardly used cost page faults
 )
-_NOTHING: Final = ctypes.c_char * 0
-_P, _I, _D = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 
 
 class Sampled(NamedTuple):
@@ -64,13 +59,8 @@ def sums_to_the_end(values: Plane) -> Values:
 
     (n_rows, n_columns + 1) float64, added up from there.
     """
-    function = _c("waterfall_sums", _I, _I, _P, _P)
-    if function is None:
-        return sums_to_the_end_numpy(values)
-    values = np.ascontiguousarray(values, dtype=np.float32)
     sums = np.empty((values.shape[0], values.shape[1] + 1))
-    function(*values.shape, *_pointers(values, sums))
-    return sums
+    return sums if call("waterfall_sums", *values.shape, values, sums) else sums_to_the_end_numpy(values)
 
 
 def sums_to_the_end_numpy(values: Plane | Flags) -> Values:
@@ -91,12 +81,10 @@ def sums_of_counts(counts: NDArray[Any], intensity: Plane) -> Values:
     intensity
         (256,) or (65536,) float32, of every count.
     """
-    function = _c(f"waterfall_sums_of_{'bytes' if counts.itemsize == 1 else 'words'}", _I, _I, _P, _P, _P)
-    if function is None:
-        return sums_to_the_end_numpy(intensity[counts])
-    counts = np.ascontiguousarray(counts)
     sums = np.empty((counts.shape[0], counts.shape[1] + 1))
-    function(*counts.shape, *_pointers(counts, intensity, sums))
+    name = f"waterfall_sums_of_{'bytes' if counts.itemsize == 1 else 'words'}"
+    if not call(name, *counts.shape, counts, intensity, sums):
+        return sums_to_the_end_numpy(intensity[counts])
     return sums
 
 
@@ -113,24 +101,20 @@ def means(traces: Sampled, edges_m: Values, edge_row: Rows) -> tuple[Values, Fla
     edge_row
         (n_pings,) int64, the row each ping takes.
     """
-    function = _c("waterfall_means", *[_I] * 3, *[_P] * 3, _I, _D, _D, *[_P] * 8)
-    if function is None or traces.intensity.shape[1] < 2:  # without samples there is no array to point at
-        return means_numpy(traces, edges_m, edge_row)
-    edges_m, edge_row = np.ascontiguousarray(edges_m), np.ascontiguousarray(edge_row)
     n_pings, n_edges = traces.intensity.shape[0], edges_m.shape[1]
     scratch = np.empty(n_edges, dtype=np.int32), np.empty((6, n_edges)), np.empty(n_edges, dtype=np.uint8)
     shape = (n_pings, n_edges - 1)
     found = np.empty(shape), np.empty(shape, dtype=np.bool_), np.empty(shape, dtype=np.bool_)
-    function(
-        n_pings,
-        traces.intensity.shape[1] - 1,
-        n_edges,
-        *(None if sums is None else _address(sums) for sums in traces[:3]),
-        0 if traces.clipped is None else traces.clipped.shape[1] - 1,
-        traces.first_m,
-        1.0 / traces.spacing_m,
-        *_pointers(edges_m, edge_row, *scratch, *found),
-    )
+    n_clipped = 0 if traces.clipped is None else traces.clipped.shape[1] - 1
+    grid = traces.first_m, 1.0 / traces.spacing_m
+    numbers = n_pings, traces.intensity.shape[1] - 1, n_edges
+    if (
+        traces.intensity.shape[1] < 2
+        or not call(  # C needs samples
+            "waterfall_means", *numbers, *traces[:3], n_clipped, *grid, edges_m, edge_row, *scratch, *found
+        )
+    ):
+        return means_numpy(traces, edges_m, edge_row)
     return found
 
 
@@ -172,19 +156,9 @@ def row_medians(values: Values, usable: Flags | None, minimum: int) -> Values:
     usable
         The same shape, None where all are.
     """
-    function = _c("waterfall_medians", _I, _I, _P, _P, _I, _P, _P)
-    if function is None:
-        return row_medians_numpy(values, usable, minimum)
-    values = np.ascontiguousarray(values)
-    usable = None if usable is None else np.ascontiguousarray(usable)
     room, medians = np.empty(2 * values.shape[1] + 2), np.empty(values.shape[0])
-    function(
-        *values.shape,
-        _address(values),
-        None if usable is None else _address(usable),
-        minimum,
-        *_pointers(room, medians),
-    )
+    if not call("waterfall_medians", *values.shape, values, usable, minimum, room, medians):
+        return row_medians_numpy(values, usable, minimum)
     return medians
 
 
@@ -207,12 +181,9 @@ def row_medians_numpy(values: Values, usable: Flags | None, minimum: int) -> Val
 
 def scale_rows(values: Values, factor: Values, factor_row: Rows) -> Plane:
     """Multiply values by factor[factor_row], (n_rows, n_columns) float32. factor: (n, n_columns)."""
-    function = _c("waterfall_scale", _I, _I, *[_P] * 4)
-    if function is None:
-        return scale_rows_numpy(values, factor, factor_row)
-    arrays = [np.ascontiguousarray(array) for array in (values, factor, factor_row)]
     product = np.empty(values.shape, dtype=np.float32)
-    function(*values.shape, *_pointers(*arrays, product))
+    if not call("waterfall_scale", *values.shape, values, factor, factor_row, product):
+        return scale_rows_numpy(values, factor, factor_row)
     return product
 
 
@@ -233,21 +204,10 @@ def step_ratios(
     twice_variance: of single values.
     """
     n_pings, n_bins = values.shape
-    function = _c("waterfall_steps", _I, _I, _P, _P, _I, _I, _D, _D, *[_P] * 3)
-    if function is None:
-        return step_ratios_numpy(values, valid, blank, window, min_step, twice_variance)
-    values, valid = np.ascontiguousarray(values), np.ascontiguousarray(valid)
     score, total, count = np.zeros((n_pings, n_bins)), np.empty(n_bins + 1), np.empty(n_bins + 1)
-    function(
-        n_pings,
-        n_bins,
-        *_pointers(values, valid),
-        blank,
-        window,
-        min_step,
-        twice_variance,
-        *_pointers(total, count, score),
-    )
+    rule = blank, window, min_step, twice_variance
+    if not call("waterfall_steps", n_pings, n_bins, values, valid, *rule, total, count, score):
+        return step_ratios_numpy(values, valid, *rule)
     return score
 
 
@@ -285,12 +245,9 @@ def add_votes(score: Values, ratios: Values, share: float, vote: float, evidence
 
     Where that is less than `evidence`, `vote` is what `evidence` would get.
     """
-    function = _c("waterfall_votes", _I, _I, _P, _D, _D, _D, _P)
-    if function is None or not score.flags.c_contiguous:
-        add_votes_numpy(score, ratios, share, vote, evidence)
-        return
-    ratios = np.ascontiguousarray(ratios)
-    function(*score.shape, *_pointers(ratios), share, vote, evidence, *_pointers(score))
+    rule = share, vote, evidence
+    if not score.flags.c_contiguous or not call("waterfall_votes", *score.shape, ratios, *rule, score):
+        add_votes_numpy(score, ratios, *rule)
 
 
 def add_votes_numpy(score: Values, ratios: Values, share: float, vote: float, evidence: float) -> None:
@@ -318,13 +275,11 @@ def average_rows(
     """
     n_rows, n_steps = source.shape
     n_columns = mask.shape[1]
-    function = _c("waterfall_rows", *[_I] * 3, *[_P] * 4, _D, *[_P] * 4)
-    if function is None:
-        return average_rows_numpy(intensity, mask, source, overlap, min_overlap)
-    arrays = [np.ascontiguousarray(array) for array in (source, overlap, intensity, mask)]
     total, weight = np.empty(n_columns), np.empty(n_columns)
     rows, row_mask = np.empty((n_rows, n_columns), dtype=np.float32), np.empty((n_rows, n_columns), dtype=np.uint8)
-    function(n_rows, n_columns, n_steps, *_pointers(*arrays), min_overlap, *_pointers(total, weight, rows, row_mask))
+    given, room = (source, overlap, intensity, mask), (total, weight, rows, row_mask)
+    if not call("waterfall_rows", n_rows, n_columns, n_steps, *given, min_overlap, *room):
+        return average_rows_numpy(intensity, mask, source, overlap, min_overlap)
     return rows, row_mask
 
 
@@ -354,27 +309,14 @@ def bright_spots(
     A limit is the mean logarithm of the usable pixels within `half` rows and columns, and `above`. logarithms: 0 where
     not usable. Pixels are indices, row times n_columns plus column, int32, and rise; limits float64.
     """
-    function = _c("waterfall_glints", *[_I] * 4, _P, _P, *[_D] * 3, *[_P] * 4, _I, *[_P] * 3)
-    if function is None:
-        return bright_spots_numpy(logarithms, usable, half, above, highest, slack)
-    logarithms, usable = np.ascontiguousarray(logarithms), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
     room = np.empty(n_columns), np.empty(n_columns, dtype=np.uint8), *_box_room(n_columns, half[1])
     n_places, max_places = np.empty(1, dtype=np.int64), usable.size // _USUAL_SHARE_OF_BRIGHT + 1
     while True:
         places, limits = np.empty(max_places, dtype=np.int32), np.empty(max_places)
-        found = _pointers(places, limits, n_places)
-        function(
-            *usable.shape,
-            *half,
-            *_pointers(logarithms, usable),
-            above,
-            highest,
-            slack,
-            *_pointers(*room),
-            max_places,
-            *found,
-        )
+        rule, found = (above, highest, slack), (places, limits, n_places)
+        if not call("waterfall_glints", *usable.shape, *half, logarithms, usable, *rule, *room, max_places, *found):
+            return bright_spots_numpy(logarithms, usable, half, *rule)
         if n_places[0] <= max_places:
             return places[: n_places[0]], limits[: n_places[0]]
         max_places = int(n_places[0])
@@ -411,15 +353,11 @@ def box_level(level: Plane, usable: Flags, half: tuple[int, int], min_share: flo
     Of the box, clipped at the image's edge, min_share and one pixel at least must be usable, and the mean above 0.
     level: 0 where not usable.
     """
-    function = _level_function()
-    if function is None:
-        return box_level_numpy(level, usable, half, min_share)
-    level, usable = np.ascontiguousarray(level), np.ascontiguousarray(usable)
     n_columns = usable.shape[1]
-    room = _level_room(n_columns, half[1])
     mean, known = np.empty(usable.shape), np.empty(usable.shape, dtype=np.bool_)
-    pointers = _pointers(level, usable, *room, mean, known)
-    function(*usable.shape, *half, min_share, *pointers, n_columns, *[None] * 4, 0, *[None] * 3)
+    planes, nothing = (level, usable, *_level_room(n_columns, half[1]), mean, known), (*[None] * 4, 0, *[None] * 3)
+    if not call("waterfall_level", *usable.shape, *half, min_share, *planes, n_columns, *nothing):
+        return box_level_numpy(level, usable, half, min_share)
     return mean, known
 
 
@@ -446,18 +384,13 @@ def divide_by_level(
     intensity, mask, level, usable
         (n_rows, n_columns).
     """
-    function = _level_function()
-    if function is None:
-        return divide_by_level_numpy(intensity, mask, level, usable, half, min_share, columns)
-    arrays = np.ascontiguousarray(intensity), np.ascontiguousarray(mask)
-    level, usable, columns = np.ascontiguousarray(level), np.ascontiguousarray(usable), np.ascontiguousarray(columns)
     n_rows, n_columns = usable.shape
     room, row = _level_room(n_columns, half[1]), (np.empty(n_columns), np.empty(n_columns, dtype=np.bool_))
     ratio, masked = np.empty(usable.shape, dtype=np.float32), np.empty(usable.shape, dtype=np.uint8)
     mean, known = np.empty((n_rows, columns.size)), np.empty((n_rows, columns.size), dtype=np.bool_)
-    pointers = _pointers(level, usable, *room, *row)
-    divided, some = _pointers(*arrays, ratio, masked), _pointers(columns, mean, known)
-    function(n_rows, n_columns, *half, min_share, *pointers, 0, *divided, columns.size, *some)
+    divided, some = (intensity, mask, ratio, masked), (columns.size, columns, mean, known)
+    if not call("waterfall_level", n_rows, n_columns, *half, min_share, level, usable, *room, *row, 0, *divided, *some):
+        return divide_by_level_numpy(intensity, mask, level, usable, half, min_share, columns)
     return Levelled(ratio, masked, mean, known)
 
 
@@ -475,10 +408,6 @@ def divide_by_level_numpy(
     ratio = np.divide(intensity, mean, out=np.zeros(mask.shape), where=known & ((mask & VALID) != 0))
     masked = np.where(known, mask, mask & np.uint8(255 - VALID)).astype(np.uint8)
     return Levelled(ratio.astype(np.float32), masked, mean[:, columns], known[:, columns])
-
-
-def _level_function() -> Callable[..., None] | None:
-    return _c("waterfall_level", *[_I] * 4, _D, *[_P] * 7, _I, *[_P] * 4, _I, *[_P] * 3)
 
 
 def _level_room(n_columns: int, half_columns: int) -> tuple[NDArray[Any], ...]:
@@ -508,12 +437,10 @@ def ping_masks(
     coarse_row
         (n_pings,) the row each ping takes.
     """
-    function = _c("waterfall_masks", _I, _I, *[_P] * 8, _D, _P)
-    if function is None:
-        return ping_masks_numpy(valid, saturated, turning, ground_m, coarse, coarse_row, max_ratio)
-    arrays = [np.ascontiguousarray(array) for array in (*turning, ground_m, coarse, coarse_row, valid, saturated)]
     mask = np.empty(valid.shape, dtype=np.uint8)
-    function(*valid.shape, *_pointers(*arrays), max_ratio, *_pointers(mask))
+    given = *turning, ground_m, coarse, coarse_row, valid, saturated
+    if not call("waterfall_masks", *valid.shape, *given, max_ratio, mask):
+        return ping_masks_numpy(valid, saturated, turning, ground_m, coarse, coarse_row, max_ratio)
     return mask
 
 
@@ -555,20 +482,11 @@ def angle_sums(
     centre
         (n_bins,), taken off the values before they are clipped to +-clip; None for the values themselves.
     """
-    function = _c("waterfall_angle_sums", *[_I] * 3, *[_P] * 5, _D, *[_P] * 3)
-    if function is None:
-        return angle_sums_numpy(angle, angle_row, values, usable, n_bins, centre, clip)
-    arrays = [np.ascontiguousarray(array) for array in (angle, angle_row, values, usable)]
     scratch = np.empty(angle.shape[1], dtype=np.int32)
     count, total = np.empty(n_bins, dtype=np.int64), np.empty(n_bins)
-    function(
-        *values.shape,
-        n_bins,
-        *_pointers(*arrays),
-        None if centre is None else _address(centre),
-        clip,
-        *_pointers(scratch, count, total),
-    )
+    given = angle, angle_row, values, usable, centre
+    if not call("waterfall_angle_sums", *values.shape, n_bins, *given, clip, scratch, count, total):
+        return angle_sums_numpy(angle, angle_row, values, usable, n_bins, centre, clip)
     return count, total
 
 
@@ -589,16 +507,13 @@ def along_curve(angle: Values, bins: NDArray[np.intp], level: Values) -> Values:
 
     Bins are whole and rising; ends count for what lies beyond.
     """
-    function = _c("waterfall_curve", _I, _P, _P, _P, _I, *[_P] * 3)
-    if function is None:
-        return along_curve_numpy(angle, bins, level)
-    angle = np.ascontiguousarray(angle)
-    middle, level = bins + 0.5, np.ascontiguousarray(level)
+    middle = bins + 0.5
     slope = np.diff(level) / np.diff(middle)
     last = int(max(angle.max(initial=0.0), 0.0)) + 2
     place = (np.searchsorted(bins, np.arange(-1, last), side="right") - 1).astype(np.int32)
     curve = np.empty(angle.shape)
-    function(angle.size, *_pointers(angle, middle, level), len(bins), *_pointers(slope, place, curve))
+    if not call("waterfall_curve", angle.size, angle, middle, level, len(bins), slope, place, curve):
+        return along_curve_numpy(angle, bins, level)
     return curve
 
 
@@ -634,20 +549,3 @@ def _box_room(n_columns: int, half_columns: int) -> tuple[Values, NDArray[np.int
 def _clipped_length(length: int, half: int) -> NDArray[np.int64]:
     position = np.arange(length)
     return np.minimum(position + half, length - 1) - np.maximum(position - half, 0) + 1
-
-
-def _pointers(*arrays: NDArray[Any]) -> list[int]:
-    return [_address(array) for array in arrays]
-
-
-def _address(array: NDArray[Any]) -> int:
-    """Give where an array's numbers are.
-
-    A quarter of the time that `array.ctypes.data` takes, which read-only arrays need.
-    """
-    return ctypes.addressof(_NOTHING.from_buffer(array.data)) if array.flags.writeable else int(array.ctypes.data)
-
-
-@functools.cache
-def _c(name: str, *types: Any) -> Callable[..., None] | None:
-    return kernels.c_function(name, *types)

@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from auv_mcm.clearance.clearance_map import HIGHEST_P, N_LOOKS, LookModel, look_bit
 from auv_mcm.geometry.fence import circles_inside, runs_inside
@@ -34,11 +34,6 @@ _MAX_LINES: Final = 64  # side by side
 _MAX_SAMPLES: Final = 32  # per line, to find where it is inside the fence
 _MIN_EXPONENT: Final = 1e-4  # of clearance in a cell, minimum: less clears nothing
 _ROUNDING_RAD: Final = 1e-6  # rad: look angles at the border count alike whatever the rounding
-
-
-def bits_alike(look_rad: ArrayLike) -> NDArray[np.uint64]:
-    """Compute bits of the directions that are nearly the same as those of views; any shape."""
-    return np.asarray(_ALIKE[np.rint(np.asarray(look_rad) * (N_LOOKS / (2.0 * math.pi))).astype(np.int64) % N_LOOKS])
 
 
 def _bits_alike() -> NDArray[np.uint64]:

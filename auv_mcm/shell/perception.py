@@ -33,7 +33,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_mcm import errors
 from auv_mcm.clean_text import clean_lines
@@ -52,7 +51,6 @@ from auv_mcm.records import (
     CoveragePatch,
     Detection,
     EarlyContact,
-    EchoTrace,
     Notice,
     Ping,
     PipelineEvent,
@@ -61,6 +59,7 @@ from auv_mcm.records import (
 )
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.checkpoint import read_checkpoints, write_checkpoint
+from auv_mcm.shell.ping_ring import Ring, RingPing, bytes_in_ring, into_ring, out_of_ring
 from auv_mcm.shell.tally import Tally
 
 if TYPE_CHECKING:
@@ -69,7 +68,6 @@ if TYPE_CHECKING:
 
 RING_BYTES: Final = 1 << 23  # about a minute of the largest pings in use
 MAX_IN_FLIGHT: Final = 64  # messages not yet answered; small enough never to fill the pipe
-_ALIGNMENT: Final = 64  # bytes: a cache line, so that arrays in shared memory begin on one
 _NICENESS: Final = 5  # of the worker: where processors are few, ports come first, for pings wait and bytes do not
 _PLANNING_S: Final = 0.2  # of processor time for a plan to get better
 _MAX_PLANNING_S: Final = 1.0  # while pings wait
@@ -226,36 +224,6 @@ class PerceptionError(errors.HardwareError):
     """Report that the perception process failed or died."""
 
 
-class Ring:
-    """Track who holds which bytes of a ring buffer; space is given back in the order it was taken."""
-
-    def __init__(self, n_bytes: int) -> None:
-        self.n_bytes = n_bytes
-        self._taken: deque[tuple[int, int]] = deque()
-
-    def take(self, n_bytes: int) -> int | None:
-        """Take `n_bytes` in one piece and give their offset, or None as long as there is no room."""
-        n_bytes = max(-(-n_bytes // _ALIGNMENT), 1) * _ALIGNMENT
-        if not self._taken:
-            start, limit = 0, self.n_bytes
-        else:
-            oldest, newest_end = self._taken[0][0], self._taken[-1][1]
-            if newest_end <= oldest:
-                start, limit = newest_end, oldest
-            elif newest_end + n_bytes <= self.n_bytes:
-                start, limit = newest_end, self.n_bytes
-            else:
-                start, limit = 0, oldest
-        if start + n_bytes > limit:
-            return None
-        self._taken.append((start, start + n_bytes))
-        return start
-
-    def give_back(self) -> None:
-        """Free the oldest piece."""
-        self._taken.popleft()
-
-
 class Perception:
     """Run the parent's end. One task feeds, another takes the answers; used inside a running event loop."""
 
@@ -339,7 +307,7 @@ class Perception:
 
         Raises PerceptionError, or ValueError for a ping larger than the ring.
         """
-        n_bytes = sum(trace.samples.nbytes + _ALIGNMENT for trace in _traces(event))
+        n_bytes = bytes_in_ring(event)
         if n_bytes > self._ring.n_bytes:
             raise ValueError(f"a ping of {n_bytes} bytes does not fit into the ring of {self._ring.n_bytes} bytes")
         offset: int | None = None
@@ -353,7 +321,9 @@ class Perception:
             await self._room.wait()
         self._in_flight.append(bool(n_bytes))
         self._n_owed += 1
-        self._send(_Numbered(number, self._in_ring(event, offset, room) if isinstance(event, Ping) else event))
+        self._send(
+            _Numbered(number, into_ring(event, self._memory, offset, room) if isinstance(event, Ping) else event)
+        )
 
     def reserve(self, n_contacts: int) -> None:
         """Have contacts to come numbered behind those announced before."""
@@ -417,20 +387,6 @@ class Perception:
         self._process.join()
         self._process.close()
 
-    def _in_ring(self, ping: Ping, offset: int, room: float) -> _RingPing:
-        def place(trace: EchoTrace | None) -> _RingTrace | None:
-            nonlocal offset
-            if trace is None:
-                return None
-            samples = np.ndarray(trace.samples.shape, trace.samples.dtype, self._memory, offset)
-            samples[...] = trace.samples
-            placed = _RingTrace(offset, samples.shape, samples.dtype.str, trace.first_range_m, trace.spacing_m)
-            offset += -(-trace.samples.nbytes // _ALIGNMENT) * _ALIGNMENT
-            return placed
-
-        port, starboard = place(ping.port), place(ping.starboard)
-        return _RingPing(msgspec.structs.replace(ping, port=None, starboard=None), port, starboard, room)
-
     def _send(self, message: Any) -> None:
         self._raise_if_dead()
         try:
@@ -481,21 +437,6 @@ class Perception:
             raise self._dead
 
 
-class _RingTrace(NamedTuple):
-    offset: int
-    shape: tuple[int, ...]
-    dtype: str
-    first_range_m: float
-    spacing_m: float
-
-
-class _RingPing(NamedTuple):
-    rest: Ping  # without its traces
-    port: _RingTrace | None
-    starboard: _RingTrace | None
-    room: float
-
-
 class _Failure(NamedTuple):
     """Hold an exception of the worker, in words: not every exception survives pickling."""
 
@@ -505,10 +446,6 @@ class _Failure(NamedTuple):
     def error(self) -> Exception:
         kind = getattr(errors, self.kind, PerceptionError)
         return kind(self.text) if issubclass(kind, errors.AuvMcmError) else PerceptionError(self.text)
-
-
-def _traces(event: SourceEvent) -> list[EchoTrace]:
-    return [trace for trace in (event.port, event.starboard) if trace is not None] if isinstance(event, Ping) else []
 
 
 def _work(
@@ -541,11 +478,11 @@ def _work(
                 chain.pipeline.reserve(message.n_contacts)
                 continue
             number, event = message
-            if isinstance(event, _RingPing):
+            if isinstance(event, RingPing):
                 if event.room != room:
                     room = event.room
                     chain.pipeline.leave_room(room)
-                event = _out_of_ring(event, memory)
+                event = out_of_ring(event, memory)
             place = getattr(event, "place", "") or place
             chain.tally.add(event)
             if chain.area is not None and isinstance(event, Ping):
@@ -771,13 +708,3 @@ def _snippets(contacts: list[Contact]) -> dict[str, bytes]:
     from auv_mcm.contacts.contact_picture import snippet_png  # OpenCV: only in this process
 
     return {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
-
-
-def _out_of_ring(ping: _RingPing, memory: NDArray[np.uint8]) -> Ping:
-    def copy(trace: _RingTrace | None) -> EchoTrace | None:
-        if trace is None:
-            return None
-        samples = np.ndarray(trace.shape, np.dtype(trace.dtype), memory, trace.offset).copy()
-        return EchoTrace(samples=samples, first_range_m=trace.first_range_m, spacing_m=trace.spacing_m)
-
-    return msgspec.structs.replace(ping.rest, port=copy(ping.port), starboard=copy(ping.starboard))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import ast
 import html
-import importlib
 import inspect
 import os
 import re
@@ -31,7 +30,7 @@ from sim_replay.benches.run_time.results import (
     read_results,
     version_cells,
 )
-from sim_replay.commands.bench import BENCHES
+from sim_replay.commands.bench import BENCHES, opened
 from sim_replay.report.report_words import MEANINGS
 from sim_replay.text_tables import markdown
 
@@ -113,7 +112,7 @@ def commands_page() -> str:
             lines += [f"## {parser.prog}", "", "```text", parser.format_help().rstrip(), "```", ""]
         for name, (module, does) in BENCHES.items():
             parser = Parser(prog=f"auv-mcm bench {name}", description=f"Measure: {does}.")
-            importlib.import_module(f"sim_replay.{module}").add_arguments(parser)
+            opened(module, parser)
             lines += [f"### {parser.prog}", "", "```text", parser.format_help().rstrip(), "```", ""]
     return "\n".join(lines)
 

@@ -130,6 +130,9 @@ class HeadSides:
         if not is_same_frequency(used, self._used_hz):
             self._used_hz = used
             self._heads.clear()
+            if self._held is not None:  # of the frequency before
+                self._held = None
+                self._counters["ping_protocol.not_used.frequency"] += 1
         if not is_same_frequency(min(often), max(often)):
             text = frequency_text(min(often), max(often), used)
             self._notify_once("sonar_frequency_chosen", f"of several frequencies one is used: {text}")

@@ -22,6 +22,7 @@ STILL_M: Final = (
     1.25  # m of change in depth with the same altitude, for a frozen one: 1 m of the coarsest digits, noise
 )
 STANDS_S: Final = BELIEVED_S  # s that an altitude may stand still: a report counts for as long
+DEPTH_STANDS_S: Final = 2.0 * BELIEVED_S  # s that a depth that stands still makes no deeper floor: chosen
 LOST_S: Final = 15.0  # s of doubt after which it is frozen: chosen, a vehicle that is led up rises by 1.25 m sooner
 DOUBT_STEP_M: Final = 0.5  # m: chosen, so that commands do not change all the time
 
@@ -47,7 +48,10 @@ class FloorBelow:
     makes no floor deeper than at first, and after 3 s leads no lower than the vehicle was then. Under command the floor
     is then taken to rise as the slope allows, in steps of 0.5 m, which leads the vehicle up: digits of 1 m or finer
     change with it, and all is as before. One that does not change over 1.25 m of depth, or 15 s of that, is frozen and
-    makes no floor.
+    makes no floor, nor does the same number later, until others made one that is believed.
+
+    An altitude that was reported once may be the last: a deeper floor counts once a further change has confirmed it. A
+    depth that stands still to the last digit makes no deeper floor for 6 s.
 
     speed_mps: maximum under way. valid_s: how long what was reported counts for the deepest floor. counters:
     vehicle.floors_rejected (deeper than can be), vehicle.altitudes_doubted (that stood still under command),
@@ -60,6 +64,11 @@ class FloorBelow:
         self._valid_s = valid_s
         self._depth = self._altitude = (NAN, -math.inf)  # value, when
         self._still = (NAN, NAN, math.inf)  # altitude, the depth when it was first reported, and when
+        self._still_depth = (NAN, NAN, math.inf)  # depth, the altitude when it was first reported, and when
+        self._n_same = 0  # reports of this altitude in a row
+        self._seen_before_m = NAN  # floor by the last report
+        self._confirmed_m = math.inf  # floor that an altitude that stands still may show at the deepest
+        self._dead_m = NAN  # altitude that was frozen
         self._commanded_s = math.inf  # since when
         self._doubted = self._frozen = False
         self._reported: deque[tuple[float, float]] = deque()  # when, depth of the floor
@@ -71,15 +80,13 @@ class FloorBelow:
     def hear(self, depth_m: float, altitude_m: float, now_s: float, *, is_commanded: bool = False) -> None:
         """Take what the vehicle reported, NaN for what it did not, and whether the payload commands it."""
         self._commanded_s = min(self._commanded_s, now_s) if is_commanded else math.inf
+        is_other_depth = math.isfinite(depth_m) and depth_m != self._depth[0]
         if math.isfinite(depth_m):
             self._depth = depth_m, now_s
         if math.isfinite(altitude_m):
-            self._altitude = altitude_m, now_s
-            if altitude_m != self._still[0]:
-                self._still, self._doubted, self._frozen = (altitude_m, self._depth[0], now_s), False, False
-            elif self.doubt_m and not self._doubted:
-                self._doubted = True
-                self.counters["vehicle.altitudes_doubted"] += 1
+            self._hear_altitude(altitude_m, now_s)
+        if is_other_depth:
+            self._still_depth = depth_m, self._altitude[0], now_s
         self._drop_old(now_s)
         if not abs(self._depth[1] - self._altitude[1]) <= ONE_MOMENT_S or now_s not in (
             self._depth[1],
@@ -94,11 +101,28 @@ class FloorBelow:
             self._settling.clear()
         elif self._is_frozen():
             self.counters["vehicle.altitudes_frozen"] += 1
-            self._settling.clear()
         elif self._believed:
-            self._believe(self._seen_m(), now_s)
+            self._believe(self._seen_m(now_s), now_s)
         else:
-            self._settle(self._seen_m(), now_s)
+            self._settle(self._seen_m(now_s), now_s)
+
+    def _hear_altitude(self, altitude_m: float, now_s: float) -> None:
+        last_s = self._altitude[1]
+        self._altitude = altitude_m, now_s
+        if altitude_m == self._still[0]:
+            self._n_same += 1
+            if self.doubt_m and not self._doubted:
+                self._doubted = True
+                self.counters["vehicle.altitudes_doubted"] += 1
+            return
+        self._still, self._n_same, self._doubted = (altitude_m, self._depth[0], now_s), 1, False
+        self._frozen = altitude_m == self._dead_m
+        # Two floors in a row that agree: the altitude before lived.
+        off_m = abs(self._depth[0] + altitude_m - self._seen_before_m)
+        if off_m <= LEAP_M + self._max_deepening_mps * (now_s - last_s):
+            self._confirmed_m = self._seen_before_m
+        else:
+            self._confirmed_m = math.inf if self._track is None else self._track[1]
 
     def settles(self, now_s: float) -> bool:
         """Find whether the first floor may still come to be believed, so that nobody has to look after it yet."""
@@ -148,12 +172,22 @@ class FloorBelow:
         """Find whether the altitude stands still since the depth was another, or too long; it does until it changes."""
         is_repeated = self._altitude[1] >= self._depth[1]  # not merely older than the depth
         self._frozen |= is_repeated and (abs(self._depth[0] - self._still[1]) > STILL_M or self._doubted_s > LOST_S)
+        if self._frozen and self._altitude[0] != self._dead_m:
+            self._dead_m = self._altitude[0]
+            self._settling.clear()
+            self._believed.clear()
         return self._frozen
 
-    def _seen_m(self) -> float:
-        """Return the floor, no deeper than when its altitude was first reported: one that stands still sees no more."""
-        depth_m, still_m = self._depth[0], self._still[1]
-        return self._altitude[0] + (min(depth_m, still_m) if math.isfinite(still_m) else depth_m)
+    def _seen_m(self, now_s: float) -> float:
+        """Return the floor, no deeper than what stands still may show: see the class."""
+        (depth_m, _), (altitude_m, _) = self._depth, self._altitude
+        _, first_altitude_m, since_s = self._still_depth
+        if math.isfinite(first_altitude_m) and now_s - since_s <= DEPTH_STANDS_S:
+            altitude_m = min(altitude_m, first_altitude_m)
+        still_m = self._still[1]
+        floor_m = altitude_m + (min(depth_m, still_m) if math.isfinite(still_m) else depth_m)
+        self._seen_before_m = floor_m
+        return min(floor_m, self._confirmed_m) if self._n_same > 1 else floor_m
 
     def _is_leap(self, floor_m: float, now_s: float) -> bool:
         if self._track is None:
@@ -181,6 +215,7 @@ class FloorBelow:
         if len(self._settling) >= MIN_REPORTS and now_s - self._settling[0][0] >= SETTLE_S:
             self._believed.extend(self._settling)
             self._track = now_s, min(floor_m for _, floor_m in self._settling)
+            self._dead_m = NAN
             self._settling.clear()
             self._drop_old(now_s)
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from functools import partial
 from typing import Final
 
 import msgspec
@@ -20,18 +19,12 @@ from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    number,
-    run_experiment,
-)
-from sim_replay.benches.mission_source import fly_through, mission_source
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, number
+from sim_replay.benches.mission_source import mission_source
 from sim_replay.fitting.detection_performance.looks import GATE_M
+from sim_replay.flights import fly_through
 from sim_replay.missions import SCENES
+from sim_replay.scoring.inputs import parse_truth
 from sim_replay.scoring.matching import gates_m
 from sim_replay.simulator.scene import TARGET_KINDS, Scene
 
@@ -72,7 +65,7 @@ def fly(task: Task) -> dict[str, JudgedClearance]:
         fly_through(
             source.events, {CHAIN: pipeline}, lambda one: searched.add(one) if isinstance(one, CoveragePatch) else None
         )
-        truth = source.truth()
+        truth = parse_truth(source.truth(), task.scene)
     clearance = searched.snapshot()
     assert clearance is not None  # a named scene is seen
     targets = [(one.latitude_deg, one.longitude_deg) for one in truth.objects if one.is_target and one.looks]
@@ -140,5 +133,3 @@ EXPERIMENT: Final = Experiment(
     add_options=_add_without_mines,
     own_options=("without_mines",),
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

@@ -23,19 +23,9 @@ from numpy.typing import NDArray
 from auv_mcm.contacts.background import BIN_NATS, LEVELS_NATS, shipped_background
 from auv_mcm.detect.belief import probability
 from auv_mcm.errors import UsageError
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    density,
-    number,
-    run_experiment,
-    share,
-)
-from sim_replay.benches.point import Judged, fly_augmented, judged
-from sim_replay.fitting.fit_background import SortedContacts, flown_scene
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
+from sim_replay.benches.point import Judged, judged
+from sim_replay.fitting.fit_background import SortedContacts, flown_along, flown_scene
 from sim_replay.fitting.left_out import LIMITS_PER_KM2
 from sim_replay.fitting.recorders import RECORDED_SCENES, RECORDERS, recorded_by
 from sim_replay.missions import FIRST_SEED, SCENES
@@ -61,7 +51,7 @@ _COLUMNS: Final = 4  # diagrams beside one another
 def fly(task: Task) -> dict[str, SortedContacts]:
     """Fly one mission with what ships, and with further recorders, and sort its contacts."""
     if task.scene not in named_scenes():
-        return {OWN: fly_augmented(Path(task.scene), task.seed)}
+        return {OWN: flown_along(Path(task.scene), task.seed)}
     scene = msgspec.structs.replace(read_scene(task.scene), seed=task.seed)
     asked = RECORDERS if task.scene in RECORDED_SCENES and not task.options["no_recorders"] else {}
     return {OWN: flown_scene(task.scene, scene, "cascade")} | {
@@ -260,5 +250,3 @@ EXPERIMENT: Final = Experiment(
     words=_words,
     draw=_draw_asked,
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

@@ -8,10 +8,7 @@ Contacts are called as the payload does, by the false alarms that their own odds
 
 from __future__ import annotations
 
-import json
-import tempfile
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -27,25 +24,9 @@ from auv_mcm.contacts.background import (
     shipped_background,
 )
 from auv_mcm.contacts.expected_alarms import called_from_nats, expected_alarms
-from auv_mcm.pipeline import Pipeline
-from auv_mcm.settings.config import Config
-from sim_replay.augment.augment_log import augment
-from sim_replay.augment.recorded_line import scattered
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    density,
-    number,
-    run_experiment,
-    share,
-)
-from sim_replay.fitting.fit_background import SeenMission, SortedContacts, flown, sorted_contacts
-from sim_replay.logs.recorded import RecordedMission
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, density, number, share
+from sim_replay.fitting.fit_background import SortedContacts, flown, flown_along
 from sim_replay.missions import FIRST_SEED, SCENES
-from sim_replay.scoring.inputs import parse_truth
 from sim_replay.scoring.intervals import density as area_density
 from sim_replay.scoring.intervals import proportion
 from sim_replay.simulator.scene_file import named_scenes
@@ -93,21 +74,9 @@ def fly(task: Task) -> dict[str, PointResult]:
     if task.scene in named_scenes():
         mission = flown((task.scene, task.seed, "cascade"))
     else:
-        mission = fly_augmented(Path(task.scene), task.seed)
+        mission = flown_along(Path(task.scene), task.seed)
     one = judged(mission, shipped_background())
     return {name: PointResult(one, asked_per_km2) for name, asked_per_km2 in ASKED_PER_KM2.items()}
-
-
-def fly_augmented(log: Path, seed: int) -> SortedContacts:
-    """Embed targets and rocks drawn by a seed in a recorded line, replay it, and sort its contacts."""
-    with tempfile.TemporaryDirectory() as folder:
-        written = augment(log, scattered(seed), Path(folder), Config())
-        pipeline, seen = Pipeline(Config()), SeenMission()
-        for event in RecordedMission([written.log], Config()).events():
-            seen.take(pipeline.feed(event))
-        seen.take(pipeline.finish())
-        truth = parse_truth(json.loads(written.truth.read_bytes()), log.name)
-        return sorted_contacts(log.stem, pipeline.contacts, truth, seen.area.km2)
 
 
 def judged(mission: SortedContacts, model: BackgroundModel) -> Judged:
@@ -191,5 +160,3 @@ EXPERIMENT: Final = Experiment(
         Column("best Pd at as many FA", lambda results: share(proportion(_pooled(results).best, _n_targets(results)))),
     ),
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

@@ -21,20 +21,12 @@ from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, Detector, LookStep, NavSample, Ping, SourceEvent
 from sim_replay.benches import score_columns
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    PairedColumn,
-    Task,
-    add_experiment_arguments,
-    number,
-    run_experiment,
-)
-from sim_replay.benches.mission_source import fly_through, mission_source
+from sim_replay.benches.experiment import Cell, Column, Experiment, PairedColumn, Task, number
+from sim_replay.benches.mission_source import mission_source
+from sim_replay.flights import fly_through
 from sim_replay.missions import FIRST_SEED, SCENES, served_by, untrained_alone
 from sim_replay.scoring.baseline import baseline_contacts
-from sim_replay.scoring.inputs import ReportedContact, ScoredMission, as_reported
+from sim_replay.scoring.inputs import ReportedContact, ScoredMission, as_reported, parse_truth
 from sim_replay.scoring.thresholds import BestScores, banded_at, best_scores, found_at
 from sim_replay.text_tables import NOTHING
 
@@ -77,7 +69,7 @@ def fly(task: Task) -> dict[str, SystemResult]:
         chain = Pipeline(served_by(detector, source.config), timer=time.process_time)
         alone = Pipeline(untrained_alone(source.config), timer=time.process_time)
         fly_through(_keeping(source.events, kept), {"chain": chain, "alone": alone})
-        truth = source.truth()
+        truth = parse_truth(source.truth(), task.scene)
     times_s = [event.time_s for event in kept if isinstance(event, Ping)]
     prior = shipped_odds(detector).prior
     chain_s = sum(chain.costs_s.values())
@@ -164,5 +156,3 @@ EXPERIMENT: Final = Experiment(
     add_options=add_options,
     own_options=("detector",),
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

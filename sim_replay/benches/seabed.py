@@ -25,18 +25,12 @@ from auv_mcm.records import SEABED_TYPES, CoveragePatch, SeabedCells, Tile
 from auv_mcm.safe_files import read_regular
 from auv_mcm.seabed.seabed_cells import seabed_cells
 from auv_mcm.seabed.seabed_model import SeabedModel, parse_seabed_model, shipped_seabed_model
-from sim_replay.benches.experiment import (
-    Cell,
-    Column,
-    Experiment,
-    Task,
-    add_experiment_arguments,
-    number,
-    run_experiment,
-)
-from sim_replay.benches.mission_source import MissionSource, fly_through, mission_source
+from sim_replay.benches.experiment import Cell, Column, Experiment, Task, number
+from sim_replay.benches.mission_source import mission_source
 from sim_replay.fitting.seabed.seabed_score import Shares, confusion_m2, shares
+from sim_replay.flights import Flight, fly_through
 from sim_replay.missions import SCENES
+from sim_replay.scoring.inputs import parse_truth
 from sim_replay.text_tables import NOTHING, columns
 
 Array = NDArray[np.float64]
@@ -60,7 +54,7 @@ def fly(task: Task) -> dict[str, Scored]:
         return {MAP: scored(source, _model(task.options["model"]))}
 
 
-def scored(source: MissionSource, model: SeabedModel) -> Scored:
+def scored(source: Flight, model: SeabedModel) -> Scored:
     """Fly a mission, without a detector, and compare its map with the truth."""
     stage_s: list[float] = []
 
@@ -75,7 +69,7 @@ def scored(source: MissionSource, model: SeabedModel) -> Scored:
     fly_through(
         source.events, {MAP: pipeline}, lambda one: searched.add(one) if isinstance(one, CoveragePatch) else None
     )
-    clearance, truth = searched.snapshot(), source.truth().seabed_map
+    clearance, truth = searched.snapshot(), parse_truth(source.truth(), "truth").seabed_map
     area_m2 = np.zeros((len(SEABED_TYPES), len(SEABED_TYPES)))
     if clearance is not None and truth is not None:
         area_m2 = confusion_m2(clearance, truth)
@@ -143,5 +137,3 @@ EXPERIMENT: Final = Experiment(
     own_options=("model",),
     words=_words,
 )
-add_arguments = partial(add_experiment_arguments, EXPERIMENT)
-run = partial(run_experiment, EXPERIMENT)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import importlib
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from auv_mcm.commands import Commands, Parser, command
 from auv_mcm.errors import UsageError
 
-BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported when chosen
+BENCHES: Final = {  # modules of sim_replay with EXPERIMENT, or add_arguments and run; imported when chosen
     "chain": ("benches.run_time.bench", "run time against error of the whole chain, beside a plain script"),
     "all": (
         "benches.every_stage.bench",
@@ -17,24 +19,14 @@ BENCHES: Final = {  # modules of sim_replay with add_arguments and run, imported
     ),
     "scenes": ("benches.scenes", "what is found in the named scenes, and what each step of confirmation adds"),
     "mutants": ("benches.mutants", "damaged logs: none may crash, hang, take memory, or report what cannot be"),
-    "soak": ("benches.soak", "the service for long, and killed: memory, counters, what is lost"),
     "law": ("benches.law", "whether the law of a recorder is recognised, and its decibels per count"),
-    "decibels": ("benches.decibels", "what wrong decibels per count cost in detection"),
     "seabed": ("benches.seabed", "the live map of the sea floor against the truth of the named scenes"),
     "clearance": ("benches.clearance", "mines left, estimated against true"),
-    "performance": ("benches.performance", "predicted against realised detection, by sea floor and range"),
     "point": (
         "benches.point",
         "false alarms at the operating point against those requested, and Pd, on domains left out",
     ),
-    "limit": ("benches.limit", "what a second view adds: each pass alone beside both"),
-    "library": ("benches.library", "what a list of the mines expected is worth: right, wrong, incomplete"),
     "domains": ("benches.domains", "p_mine on whole domains: Pd at given false alarms, and calibration"),
-    "left-out": (
-        "benches.left_out",
-        "the odds of a mine on domains left out, and what each measurement is worth there",
-    ),
-    "adapt": ("benches.adapt", "replanning on the way beside a lawnmower laid beforehand"),
     "view": ("benches.view", "whole missions judged in a browser, and heights measured there; makes the screenshots"),
 }
 
@@ -46,6 +38,7 @@ FINISHED: Final = {
         "apertures", "archive", "augment", "cascade", "confirmation", "detect", "framers", "froc", "load", "ports",
         "resolution", "simulate", "tours", "waterfall",
     ),
+    ("benches-2", _BENCHES_PAGE): ("adapt", "decibels", "left-out", "library", "limit", "performance", "soak"),
     ("studies-1", _STUDIES_PAGE): (
         "beliefs", "collage", "families", "figure12", "figure13", "filters", "fusion", "images", "inversion", "pfa",
         "sas", "segmentation", "shadow", "shapes", "snakes", "verifier",
@@ -54,10 +47,12 @@ FINISHED: Final = {
 """Benches whose figures are in the documentation, by the tag of the sources that holds them and the page that says how
 to run them."""
 INSTEAD: Final = {
-    "cascade": "all --stages cascade", "confirmation": "all --stages field,contours,solids", "framers":
-    "all --stages framers", "froc": "scenes --log LOG", "segmentation": "all --stages field", "shapes":
-    "all --stages solids", "simulate": "all --stages simulator", "snakes": "all --stages contours", "tours":
-    "all --stages planner", "waterfall": "chain",
+    "cascade": "bench all --stages cascade", "confirmation": "bench all --stages field,contours,solids",
+    "framers": "bench all --stages framers", "froc": "bench scenes --log LOG",
+    "left-out": "calibrate odds --judged 1 --judge-log LINE.xtf", "performance": "bench clearance",
+    "segmentation": "bench all --stages field", "shapes": "bench all --stages solids",
+    "simulate": "bench all --stages simulator", "snakes": "bench all --stages contours",
+    "soak": "hil soak cut_off stop_under_load", "tours": "bench all --stages planner", "waterfall": "bench chain",
 }  # fmt: skip
 """What measures something like it today."""
 
@@ -86,11 +81,24 @@ def _run(chosen: argparse.Namespace) -> int:
             raise UsageError(
                 f"'{chosen.bench}' is finished, and kept in the sources at the tag {tag}: {page} says where its "
                 "results are and how to run it"
-                + (f"; 'auv-mcm bench {instead}' measures something like it" if instead else "")
+                + (f"; 'auv-mcm {instead}' measures something like it" if instead else "")
             )
     name, *options = ALIASES.get(chosen.bench, [chosen.bench])
     module, does = BENCHES[name]
-    bench = importlib.import_module(f"sim_replay.{module}")
     parser = Parser(prog=f"auv-mcm bench {name}", description=f"Measure {does}.")
-    bench.add_arguments(parser)
-    return int(bench.run(parser.parse_args([*options, *chosen.arguments])))
+    run = opened(module, parser)
+    return run(parser.parse_args([*options, *chosen.arguments]))
+
+
+def opened(module: str, parser: argparse.ArgumentParser) -> Callable[[argparse.Namespace], int]:
+    """Import a bench, add its options to a parser, and return what runs it. A declared experiment has both alike."""
+    bench = importlib.import_module(f"sim_replay.{module}")
+    experiment = getattr(bench, "EXPERIMENT", None)
+    if experiment is None:
+        bench.add_arguments(parser)
+        run: Callable[[argparse.Namespace], int] = bench.run
+        return run
+    from sim_replay.benches.experiment import add_experiment_arguments, run_experiment
+
+    add_experiment_arguments(experiment, parser)
+    return partial(run_experiment, experiment)

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from auv_mcm.commands import Commands, Progress, add_config_option, command, read_config, whole, write_new
 from auv_mcm.errors import UsageError
@@ -16,97 +16,61 @@ from sim_replay.arguments import count
 
 Show = Callable[[int, int], None]
 """Takes how many missions are flown, and of how many."""
+Run = Callable[[argparse.Namespace, Show], int]
+Option: TypeAlias = tuple[str, dict[str, Any]]
+"""An option, and how it is added."""
 
 _LAST_SEED: Final = 2**32 - 1  # largest of 32 bits
 
 _BUDGET: Final = (
     "Measures what each unit of the chain's work costs on one core: stored samples, pixels, comparisons of the "
-    "cascade, peaks\n"
-    "measured, moves of contours, hypotheses on solids. --write puts these prices and the duty into a configuration. A "
-    "mission\n"
-    "counts its work by them and never looks at a clock. Run it on the vehicle's computer, with nothing else running; "
-    "it takes\n"
-    "half a minute. --speed is for the summary of what the duty buys; a mission goes by its own speed.\n"
-    "The mission that is timed is simulated, for which the bench has to be installed; or give --log: what your own "
-    "sonar\n"
-    "recorded does as well where it shows many objects. Of what it does not show, the price in the configuration stays."
+    "cascade, peaks measured, moves of contours, hypotheses on solids. --write puts these prices and the duty into a "
+    "configuration. A mission counts its work by them and never looks at a clock. Run it on the vehicle's computer, "
+    "with nothing else running; it takes half a minute. --speed is for the summary of what the duty buys; a mission "
+    "goes by its own speed. The mission that is timed is simulated, for which the bench has to be installed; or give "
+    "--log: what your own sonar recorded does as well where it shows many objects. Of what it does not show, the "
+    "price in the configuration stays."
 )
+
+
+class Fit(NamedTuple):
+    """Declare what missions give. about: what is learnt; does: the same as a command; more: in full."""
+
+    name: str
+    about: str
+    does: str
+    more: str
+    examples: tuple[str, ...]
+    options: tuple[Option, ...]
+    run: Run
 
 
 def add(commands: Commands) -> None:
     """Add `auv-mcm calibrate` to the command line."""
+    budget = "what the chain's work costs on this computer; also without the word, with --speed"
+    abouts = dict(sorted([("budget", budget), *((fit.name, fit.about) for fit in FITS)]))
     parser = command(
         commands,
         "calibrate",
         "measure this computer, or the payload's own performance",
-        "background:   how the background of non-mines scores, from simulated missions; the file that ships was fitted "
-        "so\n"
-        "budget:       what the chain's work costs on this computer; also without the word, with --speed\n"
-        "gate:         which places of a tile can become contacts and are worth measuring, from simulated missions; "
-        "the file\n"
-        "              that ships was fitted so\n"
-        "odds:         what each measurement of a detection says about the odds of a mine, from simulated missions; "
-        "the\n"
-        "              weights that ship were fitted so\n"
-        "performance:  how likely one view finds a mine, by sea floor, range and direction, from simulated missions;\n"
-        "              'detect.performance' of the configuration loads the file\n"
-        "seabed:       how seabed types look, from simulated missions; 'detect.seabed_model' loads the file\n"
-        "sizes:        how sizes of mines are measured, for lists of mines expected; the file that ships was fitted "
-        "so\n"
-        "verifier:     the network that separates mines from other objects and floor, from simulated missions; the "
-        "files\n"
-        "              that ship were made so\n\n"
-        "The detector's cascade has a command of its own, 'auv-mcm train'.",
+        "\n".join(f"{name + ':':14}{about}" for name, about in abouts.items())
+        + "\n\nThe detector's cascade has a command of its own, 'auv-mcm train'.",
         [
             "auv-mcm calibrate --speed 2.0 --duty 0.25",
             "auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml",
-            "auv-mcm calibrate background --out background.json",
-            "auv-mcm calibrate gate --out gate.json",
-            "auv-mcm calibrate odds --out odds.json",
-            "auv-mcm calibrate performance --out performance.json",
-            "auv-mcm calibrate seabed --out model.json",
-            "auv-mcm calibrate sizes --out size_law.json",
-            "auv-mcm calibrate verifier --looks looks --out made",
+            *(fit.examples[0] for fit in FITS),
         ],
     )
     # Scripts give --speed without a subcommand.
     _add_budget_options(parser, required=False)
     parser.set_defaults(command=partial(_run_budget_or_ask, parser))
     kinds = parser.add_subparsers(title="what to calibrate", metavar="background|budget|gate|odds|performance|seabed")
-    _add_background(kinds)
     _add_budget(kinds)
-    _add_gate(kinds)
-    _add_odds(kinds)
-    _add_performance(kinds)
-    _add_seabed(kinds)
-    _add_sizes(kinds)
-    _add_verifier(kinds)
-
-
-def _add_background(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "background",
-        "learn how the background of non-mines scores",
-        "Flies simulated missions through the named scenes, with both detectors, and fits how densely contacts on no "
-        "mine reach each\n"
-        "log-odds, and how that differs from mission to mission. Fit it anew after new odds. The same seeds make the "
-        "same model.",
-        [
-            "auv-mcm calibrate background --out background.json",
-            "auv-mcm calibrate background --seeds 1500-1501 --out background.json",
-        ],
-    )
-    parser.add_argument(
-        "--seeds",
-        metavar="FIRST-LAST",
-        type=_seeds,
-        default=range(1500, 1503),
-        help="seeds of the missions (default 1500-1502)",
-    )
-    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the model, JSON")
-    parser.set_defaults(command=partial(_with_progress, _run_background))
+    for fit in FITS:
+        parser = command(kinds, fit.name, fit.does, fit.more, fit.examples)
+        for name, how in fit.options:
+            parser.add_argument(name, **how)
+        parser.set_defaults(command=partial(_with_progress, fit.run))
 
 
 def _add_budget(kinds: Commands) -> None:
@@ -139,167 +103,6 @@ def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> N
     parser.add_argument(
         "--log", metavar="LOG", type=Path, help="measure on the beginning of a log, such as a session's recording"
     )
-
-
-def _add_gate(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "gate",
-        "learn which places of a tile can become contacts",
-        "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine "
-        "in the end\n"
-        "follow from the score, contrast and range of a place. Fit it anew after new odds. The same seeds make the "
-        "same gate.",
-        ["auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"],
-    )
-    parser.add_argument(
-        "--seeds",
-        metavar="FIRST-LAST",
-        type=_seeds,
-        default=range(500, 501),
-        help="seeds of the missions (default 500)",
-    )
-    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the gate, JSON")
-    parser.set_defaults(command=partial(_with_progress, _run_gate))
-
-
-def _add_odds(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "odds",
-        "learn the odds of a mine from what confirmation measures",
-        "Flies simulated missions, and fits the weights that turn measurements into p_mine. With --judged, prints how "
-        "weights fitted\n"
-        "likewise do on scenes, recorders and recorded lines left out, and writes that into the file too. The same "
-        "options make the\n"
-        "same weights. --verdicts recalibrates those that ship instead, and refuses where missions left out gain "
-        "nothing.",
-        [
-            "auv-mcm calibrate odds --out odds.json",
-            "auv-mcm calibrate odds --detector contrast --seeds 8 --crowded 5 --out odds.json",
-            "auv-mcm calibrate odds --crowded 4 --drawn 60 --judged 1 --looks looks --out odds.json",
-            "auv-mcm calibrate odds --verdicts monday tuesday wednesday --out recalibrated.json",
-        ],
-    )
-    parser.add_argument(
-        "--verdicts",
-        metavar="DIR",
-        nargs="+",
-        type=Path,
-        help="fly nothing: change the odds that ship by what people judged of these missions, folders of results or "
-        "sessions; 'confirm.odds' of the configuration loads the file. Other options but --out have no part in it",
-    )
-    parser.add_argument(
-        "--detector",
-        choices=("cascade", "contrast"),
-        default="cascade",
-        help="detector whose odds to fit (default cascade)",
-    )
-    parser.add_argument("--seeds", metavar="N", type=count, default=2, help="missions per scene (default 2)")
-    parser.add_argument(
-        "--crowded",
-        metavar="N",
-        type=count,
-        help="further missions per scene with 3 times as many mines and rocks (default none)",
-    )
-    parser.add_argument(
-        "--drawn",
-        metavar="N",
-        type=count,
-        help="further missions with sonar, recorder, sea floor and objects drawn at random, twice as many mines where "
-        "there is room (default none)",
-    )
-    parser.add_argument(
-        "--first-seed", metavar="N", type=count, default=500, help="seed of each scene's first mission (default 500)"
-    )
-    parser.add_argument(
-        "--judged",
-        metavar="N",
-        type=count,
-        help="missions per scene and kind of recorder that are judged and never fitted on (default none)",
-    )
-    parser.add_argument(
-        "--judge-log",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="a recorded line, XTF, that is judged with embedded targets and never fitted on; repeatable",
-    )
-    parser.add_argument("--log-seeds", type=count, default=7, help="draws of targets per recorded line (default 7)")
-    parser.add_argument(
-        "--looks", type=Path, metavar="FOLDER", help="folder that keeps what looks measured; a second run only fits"
-    )
-    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the weights, JSON")
-    parser.set_defaults(command=partial(_with_progress, _run_odds))
-
-
-def _add_performance(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "performance",
-        "fit the probability that one look finds a mine",
-        "Flies simulated missions full of targets over all seabed types, and fits the probability that one look finds "
-        "a mine\n"
-        "to the outcome of each look. The same seeds make the same tables, here or on a dask cluster.",
-        [
-            "auv-mcm calibrate performance --out performance.json",
-            "auv-mcm calibrate performance --seeds 800-803 --flights 1",
-            "auv-mcm calibrate performance --out performance.json --scheduler tcp://10.0.0.1:8786",
-        ],
-    )
-    _add_mission_options(parser, "800-815")
-    parser.add_argument("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 2)")
-    parser.set_defaults(command=partial(_with_progress, _run_performance))
-
-
-def _add_seabed(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "seabed",
-        "fit the look of seabed types",
-        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. "
-        "Seeds from\n"
-        "4000 on fly missions like the named scenes, lower ones know nothing of them. The same seeds make the same "
-        "model.",
-        ["auv-mcm calibrate seabed --out model.json", "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json"],
-    )
-    _add_mission_options(parser, "3000-3049 and 4000-4079")
-    parser.set_defaults(command=partial(_with_progress, _run_seabed))
-
-
-def _add_sizes(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "sizes",
-        "measure how sizes of mines look",
-        "Flies simulated missions with mines of all sizes, and fits how the sizes of the solids in each look follow "
-        "from the true\n"
-        "ones, and the kind from what each solid explains. 'confirm.targets' goes by it. The same seeds make the same "
-        "file.",
-        ["auv-mcm calibrate sizes --out size_law.json", "auv-mcm calibrate sizes --seeds 13000-13009 --out law.json"],
-    )
-    parser.add_argument(
-        "--seeds",
-        metavar="FIRST-LAST",
-        type=_seeds,
-        default=range(13_000, 13_036),
-        help="seeds of the missions (default 13000-13035)",
-    )
-    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="new file for the law, JSON")
-    parser.set_defaults(command=partial(_with_progress, _run_sizes))
-
-
-def _add_mission_options(parser: argparse.ArgumentParser, seeds: str) -> None:
-    parser.add_argument("--out", metavar="FILE", type=Path, help="new file for the result, JSON")
-    parser.add_argument("--seeds", metavar="FIRST-LAST", type=_seeds, help=f"seeds of the missions (default {seeds})")
-    parser.add_argument(
-        "--workers", metavar="N", type=whole(1, 1000), default=2, help="missions flown at once here (default 2)"
-    )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT")
 
 
 def _run_budget_or_ask(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
@@ -344,32 +147,6 @@ def _run_background(arguments: argparse.Namespace, show: Show) -> int:
     _check_new(arguments.out)
     write_new(arguments.out, background_json(calibrate_background(arguments.seeds, arguments.workers, show)))
     return 0
-
-
-def _add_verifier(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "verifier",
-        "train the network that separates mines from other objects and floor",
-        "Flies drawn missions with dense mines and stones, keeps the sea floor around every detection, trains the "
-        "network on it, weighs it beside the detector's odds on missions left out, and prints how both do there. "
-        "Missions already in --looks are not flown again. Needs the extra 'verifier' (PyTorch). The same seeds give "
-        "the same missions; weights repeat on one computer. Refit gate and background afterwards.",
-        ["auv-mcm calibrate verifier --looks looks --out made"],
-    )
-    parser.add_argument(
-        "--missions", metavar="N", type=count, help="to train on (default: as many as what ships was trained on)"
-    )
-    parser.add_argument("--looks", metavar="FOLDER", type=Path, required=True, help="of the missions flown")
-    parser.add_argument("--workers", metavar="N", type=count, default=2, help="missions flown at once (default 2)")
-    parser.add_argument(
-        "--out",
-        metavar="FOLDER",
-        type=Path,
-        required=True,
-        help="new folder for the network and the odds",
-    )
-    parser.set_defaults(command=partial(_with_progress, _run_verifier))
 
 
 def _run_verifier(arguments: argparse.Namespace, show: Show) -> int:
@@ -524,3 +301,191 @@ def _between(low: float, high: float) -> Callable[[str], float]:
         return number
 
     return parse
+
+
+def _option(name: str, **how: Any) -> Option:
+    return name, how
+
+
+def _out(what: str, metavar: str = "FILE") -> Option:
+    return _option("--out", metavar=metavar, type=Path, required=True, help=f"new {what}")
+
+
+def _missions(first: int, last: int) -> Option:
+    shown = f"{first}-{last}" if last > first else f"{first}"
+    words = f"seeds of the missions (default {shown})"
+    return _option("--seeds", metavar="FIRST-LAST", type=_seeds, default=range(first, last + 1), help=words)
+
+
+def _number(name: str, words: str, default: int | None = None) -> Option:
+    shown = f"{words} (default {'none' if default is None else default})"
+    return name, {"metavar": "N", "type": count, "default": default, "help": shown}
+
+
+def _on_farm(seeds: str) -> tuple[Option, ...]:
+    shown = f"seeds of the missions (default {seeds})"
+    workers = "missions flown at once here (default 2)"
+    return (
+        _option("--out", metavar="FILE", type=Path, help="new file for the result, JSON"),
+        _option("--seeds", metavar="FIRST-LAST", type=_seeds, help=shown),
+        _option("--workers", metavar="N", type=whole(1, 1000), default=2, help=workers),
+        _option("--scheduler", metavar="ADDRESS", help="fly on a dask cluster, tcp://HOST:PORT"),
+    )
+
+
+_WORKERS: Final = _number("--workers", "missions flown at once", 2)
+_SAME: Final = "The same seeds make the same"
+_AFTER_ODDS: Final = f"Fit it anew after new odds. {_SAME}"
+
+FITS: Final = (
+    Fit(
+        "background",
+        "how the background of non-mines scores, from simulated missions; the file that ships was fitted so",
+        "learn how the background of non-mines scores",
+        "Flies simulated missions through the named scenes, with both detectors, and fits how densely contacts on no "
+        f"mine reach each log-odds, and how that differs from mission to mission. {_AFTER_ODDS} model.",
+        (
+            "auv-mcm calibrate background --out background.json",
+            "auv-mcm calibrate background --seeds 1500-1501 --out background.json",
+        ),
+        (_missions(1500, 1502), _WORKERS, _out("file for the model, JSON")),
+        _run_background,
+    ),
+    Fit(
+        "gate",
+        "which places of a tile can become contacts and are worth measuring, from simulated missions; the file that "
+        "ships was fitted so",
+        "learn which places of a tile can become contacts",
+        "Flies simulated missions through the named scenes with every place measured, and fits how the odds of a mine "
+        f"in the end follow from the score, contrast and range of a place. {_AFTER_ODDS} gate.",
+        ("auv-mcm calibrate gate --out gate.json", "auv-mcm calibrate gate --seeds 500-501 --out gate.json"),
+        (_missions(500, 500), _WORKERS, _out("file for the gate, JSON")),
+        _run_gate,
+    ),
+    Fit(
+        "odds",
+        "what each measurement of a detection says about the odds of a mine, from simulated missions; the weights "
+        "that ship were fitted so",
+        "learn the odds of a mine from what confirmation measures",
+        "Flies simulated missions, and fits the weights that turn measurements into p_mine. With --judged, prints how "
+        "weights fitted likewise do on scenes, recorders and recorded lines left out, and writes that into the file "
+        "too. The same options make the same weights. --verdicts recalibrates those that ship instead, and refuses "
+        "where missions left out gain nothing.",
+        (
+            "auv-mcm calibrate odds --out odds.json",
+            "auv-mcm calibrate odds --detector contrast --seeds 8 --crowded 5 --out odds.json",
+            "auv-mcm calibrate odds --crowded 4 --drawn 60 --judged 1 --looks looks --out odds.json",
+            "auv-mcm calibrate odds --verdicts monday tuesday wednesday --out recalibrated.json",
+        ),
+        (
+            _option(
+                "--verdicts",
+                metavar="DIR",
+                nargs="+",
+                type=Path,
+                help="fly nothing: change the odds that ship by what people judged of these missions, folders "
+                "of results or sessions; 'confirm.odds' of the configuration loads the file. Other options but "
+                "--out have no part in it",
+            ),
+            _option(
+                "--detector",
+                choices=("cascade", "contrast"),
+                default="cascade",
+                help="detector whose odds to fit (default cascade)",
+            ),
+            _number("--seeds", "missions per scene", 2),
+            _number("--crowded", "further missions per scene with 3 times as many mines and rocks"),
+            _number(
+                "--drawn",
+                "further missions with sonar, recorder, sea floor and objects drawn at random, twice as many mines "
+                "where there is room",
+            ),
+            _number("--first-seed", "seed of each scene's first mission", 500),
+            _number("--judged", "missions per scene and kind of recorder that are judged and never fitted on"),
+            _option(
+                "--judge-log",
+                type=Path,
+                action="append",
+                default=[],
+                metavar="FILE",
+                help="a recorded line, XTF, that is judged with embedded targets and never fitted on; repeatable",
+            ),
+            _option("--log-seeds", type=count, default=7, help="draws of targets per recorded line (default 7)"),
+            _option(
+                "--looks",
+                type=Path,
+                metavar="FOLDER",
+                help="folder that keeps what looks measured; a second run only fits",
+            ),
+            _WORKERS,
+            _out("file for the weights, JSON"),
+        ),
+        _run_odds,
+    ),
+    Fit(
+        "performance",
+        "how likely one view finds a mine, by sea floor, range and direction, from simulated missions; "
+        "'detect.performance' of the configuration loads the file",
+        "fit the probability that one look finds a mine",
+        "Flies simulated missions full of targets over all seabed types, and fits the probability that one look finds "
+        f"a mine to the outcome of each look. {_SAME} tables, here or on a dask cluster.",
+        (
+            "auv-mcm calibrate performance --out performance.json",
+            "auv-mcm calibrate performance --seeds 800-803 --flights 1",
+            "auv-mcm calibrate performance --out performance.json --scheduler tcp://10.0.0.1:8786",
+        ),
+        (
+            *_on_farm("800-815"),
+            _option("--flights", metavar="N", type=whole(1, 1000), help="missions of each seed (default 2)"),
+        ),
+        _run_performance,
+    ),
+    Fit(
+        "seabed",
+        "how seabed types look, from simulated missions; 'detect.seabed_model' loads the file",
+        "fit the look of seabed types",
+        "Flies simulated missions over all kinds of sea floor, and fits the odds of each kind to what its texture is. "
+        f"Seeds from 4000 on fly missions like the named scenes, lower ones know nothing of them. {_SAME} model.",
+        (
+            "auv-mcm calibrate seabed --out model.json",
+            "auv-mcm calibrate seabed --seeds 3000-3049 --out free.json",
+        ),
+        _on_farm("3000-3049 and 4000-4079"),
+        _run_seabed,
+    ),
+    Fit(
+        "sizes",
+        "how sizes of mines are measured, for lists of mines expected; the file that ships was fitted so",
+        "measure how sizes of mines look",
+        "Flies simulated missions with mines of all sizes, and fits how the sizes of the solids in each look follow "
+        "from the true ones, and the kind from what each solid explains. 'confirm.targets' goes by it. "
+        f"{_SAME} file.",
+        ("auv-mcm calibrate sizes --out size_law.json", "auv-mcm calibrate sizes --seeds 13000-13009 --out law.json"),
+        (_missions(13_000, 13_035), _WORKERS, _out("file for the law, JSON")),
+        _run_sizes,
+    ),
+    Fit(
+        "verifier",
+        "the network that separates mines from other objects and floor, from simulated missions; the files that ship "
+        "were made so",
+        "train the network that separates mines from other objects and floor",
+        "Flies drawn missions with dense mines and stones, keeps the sea floor around every detection, trains the "
+        "network on it, weighs it beside the detector's odds on missions left out, and prints how both do there. "
+        "Missions already in --looks are not flown again. Needs the extra 'verifier' (PyTorch). The same seeds give "
+        "the same missions; weights repeat on one computer. Refit gate and background afterwards.",
+        ("auv-mcm calibrate verifier --looks looks --out made",),
+        (
+            _option(
+                "--missions",
+                metavar="N",
+                type=count,
+                help="to train on (default: as many as what ships was trained on)",
+            ),
+            _option("--looks", metavar="FOLDER", type=Path, required=True, help="of the missions flown"),
+            _WORKERS,
+            _out("folder for the network and the odds", "FOLDER"),
+        ),
+        _run_verifier,
+    ),
+)
+"""What missions give, in the order of the help."""

@@ -27,7 +27,6 @@ from sim_replay.fitting.fit_odds import CROWD, CROWD_SEEDS, DRAWN_SEEDS, N_TREES
 from sim_replay.fitting.fit_odds import FIRST_SEED as FITTED_SEED
 from sim_replay.fitting.left_out import FIRST_SEED as JUDGED_SEED
 from sim_replay.fitting.left_out import (
-    RECIPES,
     dealt,
     groups_of,
     left_out_rows,
@@ -36,10 +35,8 @@ from sim_replay.fitting.left_out import (
     left_out_tasks,
 )
 from sim_replay.fitting.looks import DRAWN, LookTask, MissionLooks, all_looks, pooled
-from sim_replay.fitting.recorders import RECORDERS
 from sim_replay.missions import HELD_OUT, SCENES
 
-_RECIPE: Final = RECIPES["scenes and drawn"]
 _FOLDS: Final = 6  # parts that the domains are dealt into: two or three domains are left out at a time
 
 
@@ -102,15 +99,7 @@ class Missions(NamedTuple):
 
     def judged_tasks(self) -> list[LookTask]:
         """List the missions that are judged and not fitted on."""
-        tasks = left_out_tasks(
-            SCENES,
-            n_seeds=self.n_judged,
-            n_crowded=0,
-            n_drawn=0,
-            recorders=list(RECORDERS),
-            logs=self.judged_logs,
-            n_log_seeds=self.n_log_seeds,
-        )
+        tasks = left_out_tasks(SCENES, self.n_judged, self.judged_logs, self.n_log_seeds)
         return [task._replace(detector=self.detector) for task in tasks]
 
 
@@ -192,7 +181,5 @@ def judged_on_left_out(
     judged: of the missions flown, those that are never fitted on. Others are judged too where their domain is left out.
     """
     held_out = HELD_OUT if detector == "cascade" else frozenset[str]()
-    scores = left_out_scores(
-        flown, _RECIPE, held_out, dealt(flown, _FOLDS), n_trees=n_trees_of(detector)["shape"], never=judged
-    )
+    scores = left_out_scores(flown, held_out, dealt(flown, _FOLDS), n_trees_of(detector)["shape"], judged)
     return msgspec.structs.replace(odds, left_out=left_out_rows(scores, groups_of(flown)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
 import msgspec
@@ -32,14 +33,14 @@ from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.contacts.seen_area import SeenArea
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import Contact, CoveragePatch, Detector, PipelineEvent
+from auv_mcm.records import Contact, CoveragePatch, Detector
 from auv_mcm.settings.config import Config
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
-from sim_replay.missions import HELD_OUT, SCENES, config_for, served_by
+from sim_replay.flights import Flight, flight_along, flight_through, fly_through
+from sim_replay.missions import HELD_OUT, SCENES, served_by
 from sim_replay.scoring.inputs import ScoredMission, Truth, as_reported, parse_truth
 from sim_replay.scoring.layout import Outcome, lay_out, states
 from sim_replay.scoring.score import GATE_M
-from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import read_scene
 
@@ -72,19 +73,6 @@ class SortedContacts(NamedTuple):
     area_km2: float
     truth_km2: float
     on_objects: NDArray[np.bool_]
-
-
-class SeenMission:
-    """Gather what a pipeline returns: contacts as they are in the end, and the area."""
-
-    def __init__(self) -> None:
-        self.area = SeenArea()
-
-    def take(self, events: Sequence[PipelineEvent]) -> None:
-        """Add the coverage among events."""
-        for event in events:
-            if isinstance(event, CoveragePatch):
-                self.area.add(event)
 
 
 def sorted_contacts(scene: str, contacts: Sequence[Contact], truth: Truth, area_km2: float) -> SortedContacts:
@@ -122,13 +110,20 @@ def flown(task: Task) -> SortedContacts:
 
 def flown_scene(name: str, scene: Scene, detector: Detector) -> SortedContacts:
     """Fly a mission of a domain and sort its contacts."""
-    mission = Mission(scene)
-    pipeline = Pipeline(_reporting_all(served_by(detector, config_for(scene))))
-    seen = SeenMission()
-    for event in mission.events():
-        seen.take(pipeline.feed(event))
-    seen.take(pipeline.finish())
-    return sorted_contacts(name, pipeline.contacts, parse_truth(mission.truth(), name), seen.area.km2)
+    flight = flight_through(scene)
+    return _sorted(name, flight, _reporting_all(served_by(detector, flight.config)))
+
+
+def flown_along(log: Path, seed: int) -> SortedContacts:
+    """Embed targets and rocks drawn by a seed in a recorded line, replay it, and sort its contacts."""
+    with flight_along(log, seed) as flight:
+        return _sorted(log.stem, flight, flight.config)
+
+
+def _sorted(name: str, flight: Flight, config: Config) -> SortedContacts:
+    pipeline, area = Pipeline(config), SeenArea()
+    fly_through(flight.events, {name: pipeline}, lambda one: area.add(one) if isinstance(one, CoveragePatch) else None)
+    return sorted_contacts(name, pipeline.contacts, parse_truth(flight.truth(), name), area.km2)
 
 
 def _reporting_all(config: Config) -> Config:

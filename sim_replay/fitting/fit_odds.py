@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, get_args
 
 import msgspec
@@ -79,12 +79,6 @@ class StepTable(NamedTuple):
     names: tuple[str, ...]
     n_summed: int
     values: Array
-
-    def without(self, names: Collection[str]) -> StepTable:
-        """Leave columns out."""
-        kept = [column for column, name in enumerate(self.names) if name not in names]
-        n_summed = sum(column < self.n_summed for column in kept)
-        return StepTable(tuple(self.names[column] for column in kept), n_summed, self.values[:, kept])
 
 
 class LookTable(NamedTuple):

@@ -5,12 +5,10 @@ A mission is a file in a folder. Missions already there are not flown again.
 
 from __future__ import annotations
 
-import json
 import os
-import tempfile
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,11 +16,8 @@ import msgspec
 import numpy as np
 
 from auv_mcm.errors import BadInputError, UsageError
-from auv_mcm.records import Detector, SourceEvent
+from auv_mcm.records import Detector
 from auv_mcm.safe_files import open_regular
-from auv_mcm.settings.config import Config
-from sim_replay.augment.augment_log import augment
-from sim_replay.augment.recorded_line import scattered
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
 from sim_replay.fitting.fit_odds import (
     STEPS,
@@ -34,15 +29,13 @@ from sim_replay.fitting.fit_odds import (
     look_table,
 )
 from sim_replay.fitting.recorders import RECORDERS, recorded_by
-from sim_replay.logs.recorded import RecordedMission
-from sim_replay.missions import config_for, served_by
-from sim_replay.simulator.mission import Mission
+from sim_replay.flights import Flight, flight_along, flight_through
+from sim_replay.missions import served_by
 from sim_replay.simulator.scene import Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 
 DRAWN: Final = "drawn"
 """Source of missions of the wide world."""
-_NO_LAW: Final = "recorded"  # of recorded lines, whose law is found out anew each time
 
 
 class LookTask(NamedTuple):
@@ -114,36 +107,13 @@ def fly_looks(task: LookTask) -> MissionLooks:
     return MissionLooks(task, flight.law, n_targets, float(truth["area_km2"]), look_table(examples))
 
 
-class Flight(NamedTuple):
-    """Hold a mission that is about to be flown.
-
-    law: how samples are stored. events: its pings and navigation, once. truth: returns its truth after the last event.
-    """
-
-    law: str
-    config: Config
-    events: Iterable[SourceEvent]
-    truth: Callable[[], dict[str, Any]]
-
-    def objects(self) -> list[dict[str, Any]]:
-        """Return the truth's objects, after the last event."""
-        return list(self.truth()["objects"])
-
-
 @contextmanager
 def flight_of(task: LookTask) -> Iterator[Flight]:
     """Prepare a mission. Raises BadInputError or UsageError for a recorded line, as augment does."""
-    if task.is_line:
-        with tempfile.TemporaryDirectory() as folder:
-            written = augment(Path(task.source), scattered(task.seed), Path(folder), Config())
-            events = RecordedMission([written.log], Config()).events()
-            config = served_by(task.detector, Config())
-            yield Flight(_NO_LAW, config, events, lambda: dict(json.loads(written.truth.read_bytes())))
-        return
-    scene = _scene_of(task)
-    mission = Mission(scene)
-    config = served_by(task.detector, config_for(scene))
-    yield Flight(scene.sonar.recorder.samples, config, mission.events(), mission.truth)
+    with (
+        flight_along(Path(task.source), task.seed) if task.is_line else nullcontext(flight_through(_scene_of(task)))
+    ) as flight:
+        yield flight._replace(config=served_by(task.detector, flight.config))
 
 
 def write_looks(mission: MissionLooks, folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -14,10 +15,14 @@ class Line(NamedTuple):
 
 
 class Restart(NamedTuple):
-    """Hold when the service was killed by intent, and when it was ready again, seconds after the run's start."""
+    """Hold when the service was killed by intent, and when it was ready again, seconds after the run's start.
+
+    mono_s: of the kill, by the monotonic clock.
+    """
 
     killed_s: float
     ready_s: float
+    mono_s: float = math.nan
 
 
 class Report(NamedTuple):

@@ -6,6 +6,7 @@ the disk. Events, contacts and coverage have to be the same to the byte.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from auv_mcm.shell.recovery import JOURNAL
 from drivers.port_intake import PortIntake
 from drivers.recording.session_layout import Recorded
 from sim_replay.hil.announced import not_in_journal
+from sim_replay.hil.evidence import Restart
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.session_parts import JoinedSession, recordings_of
 from sim_replay.logs.session_reader import Session, recorded_config
@@ -44,6 +46,15 @@ def compared_with_twin(folder: Path, n_parts: int, config: Config) -> tuple[int,
     return len(joined), len(contacts), tuple(problems)
 
 
+def lost_by_kills(session: Path, restarts: Sequence[Restart]) -> tuple[float, ...]:
+    """Measure what each kill cost: s from the last byte of its recording to the kill; infinite without any."""
+    found = []
+    for number, restart in enumerate(restarts, 1):
+        last_s = max((chunk.stamp.mono_ns / 1e9 for chunk in _left_in(session, number)), default=-math.inf)
+        found.append(restart.mono_s - last_s)
+    return tuple(found)
+
+
 def _lost(console: Sequence[str], session: Path) -> tuple[str, ...]:
     """List announced contacts that no whole line of the journal holds. What a power cut tore is not one."""
     whole = [line for line in (session / JOURNAL).read_bytes().splitlines() if line.endswith(b"}")]
@@ -54,13 +65,14 @@ def _twin(folder: Path, n_parts: int, config: Config) -> Iterator[SourceEvent]:
     """Give one chain what each start's decoders made of its bytes; those that were cut off lost what they held."""
     for number in range(1, n_parts + 1):
         intake = PortIntake(config)
-        for chunk in _left_in(folder / ("recording" if number == 1 else f"recording-{number}")):
+        for chunk in _left_in(folder, number):
             yield from intake.feed(chunk.port, chunk.data, chunk.stamp)
         if number == n_parts:
             yield from intake.finish()
 
 
-def _left_in(part: Path) -> Iterable[Recorded]:
+def _left_in(session: Path, number: int) -> Iterable[Recorded]:
+    part = session / ("recording" if number == 1 else f"recording-{number}")
     try:
         return [chunk for chunk in Session(part) if chunk.direction == "in"]
     except BadInputError:  # a power cut before the first chunk was whole

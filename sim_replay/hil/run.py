@@ -1,19 +1,10 @@
-"""Run one scenario: the mission, the fake devices, the real service, each a process of its own; then the evidence.
-
-Nothing outlives a run, however it ends: devices end with their standard input, which dies with this process; the
-service is the head of a process group of its own, which is killed when it has not ended by itself.
-"""
+"""Run one scenario: the mission, the fake devices, the real service, each a process of its own; then the evidence."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import ctypes
 import json
-import os
-import resource
 import signal
-import sys
 import time
 from bisect import bisect_right
 from collections.abc import Callable, Coroutine, Iterator, Sequence
@@ -25,16 +16,27 @@ import msgspec
 import numpy as np
 import yaml
 
-from auv_mcm.errors import AuvMcmError, HardwareError
-from auv_mcm.safe_files import open_for_append
+from auv_mcm.errors import HardwareError
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.health.files import HEALTH, read_health
+from auv_mcm.shell.health.files import HEALTH
 from auv_mcm.shell.whole_files import make_directory, write_file
 from sim_replay.fakes.job import Job, VehicleJob
 from sim_replay.hil.evidence import Line, Report, Restart
-from sim_replay.hil.joined_twin import problems_of
+from sim_replay.hil.joined_twin import lost_by_kills, problems_of
 from sim_replay.hil.power_cut import cut_power
-from sim_replay.hil.scenario import AsReplayed, JoinedAsTwin, Kill, Read, Scenario, service_config, service_yaml
+from sim_replay.hil.process import GRACE_S, Process
+from sim_replay.hil.resources import Sample, pings_waiting, sampled
+from sim_replay.hil.scenario import (
+    AsReplayed,
+    JoinedAsTwin,
+    Kill,
+    Read,
+    Restarted,
+    Scenario,
+    Steady,
+    service_config,
+    service_yaml,
+)
 from sim_replay.hil.verdict import Evidence, Placed, contacts_of, targets_of
 from sim_replay.logs.recorded import RecordedMission
 from sim_replay.replay import replay
@@ -49,17 +51,14 @@ _SYNCED: Final = "synced.txt"  # what the service synced
 
 _READY_S: Final = 300.0  # for a process to come up on a computer that has much else to do
 _SETTLE_S: Final = 0.5  # for the service to open its ports
-_GRACE_S: Final = 5.0  # s for a program to end after a signal, before it is killed
 _DRAIN_S: Final = 0.5  # for the service to read the last of a mission; units count as silent after 1.5 s
 _AFTERMATH_S: Final = 1.5  # for the service to report its reaction to a fault
 _ALONE_S: Final = 4.0  # mission time of a vehicle after the service's end, to see that it goes on by itself
 _LOOK_S: Final = 0.1  # between looks at the mission time
 _SLOWEST: Final = 10.0  # wall time per mission time that waits for a busy computer; a run that needs more is over
-_STALE_PERIODS: Final = 3.0  # after which a record of health is of a service that is gone
 _PACE_S: Final = 0.1  # s between looks whether the mission has to wait
+_SAMPLE_S: Final = 0.5  # s between samples of memory
 _BEHIND_PINGS: Final = 100  # that wait for perception; from there on the mission goes at real time
-_TAIL_LINES: Final = 5  # of the program's log, shown with a failure
-_PR_SET_PDEATHSIG: Final = 1  # Linux, prctl.h: the signal at the parent's death
 
 
 def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> Evidence:
@@ -84,12 +83,13 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
     config = service_config(scenario, dict.fromkeys(scenario.devices, ""), read.name)
     summary = _read_json(results / "summary.json")
     contacts = _read_json(results / "contacts.geojson")
+    asked = {type(expectation.expected) for expectation in scenario.expectations}
     replayed = None
-    if log is not None and any(isinstance(expectation.expected, AsReplayed) for expectation in scenario.expectations):
+    if log is not None and AsReplayed in asked:
         progress("direct replay")
         replayed = _replayed(log, folder / "replayed", config)
     not_joined = None
-    if any(isinstance(expectation.expected, JoinedAsTwin) for expectation in scenario.expectations):
+    if JoinedAsTwin in asked:
         progress("joined replay, and its twin")
         not_joined = problems_of(results.resolve(), len(live.restarts) + 1, [line.text for line in live.lines])
     return Evidence(
@@ -105,13 +105,16 @@ def run_scenario(read: Read, folder: Path, progress: Callable[[str], None]) -> E
         fence_deg=config.vehicle.fence_deg,
         restarts=live.restarts,
         not_joined=not_joined,
+        ended_s=live.ended_s,
+        lost_s=lost_by_kills(results.resolve(), live.restarts) if Restarted in asked else (),
+        samples=live.samples,
     )
 
 
 class _Live(msgspec.Struct):
     """Hold the output of the processes. exit_code: of the service, None if it had to be killed. killed_s: when the
-    scenario killed it. stopped_s: when it was requested to stop, None if it had ended before. All times are mission
-    times.
+    scenario killed it. stopped_s: when it was requested to stop, None if it had ended before. ended_s: when it had
+    ended. samples: of what its processes hold, where the scenario asks for them. All times are mission times.
     """
 
     exit_code: int | None
@@ -120,6 +123,8 @@ class _Live(msgspec.Struct):
     killed_s: float | None
     stopped_s: float | None
     restarts: Sequence[Restart]
+    ended_s: float
+    samples: Sequence[Sample]
 
 
 class _Run:
@@ -128,10 +133,11 @@ class _Run:
         self._folder = folder
         self._progress = progress
         self._stopped_s: float | None = None
-        self._devices: list[_Process] = []
+        self._devices: list[Process] = []
         self._holds: list[tuple[float, float]] = []  # for perception: when each ends, monotonic, and how long it is
-        self._services: list[_Process] = []  # one per start
+        self._services: list[Process] = []  # one per start
         self._restarts: list[Restart] = []
+        self._samples: list[Sample] = []
         self._is_down = False
         self._all_restarted = asyncio.Event()
         self._start_s = 0.0
@@ -153,6 +159,7 @@ class _Run:
             if self._scenario.kill is not None:
                 killed_s = await self._killed(service, self._devices[0], self._scenario.kill)
             exit_code = await self._served(uris)
+            ended_s = time.monotonic()
             if self._scenario.vehicle is not None:
                 await self._wait(_ALONE_S)
         finally:
@@ -170,16 +177,18 @@ class _Run:
             killed_s=killed_s,
             stopped_s=self._stopped_s,
             restarts=self._restarts,
+            ended_s=time_of.at(ended_s),
+            samples=self._samples,
         )
 
-    async def _device(self, job: Job | VehicleJob) -> _Process:
+    async def _device(self, job: Job | VehicleJob) -> Process:
         name = _name_of(job)
         path = self._folder / f"{name}.yaml"
         write_file(path, yaml.safe_dump(msgspec.to_builtins(job), sort_keys=False).encode())
         arguments = ["-m", "sim_replay.fakes", str(path)]
         log = self._folder / f"{name}.log"
         log.unlink(missing_ok=True)
-        return await _Process.begin(f"fake device '{name}'", arguments, log)
+        return await Process.begin(f"fake device '{name}'", arguments, log)
 
     def _mission_time(self) -> MissionTime:
         of_devices = [(at_s, hold_s) for process in self._devices for at_s, hold_s in process.holds]
@@ -220,14 +229,21 @@ class _Run:
             still_s = _PACE_S * max(1.0 - 1.0 / self._scenario.speed, 0.0)
             if self._is_down and self._scenario.power_cut_every is not None:
                 still_s = _PACE_S
-            is_behind = _pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS
+            is_behind = pings_waiting(self._folder / RESULTS / "latest" / HEALTH) > _BEHIND_PINGS
             if still_s and (self._is_down or is_behind):
                 self._holds.append((time.monotonic() + still_s, still_s))
                 for device in self._devices:
                     device.send_line(f"hold {still_s:.4f}\n")
             await asyncio.sleep(_PACE_S)
 
-    async def _killed(self, service: _Process, vehicle: _Process, kill: Kill) -> float | None:
+    async def _sample(self) -> None:
+        """Note what the processes of the service hold, where the scenario asks for it."""
+        while any(isinstance(expectation.expected, Steady) for expectation in self._scenario.expectations):
+            await asyncio.sleep(_SAMPLE_S)
+            found = sampled(self._services[-1].pid, len(self._services), self._mission_time().at(time.monotonic()))
+            self._samples += [] if found is None else [found]
+
+    async def _killed(self, service: Process, vehicle: Process, kill: Kill) -> float | None:
         """Kill the service as the scenario requests and wait until the run is over.
 
         Returns the time of the kill after the start; None: control was never granted.
@@ -241,7 +257,7 @@ class _Run:
         await self._wait(kill.rest_s)
         return killed_s
 
-    async def _any_reported(self, devices: Sequence[_Process], what: str, containing: str = "") -> bool:
+    async def _any_reported(self, devices: Sequence[Process], what: str, containing: str = "") -> bool:
         """Wait until a device reports something, or the run has lasted as long as it may. Returns whether one did."""
         printed = [asyncio.ensure_future(device.printed(f'"what": "{what}"', None, containing)) for device in devices]
         ends = asyncio.ensure_future(self._wait(self._left_s()))
@@ -256,7 +272,7 @@ class _Run:
         """Compute how much mission time is left of the run."""
         return max(0.0, self._scenario.run_s - self._mission_time().at(time.monotonic()))
 
-    async def _service(self, uris: dict[str, str]) -> _Process:
+    async def _service(self, uris: dict[str, str]) -> Process:
         path = self._folder / "service.yaml"
         write_file(path, service_yaml(self._scenario, uris, self._folder / RESULTS).encode())
         step = self._scenario.host_clock_step
@@ -268,7 +284,7 @@ class _Run:
         if not self._services:
             (self._folder / SERVICE_LOG).unlink(missing_ok=True)
             (self._folder / _SYNCED).unlink(missing_ok=True)
-        service = await _Process.begin("the service", arguments, self._folder / SERVICE_LOG)
+        service = await Process.begin("the service", arguments, self._folder / SERVICE_LOG)
         self._services.append(service)
         await service.printed("ready: ", _READY_S)
         return service
@@ -280,6 +296,7 @@ class _Run:
         over = asyncio.ensure_future(self._over(self._devices))
         ended = asyncio.ensure_future(self._ended(uris))
         pacing = asyncio.ensure_future(self._pace() if scenario.waits else asyncio.Event().wait())
+        sampling = asyncio.ensure_future(self._sample())
         try:
             await asyncio.wait({over, ended, pacing}, return_when=asyncio.FIRST_COMPLETED)
             if ended.done():
@@ -287,13 +304,13 @@ class _Run:
             if pacing.done():
                 pacing.result()
         finally:
-            for task in (over, ended, pacing):
+            for task in (over, ended, pacing, sampling):
                 task.cancel()
         self._progress("stopping")
         self._services[-1].signal(signal.SIGTERM)
         self._stopped_s = self._mission_time().at(time.monotonic())
         try:
-            return await self._services[-1].ended(scenario.stop_within_s + _GRACE_S)
+            return await self._services[-1].ended(scenario.stop_within_s + GRACE_S)
         except TimeoutError:
             return None
 
@@ -310,7 +327,8 @@ class _Run:
                 ended.cancel()
                 waiting.cancel()
             self._progress(f"killing the service after {at_s:g} s and starting it again")
-            killed_s = self._mission_time().at(time.monotonic())
+            mono_s = time.monotonic()
+            killed_s = self._mission_time().at(mono_s)
             self._is_down = True
             await self._services[-1].kill()
             if (every := self._scenario.power_cut_every) is not None and (len(self._restarts) + 1) % every == 0:
@@ -321,16 +339,16 @@ class _Run:
                 device.send_line("hang_up 0\n")
             await self._service(uris)
             self._is_down = False
-            self._restarts.append(Restart(killed_s, self._mission_time().at(time.monotonic())))
+            self._restarts.append(Restart(killed_s, self._mission_time().at(time.monotonic()), mono_s))
         self._all_restarted.set()
         return await self._services[-1].ended(None)
 
-    async def _over(self, devices: Sequence[_Process]) -> None:
+    async def _over(self, devices: Sequence[Process]) -> None:
         """Return when the run is over, and all its restarts are made."""
         await self._flown(devices)
         await self._all_restarted.wait()
 
-    async def _flown(self, devices: Sequence[_Process]) -> None:
+    async def _flown(self, devices: Sequence[Process]) -> None:
         rule = self._scenario.ends_after
         if rule is not None:
             if await self._any_reported(devices, rule.what, rule.containing):
@@ -340,7 +358,7 @@ class _Run:
         else:
             await self._played(devices, self._left_s())
 
-    async def _played(self, devices: Sequence[_Process], left_s: float) -> None:
+    async def _played(self, devices: Sequence[Process], left_s: float) -> None:
         """Wait until every device has played its mission and every fault has ended, for `left_s` seconds at most.
 
         A device that has nothing more to play is silent, which the service would rightly report as a fault.
@@ -382,106 +400,6 @@ class MissionTime:
             ended_s, for_s = self._holds[n_over]
             held_s += max(mono_s - ended_s + for_s, 0.0)
         return mono_s - self._start_s - held_s
-
-
-class _Process:
-    """Run a Python process; keep its output line by line, with times, and write it to a log."""
-
-    def __init__(self, what: str, process: asyncio.subprocess.Process, log: Path) -> None:
-        self.lines: list[tuple[float, str]] = []
-        self.holds: list[tuple[float, float]] = []  # of a fake device: when it had waited, and for how long
-        self._what = what
-        self._process = process
-        self._log = log
-        self._more = asyncio.Condition()
-        self._reading = asyncio.ensure_future(self._read())
-
-    @classmethod
-    async def begin(cls, what: str, arguments: Sequence[str], log: Path) -> _Process:
-        libc = ctypes.CDLL(None)
-
-        def prepare() -> None:
-            """Make the child end with its parent, even with a killed one."""
-            libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-u",
-            *arguments,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT,
-            start_new_session=True,  # Ctrl-C is for us: whoever is to stop first is our affair
-            preexec_fn=prepare,
-        )
-        return cls(what, process, log)
-
-    async def printed(self, text: str, within_s: float | None, also: str = "") -> str:
-        """Return the first line that contains a text, and also another. Raises HardwareError if none comes in time,
-        None: before it ends.
-        """
-
-        def found() -> str | None:
-            return next((line for _, line in self.lines if text in line and also in line), None)
-
-        try:
-            async with asyncio.timeout(within_s), self._more:
-                await self._more.wait_for(lambda: self._reading.done() or found() is not None)
-        except TimeoutError:
-            raise HardwareError(f"{self._what} did not come up within {within_s:g} s{self._tail()}") from None
-        if (line := found()) is not None:
-            return line
-        raise HardwareError(f"{self._what} ended before it was ready{self._tail()}")
-
-    def limit_files(self, n_bytes: int) -> None:
-        """Limit files of the process, though not of processes it has started, to n_bytes."""
-        resource.prlimit(self._process.pid, resource.RLIMIT_FSIZE, (n_bytes, n_bytes))
-
-    def send_line(self, line: str) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(line.encode())
-
-    def signal(self, number: signal.Signals) -> None:
-        with contextlib.suppress(ProcessLookupError):
-            self._process.send_signal(number)
-
-    async def kill(self) -> None:
-        """End it with all that it has started, at once."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        await self._process.wait()
-        await self._reading
-
-    async def ended(self, within_s: float | None) -> int:
-        """Wait for the exit code. Raises TimeoutError, with None never."""
-        async with asyncio.timeout(within_s):
-            return await self._process.wait()
-
-    async def end(self) -> None:
-        """End it, by force if it does not end by itself, with all that it has started."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self.signal(signal.SIGTERM)
-        with contextlib.suppress(TimeoutError):
-            await self.ended(_GRACE_S)
-        await self.kill()
-
-    async def _read(self) -> None:
-        assert self._process.stdout is not None
-        with open_for_append(self._log) as log:
-            async for data in self._process.stdout:
-                log.write(data)
-                at_s, line = time.monotonic(), data.decode("utf-8", "replace").rstrip("\n")
-                if hold_s := _hold_s(line):
-                    self.holds.append((at_s, hold_s))
-                async with self._more:
-                    self.lines.append((at_s, line))
-                    self._more.notify_all()
-        async with self._more:
-            self._more.notify_all()
-
-    def _tail(self) -> str:
-        return "".join([f". {self._log} ends:", *(f"\n  {line}" for _, line in self.lines[-_TAIL_LINES:])])
 
 
 def _mission(read: Read, folder: Path) -> tuple[Path, list[Placed]]:
@@ -533,7 +451,7 @@ def _replayed(log: Path, folder: Path, config: Config) -> list[Placed]:
     return contacts_of(_read_json(folder / "contacts.geojson"))
 
 
-async def _uris_of(device: _Process, job: Job | VehicleJob) -> dict[str, str]:
+async def _uris_of(device: Process, job: Job | VehicleJob) -> dict[str, str]:
     """Return addresses of a device's wire, or of those of a vehicle, by name."""
     ready = (
         {job.name: '"what": "ready"'}
@@ -543,26 +461,12 @@ async def _uris_of(device: _Process, job: Job | VehicleJob) -> dict[str, str]:
     return {name: str(json.loads(await device.printed(text, _READY_S))["uri"]) for name, text in ready.items()}
 
 
-def _reports(device: _Process, time_of: MissionTime) -> Iterator[tuple[str | None, Report]]:
+def _reports(device: Process, time_of: MissionTime) -> Iterator[tuple[str | None, Report]]:
     """Parse reports, with the name of the device where a line gives one."""
     for _, line in device.lines:
         if line.startswith("{"):
             details = json.loads(line)
             yield details.pop("device", None), Report(time_of.at(details.pop("mono_s")), details.pop("what"), details)
-
-
-def _hold_s(line: str) -> float:
-    """Return how long mission time stood still until a report; 0 for reports of anything else."""
-    return float(json.loads(line)["for_s"]) if '"what": "held"' in line else 0.0
-
-
-def _pings_waiting(health: Path) -> float:
-    """Read how many pings wait for perception; 0 where no service reports it."""
-    with contextlib.suppress(AuvMcmError):
-        newest = read_health(health)
-        if time.time() - newest.utc_s <= _STALE_PERIODS * newest.period_s:
-            return sum(part.values.get("queue_pings", 0.0) for part in newest.parts)
-    return 0.0
 
 
 def _read_json(path: Path) -> Any:

@@ -68,6 +68,12 @@ class AnswersStop(_Rule, frozen=True, kw_only=True, tag="answers_stop"):
     within_s: float
 
 
+class EndsWithin(_Rule, frozen=True, kw_only=True, tag="ends_within"):
+    """Expect the service to have ended this soon after the request to stop."""
+
+    within_s: Annotated[float, Meta(gt=0.0)]
+
+
 class CounterRule(_Count, frozen=True, kw_only=True, tag="counter"):
     """Bound a counter of summary.json, 0 where it is missing.
 
@@ -150,6 +156,25 @@ class JoinedAsTwin(_Rule, frozen=True, kw_only=True, tag="joined_as_twin"):
     The twin is one chain that was never stopped and was given what each start's decoders made of the bytes on the disk.
     Also every announced contact has to be in the journal, and every start to have gone on with the session.
     """
+
+
+class Restarted(_Rule, frozen=True, kw_only=True, tag="restarted"):
+    """Expect the service to be ready this soon after each of `restarts_s`, with so little of its recording lost.
+
+    lost_s: from the last byte recorded to the kill.
+    """
+
+    ready_within_s: Annotated[float, Meta(gt=0.0)]
+    lost_s: Annotated[float, Meta(gt=0.0)] = 1.0
+
+
+class Steady(_Rule, frozen=True, kw_only=True, tag="steady"):
+    """Expect memory and open files of service and perception not to grow by more than a share of them over the run.
+
+    Growth is what all starts have in common; it is judged by the lower end of its 95 % interval.
+    """
+
+    share: Annotated[float, Meta(gt=0.0)] = 0.1
 
 
 class ReportRule(_Count, frozen=True, kw_only=True, tag="reported"):
@@ -249,9 +274,12 @@ Rule: TypeAlias = (
     Counted
     | ExitCode
     | AnswersStop
+    | EndsWithin
     | Reopened
     | AsReplayed
     | JoinedAsTwin
+    | Restarted
+    | Steady
     | ReportedInTime
     | InsideFence
     | AboveFloor
@@ -437,6 +465,8 @@ def _contradictions(scenario: Scenario) -> Iterator[str]:
             yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
         if isinstance(rule, VehicleRule) and rule.device not in scenario.devices:
             yield f"`expectations[{index}]` names '{rule.device}', which is none of `devices`"
+        if isinstance(rule, Restarted) and not scenario.restarts_s:
+            yield f"`expectations[{index}]` needs `restarts_s`"
         if isinstance(rule, TargetsFound) and scenario.scene is None:
             yield f"`expectations[{index}]` needs the truth, which only a `scene` provides"
 

@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from auv_mcm.geometry.geodesy import LocalFrame
 from sim_replay.hil.evidence import Line, Report, Restart
+from sim_replay.hil.resources import Sample, steady
 from sim_replay.hil.scenario import (
     AboveFloor,
     AnswersStop,
@@ -23,6 +24,7 @@ from sim_replay.hil.scenario import (
     Counted,
     CounterRule,
     DeviceRule,
+    EndsWithin,
     ExitCode,
     Expectation,
     InsideFence,
@@ -34,10 +36,12 @@ from sim_replay.hil.scenario import (
     Reopened,
     ReportedInTime,
     ReportRule,
+    Restarted,
     Rule,
     SettingsRule,
     Sharper,
     Silence,
+    Steady,
     SummaryRule,
     TargetsFound,
     Window,
@@ -70,6 +74,7 @@ class Evidence(NamedTuple):
     targets: of the truth; replayed: contacts of a direct replay, None where nobody asked for it. killed_s: when the
     service was killed by intent; stopped_s: when it was requested to stop. fence_deg: of the service's configuration.
     restarts: of the service, by intent. not_joined: what is wrong with the joined replay, None where nobody asked.
+    ended_s: when the service had ended. lost_s: what each restart cost of the recording. samples: of its processes.
     """
 
     exit_code: int | None
@@ -84,6 +89,9 @@ class Evidence(NamedTuple):
     fence_deg: Sequence[tuple[float, float]] = ()
     restarts: Sequence[Restart] = ()
     not_joined: Sequence[str] | None = None
+    ended_s: float = math.nan
+    lost_s: Sequence[float] = ()
+    samples: Sequence[Sample] = ()
 
 
 class Verdict(NamedTuple):
@@ -153,6 +161,16 @@ def _answered(rule: AnswersStop, evidence: Evidence) -> tuple[str, str, bool]:
     )
 
 
+def _restarted(rule: Restarted, evidence: Evidence) -> tuple[str, str, bool]:
+    expected = f"ready within {rule.ready_within_s:g} s of each kill, {rule.lost_s:g} s of the recording lost at most"
+    if not evidence.restarts:
+        return expected, "it was not started again", False
+    slowest_s = max(restart.ready_s - restart.killed_s for restart in evidence.restarts)
+    lost_s = max(evidence.lost_s, default=math.inf)
+    found = f"{len(evidence.restarts)} kills: ready after {slowest_s:.2f} s, {lost_s:.2f} s lost, at most"
+    return expected, found, slowest_s <= rule.ready_within_s and lost_s <= rule.lost_s
+
+
 def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
     match rule:
         case ExitCode():
@@ -162,6 +180,9 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
                 "had to be killed" if code is None else f"exit code {code}",
                 code == rule.code,
             )
+        case EndsWithin():
+            took_s = evidence.ended_s - (math.nan if evidence.stopped_s is None else evidence.stopped_s)
+            return f"it ends within {rule.within_s:g} s", f"after {took_s:.2f} s", took_s <= rule.within_s
         case AnswersStop():
             return _answered(rule, evidence)
         case CounterRule():
@@ -207,6 +228,10 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             problems = evidence.not_joined
             found = f"{len(evidence.restarts)} cuts: {'; '.join(problems or ()) or 'to the byte'}"
             return "the joined replay is that of its undisturbed twin", found, problems is not None and not problems
+        case Restarted():
+            return _restarted(rule, evidence)
+        case Steady():
+            return steady(rule.share, evidence.samples)
         case ReportRule():
             first_s, last_s = rule.between_s or (-math.inf, math.inf)
             reports = [

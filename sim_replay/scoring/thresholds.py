@@ -50,24 +50,6 @@ def threshold_at(false_alarms: ArrayLike, n_allowed: float, *, nothing: float = 
     return float(ordered[min(math.floor(n_allowed), len(ordered) - 1)])
 
 
-def called_at(targets: ArrayLike, others: ArrayLike, share: float, nothing: float = -math.inf) -> Proportion | None:
-    """Count the others that are called where this share of the targets is; None if fewer targets were found.
-
-    Parameters
-    ----------
-    targets, others
-        Best score on each, `nothing` for none, (n,) and (m,).
-    share
-        Of targets, above 0 up to 1.
-    nothing
-        Score of what was not found.
-    """
-    ordered = np.sort(np.asarray(targets, dtype=np.float64))[::-1]
-    scores = np.asarray(others, dtype=np.float64)
-    threshold = ordered[math.ceil(share * len(ordered)) - 1] if len(ordered) else nothing
-    return None if threshold <= nothing else proportion(int(np.count_nonzero(scores >= threshold)), len(scores))
-
-
 def resampled(
     statistic: Callable[[Sequence[int]], float], n_missions: int, *, seed: int, n_resamples: int = N_RESAMPLES
 ) -> Interval:
@@ -116,35 +98,29 @@ def pd_at(score: Score, limit_per_km2: float, *, on_clutter: bool = True) -> Pro
 class BestScores(NamedTuple):
     """Hold one mission by its scores, of any kind that rises with what speaks for a mine.
 
-    targets, rocks: of the best contact on each that was seen, -inf for none. false_alarms: of contacts on no target;
-    bare: of those on no object.
+    targets: of the best contact on each that was seen, -inf for none. false_alarms: of contacts on no target.
     """
 
     targets: Floats
-    rocks: Floats
     false_alarms: Floats
-    bare: Floats
     area_km2: float
 
 
 def best_scores(mission: ScoredMission, gate_m: float = GATE_M) -> BestScores:
     """Place contacts on the nearest object within the gate, on targets before others, and take the best of each."""
     layout = lay_out(mission, gate_m)
-    on = objects_under(layout)
+    on = _objects_under(layout)
     best = np.full(len(layout.objects), -math.inf)
     np.maximum.at(best, on[on >= 0], layout.p_mine[on >= 0])
-    is_rock = np.array([one.kind == "rock" for one in layout.objects], dtype=np.bool_)
     on_target = (on >= 0) & np.append(layout.is_target, False)[on]
     return BestScores(
         targets=best[layout.is_target & layout.is_seen],
-        rocks=best[is_rock & layout.is_seen],
         false_alarms=layout.p_mine[~on_target],
-        bare=layout.p_mine[on < 0],
         area_km2=mission.truth.area_km2,
     )
 
 
-def objects_under(layout: MissionLayout) -> NDArray[np.intp]:
+def _objects_under(layout: MissionLayout) -> NDArray[np.intp]:
     """Find the object that each contact lies on, -1 for none, (n,): the nearest target, or else the nearest object."""
     found = np.full(len(layout.contacts), -1, dtype=np.intp)
     for index in range(len(found)):
@@ -155,22 +131,12 @@ def objects_under(layout: MissionLayout) -> NDArray[np.intp]:
     return found
 
 
-def found_at(missions: Sequence[BestScores], limit_per_km2: float, *, on_objects: bool = True) -> Proportion:
-    """Find the share of targets above the lowest threshold with so many false alarms per km² or fewer.
-
-    on_objects: whether false alarms on objects, such as rocks, count.
-    """
+def found_at(missions: Sequence[BestScores], limit_per_km2: float) -> Proportion:
+    """Find the share of targets above the lowest threshold with so many false alarms per km² or fewer."""
     n_allowed = limit_per_km2 * sum(one.area_km2 for one in missions)
-    alarms = [one.false_alarms if on_objects else one.bare for one in missions]
-    above = threshold_at(np.concatenate(alarms), n_allowed)
+    above = threshold_at(np.concatenate([one.false_alarms for one in missions]), n_allowed)
     n_found = sum(int(np.count_nonzero(one.targets > above)) for one in missions)
     return proportion(n_found, sum(len(one.targets) for one in missions))
-
-
-def rocks_called_at(missions: Sequence[BestScores], share: float) -> Proportion | None:
-    """Count the rocks that are called where this share of the targets is; None if fewer targets were found."""
-    targets, rocks = (np.concatenate([one[part] for one in missions]) for part in (0, 1))
-    return called_at(targets, rocks, share)
 
 
 def banded_at(missions: Sequence[BestScores], limit_per_km2: float, *, seed: int = _BAND_SEED) -> Interval:

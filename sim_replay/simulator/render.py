@@ -92,8 +92,13 @@ def render_pings(
     beam
         (4096,) float32, the two-way power pattern over the sine of the angle off the axis from -1 to 1.
     """
-    library = backend.library()
-    if library is None:
+    packed, (energy, lit, owner) = _packed(lines), _empty(len(lines.ping), n_nodes, n_pings, n_bins, keep_nodes)
+    scratch, bins = np.empty((22, n_nodes), dtype=np.float32), np.empty((n_bins + 1, 2))
+    numbers = len(packed), n_nodes, n_bins, cell_m, 1.0 / bin_m
+    first = patches.first_patch_row * PATCH, patches.first_patch_column * PATCH, patches.slots.shape[1]
+    floor = patches.slots, patches.elevation, patches.texture, patches.seabed, packed
+    given = len(bodies.table), bodies.table, bodies.planes, tables, beam
+    if not backend.call("render_lines", *numbers, *first, *floor, *given, scratch, bins, energy, lit, owner):
         return render_numpy(
             lines,
             patches,
@@ -107,34 +112,6 @@ def render_pings(
             bin_m=bin_m,
             keep_nodes=keep_nodes,
         )
-    packed, (energy, lit, owner) = _packed(lines), _empty(len(lines.ping), n_nodes, n_pings, n_bins, keep_nodes)
-    tables, beam = np.ascontiguousarray(tables), np.ascontiguousarray(beam)
-    scratch, bins = np.empty((22, n_nodes), dtype=np.float32), np.empty((n_bins + 1, 2))
-    library.auv_mcm_render_lines(
-        len(packed),
-        n_nodes,
-        n_bins,
-        cell_m,
-        1.0 / bin_m,
-        patches.first_patch_row * PATCH,
-        patches.first_patch_column * PATCH,
-        patches.slots.shape[1],
-        patches.slots.ctypes.data,
-        patches.elevation.ctypes.data,
-        patches.texture.ctypes.data,
-        patches.seabed.ctypes.data,
-        packed.ctypes.data,
-        len(bodies.table),
-        bodies.table.ctypes.data,
-        bodies.planes.ctypes.data,
-        tables.ctypes.data,
-        beam.ctypes.data,
-        scratch.ctypes.data,
-        bins.ctypes.data,
-        energy.ctypes.data,
-        None if lit is None else lit.ctypes.data,
-        None if owner is None else owner.ctypes.data,
-    )
     return Rendered(energy[:, :-1], energy[:, -1], lit, owner)
 
 

@@ -25,7 +25,7 @@ Sediment: TypeAlias = Literal[
 ]
 
 
-class Cover(msgspec.Struct, frozen=True, kw_only=True):
+class Cover(msgspec.Struct, frozen=True):
     """Describe one kind of sea floor completely.
 
     relief_rms_m, relief_outer_m: its own relief, a power-law spectrum up to relief_outer_m: grains and bumps, the
@@ -36,96 +36,28 @@ class Cover(msgspec.Struct, frozen=True, kw_only=True):
     sediment: Sediment
     relief_rms_m: float
     relief_outer_m: float
-    ripples: Ripples | None
     texture_shape: float
     texture_m: float
     stones_per_ha: float
     stone_m: float
+    ripples: Ripples | None = None
     level_db: float = 0.0
 
 
-USUAL: Final[Mapping[SeabedType, Cover]] = {
-    cover.type: cover
-    for cover in (
-        Cover(
-            type="mud",
-            sediment="medium_silt",
-            relief_rms_m=0.002,
-            relief_outer_m=1.5,
-            ripples=None,
-            texture_shape=25.0,
-            texture_m=2.0,
-            stones_per_ha=0.0,
-            stone_m=0.2,
-        ),
-        Cover(
-            type="sand",
-            sediment="fine_sand",
-            relief_rms_m=0.004,
-            relief_outer_m=1.0,
-            ripples=None,
-            texture_shape=12.0,
-            texture_m=1.2,
-            stones_per_ha=2.0,
-            stone_m=0.2,
-        ),
-        Cover(
-            type="rippled_sand",
-            sediment="medium_sand",
-            relief_rms_m=0.004,
-            relief_outer_m=1.0,
-            ripples=Ripples(wavelength_m=0.8, height_m=0.1, direction_deg=35.0),
-            texture_shape=8.0,
-            texture_m=1.0,
-            stones_per_ha=2.0,
-            stone_m=0.2,
-        ),
-        Cover(
-            type="gravel",
-            sediment="sandy_gravel",
-            relief_rms_m=0.012,
-            relief_outer_m=0.3,
-            ripples=None,
-            texture_shape=4.0,
-            texture_m=0.5,
-            stones_per_ha=150.0,
-            stone_m=0.2,
-        ),
-        Cover(
-            type="rock_outcrop",
-            sediment="rock",
-            relief_rms_m=0.3,
-            relief_outer_m=10.0,
-            ripples=None,
-            texture_shape=1.5,
-            texture_m=0.6,
-            stones_per_ha=150.0,
-            stone_m=0.3,
-        ),
-        Cover(
-            type="boulder_field",
-            sediment="cobble",
-            relief_rms_m=0.02,
-            relief_outer_m=0.6,
-            ripples=None,
-            texture_shape=3.0,
-            texture_m=0.6,
-            stones_per_ha=1500.0,
-            stone_m=0.3,
-        ),
-        Cover(
-            type="seagrass",
-            sediment="sandy_gravel",
-            relief_rms_m=0.12,
-            relief_outer_m=8.0,
-            ripples=None,
-            texture_shape=1.5,
-            texture_m=0.8,
-            stones_per_ha=0.0,
-            stone_m=0.2,
-        ),
-    )
+# type, sediment, relief_rms_m, relief_outer_m, texture_shape, texture_m, stones_per_ha, stone_m
+_USUAL: Final[tuple[tuple[SeabedType, Sediment, float, float, float, float, float, float], ...]] = (
+    ("mud", "medium_silt", 0.002, 1.5, 25.0, 2.0, 0.0, 0.2),
+    ("sand", "fine_sand", 0.004, 1.0, 12.0, 1.2, 2.0, 0.2),
+    ("rippled_sand", "medium_sand", 0.004, 1.0, 8.0, 1.0, 2.0, 0.2),
+    ("gravel", "sandy_gravel", 0.012, 0.3, 4.0, 0.5, 150.0, 0.2),
+    ("rock_outcrop", "rock", 0.3, 10.0, 1.5, 0.6, 150.0, 0.3),
+    ("boulder_field", "cobble", 0.02, 0.6, 3.0, 0.6, 1500.0, 0.3),
+    ("seagrass", "sandy_gravel", 0.12, 8.0, 1.5, 0.8, 0.0, 0.2),
+)
+_RIPPLES: Final[Mapping[SeabedType, Ripples]] = {
+    "rippled_sand": Ripples(wavelength_m=0.8, height_m=0.1, direction_deg=35.0)
 }
+USUAL: Final[Mapping[SeabedType, Cover]] = {row[0]: Cover(*row, ripples=_RIPPLES.get(row[0])) for row in _USUAL}
 
 
 def cover_of(seabed: Seabed) -> Cover:

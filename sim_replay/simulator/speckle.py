@@ -113,23 +113,10 @@ def speckle_rows(energy: NDArray[np.float64], keys: Keys, taps: Float32s = WHITE
     keys = np.ascontiguousarray(keys)
     taps = _checked_taps(taps)
     _check(energy, keys)
-    library = backend.library()
-    if library is None:
+    intensity = np.empty(energy.shape, dtype=np.float32)
+    given = energy, keys, keys.shape[0], normal_table(), taps, taps.size
+    if not backend.call("speckle_rows", *energy.shape, *given, intensity):
         return speckle_rows_numpy(energy, keys, taps)
-    n_rows, n_columns = energy.shape
-    table = normal_table()
-    intensity = np.empty((n_rows, n_columns), dtype=np.float32)
-    library.auv_mcm_speckle_rows(
-        n_rows,
-        n_columns,
-        energy.ctypes.data,
-        keys.ctypes.data,
-        keys.shape[0],
-        table.ctypes.data,
-        taps.ctypes.data,
-        taps.size,
-        intensity.ctypes.data,
-    )
     return intensity
 
 

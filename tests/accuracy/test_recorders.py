@@ -24,7 +24,7 @@ from sim_replay.simulator.scene_file import read_scene
 
 SCENES = ("flat", "ripple", "rough")
 SEED = 9100
-LEG_M = 90.0
+LEG_M = 60.0
 N_TARGETS = 17  # on each leg
 GATE_M = 3.0
 
@@ -96,11 +96,11 @@ def best_at(latitude_deg: float, longitude_deg: float, contacts: tuple[Contact, 
 
 
 def test_the_same_targets_are_called_however_the_mission_was_recorded() -> None:
-    """Six of 51 targets at the most: those whose p_mine lies at the threshold. Two are aimed at."""
+    """Four of 51 targets at the most: those whose p_mine lies at the threshold. Two are aimed at."""
     called = {store.name: np.concatenate([found(name)[store.name].called for name in SCENES]) for store in STORES}
     assert len(called[STORES[0].name]) >= 45, "targets that could be seen"
     differences = {(a, b): int((called[a] != called[b]).sum()) for a, b in combinations(called, 2)}
-    assert {pair: n for pair, n in differences.items() if n > 6} == {}
+    assert {pair: n for pair, n in differences.items() if n > 4} == {}
 
 
 @pytest.mark.parametrize("name", SCENES)

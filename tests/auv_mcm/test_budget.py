@@ -175,6 +175,7 @@ def test_the_budgets_of_these_tests_go_from_the_cheapest_pass_to_everything() ->
     assert (whole.n_cut, whole.covered_share) == (0, 1.0)
     assert any(0 < within(0, left_us).n_cut < whole.n_windows for left_us in BUDGETS_US)
     assert len(looked_at(whole)) >= 3
+    assert len(looked_at(within(1, math.inf))) > 3
     assert any(0 < len(looked_at(within(0, left_us))) < len(looked_at(whole)) for left_us in BUDGETS_US)
 
 

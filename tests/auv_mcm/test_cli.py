@@ -216,6 +216,7 @@ def test_check_of_a_bad_configuration_is_exit_code_5_and_goes_on(
     assert "1 failed" in text
 
 
+@pytest.mark.usefixtures("without_perception")
 def test_check_names_every_model_file_that_is_broken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "broken").write_text("x")
     (tmp_path / "c.yaml").write_text(
@@ -229,6 +230,7 @@ def test_check_names_every_model_file_that_is_broken(tmp_path: Path, capsys: pyt
         assert any(line.startswith(name) for line in failed), name
 
 
+@pytest.mark.usefixtures("without_perception")
 def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "c.yaml").write_text("ports: [{name: pilot, link: 'udp://0.0.0.0:6001', device: imc}]")
     main(["check", "--config", str(tmp_path / "c.yaml")])
@@ -237,6 +239,7 @@ def test_check_warns_of_a_udp_port_that_hears_every_sender(tmp_path: Path, capsy
     assert "grant control" in line
 
 
+@pytest.mark.usefixtures("without_perception")
 @pytest.mark.parametrize(
     ("config", "name", "says"),
     [
@@ -322,6 +325,7 @@ def test_the_base_checks_itself_and_runs_without_the_bench_and_its_packages() ->
     assert "usage: auv-mcm run" in done.stdout
 
 
+@pytest.mark.usefixtures("without_perception")
 def test_check_notices_kernels_that_disagree(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -336,6 +340,7 @@ def test_check_notices_kernels_that_disagree(
     assert "NOT EQUAL" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("without_perception")
 def test_check_says_loudly_that_numpy_does_the_work_of_the_kernels(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -459,6 +464,7 @@ def test_completion_knows_commands_and_options(shell: str, capsys: pytest.Captur
     assert "--geotiff" in text or shell == "tcsh"
 
 
+@pytest.mark.usefixtures("without_perception")
 def test_the_self_check_speaks_json_a_finding_a_line(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

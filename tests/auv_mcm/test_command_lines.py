@@ -11,6 +11,7 @@ import argparse
 import importlib
 import inspect
 import json
+import os
 import re
 import shlex
 import shutil
@@ -37,12 +38,12 @@ from sim_replay.commands.bench import BENCHES
 from sim_replay.fakes.navigation import NAVIGATION_UNITS
 from sim_replay.fakes.sonar import DeviceTime, PingProtocolSonar
 from sim_replay.fitting.measure_prices import PriceList
-from sim_replay.logs.image_writer import write_images
 from sim_replay.simulate import simulate
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene_file import parse_scene
 from sim_replay.verdicts import Verdict, append_verdict
 from tests.manual_clock import ManualClock
+from tests.sim_replay.logs.image_writer import write_images
 from tests.sim_replay.logs.sonar_logs import mission, run_of, write_jsf
 
 ROOT = Path(__file__).parents[2]
@@ -56,8 +57,8 @@ PROGRAMS = ("auv-mcm ", "python -m ", "sh deploy/")
 SCENE = """
 world: {depth_m: 12, seabeds: [{type: sand}]}
 sonar: {frequency_khz: 450, range_m: 25, n_samples: 400, ping_rate_hz: 10}
-track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 30, spacing_m: 40}}
-objects: [{kind: cylinder, leg: 0, along_m: 15, across_m: 12, azimuth_deg: 30}]
+track: {altitude_m: 5, plan: {pattern: lawnmower, n_legs: 1, leg_m: 16, spacing_m: 40}}
+objects: [{kind: cylinder, leg: 0, along_m: 8, across_m: 12, azimuth_deg: 30}]
 """
 PORTS = """
 ports:
@@ -227,13 +228,21 @@ def record(folder: Path) -> None:
     recorder.close()
 
 
+def copied(source: str, target: str) -> None:
+    """Link what no line writes into, as logs and pictures; copy the others."""
+    if source.endswith((".xtf", ".jsf", ".mcap", ".png", ".tif")):
+        os.link(source, target)
+    else:
+        shutil.copy(source, target)
+
+
 @pytest.fixture
-def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without_perception: None) -> Path:
     """A copy of the prepared folder to run in, with the first step of every long work ended by `Reached`."""
-    shutil.copytree(prepared, tmp_path / "here")
+    shutil.copytree(prepared, tmp_path / "here", copy_function=copied)
     monkeypatch.chdir(tmp_path / "here")
-    for module, _ in BENCHES.values():  # before anything is replaced, or they would keep the stand-ins
-        importlib.import_module(f"sim_replay.{module}")
+    # Before anything is replaced, or they would keep the stand-ins.
+    benches = [importlib.import_module(f"sim_replay.{module}") for module, _ in BENCHES.values()]
 
     def reached(*_: Any, **__: Any) -> NoReturn:
         raise Reached
@@ -252,7 +261,8 @@ def folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
         "sim_replay.fitting.looks.run_tasks",
         "sim_replay.fitting.recalibrate.refit",
         "sim_replay.fitting.verifier.build.fly_all",
-        *(f"sim_replay.{module}.run" for module, _ in BENCHES.values()),
+        "sim_replay.benches.experiment.run_experiment",
+        *(f"{bench.__name__}.run" for bench in benches if hasattr(bench, "run")),
     ):
         monkeypatch.setattr(place, reached)
     monkeypatch.setattr(

@@ -12,13 +12,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.classify.beliefs import singleton_belief
+from auv_mcm.classify.chips import chip_of, chips_beside
 from auv_mcm.classify.odds import shipped_odds
 from auv_mcm.classify.size_evidence import size_evidence
 from auv_mcm.classify.targets import NOT_LISTED, parse_targets
+from auv_mcm.classify.verifier import mean_scores, opinions_of, shipped_network
 from auv_mcm.confirm.region import HIGHLIGHT, SHADOW, Region
 from auv_mcm.confirm.snake import RegionContext, converge_on, survey
 from auv_mcm.confirm.speckle import grain_area
-from auv_mcm.confirmation import confirm_detection, examine, labels_near, region_of, without_confirmation
+from auv_mcm.confirmation import (
+    confirm_detection,
+    examine,
+    labels_near,
+    opinions_on,
+    region_of,
+    without_confirmation,
+)
 from auv_mcm.records import NAN, Confirmation, Detection, Surroundings
 from auv_mcm.settings.config import ConfirmConfig
 from auv_mcm.snippet import pack_snippet
@@ -178,6 +187,19 @@ def test_detections_passed_over_keep_the_detectors_odds_and_say_why(cylinder: De
     assert found.confirmation is None
     assert found.surroundings is None
     assert found.p_mine == close_look(cylinder).p_by_step["detector"]
+
+
+def test_the_network_is_asked_again_where_a_mine_is_not_improbable(cylinder: Detection) -> None:
+    odds = msgspec.structs.replace(shipped_odds("contrast"), verifier=shipped_odds("cascade").verifier)
+    assert odds.verifier is not None
+    network, other_nats = shipped_network(odds.verifier.digest), odds.verifier.other_nats
+    looks = [cylinder, detection_in(bare_floor(3))]
+    seen, bare = (region_of(look, look.surroundings, BEAM_RAD) for look in looks if look.surroundings)
+    once = network.scores([chip_of(seen), chip_of(bare)])
+    four = mean_scores(once[:1], network.scores(chips_beside(seen, chip_of(seen))))
+    expected = opinions_of(np.concatenate([four, once[1:]]), other_nats)
+    assert opinions_on(looks, BEAM_RAD, odds) == expected
+    assert expected[0] != opinions_of(once, other_nats)[0]
 
 
 def test_a_look_is_the_same_every_time(cylinder: Detection) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from auv_mcm import kernels
+from auv_mcm.kernels.signatures import SIGNATURES, call
 from auv_mcm.kernels.viterbi import backtrack, viterbi_forward, viterbi_forward_numpy, viterbi_path, viterbi_path_numpy
 
 needs_c = pytest.mark.skipif(kernels.backend() != "c", reason=f"no C kernels: {kernels.loaded().reason}")
@@ -127,3 +130,35 @@ def test_environment_forces_numpy() -> None:
         subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
         == "numpy\n"
     )
+
+
+NUMBERS = {"int64_t": "i", "int32_t": "w", "uint32_t": "u", "float": "f", "double": "d"}
+READ = {"float": "f4", "double": "f8", "uint8_t": "u1", "uint16_t": "u2", "int32_t": "i4", "uint32_t": "u4"}
+
+
+def declared_in_c(arguments: str) -> str:
+    words = []
+    for argument in arguments.replace("restrict", " ").split(","):
+        kind = re.sub(r"const|struct|\*", " ", argument).split()[0]
+        read = (READ | {"int64_t": "i8"}).get(kind, "a") if "const" in argument else "a"
+        words.append(read if "*" in argument else NUMBERS[kind])
+    return " ".join(words)
+
+
+def test_signatures_are_those_of_the_c_sources() -> None:
+    text = "".join(path.read_text("utf-8") for path in Path(kernels.__file__).parent.glob("*.c"))
+    sources = dict(re.findall(r"\bvoid auv_mcm_(\w+)\(([^)]*)\)\s*\{", text))
+    made_by_macro = {"cascade_counts", "cascade_sums", "waterfall_sums_of_bytes", "waterfall_sums_of_words"}
+    assert set(SIGNATURES) == set(sources) | made_by_macro
+    for name, arguments in sources.items():
+        assert SIGNATURES[name].replace("?", "").replace("b1", "u1") == declared_in_c(arguments), name
+
+
+@needs_c
+def test_what_c_reads_may_lie_anyhow_and_what_it_writes_to_may_not() -> None:
+    values = np.arange(12, dtype=np.float64).reshape(3, 4).T
+    sums = np.empty((4, 4))
+    assert call("waterfall_sums", 4, 3, values, sums)
+    np.testing.assert_array_equal(sums[:, 0], -values.sum(axis=1))
+    with pytest.raises(ValueError, match="contiguous"):
+        call("waterfall_sums", 4, 3, values, sums.T)

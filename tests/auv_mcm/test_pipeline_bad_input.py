@@ -26,7 +26,7 @@ from sim_replay.simulator.scene import SceneObject, Sonar
 from tests.auv_mcm.short_missions import flown, one_leg
 
 LATITUDE, LONGITUDE = 50.0, -4.0
-TARGET = (22.0, 9.0)  # along, across, metres
+TARGET = (16.0, 9.0)  # along, across, metres
 Change = Callable[[int, Ping], Ping | None]
 
 
@@ -37,7 +37,7 @@ def mission() -> tuple[SourceEvent, ...]:
     )
     sonar = Sonar(range_m=22.0, n_samples=512, ping_rate_hz=12.0, range_resolution_m=0.0, beam_lines=3)
     return flown(
-        one_leg([target], sonar, length_m=44.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE)
+        one_leg([target], sonar, length_m=32.0, altitude_m=4.0, latitude_deg=LATITUDE, longitude_deg=LONGITUDE)
     )
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from auv_mcm.clock import Stamp
+from auv_mcm.errors import HardwareError
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, parse_config
@@ -102,3 +104,31 @@ def time_of(number: int) -> float:
 
 def is_close(one_s: float, other_s: float, within_s: float) -> bool:
     return math.isclose(one_s, other_s, rel_tol=0.0, abs_tol=within_s)
+
+
+class MemoryWire:
+    """A wire in memory: what waits is read at once, and nothing while it is pulled. Children say what is written."""
+
+    def __init__(self) -> None:
+        self.note = ""
+        self.has_unsent = False
+        self.pause_s = 0.0
+        self.plugged = True
+        self.waiting: deque[Any] = deque()
+
+    def fileno(self) -> int:
+        return -1
+
+    def read(self) -> list[Any]:
+        if not self.plugged:
+            raise HardwareError("the wire was pulled; plug it in again")
+        items = list(self.waiting)
+        self.waiting.clear()
+        return items
+
+    def flush(self) -> None: ...
+
+    def on_silence(self) -> str:
+        return "Look at the wire."
+
+    def close(self) -> None: ...

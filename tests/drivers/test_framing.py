@@ -20,6 +20,7 @@ from drivers.sonar.jsf_messages import JsfMessage, SideScanData, SideScanHeader,
 from drivers.sonar.jsf_messages import to_wire as jsf_to_wire
 from drivers.sonar.ping_messages import AsciiText, OsMonoProfile, encode
 from drivers.sonar.ping_protocol import PingGrammar
+from tests.drivers.navigation.nav_damage import chunks_of, is_subsequence
 
 Read = list[tuple[Hashable, int, int]]
 
@@ -76,11 +77,6 @@ def keys(found: Read) -> list[Hashable]:
     return [key for key, _, _ in found]
 
 
-def is_subsequence(wanted: list[Hashable], found: list[Hashable]) -> bool:
-    rest = iter(found)
-    return all(any(item == other for other in rest) for item in wanted)
-
-
 @st.composite
 def message(draw: st.DrawFn, name: str) -> bytes:
     maker = draw(st.sampled_from(FORMATS[name][1]))
@@ -107,12 +103,6 @@ def pieces(draw: st.DrawFn, name: str) -> list[tuple[bytes, bool]]:
             piece = piece[:at] + bytes((piece[at] ^ 1 << draw(st.integers(0, 7)),)) + piece[at + 1 :]
         found.append((piece, kind == "intact"))
     return found
-
-
-@st.composite
-def chunks_of(draw: st.DrawFn, stream: bytes) -> list[bytes]:
-    cuts = sorted(draw(st.lists(st.integers(0, len(stream)), max_size=12)))
-    return [stream[a:b] for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
 
 
 def slow_ping_messages(stream: bytes) -> list[tuple[int, int]]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from auv_mcm.records import NavSample
+from auv_mcm.records import NAN
 from auv_mcm.settings.config import parse_config
 from auv_mcm.shell.check.finding import Finding
 from drivers.links.serial_port import open_serial
@@ -23,18 +23,10 @@ from drivers.sonar.ping_messages import encode
 from sim_replay.fakes.navigation import NAVIGATION_UNITS
 from sim_replay.fakes.port import FakePort
 from tests.drivers.sonar.sonar_frames import profile
+from tests.make.records import nav_of
 
 LISTEN_S = 0.6
-SAMPLE = NavSample(
-    time_s=1.0,
-    latitude_deg=43.0,
-    longitude_deg=5.0,
-    heading_rad=0.3,
-    pitch_rad=0.0,
-    roll_rad=0.0,
-    depth_m=2.0,
-    altitude_m=5.0,
-)
+SAMPLE = nav_of(1.0, heading_rad=0.3, depth_m=2.0, speed_mps=NAN)
 
 
 def findings(ports: str) -> list[Finding]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from itertools import count
 from typing import Any
@@ -25,7 +25,7 @@ from drivers.navigation.sentences import Zda, body_of
 from drivers.port_intake import PortIntake
 from drivers.port_source import OnBytes, OnState, PortSource, open_source
 from drivers.ports import PortSettings, read_ports
-from tests.drivers.port_traffic import PORTS, Collected, config_of, fix, profile, traffic
+from tests.drivers.port_traffic import PORTS, Collected, MemoryWire, config_of, fix, profile, traffic
 
 GENEROUS_S = 10.0
 ASKED = (
@@ -34,40 +34,19 @@ ASKED = (
 )
 
 
-class Wire:
+class Wire(MemoryWire):
     """Fake a far end in memory."""
 
     def __init__(self) -> None:
-        self.note = ""
-        self.has_unsent = False
-        self.pause_s = 0.0
-        self.plugged = True
+        super().__init__()
         self.written: list[bytes] = []
-        self._waiting: deque[bytes] = deque()
 
     def send(self, data: bytes) -> None:
-        self._waiting.append(data)
-
-    def fileno(self) -> int:
-        return -1
-
-    def read(self) -> list[bytes]:
-        if not self.plugged:
-            raise HardwareError("the wire was pulled; plug it in again")
-        items = list(self._waiting)
-        self._waiting.clear()
-        return items
+        self.waiting.append(data)
 
     def write(self, item: bytes) -> bool:
         self.written.append(item)
         return True
-
-    def flush(self) -> None: ...
-
-    def on_silence(self) -> str:
-        return "Look at the wire."
-
-    def close(self) -> None: ...
 
 
 class Bench:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -35,7 +35,8 @@ from sim_replay.fakes.vehicles.imc import FakeImc
 from sim_replay.fakes.vehicles.iver import FakeIver
 from sim_replay.fakes.vehicles.recon import FakeRecon
 from tests.auv_mcm.classify import drawn_looks
-from tests.drivers.port_traffic import Collected, config_of
+from tests.drivers.port_traffic import Collected, MemoryWire, config_of
+from tests.make.records import nav_of
 
 GENEROUS_S = 15.0
 VEHICLE = "vehicle: {command: true, fence_deg: [[42.99, 4.99], [42.99, 5.01], [43.01, 5.01], [43.01, 4.99]]}\n"
@@ -55,52 +56,21 @@ DIALECTS: list[tuple[str, Callable[[], FakeController[Any]]]] = [
 each_dialect = pytest.mark.parametrize(("text", "make"), DIALECTS, ids=[make.__name__ for _, make in DIALECTS])
 
 
-class Wire:
+class Wire(MemoryWire):
     """Fake the vehicle's computer at the other end of a wire in memory."""
 
     def __init__(self, controller: FakeController[Any]) -> None:
-        self.note = ""
-        self.has_unsent = False
-        self.pause_s = 0.0
-        self.plugged = True
+        super().__init__()
         self.controller = controller
-        self._waiting: deque[Any] = deque()
 
     def tick(self, now_s: float) -> None:
         if self.plugged:
-            pose = NavSample(
-                time_s=1.7e9 + now_s,
-                latitude_deg=43.0,
-                longitude_deg=5.0,
-                heading_rad=1.0,
-                pitch_rad=0.0,
-                roll_rad=0.0,
-                depth_m=10.0,
-                altitude_m=6.0,
-                speed_mps=1.5,
-            )
-            self._waiting += self.controller.tick(pose, False, now_s)
-
-    def fileno(self) -> int:
-        return -1
-
-    def read(self) -> list[Any]:
-        if not self.plugged:
-            raise HardwareError("the wire was pulled; plug it in again")
-        items = list(self._waiting)
-        self._waiting.clear()
-        return items
+            pose = nav_of(1.7e9 + now_s, heading_rad=1.0, altitude_m=6.0)
+            self.waiting += self.controller.tick(pose, False, now_s)
 
     def write(self, item: Any) -> bool:
-        self._waiting += self.controller.heard(item, SystemClock().monotonic_s())
+        self.waiting += self.controller.heard(item, SystemClock().monotonic_s())
         return True
-
-    def flush(self) -> None: ...
-
-    def on_silence(self) -> str:
-        return "Look at the wire."
-
-    def close(self) -> None: ...
 
 
 class Bench:

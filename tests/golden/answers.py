@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import importlib
 import json
 import platform as host
 import tempfile
@@ -35,7 +34,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.shell.mission_totals import clearance_notices, contact_totals, notice_lists, search_totals
 from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
 from auv_mcm.shell.tally import Tally
-from sim_replay.commands.bench import BENCHES
+from sim_replay.commands.bench import BENCHES, opened
 from sim_replay.hil.scenario import read_scenario, shipped
 from sim_replay.logs.recorded import open_mission
 from sim_replay.missions import config_for
@@ -254,7 +253,7 @@ def _digest(data: bytes) -> str:
 
 def _bench_parser(module: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser()
-    importlib.import_module(f"sim_replay.{module}").add_arguments(parser)
+    opened(module, parser)
     return parser
 
 

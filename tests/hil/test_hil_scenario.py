@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,6 @@ from auv_mcm.cli import main
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.config import parse_config
 from drivers.ports import read_ports
-from sim_replay.commands import hil
 from sim_replay.hil.evidence import Report
 from sim_replay.hil.scenario import (
     SCENARIOS,
@@ -26,6 +24,7 @@ from sim_replay.hil.scenario import (
     shipped,
 )
 from sim_replay.hil.verdict import Evidence
+from tests.hil.test_hil_runs import run
 
 SOUND = """
 about: what it shows
@@ -157,14 +156,6 @@ def test_shipped_scenarios_are_sound_short_and_state_their_expectations(name: st
     }
     uris = {device: links[device_job.link] for device, device_job in scenario.devices.items()}
     assert len(read_ports(service_config(scenario, uris, name))) == len(scenario.devices)
-
-
-def run(*arguments: str) -> int:
-    parser = argparse.ArgumentParser()
-    hil.add(parser.add_subparsers())
-    parsed = parser.parse_args(["hil", *arguments])
-    code: int = parsed.command(parsed)
-    return code
 
 
 def test_the_command_lists_scenarios_and_wants_one(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,9 +10,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.records import NAN, VALID, CoveragePatch, PoseTrack, SurveyedCells, Tile
+from auv_mcm.geometry.geodesy import LocalFrame
+from auv_mcm.records import NAN, VALID, CoveragePatch, NavSample, PoseTrack, SurveyedCells, Tile
 
 ROW_M, COLUMN_M = 0.12, 0.06  # of tiles
+
+
+def nav_of(time_s: float, **changes: float) -> NavSample:
+    """A full sample, level and on a heading of 0, at 43° N 5° E, but for what is given."""
+    known: dict[str, Any] = {"latitude_deg": 43.0, "longitude_deg": 5.0, "heading_rad": 0.0, "pitch_rad": 0.0}
+    known |= {"roll_rad": 0.0, "depth_m": 10.0, "altitude_m": 5.0, "speed_mps": 1.5}
+    return NavSample(time_s=time_s, **(known | changes))
 
 
 def pose_of(n_rows: int, **columns: Any) -> PoseTrack:
@@ -22,6 +31,25 @@ def pose_of(n_rows: int, **columns: Any) -> PoseTrack:
         **{name: np.broadcast_to(np.asarray(value, np.float64), n_rows).copy() for name, value in known.items()},
         stale=np.full(n_rows, stale, dtype=np.bool_),
     )
+
+
+def straight_pose(
+    n_rows: int,
+    row_m: float,
+    home_deg: tuple[float, float],
+    *,
+    first_row: int = 0,
+    heading_rad: float = 0.0,
+    speed_mps: float,
+    start_s: float = 0.0,
+    **columns: Any,
+) -> PoseTrack:
+    """A pose at each row's centre of a straight way; the upper edge of row 0 at home; others as of `pose_of`."""
+    along_m = np.asarray((first_row + np.arange(n_rows) + 0.5) * row_m, dtype=np.float64)
+    way = np.stack((along_m * math.sin(heading_rad), along_m * math.cos(heading_rad), np.zeros(n_rows)), axis=-1)
+    latitude, longitude, _ = LocalFrame(latitude_deg=home_deg[0], longitude_deg=home_deg[1]).to_geodetic(way)
+    place = {"latitude_deg": latitude, "longitude_deg": longitude, "heading_rad": heading_rad}
+    return pose_of(n_rows, time_s=start_s + along_m / speed_mps, speed_mps=speed_mps, **place, **columns)
 
 
 def tile_with(intensity: NDArray[Any], mask: NDArray[np.uint8] | None = None, **changes: Any) -> Tile:

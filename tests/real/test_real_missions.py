@@ -169,7 +169,7 @@ def test_colorado_river_bed_raises_few_mine_like_contacts(shared_data: SharedDat
     assert sum(contact.p_mine >= 0.5 for contact in contacts) <= MAX_OTHERS
 
 
-@pytest.mark.parametrize(("threads", "chunk_bytes"), [(1, 4096), (2, 1 << 18), (2, 100_001)])
+@pytest.mark.parametrize(("threads", "chunk_bytes"), [(2, 4096), (2, 100_001)])
 def test_threads_and_chunks_give_the_same_bytes(threads: int, chunk_bytes: int, shared_data: SharedData) -> None:
     log = shared_data("sidescan/scotsman-iver2.xtf")
     assert contacts_geojson(mission(log, threads, chunk_bytes)) == contacts_geojson(mission(log))

@@ -6,8 +6,10 @@ from __future__ import annotations
 from html.parser import HTMLParser
 from typing import Any
 
+import cv2
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_mcm.records import NAN, Contact, Detection, Side, Tile, Waypoint
 from auv_mcm.snippet import pack_snippet
@@ -166,3 +168,9 @@ def collected(n_tiles: int = 3) -> PictureCollector:
         pictures.add_tile(tile(index, "port"))
         pictures.add_tile(tile(index, "starboard"))
     return pictures
+
+
+def decoded(jpeg: bytes) -> NDArray[np.int64]:
+    picture = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    return np.asarray(picture, dtype=np.int64)

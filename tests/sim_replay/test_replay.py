@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
 import subprocess
@@ -16,8 +15,7 @@ from auv_mcm.cli import main
 from auv_mcm.clock import SystemClock
 from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.records import NavSample
-from auv_mcm.settings.config import Config, ServiceConfig
-from auv_mcm.shell.service import Service
+from auv_mcm.settings.config import Config
 from auv_mcm.shell.sources import open_source, parse_source_uri
 from sim_replay.logs.recorded import Pace, RecordedMission, parse_speed
 from sim_replay.logs.xtf_writer import write_xtf
@@ -101,64 +99,51 @@ def test_every_file_of_the_contract_is_written(results: Path, logs: tuple[Path, 
         assert feature["properties"]["depth_m"] == pytest.approx(20.0, abs=0.5)  # the floor of the scene
 
 
-@pytest.mark.parametrize("circumstances", [{}, {"chunk_bytes": 1}, {"chunk_bytes": 4099}, {"threads": 2}])
-def test_circumstances_do_not_change_a_byte(
-    circumstances: dict[str, Any], logs: tuple[Path, Path], results: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    ("step", "circumstances"), [(1, {"chunk_bytes": 1}), (-1, {"chunk_bytes": 4099, "threads": 2})]
+)
+def test_neither_the_order_of_logs_nor_chunks_or_threads_change_a_byte(
+    step: int, circumstances: dict[str, Any], logs: tuple[Path, Path], results: Path, tmp_path: Path
 ) -> None:
-    replay(logs, tmp_path, Config(), **circumstances)
+    replay(logs[::step], tmp_path, Config(), **circumstances)
     assert content(tmp_path) == content(results)
 
 
-def test_the_order_in_which_logs_are_named_does_not_matter(
-    logs: tuple[Path, Path], results: Path, tmp_path: Path
-) -> None:
-    replay(logs[::-1], tmp_path, Config())
-    assert content(tmp_path) == content(results)
-
-
-def test_the_service_finds_what_the_replay_finds(logs: tuple[Path, Path], tmp_path: Path) -> None:
-    replay(logs[:1], tmp_path / "replay", Config())
-    uri = f"replay://{logs[0]}?speed=max"
-    config = Config(service=ServiceConfig(source=uri, output_directory=str(tmp_path / "service")))
-    source = open_source(parse_source_uri(uri), config, SystemClock())
-    served = asyncio.run(Service(config, source, console=lambda line: None).run())
-    assert content(served) == content(tmp_path / "replay")
-
-
-def test_the_process_that_serves_never_loads_what_perception_needs(logs: tuple[Path, Path], tmp_path: Path) -> None:
-    (tmp_path / "c.yaml").write_text(
-        f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{tmp_path}'}}"
-    )
+@pytest.fixture(scope="module")
+def served(logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a service that was given the first log; `loaded` holds what its process had imported."""
+    folder = tmp_path_factory.mktemp("served")
+    (folder / "c.yaml").write_text(f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{folder}'}}")
     code = (
         "import sys; from auv_mcm.cli import main\n"
-        f"code = main(['run', '--config', '{tmp_path / 'c.yaml'}'])\n"
+        f"code = main(['run', '--config', '{folder / 'c.yaml'}'])\n"
         "print(code, sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2'} & set(sys.modules)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
     )
-    assert done.stdout.splitlines()[-1] == "0 []", done.stderr
-    assert len(list((tmp_path / "latest" / "snippets").iterdir())) > 0
+    assert done.returncode == 0, done.stderr
+    (folder / "loaded").write_text(done.stdout.splitlines()[-1])
+    return folder
 
 
-def test_a_mission_that_is_served_leaves_the_contacts_and_calls_of_its_replay(
-    logs: tuple[Path, Path], tmp_path: Path
+def test_the_process_that_serves_never_loads_what_perception_needs(served: Path) -> None:
+    assert (served / "loaded").read_text() == "0 []"
+    assert len(list((served / "latest" / "snippets").iterdir())) > 0
+
+
+def test_a_mission_that_is_served_leaves_the_files_contacts_and_calls_of_its_replay(
+    logs: tuple[Path, Path], served: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "c.yaml").write_text(
-        f"service: {{source: 'replay://{logs[0]}?speed=max', output_directory: '{tmp_path}'}}"
-    )
-    code = f"from auv_mcm.cli import main; raise SystemExit(main(['run', '--config', '{tmp_path / 'c.yaml'}']))"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, timeout=120, check=True)
-    summary = replay([logs[0]], tmp_path / "replayed", Config())
-    served = tmp_path / "latest"
-    for name in ("contacts.geojson", "contacts.csv", "contacts.kml"):
-        assert (served / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes()
-    assert json.loads((served / "summary.json").read_bytes())["operating_point"] == summary["operating_point"]
-    lines = (served / "contacts.jsonl").read_text().splitlines()
+    summary = replay(logs[:1], tmp_path, Config())
+    latest = served / "latest"
+    assert content(latest) == content(tmp_path)
+    assert json.loads((latest / "summary.json").read_bytes())["operating_point"] == summary["operating_point"]
+    lines = (latest / "contacts.jsonl").read_text().splitlines()
     announced = {
         feature["id"]: feature["called"] for line in lines for feature in [json.loads(line)["contact"]["properties"]]
     }
-    features = json.loads((served / "contacts.geojson").read_bytes())["features"]
+    features = json.loads((latest / "contacts.geojson").read_bytes())["features"]
     assert announced == {feature["properties"]["id"]: feature["properties"]["called"] for feature in features}
 
 

@@ -30,6 +30,7 @@ from sim_replay.augment.targets import EmbeddedTarget, TargetSpec, place_targets
 from sim_replay.augment.track import track_of
 from sim_replay.logs.xtf_writer import SampleType, write_xtf
 from sim_replay.simulator.speckle import WHITE, gaussian_taps
+from tests.make.records import nav_of
 
 Plane = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -352,14 +353,11 @@ def mission(recording: Recording) -> Iterator[NavSample | Ping]:
             EchoTrace(samples=one, first_range_m=0.5 * recording.spacing_m, spacing_m=recording.spacing_m)
             for one in samples
         )
-        yield NavSample(
-            time_s=time_s,
+        yield nav_of(
+            time_s,
             latitude_deg=43.0 + way_m * math.cos(HEADING_RAD) / 111_111.0,
             longitude_deg=(longitude_deg + 180.0) % 360.0 - 180.0,
             heading_rad=HEADING_RAD,
-            pitch_rad=0.0,
-            roll_rad=0.0,
-            depth_m=10.0,
             altitude_m=recording.altitude_m,
             speed_mps=STEP_M / 0.1,
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import json
 import math
@@ -11,6 +10,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -51,6 +51,7 @@ from sim_replay.benches.stability.rows import (
     NumberRow,
     Watch,
     absolute,
+    each,
     exact,
     random_of,
     relative,
@@ -191,7 +192,7 @@ def _speckle_twins(watch: Watch, _: bool) -> Found:
     for gain, offset in ((1e-30, 0.0), (1.0, 0.0), (1.0, 1e4), (1e30, 0.0)):
         plane = (random_of(3).exponential(size=(12, 17)) + offset) * gain
         usable = random_of(4).random(plane.shape) < 0.9
-        for kernel in (functools.partial(watch, speckle.half_differences), speckle.half_differences_numpy):
+        for kernel in (partial(watch, speckle.half_differences), speckle.half_differences_numpy):
             found = kernel(plane, usable, (1, 2), 3)
             for axis, lag in itertools.product((0, 1), (1, 2)):
                 one, known = np.moveaxis(plane, axis, 0), np.moveaxis(usable, axis, 0)
@@ -445,9 +446,9 @@ def _probabilities(watch: Watch, _: bool) -> Found:
     return Found(relative(found, wanted))
 
 
-def _null(area_km2: float, gain: float, watch: Watch, _: bool) -> Found:
+def _null(asked: tuple[float, float], watch: Watch, _: bool) -> Found:
     """Measure how far Newton's next step, of 50 digits, would move the background found, in nats at a knot."""
-    prior = background.shipped_background().cascade
+    (area_km2, gain), prior = asked, background.shipped_background().cascade
     counts = np.floor(random_of(1).exponential(3.0, background.N_BINS) * gain)
     values, covariance = watch(background.known_background, counts, area_km2, prior)
     weights = background.interpolation(background.LEVELS_NATS + 0.5 * background.BIN_NATS)
@@ -672,52 +673,26 @@ def back_rows() -> list[NumberRow]:
 
 
 def _confirmation_rows() -> list[NumberRow]:
-    ratio, mp, twin, part = "fractions", "mpmath", "numpy twin", functools.partial
+    ratio, mp, twin, gains = "fractions", "mpmath", "numpy twin", (1e-30, 1.0, 1e30)
+    law, kinds = "field's law", ("one look", "constant", "gain 1e-30", "gain 1e30", "near-zero heights")
     return [
-        NumberRow("field's law", "ln K, orders 0 to 50, x 3e-4 to 3e5", mp, "of the value or 1", 1e-12, _bessel),
-        NumberRow("field's law", "trigamma, 1e-4 to 1e8", mp, "relative", 1e-10, _trigamma),
-        NumberRow("field's law", "inverse trigamma, 1e-7 to 1e7", mp, "relative", 1e-9, _inverse_trigamma),
-        *(
-            NumberRow(
-                "field's law",
-                f"{'no texture' if math.isinf(nu) else f'shape {nu:g}'}, gain {gain:g}",
-                mp,
-                "of the cost or 1",
-                1e-12 if math.isinf(nu) else 3e-4,
-                part(_law_cost, nu, gain),
-            )
-            for nu in (0.3, 5.0, math.inf)
-            for gain in (1e-30, 1.0, 1e30)
-        ),
-        *(
-            NumberRow("Markov field", f"costs times {scale:g}", ratio, "relative", 1e-14, part(_field, scale))
-            for scale in (1e-30, 1.0, 1e30)
-        ),
-        *(
-            NumberRow("mean field", f"costs times {scale:g}", mp, "absolute", 1e-14, part(_softmin, scale))
-            for scale in (1e-30, 1.0, 1e30)
-        ),
+        NumberRow(law, "ln K, orders 0 to 50, x 3e-4 to 3e5", mp, "of the value or 1", 1e-12, _bessel),
+        NumberRow(law, "trigamma, 1e-4 to 1e8", mp, "relative", 1e-10, _trigamma),
+        NumberRow(law, "inverse trigamma, 1e-7 to 1e7", mp, "relative", 1e-9, _inverse_trigamma),
+        *each(law, "shape 0.3, gain {:g}", mp, "of the cost or 1", 3e-4, partial(_law_cost, 0.3), gains),
+        *each(law, "shape 5, gain {:g}", mp, "of the cost or 1", 3e-4, partial(_law_cost, 5.0), gains),
+        *each(law, "no texture, gain {:g}", mp, "of the cost or 1", 1e-12, partial(_law_cost, math.inf), gains),
+        *each("Markov field", "costs times {:g}", ratio, "relative", 1e-14, _field, gains),
+        *each("mean field", "costs times {:g}", mp, "absolute", 1e-14, _softmin, gains),
         NumberRow("field kernels", "costs times 1e-30 to 1e30", twin, "absolute", 1e-12, _field_twins),
         NumberRow("speckle", "gain 1e-30 to 1e30, offset 1e4", ratio, "relative", 1e-10, _speckle_twins),
-        *(
-            NumberRow("contours' sums", kind, ratio, "relative", 1e-5, part(_window_sums, kind))
-            for kind in ("gain 1e-30", "gain 1e30", "offset 1e6")
-        ),
-        *(
-            NumberRow(
-                "contours", f"gain {gain:g}", "numpy twin and gain 1", "numbers unlike", 0.0, part(_contours, gain)
-            )
-            for gain in (2.0**-100, 2.0**100)
+        *each("contours' sums", "{}", ratio, "relative", 1e-5, _window_sums, ("gain 1e-30", "gain 1e30", "offset 1e6")),
+        *each(
+            "contours", "gain {:g}", "numpy twin and gain 1", "numbers unlike", 0.0, _contours, (2.0**-100, 2.0**100)
         ),
         NumberRow("edges and pairs", "gain 1e-30 to 1e30", twin, "labels unlike", 0.0, _soft_twins),
-        *(
-            NumberRow("labels' likelihood", f"gain {gain:g}", mp, "relative", 1e-12, part(_explained, gain))
-            for gain in (1e-30, 1.0, 1e30)
-        ),
-        *(
-            NumberRow("solids' likelihood", kind, twin, "nats per pixel", 1e-12, part(_solid_costs, kind))
-            for kind in ("one look", "constant", "gain 1e-30", "gain 1e30", "near-zero heights")
-        ),
+        *each("labels' likelihood", "gain {:g}", mp, "relative", 1e-12, _explained, gains),
+        *each("solids' likelihood", "{}", twin, "nats per pixel", 1e-12, _solid_costs, kinds),
         NumberRow("solids' fit", "C and numpy", twin, "m", 1e-3, _solid_fits),
         NumberRow("threads", "field, speckle and solids, four at once", "alone", "numbers unlike", 0.0, _on_threads),
         NumberRow("solids' shadows", "heights 1e-12 to 0.5 m", ratio, "relative", 1e-15, _shadow_of_nothing),
@@ -728,40 +703,22 @@ def _confirmation_rows() -> list[NumberRow]:
 
 
 def _place_rows() -> list[NumberRow]:
-    ratio, mp, part = "fractions", "mpmath", functools.partial
+    ratio, mp, latitudes = "fractions", "mpmath", (0.0, 43.0, 89.99, -90.0)
+    counts = ((1e-4, 0.0), (1e-4, 1.0), (0.1, 1.0), (100.0, 1000.0))
     return [
         NumberRow("odds", "shipped trees, features 1e-30 to 100", ratio, "nats", 1e-12, _mine_odds),
         NumberRow("odds", "probabilities of -700 to 700 nats", mp, "relative", 1e-15, _probabilities),
-        *(
-            NumberRow("background", f"{area:g} km², counts times {gain:g}", mp, "nats", 1e-9, part(_null, area, gain))
-            for area, gain in ((1e-4, 0.0), (1e-4, 1.0), (0.1, 1.0), (100.0, 1000.0))
-        ),
-        *(
-            NumberRow("belief", f"60 views, {rule}", ratio, "relative", 1e-12, part(_views, 60, rule))
-            for rule in ("dempster", "yager")
-        ),
-        *(
-            NumberRow("association", f"axes 1 to {r:g} m²", ratio, "relative", 1e-9, part(_deviation, r))
-            for r in (1.0, 1e-6, 1e6)
-        ),
-        NumberRow("association", "axes 1 to 1e+12 m²", ratio, "relative", 1e-3, part(_deviation, 1e12)),
-        *(
-            NumberRow("association", f"costs times {s:g}", "all assignments", "relative", 1e-14, part(_assignment, s))
-            for s in (1e-30, 1.0, 1e30)
-        ),
-        *(
-            NumberRow(
-                "merging", f"latitude {latitude:g}°, axes 1 to {r:g} m²", ratio, "m", 1e-6, part(_merged, latitude, r)
-            )
-            for latitude, r in ((43.0, 1.0), (43.0, 1e6), (89.99, 1e6))
-        ),
-        NumberRow("merging", "latitude 43°, axes 1 to 1e+12 m²", ratio, "m", 1e-3, part(_merged, 43.0, 1e12)),
+        *each("background", "{0[0]:g} km², counts times {0[1]:g}", mp, "nats", 1e-9, _null, counts),
+        *each("belief", "60 views, {}", ratio, "relative", 1e-12, partial(_views, 60), ("dempster", "yager")),
+        *each("association", "axes 1 to {:g} m²", ratio, "relative", 1e-9, _deviation, (1.0, 1e-6, 1e6)),
+        *each("association", "axes 1 to {:g} m²", ratio, "relative", 1e-3, _deviation, (1e12,)),
+        *each("association", "costs times {:g}", "all assignments", "relative", 1e-14, _assignment, (1e-30, 1.0, 1e30)),
+        *each("merging", "latitude 43°, axes 1 to {:g} m²", ratio, "m", 1e-6, partial(_merged, 43.0), (1.0, 1e6)),
+        *each("merging", "latitude 89.99°, axes 1 to {:g} m²", ratio, "m", 1e-6, partial(_merged, 89.99), (1e6,)),
+        *each("merging", "latitude 43°, axes 1 to {:g} m²", ratio, "m", 1e-3, partial(_merged, 43.0), (1e12,)),
         NumberRow("geodesy", "to Earth-centred, poles, antimeridian", mp, "m", 4e-9, _there),
         NumberRow("geodesy", "from Earth-centred, poles, antimeridian", mp, "m", 8e-9, _back),
-        *(
-            NumberRow("projection", f"latitude {latitude:g}°", mp, "m", 1e-8, part(_plane, latitude))
-            for latitude in (0.0, 43.0, 89.99, -90.0)
-        ),
+        *each("projection", "latitude {:g}°", mp, "m", 1e-8, _plane, latitudes),
         NumberRow("clearance", "0 to 2000 mines left", mp, "relative", 1e-12, _remaining),
         NumberRow("clearance", "miss exponents 1e-300 to 1000", mp, "relative", 1e-15, _detected),
     ]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from typing import Any, Final
 
 import mpmath
@@ -24,7 +24,17 @@ from auv_mcm.kernels.contrast import Frame, TileSums
 from auv_mcm.records import VALID, Transfer
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.transfer import to_intensity
-from sim_replay.benches.stability.rows import Exact, Found, NumberRow, Watch, absolute, random_of, relative, unlike
+from sim_replay.benches.stability.rows import (
+    Exact,
+    Found,
+    NumberRow,
+    Watch,
+    absolute,
+    each,
+    random_of,
+    relative,
+    unlike,
+)
 
 Plane = NDArray[np.float32]
 Values = NDArray[np.float64]
@@ -180,7 +190,8 @@ def _box_count(shape: tuple[int, int], place: tuple[int, int], half: tuple[int, 
     )
 
 
-def _angle_sums(offset: float, watch: Watch, quick: bool) -> Found:
+def _angle_sums(gain: float, watch: Watch, quick: bool) -> Found:
+    offset = math.log(gain)
     n_pings, n_bins = (8, 30) if quick else (128, 180)
     random = random_of(3)
     angle = np.sort(random.uniform(0.0, n_bins, (n_pings, 400)), axis=1)
@@ -195,8 +206,9 @@ def _angle_sums(offset: float, watch: Watch, quick: bool) -> Found:
     return Found(absolute((total / np.maximum(count, 1)).tolist(), wanted))
 
 
-def _bottom(offset: float, watch: Watch, quick: bool) -> Found:
+def _bottom(gain: float, watch: Watch, quick: bool) -> Found:
     """Compare likelihood ratios of a bottom with sums of fractions, of pings as long as a ping can be."""
+    offset = math.log(gain)
     n_bins, window = (3000 if quick else 65_535), 10
     values = np.log(speckle((1, n_bins)).astype(np.float64)) + offset
     values[:, n_bins // 2 :] += 4.0
@@ -431,7 +443,7 @@ def _features(largest: float, watch: Watch, quick: bool) -> Found:
         opened, twin = watch(cascade.open_windows, field, tables, 1), cascade.open_windows_numpy(field, tables, 1)
         n_unlike += unlike(tuple(opened.windows), tuple(twin.windows)) + (opened.n_windows != twin.n_windows)
         again = opened.windows._replace(score=np.zeros_like(opened.windows.score))
-        for kernel in (functools.partial(watch, cascade.run_groups), cascade.run_groups_numpy):
+        for kernel in (partial(watch, cascade.run_groups), cascade.run_groups_numpy):
             n_unlike += unlike(kernel(plane.sums, tables, again, 0, 1)[0].score, opened.windows.score)
     return Found(n_unlike)
 
@@ -507,81 +519,41 @@ def front_rows() -> list[NumberRow]:
 
 
 def _waterfall_rows() -> list[NumberRow]:
-    fsum, ratio, mp, twin, part = "exact summation", "fractions", "mpmath", "numpy twin", functools.partial
+    fsum, ratio, mp, twin = "exact summation", "fractions", "mpmath", "numpy twin"
+    gains, spike = (1e-30, 1.0, 1e30), "96 dB spike in the last of 65,535 samples"
+    smooth = [kind for kind in INTENSITIES if not kind.startswith("ring")]
     return [
         NumberRow("transfer", "amplitudes 1e-15 to 1e15", ratio, "relative", _ROUNDED, _amplitudes),
         NumberRow("transfer", "decibel counts 0 to 255", mp, "relative", 1e-5, _decibels),
-        *(
-            NumberRow("range means", f"{kind}, 1 to 65,535 samples", ratio, "relative", 1e-11, part(_range_mean, kind))
-            for kind in INTENSITIES
-        ),
-        NumberRow(
-            "range means",
-            "96 dB spike in the last of 65,535 samples",
-            ratio,
-            "relative",
-            1e-4,
-            part(_range_mean, "spike"),
-        ),
+        *each("range means", "{}, 1 to 65,535 samples", ratio, "relative", 1e-11, _range_mean, INTENSITIES),
+        NumberRow("range means", spike, ratio, "relative", 1e-4, partial(_range_mean, "spike")),
         NumberRow("ground range", "nadir to 80 m, first return 1e-9 to 200 m", mp, "relative", 4e-16, _nadir),
-        *(
-            NumberRow("levelling", kind, fsum, "relative", 1e-10, part(_box_level, kind))
-            for kind in INTENSITIES
-            if not kind.startswith("ring")
-        ),
+        *each("levelling", "{}", fsum, "relative", 1e-10, _box_level, smooth),
         NumberRow("levelling", "shadow of 1e-30 of the floor", fsum, "of the floor", 1e-10, _shadow_level),
-        *(
-            NumberRow("angle response", f"gain {gain:g}", fsum, "nats", 1e-11, part(_angle_sums, math.log(gain)))
-            for gain in (1e-30, 1.0, 1e30)
-        ),
-        *(
-            NumberRow(
-                "bottom tracking", f"gain {gain:g}, 65,535 bins", ratio, "nats", 1e-8, part(_bottom, math.log(gain))
-            )
-            for gain in (1e-30, 1.0, 1e30)
-        ),
-        *(
-            NumberRow("bottom path", f"scores times {scale:g}", "whole numbers", "relative", 0.0, part(_viterbi, scale))
-            for scale in (1e-30, 2.0**-20, 1e30)
-        ),
+        *each("angle response", "gain {:g}", fsum, "nats", 1e-11, _angle_sums, gains),
+        *each("bottom tracking", "gain {:g}, 65,535 bins", ratio, "nats", 1e-8, _bottom, gains),
+        *each("bottom path", "scores times {:g}", "whole numbers", "relative", 0.0, _viterbi, (1e-30, 2.0**-20, 1e30)),
         NumberRow("waterfall kernels", "all inputs above", twin, "numbers unlike", 0.0, _waterfall_twins),
     ]
 
 
 def _detection_rows() -> list[NumberRow]:
-    fsum, ratio, mp, twin, part = "exact summation", "fractions", "mpmath", "numpy twin", functools.partial
+    fsum, ratio, mp, twin = "exact summation", "fractions", "mpmath", "numpy twin"
+    smooth = [kind for kind in INTENSITIES if not kind.startswith("ring")]
+    kinds = ("one look", "constant", "saturated", "offset 1e6", "gain 1e30")
+    ties = "ties, thresholds to {:g}"
     return [
-        *(
-            NumberRow("integral image", kind, fsum, "relative", 1e-10, part(_boxes, kind))
-            for kind in INTENSITIES
-            if not kind.startswith("ring")
-        ),
+        *each("integral image", "{}", fsum, "relative", 1e-10, _boxes, smooth),
         NumberRow("integral image", "begun 1e6 tiles before", fsum, "relative", 1e-5, _long_line),
         NumberRow("integral image", "sum of all pixels", fsum, "relative", 1e-12, _long_sum),
-        *(
-            NumberRow("contrast means", kind, fsum, "relative", _ROUNDED, part(_contrast_means, kind))
-            for kind in ("one look", "constant", "saturated", "offset 1e6", "gain 1e30")
-        ),
+        *each("contrast means", "{}", fsum, "relative", _ROUNDED, _contrast_means, kinds),
         NumberRow("contrast background", "shadow of 1e-30 of the floor", fsum, "relative", _ROUNDED, _background),
-        *(
-            NumberRow("contrast variances", f"offset {offset:g}", ratio, "relative", 1e-4, part(_variances, offset))
-            for offset in (0.0, 25.0)
-        ),
+        *each("contrast variances", "offset {:g}", ratio, "relative", 1e-4, _variances, (0.0, 25.0)),
         NumberRow("contrast deviates", "ratios 0 to 1e6, 0.5 to 10,000 looks", mp, "relative", 1e-4, _f_deviates),
         NumberRow("contrast looks", "variances 1e-6 to 1e3", mp, "relative", 4e-7, _looks),
         NumberRow("peaks", "five values, gain 1e-30 to 1e30", "search", "peaks unlike", 0.0, _peaks),
         NumberRow("cascade codes", "1e-38 to 1e38, halves", ratio, "codes unlike", 0.0, _codes),
         NumberRow("cascade sums", "saturated tile", "whole numbers", "sums unlike", 0.0, _code_sums),
-        *(
-            NumberRow(
-                "cascade features",
-                f"ties, thresholds to {largest:g}",
-                twin,
-                "numbers unlike",
-                0.0,
-                part(_features, largest),
-            )
-            for largest in (1.0, 3.0, 1e3)
-        ),
+        *each("cascade features", ties, twin, "numbers unlike", 0.0, _features, (1.0, 3.0, 1e3)),
         NumberRow("detection kernels", "all inputs above", twin, "numbers unlike", 0.0, _contrast_twins),
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from fractions import Fraction
+from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import mpmath
@@ -62,6 +63,19 @@ class NumberRow(NamedTuple):
     def name(self) -> str:
         """Join stage and input."""
         return f"{self.stage}, {self.inputs}"
+
+
+def each(
+    stage: str,
+    inputs: str,
+    reference: str,
+    unit: str,
+    bound: float,
+    measure: Callable[[Any, Watch, bool], Found],
+    values: Iterable[Any],
+) -> list[NumberRow]:
+    """Name a row per value, which `inputs` has in braces and `measure` takes first."""
+    return [NumberRow(stage, inputs.format(value), reference, unit, bound, partial(measure, value)) for value in values]
 
 
 class NumberResult(msgspec.Struct, frozen=True):

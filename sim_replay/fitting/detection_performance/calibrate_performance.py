@@ -59,9 +59,7 @@ def performance_json(performance: Performance) -> bytes:
     return msgspec.json.format(msgspec.json.encode(performance, order="deterministic"), indent=1) + b"\n"
 
 
-def tables(
-    performance: Performance, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str] = columns
-) -> str:
+def tables(performance: Performance) -> str:
     """Format probability, interval and looks per floor and band, and the sweep width of one side."""
     edges = performance.edges_m
     header = ["floor", *(f"{near:g}-{far:g} m" for near, far in pairwise(edges)), "sweep width"]
@@ -69,7 +67,7 @@ def tables(
         [floor.replace("_", ", "), *(_cell(band) for band in performance.floors[floor]), f"{width_m:.1f} m"]
         for floor, width_m in zip(FLOORS, sweep_widths_m(performance), strict=True)
     ]
-    return laid_out(header, rows)
+    return columns(header, rows)
 
 
 def sweep_widths_m(performance: Performance) -> list[float]:

@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.classify.chips import Chip, chip_of
+from auv_mcm.classify.chips import Chip, chip_of, chips_beside
 from auv_mcm.classify.odds import MineOdds, Verification
-from auv_mcm.classify.verifier import CLASSES, MINE_KINDS, Network, rest_ratio
+from auv_mcm.classify.verifier import CLASSES, MINE_KINDS, Network, mean_scores, rest_ratio
 from auv_mcm.confirm.region import Region
 from auv_mcm.errors import UsageError
 from auv_mcm.snippet import unpack_snippet
@@ -111,7 +111,9 @@ def looks_of(place: Path, group: str, network: Network, odds: MineOdds) -> Looks
     detector = np.array(
         [odds.log_ratio("detector", dict(zip(names, row, strict=True))) for row in caught.features[kept].tolist()]
     )
-    scores = network.scores([chip_of(regions[k]) for k in kept])
+    chips = [chip_of(regions[k]) for k in kept]
+    beside = [other for k, chip in zip(kept, chips, strict=True) for other in chips_beside(regions[k], chip)]
+    scores = mean_scores(network.scores(chips), network.scores(beside))
     label = caught.label[kept]
     first = np.ones(len(kept), dtype=np.bool_)
     for each in set(zip(caught.nearest[kept].tolist(), caught.passage[kept].tolist(), strict=True)):

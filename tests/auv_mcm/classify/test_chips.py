@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_ROWS, chip_of, floor_of, shadow_ends_m
+from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_ROWS, chip_of, chips_beside, floor_of, shadow_ends_m
 from auv_mcm.confirm.region import Region
 from tests.auv_mcm.classify.slow_chips import slow_levels_db
 
@@ -91,3 +91,15 @@ def test_a_shadow_ends_where_the_ray_over_the_top_meets_the_floor() -> None:
     assert ends_m[0] == 20.0
     assert ends_m[1] - 20.0 == pytest.approx(1.0 / math.tan(math.atan2(5.0 - 1.0, 20.0)))
     assert np.isfinite(ends_m).all()
+
+
+def test_chips_beside_are_the_mirror_image_and_two_of_a_highlight_a_little_off() -> None:
+    seen = region()
+    chip = chip_of(seen)
+    mirrored, nearer, farther = chips_beside(seen, chip)
+    np.testing.assert_array_equal(mirrored.by_metres, chip.by_metres[::-1])
+    np.testing.assert_array_equal(mirrored.by_height, chip.by_height[::-1])
+    for off_m, beside in ((-0.2, nearer), (0.2, farther)):
+        moved = structs.replace(seen, row=seen.row + off_m / 0.12, column=seen.column + off_m / 0.06)
+        for one, other in zip(beside, chip_of(moved), strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-4)

@@ -26,7 +26,6 @@ from auv_mcm.classify.beliefs import (
 from auv_mcm.classify.evidence import (
     TEMPERATURE,
     ClassEvidence,
-    appriou_mass,
     size_plausibility,
     view_mass,
 )
@@ -62,22 +61,6 @@ TABLE_1 = {
 }
 
 
-def test_the_source_papers_table_comes_out_of_the_comparison_rule() -> None:
-    """Bel(cyl), Bel(sph), Bel(con), Bel(clut) of its four examples are 0.71 0 0 0.2, 0 0.833 0 0.083, 0 0.303 0.45
-    0.045, 0.42 0 0 0.46."""
-    published = {
-        "cylinder": (0.71, 0.0, 0.0, 0.2),
-        "sphere": (0.0, 0.833, 0.0, 0.083),
-        "cone": (0.0, 0.303, 0.45, 0.045),
-        "clutter": (0.42, 0.0, 0.0, 0.46),
-    }
-    for row, expected in published.items():
-        mass = appriou_mass(TABLE_1[row], quality=0.9)
-        beliefs = [bel(mass, name) for name in ("cylinder", "sphere", "truncated_cone", "clutter")]
-        assert beliefs == pytest.approx(expected, abs=0.1)
-        assert sum(beliefs) < 1.0
-
-
 def test_a_clear_cylinder_is_classified_as_one() -> None:
     mass = view_mass(TABLE_1["cylinder"], quality=0.9)
     assert bel(mass, "cylinder") > 0.5
@@ -92,10 +75,6 @@ def test_a_cone_that_could_be_a_sphere_is_classified_as_one_of_the_two() -> None
     assert mass[subset("sphere", "truncated_cone")] > 1.5 * mass[subset("truncated_cone")] > 0.0
     assert bel(mass, "sphere") < NEAR
     assert pignistic(mass).argsort()[::-1][:2].tolist() == [FRAME.index("truncated_cone"), FRAME.index("sphere")]
-    # The first family splits it instead into two beliefs that contradict each other.
-    first = appriou_mass(TABLE_1["cone"], quality=0.9)
-    assert first[subset("sphere", "truncated_cone")] < 0.02
-    assert min(bel(first, "sphere"), bel(first, "truncated_cone")) > 0.3
 
 
 def test_clutter_that_could_be_a_cylinder_leaves_the_decision_open() -> None:
@@ -116,21 +95,19 @@ def test_classes_that_match_alike_share_one_mass() -> None:
 def test_masses_are_masses_and_no_view_is_sure(
     evidence: dict[ContactClass, ClassEvidence], quality: float, temperature: float
 ) -> None:
-    for rule in (view_mass, appriou_mass):
-        mass = rule(evidence, quality, temperature)
-        assert mass.shape == (N_SUBSETS,)
-        assert (mass >= 0.0).all()
-        assert mass[0] == 0.0
-        assert mass.sum() == pytest.approx(1.0, abs=NEAR)
-        assert mass[EVERYTHING] >= 0.05**N_CLASSES * 0.999
-        assert belief(mass).max() <= 1.0 + NEAR
+    mass = view_mass(evidence, quality, temperature)
+    assert mass.shape == (N_SUBSETS,)
+    assert (mass >= 0.0).all()
+    assert mass[0] == 0.0
+    assert mass.sum() == pytest.approx(1.0, abs=NEAR)
+    assert mass[EVERYTHING] >= 0.05**N_CLASSES * 0.999
+    assert belief(mass).max() <= 1.0 + NEAR
 
 
 @given(EVIDENCE)
 def test_a_worthless_view_and_no_evidence_are_ignorance(evidence: dict[ContactClass, ClassEvidence]) -> None:
-    for rule in (view_mass, appriou_mass):
-        np.testing.assert_array_equal(rule(evidence, quality=0.0), vacuous())
-        np.testing.assert_array_equal(rule({}, quality=1.0), vacuous())
+    np.testing.assert_array_equal(view_mass(evidence, quality=0.0), vacuous())
+    np.testing.assert_array_equal(view_mass({}, quality=1.0), vacuous())
 
 
 def test_the_worse_a_view_the_less_it_believes() -> None:
@@ -159,9 +136,8 @@ def test_a_class_not_tried_stays_possible() -> None:
 
 @given(st.floats(-1e6, 1e6))
 def test_only_differences_of_log_likelihoods_count(shift: float) -> None:
-    for rule in (view_mass, appriou_mass):
-        moved = {name: ClassEvidence(nll=item.nll + shift) for name, item in TABLE_1["cone"].items()}
-        np.testing.assert_allclose(rule(moved, 0.9), rule(TABLE_1["cone"], 0.9), rtol=0, atol=1e-9)
+    moved = {name: ClassEvidence(nll=item.nll + shift) for name, item in TABLE_1["cone"].items()}
+    np.testing.assert_allclose(view_mass(moved, 0.9), view_mass(TABLE_1["cone"], 0.9), rtol=0, atol=1e-9)
 
 
 # Sizes.
@@ -176,8 +152,6 @@ def test_what_looks_like_a_mine_of_impossible_size_is_clutter() -> None:
     mass = view_mass(sized(0.0), quality=0.9)
     assert bel(mass, "clutter") > 0.6
     assert pl(mass, "sphere") == pytest.approx(0.1)
-    # In the first family the other classes exclude each other and so leave the impossible one.
-    assert bel(appriou_mass(sized(0.0), quality=0.9), "sphere") > 0.6
 
 
 def test_the_less_plausible_a_size_the_less_a_mine_is_believed() -> None:
@@ -222,12 +196,11 @@ def test_evidence_out_of_range_is_refused() -> None:
             ClassEvidence(nll=nll)
     with pytest.raises(ValueError, match="plausibility"):
         ClassEvidence(nll=1.0, plausibility=1.1)
-    for rule in (view_mass, appriou_mass):
-        for quality in (-0.1, 1.1, NAN):
-            with pytest.raises(ValueError, match="quality"):
-                rule(TABLE_1["cone"], quality)
-        for temperature in (0.0, -1.0, NAN, math.inf):
-            with pytest.raises(ValueError, match="temperature"):
-                rule(TABLE_1["cone"], 0.9, temperature)
-        with pytest.raises(ValueError, match="unknown"):
-            rule({"unknown": ClassEvidence(nll=1.0)}, 0.9)
+    for quality in (-0.1, 1.1, NAN):
+        with pytest.raises(ValueError, match="quality"):
+            view_mass(TABLE_1["cone"], quality)
+    for temperature in (0.0, -1.0, NAN, math.inf):
+        with pytest.raises(ValueError, match="temperature"):
+            view_mass(TABLE_1["cone"], 0.9, temperature)
+    with pytest.raises(ValueError, match="unknown"):
+        view_mass({"unknown": ClassEvidence(nll=1.0)}, 0.9)

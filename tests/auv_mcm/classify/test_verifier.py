@@ -7,7 +7,15 @@ from numpy.typing import NDArray
 
 from auv_mcm.classify.chips import N_COLUMNS, N_HEIGHTS, N_PLACE, N_ROWS, Chip
 from auv_mcm.classify.odds import Verification, shipped_odds
-from auv_mcm.classify.verifier import CLASSES, FILE, opinions_of, parse_network, rest_ratio, shipped_network
+from auv_mcm.classify.verifier import (
+    CLASSES,
+    FILE,
+    mean_scores,
+    opinions_of,
+    parse_network,
+    rest_ratio,
+    shipped_network,
+)
 from auv_mcm.errors import BadInputError
 from tests.auv_mcm.classify.slow_network import slow_scores, weights_of
 
@@ -100,6 +108,13 @@ def test_an_opinion_states_how_much_less_likely_each_kind_is_than_the_likeliest(
     assert one.nats == pytest.approx(np.log(0.38 / 0.62))
     np.testing.assert_allclose(np.exp(one.kind_nats), [1.0, 0.5, 0.25, 0.1, 0.05])
     assert opinions_of(np.empty((0, len(CLASSES))), 0.0) == []
+
+
+def test_an_average_is_of_the_probabilities_logarithms_whatever_constant_scores_have() -> None:
+    one, other = scores_of(0.2, 0.1, 0.1, 0.05, 0.05, 0.3, 0.2), scores_of(0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1)
+    mean = mean_scores(np.concatenate([one, other]), np.concatenate([other + 3.0, one - 2.0]))
+    np.testing.assert_allclose(mean, np.repeat(0.5 * (one + other) - 3.0, 2, axis=0))
+    np.testing.assert_allclose(mean_scores(one + 7.0, one), one - 3.0)
 
 
 def test_verdicts_change_the_verifier_s_log_odds_as_all_others() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.records import VALID, PoseTrack, Side, Tile
+from tests.make.records import straight_pose
 
 ROW_M = 0.12
 COLUMN_M = 0.06
@@ -20,22 +20,8 @@ def straight_track(
     n_rows: int, row_m: float = ROW_M, *, first_row: int = 0, latitude_deg: float = 43.7, longitude_deg: float = 10.3
 ) -> PoseTrack:
     """North at constant speed, one pose per row centre; row 0 of the mission at the given place and time 1000 s."""
-    along_m = np.asarray((first_row + np.arange(n_rows) + 0.5) * row_m, dtype=np.float64)
-    frame = LocalFrame(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-    latitude, longitude, _ = frame.to_geodetic(np.stack((np.zeros(n_rows), along_m, np.zeros(n_rows)), axis=-1))
-    even: NDArray[np.float64] = np.ones(n_rows)
-    return PoseTrack(
-        time_s=1000.0 + along_m / SPEED_MPS,
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        depth_m=20.0 * even,
-        heading_rad=0.0 * even,
-        pitch_rad=0.0 * even,
-        roll_rad=0.0 * even,
-        speed_mps=SPEED_MPS * even,
-        altitude_m=FIRST_RETURN_M * even,
-        stale=np.zeros(n_rows, dtype=np.bool_),
-    )
+    even = {"speed_mps": SPEED_MPS, "start_s": 1000.0, "depth_m": 20.0, "altitude_m": FIRST_RETURN_M}
+    return straight_pose(n_rows, row_m, (latitude_deg, longitude_deg), first_row=first_row, **even)
 
 
 def make_tile(

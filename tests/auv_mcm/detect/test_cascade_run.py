@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from auv_mcm.detect.cascade.bands import REFERENCE_HEIGHT_M
 from auv_mcm.detect.cascade.run import CascadeResult, core_plane, opening_groups, run_plane
 from auv_mcm.errors import UsageError
-from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, PoseTrack, Tile
+from auv_mcm.records import LOW_RESOLUTION, NAN, VALID, Tile
 from tests.auv_mcm.detect.drawn_cascades import COLUMN_M, ROW_M, Ground, brute_force, draw_ground, draw_model, n_windows
+from tests.make.records import pose_of, tile_with
 
 seeds = st.integers(0, 2**32 - 1)
 kinds = st.sampled_from(["soft", "stages"])
@@ -34,24 +35,8 @@ def same(one: CascadeResult, other: CascadeResult) -> bool:
 def make_tile(intensity: np.ndarray, mask: np.ndarray, first_return_m: np.ndarray, core: slice | None = None) -> Tile:
     n_rows = intensity.shape[0]
     core = core or slice(0, n_rows)
-    pose = PoseTrack(
-        **{name: np.zeros(n_rows, dtype=bool if name == "stale" else float) for name in PoseTrack.__struct_fields__}
-    )
-    return Tile(
-        side="starboard",
-        index=0,
-        first_row=0,
-        core_start=core.start,
-        core_stop=core.stop,
-        row_spacing_m=ROW_M,
-        column_spacing_m=COLUMN_M,
-        intensity=intensity.astype(np.float32),
-        mask=mask.astype(np.uint8),
-        pose=pose,
-        first_return_m=first_return_m,
-        first_return_sigma_m=np.full(n_rows, 0.05),
-        ping_number=np.arange(n_rows),
-    )
+    place = {"core_start": core.start, "core_stop": core.stop, "row_spacing_m": ROW_M, "column_spacing_m": COLUMN_M}
+    return tile_with(intensity, mask.astype(np.uint8), pose=pose_of(n_rows), first_return_m=first_return_m, **place)
 
 
 @given(seed=seeds, kind=kinds)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from itertools import pairwise
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect import prescreen
 from auv_mcm.detect.detect_tile import OVERLAP_M
-from auv_mcm.detect.prescreen import CONTEXT_M, Peak, ScoreMaps, find_peaks, score_tile
+from auv_mcm.detect.prescreen import CONTEXT_M, Peak, find_peaks, score_tile
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, VALID, Tile
 from tests.auv_mcm.detect.scene_tiles import COLUMN_M, ROW_M, Plane, make_tile, speckle
 
@@ -35,6 +34,10 @@ class Slow(NamedTuple):
 
 def pixels(length_m: float, spacing_m: float) -> int:
     return max(1, round(length_m / spacing_m))
+
+
+def threshold_of(p_false_alarm: float) -> float:
+    return NormalDist().inv_cdf(1.0 - p_false_alarm)
 
 
 def deviate(ratio: float, looks: float, background_looks: float) -> float:
@@ -221,13 +224,7 @@ def test_tiles_of_any_size_and_spacing_score_as_by_boxes_added_up(
     assert_like(tile, slow_scores(tile))
 
 
-# ---------------------------------------------------------------- false alarms
-
 INNER = (slice(60, -60), slice(60, -120))
-
-
-def threshold_of(p_false_alarm: float) -> float:
-    return NormalDist().inv_cdf(1.0 - p_false_alarm)
 
 
 def empty_floor(n_tiles: int, *, spread_pixels: float = 0.0, texture_nu: float = 0.0) -> list[Tile]:
@@ -305,9 +302,6 @@ def test_borders_of_masked_areas_and_of_the_tile_at_most_double_the_alarms() -> 
     assert np.mean(at_border) < 2.0 * np.mean(inside)
 
 
-# ---------------------------------------------------------------- invariances
-
-
 @settings(max_examples=8)
 @given(exponent=st.floats(-3.0, 0.0), seed=st.integers(0, 1000))
 def test_gain_changes_no_score(exponent: float, seed: int) -> None:
@@ -361,9 +355,6 @@ def test_a_masked_border_is_like_a_tile_that_ends_there() -> None:
     bordered, plain = score_tile(make_tile(wide, mask)), score_tile(make_tile(intensity))
     np.testing.assert_allclose(bordered.score[10:60, :80], plain.score, rtol=0, atol=1e-5)
     assert (bordered.score[mask == 0] == -np.inf).all()
-
-
-# ---------------------------------------------------------------- extreme tiles
 
 
 def flat(value: float, shape: tuple[int, int] = (90, 130)) -> Plane:
@@ -469,45 +460,3 @@ def test_a_saturated_object_is_still_a_highlight() -> None:
     best = peaks_of(make_tile(intensity, mask))[0]
     assert best.score > 4.0
     assert np.hypot(best.row - 59, best.column - 82) < 5.0
-
-
-# ---------------------------------------------------------------- peaks
-
-
-@settings(max_examples=25)
-@given(
-    seed=st.integers(0, 10_000),
-    p_false_alarm=st.sampled_from((0.3, 1e-2, 5e-4)),
-    radius_m=st.sampled_from((0.1, 0.4, 1.0)),
-)
-def test_peaks_are_the_highest_scores_around_in_the_core(seed: int, p_false_alarm: float, radius_m: float) -> None:
-    random = np.random.default_rng(seed)
-    shape = (int(random.integers(1, 30)), int(random.integers(1, 40)))
-    start = int(random.integers(0, shape[0]))
-    core = (start, int(random.integers(start + 1, shape[0] + 1)))
-    mask = np.where(random.random(shape) < 0.1, VALID | LOW_RESOLUTION, VALID).astype(np.uint8)
-    tile = make_tile(speckle(seed, shape), mask, core=core)
-    score = (random.integers(-4, 12, shape) * 0.5).astype(np.float32)  # coarse steps, so that ties occur
-    score[random.random(shape) < 0.1] = -np.inf
-    half_rows, half_columns = pixels(radius_m, ROW_M), pixels(radius_m, COLUMN_M)
-    expected = []
-    able = np.where(mask == VALID, score, -np.inf)  # what is near nadir holds no peak and hides none
-    for i, j in np.ndindex(shape):
-        around = able[max(i - half_rows, 0) : i + half_rows + 1, max(j - half_columns, 0) : j + half_columns + 1]
-        allowed = core[0] <= i < core[1] and mask[i, j] == VALID
-        if allowed and score[i, j] >= np.float32(threshold_of(p_false_alarm)) and score[i, j] == around.max():
-            expected.append((-float(score[i, j]), i, j))
-    maps = only_score(score)
-    assert [(-p.score, p.row, p.column) for p in find_peaks(tile, maps, p_false_alarm, radius_m)] == sorted(expected)
-
-
-def only_score(score: Plane) -> ScoreMaps:
-    return ScoreMaps(score, score, score, score, score)
-
-
-def test_lower_thresholds_only_add_peaks() -> None:
-    tile = make_tile(speckle(9, (100, 150)))
-    maps = score_tile(tile)
-    counts = [set(find_peaks(tile, maps, p, 0.4)) for p in (1e-6, 5e-4, 1e-2, 0.3)]
-    assert all(fewer <= more for fewer, more in pairwise(counts))
-    assert counts[3]

@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -23,6 +22,7 @@ from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, EchoTrace, Pin
 from auv_mcm.settings.config import Config, PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from tests.auv_mcm.plan.test_propose import clearance_m, contact
+from tests.make.looks import EvenLook
 
 AREA = ((0.0, 0.0), (0.0, 60.0), (80.0, 60.0), (80.0, 0.0))
 FENCE = ((-70.0, -70.0), (-70.0, 130.0), (150.0, 130.0), (150.0, -70.0))
@@ -32,31 +32,13 @@ STEP_M = 3.0
 Corners = tuple[tuple[float, float], ...]
 
 
-class Model(NamedTuple):
-    """A look at anything in sight finds a mine with one probability."""
-
-    p: float = 0.85
-    same_look_correlation: float = 0.7
-    other_look_correlation: float = 0.1
-
-    def p_look(
-        self,
-        seabed: NDArray[np.uint8],
-        ground_range_m: NDArray[np.float32],
-        altitude_m: NDArray[np.float32],
-        look_rad: NDArray[np.float32],
-        ripple_rad: NDArray[np.float32],
-    ) -> NDArray[np.float64]:
-        return np.full(np.shape(ground_range_m), self.p)
-
-
 class Mission:
     """A vehicle that follows requests at once, and a sonar that shows a leg some time after its end, or never."""
 
     def __init__(
         self,
         *,
-        model: Model | None = None,
+        model: EvenLook | None = None,
         area: Corners = AREA,
         fence: Corners = FENCE,
         required: float = 0.8,
@@ -72,7 +54,7 @@ class Mission:
             plan=PlanConfig(area_deg=self.globe(area), required_clearance=required, max_track_m=max_track_m),
             vehicle=VehicleConfig(command=command, fence_deg=self.globe(fence)),
         )
-        self.model = model or Model()
+        self.model = model or EvenLook(same=0.7)
         self.is_blind, self.shown_after_s = is_blind, shown_after_s
         self.planner, self.searched = ClearArea(self.config, self.model), ClearanceMap(self.model)
         self.look_again = LookAgain(self.config)
@@ -235,7 +217,7 @@ def test_a_leg_that_is_not_reported_yet_is_not_flown_twice() -> None:
 
 
 def test_where_no_mine_can_be_found_the_plan_states_at_once_that_the_area_cannot_be_cleared() -> None:
-    mission = Mission(model=Model(p=0.0))
+    mission = Mission(model=EvenLook(0.0))
     assert mission.run().startswith("cannot, because")
     assert not mission.flown
     assert mission.codes == ["survey_cannot"]

@@ -12,7 +12,7 @@ from auv_mcm.records import SourceEvent
 from auv_mcm.shell.perception import MakePipeline
 from auv_mcm.source import EventSink
 from tests.auv_mcm.shell import fake_pipelines as fake
-from tests.auv_mcm.shell.test_service import Events, journal, mission, serve, summary
+from tests.auv_mcm.shell.service_runs import Events, journal, mission, serve, summary
 
 
 @pytest.mark.parametrize("make", [fake.DyingOnce, fake.HangingOnce, fake.DyingAtItsEndOnce])

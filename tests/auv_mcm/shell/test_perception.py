@@ -25,7 +25,8 @@ from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, CoveragePatch, EarlyContact, EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.perception import Fed, Finished, MakePipeline, Perception, PerceptionError, Ring
+from auv_mcm.shell.perception import Fed, Finished, MakePipeline, Perception, PerceptionError
+from auv_mcm.shell.ping_ring import Ring
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.shell import fake_pipelines as fake
 
@@ -165,21 +166,18 @@ def test_a_disk_that_takes_no_more_contacts_is_reported_once_and_counted_and_all
     assert [isinstance(patch.patch, CoveragePatch) for patch in answered.patches] == [False, True, True, True]
 
 
-def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
-    async def run() -> None:
-        perception = Perception(Config(), fake.Base, ring_bytes=4096)
-        try:
-            await perception.start()
-            with pytest.raises(ValueError, match="does not fit"):
-                await perception.feed(fake.ping(0, port=fake.trace(0, 10_000)))
-            await perception.feed(fake.ping(3))
-            answer = await perception.answer()
-            assert isinstance(answer, Fed)
-            assert [event.id for event in answer.events if isinstance(event, Contact)] == ["C0003"]
-        finally:
-            perception.close()
-
-    asyncio.run(run())
+async def test_a_ping_larger_than_the_ring_is_refused_and_the_rest_goes_on() -> None:
+    perception = Perception(Config(), fake.Base, ring_bytes=4096)
+    try:
+        await perception.start()
+        with pytest.raises(ValueError, match="does not fit"):
+            await perception.feed(fake.ping(0, port=fake.trace(0, 10_000)))
+        await perception.feed(fake.ping(3))
+        answer = await perception.answer()
+        assert isinstance(answer, Fed)
+        assert [event.id for event in answer.events if isinstance(event, Contact)] == ["C0003"]
+    finally:
+        perception.close()
 
 
 @pytest.mark.parametrize(
@@ -208,15 +206,12 @@ def test_words_of_a_device_in_a_traceback_forge_no_line_of_the_log(capfd: pytest
     assert all(line.startswith("  ") and is_clean(line) for line in others)
 
 
-def test_closing_what_never_started_or_still_works_ends_at_once() -> None:
-    async def run() -> None:
-        Perception(Config()).close()
-        perception = Perception(Config(), fake.Stuck)
-        await perception.start()
-        await perception.finish()
-        perception.close()
-
-    asyncio.run(run())
+async def test_closing_what_never_started_or_still_works_ends_at_once() -> None:
+    Perception(Config()).close()
+    perception = Perception(Config(), fake.Stuck)
+    await perception.start()
+    await perception.finish()
+    perception.close()
 
 
 def test_a_limit_on_the_size_of_files_ends_the_start_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.perception import MakePipeline
 from auv_mcm.shell.service import Service
 from tests.auv_mcm.shell import fake_pipelines as fake
-from tests.auv_mcm.shell.test_service import Ports, ids, journal, summary
+from tests.auv_mcm.shell.service_runs import Ports, ids, journal, summary
 
 
 class Run(NamedTuple):

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.shell.service_manager import report, watchdog_s
-from tests.auv_mcm.shell.test_service import PROGRAM, ROOT
+from tests.auv_mcm.shell.test_service_ends import PROGRAM, ROOT
 
 LONGEST_WAIT_S = 60.0
 

@@ -13,6 +13,7 @@ from auv_mcm.intake import PingBlock
 from auv_mcm.records import VALID, EchoTrace, Ping, PoseTrack, Side, Tile, Transfer
 from auv_mcm.settings.config import Config, WaterfallConfig
 from auv_mcm.waterfall.waterfall import Waterfall
+from tests.make.records import pose_of
 
 ALTITUDE_M, RANGE_M, SPACING_M, STEP_M, PING_S = 6.0, 45.0, 0.03, 0.12, 0.1
 FIRST_PING_M = 0.3
@@ -42,20 +43,9 @@ def amplitudes(
 
 
 def straight_poses(n_pings: int, first: int = 0) -> PoseTrack:
-    zero: NDArray[np.float64] = np.zeros(n_pings)
     index: NDArray[np.float64] = np.arange(first, first + n_pings, dtype=np.float64)
-    return PoseTrack(
-        time_s=1.7e9 + PING_S * index,
-        latitude_deg=43.0 + 1e-6 * index,
-        longitude_deg=zero + 5.0,
-        depth_m=zero + 10.0,
-        heading_rad=zero,
-        pitch_rad=zero,
-        roll_rad=zero,
-        speed_mps=zero + STEP_M / PING_S,
-        altitude_m=zero + math.nan,
-        stale=np.zeros(n_pings, dtype=np.bool_),
-    )
+    place = {"latitude_deg": 43.0 + 1e-6 * index, "longitude_deg": 5.0, "depth_m": 10.0, "altitude_m": math.nan}
+    return pose_of(n_pings, time_s=1.7e9 + PING_S * index, speed_mps=STEP_M / PING_S, **place)
 
 
 def block_of(

@@ -73,3 +73,11 @@ async def until_equal(get: Callable[[], object], wanted: object) -> None:
 
 def open_descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@asynccontextmanager
+async def up(link: Link[T]) -> AsyncIterator[None]:
+    """Run a link that is up."""
+    async with running(link):
+        await until(lambda: link.state == "up")
+        yield

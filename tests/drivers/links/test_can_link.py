@@ -21,7 +21,7 @@ from drivers.links.link import Link
 from drivers.links.slcan import encode
 from sim_replay.fakes.port import FakePort
 from sim_replay.fakes.slcan_adapter import FakeSlcanAdapter
-from tests.drivers.links.link_watch import Watch, running, until, until_equal, watched_can
+from tests.drivers.links.link_watch import Watch, running, until, until_equal, up, watched_can
 
 POSITION = CanFrame(0x09F80103, bytes.fromhex("406dab1cc0b9da06"))
 DEPTH = CanFrame(0x0DF50B03, bytes.fromhex("00d2040000000000"))
@@ -49,117 +49,95 @@ async def plugged_adapter(
     port.unplug()
 
 
-def test_an_adapter_is_opened_at_the_bit_rate_and_frames_pass_both_ways(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        taken: list[CanFrame] = []
-        async with plugged_adapter(tmp_path, on_frame=taken.append) as (_, adapter, link, watch):
-            await adapter.send(POSITION)
-            await adapter.send(DEPTH)
-            await until(lambda: watch.items == [POSITION, DEPTH])
-            assert link.write(DEPTH)
-            await until(lambda: taken == [DEPTH])
-            assert not link.write(CanFrame(1, bytes(64)))
-            assert link.counters["slcan.refused.unsendable"] == 1
-            await until(lambda: link.counters["slcan.answers"] == 6)
-        assert link.counters["slcan.refusals"] == 1, "closing what was not open"
-
-    asyncio.run(scenario())
+async def test_an_adapter_is_opened_at_the_bit_rate_and_frames_pass_both_ways(tmp_path: Path) -> None:
+    taken: list[CanFrame] = []
+    async with plugged_adapter(tmp_path, on_frame=taken.append) as (_, adapter, link, watch):
+        await adapter.send(POSITION)
+        await adapter.send(DEPTH)
+        await until(lambda: watch.items == [POSITION, DEPTH])
+        assert link.write(DEPTH)
+        await until(lambda: taken == [DEPTH])
+        assert not link.write(CanFrame(1, bytes(64)))
+        assert link.counters["slcan.refused.unsendable"] == 1
+        await until(lambda: link.counters["slcan.answers"] == 6)
+    assert link.counters["slcan.refusals"] == 1, "closing what was not open"
 
 
-def test_an_unplugged_adapter_is_opened_again_when_it_is_back(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        async with plugged_adapter(tmp_path) as (port, adapter, link, watch):
-            for n in range(2):
-                await until(lambda: adapter.is_open)
-                await adapter.send(CanFrame(n, b""))
-                await until_equal(lambda: len(watch.items), n + 1)
-                port.unplug()
-                adapter.power_cycle()
-                await until(lambda: link.state == "down")
-                assert not link.write(POSITION)
-                port.plug()
-
-    asyncio.run(scenario())
-
-
-def test_an_adapter_that_lost_power_behind_its_port_is_opened_again(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        async with plugged_adapter(tmp_path, "&silent_s=0.1") as (_, adapter, _, watch):
-            await adapter.send(POSITION)
-            await until(lambda: watch.items)
-            adapter.power_cycle()
+async def test_an_unplugged_adapter_is_opened_again_when_it_is_back(tmp_path: Path) -> None:
+    async with plugged_adapter(tmp_path) as (port, adapter, link, watch):
+        for n in range(2):
             await until(lambda: adapter.is_open)
-            await adapter.send(DEPTH)
-            await until(lambda: watch.items == [POSITION, DEPTH])
-
-    asyncio.run(scenario())
-
-
-def test_a_wrong_bit_rate_and_a_dead_adapter_are_distinguished(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        async with plugged_adapter(tmp_path, "&silent_s=0.1", bitrate=500000) as (port, adapter, link, watch):
-            await adapter.send(POSITION)
-            await until(lambda: link.state == "silent")
-            assert "The adapter answers: check that the bus has 250000 bit/s" in watch.reason
-            port.stalled = True
-            await until(lambda: "The adapter does not answer either" in watch.reason)
-        assert not watch.items
-
-    asyncio.run(scenario())
+            await adapter.send(CanFrame(n, b""))
+            await until_equal(lambda: len(watch.items), n + 1)
+            port.unplug()
+            adapter.power_cycle()
+            await until(lambda: link.state == "down")
+            assert not link.write(POSITION)
+            port.plug()
 
 
-def test_bytes_that_are_no_frames_are_reported_as_such(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", 115200)
-        port.plug()
-        link, watch = watched_can(f"slcan://{port.path}?bitrate=250000&silent_s=0.1")
-        async with running(link):
-            while link.state != "silent":
-                await port.send(b"\x00\xfc\x80\r")
-                await asyncio.sleep(0.01)
-            assert (
-                "What arrives is neither a CAN frame nor an answer of the adapter: check that the adapter speaks slcan"
-                in watch.reason
-            )
-        assert not watch.items
-        port.unplug()
-
-    asyncio.run(scenario())
+async def test_an_adapter_that_lost_power_behind_its_port_is_opened_again(tmp_path: Path) -> None:
+    async with plugged_adapter(tmp_path, "&silent_s=0.1") as (_, adapter, _, watch):
+        await adapter.send(POSITION)
+        await until(lambda: watch.items)
+        adapter.power_cycle()
+        await until(lambda: adapter.is_open)
+        await adapter.send(DEPTH)
+        await until(lambda: watch.items == [POSITION, DEPTH])
 
 
-def test_one_bad_byte_costs_one_frame(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        async with plugged_adapter(tmp_path) as (port, _, link, watch):
-            for n in range(13):
-                text = encode(CanFrame(n, b"\x00"))
-                await port.send(text.replace(b"T", b"\xc3") if n == 2 else text)
-            await until(lambda: len(watch.items) == 12)
-            assert [frame.can_id for frame in watch.items] == [0, 1, *range(3, 13)]
-        assert link.counters["slcan.refused.line"] == 1
-
-    asyncio.run(scenario())
+async def test_a_wrong_bit_rate_and_a_dead_adapter_are_distinguished(tmp_path: Path) -> None:
+    async with plugged_adapter(tmp_path, "&silent_s=0.1", bitrate=500000) as (port, adapter, link, watch):
+        await adapter.send(POSITION)
+        await until(lambda: link.state == "silent")
+        assert "The adapter answers: check that the bus has 250000 bit/s" in watch.reason
+        port.stalled = True
+        await until(lambda: "The adapter does not answer either" in watch.reason)
+    assert not watch.items
 
 
-def test_frames_pass_both_ways_on_a_virtual_bus() -> None:
-    async def scenario() -> None:
-        other = can.Bus(interface="virtual", channel="both_ways", ignore_config=True)
-        link, watch = watched_can("can-virtual://both_ways")
-        async with running(link):
-            await until(lambda: link.state == "up")
-            other.send(can.Message(arbitration_id=POSITION.can_id, data=POSITION.data))
-            other.send(can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False))
-            other.send(can.Message(arbitration_id=0x123, is_remote_frame=True))
-            await until(lambda: watch.items == [POSITION, CanFrame(0x123, b"\x01", extended=False)])
-            assert link.write(DEPTH)
-            message = await asyncio.to_thread(other.recv, 5.0)
-            assert message is not None
-            assert (message.arbitration_id, bytes(message.data)) == (DEPTH.can_id, DEPTH.data)
-            assert not link.write(CanFrame(1 << 30, b""))
-        assert link.counters["can.remote"] == 1
-        assert link.counters["can.send_failed"] == 1
-        other.shutdown()
+async def test_bytes_that_are_no_frames_are_reported_as_such(tmp_path: Path) -> None:
+    port = FakePort(tmp_path / "tty", 115200)
+    port.plug()
+    link, watch = watched_can(f"slcan://{port.path}?bitrate=250000&silent_s=0.1")
+    async with running(link):
+        while link.state != "silent":
+            await port.send(b"\x00\xfc\x80\r")
+            await asyncio.sleep(0.01)
+        assert (
+            "What arrives is neither a CAN frame nor an answer of the adapter: check that the adapter speaks slcan"
+            in watch.reason
+        )
+    assert not watch.items
+    port.unplug()
 
-    asyncio.run(scenario())
+
+async def test_one_bad_byte_costs_one_frame(tmp_path: Path) -> None:
+    async with plugged_adapter(tmp_path) as (port, _, link, watch):
+        for n in range(13):
+            text = encode(CanFrame(n, b"\x00"))
+            await port.send(text.replace(b"T", b"\xc3") if n == 2 else text)
+        await until(lambda: len(watch.items) == 12)
+        assert [frame.can_id for frame in watch.items] == [0, 1, *range(3, 13)]
+    assert link.counters["slcan.refused.line"] == 1
+
+
+async def test_frames_pass_both_ways_on_a_virtual_bus() -> None:
+    other = can.Bus(interface="virtual", channel="both_ways", ignore_config=True)
+    link, watch = watched_can("can-virtual://both_ways")
+    async with up(link):
+        other.send(can.Message(arbitration_id=POSITION.can_id, data=POSITION.data))
+        other.send(can.Message(arbitration_id=0x123, data=b"\x01", is_extended_id=False))
+        other.send(can.Message(arbitration_id=0x123, is_remote_frame=True))
+        await until(lambda: watch.items == [POSITION, CanFrame(0x123, b"\x01", extended=False)])
+        assert link.write(DEPTH)
+        message = await asyncio.to_thread(other.recv, 5.0)
+        assert message is not None
+        assert (message.arbitration_id, bytes(message.data)) == (DEPTH.can_id, DEPTH.data)
+        assert not link.write(CanFrame(1 << 30, b""))
+    assert link.counters["can.remote"] == 1
+    assert link.counters["can.send_failed"] == 1
+    other.shutdown()
 
 
 class DyingBus:
@@ -206,36 +184,30 @@ class DyingBus:
         (can.Message(is_error_frame=True, arbitration_id=0x40), "switched itself off after too many errors"),
     ],
 )
-def test_a_bus_that_dies_is_reported_at_once_and_opened_again(end: can.Message | Exception, words: str) -> None:
-    async def scenario() -> None:
-        plans: list[list[Any]] = [
-            [can.Message(arbitration_id=1), can.Message(is_error_frame=True, arbitration_id=0x4)],
-            [can.Message(arbitration_id=2)],
-        ]
-        plans[0].append(end)
+async def test_a_bus_that_dies_is_reported_at_once_and_opened_again(end: can.Message | Exception, words: str) -> None:
+    plans: list[list[Any]] = [
+        [can.Message(arbitration_id=1), can.Message(is_error_frame=True, arbitration_id=0x4)],
+        [can.Message(arbitration_id=2)],
+    ]
+    plans[0].append(end)
 
-        async def open_port(counters: Counter[str]) -> CanBusPort:
-            return CanBusPort(DyingBus(plans.pop(0)), "socketcan://can9", counters)
+    async def open_port(counters: Counter[str]) -> CanBusPort:
+        return CanBusPort(DyingBus(plans.pop(0)), "socketcan://can9", counters)
 
-        watch = Watch[CanFrame]()
-        link = Link("socketcan://can9", open_port, watch.on_data, watch.on_state, SystemClock(), 5.0)
-        async with running(link):
-            await until(lambda: [frame.can_id for frame in watch.items][-1:] == [2])
-            assert watch.states == ["up", "down", "up"]
-            assert words in watch.reports[1][1]
-            assert not link.write(POSITION)
-            assert link.counters["can.error_frames"] >= 1
-        assert link.counters["link.lost"] == 1
-
-    asyncio.run(scenario())
+    watch = Watch[CanFrame]()
+    link = Link("socketcan://can9", open_port, watch.on_data, watch.on_state, SystemClock(), 5.0)
+    async with running(link):
+        await until(lambda: [frame.can_id for frame in watch.items][-1:] == [2])
+        assert watch.states == ["up", "down", "up"]
+        assert words in watch.reports[1][1]
+        assert not link.write(POSITION)
+        assert link.counters["can.error_frames"] >= 1
+    assert link.counters["link.lost"] == 1
 
 
-def test_an_interface_that_is_not_there_is_reported() -> None:
-    async def scenario() -> None:
-        link, watch = watched_can("socketcan://absent0")
-        async with running(link):
-            await until(lambda: watch.reports)
-            assert watch.states == ["down"]
-            assert "no such CAN interface" in watch.reason or "no SocketCAN" in watch.reason
-
-    asyncio.run(scenario())
+async def test_an_interface_that_is_not_there_is_reported() -> None:
+    link, watch = watched_can("socketcan://absent0")
+    async with running(link):
+        await until(lambda: watch.reports)
+        assert watch.states == ["down"]
+        assert "no such CAN interface" in watch.reason or "no SocketCAN" in watch.reason

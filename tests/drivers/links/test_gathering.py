@@ -21,7 +21,7 @@ from drivers.links.link import Link, Wire
 from drivers.links.slcan import SlcanPort, encode
 from drivers.links.stream import StreamPort
 from drivers.links.uri import BAUD_RATES
-from tests.drivers.links.link_watch import Watch, running, until
+from tests.drivers.links.link_watch import Watch, until, up
 from tests.drivers.links.loop_time import LoopClock, LoopTime, run_in_loop_time
 
 BYTES_PER_S: Final = 92_160.0
@@ -81,8 +81,7 @@ async def wired(baud: int = 921_600) -> AsyncIterator[Far]:
 
     link = Link("wire", open_port, watch.on_data, watch.on_state, LoopClock(), 60.0)
     with far:
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with up(link):
             yield Far(link, watch, far)
 
 
@@ -187,8 +186,7 @@ def test_frames_of_an_adapter_gather_as_well() -> None:
         watch = Watch[CanFrame]()
         link = Link("bus", open_port, watch.on_data, watch.on_state, LoopClock(), 60.0)
         with far:
-            async with running(link):
-                await until(lambda: link.state == "up")
+            async with up(link):
                 for k in range(40):
                     far.send(encode(CanFrame(k, b"")))
                     await asyncio.sleep(GATHER_S / 4)

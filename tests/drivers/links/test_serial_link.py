@@ -20,7 +20,7 @@ from drivers.links.open_link import byte_link
 from drivers.links.stream import MAX_QUEUED_BYTES
 from drivers.links.uri import SerialAddress
 from sim_replay.fakes.port import FakePort
-from tests.drivers.links.link_watch import Watch, open_descriptors, running, until, until_equal, watched_bytes
+from tests.drivers.links.link_watch import Watch, open_descriptors, running, until, until_equal, up, watched_bytes
 from tests.drivers.links.loop_time import LoopTime, run_in_loop_time
 from tests.manual_clock import ManualClock
 
@@ -37,82 +37,71 @@ async def plugged(folder: Path, options: str = "") -> AsyncIterator[tuple[FakePo
     port = FakePort(folder / "tty", BAUD)
     port.plug()
     link, watch = link_at(port.path, options)
-    async with running(link):
-        await until(lambda: link.state == "up")
+    async with up(link):
         yield port, link, watch
     port.unplug()
 
 
-def test_bytes_pass_both_ways_with_the_stamp_of_their_reading(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        taken: list[bytes] = []
-        port = FakePort(tmp_path / "tty", 115200, on_bytes=taken.append)
-        port.plug()
-        clock = ManualClock(1_700_000_000.0)
-        clock.advance_to(1_700_000_002.5)
-        watch = Watch[bytes]()
-        link = byte_link(SerialAddress(str(port.path), 115200), watch.on_data, watch.on_state, clock)
-        async with running(link):
-            await until(lambda: link.state == "up")
-            assert port.host_baud == 115200
-            await port.send(b"$GPHDT,90.0,T*0C\r\n")
-            await until(lambda: b"".join(watch.items) == b"$GPHDT,90.0,T*0C\r\n")
-            assert set(watch.stamps) == {Stamp(2_500_000_000, 1_700_000_002_500_000_000)}
-            assert link.write(b"ping")
-            assert link.write(b"-pong")
-            await until(lambda: b"".join(taken) == b"ping-pong")
-        assert link.counters["link.bytes_in"] == 18
-        assert link.counters["link.bytes_out"] == 9
-        assert watch.states == ["up", "down"]
-        port.unplug()
-
-    asyncio.run(scenario())
+async def test_bytes_pass_both_ways_with_the_stamp_of_their_reading(tmp_path: Path) -> None:
+    taken: list[bytes] = []
+    port = FakePort(tmp_path / "tty", 115200, on_bytes=taken.append)
+    port.plug()
+    clock = ManualClock(1_700_000_000.0)
+    clock.advance_to(1_700_000_002.5)
+    watch = Watch[bytes]()
+    link = byte_link(SerialAddress(str(port.path), 115200), watch.on_data, watch.on_state, clock)
+    async with up(link):
+        assert port.host_baud == 115200
+        await port.send(b"$GPHDT,90.0,T*0C\r\n")
+        await until(lambda: b"".join(watch.items) == b"$GPHDT,90.0,T*0C\r\n")
+        assert set(watch.stamps) == {Stamp(2_500_000_000, 1_700_000_002_500_000_000)}
+        assert link.write(b"ping")
+        assert link.write(b"-pong")
+        await until(lambda: b"".join(taken) == b"ping-pong")
+    assert link.counters["link.bytes_in"] == 18
+    assert link.counters["link.bytes_out"] == 9
+    assert watch.states == ["up", "down"]
+    port.unplug()
 
 
-def test_an_unplugged_device_is_reported_at_once_and_served_again_when_it_is_back(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        link, watch = link_at(port.path)
-        async with running(link):
-            await until(lambda: watch.reports)
-            assert "no such device" in watch.reason
-            for n in range(3):
-                port.plug()
-                await until(lambda: link.state == "up")
-                await port.send(b"%d" % n)
-                await until_equal(lambda: b"".join(watch.items), b"012"[: n + 1])
-                port.unplug()
-                await until(lambda: link.state == "down")
-                reads = link.counters["link.reads"]
-                assert "hung up" in watch.reason
-                assert not link.write(b"into the void")
-                await asyncio.sleep(0.05)
-                assert link.counters["link.reads"] == reads, "a wire that hung up must not be read again"
-        assert b"".join(watch.items) == b"012"
-        assert link.counters["link.lost"] == 3
-        assert link.counters["link.writes_refused"] == 3
-        assert watch.states == ["down", *["up", "down"] * 3, "down"]
-
-    asyncio.run(scenario())
-
-
-def test_an_unplugged_device_is_reported_once_and_again_only_if_what_comes_back_cannot_be_opened(
-    tmp_path: Path,
-) -> None:
-    async def scenario() -> None:
-        async with plugged(tmp_path) as (port, link, watch):
-            port.unplug()
-            await until(lambda: link.state == "down")
-            await asyncio.sleep(0.2)
-            assert watch.states == ["up", "down"]
-            port.path.write_bytes(b"no port")
-            await until(lambda: len(watch.reports) == 3)
-            assert "cannot be used as a serial port" in watch.reason
-            port.path.unlink()
+async def test_an_unplugged_device_is_reported_at_once_and_served_again_when_it_is_back(tmp_path: Path) -> None:
+    port = FakePort(tmp_path / "tty", BAUD)
+    link, watch = link_at(port.path)
+    async with running(link):
+        await until(lambda: watch.reports)
+        assert "no such device" in watch.reason
+        for n in range(3):
             port.plug()
             await until(lambda: link.state == "up")
+            await port.send(b"%d" % n)
+            await until_equal(lambda: b"".join(watch.items), b"012"[: n + 1])
+            port.unplug()
+            await until(lambda: link.state == "down")
+            reads = link.counters["link.reads"]
+            assert "hung up" in watch.reason
+            assert not link.write(b"into the void")
+            await asyncio.sleep(0.05)
+            assert link.counters["link.reads"] == reads, "a wire that hung up must not be read again"
+    assert b"".join(watch.items) == b"012"
+    assert link.counters["link.lost"] == 3
+    assert link.counters["link.writes_refused"] == 3
+    assert watch.states == ["down", *["up", "down"] * 3, "down"]
 
-    asyncio.run(scenario())
+
+async def test_an_unplugged_device_is_reported_once_and_again_only_if_what_comes_back_cannot_be_opened(
+    tmp_path: Path,
+) -> None:
+    async with plugged(tmp_path) as (port, link, watch):
+        port.unplug()
+        await until(lambda: link.state == "down")
+        await asyncio.sleep(0.2)
+        assert watch.states == ["up", "down"]
+        port.path.write_bytes(b"no port")
+        await until(lambda: len(watch.reports) == 3)
+        assert "cannot be used as a serial port" in watch.reason
+        port.path.unlink()
+        port.plug()
+        await until(lambda: link.state == "up")
 
 
 def test_a_link_without_its_device_looks_for_it_50_times_a_second_and_tries_nothing_else(tmp_path: Path) -> None:
@@ -129,132 +118,111 @@ def test_a_link_without_its_device_looks_for_it_50_times_a_second_and_tries_noth
     run_in_loop_time(scenario)
 
 
-def test_a_cable_that_fails_without_a_word_is_reported_as_silent(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        async with plugged(tmp_path, "&silent_s=0.05") as (port, link, watch):
-            port.stalled = True
-            await port.send(b"lost")
-            await until(lambda: link.state == "silent")
-            assert "nothing received for 0.05 s" in watch.reason
-            assert f"{BAUD} baud" in watch.reason
-            await until(lambda: link.counters["link.silences"] >= 3)
-            port.stalled = False
-            await port.send(b"again")
-            await until(lambda: watch.items)
-        assert watch.states[:3] == ["up", "silent", "up"], "reported once however long it lasts"
-        assert link.counters["link.opened"] == 1
-
-    asyncio.run(scenario())
+async def test_a_cable_that_fails_without_a_word_is_reported_as_silent(tmp_path: Path) -> None:
+    async with plugged(tmp_path, "&silent_s=0.05") as (port, link, watch):
+        port.stalled = True
+        await port.send(b"lost")
+        await until(lambda: link.state == "silent")
+        assert "nothing received for 0.05 s" in watch.reason
+        assert f"{BAUD} baud" in watch.reason
+        await until(lambda: link.counters["link.silences"] >= 3)
+        port.stalled = False
+        await port.send(b"again")
+        await until(lambda: watch.items)
+    assert watch.states[:3] == ["up", "silent", "up"], "reported once however long it lasts"
+    assert link.counters["link.opened"] == 1
 
 
-def test_silence_is_measured_with_the_clock_that_is_given(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        port.plug()
-        clock = ManualClock()
-        watch = Watch[bytes]()
-        link = byte_link(SerialAddress(str(port.path), BAUD, 0.05), watch.on_data, watch.on_state, clock)
-        async with running(link):
-            await until(lambda: link.state == "up")
-            await asyncio.sleep(0.15)
-            assert link.state == "up"
-            clock.advance_to(0.06)
-            await until(lambda: link.state == "silent")
-        port.unplug()
-
-    asyncio.run(scenario())
+async def test_silence_is_measured_with_the_clock_that_is_given(tmp_path: Path) -> None:
+    port = FakePort(tmp_path / "tty", BAUD)
+    port.plug()
+    clock = ManualClock()
+    watch = Watch[bytes]()
+    link = byte_link(SerialAddress(str(port.path), BAUD, 0.05), watch.on_data, watch.on_state, clock)
+    async with up(link):
+        await asyncio.sleep(0.15)
+        assert link.state == "up"
+        clock.advance_to(0.06)
+        await until(lambda: link.state == "silent")
+    port.unplug()
 
 
-def test_writes_queue_up_to_a_bound_and_leave_in_order_when_the_device_reads_again(tmp_path: Path) -> None:
+async def test_writes_queue_up_to_a_bound_and_leave_in_order_when_the_device_reads_again(tmp_path: Path) -> None:
     """The device is a bare pseudo-terminal that nobody reads until the end."""
-
-    async def scenario() -> None:
-        master, slave = os.openpty()
-        link, _ = link_at(Path(os.ttyname(slave)))
-        async with running(link):
-            await until(lambda: link.state == "up")
-            sent = b""
-            for n in range(100_000):
-                piece = b"%06d" % n
-                if not link.write(piece):
-                    break
-                sent += piece
-            assert link.counters["link.writes_refused"] == 1
-            assert MAX_QUEUED_BYTES - 6 <= len(sent) - link.counters["link.bytes_out"] <= MAX_QUEUED_BYTES
-            os.set_blocking(master, False)
-            came = b""
-            while len(came) < len(sent):
-                try:
-                    came += os.read(master, 65536)
-                except BlockingIOError:
-                    await asyncio.sleep(0.001)
-            assert came == sent
-            assert link.write(b"room again")
-        os.close(master)
-        os.close(slave)
-
-    asyncio.run(scenario())
+    master, slave = os.openpty()
+    link, _ = link_at(Path(os.ttyname(slave)))
+    async with up(link):
+        sent = b""
+        for n in range(100_000):
+            piece = b"%06d" % n
+            if not link.write(piece):
+                break
+            sent += piece
+        assert link.counters["link.writes_refused"] == 1
+        assert MAX_QUEUED_BYTES - 6 <= len(sent) - link.counters["link.bytes_out"] <= MAX_QUEUED_BYTES
+        os.set_blocking(master, False)
+        came = b""
+        while len(came) < len(sent):
+            try:
+                came += os.read(master, 65536)
+            except BlockingIOError:
+                await asyncio.sleep(0.001)
+        assert came == sent
+        assert link.write(b"room again")
+    os.close(master)
+    os.close(slave)
 
 
-def test_being_woken_for_nothing_is_not_taken_for_a_hang_up(tmp_path: Path) -> None:
+async def test_being_woken_for_nothing_is_not_taken_for_a_hang_up(tmp_path: Path) -> None:
     """Others that read the same port get the bytes that the link was woken for."""
+    port = FakePort(tmp_path / "tty", BAUD)
+    port.plug()
+    loop = asyncio.get_running_loop()
+    stolen: list[bytes] = []
 
-    async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        port.plug()
-        loop = asyncio.get_running_loop()
-        stolen: list[bytes] = []
+    def steal(thief: int) -> None:
+        with contextlib.suppress(BlockingIOError):
+            stolen.append(os.read(thief, 65536))
 
-        def steal(thief: int) -> None:
-            with contextlib.suppress(BlockingIOError):
-                stolen.append(os.read(thief, 65536))
-
-        thieves = [os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK) for _ in range(2)]
-        link, watch = link_at(port.path)
-        loop.add_reader(thieves[0], steal, thieves[0])
-        async with running(link):
-            await until(lambda: link.state == "up")
-            loop.add_reader(thieves[1], steal, thieves[1])
-            for _ in range(50):
-                await port.send(b"x")
-            await until(lambda: len(b"".join(watch.items + stolen)) == 50)
-            assert link.counters["link.reads"] > len(watch.items), "never woken for nothing: this test shows nothing"
-            assert watch.states == ["up"]
-            for thief in thieves:
-                loop.remove_reader(thief)
-                os.close(thief)
-        port.unplug()
-
-    asyncio.run(scenario())
+    thieves = [os.open(port.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK) for _ in range(2)]
+    link, watch = link_at(port.path)
+    loop.add_reader(thieves[0], steal, thieves[0])
+    async with up(link):
+        loop.add_reader(thieves[1], steal, thieves[1])
+        for _ in range(50):
+            await port.send(b"x")
+        await until(lambda: len(b"".join(watch.items + stolen)) == 50)
+        assert link.counters["link.reads"] > len(watch.items), "never woken for nothing: this test shows nothing"
+        assert watch.states == ["up"]
+        for thief in thieves:
+            loop.remove_reader(thief)
+            os.close(thief)
+    port.unplug()
 
 
-def test_garbage_as_fast_as_it_comes_leaves_nothing_behind(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        master, slave = os.openpty()
-        n_bytes = 0
+async def test_garbage_as_fast_as_it_comes_leaves_nothing_behind(tmp_path: Path) -> None:
+    master, slave = os.openpty()
+    n_bytes = 0
 
-        def count(data: bytes, stamp: Stamp) -> None:
-            nonlocal n_bytes
-            assert len(data) <= 65536
-            n_bytes += len(data)
+    def count(data: bytes, stamp: Stamp) -> None:
+        nonlocal n_bytes
+        assert len(data) <= 65536
+        n_bytes += len(data)
 
-        link = byte_link(SerialAddress(os.ttyname(slave), BAUD), count, lambda state, reason: None, ManualClock())
-        async with running(link):
-            await until(lambda: link.state == "up")
-            os.set_blocking(master, False)
-            garbage = bytes(range(256)) * 16
-            n_sent = 0
-            while n_sent < 2_000_000:
-                try:
-                    n_sent += os.write(master, garbage)
-                except BlockingIOError:
-                    await asyncio.sleep(0)
-            await until(lambda: n_bytes == n_sent)
-            assert link.counters["link.reads"] <= n_sent
-        os.close(master)
-        os.close(slave)
-
-    asyncio.run(scenario())
+    link = byte_link(SerialAddress(os.ttyname(slave), BAUD), count, lambda state, reason: None, ManualClock())
+    async with up(link):
+        os.set_blocking(master, False)
+        garbage = bytes(range(256)) * 16
+        n_sent = 0
+        while n_sent < 2_000_000:
+            try:
+                n_sent += os.write(master, garbage)
+            except BlockingIOError:
+                await asyncio.sleep(0)
+        await until(lambda: n_bytes == n_sent)
+        assert link.counters["link.reads"] <= n_sent
+    os.close(master)
+    os.close(slave)
 
 
 def test_receivers_that_fail_do_not_stop_a_link(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -274,8 +242,7 @@ def test_receivers_that_fail_do_not_stop_a_link(tmp_path: Path, caplog: pytest.L
         link = byte_link(SerialAddress(str(port.path), BAUD), fail, fail_too, ManualClock())
         loop_errors: list[object] = []
         asyncio.get_running_loop().set_exception_handler(lambda loop, context: loop_errors.append(context))
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with up(link):
             for n in range(1, 4):
                 await port.send(b"x")
                 await until_equal(lambda: n_calls, n)
@@ -287,29 +254,26 @@ def test_receivers_that_fail_do_not_stop_a_link(tmp_path: Path, caplog: pytest.L
     assert len([record for record in caplog.records if "a receiver failed" in record.message]) == 1
 
 
-def test_a_port_in_use_is_reported_with_a_way_to_find_who_uses_it(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        port.plug()
-        other = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
-        fcntl.flock(other, fcntl.LOCK_EX)
-        link, watch = link_at(port.path)
-        async with running(link):
-            await until(lambda: watch.reports)
-            assert watch.states == ["down"]
-            assert (
-                watch.reason
-                == f"{port.path}: in use by another program. Stop that one: fuser -v {port.path} shows which it is."
-            )
-            os.close(other)
-            await until(lambda: link.state == "up")
-            second, second_watch = link_at(port.path)
-            async with running(second):
-                await until(lambda: second_watch.reports)
-                assert "in use" in second_watch.reason
-        port.unplug()
-
-    asyncio.run(scenario())
+async def test_a_port_in_use_is_reported_with_a_way_to_find_who_uses_it(tmp_path: Path) -> None:
+    port = FakePort(tmp_path / "tty", BAUD)
+    port.plug()
+    other = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(other, fcntl.LOCK_EX)
+    link, watch = link_at(port.path)
+    async with running(link):
+        await until(lambda: watch.reports)
+        assert watch.states == ["down"]
+        assert (
+            watch.reason
+            == f"{port.path}: in use by another program. Stop that one: fuser -v {port.path} shows which it is."
+        )
+        os.close(other)
+        await until(lambda: link.state == "up")
+        second, second_watch = link_at(port.path)
+        async with running(second):
+            await until(lambda: second_watch.reports)
+            assert "in use" in second_watch.reason
+    port.unplug()
 
 
 def reason_for(path: Path) -> str:
@@ -372,27 +336,24 @@ def test_modem_lines_are_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         port = FakePort(tmp_path / "tty", BAUD)
         port.plug()
         link, _ = link_at(port.path)
-        async with running(link):
-            await until(lambda: link.state == "up")
+        async with up(link):
+            pass
         port.unplug()
 
     asyncio.run(scenario())
     assert not touched
 
 
-def test_no_descriptor_stays_open_whenever_a_link_is_ended(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        port = FakePort(tmp_path / "tty", BAUD)
-        port.plug()
+async def test_no_descriptor_stays_open_whenever_a_link_is_ended(tmp_path: Path) -> None:
+    port = FakePort(tmp_path / "tty", BAUD)
+    port.plug()
+    link, _ = link_at(port.path)
+    async with up(link):
+        pass
+    before = open_descriptors()
+    for wait_s in (0.0, 0.0002, 0.0005, 0.001, 0.002, 0.01):
         link, _ = link_at(port.path)
         async with running(link):
-            await until(lambda: link.state == "up")
-        before = open_descriptors()
-        for wait_s in (0.0, 0.0002, 0.0005, 0.001, 0.002, 0.01):
-            link, _ = link_at(port.path)
-            async with running(link):
-                await asyncio.sleep(wait_s)
-        await until(lambda: open_descriptors() == before)
-        port.unplug()
-
-    asyncio.run(scenario())
+            await asyncio.sleep(wait_s)
+    await until(lambda: open_descriptors() == before)
+    port.unplug()

@@ -11,87 +11,75 @@ from sim_replay.fakes.net import FakeTcpServer
 from tests.drivers.links.link_watch import open_descriptors, running, until, watched_bytes
 
 
-def test_bytes_pass_both_ways_and_keep_alive_is_on() -> None:
-    async def scenario() -> None:
-        taken: list[bytes] = []
-        server = FakeTcpServer(on_bytes=taken.append)
-        await server.start()
-        link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}")
-        async with running(link):
-            await until(lambda: link.state == "up" and server.n_clients)
-            await server.send(b"echo")
-            await until(lambda: b"".join(watch.items) == b"echo")
-            assert link.write(b"command")
-            await until(lambda: b"".join(taken) == b"command")
-        await server.stop()
-        assert link.counters["link.bytes_in"] == 4
-        assert link.counters["link.bytes_out"] == 7
-
-    asyncio.run(scenario())
+async def test_bytes_pass_both_ways_and_keep_alive_is_on() -> None:
+    taken: list[bytes] = []
+    server = FakeTcpServer(on_bytes=taken.append)
+    await server.start()
+    link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}")
+    async with running(link):
+        await until(lambda: link.state == "up" and server.n_clients)
+        await server.send(b"echo")
+        await until(lambda: b"".join(watch.items) == b"echo")
+        assert link.write(b"command")
+        await until(lambda: b"".join(taken) == b"command")
+    await server.stop()
+    assert link.counters["link.bytes_in"] == 4
+    assert link.counters["link.bytes_out"] == 7
 
 
 @pytest.mark.parametrize("reset", [False, True])
-def test_a_lost_connection_is_reported_and_made_again(reset: bool) -> None:
-    async def scenario() -> None:
-        server = FakeTcpServer()
+async def test_a_lost_connection_is_reported_and_made_again(reset: bool) -> None:
+    server = FakeTcpServer()
+    await server.start()
+    link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}")
+    async with running(link):
+        await until(lambda: server.n_clients)
+        await server.send(b"a")
+        await until(lambda: watch.items)
+        await server.stop(reset=reset)
+        await until(lambda: link.state == "down")
+        assert ("failed" if reset else "closed the connection") in watch.reason
+        await until(lambda: link.counters["link.open_failed"] >= 1)
         await server.start()
-        link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}")
-        async with running(link):
-            await until(lambda: server.n_clients)
-            await server.send(b"a")
-            await until(lambda: watch.items)
-            await server.stop(reset=reset)
-            await until(lambda: link.state == "down")
-            assert ("failed" if reset else "closed the connection") in watch.reason
-            await until(lambda: link.counters["link.open_failed"] >= 1)
-            await server.start()
-            await until(lambda: server.n_clients)
-            await server.send(b"b")
-            await until(lambda: b"".join(watch.items) == b"ab")
-            assert watch.states == ["up", "down", "up"], "that it is refused meanwhile is the same outage"
-        await server.stop()
-
-    asyncio.run(scenario())
+        await until(lambda: server.n_clients)
+        await server.send(b"b")
+        await until(lambda: b"".join(watch.items) == b"ab")
+        assert watch.states == ["up", "down", "up"], "that it is refused meanwhile is the same outage"
+    await server.stop()
 
 
-def test_a_connection_that_died_without_a_word_is_made_anew() -> None:
-    async def scenario() -> None:
-        server = FakeTcpServer()
-        await server.start()
-        link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}?silent_s=0.05")
-        async with running(link):
-            await until(lambda: server.n_clients)
-            server.stalled = True
-            await server.send(b"lost")
-            await until(lambda: server.counters["tcp.connections"] >= 3)
-            assert any("counts as lost" in reason for _, reason in watch.reports)
-            server.stalled = False
-            while not watch.items:
-                await server.send(b"heard")
-                await asyncio.sleep(0.005)
-        await server.stop()
-
-    asyncio.run(scenario())
+async def test_a_connection_that_died_without_a_word_is_made_anew() -> None:
+    server = FakeTcpServer()
+    await server.start()
+    link, watch = watched_bytes(f"tcp://127.0.0.1:{server.port}?silent_s=0.05")
+    async with running(link):
+        await until(lambda: server.n_clients)
+        server.stalled = True
+        await server.send(b"lost")
+        await until(lambda: server.counters["tcp.connections"] >= 3)
+        assert any("counts as lost" in reason for _, reason in watch.reports)
+        server.stalled = False
+        while not watch.items:
+            await server.send(b"heard")
+            await asyncio.sleep(0.005)
+    await server.stop()
 
 
-def test_a_server_that_hangs_up_at_once_is_not_asked_without_pause() -> None:
-    async def scenario() -> None:
-        n_connections = 0
+async def test_a_server_that_hangs_up_at_once_is_not_asked_without_pause() -> None:
+    n_connections = 0
 
-        async def hang_up(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            nonlocal n_connections
-            n_connections += 1
-            writer.close()
+    async def hang_up(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal n_connections
+        n_connections += 1
+        writer.close()
 
-        server = await asyncio.start_server(hang_up, "127.0.0.1", 0)
-        link, _ = watched_bytes(f"tcp://127.0.0.1:{server.sockets[0].getsockname()[1]}")
-        async with running(link):
-            await asyncio.sleep(0.5)
-        assert 1 <= n_connections <= 4
-        server.close()
-        await server.wait_closed()
-
-    asyncio.run(scenario())
+    server = await asyncio.start_server(hang_up, "127.0.0.1", 0)
+    link, _ = watched_bytes(f"tcp://127.0.0.1:{server.sockets[0].getsockname()[1]}")
+    async with running(link):
+        await asyncio.sleep(0.5)
+    assert 1 <= n_connections <= 4
+    server.close()
+    await server.wait_closed()
 
 
 def first_reason(uri: str) -> str:

@@ -4,7 +4,7 @@ import asyncio
 import socket
 
 from sim_replay.fakes.net import FakeUdpDevice
-from tests.drivers.links.link_watch import running, until, watched_bytes
+from tests.drivers.links.link_watch import running, until, up, watched_bytes
 
 
 def free_port() -> int:
@@ -13,72 +13,56 @@ def free_port() -> int:
         return int(unused.getsockname()[1])
 
 
-def test_datagrams_arrive_whole_and_writes_go_to_the_peer() -> None:
-    async def scenario() -> None:
-        taken: list[bytes] = []
-        device = FakeUdpDevice(on_bytes=taken.append)
-        port = free_port()
-        link, watch = watched_bytes(f"udp://127.0.0.1:{port}?peer=127.0.0.1:{device.port}")
-        async with running(link):
-            await until(lambda: link.state == "up")
-            sent = [bytes([n]) * (n * 200) for n in range(1, 200)]
-            for datagram in sent:
-                device.send(datagram, "127.0.0.1", port)
-            await until(lambda: len(watch.items) == len(sent))
-            assert watch.items == sent
-            assert link.write(b"set range")
-            await until(lambda: taken == [b"set range"])
-        device.close()
-
-    asyncio.run(scenario())
+async def test_datagrams_arrive_whole_and_writes_go_to_the_peer() -> None:
+    taken: list[bytes] = []
+    device = FakeUdpDevice(on_bytes=taken.append)
+    port = free_port()
+    link, watch = watched_bytes(f"udp://127.0.0.1:{port}?peer=127.0.0.1:{device.port}")
+    async with up(link):
+        sent = [bytes([n]) * (n * 200) for n in range(1, 200)]
+        for datagram in sent:
+            device.send(datagram, "127.0.0.1", port)
+        await until(lambda: len(watch.items) == len(sent))
+        assert watch.items == sent
+        assert link.write(b"set range")
+        await until(lambda: taken == [b"set range"])
+    device.close()
 
 
-def test_datagrams_of_others_are_refused_and_named_when_nothing_else_comes() -> None:
-    async def scenario() -> None:
-        peer, stranger = FakeUdpDevice(), FakeUdpDevice()
-        port = free_port()
-        link, watch = watched_bytes(f"udp://127.0.0.1:{port}?peer=127.0.0.1:{peer.port}&silent_s=0.1")
-        async with running(link):
-            await until(lambda: link.state == "up")
+async def test_datagrams_of_others_are_refused_and_named_when_nothing_else_comes() -> None:
+    peer, stranger = FakeUdpDevice(), FakeUdpDevice()
+    port = free_port()
+    link, watch = watched_bytes(f"udp://127.0.0.1:{port}?peer=127.0.0.1:{peer.port}&silent_s=0.1")
+    async with up(link):
+        stranger.send(b"not mine", "127.0.0.1", port)
+        peer.send(b"mine", "127.0.0.1", port)
+        await until(lambda: watch.items and link.counters["udp.refused.foreign"] == 1)
+        assert watch.items == [b"mine"]
+        while link.state != "silent":
             stranger.send(b"not mine", "127.0.0.1", port)
-            peer.send(b"mine", "127.0.0.1", port)
-            await until(lambda: watch.items and link.counters["udp.refused.foreign"] == 1)
-            assert watch.items == [b"mine"]
-            while link.state != "silent":
-                stranger.send(b"not mine", "127.0.0.1", port)
-                await asyncio.sleep(0.01)
-            assert f"Datagrams come from 127.0.0.1:{stranger.port}, which is not the peer" in watch.reason
-        peer.close()
-        stranger.close()
-
-    asyncio.run(scenario())
+            await asyncio.sleep(0.01)
+        assert f"Datagrams come from 127.0.0.1:{stranger.port}, which is not the peer" in watch.reason
+    peer.close()
+    stranger.close()
 
 
-def test_without_a_peer_anybody_is_heard_and_nothing_can_be_sent() -> None:
-    async def scenario() -> None:
-        device = FakeUdpDevice()
-        port = free_port()
-        link, watch = watched_bytes(f"udp://0.0.0.0:{port}")
-        async with running(link):
-            await until(lambda: link.state == "up")
-            device.send(b"heard", "127.0.0.1", port)
-            await until(lambda: watch.items == [b"heard"])
-            assert not link.write(b"to whom?")
-        assert link.counters["link.writes_refused"] == 1
-        device.close()
-
-    asyncio.run(scenario())
+async def test_without_a_peer_anybody_is_heard_and_nothing_can_be_sent() -> None:
+    device = FakeUdpDevice()
+    port = free_port()
+    link, watch = watched_bytes(f"udp://0.0.0.0:{port}")
+    async with up(link):
+        device.send(b"heard", "127.0.0.1", port)
+        await until(lambda: watch.items == [b"heard"])
+        assert not link.write(b"to whom?")
+    assert link.counters["link.writes_refused"] == 1
+    device.close()
 
 
-def test_a_datagram_too_long_to_send_is_refused() -> None:
-    async def scenario() -> None:
-        link, _ = watched_bytes("udp://127.0.0.1:0?peer=127.0.0.1:9")
-        async with running(link):
-            await until(lambda: link.state == "up")
-            assert not link.write(bytes(70_000))
-        assert link.counters["udp.send_failed"] == 1
-
-    asyncio.run(scenario())
+async def test_a_datagram_too_long_to_send_is_refused() -> None:
+    link, _ = watched_bytes("udp://127.0.0.1:0?peer=127.0.0.1:9")
+    async with up(link):
+        assert not link.write(bytes(70_000))
+    assert link.counters["udp.send_failed"] == 1
 
 
 def test_ports_and_addresses_that_cannot_be_used_are_reported() -> None:

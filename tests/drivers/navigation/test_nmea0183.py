@@ -52,7 +52,7 @@ from drivers.navigation.sentences import (
     body_of,
     parse,
 )
-from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, is_subsequence, pieces
+from tests.drivers.navigation.nav_damage import T0, at, chunks_of, fed, pieces
 
 
 def number(low: float, high: float) -> st.SearchStrategy[float]:
@@ -385,19 +385,6 @@ def test_a_burst_whose_time_was_lost_is_still_delivered_without_one() -> None:
 def test_longitudes_beyond_180_are_west() -> None:
     fix = fed(NmeaUnit("phins"), [sentence("PIXSE,POSITI,53.1,351.0,-20.0")])[0]
     assert (fix.longitude_deg, fix.depth_m) == (-9.0, 20.0)
-
-
-@given(data=st.data())
-def test_every_intact_sentence_is_read_whatever_is_around_it(data: st.DataObject) -> None:
-    parts = data.draw(pieces(STREAM, b"$!*\r\n,\xff"))
-    stream = b"".join(piece for piece, _ in parts)
-    wanted = [NmeaGrammar().read(bytearray(piece), 0) for piece, intact in parts if intact]
-    framer = Framer(NmeaGrammar())
-    found = [framed for chunk in data.draw(chunks_of(stream)) for framed in framer.feed(chunk)] + framer.finish()
-    assert is_subsequence(
-        [body for body, _ in (message for message in wanted if isinstance(message, tuple))],
-        [body for body, _, _ in found],
-    )
 
 
 @given(data=st.data())

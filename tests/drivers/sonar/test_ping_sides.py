@@ -7,6 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from auv_mcm.records import Notice
 from auv_mcm.settings.config import SonarConfig
@@ -161,3 +163,26 @@ def test_of_two_frequencies_the_higher_is_used_or_the_one_configured(
 )
 def test_an_angle_counts_where_it_is_one_to_a_side(transducer_deg: float, vehicle_deg: float, side: str | None) -> None:
     assert look_side(transducer_deg, vehicle_deg) == side
+
+
+@settings(deadline=None)
+@given(
+    heads=st.lists(
+        st.tuples(st.integers(0, 3), st.sampled_from([330_000, 450_000, 900_000]), st.sampled_from([0.0, 90.0, -90.0])),
+        max_size=30,
+    ),
+    each_pings=st.integers(1, 3),
+)
+def test_whatever_heads_and_frequencies_come_in_any_order_each_profile_is_used_once_or_counted(
+    heads: list[tuple[int, int, float]], each_pings: int
+) -> None:
+    """Damage changes the frequency while a profile is held: that one is of no frequency in use any more."""
+    decoder = PingDecoder()
+    profiles = [
+        head(n // each_pings, PORT + n, **channel(number, look_deg), ping_hz=hz)
+        for n, (number, hz, look_deg) in enumerate(heads)
+    ]
+    frames, _ = decoded(profiles, decoder)
+    used = [trace for frame in frames for trace in (frame.port, frame.starboard) if trace is not None]
+    assert len({trace.samples.shape[0] for trace in used}) == len(used)
+    assert len(used) <= len(profiles)

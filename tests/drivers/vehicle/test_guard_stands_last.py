@@ -26,6 +26,7 @@ from tests.drivers.vehicle.wire_history import (
     Voyage,
     drawn,
     fly,
+    fly_voyage,
     settings_of,
 )
 
@@ -66,6 +67,13 @@ def test_no_command_leads_towards_the_true_floor_whatever_the_vehicle_reports(na
 @pytest.mark.parametrize("history", STOOD_STILL)
 def test_an_altitude_that_stands_still_leads_nobody_to_the_floor(name: str, history: History) -> None:
     wrong, _ = fly(name, [history])
+    assert wrong == []
+
+
+@pytest.mark.parametrize("number", [2852, 3358, 4018])
+def test_a_depth_or_an_altitude_that_stands_still_after_others_leads_nobody_to_the_floor(number: int) -> None:
+    """Before, a swap and then a frozen depth, and a frozen altitude late or after a spike, led within 2 m of it."""
+    _, wrong = fly_voyage(number)
     assert wrong == []
 
 

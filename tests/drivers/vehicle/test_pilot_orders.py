@@ -80,6 +80,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.now_s = 50.0
         self.state: ReportedState | None = None  # the last one reported whole
         self.place_m = (40.0, 40.0)
+        self.last_digit_m = 0.0
         self.plan_s = -math.inf
         self.fetched_s = -math.inf
         self.wire_open = False
@@ -253,9 +254,10 @@ class AnyOrder(RuleBasedStateMachine):
         """A well-behaved vehicle and a well-behaved service, for a while."""
         for _ in range(round(seconds / 0.2)):
             self.now_s += 0.2
+            self.last_digit_m = 0.02 - self.last_digit_m  # an altitude that lives does not stand still
             if sails:
                 self.place_m = (self.place_m[0] * 0.98 + 40.0 * 0.02, self.place_m[1] * 0.98 + 40.0 * 0.02)
-            self.report_place(None, 20.0, 8.0, 1.0)
+            self.report_place(None, 20.0, 8.0 - self.last_digit_m, 1.0)
             self.fetch()
             if self.asked:
                 self.grant()
@@ -294,7 +296,6 @@ class AnyOrder(RuleBasedStateMachine):
             return
         self.connect()
         self.place_m = (40.0, 40.0)
-        self.report_place(self.place_m, 20.0, 8.1, 0.0)  # the altitude changes with the depth: it is not frozen
         self.propose(GOOD_PLAN_M)
         n_commands, start_s = self.n_commands, self.now_s
         while self.n_commands == n_commands:

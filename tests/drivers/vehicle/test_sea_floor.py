@@ -114,6 +114,29 @@ def test_an_altitude_that_stands_still_makes_no_deeper_floor_than_at_first() -> 
     assert floor.at(now_s + 0.5).shallowest_m == 17.5
 
 
+def test_a_depth_that_stands_still_makes_no_deeper_floor_for_six_seconds() -> None:
+    floor, now_s = floor_after((10.1, 7.9), *((10.1, 7.9 + 0.2 * step) for step in range(1, 12)))
+    assert floor.at(now_s).shallowest_m == pytest.approx(18.0)
+    floor, now_s = floor_after((10.1, 7.9), *((10.1, 7.9 + 0.1 * step) for step in range(1, 25)))
+    assert floor.at(now_s).shallowest_m > 19.0
+
+
+def test_an_altitude_that_may_be_the_last_one_makes_no_deeper_floor() -> None:
+    floor, now_s = floor_after((10.0, 8.5), *((10.0 + 0.02 * step, 8.5) for step in range(8)))
+    assert floor.at(now_s).shallowest_m == pytest.approx(18.0)
+    floor.hear(10.16, 8.4, now_s + 0.5)
+    assert floor.at(now_s + 0.5).shallowest_m == pytest.approx(18.0)
+
+
+def test_a_frozen_altitude_stays_frozen_after_a_spike_until_others_were_believed() -> None:
+    frozen = tuple((10.0 + 0.3 * step, 8.0) for step in range(10))
+    floor, now_s = floor_after(*frozen, (12.7, 6.0), *((12.7 + 0.1 * step, 8.0) for step in range(8)))
+    assert math.isnan(floor.at(now_s).shallowest_m)
+    alive = tuple((12.7 - 0.1 * step, 5.3 + 0.1 * step) for step in range(8))
+    floor, now_s = floor_after(*frozen, *alive, (10.0, 8.0))
+    assert floor.at(now_s).shallowest_m == pytest.approx(18.0), "the number alone is nothing"
+
+
 def test_what_is_not_known_changes_nothing() -> None:
     floor, now_s = floor_after(*((NAN, NAN), (NAN, 5.0), (math.inf, 8.0), (-math.inf, 8.0)))
     assert floor.at(now_s).shallowest_m == 18.0, "an altitude of a second after the last depth is of another moment"

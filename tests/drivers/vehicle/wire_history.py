@@ -311,8 +311,8 @@ def _faults(sent: Sent, floor_m: float) -> list[str]:
     return [why for why, is_wrong in faults.items() if is_wrong]
 
 
-def _voyage(number: int) -> tuple[Counter[str], list[str]]:
-    logging.disable(logging.CRITICAL)
+def fly_voyage(number: int) -> tuple[Counter[str], list[str]]:
+    """Fly the drawn histories of this number, one after the other, and return counts and what was wrong."""
     source = random.Random(number)
     name = sorted(VEHICLES)[number % len(VEHICLES)]
     histories = [drawn(source, SHORT_S if n else LONG_S) for n in range(N_TOGETHER)]
@@ -325,8 +325,8 @@ def main(n_histories: int) -> int:
     """Fly histories on all cores, and print what was wrong."""
     counts: Counter[str] = Counter()
     wrong: list[str] = []
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        voyages = pool.map(_voyage, range(-(-n_histories // N_TOGETHER)), chunksize=5)
+    with ProcessPoolExecutor(os.cpu_count(), initializer=logging.disable) as pool:
+        voyages = pool.map(fly_voyage, range(-(-n_histories // N_TOGETHER)), chunksize=5)
         for number, (some, faults) in enumerate(voyages, start=1):
             counts.update(some)
             wrong += faults

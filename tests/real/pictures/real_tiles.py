@@ -15,10 +15,10 @@ import numpy as np
 
 from auv_mcm.detect.detect_tile import detect_tile
 from auv_mcm.detect.suppress import Suppressor
-from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.records import SATURATED, VALID, Detection, PoseTrack, Tile
+from auv_mcm.records import SATURATED, VALID, Detection, Tile
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.radiometry import AngleCurve, local_mean
+from tests.make.records import straight_pose
 from tests.real.pictures.real_pictures import Mask, Picture, Plane
 
 _DARK_M: Final = 1.0
@@ -76,7 +76,9 @@ def tile_of_picture(picture: Picture, geometry: Geometry) -> Tile:
         column_spacing_m=geometry.pixel_m,
         intensity=plane,
         mask=bits,
-        pose=_northward(n_rows, geometry),
+        pose=straight_pose(
+            n_rows, geometry.pixel_m, (45.0, 5.0), speed_mps=_SPEED_MPS, altitude_m=geometry.first_return_m
+        ),
         first_return_m=np.full(n_rows, geometry.first_return_m),
         first_return_sigma_m=np.full(n_rows, 0.05 * geometry.first_return_m),
         ping_number=np.arange(n_rows, dtype=np.int64),
@@ -108,23 +110,3 @@ def _dark_stretches(intensity: Plane, measured: Mask, pixel_m: float) -> Mask:
     level = float(np.median(intensity[measured])) if measured.any() else 1.0
     bright = float(np.quantile(intensity[measured], 0.75)) if measured.any() else 1.0
     return np.asarray(total < _DARK * max(level, 0.5 * bright) * np.maximum(share, 1e-6))
-
-
-def _northward(n_rows: int, geometry: Geometry) -> PoseTrack:
-    along_m: Plane = (np.arange(n_rows, dtype=np.float64) + 0.5) * geometry.pixel_m
-    none, even = np.zeros(n_rows), np.ones(n_rows)
-    latitude, longitude, _ = LocalFrame(latitude_deg=45.0, longitude_deg=5.0).to_geodetic(
-        np.stack((none, along_m, none), axis=-1)
-    )
-    return PoseTrack(
-        time_s=np.asarray(along_m / _SPEED_MPS, dtype=np.float64),
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        depth_m=none,
-        heading_rad=none,
-        pitch_rad=none,
-        roll_rad=none,
-        speed_mps=_SPEED_MPS * even,
-        altitude_m=geometry.first_return_m * even,
-        stale=np.zeros(n_rows, dtype=np.bool_),
-    )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from auv_mcm.records import EchoTrace, NavSample, Ping
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.logs.xtf_writer import SampleType, write_xtf
+from tests.make.records import nav_of
 
 N_SAMPLES = 480
 SPACING_M = 0.05
@@ -58,14 +59,11 @@ def mission(
             samples = np.rint(np.clip(counts, 0.0, full_scale)).astype(dtype)
             traces.append(EchoTrace(samples=samples, first_range_m=0.5 * SPACING_M, spacing_m=SPACING_M))
         time_s = START_S + 0.1 * number
-        yield NavSample(
-            time_s=time_s,
+        yield nav_of(
+            time_s,
             latitude_deg=43.0 + way_m * math.cos(HEADING_RAD) / 111_111.0,
             longitude_deg=5.5 + way_m * math.sin(HEADING_RAD) / (111_320.0 * math.cos(math.radians(43.0))),
             heading_rad=heading,
-            pitch_rad=0.0,
-            roll_rad=0.0,
-            depth_m=10.0,
             altitude_m=ALTITUDE_M,
             speed_mps=STEP_M / 0.1,
         )

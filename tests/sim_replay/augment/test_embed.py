@@ -37,11 +37,12 @@ from tests.sim_replay.augment.plain_logs import (
 Floats = NDArray[np.float64]
 
 
+BOX = EmbeddedTarget(kind="box", ping=80, side="starboard", ground_range_m=12.0, azimuth_deg=30.0)
+"""Broadside to ping 80."""
+
+
 def box(side: Side = "starboard", contrast_db: float = 14.0) -> EmbeddedTarget:
-    """Broadside to ping 80."""
-    return EmbeddedTarget(
-        kind="box", ping=80, side=side, ground_range_m=12.0, azimuth_deg=30.0, contrast_db=contrast_db
-    )
+    return msgspec.structs.replace(BOX, side=side, contrast_db=contrast_db)
 
 
 def augmented(log: Path, *targets: EmbeddedTarget, config: Config = CONFIG, seed: int = 1) -> Augmented:
@@ -167,19 +168,8 @@ def test_logarithmic_bytes_are_written_as_logarithms(tmp_path: Path) -> None:
 
 
 def test_what_is_behind_an_embedded_object_is_hidden_by_it(log: Path) -> None:
-    tall = EmbeddedTarget(
-        kind="box",
-        ping=80,
-        side="starboard",
-        ground_range_m=9.0,
-        azimuth_deg=30.0,
-        length_m=3.0,
-        width_m=1.0,
-        height_m=1.5,
-    )
-    low = EmbeddedTarget(
-        kind="box", ping=80, side="starboard", ground_range_m=11.0, azimuth_deg=30.0, height_m=0.3, length_m=0.6
-    )
+    tall = msgspec.structs.replace(BOX, ground_range_m=9.0, length_m=3.0, width_m=1.0, height_m=1.5)
+    low = msgspec.structs.replace(BOX, ground_range_m=11.0, height_m=0.3, length_m=0.6)
     done = augmented(log, tall, low)
     assert done.objects[0].looks[0].visible_fraction > 0.8
     assert done.objects[1].looks[0].visible_fraction < 0.1
@@ -194,16 +184,7 @@ def test_an_object_in_a_recorded_shadow_makes_no_highlight(tmp_path: Path) -> No
         return shading
 
     log = written(tmp_path / "shaded.xtf", mission(shaded))
-    low = EmbeddedTarget(
-        kind="box",
-        ping=80,
-        side="starboard",
-        ground_range_m=11.5,
-        azimuth_deg=30.0,
-        height_m=0.3,
-        length_m=0.6,
-        contrast_db=25.0,
-    )
+    low = msgspec.structs.replace(BOX, ground_range_m=11.5, height_m=0.3, length_m=0.6, contrast_db=25.0)
     done = augmented(log, low)
     assert done.objects[0].looks[0].visible_fraction < 0.05
     after = tmp_path / "after.xtf"
@@ -271,16 +252,7 @@ def test_embedded_shadow_scatters_as_real_shadow_does(shape: float) -> None:
 
 
 def test_shadow_embedded_in_a_log_scatters_as_its_water_column_does(log: Path) -> None:
-    wide = EmbeddedTarget(
-        kind="box",
-        ping=80,
-        side="starboard",
-        ground_range_m=10.0,
-        azimuth_deg=30.0,
-        length_m=4.0,
-        width_m=1.0,
-        height_m=1.0,
-    )
+    wide = msgspec.structs.replace(BOX, ground_range_m=10.0, length_m=4.0, width_m=1.0, height_m=1.0)
     after = log.with_name("wide.xtf")
     after.write_bytes(augmented(log, wide).data)
     image = samples(after)["starboard"] ** 2

@@ -75,12 +75,12 @@ def features(out: Path, kind: str) -> list[dict[str, Any]]:
     return [one["properties"] for one in found if one["properties"]["kind"] == kind]
 
 
-def test_every_log_has_the_bytes_of_a_replay_by_itself(archive: Path, undisturbed: Path, tmp_path: Path) -> None:
-    for name in DAYS:
-        replay([archive / name], tmp_path / name, Config())
-        own = content(tmp_path / name)
-        assert own == content(undisturbed / MISSIONS / name)
-        assert "contacts.geojson" in own
+def test_a_log_has_the_bytes_of_a_replay_by_itself(archive: Path, undisturbed: Path, tmp_path: Path) -> None:
+    name = "day2/b <i>.xtf"  # a day is enough: each is replayed by itself in a process of its own
+    replay([archive / name], tmp_path, Config())
+    own = content(tmp_path)
+    assert own == content(undisturbed / MISSIONS / name)
+    assert "contacts.geojson" in own
 
 
 def test_the_index_says_what_is_new_gone_and_seen_again_and_why_a_log_failed(undisturbed: Path) -> None:

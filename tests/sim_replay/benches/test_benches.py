@@ -26,7 +26,7 @@ def test_every_bench_that_is_offered_explains_itself(bench: str, capsys: pytest.
     "arguments",
     [
         ["chain", "--repeat", "0"],
-        ["library", "--seeds", "-3"],
+        ["scenes", "--seeds", "-3"],
         ["law", "--floors", "many"],
     ],
 )

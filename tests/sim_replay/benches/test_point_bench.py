@@ -11,9 +11,10 @@ import pytest
 from auv_mcm.contacts.background import shipped_background
 from auv_mcm.contacts.expected_alarms import called_from_nats
 from auv_mcm.errors import BadInputError
-from sim_replay.benches import experiment, point
+from sim_replay.benches import experiment
 from sim_replay.benches.experiment import experiment_rows
 from sim_replay.benches.point import ASKED_PER_KM2, EXPERIMENT, PointResult, judged, reached
+from sim_replay.commands.bench import opened
 from tests.sim_replay.fitting.test_background_fit import drawn_mission
 
 
@@ -62,7 +63,7 @@ def test_a_log_that_cannot_be_read_is_rejected_before_any_mission_is_flown(
 ) -> None:
     (empty := tmp_path / "empty.xtf").touch()
     parser = argparse.ArgumentParser()
-    point.add_arguments(parser)
+    run = opened("benches.point", parser)
     monkeypatch.setattr(experiment, "run_tasks", lambda *_: pytest.fail("a mission is flown"))
     with pytest.raises(BadInputError, match="is empty"):
-        point.run(parser.parse_args(["--log", str(empty)]))
+        run(parser.parse_args(["--log", str(empty)]))

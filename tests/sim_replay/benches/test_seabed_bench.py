@@ -6,12 +6,9 @@ import pytest
 from msgspec import structs
 
 from auv_mcm.seabed.seabed_model import shipped_seabed_model
-from sim_replay.benches.mission_source import MissionSource
 from sim_replay.benches.seabed import scored
 from sim_replay.fitting.seabed.seabed_score import shares
-from sim_replay.missions import config_for
-from sim_replay.scoring.inputs import parse_truth
-from sim_replay.simulator.mission import Mission
+from sim_replay.flights import flight_through
 from sim_replay.simulator.scene import Lawnmower
 from sim_replay.simulator.scene_file import read_scene
 
@@ -28,6 +25,4 @@ def test_levels_that_jump_and_gain_that_lags_do_not_make_the_floor_rough_or_weed
     assert isinstance(scene.track.plan, Lawnmower)
     plan = structs.replace(scene.track.plan, n_legs=1, leg_m=80.0)
     scene = structs.replace(scene, seed=seed, scatter=(), track=structs.replace(scene.track, plan=plan))
-    mission = Mission(scene)
-    source = MissionSource(config_for(scene), mission.events(), lambda: parse_truth(mission.truth(), name))
-    assert shares(scored(source, shipped_seabed_model()).confusion_m2).right > right
+    assert shares(scored(flight_through(scene), shipped_seabed_model()).confusion_m2).right > right

@@ -7,18 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from auv_mcm.classify.odds import Weights, shipped_odds
-from auv_mcm.cli import main
-from auv_mcm.errors import BadInputError
-from sim_replay.benches.left_out import GROUPS, ablation, comparison
-from sim_replay.fitting import left_out, looks
+from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.errors import BadInputError, UsageError
+from sim_replay.fitting import looks
 from sim_replay.fitting.cascade.farm import Farm
 from sim_replay.fitting.fit_odds import STEPS, LookTable, StepTable
 from sim_replay.fitting.left_out import (
-    RECIPES,
+    FITTED,
+    KINDS,
     Scored,
     dealt,
-    difference,
     error_of,
     fitted_on,
     kind_of,
@@ -53,58 +51,38 @@ def drawn_mission(task: LookTask, law: str = "amplitude_uint16", number: int = 0
 
 
 def some_missions() -> list[MissionLooks]:
-    tasks = left_out_tasks(
-        ("flat", "ripple", "mixed"),
-        n_seeds=1,
-        n_crowded=1,
-        n_drawn=2,
-        recorders=[LOG_RECORDER],
-        logs=[Path(LINE), Path("river.xtf")],
-        n_log_seeds=1,
-    )
-    laws = iter(("log_uint8", "amplitude_uint16"))
-    return [
-        drawn_mission(task, next(laws) if task.source == DRAWN else "amplitude_uint16", number)
-        for number, task in enumerate(tasks)
-    ]
-
-
-def test_every_measurement_of_a_look_is_in_one_group() -> None:
-    names = [name for group in GROUPS.values() for name in group]
-    assert len(names) == len(set(names))
-    assert set(names) == set(MEASURED["shape"])
+    judged = left_out_tasks(("flat", "ripple", "mixed"), 1, [Path(LINE), Path("river.xtf")], 1)
+    tasks = [task for task in judged if task.recorder in (None, LOG_RECORDER)]
+    tasks += [LookTask(name, 9, 3) for name in ("flat", "ripple", "mixed")]
+    missions = [drawn_mission(task, number=number) for number, task in enumerate(tasks)]
+    drawn = [drawn_mission(LookTask(DRAWN, 7), "log_uint8", 50), drawn_mission(LookTask(DRAWN, 8), number=51)]
+    return [*missions, *drawn]
 
 
 def test_a_domain_is_left_out_with_all_that_is_like_it() -> None:
     missions = some_missions()
-    everything = RECIPES["all"]
+    everything = {*FITTED, *KINDS}
 
     def domains(out: str, judged_only: frozenset[str] = frozenset()) -> list[str]:
-        return [one.task.domain for one in fitted_on(missions, everything, frozenset({out}), judged_only)]
+        chosen = fitted_on(missions, everything, frozenset({out}), judged_only)
+        return sorted(one.task.domain for one in chosen if one.task.recorder is None)
 
-    assert domains("flat") == ["ripple", "ripple", "mixed", "mixed", DRAWN, DRAWN, "reef", "river"]
-    assert domains("reef", frozenset({"river"})) == [*2 * ["flat"], *2 * ["ripple"], *2 * ["mixed"], DRAWN, DRAWN]
-    assert domains(LOG_RECORDER) == ["flat", "ripple", "mixed", "mixed", DRAWN, "reef", "river"], (
-        "other floors, and one law of the two"
-    )
-    assert {kind_of(one.task) for one in fitted_on(missions, RECIPES["drawn"], frozenset(), frozenset())} == {DRAWN}
-
-
-def test_seeds_of_what_is_judged_are_not_those_of_what_is_fitted_on() -> None:
-    tasks = [one.task for one in some_missions()]
-    judged = {task.seed for task in tasks if task.times == 1 and task.source in ("flat", "ripple", "mixed")}
-    assert judged.isdisjoint(task.seed for task in tasks if task.times > 1 or task.source == DRAWN)
+    assert domains("flat") == sorted([*2 * ["ripple"], *2 * ["mixed"], DRAWN, DRAWN, "reef", "river"])
+    own = [*2 * ["flat"], *2 * ["ripple"], *2 * ["mixed"]]
+    assert domains("reef", frozenset({"river"})) == sorted([*own, DRAWN, DRAWN])
+    assert domains(LOG_RECORDER).count(DRAWN) == 1, "the one whose recorder has another law"
+    assert domains(LOG_RECORDER).count("ripple") == 1, "other floors"
+    assert {kind_of(one.task) for one in fitted_on(missions, {DRAWN}, frozenset(), frozenset())} == {DRAWN}
 
 
 def test_every_domain_is_dealt_into_one_part() -> None:
     missions = some_missions()
-    each = dealt(missions, None)
+    each = dealt(missions, 99)
     assert sorted(domain for part in each for domain in part) == sorted(
         ["flat", "ripple", "mixed", LOG_RECORDER, "reef", "river"]
     )
     assert [len(part) for part in each] == [1] * 6
     assert sorted(len(part) for part in dealt(missions, 4)) == [1, 1, 2, 2]
-    assert dealt(missions, 99) == each
 
 
 @pytest.mark.parametrize("limit", [0.0, 10.0, 100.0, 1e6])
@@ -126,50 +104,17 @@ def test_looks_at_targets_are_counted_above_the_threshold_that_lets_so_many_fals
     assert pd_at(missions, limit) == pytest.approx(min(best / 60.0, 1.0))
 
 
-def test_equal_weights_differ_by_nothing_and_better_ones_by_more() -> None:
-    missions = [
-        Scored("flat", np.repeat([0.0, 1.0], 20), np.repeat([True, False], 20), np.ones(40), 20, 0.1) for _ in range(4)
-    ]
-    better = [one._replace(log_odds=-one.log_odds) for one in missions]
-    assert difference(missions, missions) == (0.0, 0.0, 0.0)
-    assert difference(better, missions) == (1.0, 1.0, 1.0)
-
-
 def test_the_calibration_error_counts_a_look_as_often_as_it_stands_for() -> None:
     mission = Scored("flat", np.zeros(2), np.array([True, False]), np.array([1.0, 3.0]), 1, 0.1)
     assert error_of([mission]) == pytest.approx(0.25)
     assert error_of([mission._replace(log_odds=np.empty(0), is_target=np.empty(0, bool), weight=np.empty(0))]) is None
 
 
-def test_what_carries_over_is_found_on_the_domain_left_out_and_lost_without_the_measurement() -> None:
-    missions = some_missions()
+def test_what_carries_over_is_found_on_the_domain_left_out() -> None:
     folds = [frozenset({"flat"}), frozenset({"reef"}), frozenset({LOG_RECORDER})]
-    whole = left_out_scores(missions, RECIPES["all"], frozenset(), folds, n_trees=40)
-    assert {one.domain for one in whole} == {"flat", "reef", LOG_RECORDER}
-    assert pd_at(whole, 10.0) > 0.9
-    score = frozenset(GROUPS["cascade's score"])
-    assert pd_at(left_out_scores(missions, RECIPES["all"], frozenset(), folds, score, n_trees=40), 10.0) < 0.5
-
-
-def test_the_tables_have_a_row_per_domain_and_recipe_and_per_group(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(left_out, "_DRAWS", 3)
-    monkeypatch.setattr(
-        left_out, "fit_step", lambda table, step, n_trees, usual: Weights(offset=-3.0, weights={"crowded": 1.0})
-    )
-    monkeypatch.setattr(left_out, "_less", lambda table, step, names: table)
-    missions = some_missions()
-    rows = [
-        line.split(" | ")
-        for line in comparison(missions, frozenset({"river"}), dealt(missions, None), in_markdown=True).splitlines()
-    ]
-    for domain in ("flat", "ripple", LOG_RECORDER, "reef", "river", "all scenes", "all recorded lines", "all domains"):
-        found = {row[1] for row in rows if row[0] == f"| {domain}"}
-        assert found >= {"shipped", "scenes", "drawn", "all"}
-    losses = ablation(missions, frozenset(), dealt(missions, 2), in_markdown=True).splitlines()
-    steps = ("nothing", "field, second contours and solids", "the whole close look")
-    assert [line.split(" | ")[0] for line in losses[2:]] == [
-        f"| {name}" for name in ("nothing", *GROUPS, "trees", *steps[1:], *(f"shipped: {step}" for step in steps))
-    ]
+    found = left_out_scores(some_missions(), frozenset(), folds, n_trees=40)
+    assert {one.domain for one in found} == {"flat", "reef", LOG_RECORDER}
+    assert pd_at(found, 10.0) > 0.9
 
 
 # ---------------------------------------------------------------- missions in a folder
@@ -216,11 +161,7 @@ def test_a_file_that_holds_no_looks_is_named(tmp_path: Path) -> None:
         read_looks(task, tmp_path)
 
 
-def test_unknown_scenes_and_folders_that_cannot_be_made_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["bench", "left-out", "--looks", str(tmp_path), "--scenes", "moon"]) == 2
-    assert "there is no moon" in capsys.readouterr().err
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    assert main(["bench", "left-out", "--looks", str(tmp_path / "file" / "looks")]) == 2
-    assert "cannot be made" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="cannot be made"):
+        all_looks([LookTask("flat", 1)], tmp_path / "file" / "looks", Farm())

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -28,6 +29,7 @@ from drivers.sonar.ping_messages import to_wire as ping_wire
 from sim_replay.fakes.device import SONARS
 from sim_replay.fakes.navigation import Nmea0183Unit
 from sim_replay.fakes.sonar import DeviceTime
+from sim_replay.logs.recorded import open_mission
 from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Lawnmower, Scene, SceneObject, Sonar, Track
 
@@ -179,3 +181,35 @@ def write_svlog(run: Run, path: Path) -> Path:
 
 def first_ping_s() -> float:
     return next(event.time_s for event in mission() if isinstance(event, Ping)) - mission()[0].time_s
+
+
+Write = Callable[[Run, Path], Path]
+WRITERS: dict[SonarKind, Write] = {"jsf": write_jsf, "ping_protocol": write_svlog}
+
+
+def written(kind: SonarKind, path: Path) -> Path:
+    return WRITERS[kind](run_of(kind), path)
+
+
+def replayed(path: Path, config: Config) -> list[Contact]:
+    return contacts_of(open_mission([path], config).events(), config)
+
+
+def pings(events: Iterator[SourceEvent]) -> list[Ping]:
+    return [event for event in events if isinstance(event, Ping)]
+
+
+def apart_m(one: Contact, other: Contact) -> float:
+    east = math.cos(math.radians(one.latitude_deg)) * (one.longitude_deg - other.longitude_deg)
+    return 111_200.0 * math.hypot(one.latitude_deg - other.latitude_deg, east)
+
+
+def bytes_of(contact: Contact) -> tuple[Any, ...]:
+    return (
+        contact.id,
+        contact.time_s,
+        contact.latitude_deg,
+        contact.longitude_deg,
+        contact.p_mine,
+        contact.covariance_m2.tobytes(),
+    )

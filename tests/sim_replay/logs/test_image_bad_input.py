@@ -16,8 +16,8 @@ from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
 from auv_mcm.settings.config import Config
 from sim_replay.logs.image_sidecar import sidecar_path
-from sim_replay.logs.image_writer import write_images
 from sim_replay.logs.open_log import open_log
+from tests.sim_replay.logs.image_writer import write_images
 from tests.sim_replay.logs.sonar_logs import mission
 from tests.sim_replay.logs.test_image_log import beside, plane
 

@@ -19,16 +19,17 @@ from numpy.typing import NDArray
 
 from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
-from auv_mcm.records import Contact, NavSample, Notice, Ping, SourceEvent
+from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig
 from sim_replay.logs.image_looks import doppler_centroid, mean_of_looks, sub_band, sub_bands
 from sim_replay.logs.image_sidecar import sidecar_path
-from sim_replay.logs.image_writer import write_images
 from sim_replay.logs.open_log import describe_log, kind_doubt, logs_config, open_log
 from sim_replay.logs.recorded import open_mission
 from sim_replay.logs.transverse_mercator import utm_to_geodetic
 from sim_replay.logs.xtf_writer import write_xtf
+from tests.sim_replay.logs.image_writer import write_images
 from tests.sim_replay.logs.sonar_logs import (
+    apart_m,
     contacts_of,
     mission,
     run_of,
@@ -73,11 +74,6 @@ def pings(path: Path) -> list[Ping]:
 
 def intensities(path: Path) -> NDArray[np.float32]:
     return np.stack([trace.samples for ping in pings(path) for trace in (ping.port, ping.starboard) if trace])
-
-
-def apart_m(one: Contact, other: Contact) -> float:
-    east = math.cos(math.radians(one.latitude_deg)) * (one.longitude_deg - other.longitude_deg)
-    return 111_200.0 * math.hypot(one.latitude_deg - other.latitude_deg, east)
 
 
 # --- the same scene in every format ---

@@ -55,6 +55,7 @@ def test_replay_takes_every_format(name: str, kind: SonarKind, logs: dict[str, P
         )
 
 
+@pytest.mark.usefixtures("without_perception")
 def test_check_looks_into_logs(logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "c.yaml").write_text(f"service: {{source: 'replay://{logs['svlog']}?speed=max'}}")
     assert main(["check", str(logs["jsf"]), "--config", str(tmp_path / "c.yaml")]) == 0

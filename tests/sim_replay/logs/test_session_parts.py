@@ -22,6 +22,7 @@ from drivers.port_intake import PortIntake
 from drivers.recording.session_layout import SessionDescription, file_name
 from drivers.recording.session_writer import SessionWriter
 from sim_replay.export_source import find_source, tiles
+from sim_replay.hil import joined_twin
 from sim_replay.logs.archive import logs_of
 from sim_replay.logs.open_log import logs_config, open_log
 from sim_replay.logs.recorded import open_mission
@@ -124,6 +125,20 @@ def test_a_session_that_was_killed_and_started_again_gives_the_contacts_of_the_u
         near = min(found, key=lambda contact: abs(contact.latitude_deg - mine.latitude_deg))
         assert abs(near.latitude_deg - mine.latitude_deg) < 1e-6  # degrees: 0.1 m
         assert near.p_mine > 0.25
+
+
+def test_what_differs_from_the_undisturbed_twin_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of("jsf")
+    write_parts(run, tmp_path, [Cut(200), Cut(450, n_skipped=9)])
+    monkeypatch.setattr(
+        joined_twin, "_results", lambda events, config: ([packed(event) for event in events], [])
+    )  # without the chain
+    n_events, _, problems = joined_twin.compared_with_twin(tmp_path, 3, run.config)
+    assert n_events > 400
+    assert problems == ()
+    twin = joined_twin._twin
+    monkeypatch.setattr(joined_twin, "_twin", lambda *args: list(twin(*args))[:-1])
+    assert "events differ" in joined_twin.compared_with_twin(tmp_path, 3, run.config)[2]
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Notice, Ping
 from auv_mcm.settings.config import SonarConfig
 from sim_replay.logs.port_order import DECISIVE, port_order_evidence
@@ -59,16 +58,6 @@ def test_a_second_iteration_gives_the_same_again(tmp_path: Path) -> None:
     first, second = list(log), list(log)
     assert same_events(first, second)
     assert log.counters["reader.pings"] == 8
-
-
-@pytest.mark.parametrize("chunk_bytes", [1, 7, 64, 1000, 1 << 20])
-def test_chunk_size_changes_nothing(tmp_path: Path, chunk_bytes: int) -> None:
-    path = written(tmp_path / "log.xtf", 70)
-    data = bytearray(path.read_bytes())
-    data[5000:5100] = bytes(100)
-    path.write_bytes(data)
-    reference = list(XtfLog(path, SonarConfig()))
-    assert same_events(list(XtfLog(path, SonarConfig(), chunk_bytes=chunk_bytes)), reference)
 
 
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
@@ -368,42 +357,6 @@ def test_other_packets_are_skipped_and_counted_by_type(tmp_path: Path) -> None:
     assert log.counters["reader.packet_not_side_scan.attitude"] == 2
     assert log.counters["reader.packet_not_side_scan.pos_raw_navigation"] == 1
     assert log.counters["reader.packet_not_side_scan.type_222"] == 1
-
-
-def test_of_two_frequencies_the_highest_is_taken(tmp_path: Path) -> None:
-    path = written(tmp_path / "log.xtf", 3)
-    data = bytearray(path.read_bytes())
-
-    def fill(header: Any) -> None:
-        header.NumberOfSonarChannels = 4
-        for number, kind in enumerate((1, 2, 1, 2)):
-            header.ChanInfo[number] = header.ChanInfo[number % 2]
-            header.ChanInfo[number].TypeOfChannel = kind
-            header.ChanInfo[number].Frequency = 400.0 if number < 2 else 900.0
-
-    path.write_bytes(data)
-    edit_file_header(path, fill)
-    edit_channels(
-        path, lambda index, channel, header: setattr(header, "ChannelNumber", channel + 2 if index == 1 else channel)
-    )
-    for subsystem, n_pings in ((None, 1), (20, 2), (21, 1)):
-        events, log = read(path, subsystem=subsystem)
-        assert codes_of(events) == ["reader.frequency_chosen", "reader.other_channel"]
-        assert len(pings_of(events)) == n_pings
-        assert log.counters["reader.other_channel"] == 2 * (3 - n_pings)
-        assert log.counters["reader.ping_without_side_scan"] == 3 - n_pings
-    with pytest.raises(UsageError, match=r"20 \(400 kHz\) and 21 \(900 kHz\). Set one of them"):
-        read(path, subsystem=22)
-
-
-def test_more_channels_than_fit_into_one_header_block(tmp_path: Path) -> None:
-    path = written(tmp_path / "log.xtf", 3)
-    edit_file_header(path, lambda header: setattr(header, "NumberOfBathymetryChannels", 6))
-    data = path.read_bytes()
-    path.write_bytes(data[:1024] + bytes(1024) + data[1024:])
-    events, log = read(path)
-    assert len(pings_of(events)) == 3
-    assert log.counters == {"reader.pings": 3}
 
 
 @pytest.mark.parametrize("sample_type", ["uint8", "uint16", "float32"])

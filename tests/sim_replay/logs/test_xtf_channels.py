@@ -59,6 +59,43 @@ def check_same(found: Sequence[Ping], expected: Sequence[Ping]) -> None:
 
 # --- numbers of channels, and packets of a channel each ---
 
+
+def test_of_two_frequencies_the_highest_is_taken(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 3)
+    data = bytearray(path.read_bytes())
+
+    def fill(header: Any) -> None:
+        header.NumberOfSonarChannels = 4
+        for number, kind in enumerate((1, 2, 1, 2)):
+            header.ChanInfo[number] = header.ChanInfo[number % 2]
+            header.ChanInfo[number].TypeOfChannel = kind
+            header.ChanInfo[number].Frequency = 400.0 if number < 2 else 900.0
+
+    path.write_bytes(data)
+    edit_file_header(path, fill)
+    edit_channels(
+        path, lambda index, channel, header: setattr(header, "ChannelNumber", channel + 2 if index == 1 else channel)
+    )
+    for subsystem, n_pings in ((None, 1), (20, 2), (21, 1)):
+        events, log = read(path, subsystem=subsystem)
+        assert codes_of(events) == ["reader.frequency_chosen", "reader.other_channel"]
+        assert len(pings_of(events)) == n_pings
+        assert log.counters["reader.other_channel"] == 2 * (3 - n_pings)
+        assert log.counters["reader.ping_without_side_scan"] == 3 - n_pings
+    with pytest.raises(UsageError, match=r"20 \(400 kHz\) and 21 \(900 kHz\). Set one of them"):
+        read(path, subsystem=22)
+
+
+def test_more_channels_than_fit_into_one_header_block(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.xtf", 3)
+    edit_file_header(path, lambda header: setattr(header, "NumberOfBathymetryChannels", 6))
+    data = path.read_bytes()
+    path.write_bytes(data[:1024] + bytes(1024) + data[1024:])
+    events, log = read(path)
+    assert len(pings_of(events)) == 3
+    assert log.counters == {"reader.pings": 3}
+
+
 NUMBERS = {"zeros": (0, 0), "from one": (1, 2), "high": (6, 7), "as the format says": (0, 1)}
 
 

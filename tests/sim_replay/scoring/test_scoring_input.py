@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Sized
 from pathlib import Path
 from typing import Any
 
@@ -239,28 +239,24 @@ TRUTH_PATHS = (
 )
 
 
-@given(path=st.sampled_from(CONTACT_PATHS), value=anything)
-def test_any_value_anywhere_in_contacts_is_understood_or_refused(path: str, value: Any) -> None:
-    document = changed(collection([contact(0.0, 0.0)]), path, value)
+@pytest.mark.parametrize(
+    ("document", "paths", "parse", "counted"),
+    [
+        (collection([contact(0.0, 0.0)]), CONTACT_PATHS, parse_contacts, "features"),
+        (TRUTH, (*TRUTH_PATHS, "seabed_map"), lambda *words: parse_truth(*words).objects, "objects"),
+    ],
+)
+@given(data=st.data(), value=anything)
+def test_any_value_anywhere_is_understood_or_refused(
+    document: Any, paths: Sequence[str], parse: Callable[[Any, str], Sized], counted: str, data: Any, value: Any
+) -> None:
+    document = changed(document, data.draw(st.sampled_from(paths)), value)
     try:
-        contacts = parse_contacts(document, "place")
+        n_parsed = len(parse(document, "place"))
     except BadInputError as error:
         refusal = str(error)
     else:
-        assert len(contacts) == len(document["features"])
-        return
-    assert refusal.startswith("place: ")
-
-
-@given(path=st.sampled_from((*TRUTH_PATHS, "seabed_map")), value=anything)
-def test_any_value_anywhere_in_truth_is_understood_or_refused(path: str, value: Any) -> None:
-    document = changed(TRUTH, path, value)
-    try:
-        truth = parse_truth(document, "place")
-    except BadInputError as error:
-        refusal = str(error)
-    else:
-        assert len(truth.objects) == len(document["objects"])
+        assert n_parsed == len(document[counted])
         return
     assert refusal.startswith("place: ")
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sim_replay.scoring.inputs import ReportedContact, ScoredMission, Truth, TruthObject
 from sim_replay.scoring.score import score_missions
-from sim_replay.scoring.thresholds import banded_at, best_scores, called_at, found_at, pd_at, resampled, threshold_at
+from sim_replay.scoring.thresholds import banded_at, best_scores, found_at, pd_at, resampled, threshold_at
 
 scores = st.lists(st.floats(-5.0, 5.0).map(lambda x: round(x, 1)), max_size=30)
 
@@ -24,23 +24,6 @@ def test_no_more_false_alarms_lie_above_than_allowed_and_no_lower_threshold_does
     assert sum(one > above for one in false_alarms) <= n_allowed
     lower = [one for one in {*false_alarms, -math.inf} if one < above]
     assert all(sum(one > low for one in false_alarms) > n_allowed for low in lower)
-
-
-@pytest.mark.parametrize(
-    ("targets", "others", "share", "found"),
-    [
-        ([0.9, 0.8, 0.7, 0.2], [0.95, 0.5, 0.1], 0.75, (1, 3)),
-        ([0.9, 0.8, 0.7, 0.2], [0.95, 0.5, 0.1], 1.0, (2, 3)),
-        ([0.9, -math.inf], [0.95], 0.5, (1, 1)),
-        ([0.9, -math.inf], [0.95], 1.0, None),
-        ([], [0.95], 0.9, None),
-    ],
-)
-def test_others_are_counted_where_the_share_of_targets_is_called(
-    targets: list[float], others: list[float], share: float, found: tuple[int, int] | None
-) -> None:
-    called = called_at(targets, others, share)
-    assert (None if called is None else (called.count, called.of)) == found
 
 
 def test_a_resampled_mean_has_the_interval_of_its_standard_error() -> None:
@@ -72,7 +55,7 @@ def test_the_best_pd_at_a_limit_takes_as_many_false_alarms_as_are_allowed_with_o
     assert [found_at([best_scores(one)], limit).count for limit in (0.0, 100.0, 200.0)] == [1, 2, 3]
     rock = mission({0.0: 0.9, 50.0: 0.8, 100.0: 0.7}, here(0.0), here(100.0), here(50.0, "rock"))
     assert [pd_at(score_missions([rock]), 0.0, on_clutter=on).value for on in (True, False)] == [0.5, 1.0]
-    assert [found_at([best_scores(rock)], 0.0, on_objects=on).value for on in (True, False)] == [0.5, 1.0]
+    assert found_at([best_scores(rock)], 0.0).value == 0.5
     assert pd_at(score_missions([mission({}, here(0.0))]), 10.0).value == 0.0
     assert found_at([best_scores(mission({}, here(0.0)))], 10.0).value == 0.0
 
@@ -81,9 +64,7 @@ def test_contacts_are_placed_on_targets_before_other_objects_and_the_best_counts
     objects = (here(0.0), here(2.5, "rock"), here(50.0, "rock"), here(90.0))
     found = best_scores(mission({1.4: 0.9, -0.5: 0.3, 50.0: 0.6, 70.0: 0.2, 90.0: 0.4}, *objects))
     assert sorted(found.targets.tolist()) == [0.4, 0.9]
-    assert sorted(found.rocks.tolist()) == [-math.inf, 0.6]
     assert sorted(found.false_alarms.tolist()) == [0.2, 0.6]
-    assert found.bare.tolist() == [0.2]
 
 
 def test_a_band_holds_what_missions_drawn_again_give_and_what_so_few_targets_bound() -> None:

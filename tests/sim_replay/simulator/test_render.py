@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -12,35 +12,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from auv_mcm.solids.shapes import Box, Cylinder, Shape, SolidView, Sphere, TruncatedCone, Wedge, view_shape
 from sim_replay.simulator import backend
 from sim_replay.simulator.backscatter import TABLE_SIZE
 from sim_replay.simulator.bodies import CONE, CYLINDER, ELLIPSOID, MOAT, POLYHEDRON, SCAR, TORUS, Bodies, Body, pack
-from sim_replay.simulator.render import Lines, Rendered, render_numpy, render_pings
-from sim_replay.simulator.world import NODES, PATCH, Patches
+from sim_replay.simulator.render import Rendered, render_numpy, render_pings
+from sim_replay.simulator.world import NODES, Patches
+from tests.sim_replay.simulator.rendered_lines import (
+    EVEN,
+    EVEN_BEAM,
+    NO_BODIES,
+    TURN,
+    Floats,
+    block,
+    flat_patches,
+    rays,
+    rendered,
+)
 
-Floats: TypeAlias = NDArray[np.float64]
 Height: TypeAlias = Callable[[Floats, Floats], Floats]
-
 needs_c = pytest.mark.skipif(backend.library() is None, reason=f"no C library: {backend.simulator_library().reason}")
-NO_BODIES = pack([])
-EVEN_BEAM = np.ones(TABLE_SIZE, dtype=np.float32)
-EVEN = np.ones((2, TABLE_SIZE), dtype=np.float32)
-ONLY_BODIES = np.stack([np.zeros(TABLE_SIZE, dtype=np.float32), np.ones(TABLE_SIZE, dtype=np.float32)])
-
-
-def flat_patches(size: int = 10) -> Patches:
-    """A level floor at height 0 about the origin; all its patches are one."""
-    shape = (1, NODES, NODES)
-    slots = np.zeros((size, size), dtype=np.int32)
-    return Patches(
-        np.zeros(shape, np.float32),
-        np.ones(shape, np.float32),
-        np.zeros(shape, np.uint8),
-        slots,
-        -(size // 2),
-        -(size // 2),
-    )
 
 
 def one_patch(elevation_m: NDArray[np.float32]) -> Patches:
@@ -48,225 +38,6 @@ def one_patch(elevation_m: NDArray[np.float32]) -> Patches:
     pool = np.zeros((1, NODES, NODES), dtype=np.float32)
     pool[0, : elevation_m.shape[0], : elevation_m.shape[1]] = elevation_m
     return Patches(pool, np.ones_like(pool), np.zeros(pool.shape, np.uint8), np.zeros((1, 1), np.int32), 0, 0)
-
-
-def rays(
-    north_cells: Floats | float,
-    east_cells: Floats | float,
-    direction_rad: Floats | float,
-    elevation_m: Floats | float,
-    *,
-    roll_rad: float = 0.0,
-    pitch_rad: float = 0.0,
-    ping: NDArray[np.int64] | None = None,
-) -> Lines:
-    """Rays of steps of one cell, each a ping of its own by default."""
-    north, east, direction, elevation = np.broadcast_arrays(
-        *np.atleast_1d(north_cells, east_cells, direction_rad, elevation_m)
-    )
-    one = np.ones(north.shape)
-    return Lines(
-        north_cells=north * one,
-        east_cells=east * one,
-        step_north=np.cos(direction),
-        step_east=np.sin(direction),
-        elevation_m=elevation * one,
-        slant_factor=one / math.cos(pitch_rad),
-        axis_cos=one * math.cos(0.4 + roll_rad),
-        axis_sin=one * math.sin(0.4 + roll_rad),
-        weight=one,
-        ping=np.arange(len(one)) if ping is None else ping,
-    )
-
-
-# --- Shadows and highlights of solids
-# -------------------------------------------------------------------------------------------------
-
-
-class Standing(NamedTuple):
-    """A solid, what the renderer is given for it, and where the ray meets it.
-
-    body: at the origin, length along north; turned when placed. height_m: of its top over the floor. rise: steepest
-    slope of its top. along_m, across_m: of the place on it through which the ray goes, in its own axes.
-    """
-
-    shape: Shape
-    body: Body
-    azimuth_rad: float
-    height_m: float
-    rise: float
-    along_m: float
-    across_m: float
-
-
-def block(length_m: float, width_m: float, planes: tuple[tuple[float, float, float], ...]) -> Body:
-    sides = (
-        (1.0, 0.0, 0.5 * length_m),
-        (-1.0, 0.0, 0.5 * length_m),
-        (0.0, 1.0, 0.5 * width_m),
-        (0.0, -1.0, 0.5 * width_m),
-    )
-    return Body(POLYHEDRON, 0.0, 0.0, 0.0, 0.0, math.hypot(length_m, width_m), (), 1, sides + planes, 4)
-
-
-def sphere(radius: float, buried: float, u: float, v: float) -> Standing:
-    burial = buried * radius
-    body = Body(ELLIPSOID, 0.0, 0.0, 0.0, 0.0, radius, (radius, radius, radius, radius - burial), 1)
-    return Standing(
-        Sphere(radius_m=radius, burial_m=burial), body, 0.0, 2.0 * radius - burial, 0.0, u * radius, v * radius
-    )
-
-
-def cylinder(radius: float, length: float, azimuth: float, buried: float, u: float) -> Standing:
-    burial = buried * radius
-    body = Body(
-        CYLINDER, 0.0, 0.0, 0.0, 0.0, math.hypot(radius, length), (radius, 0.5 * length, radius - burial, 0.0, 1.0), 1
-    )
-    shape = Cylinder(radius_m=radius, length_m=length, azimuth_rad=azimuth, burial_m=burial)
-    return Standing(shape, body, azimuth, 2.0 * radius - burial, 0.0, 0.5 * u * length, 0.0)
-
-
-def cone(base: float, taper: float, height: float, buried: float, u: float, v: float) -> Standing:
-    burial, top = buried * height, taper * base
-    body = Body(CONE, 0.0, 0.0, 0.0, 0.0, base, (base, top, height, burial), 1)
-    shape = TruncatedCone(base_radius_m=base, top_radius_m=top, height_m=height, burial_m=burial)
-    return Standing(shape, body, 0.0, height - burial, 0.0, u * top, v * top)
-
-
-def box(length: float, width: float, height: float, azimuth: float, buried: float, u: float, v: float) -> Standing:
-    burial = buried * height
-    shape = Box(length_m=length, width_m=width, height_m=height, azimuth_rad=azimuth, burial_m=burial)
-    body = block(length, width, ((0.0, 0.0, height - burial),))
-    return Standing(shape, body, azimuth, height - burial, 0.0, 0.5 * u * length, 0.5 * v * width)
-
-
-def wedge(length: float, width: float, height: float, azimuth: float, u: float, v: float) -> Standing:
-    shape = Wedge(length_m=length, width_m=width, height_m=height, azimuth_rad=azimuth)
-    body = block(length, width, ((height / length, 0.0, 0.5 * height),))
-    return Standing(shape, body, azimuth, height, height / length, 0.5 * u * length, 0.5 * v * width)
-
-
-SIZE, LOW, INSIDE = st.floats(0.4, 2.0), st.floats(0.3, 0.9), st.floats(-0.7, 0.7)
-TURN, BURIED = st.floats(-math.pi, math.pi), st.floats(0.0, 0.6)
-SOLIDS = st.one_of(
-    st.builds(sphere, st.floats(0.25, 0.6), BURIED, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
-    st.builds(cylinder, st.floats(0.2, 0.5), st.floats(0.6, 2.5), TURN, BURIED, INSIDE),
-    st.builds(cone, st.floats(0.4, 0.9), st.floats(0.3, 0.9), LOW, BURIED, INSIDE, INSIDE),
-    st.builds(box, SIZE, SIZE, LOW, TURN, BURIED, INSIDE, INSIDE),
-    st.builds(wedge, SIZE, SIZE, LOW, TURN, INSIDE, INSIDE),
-)
-
-
-class Seen(NamedTuple):
-    """Ground range at which the shadow ends, NaN if nothing is hidden, and slant range at which the highlight begins,
-    m.
-    """
-
-    shadow_end_m: float
-    front_m: float
-
-
-def closed_form(solid: Standing, ground_range_m: float, altitude_m: float) -> SolidView:
-    offset = solid.along_m * math.cos(solid.azimuth_rad) - solid.across_m * math.sin(solid.azimuth_rad)
-    return view_shape(solid.shape, offset, ground_range_m, altitude_m)
-
-
-def rendered(
-    solid: Standing,
-    ground_range_m: float,
-    altitude_m: float,
-    heading_rad: float,
-    cell_m: float,
-    bin_m: float,
-    part: float,
-) -> Seen:
-    """The same by one ray to starboard. part: of a cell that the first node lies from the sonar's foot towards a node
-    of the grid.
-    """
-    end_m = float(closed_form(solid, ground_range_m, altitude_m).shadow_end_m)
-    n_nodes = math.ceil(1.1 * end_m / cell_m) + 5
-    offset = solid.along_m * math.cos(solid.azimuth_rad) - solid.across_m * math.sin(solid.azimuth_rad)
-    ahead, aside = (
-        np.array([math.cos(heading_rad), math.sin(heading_rad)]),
-        np.array([-math.sin(heading_rad), math.cos(heading_rad)]),
-    )
-    foot = np.array([part, 0.5 * part]) * cell_m
-    place = foot - offset * ahead + ground_range_m * aside
-    body = solid.body._replace(
-        north_m=float(place[0]), east_m=float(place[1]), azimuth_rad=heading_rad + solid.azimuth_rad
-    )
-    lines = rays(foot[0] / cell_m, foot[1] / cell_m, heading_rad + 0.5 * math.pi, altitude_m)
-    n_bins = math.ceil(math.hypot(end_m, altitude_m) / bin_m)
-    size = 2 * math.ceil(n_nodes / PATCH + 1)
-    out = render_pings(
-        lines,
-        flat_patches(size),
-        pack([body]),
-        ONLY_BODIES,
-        EVEN_BEAM,
-        cell_m=cell_m,
-        n_nodes=n_nodes,
-        n_pings=1,
-        n_bins=n_bins,
-        bin_m=bin_m,
-        keep_nodes=True,
-    )
-    assert out.lit is not None
-    hidden = np.flatnonzero(out.lit[0, 1:] < 1.0) + 1
-    shadow_end_m = float(hidden[-1] - out.lit[0, hidden[-1]]) * cell_m if len(hidden) else math.nan
-    return Seen(shadow_end_m, float(np.flatnonzero(out.energy[0])[0]) * bin_m)
-
-
-@given(
-    solid=SOLIDS, slope=st.floats(1.0, 6.0), altitude_m=st.floats(3.0, 9.0), heading_rad=TURN, part=st.floats(-0.5, 0.5)
-)
-@settings(max_examples=300)
-def test_shadows_end_and_highlights_begin_as_in_the_closed_forms(
-    solid: Standing, slope: float, altitude_m: float, heading_rad: float, part: float
-) -> None:
-    """A node misses the edge that casts the shadow by up to a cell; on the floor that is a cell as cast from the edge's
-    height, more where the top falls towards the sonar.
-    """
-    cell_m, bin_m, ground_range_m = 0.05, 0.01, slope * altitude_m
-    view = closed_form(solid, ground_range_m, altitude_m)
-    seen = rendered(solid, ground_range_m, altitude_m, heading_rad, cell_m, bin_m, part)
-    over = altitude_m - solid.height_m
-    cast = altitude_m / over * (1.0 + solid.rise * (ground_range_m + 2.0) / over)
-    if math.isnan(seen.shadow_end_m):
-        assert math.hypot(float(view.shadow_end_m), altitude_m) - float(view.tangent_slant_range_m) < cell_m * cast
-    else:
-        assert abs(seen.shadow_end_m - float(view.shadow_end_m)) <= cell_m * cast + 1e-4
-    assert abs(seen.front_m - float(view.front_slant_range_m)) <= cell_m * (1.0 + solid.rise) + bin_m
-
-
-FIXED = {
-    "sphere": sphere(0.4, 0.2, 0.3, 0.0),
-    "cylinder": cylinder(0.265, 2.0, 0.6, 0.1, 0.3),
-    "cone": cone(0.49, 0.5, 0.47, 0.1, 0.3, 0.2),
-    "wedge": wedge(1.02, 0.8, 0.385, 2.5, 0.2, 0.3),
-    "box": box(1.1, 0.9, 0.45, 0.4, 0.1, 0.2, -0.3),
-}
-
-
-@pytest.mark.parametrize("name", FIXED)
-def test_errors_of_shadow_ends_shrink_with_the_cell(name: str) -> None:
-    altitude_m = 6.0
-
-    def error_m(cell_m: float) -> float:
-        errors = []
-        for ground_range_m in np.linspace(21.0, 21.3, 24):
-            end_m = float(closed_form(FIXED[name], ground_range_m, altitude_m).shadow_end_m)
-            errors.append(
-                rendered(FIXED[name], ground_range_m, altitude_m, 0.7, cell_m, 0.05, 0.3).shadow_end_m - end_m
-            )
-        return float(np.abs(errors).mean())
-
-    errors = np.array([error_m(cell_m) for cell_m in (0.16, 0.08, 0.04, 0.02)])
-    assert np.all(errors[1:] < 0.65 * errors[:-1])
-
-
-# --- Visibility -------------------------------------------------------------------------------------------------------
-# ----------------
 
 
 def bilinear(elevation_m: NDArray[np.float32], north_cells: Floats, east_cells: Floats) -> Floats:
@@ -311,19 +82,7 @@ def test_nodes_are_lit_where_a_slow_ray_caster_sees_them(
         (north, east), n_nodes = ((20.0, 31.0), (31.0, 20.0), (42.0, 31.0), (31.0, 42.0))[quarter], 24
     elevation_m += float(bilinear(floor, np.array([north]), np.array([east]))[0])
     lines = rays(north, east, direction, elevation_m)
-    out = render_pings(
-        lines,
-        one_patch(floor),
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
-        cell_m=cell_m,
-        n_nodes=n_nodes,
-        n_pings=1,
-        n_bins=50,
-        bin_m=0.1,
-        keep_nodes=True,
-    )
+    out = rendered(lines, one_patch(floor), cell_m=cell_m, n_nodes=n_nodes, n_bins=50, bin_m=0.1, keep_nodes=True)
     nodes = np.arange(n_nodes, dtype=np.float64)
 
     def along(at: Floats) -> Floats:
@@ -345,15 +104,11 @@ def test_a_facet_is_lit_as_far_as_the_shadow_before_it_leaves_it() -> None:
     cell_m, altitude_m = 0.1, 5.0
     heights = np.zeros((64, 64), dtype=np.float32)
     heights[:, 20] = 0.5
-    out = render_pings(
+    out = rendered(
         rays(30.0, 0.0, 0.5 * math.pi, altitude_m),
         one_patch(heights),
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
         cell_m=cell_m,
         n_nodes=40,
-        n_pings=1,
         n_bins=80,
         bin_m=0.1,
         keep_nodes=True,
@@ -365,10 +120,6 @@ def test_a_facet_is_lit_as_far_as_the_shadow_before_it_leaves_it() -> None:
     expected[21:23] = 0.0
     expected[math.ceil(end_cells)] = math.ceil(end_cells) - end_cells
     np.testing.assert_allclose(out.lit[0], expected, atol=1e-5)
-
-
-# --- Energy -----------------------------------------------------------------------------------------------------------
-# ----------------
 
 
 def rough_pool(seed: int) -> NDArray[np.float32]:
@@ -401,19 +152,7 @@ def test_no_energy_is_lost_or_made_on_the_way_into_bins(
         POOL[slot : slot + 1], np.ones_like(POOL[:1]), np.zeros_like(SEABED[:1]), np.zeros((1, 1), np.int32), 0, 0
     )
     lines = rays(128.0 + seed % 7 / 7.0, 128.4, direction_rad, 6.0, pitch_rad=pitch_rad)
-    out = render_pings(
-        lines,
-        patches,
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
-        cell_m=cell_m,
-        n_nodes=n_nodes,
-        n_pings=1,
-        n_bins=n_bins,
-        bin_m=bin_m,
-        keep_nodes=True,
-    )
+    out = rendered(lines, patches, cell_m=cell_m, n_nodes=n_nodes, n_bins=n_bins, bin_m=bin_m, keep_nodes=True)
     assert out.lit is not None
     nodes = np.arange(n_nodes, dtype=np.float64)
     north = lines.north_cells[0] + nodes * lines.step_north[0]
@@ -444,18 +183,7 @@ def test_a_level_floor_fills_every_bin_by_its_ground(bin_m: float, altitude_m: f
     cell_m, n_nodes = 0.05, 800
     lines = rays(0.3, 0.2, 1.0, altitude_m)._replace(weight=np.array([weight]))
     n_bins = int((math.hypot((n_nodes - 2) * cell_m, altitude_m)) / bin_m)
-    out = render_pings(
-        lines,
-        flat_patches(),
-        NO_BODIES,
-        EVEN,
-        EVEN_BEAM,
-        cell_m=cell_m,
-        n_nodes=n_nodes,
-        n_pings=1,
-        n_bins=n_bins,
-        bin_m=bin_m,
-    )
+    out = rendered(lines, flat_patches(), cell_m=cell_m, n_nodes=n_nodes, n_bins=n_bins, bin_m=bin_m)
     edges = np.sqrt(np.maximum((np.arange(n_bins + 1) * bin_m) ** 2 - altitude_m**2, 0.0))
     cumulative = np.concatenate([[0.0], np.cumsum(out.energy[0])]) / weight
     np.testing.assert_allclose(cumulative, edges, atol=0.25 * cell_m)
@@ -475,15 +203,13 @@ def box_echo(tables: NDArray[np.float32], turned_rad: float, cell_m: float = 0.0
     incidence.
     """
     body = block(1.0, 1.0, ((0.0, 0.0, 0.5),))._replace(north_m=0.0, east_m=10.0, azimuth_rad=turned_rad)
-    out = render_pings(
+    out = rendered(
         rays(0.0, 0.0, 0.5 * math.pi, 4.0),
         flat_patches(24),
-        pack([body]),
-        tables,
-        EVEN_BEAM,
+        tables=tables,
+        bodies=pack([body]),
         cell_m=cell_m,
         n_nodes=int(12.0 / cell_m),
-        n_pings=1,
         n_bins=1,
         bin_m=100.0,
     )
@@ -512,15 +238,12 @@ def test_the_beam_is_looked_up_by_the_angle_off_its_axis(side: float) -> None:
     beam = np.zeros(TABLE_SIZE, dtype=np.float32)
     low, high = sorted((side * 0.1, side * 0.3))
     beam[int((1.0 + low) * 0.5 * TABLE_SIZE) : int((1.0 + high) * 0.5 * TABLE_SIZE)] = 1.0
-    out = render_pings(
+    out = rendered(
         rays(0.0, 0.0, 2.0, altitude_m, pitch_rad=pitch_rad),
         flat_patches(),
-        NO_BODIES,
-        EVEN,
-        beam,
+        beam=beam,
         cell_m=0.05,
         n_nodes=900,
-        n_pings=1,
         n_bins=900,
         bin_m=0.05,
     )
@@ -530,10 +253,6 @@ def test_the_beam_is_looked_up_by_the_angle_off_its_axis(side: float) -> None:
     tolerance = 0.06 * np.abs(np.gradient(off, r))
     assert np.all((off > low - tolerance) & (off < high + tolerance))
     assert len(r) > 5
-
-
-# --- C and numpy
-# ----------------------------------------------------------------------------------------------------------------------
 
 
 PLACE, PART = st.floats(-12.0, 12.0), st.floats(0.1, 1.0)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from auv_mcm.contacts.contact_picture import encoded
@@ -16,7 +17,7 @@ from auv_mcm.records import SIDES, VALID, PoseTrack, Side, Tile
 from sim_replay.view.mission import ShownMission
 from sim_replay.view.mission_feed import MissionFeed, OpenedMission
 from sim_replay.view.waterfall_store import WaterfallStore
-from tests.make.records import tile_with
+from tests.make.records import straight_pose, tile_with
 
 ROW_M, COLUMN_M, ALTITUDE_M, DEPTH_M = 0.12, 0.06, 5.0, 10.0
 HOME = LocalFrame(latitude_deg=54.1, longitude_deg=10.2)
@@ -31,21 +32,14 @@ def position(east_m: float, north_m: float) -> tuple[float, float]:
 
 
 def poses(first_row: int, n_rows: int) -> PoseTrack:
-    """A vehicle that sails due north at 2 m/s, row by row."""
-    north_m = np.asarray((first_row + np.arange(n_rows) + 0.5) * ROW_M, dtype=np.float64)
-    latitude, longitude, _ = HOME.to_geodetic(np.column_stack([np.zeros(n_rows), north_m, np.zeros(n_rows)]))
-    level = np.zeros(n_rows)
-    return PoseTrack(
-        time_s=np.asarray(START_S + north_m / SPEED_MPS, dtype=np.float64),
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        depth_m=level + DEPTH_M,
-        heading_rad=level,
-        pitch_rad=level,
-        roll_rad=level,
-        speed_mps=level,  # its way during a ping is left out: 5 cm at 40 m
-        altitude_m=level + ALTITUDE_M,
-        stale=np.zeros(n_rows, dtype=np.bool_),
+    """A vehicle that sails due north at 2 m/s, row by row; its way during a ping is left out: 5 cm at 40 m."""
+    home_deg = HOME.latitude_deg, HOME.longitude_deg
+    sailed = straight_pose(n_rows, ROW_M, home_deg, first_row=first_row, speed_mps=SPEED_MPS, start_s=START_S)
+    return structs.replace(
+        sailed,
+        speed_mps=np.zeros(n_rows),
+        depth_m=np.full(n_rows, DEPTH_M),
+        altitude_m=np.full(n_rows, ALTITUDE_M),
     )
 
 

@@ -90,14 +90,11 @@ def test_whoever_sends_nothing_or_comes_in_a_crowd_is_let_go(monkeypatch: pytest
     assert last.startswith(b"HTTP/1.1 200 OK\r\n")
 
 
-def test_it_listens_to_this_computer_alone_and_says_so_where_the_port_is_taken() -> None:
-    async def twice() -> None:
-        served = HealthEndpoint(0, record)
-        await served.open()
-        try:
-            with pytest.raises(HardwareError, match=f"service.health_port {served.port} cannot be opened: .*'ss -ltn'"):
-                await HealthEndpoint(served.port, record).open()
-        finally:
-            served.close()
-
-    asyncio.run(twice())
+async def test_it_listens_to_this_computer_alone_and_says_so_where_the_port_is_taken() -> None:
+    served = HealthEndpoint(0, record)
+    await served.open()
+    try:
+        with pytest.raises(HardwareError, match=f"service.health_port {served.port} cannot be opened: .*'ss -ltn'"):
+            await HealthEndpoint(served.port, record).open()
+    finally:
+        served.close()

@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_mcm.clock import Stamp
-from auv_mcm.records import NavSample
 from auv_mcm.settings.vehicle_settings import CanSettings
 from drivers.links.can_frame import CanFrame
 from drivers.vehicle.can_messages import (
@@ -40,23 +39,15 @@ from drivers.vehicle.dialect import (
     Withheld,
 )
 from sim_replay.fakes.vehicles.can import FakeCan
+from tests.make.records import nav_of
 from tests.sim_replay.conversation import Conversation
 
 PAYLOAD: Final = 96
 STEP_S: Final = 0.1
 PLACE = GoTo(54.0001, 10.0002, Vertical("altitude", 5.0), 1.5, 3.0)
 COURSE = Steer(1.25, Vertical("depth", 12.0), 1.5)
-POSE = NavSample(
-    time_s=1_700_000_000.0,
-    latitude_deg=54.0,
-    longitude_deg=10.0,
-    heading_rad=-0.5,
-    pitch_rad=0.05,
-    roll_rad=-0.1,
-    depth_m=7.0,
-    altitude_m=5.0,
-    speed_mps=1.5,
-)
+HERE = {"latitude_deg": 54.0, "longitude_deg": 10.0, "depth_m": 7.0}
+POSE = nav_of(1_700_000_000.0, **HERE, heading_rad=-0.5, pitch_rad=0.05, roll_rad=-0.1)
 REPORT = ContactReport(
     session=1,
     number=1,

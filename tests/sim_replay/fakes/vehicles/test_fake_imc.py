@@ -33,6 +33,7 @@ from drivers.vehicle.imc_messages import ImcMessage, OpMode, PlanOp, PlanState, 
 from drivers.vehicle.imc_wire import ImcGrammar, packed
 from sim_replay.fakes.vehicles.fake_vehicle import FakeController
 from sim_replay.fakes.vehicles.imc import ADDRESS, PLACE_RADIUS_M, PLAN_ID, FakeImc
+from tests.make.records import nav_of
 from tests.sim_replay.conversation import Conversation
 
 US, OTHER = 0x6000, 0x2F
@@ -48,17 +49,8 @@ def goal_at(east_m: float, north_m: float) -> GoTo:
 
 def pose_at(east_m: float, north_m: float, now_s: float) -> NavSample:
     goal = goal_at(east_m, north_m)
-    return NavSample(
-        time_s=UTC_S + now_s,
-        latitude_deg=goal.latitude_deg,
-        longitude_deg=goal.longitude_deg,
-        heading_rad=1.0,
-        pitch_rad=0.01,
-        roll_rad=-0.02,
-        depth_m=15.0,
-        altitude_m=5.0,
-        speed_mps=1.5,
-    )
+    place = {"latitude_deg": goal.latitude_deg, "longitude_deg": goal.longitude_deg, "depth_m": 15.0}
+    return nav_of(UTC_S + now_s, **place, heading_rad=1.0, pitch_rad=0.01, roll_rad=-0.02)
 
 
 def a_report(number: int = 3, revision: int = 1) -> ContactReport:
