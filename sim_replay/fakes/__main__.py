@@ -20,7 +20,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from auv_mcm.clean_text import clean_lines
 from auv_mcm.commands import Parser
@@ -28,7 +28,9 @@ from auv_mcm.errors import AuvMcmError, UsageError
 from sim_replay.fakes.device import FakeDevice
 from sim_replay.fakes.feed import mission_events, read_ahead, time_line
 from sim_replay.fakes.job import VehicleJob, read_job
-from sim_replay.fakes.vehicle_device import FakeVehicle
+
+if TYPE_CHECKING:
+    from sim_replay.fakes.vehicle_device import FakeVehicle
 
 _SETTLE_S: Final = 0.3  # for the host to open the port
 _WAITS_AFTER_S: Final = 0.25  # s; as long as a device of its own may be late where the mission does not wait
@@ -69,6 +71,8 @@ async def _serve(path: Path, now: bool) -> None:
     job = read_job(path)
     device: FakeDevice | FakeVehicle
     if isinstance(job, VehicleJob):
+        from sim_replay.fakes.vehicle_device import FakeVehicle  # with the simulator, which no recorded mission needs
+
         device = FakeVehicle(job, lambda name, what, details: _report(what, {"device": name, **details}))
     else:
         log = None if job.log is None else Path(job.log)

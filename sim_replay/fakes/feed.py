@@ -15,10 +15,6 @@ from msgspec import structs
 from auv_mcm.errors import UsageError
 from auv_mcm.records import NavSample, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from sim_replay.logs.recorded import RecordedMission
-from sim_replay.simulator.mission import Mission
-from sim_replay.simulator.recording import complete
-from sim_replay.simulator.scene_file import read_scene
 
 _BATCH: Final = 16  # events read at once off the event loop
 
@@ -39,7 +35,13 @@ def mission_events(log: Path | None, scene: str | None) -> Iterator[SourceEvent]
     if (log is None) == (scene is None):
         raise UsageError("a fake device plays one mission: give either a log or a scene")
     if log is not None:
+        from sim_replay.logs.recorded import RecordedMission  # either kind of mission costs most of a start
+
         return map(_of_amplitudes, RecordedMission([log], Config()).events())
+    from sim_replay.simulator.mission import Mission
+    from sim_replay.simulator.recording import complete
+    from sim_replay.simulator.scene_file import read_scene
+
     assert scene is not None
     mission = Mission(read_scene(scene))
     samples = complete(mission.sea.recorder).samples

@@ -1,4 +1,4 @@
-"""Figures of the pages are what the command beside them prints, wherever that takes no missions."""
+"""Figures of the pages are what their command prints or has stored, wherever that takes no missions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WORDS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight",
 
 
 class Printed(NamedTuple):
-    """A page, the command that prints its figures, how the page states them, and the figures, a group each."""
+    """A page, the command that prints or stores its figures, how the page states them, and a figure per group."""
 
     page: str
     command: str
@@ -87,7 +87,7 @@ TABLE = (
 
 
 @pytest.mark.parametrize("row", TABLE, ids=lambda row: f"{row.page} {row.states[:20]}")
-def test_a_page_states_what_its_command_prints(row: Printed) -> None:
+def test_a_page_states_what_its_command_gives(row: Printed) -> None:
     text = " ".join((DOCS / row.page).read_text("utf-8").split())
     (found,) = re.findall(row.states, text)
     stated = (found,) if isinstance(found, str) else found
