@@ -290,7 +290,7 @@ def configured_odds(config: Config, detector: Detector) -> MineOdds:
     others = {"detect.gate": config.detect.gate, "contacts.background": config.contacts.background}
     if change is None and (unfitted := [key for key, value in others.items() if value == SHIPPED]):
         raise BadInputError(
-            f"confirm.odds {name}: {' and '.join(unfitted)} that ship belong to the odds that ship. Name files that "
+            f"confirm.odds {name}: {' and '.join(unfitted)}: what ships belongs to the odds that ship. Name files that "
             "'auv-mcm calibrate gate' and 'auv-mcm calibrate background' wrote with this configuration, or 'none'"
         )
     return odds

@@ -112,8 +112,9 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.spec is None:
         raise UsageError("--all needs a SPEC that names scenes, sonars and augmented lines: see docs/how-to")
     options = f"--theatre {arguments.spec}"
-    theatre = read_theatre(arguments.spec, read_config(arguments.config), options)
-    tables = fit_theatre(theatre, arguments.spec.read_bytes(), arguments.out, train, farm, _watched)
+    config = read_config(arguments.config)
+    theatre = read_theatre(arguments.spec, config, options)
+    tables = fit_theatre(theatre, config, arguments.spec.read_bytes(), arguments.out, train, farm, _watched)
     made = arguments.out / CONFIG
     answer({"config": made, "judged": tables.splitlines()}, [tables, f"configuration: {made}"], as_json=arguments.json)
     return 0

@@ -18,6 +18,7 @@ from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
 from sim_replay.fitting.cascade.farm import Farm, run_tasks
+from sim_replay.fitting.cascade.spec import on_grid
 from sim_replay.fitting.detection_performance import calibrate_performance as performance
 from sim_replay.fitting.detection_performance.fit_performance import fit_performance
 from sim_replay.fitting.fit_background import FIRST_SEED as BACKGROUND_SEED
@@ -25,7 +26,7 @@ from sim_replay.fitting.fit_background import background_json, calibrate_backgro
 from sim_replay.fitting.fit_gate import FIRST_SEED as GATE_SEED
 from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
 from sim_replay.fitting.looks import LookTask, flight_of
-from sim_replay.fitting.theatre import Theatre
+from sim_replay.fitting.theatre import Theatre, with_files
 from sim_replay.flights import fly_through
 from sim_replay.scoring.inputs import ScoredMission, as_reported, parse_truth
 from sim_replay.scoring.thresholds import BestScores, banded_at, best_scores
@@ -51,7 +52,13 @@ class Step(NamedTuple):
 
 
 def fit_theatre(
-    theatre: Theatre, spec: bytes, folder: Path, train: Callable[[Path], None], farm: Farm, watched: Watched
+    theatre: Theatre,
+    config: Config,
+    spec: bytes,
+    folder: Path,
+    train: Callable[[Path], None],
+    farm: Farm,
+    watched: Watched,
 ) -> str:
     """Fit detector, odds, gate, background and detection performance, and write a configuration that names them.
 
@@ -60,6 +67,8 @@ def fit_theatre(
 
     Parameters
     ----------
+    config
+        Of the vehicle, which is written with the files and the grid of the first sonar.
     spec
         Text of the training set that the theatre was read from.
     train
@@ -80,14 +89,15 @@ def fit_theatre(
     if kept.exists() and kept.read_bytes() != spec:
         raise UsageError(f"--out {folder} has files that were fitted for another spec, {kept}: name a new folder")
     write_file(kept, spec)
-    shipped = theatre
+    shipped, files = theatre, dict[str, str]()
     for step in _steps(train, farm):
         place = folder.absolute() / step.file
         if not place.exists():
             with watched(step.key) as show:
                 step.fit(theatre, place, show)
-        theatre = theatre.with_files(**{step.key: str(place)})
-    write_file(folder / CONFIG, config_yaml(theatre.config).encode())
+        files[step.key] = str(place)
+        theatre = shipped.with_files(**files)
+    write_file(folder / CONFIG, config_yaml(with_files(on_grid(config, theatre.sonars[0]), **files)).encode())
     with watched("judging") as show:
         return judged({"shipped": shipped, "own": theatre}, farm, show)
 

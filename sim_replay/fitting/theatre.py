@@ -53,22 +53,25 @@ class Theatre(NamedTuple):
         return flown, config_for(flown, on_grid(self.config, sonar))
 
     def with_files(self, **files: str) -> Theatre:
-        """Name fitted files: model, gate, performance, seabed_model of `detect`, odds, background."""
-        config = self.config
-        detect = {name: file for name, file in files.items() if name not in ("odds", "background")}
-        changed = {
-            "detect": msgspec.structs.replace(config.detect, **detect),
-            "confirm": msgspec.structs.replace(config.confirm, odds=files.get("odds", config.confirm.odds)),
-            "contacts": msgspec.structs.replace(
-                config.contacts, background=files.get("background", config.contacts.background)
-            ),
-        }
-        return self._replace(config=msgspec.structs.replace(config, **changed))
+        """Name fitted files in the configuration."""
+        return self._replace(config=with_files(self.config, **files))
 
     def before_odds(self) -> Theatre:
         """Take out what the odds decide, to fit them; the gate of other odds goes if the detector is not the usual."""
         gate = SHIPPED if self.config.detect.model in (SHIPPED, NONE) else NONE
         return self.with_files(odds=SHIPPED, gate=gate, background=SHIPPED)
+
+
+def with_files(config: Config, **files: str) -> Config:
+    """Name fitted files in a configuration: model, gate, performance, seabed_model of `detect`, odds, background."""
+    detect = {name: file for name, file in files.items() if name not in ("odds", "background")}
+    odds, background = files.get("odds", config.confirm.odds), files.get("background", config.contacts.background)
+    return msgspec.structs.replace(
+        config,
+        detect=msgspec.structs.replace(config.detect, **detect),
+        confirm=msgspec.structs.replace(config.confirm, odds=odds),
+        contacts=msgspec.structs.replace(config.contacts, background=background),
+    )
 
 
 USUAL: Final = Theatre()

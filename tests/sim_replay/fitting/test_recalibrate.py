@@ -186,7 +186,7 @@ def test_the_configuration_names_the_file_which_says_where_it_comes_from(tmp_pat
     with pytest.raises(BadInputError, match=r"it is for the detector of another version"):
         configured_odds(naming(path), "cascade")
     path.write_bytes(written(msgspec.structs.replace(odds, recalibrated=None, fitted_for="cascade")))
-    with pytest.raises(BadInputError, match=r"detect.gate and contacts.background that ship belong to the odds that"):
+    with pytest.raises(BadInputError, match=r"detect.gate and contacts.background: what ships belongs to"):
         configured_odds(naming(path), "cascade")
     own = parse_config(f"detect: {{gate: none}}\ncontacts: {{background: none}}\nconfirm: {{odds: {path}}}", "own.yaml")
     assert configured_odds(own, "cascade").fitted_for == "cascade"

@@ -22,7 +22,6 @@ from auv_mcm.detect.cascade.choose import shipped_model
 from auv_mcm.detect.cascade.model import encode_model
 from auv_mcm.detect.gate import shipped_gate
 from auv_mcm.errors import UsageError
-from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Ping
 from auv_mcm.settings.config import Config, parse_config
 from sim_replay.fitting import calibrate_odds, fit_theatre
@@ -137,25 +136,28 @@ def test_each_step_goes_by_the_files_before_it_and_an_interrupted_run_goes_on(
     monkeypatch.setattr(
         fit_theatre, "run_tasks", lambda fly, tasks, *_: [found_by(fly.keywords["config"])] * len(tasks)
     )
+    vehicle = parse_config(CONFIG, "own.yaml")
     farm, train = Farm(1), lambda out: out.write_bytes(encode_model(shipped_model()))
-    said = fit_theatre.fit_theatre(theatre, b"a", folder, train, farm, watched)
+    said = fit_theatre.fit_theatre(theatre, vehicle, b"a", folder, train, farm, watched)
     assert seen == {
         "odds": ["model.json", "shipped", "none", "shipped"],
         "gate": ["model.json", "odds.json", "shipped", "shipped"],
         "background": ["model.json", "odds.json", "gate.json", "shipped"],
     }
     own = parse_config((folder / "vehicle.yaml").read_text(), "vehicle.yaml")
-    assert Path(own.detect.performance).name == "performance.json"
-    assert Pipeline(own).constants["odds"] == msgspec.structs.replace(shipped_odds("cascade"), fitted_for="cascade")
+    named = (own.detect.model, own.confirm.odds, own.detect.gate, own.contacts.background, own.detect.performance)
+    assert [Path(name).name for name in named] == [*seen["background"][:3], "background.json", "performance.json"]
+    assert all(Path(name).is_file() for name in named)
+    assert (own.sonar.transfer, own.confirm.targets, own.waterfall.row_spacing_m) == ("log", "listed.yaml", 0.2)
     assert re.search(r"^shipped +0\.00 .* 0\.00 .* 0\.50 \(", said, re.M)
     assert re.search(r"^own +0\.00 .* 0\.00 .* 1\.00 \(", said, re.M)
     assert said.endswith("2 missions left out, 4 targets, 0.060 km²")
     seen.clear()
     alone = theatre._replace(test_seeds=())
-    assert "nothing was judged" in fit_theatre.fit_theatre(alone, b"a", folder, train, farm, watched)
+    assert "nothing was judged" in fit_theatre.fit_theatre(alone, vehicle, b"a", folder, train, farm, watched)
     assert seen == {}
     with pytest.raises(UsageError, match="for another spec"):
-        fit_theatre.fit_theatre(alone, b"b", folder, train, farm, watched)
+        fit_theatre.fit_theatre(alone, vehicle, b"b", folder, train, farm, watched)
 
 
 def watched(step: str) -> AbstractContextManager[Callable[[int, int], None]]:
