@@ -159,7 +159,7 @@ def test_its_navigation_decoder_finds_every_whole_line_however_the_bytes_come() 
     for n_bytes in (1, 7, 1000):
         decoder = text_decoder("acme_ins", "ins")
         chunks = (wire[start : start + n_bytes] for start in range(0, len(wire), n_bytes))
-        fixes = [fix for chunk in chunks for fix in decoder.feed(chunk, Stamp(0, 0))] + decoder.finish()
+        fixes = [*(fix for chunk in chunks for fix in decoder.feed(chunk, Stamp(0, 0))), *decoder.finish()]
         assert [round(1e5 * (fix.latitude_deg - 43.09)) for fix in fixes] == [0, 2, 3]
         assert {fix.source for fix in fixes} == {"ins"}
         assert fixes[0].heading_rad == pytest.approx(0.5 * math.pi)

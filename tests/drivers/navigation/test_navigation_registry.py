@@ -12,7 +12,7 @@ from tests.drivers.navigation.nav_damage import T0
 @pytest.mark.parametrize("protocol", TEXT_PROTOCOLS)
 def test_every_decoder_takes_anything_and_names_its_unit(protocol: str) -> None:
     decoder = text_decoder(protocol, "unit")
-    assert decoder.feed(b"\x00$:w" * 50, T0) + decoder.finish() == []
+    assert [*decoder.feed(b"\x00$:w" * 50, T0), *decoder.finish()] == []
     assert sum(decoder.counters.values()) > 0
 
 

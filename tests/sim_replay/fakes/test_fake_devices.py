@@ -179,9 +179,8 @@ def fixes_of(kind: str, sample: NavSample) -> list[NavFix]:
         assert not bus.counters["n2k.ignored"]
         return fixes
     unit = text_decoder({"pixse": "nmea0183"}.get(kind, kind), "nav")
-    fixes = [
-        fix for message in messages if isinstance(message, bytes) for fix in unit.feed(message, STAMP)
-    ] + unit.finish()
+    fed = [fix for message in messages if isinstance(message, bytes) for fix in unit.feed(message, STAMP)]
+    fixes = [*fed, *unit.finish()]
     assert not any("refused" in name or "malformed" in name for name in unit.counters)
     return fixes
 
