@@ -57,8 +57,7 @@ nice -n 10 .venv/bin/mypy >"$beside/types" 2>&1 &
 types=$!
 # compiles tests and packages once: 20 s of processor time, which each of five workers would take at the same moment
 part "collection" collected
-# four at a time: a scenario takes a third of a core, and goes before the other tests
-.venv/bin/python -m pytest tests/hil --numprocesses 4 --dist load --maxschedchunk 1 >"$beside/loop" 2>&1 &
+.venv/bin/python -m pytest tests/hil --numprocesses 2 --dist load --maxschedchunk 1 >"$beside/loop" 2>&1 &
 loop=$!
 as_a_user >"$beside/user" 2>&1 &
 user=$!
