@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import PipelineEvent, SourceEvent
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from sim_replay.augment.augment_log import augment
 from sim_replay.augment.recorded_line import scattered
@@ -48,7 +49,7 @@ def flight_through(scene: Scene, config: Config | None = None) -> Flight:
 def flight_with_targets(log: Path, truth: Path, config: Config) -> Flight:
     """Prepare the replay of a line with embedded targets. truth: the file that says where they lie."""
     return Flight(
-        _NO_LAW, config, RecordedMission([log], config).events(), lambda: dict(json.loads(truth.read_bytes()))
+        _NO_LAW, config, RecordedMission([log], config).events(), lambda: dict(json.loads(read_regular(truth)))
     )
 
 

@@ -14,7 +14,7 @@ from hypothesis import settings
 
 from auv_mcm import kernels
 
-settings.register_profile("reproducible", derandomize=True, deadline=None, max_examples=60)
+settings.register_profile("reproducible", derandomize=True, deadline=None, max_examples=40)
 settings.load_profile("reproducible")
 
 

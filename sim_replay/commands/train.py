@@ -106,6 +106,7 @@ def _run(arguments: argparse.Namespace) -> int:
         train(arguments.out)
         answer({"model": arguments.out}, [f"model: {arguments.out}"], as_json=arguments.json)
         return 0
+    from auv_mcm.safe_files import read_regular
     from sim_replay.fitting.fit_theatre import CONFIG, fit_theatre
     from sim_replay.fitting.theatre import read_theatre
 
@@ -114,7 +115,7 @@ def _run(arguments: argparse.Namespace) -> int:
     options = f"--theatre {arguments.spec}"
     config = read_config(arguments.config)
     theatre = read_theatre(arguments.spec, config, options)
-    tables = fit_theatre(theatre, config, arguments.spec.read_bytes(), arguments.out, train, farm, _watched)
+    tables = fit_theatre(theatre, config, read_regular(arguments.spec), arguments.out, train, farm, _watched)
     made = arguments.out / CONFIG
     answer({"config": made, "judged": tables.splitlines()}, [tables, f"configuration: {made}"], as_json=arguments.json)
     return 0

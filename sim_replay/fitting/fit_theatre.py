@@ -14,6 +14,7 @@ import msgspec
 
 from auv_mcm.errors import UsageError
 from auv_mcm.pipeline import Pipeline
+from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config, config_yaml
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.fitting.calibrate_odds import Missions, fit_from_missions
@@ -86,7 +87,7 @@ def fit_theatre(
     except OSError as error:
         raise UsageError(f"--out {folder} cannot be made: {error.strerror}. Name a new folder") from error
     kept = folder / _SPEC
-    if kept.exists() and kept.read_bytes() != spec:
+    if kept.exists() and read_regular(kept) != spec:
         raise UsageError(f"--out {folder} has files that were fitted for another spec, {kept}: name a new folder")
     write_file(kept, spec)
     shipped, files = theatre, dict[str, str]()

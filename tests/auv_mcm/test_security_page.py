@@ -89,7 +89,6 @@ PAST_THE_DOOR = {
     "auv_mcm/shell/perception.py": "the kernel",
     "drivers/port_check.py": "the kernel",
     "sim_replay/fitting/cascade/farm.py": "the sources of the package",
-    "sim_replay/fitting/looks.py": "a mission that was simulated just before",
     "sim_replay/fitting/verifier/mill.py": "missions that it flew",
     "sim_replay/report/page.py": "a part of the package",
     "sim_replay/view/server.py": "a part of the package",
