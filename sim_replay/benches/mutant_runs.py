@@ -8,8 +8,10 @@ import multiprocessing
 import os
 import resource
 import sys
+import threading
 import time
 from collections.abc import Sequence
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -26,6 +28,8 @@ _PRELOADED: Final = (
     *("sim_replay.logs.image_log", "sim_replay.logs.image_tiff", "sim_replay.logs.image_hdf5"),
 )
 _LOOK_S: Final = 1.0  # between looks at how long a run has waited
+# A process gives its exit code once. Starting another asks all that run for theirs, and whoever comes second gets 255.
+_ASKING: Final = threading.Lock()
 
 
 class Ended(NamedTuple):
@@ -73,21 +77,28 @@ def run_command(arguments: Sequence[str], folder: Path, scratch: Path) -> Ended:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(_PRELOADED))
     process = context.Process(target=_run, args=(list(arguments), folder, console, usage))
-    process.start()
+    with _ASKING:
+        process.start()
     asleep_s, used_s, looked_s = 0.0, 0, time.monotonic()
-    while process.exitcode is None and asleep_s <= MAX_WALL_S:
-        process.join(_LOOK_S)
+    while _code(process) is None and asleep_s <= MAX_WALL_S:
+        wait([process.sentinel], _LOOK_S)
         before_s, looked_s = looked_s, time.monotonic()
         before_used_s = used_s
         is_asleep, used_s = _asleep(process)
         if is_asleep and used_s == before_used_s:
             asleep_s += looked_s - before_s
-    if process.exitcode is None:
+    if _code(process) is None:
         process.kill()
-        process.join()
+        wait([process.sentinel])
     said = console.read_text("utf-8", "replace") if console.exists() else ""
     cpu_s, rss_mb = json.loads(usage.read_text()) if usage.exists() else (math.nan, math.nan)
-    return Ended(process.exitcode, said, cpu_s, rss_mb, asleep_s)
+    return Ended(_code(process), said, cpu_s, rss_mb, asleep_s)
+
+
+def _code(process: BaseProcess) -> int | None:
+    """Ask a process for its exit code; None while it runs."""
+    with _ASKING:
+        return process.exitcode
 
 
 def _asleep(process: BaseProcess) -> tuple[bool, int]:

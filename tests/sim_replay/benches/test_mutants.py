@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -214,6 +215,16 @@ def test_a_run_that_waits_is_ended_and_fails(tmp_path: Path, monkeypatch: pytest
     assert ended.code is not None
     assert ended.code < 0
     assert "still waiting" in ended.failures((0, 3), 400.0)[0]
+
+
+def test_runs_beside_each_other_have_their_own_exit_codes(tmp_path: Path) -> None:
+    """One in eighty that another thread asked first was taken for a crash, of code 255."""
+    folders = [tmp_path / str(number) for number in range(60)]
+    for folder in folders:
+        folder.mkdir()
+    with ThreadPoolExecutor(6) as pool:
+        ended = list(pool.map(lambda folder: mutant_runs.run_command(["--version"], folder, folder), folders))
+    assert {one.code for one in ended} == {0}
 
 
 def test_neither_logs_nor_all_is_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
