@@ -63,7 +63,7 @@ _SWAPPED: Final[dict[type[ast.AST], type[ast.AST]]] = {
 
 
 class Change(NamedTuple):
-    """Name one change. number: among the changes of its file. before, after: the code of the node, written anew."""
+    """Name one change. number: among the changes of its file. before, after: the code of the node."""
 
     path: Path
     number: int

@@ -21,7 +21,7 @@ from sim_replay.simulator.mission import Mission
 from sim_replay.simulator.scene import Scene
 
 _USUAL: Final = Config()
-_NO_LAW: Final = "recorded"  # of recorded lines, whose law is found out anew each time
+_NO_LAW: Final = "recorded"  # of recorded lines, whose law is found out each time
 
 
 class Flight(NamedTuple):

@@ -26,8 +26,8 @@ N_PLACE: Final = 3
 """Numbers that state the place: ln(ground range / altitude), altitude and the beam's footprint."""
 _ROW_M: Final = 0.125  # 40 rows show 5 m: the longest mine, and the floor beside it
 _COLUMN_M: Final = 0.1  # 72 columns show 7.2 m
-_BESIDE_M: Final = 0.2  # two pixels, as far as the highlight's middle is off on speckle. Chosen
 _NEAR_M: Final = 2.0  # of them before the highlight's middle
+_BESIDE_M: Final = 0.2  # two pixels, as far as the highlight's middle is off on speckle. Chosen
 _HEIGHT_M: Final = 0.05  # of a column by height: 36 end at 1.8 m, above any mine
 _LEAST_ABOVE_M: Final = 0.05  # of the sonar above a top whose shadow has an end
 _DARKEST: Final = 1e-4  # of the mean floor, -40 dB: the lowest code of a snippet
@@ -51,10 +51,15 @@ class Chip(NamedTuple):
 
 
 def chip_of(region: Region, along_m: float = 0.0, across_m: float = 0.0) -> Chip:
-    """Cut the chip around a region's highlight, or so far beside it.
+    """Cut the chip around a region's highlight.
 
     Every pixel is the mean of the intensities that it covers, each weighed by the area in common. Pixels finer than the
     sonar's repeat the nearest.
+
+    Parameters
+    ----------
+    along_m, across_m
+        From the highlight's middle to the place that the chip is cut around, in the order of rows and of columns.
     """
     rows = _ROW_M * (np.arange(N_ROWS + 1, dtype=np.float64) - 0.5 * N_ROWS)
     rows = region.row + (along_m + rows) / region.row_spacing_m

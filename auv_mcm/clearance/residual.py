@@ -2,7 +2,7 @@
 
 A mine that is not found usually makes a contact all the same, one that is not mine-like. So the sum of probabilities
 over such contacts estimates how many mines lie among them, mission by mission; a table holds only averages. `p_mine`
-presumes a share of mines among contacts. The mission's own contacts show theirs, and are weighed anew by it: over a
+presumes a share of mines among contacts. The mission's own contacts show theirs, by which they are weighed: over a
 floor without mines fewer are expected. What leaves no contact at all is not in this (`auv-mcm bench clearance`).
 """
 
@@ -50,7 +50,7 @@ class Remaining(NamedTuple):
 
 
 def own_odds(p_mine: ArrayLike) -> tuple[NDArray[np.float64], float]:
-    """Weigh p_mine, (n,), anew by the share of mines that these contacts show themselves, and return that share too.
+    """Weigh p_mine, (n,), by the share of mines that these contacts show themselves, and return that share too.
 
     It is the mode under a Beta prior of PRIOR_CONTACTS at PRIOR_SHARE, by steps of expectation and maximisation (M.
     Saerens, P. Latinne and C. Decaestecker, Neural Computation 14(1), 2002, eq. 2.7, with the prior's counts added).

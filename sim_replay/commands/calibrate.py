@@ -375,7 +375,7 @@ def _on_farm(seeds: str) -> tuple[Option, ...]:
 
 _WORKERS: Final = _number("--workers", "missions flown at once", 2)
 _SAME: Final = "The same seeds make the same"
-_AFTER_ODDS: Final = f"Fit it anew after new odds. {_SAME}"
+_AFTER_ODDS: Final = f"Fit it again after new odds. {_SAME}"
 
 FITS: Final = (
     Fit(

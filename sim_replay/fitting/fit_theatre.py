@@ -1,4 +1,4 @@
-"""Fit everything for a theatre, step by step, and judge it beside what ships: `auv-mcm train --theatre`."""
+"""Fit everything for a theatre, step by step, and judge it beside what ships: `auv-mcm train SPEC --all`."""
 
 from __future__ import annotations
 

@@ -341,7 +341,7 @@ def _mines_left(searched: Mapping[str, Any]) -> str:
     left = searched["mines_left"]
     own = ""
     if "mine_share" in left:  # results of older versions lack it
-        own = f"; of this mission's own contacts {left['mine_share']:.0%} are, by which the chances are weighed anew"
+        own = f"; of this mission's own contacts {left['mine_share']:.0%} are, by which the chances are weighed"
     return (
         f"Mine-like contacts stand for {searched['mines_found']:.1f} mines found; mines left are those among the "
         f"{left['among_contacts']} contacts that are not mine-like: their chances add up to {left['p_mine_sum']:.1f}. "
