@@ -206,9 +206,14 @@ def main() -> int:
     arguments = parser.parse_args()
     os.chdir(ROOT)
     if arguments.line:
-        asked = [(ROOT / name, int(line)) for name, _, line in (one.rpartition(":") for one in arguments.line)]
+        parted = [one.rpartition(":") for one in arguments.line]
+        if not all(line.isdecimal() and (ROOT / name).is_file() for name, _, line in parted):
+            parser.error("--line names a file below the root and a line in it, as auv_mcm/confirm/snake.py:40")
+        asked = [(ROOT / name, int(line)) for name, _, line in parted]
         changes = [change for path, line in asked for change in changes_of(path) if change.line == line]
     else:
+        if missing := [place for place in arguments.places if not (ROOT / place).exists()]:
+            parser.error(f"there is no {missing[0]} below {ROOT}. Name files and folders of the source")
         changes = sample(arguments.places, arguments.mutants, arguments.seed)
     if changes and not survives(changes[0]._replace(number=NONE), arguments.whole):
         raise SystemExit(f"the tests of {changes[0].path.relative_to(ROOT)} fail without a change")

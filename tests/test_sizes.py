@@ -30,7 +30,7 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(40_740, 35_500),
     "drivers": Limit(18_150, 15_500),
-    "sim_replay": Limit(54_230, 42_000),
+    "sim_replay": Limit(54_260, 42_000),
     "sim_replay/augment": Limit(2_610, 2_400),
     "sim_replay/batch": Limit(570, 600),
     "sim_replay/benches": Limit(10_150, 6_000),

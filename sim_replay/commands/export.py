@@ -158,6 +158,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from sim_replay.export_source import find_source
 
     if arguments.qgis is not None:
+        _check_target(arguments.qgis)
         arguments.geotiff = arguments.geotiff or arguments.qgis.with_suffix(".tif")
         arguments.gpkg = arguments.gpkg or arguments.qgis.with_suffix(".gpkg")
     vectors = (arguments.gpkg, arguments.gpx, arguments.kml, arguments.geojson, arguments.pdf)
@@ -169,10 +170,7 @@ def _run(arguments: argparse.Namespace) -> int:
             "or --yolo"
         )
     for path in wanted:
-        if not path.absolute().parent.is_dir():
-            raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
-        if path.exists() and not path.is_file() and path not in chips:
-            raise UsageError(f"{path} cannot be written: it is a folder or a device. Name a file.")
+        _check_target(path, is_folder=path in chips)
     missing = next((path for path in arguments.source if not path.exists()), None)
     if missing is not None:
         raise UsageError(f"there is no {missing}. Name a folder of results, the folder of a session, or logs.")
@@ -190,6 +188,14 @@ def _run(arguments: argparse.Namespace) -> int:
         _write_mcap(source, arguments.mcap)
     answer({"written": wanted}, [f"written: {path}" for path in wanted], as_json=arguments.json)
     return 0
+
+
+def _check_target(path: Path, *, is_folder: bool = False) -> None:
+    """Check early that a file, or a folder, can be made. Raises UsageError if it cannot."""
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"{path} cannot be written: there is no folder {path.parent}. Make it first.")
+    if path.exists() and not path.is_file() and not is_folder:
+        raise UsageError(f"{path} cannot be written: it is a folder or a device. Name a file.")
 
 
 def _write_vectors(source: ExportSource, arguments: argparse.Namespace, name: str) -> None:

@@ -203,6 +203,7 @@ def test_an_export_without_a_file_or_into_no_folder_is_one_clear_line(
         (["--geotiff", "no/such/m.tif"], "there is no folder no/such"),
         (["--geotiff", "."], ". cannot be written: it is a folder or a device. Name a file."),
         (["--gpkg", "/dev/null"], "/dev/null cannot be written: it is a folder or a device. Name a file."),
+        (["--qgis", "."], ". cannot be written: it is a folder or a device. Name a file."),
         (["--geotiff", str(tmp_path / "m.tif")], "mission.xtf. Name a folder of results"),
     ):
         assert main(["export", str(tmp_path / "mission.xtf"), *words]) == 2
