@@ -106,7 +106,7 @@ def without_contact(mean_p_detected: float) -> float:
 
 def remaining_about(expected: float, share: float = PRIOR_SHARE) -> Remaining:
     """Spread the number of mines left about what is expected, finite. share: of mines among contacts, to be stated."""
-    low, high, at_most = (_quantile(expected, share) for share in (_TAIL, 1.0 - _TAIL, 1.0 - 2.0 * _TAIL))
+    low, high, at_most = (_quantile(expected, below) for below in (_TAIL, 1.0 - _TAIL, 1.0 - 2.0 * _TAIL))
     return Remaining(expected, low, high, at_most, math.exp(-SHAPE * math.log1p(expected / SHAPE)), share)
 
 

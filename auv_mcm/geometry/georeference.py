@@ -47,7 +47,7 @@ class EchoGeometry(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def tile_echoes(tile: Tile, position: NDArray[np.float64], ground_m: NDArray[np.float64] | float) -> EchoGeometry:
-    """Make the echoes of a tile at fractional rows, as near as its first and last row, and at ground ranges, m."""
+    """Make the echoes of a tile at n places: fractional rows (cut to the tile) and ground ranges, m."""
     at = np.clip(position, 0.0, len(tile.pose) - 1.0)
     first_return_m = np.interp(at, np.arange(len(tile.pose)), tile.first_return_m)
     return EchoGeometry(
