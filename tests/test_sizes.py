@@ -30,7 +30,7 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(40_740, 35_500),
     "drivers": Limit(18_150, 15_500),
-    "sim_replay": Limit(54_260, 42_000),
+    "sim_replay": Limit(54_440, 42_000),
     "sim_replay/augment": Limit(2_610, 2_400),
     "sim_replay/batch": Limit(570, 600),
     "sim_replay/benches": Limit(10_150, 6_000),
@@ -42,8 +42,8 @@ LINES: Final = {
     "sim_replay/report": Limit(2_040, 2_000),
     "sim_replay/scoring": Limit(2_420, 2_200),
     "sim_replay/simulator": Limit(6_450, 6_900),
-    "sim_replay/view": Limit(2_320, 2_000),
-    "tests": Limit(79_390, 66_000),
+    "sim_replay/view": Limit(2_500, 2_000),
+    "tests": Limit(79_620, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(27, 5)
 LONG_FILES: Final = Limit(18, 0)

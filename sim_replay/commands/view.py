@@ -23,7 +23,7 @@ def add(commands: Commands) -> None:
         [
             "auv-mcm view mission.xtf",
             "auv-mcm view surveys",
-            "auv-mcm view results",
+            "auv-mcm view results --chart chart.tif",
             "auv-mcm view --live",
             "auv-mcm view --live out-demo/hil/clean/results/latest",
         ],
@@ -52,6 +52,7 @@ def add(commands: Commands) -> None:
         default="127.0.0.1",
         help="address to listen at (default 127.0.0.1, this computer alone); whoever reaches it can look and judge",
     )
+    parser.add_argument("--chart", metavar="FILE", type=Path, help="GeoTIFF to show below the map: a sea chart, depths")
     parser.add_argument("--by", metavar="NAME", default="", help="who judges (default: your user name)")
     parser.add_argument("--open", action="store_true", help="open the page in the default browser")
     add_config_option(parser)
@@ -69,5 +70,6 @@ def _run(arguments: argparse.Namespace) -> int:
         host=arguments.host,
         port=arguments.port,
         by=arguments.by,
+        chart_path=arguments.chart,
         open_browser=arguments.open,
     )

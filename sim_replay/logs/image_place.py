@@ -191,7 +191,7 @@ def _from_corners(image: Path, corners: Corners, sidecar: Sidecar, n_lines: int,
 def _geotiff_corners(image: Path, sidecar: Sidecar, n_lines: int, n_pixels: int, tags: dict[str, Any]) -> Corners:
     """Place the corners by a GeoTIFF's tags (OGC 19-008r4)."""
     try:
-        affine = _affine(tags)
+        affine = affine_of(tags)
         is_point = int(tags.get("GTRasterTypeGeoKey", 1)) == 2
         system = int(tags.get("ProjectedCSTypeGeoKey", tags.get("GeographicTypeGeoKey", 0)))
     except (TypeError, ValueError) as error:  # damaged tags hold any number of any type
@@ -226,7 +226,7 @@ def _geotiff_corners(image: Path, sidecar: Sidecar, n_lines: int, n_pixels: int,
     )
 
 
-def _affine(tags: dict[str, Any]) -> Floats | None:
+def affine_of(tags: dict[str, Any]) -> Floats | None:
     """Compute the matrix (2, 3) from column, row and 1 to coordinates; None where the tags hold none."""
     if (matrix := tags.get("ModelTransformation")) is not None:
         whole = np.asarray(matrix, dtype=np.float64).reshape(4, 4)

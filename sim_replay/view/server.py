@@ -19,6 +19,7 @@ from auv_mcm.clean_text import clean
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError
 from auv_mcm.safe_files import open_regular
 from auv_mcm.shell.whole_files import finite
+from sim_replay.view.chart import Chart
 from sim_replay.view.mission import MAX_POINTS, Judgement, MeasuredQuantity, ShownMission
 from sim_replay.view.patience import BODY_S, Patience
 from sim_replay.view.patience import log as http_log
@@ -74,13 +75,18 @@ class MissionServer:
     """Answer a browser, as long as it is open."""
 
     def __init__(
-        self, mission: ShownMission, host: str = LOOPBACK, port: int = 0, patience: Patience | None = None
+        self,
+        mission: ShownMission,
+        host: str = LOOPBACK,
+        port: int = 0,
+        patience: Patience | None = None,
+        chart: Chart | None = None,
     ) -> None:
         """host: address to listen at; port: 0 for any that is free. Only browsers that ask for `host` are answered.
 
-        patience: with clients that hold connections and do nothing; None for the usual one.
+        patience: with clients that hold connections and do nothing; None for the usual one. chart: below the map.
         """
-        self._mission = mission
+        self._mission, self._chart = mission, chart
         self._host, self._port = host, port
         self._tiles: OrderedDict[tuple[int, int, int, int], bytes] = OrderedDict()
         self._refreshing = asyncio.Lock()
@@ -98,6 +104,7 @@ class MissionServer:
         app.router.add_get("/api/track", self._track)
         app.router.add_get(r"/api/strips/{first:\d{1,9}}/{stop:\d{1,9}}", self._strips)
         app.router.add_get("/api/layers", self._layers)
+        app.router.add_get("/api/chart", self._chart_picture)
         app.router.add_post("/api/place", self._place)
         app.router.add_post("/api/measure", self._measure)
         app.router.add_post("/api/verdicts", self._judge)
@@ -203,7 +210,7 @@ class MissionServer:
 
     async def _state(self, request: web.Request) -> web.StreamResponse:
         await self._refresh()
-        return _json(self._mission.state())
+        return _json(self._mission.state() | {"chart": None if self._chart is None else self._chart[1:]})
 
     async def _tile(self, request: web.Request) -> web.StreamResponse:
         return await self._picture(request, self._mission.store)
@@ -260,6 +267,11 @@ class MissionServer:
 
     async def _layers(self, request: web.Request) -> web.StreamResponse:
         return _json(await asyncio.to_thread(self._mission.layers))
+
+    async def _chart_picture(self, request: web.Request) -> web.StreamResponse:
+        if self._chart is None:
+            raise web.HTTPNotFound
+        return web.Response(body=self._chart.png, content_type="image/png")
 
     async def _place(self, request: web.Request) -> web.StreamResponse:
         asked = await _body(request, _Points)

@@ -21,6 +21,7 @@ from sim_replay.logs.open_log import is_session, logs_config
 from sim_replay.logs.session_parts import recordings_of, session_of
 from sim_replay.results_folder import default_results, is_replayed, resolved_log
 from sim_replay.view.background_replay import BackgroundReplay
+from sim_replay.view.chart import read_chart
 from sim_replay.view.mission import ReplayAgain, ShownMission
 from sim_replay.view.mission_feed import MissionFeed, OpenedMission, follow_session, open_logs
 from sim_replay.view.mission_files import CONTACTS, JOURNAL, SUMMARY, read_summary, summary_config
@@ -40,6 +41,7 @@ def show(
     host: str = LOOPBACK,
     port: int = 0,
     by: str = "",
+    chart_path: Path | None = None,
     open_browser: bool = False,
 ) -> int:
     """Serve the page of a mission until interrupted. Returns the exit code.
@@ -59,6 +61,8 @@ def show(
         Where to listen; port 0 for any that is free.
     by
         Who judges; "" for the user's name.
+    chart_path
+        GeoTIFF to show below the map.
     open_browser
         Open the page in the default browser.
 
@@ -69,6 +73,7 @@ def show(
         cannot be had.
     """
     config = None if config_path is None else read_config(config_path)
+    chart = None if chart_path is None else read_chart(chart_path)
     if not paths and not live:
         raise UsageError("name logs, the folder of results or of a session, or give --live")
     folder = paths[0] if paths else Path((config or Config()).service.output_directory) / "latest"
@@ -78,8 +83,13 @@ def show(
         mission = open_shown(folder, logs, config, by or _user())
     else:
         mission = open_new(logs_named(paths), config, by or _user())
+    _serve_until_closed(mission, MissionServer(mission, host, port, chart=chart), open_browser)
+    return 0
+
+
+def _serve_until_closed(mission: ShownMission, server: MissionServer, open_browser: bool) -> None:
     try:
-        asyncio.run(_serve(mission, host, port, open_browser))
+        asyncio.run(_serve(mission, server, open_browser))
     except KeyboardInterrupt:
         print("closed")
     finally:
@@ -88,7 +98,6 @@ def show(
                 print("the replay is not finished: what it found so far goes with the next one")
             mission.replay.close()
         mission.feed.close()
-    return 0
 
 
 def open_shown(folder: Path, logs: list[Path], config: Config | None, by: str) -> ShownMission:
@@ -225,8 +234,7 @@ def named_logs(summary: dict[str, Any], folder: Path) -> list[Path]:
     return found
 
 
-async def _serve(mission: ShownMission, host: str, port: int, open_browser: bool) -> None:
-    server = MissionServer(mission, host, port)
+async def _serve(mission: ShownMission, server: MissionServer, open_browser: bool) -> None:
     await server.open()
     try:
         print(f"{clean(str(mission.folder))}: {server.url} (Ctrl-C ends)", flush=True)

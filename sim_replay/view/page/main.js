@@ -90,6 +90,7 @@ async function poll() {
       if (waterfall.mode === "bottom") bottom.load(await get("api/bottom"));
       waterfall.redraw();
     }
+    if (now.chart && !before.chart) map.setChart(now.chart);
     if (now.done && !before.done && !now.stop_row) map.setTrack(await get("api/track"));
     if (now.done !== before.done || now.live !== before.live || (now.live && now.stop_row !== before.stop_row)) map.setLayers(await get("api/layers"));
     if (now.contacts_version !== before.contacts_version || now.verdicts_version !== before.verdicts_version

@@ -12,8 +12,9 @@ const STRIP_ROWS = 64; // rows between two corners that the server gives
 export function mapView(tiles, handlers) {
   const box = byId("map-view"), picture = byId("map-picture");
   const view = {east: 0, north: 0, scale: 1};
-  const layers = {mosaic: true, coverage: false, clearance: false, track: true, contacts: true, plan: true};
+  const layers = {chart: true, mosaic: true, coverage: false, clearance: false, track: true, contacts: true, plan: true};
   let home = null, grid = null, track = null, files = {}, shown = [], structures = [], selected = null, drag = null, wasFitted = false, wasMoved = false;
+  let chart = null;
   let strips = {rows: [], corners: []}, asking = false;
   const mosaic = {canvas: new OffscreenCanvas(1, 1), key: "", view: null, next: 0};
 
@@ -41,6 +42,7 @@ export function mapView(tiles, handlers) {
     settle();
     if (!home) return;
     if (!wasFitted) fit();
+    if (layers.chart && chart) drawChart(context, width, height);
     if (layers.mosaic) showMosaic(context, width, height);
     drawGrid(context, width, height);
     if (layers.coverage) drawCoverage(context, width, height);
@@ -49,6 +51,11 @@ export function mapView(tiles, handlers) {
     if (layers.plan && files.waypoints) drawPlan(context, width, height);
     if (layers.contacts) drawStructures(context, width, height);
     if (layers.contacts) drawContacts(context, width, height);
+  }
+
+  function drawChart(context, width, height) {
+    const [left, top] = place(chart.west, chart.north, width, height), [right, bottom] = place(chart.east, chart.south, width, height);
+    context.drawImage(chart.picture, left, top, right - left, bottom - top);
   }
 
   async function moreStrips() {
@@ -358,6 +365,11 @@ export function mapView(tiles, handlers) {
     setGrid(state) { grid = state; moreStrips(); },
     setTrack(found) { track = found; redraw(); },
     setLayers(found) { files = found; byId("clearance-layer").hidden = !found.clearance; redraw(); },
+    setChart([west, south, east, north]) {
+      const picture = new Image();
+      picture.addEventListener("load", () => { chart = {picture, west, south, east, north}; byId("chart-layer").hidden = false; redraw(); });
+      picture.src = "api/chart";
+    },
     setStructures(found) { structures = found; },
     setContacts(contacts) { shown = contacts; redraw(); },
     select(key) { selected = key; bringIn(shown.find((one) => one.key === key)); redraw(); },

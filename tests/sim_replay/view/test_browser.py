@@ -6,12 +6,14 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from auv_mcm.records import SIDES
 from sim_replay.benches.browser import BrowserPage, browser_page, find_browser
 from sim_replay.verdicts import read_verdicts
+from sim_replay.view.chart import Chart
 from sim_replay.view.mission import Judgement, ShownMission
 from sim_replay.view.server import MissionServer
 from sim_replay.view.waterfall_store import WaterfallStore
@@ -39,9 +41,11 @@ def sea_floor() -> WaterfallStore:
     return store
 
 
-def in_browser(mission: ShownMission, visit: Callable[[BrowserPage], Awaitable[None]]) -> None:
+def in_browser(
+    mission: ShownMission, visit: Callable[[BrowserPage], Awaitable[None]], chart: Chart | None = None
+) -> None:
     async def run() -> None:
-        server = MissionServer(mission)
+        server = MissionServer(mission, chart=chart)
         await server.open()
         try:
             async with browser_page(1200, 800) as page:
@@ -146,6 +150,27 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
     assert verdicts[1].height_m == pytest.approx(HEIGHT_M, abs=0.03)  # a pixel of the screen is 4 cm there
     assert verdicts[4].drawn
     assert verdicts[4].ground_range_m == pytest.approx(6.0, abs=0.1)
+
+
+def test_a_chart_lies_below_the_map_until_it_is_switched_off(tmp_path: Path) -> None:
+    folder = write_results(tmp_path, [feature(1, OBJECT_ROW, OBJECT_M)])
+    mission = shown(folder, sea_floor())
+    latitude, longitude = mission.track()["latitude"][0], mission.track()["longitude"][0]
+    encoded, png = cv2.imencode(".png", np.full((4, 4, 4), (0, 0, 255, 255), dtype=np.uint8))
+    chart = Chart(png.tobytes(), longitude - 0.01, latitude - 0.01, longitude + 0.01, latitude + 0.01)
+    reds = (
+        "(() => {const c = document.querySelector('#map-picture'), d = c.getContext('2d')"
+        ".getImageData(0, 0, c.width, c.height).data; let n = 0;"
+        "for (let i = 0; i < d.length; i += 4) n += d[i] === 255 && d[i + 1] === 0 && d[i + 2] === 0; return n})()"
+    )
+
+    async def visit(page: BrowserPage) -> None:
+        await page.wait_for(f"{reds} > 1000")
+        await page.click_on("[data-layer=chart]")
+        await page.wait_for(f"{reds} === 0")
+
+    assert encoded
+    in_browser(mission, visit, chart)
 
 
 def test_a_measure_far_from_the_chosen_contact_asks_whose_it_is(tmp_path: Path) -> None:

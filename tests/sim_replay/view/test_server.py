@@ -13,6 +13,7 @@ import pytest
 
 from auv_mcm.errors import HardwareError
 from sim_replay.verdicts import VERDICTS_FILE, read_verdicts
+from sim_replay.view.chart import Chart
 from sim_replay.view.server import MAX_REQUEST_BYTES, MissionServer
 from tests.sim_replay.view.shown_missions import feature, filled_store, shown, write_results
 
@@ -20,12 +21,18 @@ STORE = filled_store(512, 300)
 Ask = Callable[[MissionServer, aiohttp.ClientSession], Awaitable[None]]
 
 
-def serve(folder: Path, ask: Ask, features: list[dict[str, Any]] | None = None, host: str = "127.0.0.1") -> None:
+def serve(
+    folder: Path,
+    ask: Ask,
+    features: list[dict[str, Any]] | None = None,
+    host: str = "127.0.0.1",
+    chart: Chart | None = None,
+) -> None:
     """Serve a folder as long as `ask` runs."""
     mission = shown(write_results(folder, [feature(1)] if features is None else features), STORE)
 
     async def run() -> None:
-        server = MissionServer(mission, host)
+        server = MissionServer(mission, host, chart=chart)
         await server.open()
         try:
             async with aiohttp.ClientSession(base_url=server.url.replace("0.0.0.0", "127.0.0.1")) as session:
@@ -85,6 +92,20 @@ def test_state_contacts_tiles_and_places_come_as_asked(tmp_path: Path) -> None:
                 await answer.json()
 
     serve(tmp_path, ask)
+
+
+def test_a_chart_is_placed_and_served_and_none_is_where_there_is_none(tmp_path: Path) -> None:
+    async def without(server: MissionServer, session: aiohttp.ClientSession) -> None:
+        assert (await (await session.get("/api/state")).json())["chart"] is None
+        assert (await session.get("/api/chart")).status == 404
+
+    async def shown_below(server: MissionServer, session: aiohttp.ClientSession) -> None:
+        assert (await (await session.get("/api/state")).json())["chart"] == [8.0, 54.0, 8.1, 54.1]
+        async with session.get("/api/chart") as answer:
+            assert (answer.content_type, await answer.read()) == ("image/png", b"png")
+
+    serve(tmp_path / "without", without)
+    serve(tmp_path / "with", shown_below, chart=Chart(b"png", 8.0, 54.0, 8.1, 54.1))
 
 
 def test_a_verdict_is_kept_as_it_was_written_whatever_it_says(tmp_path: Path) -> None:
