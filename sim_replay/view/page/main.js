@@ -11,7 +11,8 @@ import {tileStore} from "./tiles.js";
 import {waterfallView} from "./waterfall.js";
 import {clock, metres, position} from "./words.js";
 
-const POLL_MS = 1000, FIRST_POLL_MS = 100, FIRST_S = 10; // oftener until there is a first picture, at first
+const POLL_MS = 1000, FIRST_POLL_MS = 50, FIRST_S = 10; // oftener until there is a first picture, at first
+const ALONE_MS = 1500; // from the start of the page: until then nothing else is asked for before the first picture
 const THEMES = ["day", "dusk", "night"];
 const CLOSE_SCALE = 25; // pixels per metre at which a chosen contact is shown: an object of 2 m is 50 pixels
 
@@ -71,6 +72,11 @@ async function poll() {
       : now.replay_done ? ` · ${contacts.length} contacts` : ` · looking for contacts: ${Math.floor(100 * now.replay)} %`;
     byId("progress").textContent += searched;
     showNote();
+    if (!now.stop_row && !now.done && performance.now() < ALONE_MS) {
+      state = before;
+      setTimeout(poll, FIRST_POLL_MS);
+      return undefined;
+    }
     byId("judged").textContent = now.judged;
     byId("judged").hidden = !now.verdicts;
     if (now.stop_row !== before.stop_row || now.columns !== before.columns) {
@@ -78,15 +84,16 @@ async function poll() {
       slant.outdate();
       waterfall.setGrid(now);
       map.setGrid(now);
-      const track = await get("api/track");
-      waterfall.setTimes(track);
-      map.setTrack(track);
       if (now.columns && !wasFitted) {
         wasFitted = true;
         waterfall.fit();
         if (now.live) setFollow(true);
       }
       if (follows) waterfall.toNewest();
+      waterfall.redraw(); // asks for tiles before anything else is waited for
+      const track = await get("api/track");
+      waterfall.setTimes(track);
+      map.setTrack(track);
       if (waterfall.mode === "bottom") bottom.load(await get("api/bottom"));
       waterfall.redraw();
     }
