@@ -35,10 +35,10 @@ def clearance_geojson(clearance: Clearance | None) -> bytes:
     p, band = clearance.p_detected, band_of(clearance.p_detected)
     alike = np.where(clearance.seen, band * len(SEABED_TYPES) + clearance.seabed, -1)
     frame = LocalFrame(latitude_deg=clearance.origin_latitude_deg, longitude_deg=clearance.origin_longitude_deg)
+    found = rectangles(alike)
     features = []
-    for north, east, n_north, n_east in rectangles(alike):
+    for (north, east, n_north, n_east), ring in zip(found, _rings(clearance, frame, found), strict=True):
         part = slice(north, north + n_north), slice(east, east + n_east)
-        ring = _ring(clearance, frame, north, east, n_north, n_east)
         polygons: list[Json] = [[positions_of(piece)] for piece in split_ring(ring)]
         number = int(band[north, east])
         properties: dict[str, Json] = {
@@ -76,12 +76,14 @@ def rectangles(values: NDArray[np.int64]) -> list[tuple[int, int, int, int]]:
     return found
 
 
-def _ring(
-    clearance: Clearance, frame: LocalFrame, north: int, east: int, n_north: int, n_east: int
-) -> NDArray[np.float64]:
-    """Give longitude and latitude of a rectangle's corners, closed, counter-clockwise."""
-    low = np.array([east + clearance.first_east, north + clearance.first_north]) * clearance.cell_m
-    high = low + np.array([n_east, n_north]) * clearance.cell_m
-    corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]), (low[0], low[1])]
-    latitude, longitude, _ = frame.to_geodetic([(*corner, 0.0) for corner in corners])
-    return np.column_stack([longitude, latitude])
+def _rings(clearance: Clearance, frame: LocalFrame, found: list[tuple[int, int, int, int]]) -> NDArray[np.float64]:
+    """Give longitude and latitude of the corners of n rectangles, (n, 5, 2), closed, counter-clockwise."""
+    north, east, n_north, n_east = np.array(found, dtype=np.float64).reshape(-1, 4).T
+    west, south = (east + clearance.first_east) * clearance.cell_m, (north + clearance.first_north) * clearance.cell_m
+    right, top = west + n_east * clearance.cell_m, south + n_north * clearance.cell_m
+    corners = [(west, south), (right, south), (right, top), (west, top), (west, south)]
+    flat = np.zeros_like(west)
+    latitude, longitude, _ = frame.to_geodetic(
+        np.stack([np.stack([*corner, flat], axis=-1) for corner in corners], axis=1)
+    )
+    return np.stack([longitude, latitude], axis=-1)

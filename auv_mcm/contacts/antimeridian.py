@@ -44,7 +44,12 @@ def split_ring(ring: Line) -> list[Line]:
 
     A ring that runs once around a pole is closed over that pole.
     """
-    points = _continuous(np.asarray(ring, dtype=np.float64))
+    given = np.asarray(ring, dtype=np.float64)
+    low, high = given[:, 0].min(), given[:, 0].max()
+    if low > -180.0 and high < 180.0 and high - low < 180.0 and np.array_equal(given[0], given[-1]):
+        opened = given[:-1]
+        return [_closed(opened)] if high - low > _MIN_WIDTH_DEG and _doubled_area(opened) != 0.0 else []
+    points = _continuous(given)
     turns = round((points[-1, 0] - points[0, 0]) / 360.0)
     if turns:
         pole = 90.0 if points[:, 1].mean() > 0.0 else -90.0

@@ -318,8 +318,7 @@ class NavBuffer:
         """Lay lines through new fixes; compare the measured speed with them."""
         new, self._new_fixes = self._new_fixes, []
         for fix, joined in new:
-            made = self._way.at(np.array([fix.time_s])).values[0]
-            estimate = self._line.add(TrackPoint(fix, *made.tolist()), joined=joined)
+            estimate = self._line.add(TrackPoint(fix, *self._way.at_one(fix.time_s)), joined=joined)
             if estimate is not None:
                 self._use_estimate(estimate)
 
