@@ -53,7 +53,7 @@ _QUALITY: Final = 0.95  # of a view that nothing speaks against
 _POOR_QUALITY: Final = 0.6  # reliability of a poor view, where a good one has _QUALITY; chosen, not measured
 _POOR: Final = frozenset({"in_turn", "bottom_not_seen", "cut_off", "altitude"})
 _NOT_LISTED: Final = -0.5  # nats by the mines expected from which the reasons say so: a third of the odds
-_ASKED_AGAIN_P: Final = 0.05  # p_mine from which the network is asked about chips beside; from .02 Pd is the same
+_CLOSE_LOOK_P: Final = 0.05  # p_mine of a close look; below, a third of all on rough floors, Pd is the same without
 _MIN_PIXELS: Final = 8  # along either axis; contours need as many
 _SEARCH_M: Final = 0.7  # from the detection to the labels that are its
 ExaminationStep: TypeAlias = Literal["survey", "first contours", "field", "second contours", "solids", "features"]
@@ -137,7 +137,7 @@ def confirm_detection(
             (opinion,) = opinions_on([detection], beam_width_rad, odds)
         verified = odds.verified_ratio(_detector_ratio(detection, odds), opinion.nats)
         p_by_step["verifier"] = odds.p_mine(verified)
-        if p_by_step["verifier"] < config.min_p_mine and "verifier-odds" not in without_skips:
+        if p_by_step["verifier"] < max(config.min_p_mine, _CLOSE_LOOK_P) and "verifier-odds" not in without_skips:
             return _ended(detection, p_by_step, "not_looked_at")
         min_p_mine = 0.0
     if "hopeless-solids" in without_skips:
@@ -195,7 +195,7 @@ def opinions_on(detections: Sequence[Detection], beam_width_rad: float, odds: Mi
     asked_again = []
     for number, (k, opinion) in enumerate(zip(sound, opinions_of(scores, other_nats), strict=True)):
         ratio = odds.verified_ratio(_detector_ratio(seen[k][0], odds), opinion.nats)
-        if odds.p_mine(ratio) >= _ASKED_AGAIN_P:
+        if odds.p_mine(ratio) >= _CLOSE_LOOK_P:
             asked_again.append(number)
     if asked_again:
         beside = [chip for n in asked_again for chip in chips_beside(seen[sound[n]][1], chips[n])]

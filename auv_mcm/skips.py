@@ -120,7 +120,7 @@ SKIPS: Final[tuple[Skip, ...]] = (
     Skip(
         "verifier-odds",
         "contours, the Markov field and solids where the verifier makes a mine unlikely",
-        "p_mine after the verifier is below confirm.min_p_mine",
+        "p_mine after the verifier is below 0.05 or confirm.min_p_mine",
         "confirm.ended_at_verifier",
         "bound",
     ),

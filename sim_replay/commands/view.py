@@ -23,7 +23,7 @@ def add(commands: Commands) -> None:
         [
             "auv-mcm view mission.xtf",
             "auv-mcm view surveys",
-            "auv-mcm view results --chart chart.tif",
+            "auv-mcm view results",
             "auv-mcm view --live",
             "auv-mcm view --live out-demo/hil/clean/results/latest",
         ],

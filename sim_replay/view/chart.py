@@ -51,8 +51,7 @@ class _Placed(NamedTuple):
 def read_chart(path: Path) -> Chart:
     """Read a GeoTIFF of grey, figures, a palette, or red, green and blue with or without opacity.
 
-    Raises UsageError for a file that is not there, BadInputError for one that is damaged, too large, or does not hold
-    its place.
+    Raises BadInputError for a file that is not there, damaged or too large, or does not hold its place.
     """
     with (
         parsing(path, "is not a readable GeoTIFF", f"Fetch it again, or write it with '{_WARP}'."),
