@@ -11,7 +11,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from auv_mcm.errors import BadInputError
+from auv_mcm.errors import BadInputError, UsageError
 from auv_mcm.safe_files import open_regular
 from sim_replay.logs.image_place import affine_of
 from sim_replay.logs.image_stored import parsing
@@ -51,8 +51,10 @@ class _Placed(NamedTuple):
 def read_chart(path: Path) -> Chart:
     """Read a GeoTIFF of grey, figures, a palette, or red, green and blue with or without opacity.
 
-    Raises BadInputError for a file that is not there, damaged or too large, or does not hold its place.
+    Raises UsageError without a file, BadInputError for one that is damaged, too large, or does not hold its place.
     """
+    if not path.exists() or path.is_dir():
+        raise UsageError(f"--chart {path}: there is no such file. Name a GeoTIFF")
     with (
         parsing(path, "is not a readable GeoTIFF", f"Fetch it again, or write it with '{_WARP}'."),
         open_regular(path) as file,
@@ -103,7 +105,7 @@ def _decoded(data: bytes) -> NDArray[Any]:
 
 
 def _coloured(pixels: NDArray[Any], placed: _Placed) -> NDArray[np.uint8]:
-    """Make pixels blue, green, red and opacity, (n_rows, n_columns, 4); figures become grey, large pictures coarser."""
+    """Make pixels blue, green, red and opacity, (n_rows, n_columns, 4); figures become grey."""
     if pixels.ndim == 2:
         figures = pixels.astype(np.float32)
         known = np.isfinite(figures)
@@ -149,9 +151,7 @@ def _warped(path: Path, pixels: NDArray[np.uint8], placed: _Placed) -> Chart:
         for place, scale in ((columns, width / n_columns), (rows, height / n_rows))
     ]
     warped = cv2.remap(pixels, source[0], source[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    encoded, png = cv2.imencode(".png", warped)
-    assert encoded
-    return Chart(png.tobytes(), float(west), float(south), float(east), float(north))
+    return Chart(cv2.imencode(".png", warped)[1].tobytes(), float(west), float(south), float(east), float(north))
 
 
 def _between(n_pixels: int) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from rasterio.crs import CRS
 from rasterio.transform import Affine
 from rasterio.warp import transform
 
-from auv_mcm.errors import BadInputError
+from auv_mcm.errors import BadInputError, UsageError
 from sim_replay.view.chart import MAX_SIDE, Chart, read_chart
 
 N_ROWS, N_COLUMNS = 300, 400
@@ -163,5 +163,6 @@ def test_a_picture_without_a_place_or_an_epsg_code_is_refused_with_the_remedy(tm
         read_chart(write_chart(tmp_path / "own.tif", marked(50, 50), own, 5.0, 7.0, 1.0))
     with pytest.raises(BadInputError, match="around the earth"):
         read_chart(write_chart(tmp_path / "all.tif", marked(50, 50), "EPSG:4326", -180.0, 90.0, 0.9))
-    with pytest.raises(BadInputError, match="nowhere"):
-        read_chart(tmp_path / "nowhere.tif")
+    for absent in (tmp_path / "nowhere.tif", tmp_path):
+        with pytest.raises(UsageError, match="there is no such file"):
+            read_chart(absent)
