@@ -204,6 +204,22 @@ def opinions_on(detections: Sequence[Detection], beam_width_rad: float, odds: Mi
     return [found.get(k, NO_OPINION) for k in range(len(seen))]
 
 
+def verified(detections: Sequence[Detection], beam_width_rad: float, odds: MineOdds) -> list[Detection]:
+    """Return detections with p_mine after the verifier, without a Confirmation and without surroundings.
+
+    For who cannot wait for outline, size and kind. Detections keep their order; each needs surroundings. Raises
+    ValueError for odds without a verifier.
+    """
+    found = []
+    for one, opinion in zip(detections, opinions_on(detections, beam_width_rad, odds), strict=True):
+        ratio = _detector_ratio(one, odds)
+        steps: dict[LookStep, float] = {"detector": odds.p_mine(ratio)}
+        if opinion is not NO_OPINION:
+            steps["verifier"] = odds.p_mine(odds.verified_ratio(ratio, opinion.nats))
+        found.append(_ended(one, steps, "not_looked_at"))
+    return found
+
+
 def _ended(detection: Detection, p_by_step: dict[LookStep, float], reason: str) -> Detection:
     """End confirmation with the p_mine of the last step taken."""
     *_, p_mine = p_by_step.values()

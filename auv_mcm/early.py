@@ -21,7 +21,7 @@ import msgspec
 from auv_mcm.budget import Allowance, tile_allowance
 from auv_mcm.classify.odds import MineOdds
 from auv_mcm.classify.size_evidence import SizeEvidence
-from auv_mcm.confirmation import confirm_detection, is_worth_confirming
+from auv_mcm.confirmation import confirm_detection, is_worth_confirming, verified
 from auv_mcm.contacts.ledger import contact_from_views
 from auv_mcm.detect.cascade.model import SCORE_UNIT, CascadeModel
 from auv_mcm.detect.cascade.run import core_plane, run_plane
@@ -31,12 +31,12 @@ from auv_mcm.detect.suppress import Suppressor
 from auv_mcm.records import SIDES, Contact, Detection, EarlyContact, Side, Tile, early_id
 from auv_mcm.settings.config import Config
 
-EARLY_P_MINE: Final = 0.1
-"""Lowest p_mine of an early contact. On scenes flat, rough and deep (seed 41) 88 of 99 views that end at 0.2 or more
-reach it where a look follows every detector p_mine of 0.03."""
-AHEAD_M: Final = 3.0
-"""Newest track that is not looked at yet, m: most of the 4 m of sea floor before and behind an object that confirmation
-looks at."""
+EARLY_P_MINE: Final = 0.05
+"""Lowest p_mine of an early contact, which is examined with less sea floor around it than its tile will have. On scenes
+flat and rough (seed 9100) 44 of 46 views that end at 0.2 or more reach it in time, 40 reach 0.1."""
+AHEAD_M: Final = 4.0
+"""Newest track that is not looked at yet, m: the sea floor before and behind an object that confirmation looks at. With
+3 m 138 early contacts are announced there instead of 113, and two are withdrawn."""
 _STEP_M: Final = (
     6.0  # minimum of new track, m: less is found no sooner, for rows come in blocks of 32 pings, and costs more
 )
@@ -170,12 +170,15 @@ class EarlyLook:
             worthwhile = [d for d in views if is_worth_confirming(d, self._odds, self._config.confirm)]
             best_first = sorted(worthwhile, key=lambda d: (-d.p_mine, d.row, d.column))[: min(self._max_looks, paid)]
             self.counters["early.looked_at"] += len(best_first)
-            beam_width_rad = self._config.sonar.beam_width_rad
-            views = [
-                confirm_detection(d, beam_width_rad, self._odds, self._config.confirm, sizes=self._sizes)
-                for d in best_first
-            ]
+            views = self._confirmed(best_first)
         return [msgspec.structs.replace(d, surroundings=None) for d in views if d.p_mine >= self._min_p_mine]
+
+    def _confirmed(self, views: list[Detection]) -> list[Detection]:
+        """Find p_mine of the views. Outline, size and kind can wait for the finished tile where a verifier decides."""
+        width_rad, odds, config = self._config.sonar.beam_width_rad, self._odds, self._config.confirm
+        if odds.verifier is not None:
+            return verified(views, width_rad, odds)
+        return [confirm_detection(one, width_rad, odds, config, sizes=self._sizes) for one in views]
 
     def _is_known(self, detection: Detection) -> bool:
         return any(_are_same(pending.view, detection) for pending in self._pending)

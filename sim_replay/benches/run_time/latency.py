@@ -1,7 +1,7 @@
 """Measure how long after the last ping that saw a target it is announced: early, and with its finished tile.
 
 The last ping that saw a target is the one after which half the beam's footprint and half the target are passed. A view
-counts where the finished mission has it in a contact on a target, with a p_mine of CALLED_P or more.
+counts where the finished mission has it in a contact on a target, itself with a p_mine of CALLED_P or more.
 """
 
 from __future__ import annotations
@@ -164,7 +164,8 @@ def _target_views(contacts: Sequence[Contact], objects: Sequence[TruthObject]) -
         frame = LocalFrame(latitude_deg=contact.latitude_deg, longitude_deg=contact.longitude_deg)
         away_m = [float(np.hypot(*frame.to_enu(each.latitude_deg, each.longitude_deg, 0.0)[:2])) for each in targets]
         if targets and min(away_m) <= _GATE_M:
-            pairs += [(view, targets[int(np.argmin(away_m))]) for view in contact.views]
+            target = targets[int(np.argmin(away_m))]
+            pairs += [(view, target) for view in contact.views if view.p_mine >= CALLED_P]
     return pairs
 
 
