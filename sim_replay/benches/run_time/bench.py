@@ -17,10 +17,11 @@ from auv_mcm.errors import UsageError
 from auv_mcm.shell.whole_files import write_file
 from sim_replay.arguments import count, new_file
 from sim_replay.benches.mission_options import add_line_options
+from sim_replay.benches.run_time.apart import Apart, measure_apart
 from sim_replay.benches.run_time.fallback import FALLBACK_HEADER, fallback_rows, measure_fallback
 from sim_replay.benches.run_time.latency import LATENCY_HEADER, WITHIN_M, WITHIN_S, latency_rows, measure_latency
-from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes, repeated
-from sim_replay.benches.run_time.measure import CALLED_P, MissionCost, measure_settings, this_machine
+from sim_replay.benches.run_time.lines import FIRST_SEED, BenchMission, augment_logs, fly_empty, fly_scenes
+from sim_replay.benches.run_time.measure import CALLED_P, measure_settings, this_machine
 from sim_replay.benches.run_time.one_run import DEFAULT
 from sim_replay.benches.run_time.page import run_time_page
 from sim_replay.benches.run_time.points import PLAIN, ChainSetting, chain_settings
@@ -36,7 +37,7 @@ from sim_replay.benches.run_time.results import (
 )
 from sim_replay.benches.run_time.scaling import SERIES_HEADER, measure_series, series_rows
 from sim_replay.benches.run_time.skip_table import REGISTER_HEADER, SKIP_HEADER, measure_skips, register_rows, skip_rows
-from sim_replay.benches.run_time.targets import FLAT, LONG_S, TARGET_HEADER, CostTarget, cost_targets, target_rows
+from sim_replay.benches.run_time.targets import FLAT, TARGET_HEADER, CostTarget, cost_targets, target_rows
 from sim_replay.missions import SCENES
 from sim_replay.simulator.scene_file import read_scene
 from sim_replay.text_tables import columns, markdown
@@ -102,12 +103,12 @@ def run(arguments: argparse.Namespace) -> int:
         if old is not None:
             require_same_missions(old, [line.name for line in lines])
         found = measure_settings(chosen, lines, arguments.repeat, folder, progress)
-        long = _long_run(lines, folder, chosen[0]) if arguments.targets else None
+        apart = _apart(lines, folder, chosen[0]) if arguments.targets else Apart()
     print(file=sys.stderr)
     aims: list[CostTarget] = []
     by_name = {point.name: point for point in found}
     if arguments.targets:
-        aims = cost_targets(by_name[DEFAULT], by_name[PLAIN], lines, long)
+        aims = cost_targets(by_name[DEFAULT], by_name[PLAIN], lines, apart)
     results = RunTimeResults(
         machine=this_machine(load),
         repeat=arguments.repeat,
@@ -219,14 +220,12 @@ def _chosen(knobs: str | None, targets_alone: bool) -> list[ChainSetting]:
     return [point for point in every if point.knob in (DEFAULT, "reference", *wanted)]
 
 
-def _long_run(lines: Sequence[BenchMission], folder: Path, default: ChainSetting) -> MissionCost | None:
-    """Run the default operating point once over a long mission on flat sand, for its memory."""
-    flat = next((line for line in lines if line.group == FLAT and line.kind == "scene"), None)
-    if flat is None:
-        return None
-    line = repeated(flat, LONG_S, folder)
-    progress(f"{line.name}, once")
-    return measure_settings([default], [line], 1, folder)[0].runs[line.name]
+def _apart(lines: Sequence[BenchMission], folder: Path, default: ChainSetting) -> Apart:
+    """Measure what the targets ask beyond the missions; nothing without flat sand."""
+    scenes = [line for line in lines if line.kind == "scene"]
+    flat = next((line for line in scenes if line.group == FLAT), None)
+    announced = [line for line in scenes if line.group in SCANNED]
+    return Apart() if flat is None else measure_apart(default, flat, announced, folder, progress)
 
 
 def _print(results: RunTimeResults, laid_out: Callable[[Sequence[str], Sequence[Sequence[str]]], str]) -> None:

@@ -183,7 +183,7 @@ def run_once(
         command += [word for name in sorted(point.without_skips) for word in ("--without-skip", name)]
         command += ["--contacts", str(contacts), "--threads", str(threads)]
     started_s = time.monotonic()
-    output, process_s = _timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"), environment)
+    output, process_s = timed(command, f"{point.name} on {line.name}", contacts.with_suffix(".err"), environment)
     elapsed_s = time.monotonic() - started_s
     done: dict[str, Any] = json.loads(output)
     data = contacts.read_bytes()
@@ -202,7 +202,7 @@ def contacts_path(point: ChainSetting, line: BenchMission, folder: Path) -> Path
     return folder / ("".join(letter if letter.isalnum() else "-" for letter in words) + ".geojson")
 
 
-def _timed(command: Sequence[str], what: str, errors: Path, environment: Mapping[str, str]) -> tuple[str, float]:
+def timed(command: Sequence[str], what: str, errors: Path, environment: Mapping[str, str]) -> tuple[str, float]:
     """Run a program for its output, and its user and system time, s. Raises BadInputError if it fails."""
     with (
         errors.open("wb+") as err,

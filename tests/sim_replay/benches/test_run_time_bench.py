@@ -18,6 +18,7 @@ from auv_mcm.settings.config import Config
 from auv_mcm.skips import SKIPS
 from sim_replay.augment.recorded_line import scattered
 from sim_replay.benches.run_time import plain_script
+from sim_replay.benches.run_time.apart import Apart
 from sim_replay.benches.run_time.fallback import WITHOUT_KERNELS, fallback_rows
 from sim_replay.benches.run_time.lines import BenchMission, with_short_legs, without_objects
 from sim_replay.benches.run_time.measure import BenchMachine, MissionCost, SettingResult, run_once
@@ -202,7 +203,7 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
     runs = {"flat 1": a_run(3.0, chain_s=(2.0,)), "flat 1 without objects": a_run(1.5, chain_s=(0.4,))}
     chain = SettingResult(name=DEFAULT, knob="", value="", runs=runs, pd=(), contacts=density(0, None))
     plain = msgspec.structs.replace(chain, runs={name: a_run(1.0) for name in runs})
-    found = {one.name: one for one in cost_targets(chain, plain, lines, None)}
+    found = {one.name: one for one in cost_targets(chain, plain, lines, Apart(worst_tile_s=0.4))}
     script = found["chain over plain script, flat, whole process"]
     assert (script.measured, script.met) == (3.0, False)
     assert script.profile == "detect 75%, other 25%"
@@ -211,7 +212,8 @@ def test_targets_say_what_missed_and_where_the_time_goes(tmp_path: Path) -> None
     assert (empty.measured, empty.met, empty.profile) == (0.2, True, "")
     assert found["contacts per km², flat"].measured == 3000.0
     assert found["times real time, recorded line"].met is None
-    assert [row[5] for row in target_rows(list(found.values()))].count("not measured") == 2
+    assert found["worst drawn tile, s of a core for 30 s of track"].met is True
+    assert [row[5] for row in target_rows(list(found.values()))].count("not measured") == 5
 
 
 @pytest.mark.parametrize(
