@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -42,13 +42,19 @@ from sim_replay.logs.sounding_log import (
 from sim_replay.logs.xtf_report import LogReport
 
 _SIDES: Final = "[Bb]00[23].[Ss][Oo][Nn]"  # names of files of side scan
+_DAT_NAMES: Final = "*.[Dd][Aa][Tt]"
 _MARK: Final = b"\xc0\xde\xab\x21"
-_DATS: Final = {64: ("big", b"\xc1"), 96: ("little", b"\xc3"), 100: ("little", b"\xc3")}  # bytes: order, first byte
+_DATS: Final[dict[int, tuple[Literal["big", "little"], bytes]]] = {
+    64: ("big", b"\xc1"),
+    96: ("little", b"\xc3"),
+    100: ("little", b"\xc3"),
+}
+"""By length in bytes: the order of bytes, and the first one."""
 _ONIX: Final = b"<NumberOfPings="  # in the text of a recording without a date
 _MAX_DAT_BYTES: Final = 1 << 16  # of the longest, which holds text (chosen)
 _START_AT: Final = 20  # byte of the beginning, s since 1970
 _HEAD_BYTES: Final = 16  # of a record, up to its second tag
-_MAX_HEAD_BYTES: Final = 300  # of a record's tags: twice the longest known (chosen)
+_MAX_HEAD_BYTES: Final = 200  # of a record's tags: the longest known are 152 (chosen)
 _MAX_SAMPLES: Final = 1 << 16  # of a ping: ten times what is known (chosen)
 _COUNT, _END = 0xA0, 0x21  # tags of the number of samples, and of the end of a record's tags
 _TIME, _EAST, _NORTH, _HEADING, _SPEED, _DEPTH, _BEAM, _HZ = 0x81, 0x82, 0x83, 0x84, 0x85, 0x87, 0x50, 0x92
@@ -101,13 +107,12 @@ def _is_record(path: Path) -> bool:
 
 def _start_s(folder: Path) -> int:
     """Find the time of the beginning in the .DAT file beside or in a folder; 0 without one."""
-    beside = (one for one in folder.parent.glob(f"{folder.name}.*") if one.suffix.lower() == ".dat")
-    for path in [*beside, *sorted(folder.glob("*.[Dd][Aa][Tt]"))]:
-        if path.is_file():
-            data = read_regular(path, _MAX_DAT_BYTES)
-            if (known := _DATS.get(len(data))) is not None and data.startswith(known[1]):
-                little = known[0] == "little"
-                return int.from_bytes(data[_START_AT : _START_AT + 4], "little" if little else "big")
+    home = folder.resolve()
+    beside = [path for path in home.parent.glob(_DAT_NAMES) if path.stem == home.name]
+    for path in [*beside, *sorted(home.glob(_DAT_NAMES))]:
+        order, first = _DATS.get(path.stat().st_size, ("big", b"")) if path.is_file() else ("big", b"")
+        if first and (data := read_regular(path, _MAX_DAT_BYTES)).startswith(first):
+            return int.from_bytes(data[_START_AT : _START_AT + 4], order)
     return 0
 
 

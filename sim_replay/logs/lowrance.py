@@ -75,8 +75,8 @@ class _Version(NamedTuple):
         def length(buffer: bytes | bytearray, at: int) -> int:
             return int(self.fields(buffer, at)["size"])
 
-        first = re.compile(b"[\0-\x0f]\0")
-        return Layout("lowrance", first, self.channel_at, self.header.size, _MAX_FRAME_BYTES, begins, length)
+        first = re.compile(rb"(?!\0\0).{4}[\0-\x0f]\0", re.DOTALL)  # a length, another, and the channel
+        return Layout("lowrance", first, self.channel_at - 4, self.header.size, _MAX_FRAME_BYTES, begins, length)
 
 
 _TAIL: Final = ("speed_kn", "x", "y", "course_rad", "time_ms")

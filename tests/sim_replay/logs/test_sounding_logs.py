@@ -157,12 +157,13 @@ def test_a_sound_speed_that_is_set_scales_ranges(tmp_path: Path) -> None:
 # --- doors ---
 
 
-def test_a_humminbird_recording_is_one_log_by_any_of_its_names(tmp_path: Path) -> None:
+def test_a_humminbird_recording_is_one_log_by_any_of_its_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dat = tmp_path / "R00001.DAT"
     write_humminbird(dat, EVENTS, model="Solix")
     folder = dat.with_suffix("")
     expected, _ = pings_of(dat)
-    for path in (folder, folder / "B002.SON", folder / "B003.SON"):
+    monkeypatch.chdir(folder)
+    for path in (folder, folder / "B002.SON", folder / "B003.SON", Path("B002.SON"), Path()):
         assert find_format(path).name == "humminbird"
         found, _ = pings_of(path)
         assert [ping.time_s for ping in found] == [ping.time_s for ping in expected]
