@@ -181,7 +181,7 @@ def test_a_humminbird_recording_is_one_log_by_any_of_its_names(tmp_path: Path, m
         open_log(dat, Config())
 
 
-@pytest.mark.parametrize("name", ["log.sl2", "B002.SON", "3502.sdf"])
+@pytest.mark.parametrize("name", ["B002.SON", "3502.sdf"])
 def test_info_describes_a_log(name: str, tmp_path: Path) -> None:
     info = describe(written(name, tmp_path), Config())
     assert info["format"] == FORMAT[Path(name).suffix]
