@@ -20,7 +20,7 @@ from auv_mcm.geometry.geodesy import LocalFrame, local_to_ecef_rotation
 from auv_mcm.plan.dubins import PlanePose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.tour import short_tour
 from auv_mcm.records import Contact, Waypoint
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 
 Place: TypeAlias = tuple[float, float]
 """Latitude and longitude, degrees."""

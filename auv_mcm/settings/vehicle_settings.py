@@ -94,9 +94,8 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
         Meta(
             ge=0,
             le=0xFFFE,
-            description=(
-                "the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its state"
-            ),
+            description="the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its "
+            "state",
         ),
     ] = 0
     own_plan: Annotated[
@@ -115,9 +114,8 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
     acknowledges: Annotated[
         bool,
         Meta(
-            description=(
-                "the vehicle supports messages 1700 (contact) and 1701 (its answer); false: contacts go as Target alone"
-            )
+            description="the vehicle supports messages 1700 (contact) and 1701 (its answer); false: contacts go as "
+            "Target alone"
         ),
     ] = False
 
@@ -134,10 +132,8 @@ class CanSettings(_Settings, frozen=True, kw_only=True):
     nmea2000_addresses: Annotated[
         tuple[Annotated[int, Meta(ge=0, le=251)], ...],
         Meta(
-            description=(
-                "NMEA 2000 units on this bus that report the vehicle's position; empty: its controller reports it by "
-                "VEHICLE_STATE"
-            )
+            description="NMEA 2000 units on this bus that report the vehicle's position; empty: its controller reports "
+            "it by VEHICLE_STATE"
         ),
     ] = ()
 

@@ -22,7 +22,7 @@ from auv_mcm.contacts.export import (
     waypoints_geojson,
 )
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.whole_files import write_file, write_parts
 
