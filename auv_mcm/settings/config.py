@@ -107,11 +107,10 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
 
     max_extrapolation_s: Annotated[
         float,
+        Meta(gt=0.0, le=10.0),
         Meta(
-            gt=0.0,
-            le=10.0,
             description="a ping farther than this from navigation, and not in a hole that is bridged, is flagged "
-            "stale, s",
+            "stale, s"
         ),
     ] = 0.5
     max_gap_s: Annotated[
@@ -156,9 +155,8 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
     ] = 5.0
     max_spacing_ratio: Annotated[
         float,
-        Meta(
-            gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn"
-        ),
+        Meta(gt=1.0, le=10.0),
+        Meta(description="pixel spacing over its straight-line value beyond which a pixel is in a turn"),
     ] = 2.0
     min_grazing_deg: Annotated[
         float, Meta(ge=0.0, le=60.0, description="minimum grazing angle of detection and coverage, degrees")
@@ -209,20 +207,16 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
 
     p_false_alarm: Annotated[
         float,
+        Meta(ge=1e-12, lt=0.5),
         Meta(
-            ge=1e-12,
-            lt=0.5,
             description="tail probability of one pair of contrast boxes in pure speckle; the best of many pairs "
-            "counts, so that one pixel in eighty of white speckle is above the default",
+            "counts, so that one pixel in eighty of white speckle is above the default"
         ),
     ] = 1e-4
     max_candidates_per_tile: Annotated[
         int,
-        Meta(
-            ge=0,
-            le=100_000,
-            description="maximum number of candidates measured per tile and side, best first; the rest is counted",
-        ),
+        Meta(ge=0, le=100_000),
+        Meta(description="maximum number of candidates measured per tile and side, best first; the rest is counted"),
     ] = 256
     suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
     max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="maximum length of a mine, m")] = 3.5
@@ -249,17 +243,13 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
     ] = "shipped"
     min_p_mine: Annotated[
         float,
-        Meta(
-            ge=0.0, le=1.0, description="threshold of p_mine, at any step, below which confirmation of a detection ends"
-        ),
+        Meta(ge=0.0, le=1.0),
+        Meta(description="threshold of p_mine, at any step, below which confirmation of a detection ends"),
     ] = 0.02
     max_per_tile: Annotated[
         int,
-        Meta(
-            ge=0,
-            le=100_000,
-            description="maximum number of detections confirmed per tile and side, best first; the rest is counted",
-        ),
+        Meta(ge=0, le=100_000),
+        Meta(description="maximum number of detections confirmed per tile and side, best first; the rest is counted"),
     ] = 128
 
 
@@ -268,11 +258,10 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
 
     min_p_mine: Annotated[
         float,
+        Meta(ge=0.0, le=1.0),
         Meta(
-            ge=0.0,
-            le=1.0,
             description="p_mine below which a contact is not reported; what cannot reach it is counted and neither "
-            "measured nor confirmed; 0 reports everything; above 0.02 the estimate of mines left comes out too low",
+            "measured nor confirmed; 0 reports everything; above 0.02 the estimate of mines left comes out too low"
         ),
     ] = 0.02
     gate_chi2: Annotated[
@@ -283,12 +272,11 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
     ] = 4.0
     false_alarms_per_km2: Annotated[
         float,
+        Meta(gt=0.0, le=1e6),
         Meta(
-            gt=0.0,
-            le=1e6,
             description="false alarms per km2 of bare sea floor that are acceptable: contacts are called mines from "
             "the likeliest down, as long as the lower end of those expected stays within it; about as many again lie "
-            "on stones and other objects, and what is reported does not depend on it",
+            "on stones and other objects, and what is reported does not depend on it"
         ),
     ] = 100.0
     background: Annotated[
@@ -309,11 +297,8 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
     health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
     health_port: Annotated[
         int,
-        Meta(
-            ge=0,
-            le=65535,
-            description="port at 127.0.0.1 for monitors of this computer: /metrics for Prometheus, /health; 0: none",
-        ),
+        Meta(ge=0, le=65535),
+        Meta(description="port at 127.0.0.1 for monitors of this computer: /metrics for Prometheus, /health; 0: none"),
     ] = 0
     source: Annotated[
         str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")
@@ -323,20 +308,18 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
     ] = True
     resume_within_h: Annotated[
         float,
+        Meta(ge=0.0, le=1000.0),
         Meta(
-            ge=0.0,
-            le=1000.0,
             description="ports only: hours for which a session that was cut off is gone on with at the next start; 0 "
-            "begins a new one",
+            "begins a new one"
         ),
     ] = 12.0
     stop_within_s: Annotated[
         float,
+        Meta(ge=3.0, le=600.0),
         Meta(
-            ge=3.0,
-            le=600.0,
             description="ports only: seconds from a signal to the end; work that takes longer stays on disk, for the "
-            "next start",
+            "next start"
         ),
     ] = 5.0
     output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = (
