@@ -46,7 +46,7 @@ class _Cells(NamedTuple):
 
     def sums(self, value: Array) -> Array:
         """Sum a value of blocks, (n,), over each cell that is kept."""
-        return np.bincount(self.of_block, value, self.n_cells)[self.kept]
+        return np.asarray(np.bincount(self.of_block, value, self.n_cells)[self.kept], dtype=np.float64)
 
 
 def surveyed_cells(
@@ -122,7 +122,7 @@ def _blocks(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig, frame: L
     width_m = covered.shape[1] * tile.column_spacing_m
     near_m, far_m = (_placed(tile, row, ground_m, sonar, frame) for ground_m in (0.0, width_m))
     of_block = np.searchsorted(used, at_row)
-    ground_m = (at_column + 0.5) * n_columns * tile.column_spacing_m
+    ground_m: Array = np.asarray((at_column + 0.5) * n_columns * tile.column_spacing_m, dtype=np.float64)
     share = (ground_m / width_m)[:, np.newaxis]
     place_m = near_m[of_block] * (1.0 - share) + far_m[of_block] * share
     every = _Blocks(area_m2[at_row, at_column], row[of_block], ground_m, place_m, (far_m - near_m)[of_block])
