@@ -35,7 +35,7 @@ from auv_mcm.contacts.record_file import open_record_file
 from auv_mcm.errors import AuvMcmError, HardwareError
 from auv_mcm.records import Contact, EarlyContact, Notice, Ping, PipelineEvent, SourceEvent, contact_id, contact_number
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.checkpoint import newest_checkpoint
+from auv_mcm.shell.checkpoint import CHECKPOINT_S, Keeping, newest_checkpoint
 from auv_mcm.shell.event_queue import EventQueue
 from auv_mcm.shell.event_spool import EventSpool
 from auv_mcm.shell.health.endpoint import HealthEndpoint
@@ -56,7 +56,8 @@ from auv_mcm.shell.mission_totals import (
     point_totals,
     search_totals,
 )
-from auv_mcm.shell.perception import CHECKPOINT_S, Finished, Keeping, MakePipeline, Planned, standard_pipeline
+from auv_mcm.shell.perception_chain import MakePipeline, standard_pipeline
+from auv_mcm.shell.perception_messages import Finished, Planned
 from auv_mcm.shell.recovery import (
     EARLY_JOURNAL,
     JOURNAL,

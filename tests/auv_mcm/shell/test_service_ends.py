@@ -17,7 +17,8 @@ import pytest
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
-from auv_mcm.shell.perception import MakePipeline, PerceptionError
+from auv_mcm.shell.perception_chain import MakePipeline
+from auv_mcm.shell.perception_messages import PerceptionError
 from auv_mcm.shell.service import Service
 from sim_replay.logs.session_parts import recordings_of
 from sim_replay.logs.session_reader import Session
