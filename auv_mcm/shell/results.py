@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from auv_mcm.clearance.clearance_export import clearance_geojson
 from auv_mcm.clearance.clearance_map import Clearance
@@ -21,8 +21,10 @@ from auv_mcm.contacts.export import (
     coverage_order,
     waypoints_geojson,
 )
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
 from auv_mcm.settings.plan_settings import PlanConfig
+from auv_mcm.shell.mission_totals import area_totals, contact_totals, point_totals, search_totals
 from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.whole_files import write_file, write_parts
 
@@ -40,6 +42,39 @@ def plan_waypoints(
         counters["plan.start_pose_unknown"] += 1
         return ()
     return plan_reinspection(contacts, *pose, config)
+
+
+class MissionResults(NamedTuple):
+    """Hold what a mission has come to at its end.
+
+    contacts, coverage: gone through several times; one at a time where they come in the order in which they are
+    written. clearance_png: the picture of it, empty without one.
+    """
+
+    contacts: Iterable[Contact]
+    coverage: Iterable[CoveragePatch]
+    waypoints: Sequence[Waypoint]
+    tally: Tally
+    operating_point: OperatingPoint | None
+    clearance: Clearance | None
+    clearance_png: bytes
+
+    def writers(self, folder: Path, mission: str) -> dict[str, Callable[[], None]]:
+        """Give what writes each file in `folder`, by the file's name; each raises OSError. mission: its name."""
+        writers = result_writers(folder, self.contacts, self.coverage, self.waypoints, mission)
+        writers["clearance.geojson"] = partial(write_clearance, folder, self.clearance, self.clearance_png)
+        return writers
+
+    def totals(self, plan: PlanConfig, verdict: str = "") -> dict[str, Any]:
+        """Sum up the mission for summary.json. verdict: of planning on the area, while it went on."""
+        return {
+            **self.tally.totals(),
+            **contact_totals(self.contacts, self.coverage),
+            **point_totals(self.operating_point),
+            **search_totals(self.clearance, self.contacts),
+            **area_totals(self.clearance, plan, verdict),
+            "waypoints": len(self.waypoints),
+        }
 
 
 def write_results(

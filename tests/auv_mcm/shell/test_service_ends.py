@@ -109,14 +109,14 @@ PROGRAM = """
 import logging, sys
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell import service_runs as t
-from auv_mcm.shell import service
+from auv_mcm.shell import serve
 from auv_mcm.settings.config import Config, ServiceConfig
 
 logging.basicConfig(stream=sys.stdout, format="%(message)s", level=logging.INFO)
-service.open_source = lambda uri, config, clock: t.Events(t.mission(30), endless=True)
+serve.open_source = lambda uri, config, clock: t.Events(t.mission(30), endless=True)
 config = Config(service=ServiceConfig(output_directory=sys.argv[1], source="replay:///none", health_period_s=3600))
 try:
-    service.serve(config, make_pipeline=getattr(fake, sys.argv[2]))
+    serve.serve(config, make_pipeline=getattr(fake, sys.argv[2]))
 except KeyboardInterrupt:
     sys.exit(130)
 """
