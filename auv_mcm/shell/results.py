@@ -60,10 +60,23 @@ class MissionResults(NamedTuple):
     clearance_png: bytes
 
     def writers(self, folder: Path, mission: str) -> dict[str, Callable[[], None]]:
-        """Give what writes each file in `folder`, by the file's name; each raises OSError. mission: its name."""
-        writers = result_writers(folder, self.contacts, self.coverage, self.waypoints, mission)
-        writers["clearance.geojson"] = partial(write_clearance, folder, self.clearance, self.clearance_png)
-        return writers
+        """Give what writes each file in `folder`, whole or not at all, by the file's name; each raises OSError.
+
+        mission: its name.
+        """
+        contacts, coverage = _in_order(self.contacts, contact_order), _in_order(self.coverage, coverage_order)
+        parts: dict[str, Callable[[], Iterable[bytes]]] = {
+            "contacts.geojson": lambda: contacts_geojson_parts(contacts),
+            "contacts.csv": lambda: (row.encode() for row in contacts_csv_parts(contacts)),
+            "contacts.kml": lambda: (part.encode() for part in contacts_kml_parts(contacts, mission)),
+            "coverage.geojson": lambda: coverage_geojson_parts(coverage),
+            "waypoints.geojson": lambda: [waypoints_geojson(self.waypoints)],
+        }
+        clearance = partial(write_clearance, folder, self.clearance, self.clearance_png)
+        writers = {
+            name: partial(lambda name, of: write_parts(folder / name, of()), name, of) for name, of in parts.items()
+        }
+        return {**writers, "clearance.geojson": clearance}
 
     def totals(self, plan: PlanConfig, verdict: str = "") -> dict[str, Any]:
         """Sum up the mission for summary.json. verdict: of planning on the area, while it went on."""
@@ -75,43 +88,6 @@ class MissionResults(NamedTuple):
             **area_totals(self.clearance, plan, verdict),
             "waypoints": len(self.waypoints),
         }
-
-
-def write_results(
-    folder: Path,
-    contacts: Iterable[Contact],
-    coverage: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    mission: str,
-) -> None:
-    """Write contacts, coverage and way-points in `folder`, each file whole or not at all.
-
-    Parameters
-    ----------
-    contacts, coverage
-        Gone through several times; one at a time where they come in the order in which they are written.
-    """
-    for write in result_writers(folder, contacts, coverage, waypoints, mission).values():
-        write()
-
-
-def result_writers(
-    folder: Path,
-    contacts: Iterable[Contact],
-    coverage: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    mission: str,
-) -> dict[str, Callable[[], None]]:
-    """Give what writes each file of `write_results`, by the file's name; each raises OSError for itself."""
-    contacts, coverage = _in_order(contacts, contact_order), _in_order(coverage, coverage_order)
-    parts: dict[str, Callable[[], Iterable[bytes]]] = {
-        "contacts.geojson": lambda: contacts_geojson_parts(contacts),
-        "contacts.csv": lambda: (row.encode() for row in contacts_csv_parts(contacts)),
-        "contacts.kml": lambda: (part.encode() for part in contacts_kml_parts(contacts, mission)),
-        "coverage.geojson": lambda: coverage_geojson_parts(coverage),
-        "waypoints.geojson": lambda: [waypoints_geojson(waypoints)],
-    }
-    return {name: partial(lambda name, of: write_parts(folder / name, of()), name, of) for name, of in parts.items()}
 
 
 def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:

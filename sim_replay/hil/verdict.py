@@ -223,19 +223,8 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _of_device(rule, evidence, evidence.reports[rule.device])
 
 
-OfDevice: TypeAlias = (
-    SettingsRule
-    | DeviceRule
-    | Reopened
-    | ReportRule
-    | Passed
-    | Sharper
-    | ReportedInTime
-    | InsideFence
-    | AboveFloor
-    | OwnPlanAtEnd
-    | Silence
-)
+OfVehicle: TypeAlias = Passed | Sharper | ReportedInTime | InsideFence | AboveFloor | OwnPlanAtEnd | Silence
+OfDevice: TypeAlias = SettingsRule | DeviceRule | Reopened | ReportRule | OfVehicle
 
 
 def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) -> tuple[str, str, bool]:
