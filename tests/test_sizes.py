@@ -30,7 +30,7 @@ class Limit(NamedTuple):
 LINES: Final = {
     "auv_mcm": Limit(40_940, 35_500),
     "drivers": Limit(18_150, 15_500),
-    "sim_replay": Limit(54_630, 42_000),
+    "sim_replay": Limit(54_650, 42_000),
     "sim_replay/augment": Limit(2_620, 2_400),
     "sim_replay/batch": Limit(570, 600),
     "sim_replay/benches": Limit(10_210, 6_000),
@@ -41,12 +41,12 @@ LINES: Final = {
     "sim_replay/logs": Limit(7_100, 3_900),
     "sim_replay/report": Limit(2_050, 2_000),
     "sim_replay/scoring": Limit(2_420, 2_200),
-    "sim_replay/simulator": Limit(6_510, 6_900),
+    "sim_replay/simulator": Limit(6_520, 6_900),
     "sim_replay/view": Limit(2_500, 2_000),
     "tests": Limit(79_770, 66_000),
 }
 LONG_FUNCTIONS: Final = Limit(7, 5)
-LONG_FILES: Final = Limit(7, 0)
+LONG_FILES: Final = Limit(6, 0)
 
 
 def sources(folder: str) -> list[Path]:

@@ -43,7 +43,7 @@ class Body(NamedTuple):
 class Bodies(NamedTuple):
     """Pack bodies for the renderer.
 
-    table: (n_bodies, 20) float64, columns as in render.c. planes: (n_planes, 3) float64.
+    table: (n_bodies, 20) float64, columns as in bodies.h. planes: (n_planes, 3) float64.
     """
 
     table: Floats
@@ -90,7 +90,7 @@ def body_tops(b: Floats, planes: Floats, u: Floats, v: Floats) -> Tops:
 
     b: (20,) row of the table.
 
-    The numpy twin of body_top in render.c.
+    The numpy twin of body_top in bodies.h.
     """
     kind = int(b[0])
     if kind == POLYHEDRON:
@@ -207,7 +207,7 @@ _TOPS: Final[dict[int, Callable[[list[float], Floats, Floats], Tops]]] = {
 def body_wall(b: Floats, planes: Floats, u: float, v: float) -> tuple[float, float]:
     """Return the horizontal normal (u, v), of any length, of the wall next to a place outside of the body.
 
-    It is the numpy twin of body_wall in render.c.
+    It is the numpy twin of body_wall in bodies.h.
     """
     kind = int(b[0])
     if kind == ELLIPSOID:
