@@ -18,7 +18,7 @@ _SOURCES = {
 # out what debuggers read, in which the folder of the build stands: the same sources give the same bytes.
 _FLAGS = ["-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-g0"]
 
-_HEADERS = sorted(glob("auv_mcm/kernels/*.h"))
+_HEADERS = sorted(glob("auv_mcm/kernels/*.h") + glob("sim_replay/simulator/*.h"))
 
 setup(
     ext_modules=[

@@ -35,7 +35,7 @@ if [ "$("$venv/bin/python" -c 'import platform; print(platform.python_version())
     "$PYTHON" -m venv --clear "$venv"
 fi
 
-asked=$(cat pyproject.toml setup.py auv_mcm/kernels/*.c sim_replay/simulator/*.c | cksum)
+asked=$(cat pyproject.toml setup.py auv_mcm/kernels/*.[ch] sim_replay/simulator/*.[ch] | cksum)
 missing=
 for extra in "$@"; do
     [ "$(cat "$venv/installed-$extra" 2>/dev/null)" = "$asked" ] || missing=yes

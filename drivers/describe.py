@@ -9,7 +9,8 @@ from struct import Struct, calcsize
 from types import MappingProxyType, ModuleType
 from typing import Any, Final, NamedTuple, get_args
 
-from auv_mcm.settings.config import Config, port_keys
+from auv_mcm.settings.config import Config
+from auv_mcm.settings.key_words import port_keys
 from auv_mcm.settings.plugins import find_device
 from auv_mcm.settings.port_settings import SONAR_NAMES, NavUnitName
 from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, BluefinSettings, IverSettings, ReconSettings

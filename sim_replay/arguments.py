@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Final
 
+from auv_mcm.errors import UsageError
+
 _MOST: Final = 1_000_000  # beyond it a number is a slip, not a wish: it would run for years
 
 
@@ -25,3 +27,13 @@ def new_file(text: str) -> Path:
     if not path.parent.is_dir():
         raise argparse.ArgumentTypeError(f"{path}: there is no folder {path.parent}. Make it first")
     return path
+
+
+def check_new(out: Path | None, option: str = "--out") -> None:
+    """Check early that a file can be made. Raises UsageError if it cannot."""
+    if out is None:
+        return
+    if out.exists():
+        raise UsageError(f"{option} {out} exists and is not overwritten: name a new file, or remove it")
+    if not out.parent.is_dir():
+        raise UsageError(f"{option} {out}: there is no folder {out.parent}. Make it first")

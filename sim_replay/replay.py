@@ -6,7 +6,7 @@ import math
 import os
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,26 +28,19 @@ from auv_mcm.memory import return_large_arrays
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import Contact, CoveragePatch, Notice, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config, config_yaml
-from auv_mcm.shell.mission_totals import (
-    area_totals,
-    clearance_notices,
-    contact_totals,
-    notice_lists,
-    point_totals,
-    search_totals,
-)
-from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
+from auv_mcm.shell.mission_totals import clearance_notices, notice_lists
+from auv_mcm.shell.results import MissionResults, plan_waypoints
 from auv_mcm.shell.snippet_files import make_results_directory, write_snippets
 from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.whole_files import write_file, write_json
 from auv_mcm.skips import ALL_SKIPS, NO_SKIPS, Skips
 from sim_replay.logs.open_log import CHUNK_BYTES
-from sim_replay.logs.recorded import Pace, open_mission
+from sim_replay.logs.recorded import Pace, RecordedMission, open_mission
 from sim_replay.mosaic import Mosaic
 from sim_replay.report import MissionRecord, PictureCollector, write_report
 from sim_replay.report.map_picture import MAX_BLOCKS, RESOLUTION_M, map_picture
 from sim_replay.report.report_file import REPORT, report_contents, write_contents
-from sim_replay.verdicts import read_verdicts
+from sim_replay.verdicts import Verdict, read_verdicts
 
 MAX_TRACK_POINTS: Final = 4000  # of the track in the report: bounds the page
 
@@ -103,86 +96,12 @@ def replay(
     mission = open_mission(logs, config, chunk_bytes)
     return_large_arrays()
     pipeline = Pipeline(config, without_skips=without_skips, threads=threads, timer=clock.monotonic_s)
-    tally, gathered, pace = Tally(), _Gathered(config, found), Pace(speed, clock)
     make_results_directory(folder)
     # written last: its presence says that the other files belong together
     (folder / "summary.json").unlink(missing_ok=True)
-    costs_s = {"read": 0.0, "pictures": 0.0}
-    started_s = read_s = clock.monotonic_s()
-    for event in mission.events():
-        costs_s["read"] += clock.monotonic_s() - read_s
-        if (wait_s := pace.wait_s(event)) > 0.0:
-            time.sleep(wait_s)
-        tally.add(event)
-        events = pipeline.feed(event)
-        if events:
-            fed_s = clock.monotonic_s()
-            gathered.add(events)
-            costs_s["pictures"] += clock.monotonic_s() - fed_s
-        progress(mission.fraction_done)
-        read_s = clock.monotonic_s()
-    events = pipeline.finish()
-    fed_s = clock.monotonic_s()
-    gathered.add(events)
-    costs_s["pictures"] += clock.monotonic_s() - fed_s
-    processing_s = clock.monotonic_s() - started_s
-    costs_s = {"read": costs_s.pop("read"), **pipeline.costs_s, **costs_s}
-
-    contacts = sorted(pipeline.contacts, key=lambda contact: contact.id)
-    counters = mission.counters() + pipeline.counters
-    waypoints = plan_waypoints(contacts, tally, config.plan, counters)
-    write_results(folder, contacts, gathered.coverage, waypoints, config.mission)
-    write_snippets(
-        folder, {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
-    )
-    clearance = gathered.searched.snapshot()
-    clearance_map = b"" if clearance is None else clearance_png(clearance)
-    write_clearance(folder, clearance, clearance_map)
-    write_file(folder / "track.geojson", collection([feature(gathered.track.geometry(), {})]))
-    gathered.add(clearance_notices(clearance))
-    searched = search_totals(clearance, contacts)
-    area = area_totals(clearance, config.plan)
-    point = point_totals(pipeline.operating_point)
-    totals = {**tally.totals(), **contact_totals(contacts, gathered.coverage), **point, **searched, **area}
-    record = MissionRecord(
-        name=clean(config.mission or ", ".join(dict.fromkeys(path.stem for path in mission.sizes_bytes))),
-        logs=tuple(clean(str(path)) for path in mission.sizes_bytes),
-        start_s=tally.first_s,
-        stop_s=tally.last_s,
-        track_latitude_deg=gathered.track.latitude_deg,
-        track_longitude_deg=gathered.track.longitude_deg,
-        distance_m=tally.distance_m,
-        covered_km2=totals["covered_km2"],
-        wall_s=processing_s,
-        config_yaml=config_yaml(config),
-        costs=costs_s,
-        searched=searched.get("searched", {}),
-        clearance_png=clearance_map,
-        files=_FILES + (("clearance.png",) if clearance_map else ()),
-        map_picture=map_picture(gathered.mosaic),
-        verdicts=judged,
-    )
-    shown = report_contents(
-        record, contacts, gathered.coverage, waypoints, gathered.notices, counters, gathered.pictures
-    )
-    write_contents(folder, shown)
-    write_report(folder / REPORT, record, contacts, gathered.coverage, waypoints, gathered.notices, counters, shown)
-    summary: dict[str, Any] = {
-        "version": __version__,
-        "mission": config.mission,
-        "logs": [
-            {"path": str(path.absolute()), "bytes": size, "relative": os.path.relpath(path, folder)}
-            for path, size in mission.sizes_bytes.items()
-        ],
-        **({"bottom_lines": lines} if (lines := [line.entry() for line in mission.bottom_lines]) else {}),
-        **totals,
-        "waypoints": len(waypoints),
-        "counters": dict(sorted(counters.items())),
-        "places": pipeline.places,
-        **notice_lists(gathered.notices),
-        "processing_s": round(processing_s, 3),
-        "times_real_time": round(tally.duration_s / processing_s, 1) if processing_s > 0.0 else None,
-        "costs_s": {stage: round(cost_s, 4) for stage, cost_s in costs_s.items()},
+    replaying = _Replaying(mission, pipeline, config, found)
+    replaying.run(Pace(speed, clock), clock, progress)
+    summary = replaying.write(folder, judged) | {
         "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1),
         "kernels": kernels.backend(),
         "threads": threads,
@@ -242,29 +161,123 @@ class _Track:
         return np.concatenate([np.empty((0, 2)), *self._points])
 
 
-class _Gathered:
-    """Gather what the pipeline reported, as far as the results need it; tiles leave only small pictures."""
+class _Replaying:
+    """Feed the pipeline a mission, and gather what it reports as far as the results need it; tiles leave only small
+    pictures.
+    """
 
-    def __init__(self, config: Config, found: Callable[[Contact], None]) -> None:
-        self._found = found
-        self.coverage: list[CoveragePatch] = []
-        self.searched = ClearanceMap(configured_performance(config))
-        self.notices: list[Notice] = []
-        self.pictures = PictureCollector()
-        self.track = _Track()
-        self.mosaic = Mosaic(config, RESOLUTION_M, MAX_BLOCKS, coarsen=True)
+    def __init__(
+        self, mission: RecordedMission, pipeline: Pipeline, config: Config, found: Callable[[Contact], None]
+    ) -> None:
+        self._mission, self._pipeline, self._config, self._found = mission, pipeline, config, found
+        self._tally = Tally()
+        self._coverage: list[CoveragePatch] = []
+        self._searched = ClearanceMap(configured_performance(config))
+        self._notices: list[Notice] = []
+        self._pictures = PictureCollector()
+        self._track = _Track()
+        self._mosaic = Mosaic(config, RESOLUTION_M, MAX_BLOCKS, coarsen=True)
+        self._processing_s = 0.0
+        self._costs_s: dict[str, float] = {}  # of each stage, in the order to show them
 
-    def add(self, events: Sequence[PipelineEvent]) -> None:
+    def run(self, pace: Pace, clock: Clock, progress: Progress) -> None:
+        """Work off the whole mission."""
+        mission, read_total_s, pictures_s = self._mission, 0.0, 0.0
+        started_s = read_s = clock.monotonic_s()
+        for event in mission.events():
+            read_total_s += clock.monotonic_s() - read_s
+            if (wait_s := pace.wait_s(event)) > 0.0:
+                time.sleep(wait_s)
+            self._tally.add(event)
+            if events := self._pipeline.feed(event):
+                fed_s = clock.monotonic_s()
+                self._add(events)
+                pictures_s += clock.monotonic_s() - fed_s
+            progress(mission.fraction_done)
+            read_s = clock.monotonic_s()
+        events = self._pipeline.finish()
+        fed_s = clock.monotonic_s()
+        self._add(events)
+        pictures_s += clock.monotonic_s() - fed_s
+        self._processing_s = clock.monotonic_s() - started_s
+        self._costs_s = {"read": read_total_s, **self._pipeline.costs_s, "pictures": pictures_s}
+
+    def write(self, folder: Path, judged: Sequence[Verdict]) -> dict[str, Any]:
+        """Write every result but summary.json, of which the first entries are returned."""
+        contacts = sorted(self._pipeline.contacts, key=lambda contact: contact.id)
+        counters = self._mission.counters() + self._pipeline.counters
+        waypoints = plan_waypoints(contacts, self._tally, self._config.plan, counters)
+        clearance = self._searched.snapshot()
+        png = b"" if clearance is None else clearance_png(clearance)
+        point = self._pipeline.operating_point
+        results = MissionResults(contacts, self._coverage, waypoints, self._tally, point, clearance, png)
+        for write in results.writers(folder, self._config.mission).values():
+            write()
+        write_snippets(
+            folder, {contact.id: snippet_png(view) for contact in contacts if (view := best_view(contact)) is not None}
+        )
+        write_file(folder / "track.geojson", collection([feature(self._track.geometry(), {})]))
+        self._add(clearance_notices(clearance))
+        totals, took_s = results.totals(self._config.plan), self._processing_s
+        record = self._record(totals, png, judged)
+        shown = report_contents(record, contacts, self._coverage, waypoints, self._notices, counters, self._pictures)
+        write_contents(folder, shown)
+        write_report(folder / REPORT, record, contacts, self._coverage, waypoints, self._notices, counters, shown)
+        return {
+            "version": __version__,
+            "mission": self._config.mission,
+            **self._origin(folder),
+            **totals,
+            "counters": dict(sorted(counters.items())),
+            "places": self._pipeline.places,
+            **notice_lists(self._notices),
+            "processing_s": round(took_s, 3),
+            "times_real_time": round(self._tally.duration_s / took_s, 1) if took_s > 0.0 else None,
+            "costs_s": {stage: round(cost_s, 4) for stage, cost_s in self._costs_s.items()},
+        }
+
+    def _origin(self, folder: Path) -> dict[str, Any]:
+        """Name the logs, and the bottom lines that came with them."""
+        logs = [
+            {"path": str(path.absolute()), "bytes": size, "relative": os.path.relpath(path, folder)}
+            for path, size in self._mission.sizes_bytes.items()
+        ]
+        lines = [line.entry() for line in self._mission.bottom_lines]
+        return {"logs": logs, **({"bottom_lines": lines} if lines else {})}
+
+    def _record(self, totals: Mapping[str, Any], picture: bytes, judged: Sequence[Verdict]) -> MissionRecord:
+        """Describe the mission for its report. picture: of the clearance, empty without one."""
+        tally, track, paths = self._tally, self._track, self._mission.sizes_bytes
+        return MissionRecord(
+            name=clean(self._config.mission or ", ".join(dict.fromkeys(path.stem for path in paths))),
+            logs=tuple(clean(str(path)) for path in paths),
+            start_s=tally.first_s,
+            stop_s=tally.last_s,
+            track_latitude_deg=track.latitude_deg,
+            track_longitude_deg=track.longitude_deg,
+            distance_m=tally.distance_m,
+            covered_km2=totals["covered_km2"],
+            wall_s=self._processing_s,
+            config_yaml=config_yaml(self._config),
+            costs=self._costs_s,
+            searched=totals.get("searched", {}),
+            clearance_png=picture,
+            files=_FILES + (("clearance.png",) if picture else ()),
+            map_picture=map_picture(self._mosaic),
+            verdicts=tuple(judged),
+        )
+
+    def _add(self, events: Sequence[PipelineEvent]) -> None:
         for event in events:
             match event:
                 case Tile():
-                    self.pictures.add_tile(event)
-                    self.track.add(event)
-                    self.mosaic.add(event)
+                    self._pictures.add_tile(event)
+                    self._track.add(event)
+                    self._mosaic.add(event)
                 case CoveragePatch():
-                    self.coverage.append(event)
-                    self.searched.add(event)
+                    self._coverage.append(event)
+                    self._searched.add(event)
                 case Contact():
                     self._found(event)
                 case Notice():
-                    self.notices.append(event)
+                    self._notices.append(event)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,35 @@ Array = NDArray[np.float64]
 _BLOCK_M: Final = 0.5  # pixels within a block are placed together
 _MIN_FRACTION: Final = 0.01  # share of a cell, below which it counts as not seen
 _KEY: Final = 1 << 32  # east index times this plus north index: one number per cell
+
+
+class _Blocks(NamedTuple):
+    """Hold blocks of covered pixels, (n,) each.
+
+    row: of the tile. place_m: east and north in the plane, (n, 2). look_m: from the near to the far end of their row,
+    (n, 2).
+    """
+
+    area_m2: Array
+    row: Array
+    ground_m: Array
+    place_m: Array
+    look_m: Array
+
+
+class _Cells(NamedTuple):
+    """Assign blocks to cells.
+
+    of_block: index of each block's cell, (n,). kept: indices of the cells of which enough was seen, of n_cells.
+    """
+
+    of_block: NDArray[np.int64]
+    n_cells: int
+    kept: NDArray[np.int64]
+
+    def sums(self, value: Array) -> Array:
+        """Sum a value of blocks, (n,), over each cell that is kept."""
+        return np.asarray(np.bincount(self.of_block, value, self.n_cells)[self.kept], dtype=np.float64)
 
 
 def surveyed_cells(
@@ -44,6 +73,44 @@ def surveyed_cells(
     evaluated_fraction
         Of the places to look at, those that the detector's budget allowed for.
     """
+    blocks = _blocks(tile, covered, sonar, frame)
+    if blocks is None or not len(blocks.area_m2):
+        return None
+    index = np.floor(blocks.place_m / cell_m).astype(np.int64)
+    cell, of_block = np.unique(index[:, 0] * _KEY + index[:, 1], return_inverse=True)
+    total_m2 = np.bincount(of_block, blocks.area_m2, len(cell))
+    kept = np.flatnonzero(total_m2 >= _MIN_FRACTION * cell_m * cell_m)
+    if not len(kept):
+        return None
+    cells = _Cells(of_block, len(cell), kept)
+
+    def mean(value: Array) -> Array:
+        return np.asarray(cells.sums(blocks.area_m2 * value) / total_m2[kept])
+
+    east = (cell[kept] + _KEY // 2) // _KEY
+    look = blocks.look_m / np.maximum(np.hypot(blocks.look_m[:, 0], blocks.look_m[:, 1]), 1e-9)[:, np.newaxis]
+    look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
+    altitude_m = tile.first_return_m[np.minimum(np.rint(blocks.row).astype(int), len(tile.first_return_m) - 1)]
+    kind, confidence, ripple_rad, wavelength_m = _seabed(seabed, tile, blocks, cells)
+    return SurveyedCells(
+        origin_latitude_deg=frame.latitude_deg,
+        origin_longitude_deg=frame.longitude_deg,
+        cell_m=cell_m,
+        east_index=east.astype(np.int32),
+        north_index=(cell[kept] - east * _KEY).astype(np.int32),
+        fraction=(evaluated_fraction * np.minimum(total_m2[kept] / (cell_m * cell_m), 1.0)).astype(np.float32),
+        ground_range_m=mean(blocks.ground_m).astype(np.float32),
+        altitude_m=mean(altitude_m).astype(np.float32),
+        look_rad=np.where(look_rad >= 2.0 * math.pi, 0.0, look_rad).astype(np.float32),
+        seabed=kind,
+        confidence=confidence,
+        ripple_rad=ripple_rad,
+        wavelength_m=wavelength_m,
+    )
+
+
+def _blocks(tile: Tile, covered: NDArray[np.bool_], sonar: SonarConfig, frame: LocalFrame) -> _Blocks | None:
+    """Place the covered pixels in blocks, on the line between both ends of their rows; None if nothing was covered."""
     n_rows = max(1, round(_BLOCK_M / tile.row_spacing_m))
     n_columns = max(1, round(_BLOCK_M / tile.column_spacing_m))
     area_m2 = _sums(covered, n_rows, n_columns) * (tile.row_spacing_m * tile.column_spacing_m)
@@ -52,56 +119,15 @@ def surveyed_cells(
         return None
     used = np.unique(at_row)
     row = tile.core_start + np.minimum((used + 0.5) * n_rows, covered.shape[0]) - 0.5
-    near_m, far_m = (
-        _placed(tile, row, ground_m, sonar, frame) for ground_m in (0.0, covered.shape[1] * tile.column_spacing_m)
-    )
+    width_m = covered.shape[1] * tile.column_spacing_m
+    near_m, far_m = (_placed(tile, row, ground_m, sonar, frame) for ground_m in (0.0, width_m))
     of_block = np.searchsorted(used, at_row)
-    ground_m = (at_column + 0.5) * n_columns * tile.column_spacing_m
-    share = (ground_m / (covered.shape[1] * tile.column_spacing_m))[:, np.newaxis]
-    place = near_m[of_block] * (1.0 - share) + far_m[of_block] * share
-    finite = np.isfinite(place).all(axis=1)
-    area, ground_m, of_block, place = (
-        area_m2[at_row, at_column][finite],
-        ground_m[finite],
-        of_block[finite],
-        place[finite],
-    )
-    if not len(area):
-        return None
-    index = np.floor(place / cell_m).astype(np.int64)
-    cell, key = np.unique(index[:, 0] * _KEY + index[:, 1], return_inverse=True)
-    n_cells = len(cell)
-    total = np.bincount(key, area, n_cells)
-    kept = np.flatnonzero(total >= _MIN_FRACTION * cell_m * cell_m)
-    if not len(kept):
-        return None
-
-    def mean(value: Array) -> Array:
-        return np.asarray(np.bincount(key, area * value, n_cells)[kept] / total[kept])
-
-    east = (cell[kept] + _KEY // 2) // _KEY
-    look = (far_m - near_m)[of_block]
-    look /= np.maximum(np.hypot(look[:, 0], look[:, 1]), 1e-9)[:, np.newaxis]
-    look_rad = np.mod(np.arctan2(mean(look[:, 0]), mean(look[:, 1])), 2.0 * math.pi)
-    altitude_m = tile.first_return_m[np.minimum(np.rint(row).astype(int), len(tile.first_return_m) - 1)][of_block]
-    kind, confidence, ripple_rad, wavelength_m = _seabed(
-        seabed, tile, row[of_block], ground_m, key, area, n_cells, kept
-    )
-    return SurveyedCells(
-        origin_latitude_deg=frame.latitude_deg,
-        origin_longitude_deg=frame.longitude_deg,
-        cell_m=cell_m,
-        east_index=east.astype(np.int32),
-        north_index=(cell[kept] - east * _KEY).astype(np.int32),
-        fraction=(evaluated_fraction * np.minimum(total[kept] / (cell_m * cell_m), 1.0)).astype(np.float32),
-        ground_range_m=mean(ground_m).astype(np.float32),
-        altitude_m=mean(altitude_m).astype(np.float32),
-        look_rad=np.where(look_rad >= 2.0 * math.pi, 0.0, look_rad).astype(np.float32),
-        seabed=kind,
-        confidence=confidence,
-        ripple_rad=ripple_rad,
-        wavelength_m=wavelength_m,
-    )
+    ground_m: Array = np.asarray((at_column + 0.5) * n_columns * tile.column_spacing_m, dtype=np.float64)
+    share = (ground_m / width_m)[:, np.newaxis]
+    place_m = near_m[of_block] * (1.0 - share) + far_m[of_block] * share
+    every = _Blocks(area_m2[at_row, at_column], row[of_block], ground_m, place_m, (far_m - near_m)[of_block])
+    finite = np.isfinite(place_m).all(axis=1)
+    return _Blocks(*(values[finite] for values in every))
 
 
 def _sums(covered: NDArray[np.bool_], n_rows: int, n_columns: int) -> Array:
@@ -117,46 +143,36 @@ def _placed(tile: Tile, row: Array, ground_m: float, sonar: SonarConfig, frame: 
 
 
 def _seabed(
-    seabed: SeabedCells | None,
-    tile: Tile,
-    row: Array,
-    ground_m: Array,
-    key: NDArray[np.int64],
-    area: Array,
-    n_cells: int,
-    kept: NDArray[np.int64],
+    seabed: SeabedCells | None, tile: Tile, blocks: _Blocks, cells: _Cells
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Give the commonest kind of sea floor per cell, its mean confidence, and the axial mean of its ripples."""
+    n_kept, area_m2 = len(cells.kept), blocks.area_m2
     if seabed is None:
-        unknown = np.full(len(kept), SEABED_TYPES.index("unknown"), dtype=np.uint8)
-        nothing = np.full(len(kept), NAN, dtype=np.float32)
-        return unknown, np.zeros(len(kept), dtype=np.float32), nothing, nothing
+        unknown = np.full(n_kept, SEABED_TYPES.index("unknown"), dtype=np.uint8)
+        nothing = np.full(n_kept, NAN, dtype=np.float32)
+        return unknown, np.zeros(n_kept, dtype=np.float32), nothing, nothing
     n_along, n_across = seabed.kind.shape
     along = np.clip(
-        ((row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1
+        ((blocks.row - tile.core_start + 0.5) * tile.row_spacing_m // seabed.cell_m[0]).astype(int), 0, n_along - 1
     )
-    across = np.clip((ground_m // seabed.cell_m[1]).astype(int), 0, n_across - 1)
+    across = np.clip((blocks.ground_m // seabed.cell_m[1]).astype(int), 0, n_across - 1)
     kind = seabed.kind[along, across]
-    by_kind = np.stack([np.bincount(key, area * (kind == index), n_cells)[kept] for index in range(len(SEABED_TYPES))])
+    by_kind = np.stack([cells.sums(area_m2 * (kind == index)) for index in range(len(SEABED_TYPES))])
     commonest = np.argmax(by_kind, axis=0)
-    commonest_of = np.zeros(n_cells, dtype=int)
-    commonest_of[kept] = commonest
-    agrees = area * (kind == commonest_of[key])
-    of_kept = np.maximum(by_kind[commonest, np.arange(len(kept))], 1e-12)
-    confidence = np.bincount(key, agrees * seabed.confidence[along, across], n_cells)[kept] / of_kept
+    commonest_of = np.zeros(cells.n_cells, dtype=int)
+    commonest_of[cells.kept] = commonest
+    agrees = area_m2 * (kind == commonest_of[cells.of_block])
+    of_kept = np.maximum(by_kind[commonest, np.arange(n_kept)], 1e-12)
+    confidence = cells.sums(agrees * seabed.confidence[along, across]) / of_kept
     ripple = seabed.ripple_rad[along, across].astype(np.float64)
     weight = np.where(np.isfinite(ripple), agrees, 0.0)
     ripple = np.nan_to_num(ripple)
-    rippled = np.bincount(key, weight, n_cells)[kept]
+    rippled = cells.sums(weight)
     # Twice the angle, since a direction and its opposite are the same ripples.
-    sine, cosine = (
-        np.bincount(key, weight * part, n_cells)[kept] for part in (np.sin(2.0 * ripple), np.cos(2.0 * ripple))
-    )
+    sine, cosine = (cells.sums(weight * part) for part in (np.sin(2.0 * ripple), np.cos(2.0 * ripple)))
     is_rippled = rippled > 0.0
     direction = np.mod(0.5 * np.arctan2(sine, cosine), math.pi)
-    wavelength = np.bincount(key, weight * np.nan_to_num(seabed.wavelength_m[along, across]), n_cells)[
-        kept
-    ] / np.maximum(rippled, 1e-12)
+    wavelength = cells.sums(weight * np.nan_to_num(seabed.wavelength_m[along, across])) / np.maximum(rippled, 1e-12)
     return (
         commonest.astype(np.uint8),
         confidence.astype(np.float32),

@@ -55,29 +55,9 @@ def cover_tile(
     coarse_rows
         Rows of pings whose samples are too far apart for a mine to be seen, (n_rows,); None for none.
     """
-    core = slice(tile.core_start, tile.core_stop)
-    mask = tile.mask[core]
-    stale = (tile.pose.stale | ~placed_rows(tile))[core, None]
-    valid = (mask & VALID) != 0
-    coarse = valid & ((mask & LOW_RESOLUTION) != 0)
-    if coarse_rows is not None:
-        coarse |= valid & coarse_rows[core, None]
-    turn = valid & ~coarse & ((mask & TURN) != 0)
-    lost_position = valid & ~coarse & ~turn & stale
-    clipped = valid & ~coarse & ~turn & ~stale & ((mask & SATURATED) != 0)
-    usable = valid & ~coarse & ~turn & ~stale & ~clipped
-    hidden = usable & in_large_shadow(tile)[core]
-    covered = usable & ~hidden
+    covered, lost = _sorted_out(tile, coarse_rows)
     pixel_m2 = tile.row_spacing_m * tile.column_spacing_m
     seen_m2 = float(np.count_nonzero(covered)) * pixel_m2
-    lost = {
-        "invalid": ~valid,
-        "low_resolution": coarse,
-        "turn": turn,
-        "stale_navigation": lost_position,
-        "saturated": clipped,
-        "shadow": hidden,
-    }
     return CoveragePatch(
         side=tile.side,
         tile_index=tile.index,
@@ -95,6 +75,31 @@ def cover_tile(
         else surveyed_cells(tile, covered, sonar, grid.frame, grid.cell_m, seabed, evaluated_fraction),
         squint_rad=tile.squint_rad,
     )
+
+
+def _sorted_out(
+    tile: Tile, coarse_rows: NDArray[np.bool_] | None
+) -> tuple[NDArray[np.bool_], dict[str, NDArray[np.bool_]]]:
+    """Find the pixels of a core that cover, and those that do not by the first reason that they are lost for."""
+    core = slice(tile.core_start, tile.core_stop)
+    mask = tile.mask[core]
+    coarse = (mask & LOW_RESOLUTION) != 0
+    if coarse_rows is not None:
+        coarse |= coarse_rows[core, None]
+    reasons = {
+        "invalid": (mask & VALID) == 0,
+        "low_resolution": coarse,
+        "turn": (mask & TURN) != 0,
+        "stale_navigation": (tile.pose.stale | ~placed_rows(tile))[core, None],
+        "saturated": (mask & SATURATED) != 0,
+        "shadow": in_large_shadow(tile)[core],
+    }
+    covered = np.ones(mask.shape, dtype=np.bool_)
+    lost = {}
+    for reason, pixels in reasons.items():
+        lost[reason] = covered & pixels
+        covered &= ~pixels
+    return covered, lost
 
 
 def uncovered(tile: Tile) -> CoveragePatch:

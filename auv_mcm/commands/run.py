@@ -69,7 +69,7 @@ def run_service(config: Config, clock: Clock | None = None) -> int:
 
     from auv_mcm.clean_text import CleanFormatter
     from auv_mcm.shell.journal_stream import JournalFormatter, is_journal
-    from auv_mcm.shell.service import serve
+    from auv_mcm.shell.serve import serve
 
     if is_journal(sys.stderr):
         formatter: CleanFormatter = JournalFormatter()

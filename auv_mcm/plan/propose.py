@@ -15,7 +15,7 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.reinspect import plan_reinspection
 from auv_mcm.records import Contact, Waypoint
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 
 

@@ -19,8 +19,9 @@ from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.geodesy import LocalFrame, local_to_ecef_rotation
 from auv_mcm.plan.dubins import PlanePose, dubins_lengths, dubins_path, sample_path
 from auv_mcm.plan.tour import short_tour
+from auv_mcm.plan.turns import ARC_STEP_RAD
 from auv_mcm.records import Contact, Waypoint
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 
 Place: TypeAlias = tuple[float, float]
 """Latitude and longitude, degrees."""
@@ -28,7 +29,6 @@ Place: TypeAlias = tuple[float, float]
 SETTLING_RADII: Final = (
     1.0  # straight run before and after the leg proper, in turn radii: the turn's yaw rate has died away
 )
-_ARC_STEP_RAD: Final = math.radians(15.0)
 _MIN_STEP_M: Final = 1e-3  # way-points closer than this are one
 _DETOUR_M: Final = 1e6  # longer than any real tour
 _BLOCK: Final = 1 << 18  # pairs of legs measured at once, bounds memory
@@ -99,7 +99,7 @@ def plan_reinspection(
         )
     frame = LocalFrame(latitude_deg=start_latitude_deg, longitude_deg=start_longitude_deg)
     start = PlanePose(0.0, 0.0, start_heading_rad)
-    radius_m = config.turn_radius_m / math.cos(_ARC_STEP_RAD / 2.0)
+    radius_m = config.turn_radius_m / math.cos(ARC_STEP_RAD / 2.0)
     legs = [leg for contact in chosen for leg in _ways_past(contact, frame, config)]
     unwanted_m = np.array([0.0 if may_run(*leg.ends_deg) else _DETOUR_M for leg in legs])
     tour = short_tour(_connections(start, legs, radius_m) + _shares(unwanted_m), more_time)
@@ -193,7 +193,7 @@ def _waypoints(
     add(1, "start", start_deg, start.heading_rad, "where the plan starts")
     pose = start
     for number, leg in enumerate(legs, start=1):
-        path = sample_path(dubins_path(pose, leg.entry, radius_m), _ARC_STEP_RAD)
+        path = sample_path(dubins_path(pose, leg.entry, radius_m), ARC_STEP_RAD)
         steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
         turns = path[1:][(steps > _MIN_STEP_M) & (np.hypot(*(path[1:, :2] - leg.entry[:2]).T) > _MIN_STEP_M)]
         for latitude, longitude, course in np.column_stack(on_the_globe(turns, frame)).tolist():

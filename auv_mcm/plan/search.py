@@ -13,15 +13,14 @@ from auv_mcm.plan.orienteering import (
     Problem,
     Wanting,
     best_route,
-    ends_of,
     exact_route,
     greedy_legs,
-    rough_way_m,
     route_length_m,
     shifted_legs,
     trimmed_legs,
     worth_m2,
 )
+from auv_mcm.plan.turns import ends_of, rough_way_m
 
 NEARLY_ALL: Final = 0.99  # of what is wanting: the rest is rounding of cells
 _SHIFTS: Final = 3  # tracks that a leg may move to either side at a time; bounds time

@@ -22,21 +22,12 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.contact_legs import ContactLegs, contact_legs
 from auv_mcm.plan.dubins import PlanePose, sample_path
 from auv_mcm.plan.limits import Limits, obstacle
-from auv_mcm.plan.orienteering import (
-    ARC_STEP_RAD,
-    Problem,
-    Turns,
-    Wanting,
-    ends_of,
-    gain_bound_m2,
-    route_length_m,
-    sailable,
-    worth_m2,
-)
+from auv_mcm.plan.orienteering import Problem, Wanting, gain_bound_m2, route_length_m, sailable, worth_m2
 from auv_mcm.plan.plan_words import area_words, contact_words, survey_words
 from auv_mcm.plan.reinspect import on_the_globe
 from auv_mcm.plan.search import NEARLY_ALL, searched, wanting_m2_of
 from auv_mcm.plan.tracks import Cells, Tracks, survey_tracks
+from auv_mcm.plan.turns import ARC_STEP_RAD, Turns, ends_of
 from auv_mcm.records import Contact, Waypoint
 
 HIGHEST_REQUIRED: Final = 0.999  # probability: nearer to 1 no finite number of passes reaches it

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import msgspec
 import yaml
@@ -17,9 +17,13 @@ from msgspec import Meta, inspect
 from auv_mcm.clean_text import clean, is_clean
 from auv_mcm.errors import UsageError
 from auv_mcm.settings.budget_settings import BudgetConfig
+from auv_mcm.settings.key_words import bare, key_lines
+from auv_mcm.settings.plan_settings import PlanConfig, about_first
 from auv_mcm.settings.port_settings import ArmLength, PortConfig, check_together, device_kind
 from auv_mcm.settings.strict_yaml import explain_validation_error, load_mapping
-from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, Latitude, Longitude, VehicleConfig
+from auv_mcm.settings.vehicle_settings import VEHICLE_NAMES, VehicleConfig
+
+_Choice: TypeAlias = Annotated[str, Meta(min_length=1)]  # a word that is listed, or the path of a file
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,10 +43,8 @@ class SonarConfig(_Section, frozen=True, kw_only=True):
     transfer: Annotated[
         Literal["auto", "amplitude", "intensity", "log"],
         Meta(
-            description=(
-                "what a stored number is: amplitude, intensity, or a logarithm of it; auto decides from speckle "
-                "statistics"
-            )
+            description="what a stored number is: amplitude, intensity, or a logarithm of it; auto decides from "
+            "speckle statistics"
         ),
     ] = "auto"
     db_per_count: Annotated[
@@ -105,12 +107,10 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
 
     max_extrapolation_s: Annotated[
         float,
+        Meta(gt=0.0, le=10.0),
         Meta(
-            gt=0.0,
-            le=10.0,
-            description=(
-                "a ping farther than this from navigation, and not in a hole that is bridged, is flagged stale, s"
-            ),
+            description="a ping farther than this from navigation, and not in a hole that is bridged, is flagged "
+            "stale, s"
         ),
     ] = 0.5
     max_gap_s: Annotated[
@@ -128,10 +128,8 @@ class NavigationConfig(_Section, frozen=True, kw_only=True):
     epsg: Annotated[
         Annotated[int, Meta(ge=1024, le=998_999)] | None,
         Meta(
-            description=(
-                "logs only: EPSG code of the projection in which an XTF log holds its positions in metres, such as "
-                "32632 for UTM zone 32 north; empty for degrees"
-            )
+            description="logs only: EPSG code of the projection in which an XTF log holds its positions in metres, "
+            "such as 32632 for UTM zone 32 north; empty for degrees"
         ),
     ] = None
     recover_s: Annotated[
@@ -157,9 +155,8 @@ class WaterfallConfig(_Section, frozen=True, kw_only=True):
     ] = 5.0
     max_spacing_ratio: Annotated[
         float,
-        Meta(
-            gt=1.0, le=10.0, description="pixel spacing over its straight-line value beyond which a pixel is in a turn"
-        ),
+        Meta(gt=1.0, le=10.0),
+        Meta(description="pixel spacing over its straight-line value beyond which a pixel is in a turn"),
     ] = 2.0
     min_grazing_deg: Annotated[
         float, Meta(ge=0.0, le=60.0, description="minimum grazing angle of detection and coverage, degrees")
@@ -180,35 +177,29 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
     """Set detection: contrasts of highlight and shadow and, where a model fits the pixels, a trained cascade."""
 
     model: Annotated[
-        str,
+        _Choice,
         Meta(
-            min_length=1,
             description="the trained cascade: shipped, none, or the path of a model file; one that was not trained for "
             "the pixel sizes below is not used, with a notice",
         ),
     ] = "shipped"
     seabed_model: Annotated[
-        str,
+        _Choice,
         Meta(
-            min_length=1,
-            description=(
-                "what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate seabed' "
-                "wrote"
-            ),
+            description="what kinds of sea floor look like: shipped, or the path of a file that 'auv-mcm calibrate "
+            "seabed' wrote",
         ),
     ] = "shipped"
     performance: Annotated[
-        str,
+        _Choice,
         Meta(
-            min_length=1,
             description="how likely a mine is found where, for clearance and plans: shipped, or the path of a file "
             "that 'auv-mcm calibrate performance' wrote",
         ),
     ] = "shipped"
     gate: Annotated[
-        str,
+        _Choice,
         Meta(
-            min_length=1,
             description="which places can become contacts and are measured: shipped, none for all, or the path of a "
             "file that 'auv-mcm calibrate gate' wrote with the odds below",
         ),
@@ -216,20 +207,16 @@ class DetectConfig(_Section, frozen=True, kw_only=True):
 
     p_false_alarm: Annotated[
         float,
+        Meta(ge=1e-12, lt=0.5),
         Meta(
-            ge=1e-12,
-            lt=0.5,
             description="tail probability of one pair of contrast boxes in pure speckle; the best of many pairs "
-            "counts, so that one pixel in eighty of white speckle is above the default",
+            "counts, so that one pixel in eighty of white speckle is above the default"
         ),
     ] = 1e-4
     max_candidates_per_tile: Annotated[
         int,
-        Meta(
-            ge=0,
-            le=100_000,
-            description="maximum number of candidates measured per tile and side, best first; the rest is counted",
-        ),
+        Meta(ge=0, le=100_000),
+        Meta(description="maximum number of candidates measured per tile and side, best first; the rest is counted"),
     ] = 256
     suppression_m: Annotated[float, Meta(gt=0.0, le=20.0, description="detections closer than this are one, m")] = 1.0
     max_object_m: Annotated[float, Meta(gt=0.2, le=50.0, description="maximum length of a mine, m")] = 3.5
@@ -240,35 +227,29 @@ class ConfirmConfig(_Section, frozen=True, kw_only=True):
 
     enabled: Annotated[bool, Meta(description="false: contacts carry the detector's p_mine and no class")] = True
     odds: Annotated[
-        str,
+        _Choice,
         Meta(
-            min_length=1,
             description="what measurements say about the odds of a mine, with the background of non-mines that belongs "
             "to it: shipped, or the path of a file that 'auv-mcm calibrate odds' wrote; without --verdicts it needs a "
             "gate and a background of its own",
         ),
     ] = "shipped"
     targets: Annotated[
-        str,
+        _Choice,
         Meta(
-            min_length=1,
             description="the mines expected, by kind and size: shipped for any, or the path of a YAML list; a mine on "
             "no line of the list keeps less of its odds",
         ),
     ] = "shipped"
     min_p_mine: Annotated[
         float,
-        Meta(
-            ge=0.0, le=1.0, description="threshold of p_mine, at any step, below which confirmation of a detection ends"
-        ),
+        Meta(ge=0.0, le=1.0),
+        Meta(description="threshold of p_mine, at any step, below which confirmation of a detection ends"),
     ] = 0.02
     max_per_tile: Annotated[
         int,
-        Meta(
-            ge=0,
-            le=100_000,
-            description="maximum number of detections confirmed per tile and side, best first; the rest is counted",
-        ),
+        Meta(ge=0, le=100_000),
+        Meta(description="maximum number of detections confirmed per tile and side, best first; the rest is counted"),
     ] = 128
 
 
@@ -277,11 +258,10 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
 
     min_p_mine: Annotated[
         float,
+        Meta(ge=0.0, le=1.0),
         Meta(
-            ge=0.0,
-            le=1.0,
             description="p_mine below which a contact is not reported; what cannot reach it is counted and neither "
-            "measured nor confirmed; 0 reports everything; above 0.02 the estimate of mines left comes out too low",
+            "measured nor confirmed; 0 reports everything; above 0.02 the estimate of mines left comes out too low"
         ),
     ] = 0.02
     gate_chi2: Annotated[
@@ -292,88 +272,20 @@ class ContactsConfig(_Section, frozen=True, kw_only=True):
     ] = 4.0
     false_alarms_per_km2: Annotated[
         float,
+        Meta(gt=0.0, le=1e6),
         Meta(
-            gt=0.0,
-            le=1e6,
             description="false alarms per km2 of bare sea floor that are acceptable: contacts are called mines from "
             "the likeliest down, as long as the lower end of those expected stays within it; about as many again lie "
-            "on stones and other objects, and what is reported does not depend on it",
+            "on stones and other objects, and what is reported does not depend on it"
         ),
     ] = 100.0
     background: Annotated[
-        str,
+        _Choice,
         Meta(
-            min_length=1,
             description="how densely non-mines reach each p_mine: shipped, none, or the path of a file that 'auv-mcm "
             "calibrate background' wrote with the odds configured",
         ),
     ] = "shipped"
-
-
-class PlanConfig(_Section, frozen=True, kw_only=True):
-    """Set what is requested of the vehicle: second views of contacts and, with an area to clear, its survey."""
-
-    cell_m: Annotated[
-        float, Meta(ge=1.0, le=50.0, description="side of the cells in which coverage and sea floor are mapped, m")
-    ] = 4.0
-    max_contacts: Annotated[int, Meta(ge=0, le=1000, description="maximum number of contacts to view again")] = 12
-    min_p_mine: Annotated[float, Meta(ge=0.0, le=1.0, description="minimum p_mine of a contact to view again")] = 0.2
-    turn_radius_m: Annotated[float, Meta(gt=0.0, le=1000.0, description="smallest turn radius of the vehicle, m")] = (
-        10.0
-    )
-    stand_off_m: Annotated[float, Meta(gt=0.0, le=200.0, description="ground range of the second view, m")] = 12.0
-    leg_length_m: Annotated[float, Meta(gt=0.0, le=500.0, description="straight run past a contact, m")] = 30.0
-    area_deg: Annotated[
-        tuple[tuple[Latitude, Longitude], ...],
-        Meta(
-            description=(
-                "corners [latitude, longitude] of the area to be cleared, in order; degrees; empty: second views alone"
-            )
-        ),
-    ] = ()
-    required_clearance: Annotated[
-        float, Meta(ge=0.5, le=0.99, description="probability, over the area, with which mines in it are to be found")
-    ] = 0.9
-    max_track_m: Annotated[float, Meta(gt=0.0, le=1e6, description="maximum total commanded track, m")] = 10_000.0
-
-    def __post_init__(self) -> None:
-        if not self.area_deg:
-            return
-        if len(self.area_deg) < 3:
-            raise ValueError("plan: area_deg needs at least three corners [latitude, longitude]")
-        if not all(math.isfinite(value) for corner in self.area_deg for value in corner):
-            raise ValueError("plan: area_deg holds a corner that is not a finite number")
-        east_m, north_m = zip(*_about_first(self.area_deg, self.area_deg[0]), strict=True)
-        if max(map(math.hypot, east_m, north_m)) > _FARTHEST_CORNER_M:
-            raise ValueError(
-                f"plan: area_deg has corners more than {_FARTHEST_CORNER_M / 1e3:g} km apart; give the area of one "
-                "mission"
-            )
-        twice_m2 = sum(east_m[n - 1] * north_m[n] - east_m[n] * north_m[n - 1] for n in range(len(east_m)))
-        if abs(twice_m2) < 2.0:
-            raise ValueError("plan: area_deg encloses no area: give its corners in order, without crossing edges")
-        n_cells = (max(east_m) - min(east_m)) * (max(north_m) - min(north_m)) / self.cell_m**2
-        if n_cells > _MAX_CELLS:
-            raise ValueError(
-                f"plan: area_deg spans {n_cells:.0f} cells of {self.cell_m:g} m, more than {_MAX_CELLS}: give a larger "
-                "cell_m"
-            )
-
-
-_FARTHEST_CORNER_M: Final = 50_000.0  # farther out the mission's plane bends straight lines
-_MAX_CELLS: Final = 1_000_000  # of a planned area; bounds memory and time of a plan
-_DEGREE_M: Final = 111_320.0  # m per degree of latitude, to 0.5 %; only for the count of cells
-
-
-def _about_first(
-    corners_deg: tuple[tuple[float, float], ...], first_deg: tuple[float, float]
-) -> list[tuple[float, float]]:
-    """Project to east and north, m, on a plane good enough to judge sizes; across the antimeridian as well."""
-    shrunk = math.cos(math.radians(first_deg[0]))
-    return [
-        (math.remainder(lon - first_deg[1], 360.0) * _DEGREE_M * shrunk, (lat - first_deg[0]) * _DEGREE_M)
-        for lat, lon in corners_deg
-    ]
 
 
 class ServiceConfig(_Section, frozen=True, kw_only=True):
@@ -385,11 +297,8 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
     health_period_s: Annotated[float, Meta(gt=0.0, le=3600.0, description="seconds between two health lines")] = 5.0
     health_port: Annotated[
         int,
-        Meta(
-            ge=0,
-            le=65535,
-            description="port at 127.0.0.1 for monitors of this computer: /metrics for Prometheus, /health; 0: none",
-        ),
+        Meta(ge=0, le=65535),
+        Meta(description="port at 127.0.0.1 for monitors of this computer: /metrics for Prometheus, /health; 0: none"),
     ] = 0
     source: Annotated[
         str, Meta(description="where pings come from: ports, or e.g. replay:///data/mission.xtf?speed=1")
@@ -399,20 +308,18 @@ class ServiceConfig(_Section, frozen=True, kw_only=True):
     ] = True
     resume_within_h: Annotated[
         float,
+        Meta(ge=0.0, le=1000.0),
         Meta(
-            ge=0.0,
-            le=1000.0,
             description="ports only: hours for which a session that was cut off is gone on with at the next start; 0 "
-            "begins a new one",
+            "begins a new one"
         ),
     ] = 12.0
     stop_within_s: Annotated[
         float,
+        Meta(ge=3.0, le=600.0),
         Meta(
-            ge=3.0,
-            le=600.0,
             description="ports only: seconds from a signal to the end; work that takes longer stays on disk, for the "
-            "next start",
+            "next start"
         ),
     ] = 5.0
     output_directory: Annotated[str, Meta(description="where contacts, coverage and the journal are written")] = (
@@ -450,7 +357,7 @@ class Config(_Section, frozen=True, kw_only=True):
 
 def _are_apart(area_deg: tuple[tuple[float, float], ...], fence_deg: tuple[tuple[float, float], ...]) -> bool:
     """Check whether a straight line to the north or east lies between them."""
-    ways = [list(zip(*_about_first(corners, area_deg[0]), strict=True)) for corners in (area_deg, fence_deg)]
+    ways = [list(zip(*about_first(corners, area_deg[0]), strict=True)) for corners in (area_deg, fence_deg)]
     return any(max(ways[0][k]) <= min(ways[1][k]) or max(ways[1][k]) <= min(ways[0][k]) for k in (0, 1))
 
 
@@ -478,11 +385,8 @@ def _refuse_removed_keys(data: Any, place: str) -> None:
 
 
 _REMOVED: Final = {
-    (
-        "detect",
-        "max_evaluations_per_tile",
-    ): "budget.duty now bounds all work on a tile together, and 'auv-mcm calibrate budget' measures "
-    "what this computer affords",
+    ("detect", "max_evaluations_per_tile"): "budget.duty now bounds all work on a tile together, and 'auv-mcm "
+    "calibrate budget' measures what this computer affords",
 }
 
 
@@ -504,21 +408,16 @@ def config_yaml(config: Config) -> str:
             text = yaml.safe_dump(
                 {field.name: msgspec.to_builtins(section)}, sort_keys=False, allow_unicode=True, width=math.inf
             )
-            lines += [*_key_lines(field, (), "")[:-1], *text.splitlines(), ""]
+            lines += [*key_lines(field, (), "")[:-1], *text.splitlines(), ""]
             continue
         if not isinstance(field.type, inspect.StructType):
-            lines += [*_key_lines(field, section, ""), ""]
+            lines += [*key_lines(field, section, ""), ""]
             continue
         lines += [f"# {(field.type.cls.__doc__ or '').strip()}", f"{field.name}:"]
         for inner in field.type.fields:
-            lines += _key_lines(inner, getattr(section, inner.name), "  ")
+            lines += key_lines(inner, getattr(section, inner.name), "  ")
         lines.append("")
     return "\n".join(lines[:-1]) + "\n"
-
-
-def port_keys() -> list[str]:
-    """Describe every key of one of the `ports`, one line each: kind, range, default and meaning."""
-    return _keys_of(inspect.type_info(PortConfig), "")
 
 
 def config_schema() -> str:
@@ -527,14 +426,12 @@ def config_schema() -> str:
     return json.dumps(schema, indent=2) + "\n"
 
 
-# Choices, written without quotes because none of them means anything else in YAML.
-_WORDS = frozenset({"auto", "amplitude", "intensity", "log", "near_to_far", "far_to_near"})
 _HELP = "'auv-mcm config --write' prints every key with its meaning and range"
 
 
 def _without_empty(data: Any, kind: inspect.Type) -> Any:
     """Remove known keys that have no value, at any depth."""
-    kind = _bare(kind)
+    kind = bare(kind)
     if isinstance(kind, inspect.StructType) and isinstance(data, dict):
         kinds = {field.name: field.type for field in kind.fields}
         cleaned = {key: _without_empty(value, kinds.get(key, kind)) for key, value in data.items()}
@@ -553,100 +450,3 @@ def _refuse_control_characters(data: Any, path: str, place: str) -> None:
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in items:
         _refuse_control_characters(value, f"{path}.{key}" if path else str(key), place)
-
-
-def _bare(kind: inspect.Type) -> inspect.Type:
-    """Strip the description of a kind; of one that may be empty, give the section that it may be."""
-    if isinstance(kind, inspect.Metadata):
-        kind = kind.type
-    if isinstance(kind, inspect.UnionType):
-        return next((member for member in kind.types if isinstance(member, inspect.StructType)), kind)
-    return kind
-
-
-def _keys_of(section: inspect.Type, path: str) -> list[str]:
-    assert isinstance(section, inspect.StructType)
-    lines = []
-    for field in section.fields:
-        if isinstance(_bare(field.type), inspect.StructType):
-            lines += _keys_of(_bare(field.type), f"{path}{field.name}.")
-            continue
-        description = (
-            str((field.type.extra_json_schema or {}).get("description", ""))
-            if isinstance(field.type, inspect.Metadata)
-            else ""
-        )
-        default = "required" if field.required else f"default {_scalar(field.default) or 'empty'}"
-        lines.append(
-            f"{path}{field.name}: {_kind(field.type)}; {default}" + (f" - {description}" if description else "")
-        )
-    return lines
-
-
-def _key_lines(field: inspect.Field, value: Any, indent: str) -> list[str]:
-    kind, description = field.type, ""
-    if isinstance(kind, inspect.Metadata):
-        description = str((kind.extra_json_schema or {}).get("description", ""))
-    default = _scalar(field.default) or "empty"
-    return [
-        f"{indent}# {description}",
-        f"{indent}# {_kind(kind)}; default {default}",
-        f"{indent}{field.name}: {_scalar(value)}".rstrip(),
-    ]
-
-
-def _kind(kind: inspect.Type) -> str:
-    """Describe in words what a key takes."""
-    if isinstance(kind, inspect.Metadata):
-        if examples := (kind.extra_json_schema or {}).get("examples"):
-            return f"one of {', '.join(map(str, examples))}, or one that another package adds"
-        kind = kind.type
-    if isinstance(kind, inspect.DictType):
-        return "keys with values"
-    if isinstance(kind, inspect.LiteralType):
-        return "one of " + ", ".join(str(value) for value in kind.values)
-    if isinstance(kind, inspect.BoolType):
-        return "true or false"
-    if isinstance(kind, inspect.StrType):
-        return "text" if kind.max_length is None else f"text of at most {kind.max_length} characters"
-    if isinstance(kind, inspect.VarTupleType):
-        item = _bare(kind.item_type)
-        return (
-            "list; 'auv-mcm run --example' prints one"
-            if isinstance(item, inspect.StructType)
-            else f"list: {_kind(item)}"
-        )
-    if isinstance(kind, inspect.TupleType):
-        return f"list of {len(kind.item_types)}: {_kind(kind.item_types[0])}"
-    if isinstance(kind, inspect.UnionType):
-        return ", or ".join(
-            ["empty" if isinstance(member, inspect.NoneType) else _kind(member) for member in kind.types]
-        )
-    if isinstance(kind, inspect.IntType | inspect.FloatType):
-        word = "whole number" if isinstance(kind, inspect.IntType) else "number"
-        if kind.ge is not None and kind.le is not None:
-            return f"{word} from {kind.ge:g} to {kind.le:g}"
-        bounds = (("at least", kind.ge), ("above", kind.gt), ("at most", kind.le), ("below", kind.lt))
-        return f"{word} {' and '.join(f'{name} {bound:g}' for name, bound in bounds if bound is not None)}".rstrip()
-    raise TypeError(f"no words for {kind}")  # a new kind of key needs its words here
-
-
-def _scalar(value: Any) -> str:
-    """Write one value as YAML on one line; empty for None.
-
-    Exponents get a decimal point, which YAML 1.1 readers insist on.
-    """
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_scalar(item) for item in value) + "]"
-    if isinstance(value, str):
-        return (
-            value
-            if value in _WORDS
-            else yaml.safe_dump(value, default_style='"', allow_unicode=True, width=math.inf).rstrip("\n")
-        )
-    text = repr(value)
-    return text if "e" not in text or "." in text else text.replace("e", ".0e")

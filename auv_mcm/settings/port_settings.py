@@ -71,26 +71,22 @@ class NavUnitSettings(_Settings, frozen=True, kw_only=True):
     use_unit_time: Annotated[
         bool,
         Meta(
-            description=(
-                "take the times between measurements from the unit's own clock, which is free of the link's delays"
-            )
+            description="take the times between measurements from the unit's own clock, which is free of the link's "
+            "delays"
         ),
     ] = False
     gives_utc: Annotated[
         bool,
         Meta(
-            description=(
-                "nmea0183 only: UTC is that of its ZDA, sent each second, instead of this computer's; for one unit only"
-            )
+            description="nmea0183 only: UTC is that of its ZDA, sent each second, instead of this computer's; for one "
+            "unit only"
         ),
     ] = False
     pulse_link: Annotated[
         str | None,
         Meta(
-            description=(
-                "where the unit's pulse at each full second comes in, e.g. pps:///dev/pps0; each ZDA then names the "
-                "pulse before it"
-            )
+            description="where the unit's pulse at each full second comes in, e.g. pps:///dev/pps0; each ZDA then "
+            "names the pulse before it"
         ),
     ] = None
     surface_only: Annotated[bool, Meta(description="a satellite receiver: its positions are refused under water")] = (
@@ -129,9 +125,8 @@ class SonarPortConfig(_Settings, frozen=True, kw_only=True):
     command_link: Annotated[
         str | None,
         Meta(
-            description=(
-                "a wire of its own for commands, as EdgeTech's TCP port 1600 beside 1601; empty: they go to link"
-            )
+            description="a wire of its own for commands, as EdgeTech's TCP port 1600 beside 1601; empty: they go to "
+            "link"
         ),
     ] = None
     ping_interval_s: Annotated[
@@ -140,10 +135,8 @@ class SonarPortConfig(_Settings, frozen=True, kw_only=True):
     sides: Annotated[
         Sides,
         Meta(
-            description=(
-                "as_told, by_number (look angles do not count), swapped, or the one side that this port's head looks "
-                "to, for heads on wires of their own"
-            )
+            description="as_told, by_number (look angles do not count), swapped, or the one side that this port's head "
+            "looks to, for heads on wires of their own"
         ),
     ] = "as_told"
 

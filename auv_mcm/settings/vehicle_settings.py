@@ -53,11 +53,8 @@ class VehicleConfig(_Settings, frozen=True, kw_only=True):
     ] = 1800.0
     ask_again_s: Annotated[
         float,
-        Meta(
-            ge=1.0,
-            le=3600.0,
-            description="minimum time before control that was refused or revoked is requested again, s",
-        ),
+        Meta(ge=1.0, le=3600.0),
+        Meta(description="minimum time before control that was refused or revoked is requested again, s"),
     ] = 60.0
     state_valid_s: Annotated[
         float, Meta(gt=0.0, le=60.0, description="without a position of the vehicle for so long control is returned, s")
@@ -91,12 +88,10 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
     source_id: Annotated[int, Meta(ge=0x6000, le=0x7FFF, description="our own IMC address, 24576 to 32767")] = 0x6000
     vehicle_id: Annotated[
         int,
+        Meta(ge=0, le=0xFFFE),
         Meta(
-            ge=0,
-            le=0xFFFE,
-            description=(
-                "the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its state"
-            ),
+            description="the vehicle's IMC address; 0: that of the first vehicle that announces itself or reports its "
+            "state"
         ),
     ] = 0
     own_plan: Annotated[
@@ -108,16 +103,14 @@ class ImcSettings(_Settings, frozen=True, kw_only=True):
     ] = True
     control_timeout_s: Annotated[
         float,
-        Meta(
-            ge=2.0, le=60.0, description="the vehicle takes control back after so long without a reference of ours, s"
-        ),
+        Meta(ge=2.0, le=60.0),
+        Meta(description="the vehicle takes control back after so long without a reference of ours, s"),
     ] = 5.0
     acknowledges: Annotated[
         bool,
         Meta(
-            description=(
-                "the vehicle supports messages 1700 (contact) and 1701 (its answer); false: contacts go as Target alone"
-            )
+            description="the vehicle supports messages 1700 (contact) and 1701 (its answer); false: contacts go as "
+            "Target alone"
         ),
     ] = False
 
@@ -134,10 +127,8 @@ class CanSettings(_Settings, frozen=True, kw_only=True):
     nmea2000_addresses: Annotated[
         tuple[Annotated[int, Meta(ge=0, le=251)], ...],
         Meta(
-            description=(
-                "NMEA 2000 units on this bus that report the vehicle's position; empty: its controller reports it by "
-                "VEHICLE_STATE"
-            )
+            description="NMEA 2000 units on this bus that report the vehicle's position; empty: its controller reports "
+            "it by VEHICLE_STATE"
         ),
     ] = ()
 
@@ -153,30 +144,22 @@ class IverSettings(_Settings, frozen=True, kw_only=True):
 
     remote_helm_version: Annotated[
         int,
-        Meta(
-            ge=1,
-            le=99,
-            description="major version on the vehicle; before 5 it takes depths in feet, from 5 on in metres",
-        ),
+        Meta(ge=1, le=99),
+        Meta(description="major version on the vehicle; before 5 it takes depths in feet, from 5 on in metres"),
     ] = 5
     max_pitch_deg: Annotated[
         float, Meta(gt=0.0, le=45.0, description="steepest pitch to dive and climb with, degrees")
     ] = 20.0
     command_timeout_s: Annotated[
         int,
-        Meta(
-            ge=1,
-            le=120,
-            description="the vehicle keeps its own plan again so long after a command that no other follows, s",
-        ),
+        Meta(ge=1, le=120),
+        Meta(description="the vehicle keeps its own plan again so long after a command that no other follows, s"),
     ] = 5
     poll_s: Annotated[float, Meta(ge=0.1, le=2.0, description="period of requests for the vehicle's state, s")] = 0.5
     contact_sentence: Annotated[
         str,
-        Meta(
-            pattern="^(P[A-Z0-9]{3,5})?$",
-            description="name of the sentence for contacts and health; empty: neither is reported",
-        ),
+        Meta(pattern="^(P[A-Z0-9]{3,5})?$"),
+        Meta(description="name of the sentence for contacts and health; empty: neither is reported"),
     ] = "PMCM"
 
 
@@ -185,10 +168,8 @@ class ReconSettings(_Settings, frozen=True, kw_only=True):
 
     contact_type: Annotated[
         str,
-        Meta(
-            pattern="^[ABDF-PRTUW-Z]?$",
-            description="type letter of the frame for contacts; empty: contacts are not reported",
-        ),
+        Meta(pattern="^[ABDF-PRTUW-Z]?$"),
+        Meta(description="type letter of the frame for contacts; empty: contacts are not reported"),
     ] = "K"
 
 

@@ -7,14 +7,27 @@ import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from auv_mcm.safe_files import replacing, sync_directory
 
+CHECKPOINT_S: Final = 10.0
+"""s between two checkpoints after tiles, minimum: bounds what is written, 4 to 9 MB each time, and what is replayed."""
 _MAGIC: Final = b"auv-mcm checkpoint 1\n"
 _CHECKSUM_BYTES: Final = 4  # of a CRC-32
 _PATTERN: Final = "checkpoint-????????????.bin"
 _N_KEPT: Final = 2  # the one before serves where the newest is damaged
+
+
+class Keeping(NamedTuple):
+    """State where checkpoints go, and what they belong to: one of another kind is not gone on from.
+
+    every_s: between two after tiles, minimum.
+    """
+
+    folder: Path
+    kind: str
+    every_s: float = CHECKPOINT_S
 
 
 def write_checkpoint(folder: Path, number: int, state: bytes) -> None:

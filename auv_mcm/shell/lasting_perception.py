@@ -25,22 +25,12 @@ from auv_mcm.errors import AuvMcmError
 from auv_mcm.plan.look_again import PlanRequest
 from auv_mcm.records import Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.checkpoint import commit_checkpoint
+from auv_mcm.shell.checkpoint import Keeping, commit_checkpoint
 from auv_mcm.shell.event_queue import Queued
 from auv_mcm.shell.event_spool import EventSpool, Spooled
-from auv_mcm.shell.perception import (
-    RING_BYTES,
-    Checkpointed,
-    Fed,
-    Finished,
-    Keeping,
-    MakePipeline,
-    Perception,
-    PerceptionError,
-    Planned,
-    Started,
-    WorkDone,
-)
+from auv_mcm.shell.perception import RING_BYTES, Perception, WorkDone
+from auv_mcm.shell.perception_chain import MakePipeline
+from auv_mcm.shell.perception_messages import Checkpointed, Fed, Finished, PerceptionError, Planned, Started
 
 log = logging.getLogger(__name__)
 

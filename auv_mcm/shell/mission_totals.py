@@ -18,7 +18,7 @@ from auv_mcm.contacts.contact import is_mine_like
 from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.detect.belief import odds_of, probability
 from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, Notice
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 
 
 def contact_totals(contacts: Iterable[Contact], coverage: Iterable[CoveragePatch]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from auv_mcm.clearance.clearance_export import clearance_geojson
 from auv_mcm.clearance.clearance_map import Clearance
@@ -21,8 +21,10 @@ from auv_mcm.contacts.export import (
     coverage_order,
     waypoints_geojson,
 )
+from auv_mcm.contacts.operating_point import OperatingPoint
 from auv_mcm.records import Contact, CoveragePatch, Waypoint
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
+from auv_mcm.shell.mission_totals import area_totals, contact_totals, point_totals, search_totals
 from auv_mcm.shell.tally import Tally
 from auv_mcm.shell.whole_files import write_file, write_parts
 
@@ -42,41 +44,50 @@ def plan_waypoints(
     return plan_reinspection(contacts, *pose, config)
 
 
-def write_results(
-    folder: Path,
-    contacts: Iterable[Contact],
-    coverage: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    mission: str,
-) -> None:
-    """Write contacts, coverage and way-points in `folder`, each file whole or not at all.
+class MissionResults(NamedTuple):
+    """Hold what a mission has come to at its end.
 
-    Parameters
-    ----------
-    contacts, coverage
-        Gone through several times; one at a time where they come in the order in which they are written.
+    contacts, coverage: gone through several times; one at a time where they come in the order in which they are
+    written. clearance_png: the picture of it, empty without one.
     """
-    for write in result_writers(folder, contacts, coverage, waypoints, mission).values():
-        write()
 
+    contacts: Iterable[Contact]
+    coverage: Iterable[CoveragePatch]
+    waypoints: Sequence[Waypoint]
+    tally: Tally
+    operating_point: OperatingPoint | None
+    clearance: Clearance | None
+    clearance_png: bytes
 
-def result_writers(
-    folder: Path,
-    contacts: Iterable[Contact],
-    coverage: Iterable[CoveragePatch],
-    waypoints: Sequence[Waypoint],
-    mission: str,
-) -> dict[str, Callable[[], None]]:
-    """Give what writes each file of `write_results`, by the file's name; each raises OSError for itself."""
-    contacts, coverage = _in_order(contacts, contact_order), _in_order(coverage, coverage_order)
-    parts: dict[str, Callable[[], Iterable[bytes]]] = {
-        "contacts.geojson": lambda: contacts_geojson_parts(contacts),
-        "contacts.csv": lambda: (row.encode() for row in contacts_csv_parts(contacts)),
-        "contacts.kml": lambda: (part.encode() for part in contacts_kml_parts(contacts, mission)),
-        "coverage.geojson": lambda: coverage_geojson_parts(coverage),
-        "waypoints.geojson": lambda: [waypoints_geojson(waypoints)],
-    }
-    return {name: partial(lambda name, of: write_parts(folder / name, of()), name, of) for name, of in parts.items()}
+    def writers(self, folder: Path, mission: str) -> dict[str, Callable[[], None]]:
+        """Give what writes each file in `folder`, whole or not at all, by the file's name; each raises OSError.
+
+        mission: its name.
+        """
+        contacts, coverage = _in_order(self.contacts, contact_order), _in_order(self.coverage, coverage_order)
+        parts: dict[str, Callable[[], Iterable[bytes]]] = {
+            "contacts.geojson": lambda: contacts_geojson_parts(contacts),
+            "contacts.csv": lambda: (row.encode() for row in contacts_csv_parts(contacts)),
+            "contacts.kml": lambda: (part.encode() for part in contacts_kml_parts(contacts, mission)),
+            "coverage.geojson": lambda: coverage_geojson_parts(coverage),
+            "waypoints.geojson": lambda: [waypoints_geojson(self.waypoints)],
+        }
+        clearance = partial(write_clearance, folder, self.clearance, self.clearance_png)
+        writers = {
+            name: partial(lambda name, of: write_parts(folder / name, of()), name, of) for name, of in parts.items()
+        }
+        return {**writers, "clearance.geojson": clearance}
+
+    def totals(self, plan: PlanConfig, verdict: str = "") -> dict[str, Any]:
+        """Sum up the mission for summary.json. verdict: of planning on the area, while it went on."""
+        return {
+            **self.tally.totals(),
+            **contact_totals(self.contacts, self.coverage),
+            **point_totals(self.operating_point),
+            **search_totals(self.clearance, self.contacts),
+            **area_totals(self.clearance, plan, verdict),
+            "waypoints": len(self.waypoints),
+        }
 
 
 def _in_order(records: Iterable[T], key: Callable[[T], Any]) -> Iterable[T]:

@@ -85,6 +85,12 @@ class VehicleLink:
             self.vehicle.report(contact)
             self._look_again.learn(contact)
 
+    async def report_again(self, contacts: Iterable[Contact]) -> None:
+        """Report what a run before has found; what the vehicle does not have for certain comes again."""
+        for contact in contacts:
+            self.report([contact])
+            await asyncio.sleep(0.0)
+
     def report_early(self, contacts: Iterable[EarlyContact]) -> None:
         """Report early contacts that are on disk to the vehicle alone: nothing is planned for what may be withdrawn."""
         for early in contacts:

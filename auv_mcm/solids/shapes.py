@@ -164,14 +164,7 @@ def view_shape(
         np.asarray(value, dtype=np.float64)
         for value in (along_track_offset_m, ground_range_m, altitude_m, slope_rad, squint_rad)
     )
-    if np.any(altitude <= 0.0):
-        raise ValueError(
-            f"altitude_m must be positive, got {np.nanmin(altitude):g}: leave out pings without a known altitude"
-        )
-    if np.any(np.abs(slope) >= 0.5 * np.pi):
-        raise ValueError(
-            f"slope_rad must be between -pi/2 and pi/2, got {slope.ravel()[np.nanargmax(np.abs(slope))]:g}"
-        )
+    _check_water(altitude, slope)
     across, along = np.sin(squint), np.cos(squint)
     offset, ground_range = offset * along + ground_range * across, ground_range * along - offset * across
 
@@ -194,6 +187,18 @@ def view_shape(
         tangent_slant_range_m=np.hypot(seen.tangent_m, altitude - seen.tangent_height_m),
         shadow_end_m=np.where(np.isnan(seen.tangent_m), np.nan, (reach + foot) * np.cos(slope)),
     )
+
+
+def _check_water(altitude: Array, slope: Array) -> None:
+    """Raise ValueError unless the sonar is above a floor that it can look along."""
+    if np.any(altitude <= 0.0):
+        raise ValueError(
+            f"altitude_m must be positive, got {np.nanmin(altitude):g}: leave out pings without a known altitude"
+        )
+    if np.any(np.abs(slope) >= 0.5 * np.pi):
+        raise ValueError(
+            f"slope_rad must be between -pi/2 and pi/2, got {slope.ravel()[np.nanargmax(np.abs(slope))]:g}"
+        )
 
 
 def flat_ground_range_m(slant_range_m: ArrayLike, altitude_m: ArrayLike) -> Array:

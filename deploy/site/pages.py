@@ -16,7 +16,8 @@ from typing import Final
 
 from auv_mcm.cli import _parser
 from auv_mcm.commands import Parser
-from auv_mcm.settings.config import Config, config_yaml, port_keys
+from auv_mcm.settings.config import Config, config_yaml
+from auv_mcm.settings.key_words import port_keys
 from auv_mcm.shell.health.record import REASONS, STATES, VALUES
 from auv_mcm.shell.health.text import metric_name
 from auv_mcm.skips import SKIPS

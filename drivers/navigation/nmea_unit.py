@@ -123,6 +123,24 @@ class NmeaUnit:
                 if fix_fields["valid"]:
                     fix_fields.update(_place(record.latitude_deg, record.longitude_deg))
                 return fix_fields
+            case Vtg():
+                fix_fields = _judged("A", record.mode)
+                if fix_fields["valid"]:
+                    fix_fields.update(speed_mps=record.speed_mps, course_rad=record.course_rad)
+                return fix_fields
+            case Zda():
+                time_utc_s = self._date.dated(record.date_days, record.time_of_day_s, stamp)
+                return {
+                    "time_utc_s": time_utc_s,
+                    "is_time_message": time_utc_s is not None and not math.isnan(record.date_days),
+                }
+            case Dpt() | Dbt():
+                return {"altitude_m": record.depth_m if record.depth_m > 0.0 else NAN, "valid": record.depth_m > 0.0}
+        return self._attitude_fields(record, stamp)
+
+    def _attitude_fields(self, record: Any, stamp: Stamp) -> dict[str, Any]:
+        """Return the fields of a fix that a sentence of heading, pitch or roll fills."""
+        match record:
             case Ths():
                 sound = record.mode not in _THS_NOT_MEASURED and not math.isnan(record.heading_rad)
                 return {"heading_rad": record.heading_rad if sound else NAN, "valid": sound}
@@ -138,19 +156,6 @@ class NmeaUnit:
                 return _attitude(record.heading_rad, record.pitch_rad, record.roll_rad)
             case Hdt():
                 return {"heading_rad": record.heading_rad, "valid": not math.isnan(record.heading_rad)}
-            case Vtg():
-                fix_fields = _judged("A", record.mode)
-                if fix_fields["valid"]:
-                    fix_fields.update(speed_mps=record.speed_mps, course_rad=record.course_rad)
-                return fix_fields
-            case Zda():
-                time_utc_s = self._date.dated(record.date_days, record.time_of_day_s, stamp)
-                return {
-                    "time_utc_s": time_utc_s,
-                    "is_time_message": time_utc_s is not None and not math.isnan(record.date_days),
-                }
-            case Dpt() | Dbt():
-                return {"altitude_m": record.depth_m if record.depth_m > 0.0 else NAN, "valid": record.depth_m > 0.0}
             case Pashr():
                 return {
                     "time_utc_s": self._date.nearest(record.time_of_day_s, stamp),

@@ -19,7 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from auv_mcm.errors import BadInputError
 from auv_mcm.geometry.georeference import EchoGeometry, locate
 from auv_mcm.geometry.pose_track import slice_pose
-from auv_mcm.records import Side
+from auv_mcm.records import EchoTrace, Side
 from auv_mcm.safe_files import read_regular
 from auv_mcm.settings.config import Config
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
@@ -197,18 +197,8 @@ def _embed_look(
     stretch, side, line, ground_m = window.stretch, window.side, window.line, window.ground_range_m
     trace = stretch.trace(window.ping, side)
     assert trace is not None
-    height_m = float(stretch.first_return_m[window.ping])
-    top_m = min(scene_object.height_m + scene_object.length_m * abs(math.sin(scene_object.tilt_rad)), 0.9 * height_m)
-    # The recovered floor may fall away behind the object: half as long again as on a plane.
-    reach_m = scene_object.reach_m * (1.0 + 0.6 * (scene_object.scour_m > 0.0))
-    shadow_m = 1.5 * ((ground_m + reach_m) * height_m / (height_m - top_m) - ground_m)
-    farthest_m = ground_m + shadow_m + _BEYOND_M
-    around_m = reach_m + config.sonar.beam_width_rad * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
-    along = stretch.along_m - stretch.along_m[window.ping]
-    pings = slice(int(np.searchsorted(along, -around_m)), int(np.searchsorted(along, around_m, side="right")))
-    # As far as every ping of the window reaches.
-    last_m = trace.first_range_m + (trace.samples.shape[0] - 0.5) * trace.spacing_m
-    farthest_m = min(farthest_m, math.sqrt(max(last_m**2 - float(stretch.first_return_m[pings].max()) ** 2, 0.0)))
+    height_m, along = float(stretch.first_return_m[window.ping]), stretch.along_m - stretch.along_m[window.ping]
+    pings, reach_m, farthest_m = _extent(window, scene_object, config, trace)
     samples = window.samples(pings)
     recorded, valid = to_intensity(samples, survey.transfer)
     intensity = np.where(valid, recorded, 0.0).astype(np.float64)
@@ -253,6 +243,26 @@ def _embed_look(
         contrast_db=contrast_db,
         n_samples=int(np.count_nonzero(changed)),
     )
+
+
+def _extent(
+    window: _Window, scene_object: PlacedObject, config: Config, trace: EchoTrace
+) -> tuple[slice, float, float]:
+    """Find the pings that see the object or its shadow, its reach, m, and the farthest ground range of both, m."""
+    stretch, ground_m = window.stretch, window.ground_range_m
+    height_m = float(stretch.first_return_m[window.ping])
+    top_m = min(scene_object.height_m + scene_object.length_m * abs(math.sin(scene_object.tilt_rad)), 0.9 * height_m)
+    # The recovered floor may fall away behind the object: half as long again as on a plane.
+    reach_m = scene_object.reach_m * (1.0 + 0.6 * (scene_object.scour_m > 0.0))
+    shadow_m = 1.5 * ((ground_m + reach_m) * height_m / (height_m - top_m) - ground_m)
+    farthest_m = ground_m + shadow_m + _BEYOND_M
+    around_m = reach_m + config.sonar.beam_width_rad * min(farthest_m, config.sonar.max_range_m) + _AROUND_M
+    along = stretch.along_m - stretch.along_m[window.ping]
+    pings = slice(int(np.searchsorted(along, -around_m)), int(np.searchsorted(along, around_m, side="right")))
+    # As far as every ping of the window reaches.
+    last_m = trace.first_range_m + (trace.samples.shape[0] - 0.5) * trace.spacing_m
+    farthest_m = min(farthest_m, math.sqrt(max(last_m**2 - float(stretch.first_return_m[pings].max()) ** 2, 0.0)))
+    return pings, reach_m, farthest_m
 
 
 def _picture(

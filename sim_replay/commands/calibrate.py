@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
-import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
-from auv_mcm.commands import CONFIG, Commands, Progress, add_config_option, command, read_config, whole, write_new
-from auv_mcm.errors import UsageError
-from sim_replay.arguments import count
+from auv_mcm.commands import CONFIG, Commands, Progress, command, read_config, whole, write_new
+from sim_replay.arguments import check_new, count
+from sim_replay.commands.calibrate_budget import add_budget, add_budget_options, run_budget_or_ask
 
 if TYPE_CHECKING:
     from sim_replay.fitting.cascade.farm import Farm
@@ -25,16 +23,6 @@ Option: TypeAlias = tuple[str, dict[str, Any]]
 """An option, and how it is added."""
 
 _LAST_SEED: Final = 2**32 - 1  # largest of 32 bits
-
-_BUDGET: Final = (
-    "Measures what each unit of the chain's work costs on one core: stored samples, pixels, comparisons of the "
-    "cascade, peaks measured, moves of contours, hypotheses on solids. --write puts these prices and the duty into a "
-    "configuration. A mission counts its work by them and never looks at a clock. Run it on the vehicle's computer, "
-    "with nothing else running; it takes half a minute. --speed is for the summary of what the duty buys; a mission "
-    "goes by its own speed. The mission that is timed is simulated, for which the bench has to be installed; or give "
-    "--log: what your own sonar recorded does as well where it shows many objects. Of what it does not show, the "
-    "price in the configuration stays."
-)
 
 
 class Fit(NamedTuple):
@@ -66,47 +54,15 @@ def add(commands: Commands) -> None:
         ],
     )
     # Scripts give --speed without a subcommand.
-    _add_budget_options(parser, required=False)
-    parser.set_defaults(command=partial(_run_budget_or_ask, parser))
+    add_budget_options(parser, required=False)
+    parser.set_defaults(command=partial(run_budget_or_ask, parser))
     kinds = parser.add_subparsers(title="what to calibrate", metavar="background|budget|gate|odds|performance|seabed")
-    _add_budget(kinds)
+    add_budget(kinds)
     for fit in FITS:
         parser = command(kinds, fit.name, fit.does, fit.more, fit.examples)
         for name, how in fit.options:
             parser.add_argument(name, **how)
         parser.set_defaults(command=partial(_with_progress, fit.run))
-
-
-def _add_budget(kinds: Commands) -> None:
-    parser = command(
-        kinds,
-        "budget",
-        "measure what the chain's work costs on this computer",
-        _BUDGET,
-        ["auv-mcm calibrate budget --config vehicle.yaml --speed 2.0 --duty 0.25 --write calibrated.yaml"],
-    )
-    _add_budget_options(parser, required=True)
-    parser.set_defaults(command=_run_budget)
-
-
-def _add_budget_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
-    add_config_option(parser)
-    parser.add_argument(
-        "--speed", metavar="M/S", type=_between(0.0, 100.0), required=required, help="highest speed over ground, m/s"
-    )
-    parser.add_argument(
-        "--duty",
-        metavar="SHARE",
-        type=_between(0.0, 1.0),
-        default=0.25,
-        help="budget.duty: of one core's time (default 0.25)",
-    )
-    parser.add_argument(
-        "--write", metavar="FILE", type=Path, help="new file for the configuration with those prices and that duty"
-    )
-    parser.add_argument(
-        "--log", metavar="LOG", type=Path, help="measure on the beginning of a log, such as a session's recording"
-    )
 
 
 def _farm_of(arguments: argparse.Namespace) -> Farm:
@@ -123,46 +79,10 @@ def _theatre_of(arguments: argparse.Namespace) -> Theatre:
     return read_theatre(arguments.theatre, read_config(arguments.config), options) if options else USUAL
 
 
-def _run_budget_or_ask(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
-    if arguments.speed is None:
-        parser.error(
-            "choose what to calibrate: background, budget, gate, odds, performance, seabed or sizes; or give --speed "
-            "for the budget"
-        )
-    return _run_budget(arguments)
-
-
-def _run_budget(arguments: argparse.Namespace) -> int:
-    import msgspec
-
-    from auv_mcm.settings.config import config_yaml
-    from sim_replay.fitting.measure_prices import look_work, measure_prices, price_words
-
-    config = read_config(arguments.config)
-    _check_new(arguments.write, "--write")
-    if arguments.log is None and importlib.util.find_spec("scipy") is None:
-        raise UsageError(
-            "the mission that is timed is simulated, which needs the package scipy: python -m pip install "
-            "'auv-mcm[bench]', or give --log a recording of this payload"
-        )
-    found = measure_prices(config, log=arguments.log)
-    for name, n_units in found.n_units.items():
-        if n_units == 0:
-            print(f"no {name} in {arguments.log}: their prices stay as they were")
-    budget = msgspec.structs.replace(found.prices, duty=arguments.duty)
-    for name in budget.__struct_fields__:
-        print(f"budget.{name}: {getattr(budget, name):g}")
-    print(look_work(found.n_units))
-    print(price_words(budget, config, arguments.speed, arguments.duty))
-    if arguments.write is not None:
-        write_new(arguments.write, config_yaml(msgspec.structs.replace(config, budget=budget)))
-    return 0
-
-
 def _run_background(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_background import background_json, calibrate_background
 
-    _check_new(arguments.out)
+    check_new(arguments.out)
     write_new(
         arguments.out,
         background_json(calibrate_background(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments))),
@@ -174,7 +94,7 @@ def _run_verifier(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.cascade.farm import Farm
     from sim_replay.fitting.verifier.build import N_MISSIONS, build, write_built
 
-    _check_new(arguments.out)
+    check_new(arguments.out)
     built = build(arguments.looks, arguments.missions or N_MISSIONS, Farm(arguments.workers), show, print)
     write_built(built, arguments.out)
     print(built.tables)
@@ -184,7 +104,7 @@ def _run_verifier(arguments: argparse.Namespace, show: Show) -> int:
 def _run_gate(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.fit_gate import calibrate_gate, gate_json
 
-    _check_new(arguments.out)
+    check_new(arguments.out)
     write_new(
         arguments.out, gate_json(calibrate_gate(arguments.seeds, _farm_of(arguments), show, _theatre_of(arguments)))
     )
@@ -195,7 +115,7 @@ def _run_sizes(arguments: argparse.Namespace, show: Show) -> int:
     from auv_mcm import __version__
     from sim_replay.fitting.fit_sizes import calibrate_sizes, size_model_json
 
-    _check_new(arguments.out)
+    check_new(arguments.out)
     seeds = arguments.seeds
     made_by = f"version {__version__}, auv-mcm calibrate sizes --seeds {seeds[0]}-{seeds[-1]}"
     write_new(arguments.out, size_model_json(calibrate_sizes(seeds, arguments.workers, made_by, show)))
@@ -231,7 +151,7 @@ def _run_verdicts(arguments: argparse.Namespace) -> int:
     from sim_replay.fitting.judged_missions import read_judged_missions
     from sim_replay.fitting.recalibrate import recalibrated, refit, refit_words
 
-    _check_new(arguments.out)
+    check_new(arguments.out)
     missions = read_judged_missions(arguments.verdicts)
     detector = missions[0].detector
     found = refit(missions, shipped_background().prior(detector))
@@ -256,7 +176,7 @@ def _run_performance(arguments: argparse.Namespace, show: Show) -> int:
     )
     from sim_replay.fitting.detection_performance.fit_performance import fit_performance
 
-    _check_new(arguments.out)
+    check_new(arguments.out)
     seeds, flights = arguments.seeds or FIT_SEEDS, arguments.flights or FLIGHTS
     missions = fly_all(seeds, flights, _farm_of(arguments), show, _theatre_of(arguments))
     looks = [look for mission in missions for look in mission]
@@ -279,7 +199,7 @@ def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     from sim_replay.fitting.seabed.fit_seabed import FIT_SEEDS, fit_seabed_model, seabed_fit_words
     from sim_replay.fitting.seabed.samples import pooled, samples_of
 
-    _check_new(arguments.out)
+    check_new(arguments.out)
     seeds = arguments.seeds or FIT_SEEDS
     farm = _farm_of(arguments)
     collect = partial(samples_of, theatre=_theatre_of(arguments))
@@ -289,16 +209,6 @@ def _run_seabed(arguments: argparse.Namespace, show: Show) -> int:
     if arguments.out is not None:
         write_new(arguments.out, msgspec.json.format(msgspec.json.encode(model), indent=1).decode() + "\n")
     return 0
-
-
-def _check_new(out: Path | None, option: str = "--out") -> None:
-    """Check early that a file can be made. Raises UsageError if it cannot."""
-    if out is None:
-        return
-    if out.exists():
-        raise UsageError(f"{option} {out} exists and is not overwritten: name a new file, or remove it")
-    if not out.parent.is_dir():
-        raise UsageError(f"{option} {out}: there is no folder {out.parent}. Make it first")
 
 
 def _with_progress(run: Callable[[argparse.Namespace, Show], int], arguments: argparse.Namespace) -> int:
@@ -312,19 +222,6 @@ def _seeds(text: str) -> range:
     if dash and first.isdecimal() and last.isdecimal() and len(text) < 24 and int(first) <= int(last) <= _LAST_SEED:
         return range(int(first), int(last) + 1)
     raise argparse.ArgumentTypeError(f"'{text}' is not a range of seeds. Write the first and the last, as in 800-815")
-
-
-def _between(low: float, high: float) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        try:
-            number = float(text)
-        except ValueError:
-            number = math.nan
-        if not low < number <= high:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number above {low:g} and up to {high:g}")
-        return number
-
-    return parse
 
 
 def _option(name: str, **how: Any) -> Option:

@@ -4,9 +4,27 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Final
 
 from auv_mcm.commands import Commands, Progress, add_config_option, add_json_option, answer, command, read_config, whole
 from auv_mcm.skips import ALL_SKIPS, SKIPS
+
+_DESCRIPTION: Final = """\
+Writes contacts.geojson, contacts.csv, contacts.kml, waypoints.geojson, coverage.geojson, summary.json,
+report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay
+in the same directory are replaced. Several logs are one mission, taken in order of time. EdgeTech (.jsf) and
+SonarView (.svlog) logs go through the decoders of the live ports. Sonar images
+(TIFF, PNG, npy, HDF5) need a sidecar, as the page 'Replay a SAS image' says. A session that
+'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with unless
+another is given; if it was cut off and went on, all its recordings are one mission."""
+_EXAMPLES: Final = [
+    "auv-mcm replay mission.xtf",
+    "auv-mcm replay mission.xtf --out results",
+    "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
+    "auv-mcm replay survey.jsf --out results",
+    "auv-mcm replay port.tif starboard.tif --out results",
+    "auv-mcm replay auv-mcm-out/latest --out results",
+]
 
 
 def add(commands: Commands) -> None:
@@ -15,23 +33,8 @@ def add(commands: Commands) -> None:
         commands,
         "replay",
         "replay recorded missions and write contacts, maps and a report",
-        "Writes contacts.geojson, contacts.csv, contacts.kml, waypoints.geojson, coverage.geojson, summary.json,\n"
-        "report.html (one file, for any browser) and snippets/ (a picture per contact). Results of an earlier replay\n"
-        "in the same directory are replaced. Several logs are one mission, taken in order of time. EdgeTech (.jsf) "
-        "and\n"
-        "SonarView (.svlog) logs go through the decoders of the live ports. Sonar images\n"
-        "(TIFF, PNG, npy, HDF5) need a sidecar, as the page 'Replay a SAS image' says. A session that\n"
-        "'auv-mcm run' recorded goes through the same decoders again, with the configuration it was recorded with "
-        "unless\n"
-        "another is given; if it was cut off and went on, all its recordings are one mission.",
-        [
-            "auv-mcm replay mission.xtf",
-            "auv-mcm replay mission.xtf --out results",
-            "auv-mcm replay leg1.xtf leg2.xtf --out results --config vehicle.yaml",
-            "auv-mcm replay survey.jsf --out results",
-            "auv-mcm replay port.tif starboard.tif --out results",
-            "auv-mcm replay auv-mcm-out/latest --out results",
-        ],
+        _DESCRIPTION,
+        _EXAMPLES,
     )
     parser.add_argument(
         "logs",

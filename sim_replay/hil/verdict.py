@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -204,19 +204,6 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
         case LineRule():
             n_lines = _n_lines(evidence, re.compile(rule.matching), rule.between_s)
             return _limited(rule, n_lines, f"lines with '{rule.matching}'{_window(rule.between_s)}")
-        case SettingsRule():
-            reported = [
-                str(report.details["applied"]) for report in evidence.reports[rule.device] if report.what == "settings"
-            ]
-            n_explained = sum(rule.containing in settings for settings in reported)
-            return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
-        case DeviceRule():
-            counters = next(
-                (report.details for report in evidence.reports[rule.device] if report.what == "counters"), {}
-            )
-            return _limited(rule, float(counters.get(rule.counter, 0)), f"{rule.counter} of '{rule.device}'")
-        case Reopened():
-            return _reopened(rule, evidence.reports[rule.device])
         case TargetsFound():
             likely = [contact for contact in evidence.contacts if contact.p_mine >= rule.min_p_mine]
             n_found = len(_matched(evidence.targets, likely, rule.within_m))
@@ -232,13 +219,29 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
             return _restarted(rule, evidence)
         case Steady():
             return steady(rule.share, evidence.samples)
+        case _:
+            return _of_device(rule, evidence, evidence.reports[rule.device])
+
+
+OfVehicle: TypeAlias = Passed | Sharper | ReportedInTime | InsideFence | AboveFloor | OwnPlanAtEnd | Silence
+OfDevice: TypeAlias = SettingsRule | DeviceRule | Reopened | ReportRule | OfVehicle
+
+
+def _of_device(rule: OfDevice, evidence: Evidence, reports: Sequence[Report]) -> tuple[str, str, bool]:
+    """Judge what a device reported."""
+    match rule:
+        case SettingsRule():
+            reported = [str(report.details["applied"]) for report in reports if report.what == "settings"]
+            n_explained = sum(rule.containing in settings for settings in reported)
+            return _limited(rule, n_explained, f"times '{rule.device}' is set to '{rule.containing}'")
+        case DeviceRule():
+            counters = next((report.details for report in reports if report.what == "counters"), {})
+            return _limited(rule, float(counters.get(rule.counter, 0)), f"{rule.counter} of '{rule.device}'")
+        case Reopened():
+            return _reopened(rule, reports)
         case ReportRule():
             first_s, last_s = rule.between_s or (-math.inf, math.inf)
-            reports = [
-                report
-                for report in evidence.reports[rule.device]
-                if report.what == rule.what and first_s <= report.at_s <= last_s
-            ]
+            reports = [report for report in reports if report.what == rule.what and first_s <= report.at_s <= last_s]
             n_reports = sum(rule.containing in json.dumps(report.details) for report in reports)
             containing = f" with {rule.containing}" if rule.containing else ""
             return _limited(
@@ -250,21 +253,21 @@ def _judged(rule: Rule, evidence: Evidence) -> tuple[str, str, bool]:
                 f"passes under command at {low_m:g} to {high_m:g} m, {rule.other_look_deg:g} degrees or more from "
                 "looks before"
             )
-            return _limited(rule, n_passed(rule, evidence.reports[rule.device]), what)
+            return _limited(rule, n_passed(rule, reports), what)
         case Sharper():
             what = "contacts with one view first, with more last, and then nearer to the truth; no mine talked down"
             targets_deg = [target[:2] for target in evidence.targets]
-            return _limited(rule, n_sharper(evidence.reports[rule.device], targets_deg), what)
+            return _limited(rule, n_sharper(reports, targets_deg), what)
         case ReportedInTime():
-            return reported_in_time(rule, evidence.lines, evidence.reports[rule.device])
+            return reported_in_time(rule, evidence.lines, reports)
         case InsideFence():
-            return inside_fence(evidence.fence_deg, evidence.reports[rule.device])
+            return inside_fence(evidence.fence_deg, reports)
         case AboveFloor():
-            return above_floor(rule, evidence.reports[rule.device])
+            return above_floor(rule, reports)
         case OwnPlanAtEnd():
-            return own_plan_at_end(rule, evidence.reports[rule.device])
+            return own_plan_at_end(rule, reports)
         case Silence():
-            return own_plan_after(rule, evidence.killed_s, evidence.reports[rule.device])
+            return own_plan_after(rule, evidence.killed_s, reports)
 
 
 def _limited(rule: Counted, value: float, what: str, *, is_known: bool = True) -> tuple[str, str, bool]:

@@ -157,10 +157,6 @@ def _context(
     pictures: Pictures,
 ) -> dict[str, Any]:
     """Gather what the templates show."""
-    from markupsafe import Markup  # comes with jinja2
-
-    folder = Path(__file__).parent
-    script = (folder / "report.js").read_text(encoding="utf-8")
     ranked = ranked_contacts(contacts)
     strips = pictures.strips()
     track_deg = np.column_stack([mission.track_latitude_deg, mission.track_longitude_deg]).astype(np.float64)
@@ -174,65 +170,78 @@ def _context(
     listed = ranked[: MAX_CARDS + MAX_ROWS]
     listed += [one for one in ranked[len(listed) :] if one.id in judged][:MAX_ROWS]
     described = cards(listed[:MAX_CARDS], strips, waypoints)
-    notices = list(notices)
-
-    def is_shown_first(card: Card) -> bool:
-        verdict = judged.get(card.contact.id)
-        return card.mine_like or (verdict is not None and verdict.call == "mine_like")
-
+    first = {card.contact.id for card in described if card.mine_like or _call(judged, card) == "mine_like"}
     rows = [_contact_row(contact, strips, number < MAX_CARDS) for number, contact in enumerate(listed)]
     likely_rows = [row for row in rows if is_mine_like(row.contact) or _call(judged, row) == "mine_like"]
     likely_rows.sort(key=lambda row: _SUMMARY_ORDER[_call(judged, row)])
     return {
-        "style": Markup((folder / "report.css").read_text(encoding="utf-8")),
-        "title": mission.name or "Mission report",
-        "mission": mission,
+        **_frame(),
+        **_of_mission(mission, list(notices), counters),
         "facts": _facts(mission, contacts),
         "bands": _bands(contacts),
         "strips": [_strip_view(strip, listed, pictures.times()) for strip in strips],
-        "legend": _legend(),
-        "script": Markup(script),
-        "script_sha256": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         "chart": draw_chart(
             track_deg,
             listed,
             patches,
             waypoints,
-            None if mission.map_picture is None else mission.map_picture.box,
+            mission.map_picture and mission.map_picture.box,
             missed[:MAX_MISSED],
             structures,
         ),
-        "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
-        "layers": _LAYERS,
         "kinds": sorted({row.said.label for row in rows}),
         "said": {row.contact.id: row.said for row in rows},
-        "chart_width": WIDTH,
-        "searched": _searched(mission.searched),
-        "mines_left": _mines_left(mission.searched),
-        "clearance_map": base64.b64encode(mission.clearance_png).decode(),
-        "band": band,
-        "likely": [card for card in described if is_shown_first(card)],
-        "clutter": [card for card in described if not is_shown_first(card)],
+        "likely": [card for card in described if card.contact.id in first],
+        "clutter": [card for card in described if card.contact.id not in first],
         "rows": rows,
         "first_rows": likely_rows[:_ONE_PAGE_ROWS],
         "judged": judged,
         "structures": structures,
         "part_of": part_of,
         "grouped": set(part_of) - own_line,
-        "calls": CALLS,
         "missed": missed,
-        "most_missed": MAX_MISSED,
         "judgement": _judgement(judged.values(), missed),
         "n_more_likely": len(likely_rows[_ONE_PAGE_ROWS:]),
         "n_unlisted": len(ranked) - len(listed),
-        "mine_like_p": MINE_LIKE_P,
         "legs": [point for point in waypoints if point.kind == "leg_exit"],
+    }
+
+
+def _frame() -> dict[str, Any]:
+    """Give what is the same for every mission."""
+    from markupsafe import Markup  # comes with jinja2
+
+    folder = Path(__file__).parent
+    script = (folder / "report.js").read_text(encoding="utf-8")
+    return {
+        "style": Markup((folder / "report.css").read_text(encoding="utf-8")),
+        "legend": _legend(),
+        "script": Markup(script),
+        "script_sha256": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        "layers": _LAYERS,
+        "chart_width": WIDTH,
+        "band": band,
+        "calls": CALLS,
+        "most_missed": MAX_MISSED,
+        "mine_like_p": MINE_LIKE_P,
+        "words": words,
+    }
+
+
+def _of_mission(mission: MissionRecord, notices: Sequence[Notice], counters: Mapping[str, float]) -> dict[str, Any]:
+    """Give what is shown of the mission as a whole."""
+    return {
+        "title": mission.name or "Mission report",
+        "mission": mission,
+        "mosaic_uri": "" if mission.map_picture is None else _data_uri(mission.map_picture.webp, "webp"),
+        "searched": _searched(mission.searched),
+        "mines_left": _mines_left(mission.searched),
+        "clearance_map": base64.b64encode(mission.clearance_png).decode(),
         "counters": words.explained_counters(counters, words.is_loss),
         "counted": words.explained_counters(counters, lambda name: not words.is_loss(name)),
         "notices": _by_code([notice for notice in notices if not notice.for_the_record]),
         "remarks": _by_code([notice for notice in notices if notice.for_the_record]),
         "costs": _costs(mission.costs),
-        "words": words,
     }
 
 
@@ -242,8 +251,8 @@ def _member(contact: Contact) -> Member:
     )
 
 
-def _call(judged: Mapping[str, Verdict], row: ContactRow) -> str:
-    verdict = judged.get(row.contact.id)
+def _call(judged: Mapping[str, Verdict], shown: ContactRow | Card) -> str:
+    verdict = judged.get(shown.contact.id)
     return "" if verdict is None else verdict.call
 
 

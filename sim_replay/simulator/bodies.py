@@ -7,7 +7,7 @@ first echoes show. Its axes: u along its azimuth, v to the right of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -18,6 +18,7 @@ ELLIPSOID, CYLINDER, CONE, POLYHEDRON, TORUS, SCAR, MOAT = range(7)
 MOVES_FLOOR: Final = SCAR  # this kind and those after it move the floor instead of standing on it
 
 Floats: TypeAlias = NDArray[np.float64]
+Tops: TypeAlias = tuple[Floats, Floats, Floats, NDArray[np.bool_]]
 Planes: TypeAlias = tuple[tuple[float, float, float], ...]
 
 
@@ -42,7 +43,7 @@ class Body(NamedTuple):
 class Bodies(NamedTuple):
     """Pack bodies for the renderer.
 
-    table: (n_bodies, 20) float64, columns as in render.c. planes: (n_planes, 3) float64.
+    table: (n_bodies, 20) float64, columns as in bodies.h. planes: (n_planes, 3) float64.
     """
 
     table: Floats
@@ -84,95 +85,129 @@ def near(bodies: Bodies, low_east_m: float, high_east_m: float, low_north_m: flo
     return Bodies(np.ascontiguousarray(table[inside]), bodies.planes)
 
 
-def body_tops(b: Floats, planes: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+def body_tops(b: Floats, planes: Floats, u: Floats, v: Floats) -> Tops:
     """Return height over the base, slopes along u and v, and coverage at (n,) places.
 
     b: (20,) row of the table.
 
-
-    The numpy twin of body_top in render.c.
+    The numpy twin of body_top in bodies.h.
     """
-    p0, p1, p2, p3, p4 = (float(value) for value in b[8:13])
-    top, slope_u, slope_v = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
     kind = int(b[0])
-    if kind == ELLIPSOID:
-        s, t = u / p0, v / p1
-        inside = 1.0 - s * s - t * t
-        covered = inside > 0.0
-        root = np.sqrt(inside[covered])
-        top[covered] = p3 + p2 * root
-        slope_u[covered] = -p2 * s[covered] / (p0 * root)
-        slope_v[covered] = -p2 * t[covered] / (p1 * root)
-    elif kind == CYLINDER:
-        inside = p0 * p0 - v * v
-        root = np.sqrt(np.where(inside > 0.0, inside, 1.0))
-        rise, half = p3 / p4, root / p4
-        z = u * rise + half
-        along = u * p4 + z * p3
-        lying = (inside > 0.0) & (along <= p1) & (along >= -p1)
-        top[lying], slope_u[lying] = p2 + z[lying], rise
-        slope_v[lying] = -v[lying] / (root[lying] * p4)
-        covered = lying
-        if p3 > 0.0:
-            end = (p1 - u * p4) / p3
-            ending = (inside > 0.0) & (along > p1) & (end >= u * rise - half)
-            top[ending], slope_u[ending] = p2 + end[ending], -p4 / p3
-            covered = lying | ending
-    elif kind == CONE:
-        across = np.sqrt(u * u + v * v)
-        flat, side = across <= p1, (across > p1) & (across < p0)
-        top[flat] = p2 - p3
-        if side.any():
-            steep = p2 / (p0 - p1)
-            top[side] = (p0 - across[side]) * steep - p3
-            slope_u[side] = -steep * u[side] / across[side]
-            slope_v[side] = -steep * v[side] / across[side]
-        covered = flat | side
-    elif kind == POLYHEDRON:
+    if kind == POLYHEDRON:
         first, n_sides, n_tops = (int(value) for value in b[13:16])
-        covered = np.ones(u.shape, dtype=np.bool_)
-        for plane in planes[first : first + n_sides]:
-            covered &= ~(plane[0] * u + plane[1] * v > plane[2])
-        for k, plane in enumerate(planes[first + n_sides : first + n_sides + n_tops]):
-            z = plane[0] * u + plane[1] * v + plane[2]
-            lower = np.ones(u.shape, dtype=np.bool_) if k == 0 else z < top
-            top[lower], slope_u[lower], slope_v[lower] = z[lower], plane[0], plane[1]
-    elif kind == TORUS:
-        across = np.sqrt(u * u + v * v)
-        w = (across - p0) / p1
-        inside = 1.0 - w * w
-        covered = (inside > 0.0) & (across > 0.0)
-        root = np.sqrt(inside[covered])
-        steep_ = -p2 * w[covered] / (p1 * root)
-        top[covered] = p3 + p2 * root
-        slope_u[covered], slope_v[covered] = (
-            steep_ * u[covered] / across[covered],
-            steep_ * v[covered] / across[covered],
-        )
-    elif kind == SCAR:
-        s, t = u / p0, v / p1
-        along, across = 1.0 - s * s, 1.0 - t * t
-        covered = (along > 0.0) & (across > 0.0)
-        end, ramp = np.where(along < 0.19, along / 0.19, 1.0), np.where(along < 0.19, -2.0 * s / (0.19 * p0), 0.0)
-        shape = across * across * (1.0 - 6.0 * t * t)
-        steep_ = -4.0 * t * across * (1.0 - 6.0 * t * t) - 12.0 * t * across * across
-        top, slope_u, slope_v = -p2 * end * shape, -p2 * ramp * shape, -p2 * end * steep_ / p1
-    else:
-        s, t = u / p0, v / p1
-        across = np.sqrt(s * s + t * t)
-        w = (across - 1.0) / p3
-        inside = 1.0 - w * w
-        covered = (inside > 0.0) & (across > 0.0)
-        steep_ = 4.0 * p2 * w * inside / (p3 * np.where(covered, across, 1.0))
-        top = -p2 * inside * inside
-        slope_u, slope_v = steep_ * s / p0, steep_ * t / p1
+        last = first + n_sides
+        return _polyhedron_tops(planes[first:last], planes[last : last + n_tops], u, v)
+    return _TOPS[kind]([float(value) for value in b[8:13]], u, v)
+
+
+def _ellipsoid_tops(sizes: list[float], u: Floats, v: Floats) -> Tops:
+    p0, p1, p2, p3, _ = sizes
+    top, slope_u, slope_v = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
+    s, t = u / p0, v / p1
+    inside = 1.0 - s * s - t * t
+    covered = inside > 0.0
+    root = np.sqrt(inside[covered])
+    top[covered] = p3 + p2 * root
+    slope_u[covered] = -p2 * s[covered] / (p0 * root)
+    slope_v[covered] = -p2 * t[covered] / (p1 * root)
     return top, slope_u, slope_v, covered
+
+
+def _cylinder_tops(sizes: list[float], u: Floats, v: Floats) -> Tops:
+    p0, p1, p2, p3, p4 = sizes
+    top, slope_u, slope_v = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
+    inside = p0 * p0 - v * v
+    root = np.sqrt(np.where(inside > 0.0, inside, 1.0))
+    rise, half = p3 / p4, root / p4
+    z = u * rise + half
+    along = u * p4 + z * p3
+    lying = (inside > 0.0) & (along <= p1) & (along >= -p1)
+    top[lying], slope_u[lying] = p2 + z[lying], rise
+    slope_v[lying] = -v[lying] / (root[lying] * p4)
+    if p3 <= 0.0:
+        return top, slope_u, slope_v, lying
+    end = (p1 - u * p4) / p3
+    ending = (inside > 0.0) & (along > p1) & (end >= u * rise - half)
+    top[ending], slope_u[ending] = p2 + end[ending], -p4 / p3
+    return top, slope_u, slope_v, lying | ending
+
+
+def _cone_tops(sizes: list[float], u: Floats, v: Floats) -> Tops:
+    p0, p1, p2, p3, _ = sizes
+    top, slope_u, slope_v = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
+    across = np.sqrt(u * u + v * v)
+    flat, side = across <= p1, (across > p1) & (across < p0)
+    top[flat] = p2 - p3
+    if side.any():
+        steep = p2 / (p0 - p1)
+        top[side] = (p0 - across[side]) * steep - p3
+        slope_u[side] = -steep * u[side] / across[side]
+        slope_v[side] = -steep * v[side] / across[side]
+    return top, slope_u, slope_v, flat | side
+
+
+def _polyhedron_tops(sides: Floats, tops: Floats, u: Floats, v: Floats) -> Tops:
+    top, slope_u, slope_v = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
+    covered = np.ones(u.shape, dtype=np.bool_)
+    for plane in sides:
+        covered &= ~(plane[0] * u + plane[1] * v > plane[2])
+    for k, plane in enumerate(tops):
+        z = plane[0] * u + plane[1] * v + plane[2]
+        lower = np.ones(u.shape, dtype=np.bool_) if k == 0 else z < top
+        top[lower], slope_u[lower], slope_v[lower] = z[lower], plane[0], plane[1]
+    return top, slope_u, slope_v, covered
+
+
+def _torus_tops(sizes: list[float], u: Floats, v: Floats) -> Tops:
+    p0, p1, p2, p3, _ = sizes
+    top, slope_u, slope_v = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
+    across = np.sqrt(u * u + v * v)
+    w = (across - p0) / p1
+    inside = 1.0 - w * w
+    covered = (inside > 0.0) & (across > 0.0)
+    root = np.sqrt(inside[covered])
+    steep = -p2 * w[covered] / (p1 * root)
+    top[covered] = p3 + p2 * root
+    slope_u[covered], slope_v[covered] = steep * u[covered] / across[covered], steep * v[covered] / across[covered]
+    return top, slope_u, slope_v, covered
+
+
+def _scar_tops(sizes: list[float], u: Floats, v: Floats) -> Tops:
+    p0, p1, p2, _, _ = sizes
+    s, t = u / p0, v / p1
+    along, across = 1.0 - s * s, 1.0 - t * t
+    end, ramp = np.where(along < 0.19, along / 0.19, 1.0), np.where(along < 0.19, -2.0 * s / (0.19 * p0), 0.0)
+    shape = across * across * (1.0 - 6.0 * t * t)
+    steep = -4.0 * t * across * (1.0 - 6.0 * t * t) - 12.0 * t * across * across
+    return -p2 * end * shape, -p2 * ramp * shape, -p2 * end * steep / p1, (along > 0.0) & (across > 0.0)
+
+
+def _moat_tops(sizes: list[float], u: Floats, v: Floats) -> Tops:
+    p0, p1, p2, p3, _ = sizes
+    s, t = u / p0, v / p1
+    across = np.sqrt(s * s + t * t)
+    w = (across - 1.0) / p3
+    inside = 1.0 - w * w
+    covered = (inside > 0.0) & (across > 0.0)
+    steep = 4.0 * p2 * w * inside / (p3 * np.where(covered, across, 1.0))
+    return -p2 * inside * inside, steep * s / p0, steep * t / p1, covered
+
+
+_TOPS: Final[dict[int, Callable[[list[float], Floats, Floats], Tops]]] = {
+    ELLIPSOID: _ellipsoid_tops,
+    CYLINDER: _cylinder_tops,
+    CONE: _cone_tops,
+    TORUS: _torus_tops,
+    SCAR: _scar_tops,
+    MOAT: _moat_tops,
+}
+"""The tops of each kind by its sizes, columns 8 to 12 of its row, at places (u, v)."""
 
 
 def body_wall(b: Floats, planes: Floats, u: float, v: float) -> tuple[float, float]:
     """Return the horizontal normal (u, v), of any length, of the wall next to a place outside of the body.
 
-    It is the numpy twin of body_wall in render.c.
+    It is the numpy twin of body_wall in bodies.h.
     """
     kind = int(b[0])
     if kind == ELLIPSOID:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -143,8 +143,7 @@ def _scattered(
     scene: Scene, group: Scatter, index: int, legs: Sequence[Leg], others: Sequence[PlacedObject]
 ) -> list[PlacedObject]:
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence([scene.seed, _STREAM, index])))
-    low, high = group.ground_range_m or (0.0, swath_m(scene))
-    share = np.array([leg.length_m for leg in legs]) / sum(leg.length_m for leg in legs)
+    limits_m = group.ground_range_m or (0.0, swath_m(scene))
     usual = USUAL[group.kind]
     taken = [(other.east_m, other.north_m, other.reach_m) for other in others]
     placed: list[PlacedObject] = []
@@ -165,13 +164,7 @@ def _scattered(
         burial, tilt, scour = drawn(group.burial_m) or 0.0, drawn(group.tilt_deg) or 0.0, drawn(group.scour_m) or 0.0
         strength = drawn(group.strength_db)
         reach = 0.5 * math.hypot(sizes["length_m"], sizes["width_m"])
-        for _ in range(_TRIES):
-            leg = legs[int(random.choice(len(legs), p=share))]
-            across = float(random.uniform(low, high)) * (1.0 if random.uniform() < 0.5 else -1.0)
-            east, north = leg.at(float(random.uniform(0.0, leg.length_m)), across)
-            closest = min(abs(other.along_across(east, north)[1]) for other in legs if _abeam(other, east, north))
-            if not low <= closest <= high:
-                continue
+        for east, north in _tries(random, legs, limits_m):
             if all(math.hypot(east - e, north - n) >= group.apart_m + reach + r for e, n, r in taken):
                 break
         else:
@@ -200,6 +193,21 @@ def _scattered(
             )
         )
     return placed
+
+
+def _tries(
+    random: np.random.Generator, legs: Sequence[Leg], limits_m: tuple[float, float]
+) -> Iterator[tuple[float, float]]:
+    """Draw places, east and north, m, whose nearest leg passes them within the limits of ground range."""
+    low, high = limits_m
+    share = np.array([leg.length_m for leg in legs]) / sum(leg.length_m for leg in legs)
+    for _ in range(_TRIES):
+        leg = legs[int(random.choice(len(legs), p=share))]
+        across = float(random.uniform(low, high)) * (1.0 if random.uniform() < 0.5 else -1.0)
+        east, north = leg.at(float(random.uniform(0.0, leg.length_m)), across)
+        closest = min(abs(other.along_across(east, north)[1]) for other in legs if _abeam(other, east, north))
+        if low <= closest <= high:
+            yield east, north
 
 
 def _abeam(leg: Leg, east_m: float, north_m: float) -> bool:

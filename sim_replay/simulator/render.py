@@ -133,9 +133,15 @@ def render_numpy(
     packed, (energy, lit, owner) = _packed(lines), _empty(len(lines.ping), n_nodes, n_pings, n_bins, keep_nodes)
     for start in range(0, len(packed), _NUMPY_LINES):
         part = slice(start, start + _NUMPY_LINES)
-        nodes = _render_some(packed[part], patches, bodies, tables, beam, cell_m, n_nodes, n_bins, bin_m, energy)
+        some, index = packed[part], np.arange(n_nodes, dtype=np.float32)
+        step_m = np.sqrt(some[:, 2:3] * some[:, 2:3] + some[:, 3:4] * some[:, 3:4]) * cell_m
+        on = _on_nodes(some, patches, bodies, step_m, index, cell_m)
+        sight = _seen(some, on.z, step_m, index)
+        facets = _facets(some, on, sight, step_m, index)
+        strength = _strength(facets, on, sight.lit, tables, beam)
+        _deposit(some[:, 9].astype(np.int64), strength, sight, np.float32(1.0 / bin_m), n_bins, energy)
         if lit is not None and owner is not None:
-            lit[part], owner[part] = nodes
+            lit[part], owner[part] = sight.lit, on.owner
     return Rendered(energy[:, :-1], energy[:, -1], lit, owner)
 
 
@@ -157,50 +163,92 @@ def _empty(
     return energy, np.empty((n_lines, n_nodes), dtype=np.float32), np.empty((n_lines, n_nodes), dtype=np.int16)
 
 
-def _render_some(
+class _OnNodes(NamedTuple):
+    """Hold what lies on the nodes of rays, (n_lines, n_nodes) each.
+
+    z: height, m. q: slope across the ray. owner: index of the body, -1 for the floor.
+    """
+
+    z: Singles
+    q: Singles
+    texture: Singles
+    material: NDArray[np.int32]
+    owner: NDArray[np.int16]
+
+
+class _Seen(NamedTuple):
+    """Hold how the sonar sees the nodes, (n_lines, n_nodes) each.
+
+    depth: under it, m, along its own down. r: slant range, m. lit: share seen of the facet that ends at the node.
+    """
+
+    depth: Singles
+    r: Singles
+    lit: Singles
+
+
+class _Facets(NamedTuple):
+    """Hold the facets that end at the nodes, (n_lines, n_nodes) each.
+
+    area: per metre of width, weighed as its ray. sine: of the local grazing angle. off_axis: sine of the angle off the
+    axis of the beam.
+    """
+
+    area: Singles
+    sine: Singles
+    off_axis: Singles
+
+
+def _column(lines: NDArray[np.float64], column: int) -> Singles:
+    return lines[:, column, None].astype(np.float32)
+
+
+def _on_nodes(
     lines: NDArray[np.float64],
     patches: Patches,
     bodies: Bodies,
-    tables: NDArray[np.float32],
-    beam: NDArray[np.float32],
+    step_m: NDArray[np.float64],
+    index: Singles,
     cell_m: float,
-    n_nodes: int,
-    n_bins: int,
-    bin_m: float,
-    energy: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    single = np.float32
-    altitude, slant, axis_cos, axis_sin, weight = (lines[:, column, None].astype(single) for column in range(4, 9))
-    step_m = np.sqrt(lines[:, 2:3] * lines[:, 2:3] + lines[:, 3:4] * lines[:, 3:4]) * cell_m
-    dy, per_dy = step_m.astype(single), (1.0 / step_m).astype(single)
-    index = np.arange(n_nodes, dtype=single)
+) -> _OnNodes:
+    """Lay rays over the floor and the bodies on it."""
     z, q, nearest = _gather(patches, lines, step_m, index)
-    texture = patches.texture.ravel().take(nearest)
     material = patches.seabed.ravel().take(nearest).astype(np.int32)
-    owner = np.full(z.shape, -1, dtype=np.int16)
+    on = _OnNodes(z, q, patches.texture.ravel().take(nearest), material, np.full(z.shape, -1, dtype=np.int16))
     if len(bodies.table):
-        for row in range(len(lines)):
-            if _raise_bodies(lines[row], cell_m, bodies, z[row], q[row], texture[row], material[row], owner[row]):
-                _turn_walls(lines[row], cell_m, bodies, z[row], q[row], texture[row], material[row], owner[row])
+        for row, line in enumerate(lines):
+            profile = _OnNodes(*(values[row] for values in on))
+            if _raise_bodies(line, cell_m, bodies, profile):
+                _turn_walls(line, cell_m, bodies, profile)
+    return on
 
-    y = index * dy
-    depth = altitude - z
+
+def _seen(lines: NDArray[np.float64], z: Singles, step_m: NDArray[np.float64], index: Singles) -> _Seen:
+    """Find the slant range of nodes, and what nearer ones hide."""
+    y = index * step_m.astype(np.float32)
+    depth = _column(lines, 4) - z
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = depth * (single(1.0) / index)
+        t = depth * (np.float32(1.0) / index)
     t[:, 0] = np.inf
-    depth *= slant
+    depth *= _column(lines, 5)
     y *= y
     y += depth * depth
-    r = np.sqrt(y, out=y)
-    lit = _lit(t, index)
+    return _Seen(depth, np.sqrt(y, out=y), _lit(t, index))
 
+
+def _facets(
+    lines: NDArray[np.float64], on: _OnNodes, seen: _Seen, step_m: NDArray[np.float64], index: Singles
+) -> _Facets:
+    """Find how facets are turned to the sonar; `on.q` is used up."""
+    single = np.float32
+    dy = step_m.astype(single)
     middle_y = (index - single(0.5)) * dy
-    middle_depth = _with_last(np.add, depth)
+    middle_depth = _with_last(np.add, seen.depth)
     middle_depth *= single(0.5)
-    middle_r = _with_last(np.add, r)
+    middle_r = _with_last(np.add, seen.r)
     middle_r *= single(0.5)
-    s = _with_last(np.subtract, z)
-    s *= per_dy
+    s, q = _with_last(np.subtract, on.z), on.q
+    s *= (1.0 / step_m).astype(single)
     q *= q
     stretch = s * s
     stretch += single(1.0)
@@ -211,18 +259,22 @@ def _render_some(
     s *= middle_y
     s += middle_depth * (1.0 / lines[:, 5:6]).astype(single)
     s *= per
-    sine = s
-    middle_depth *= axis_cos
-    middle_y *= axis_sin
+    middle_depth *= _column(lines, 6)
+    middle_y *= _column(lines, 7)
     middle_depth -= middle_y
     per *= stretch
     middle_depth *= per
-    off_axis = middle_depth
+    stretch *= dy * _column(lines, 8)
+    return _Facets(area=stretch, sine=s, off_axis=middle_depth)
 
-    area = stretch
-    area *= dy * weight
+
+def _strength(
+    facets: _Facets, on: _OnNodes, lit: Singles, tables: NDArray[np.float32], beam: NDArray[np.float32]
+) -> Singles:
+    """Compute what seen facets send back; `facets` and `on.material` are used up."""
+    single, (area, sine, off_axis), material = np.float32, facets, on.material
     area *= lit
-    area *= texture
+    area *= on.texture
     area *= sine > 0.0
     sine *= single(TABLE_SIZE)
     entry = sine.astype(np.int32)
@@ -236,8 +288,7 @@ def _render_some(
     strength = tables.ravel().take(entry)
     strength *= beam.take(beam_entry)
     strength *= area
-    _deposit(lines[:, 9].astype(np.int64), strength, r, lit, single(1.0 / bin_m), n_bins, energy)
-    return lit, owner
+    return strength
 
 
 def _with_last(operation: np.ufunc, values: Singles) -> Singles:
@@ -329,17 +380,9 @@ def _away(line: NDArray[np.float64], cell_m: float) -> tuple[float, float, float
     return step_m, float(line[2]) * cell_m / step_m, float(line[3]) * cell_m / step_m
 
 
-def _raise_bodies(
-    line: NDArray[np.float64],
-    cell_m: float,
-    bodies: Bodies,
-    z: NDArray[np.float32],
-    q: NDArray[np.float32],
-    texture: NDArray[np.float32],
-    material: NDArray[np.int32],
-    owner: NDArray[np.int16],
-) -> bool:
+def _raise_bodies(line: NDArray[np.float64], cell_m: float, bodies: Bodies, on: _OnNodes) -> bool:
     """Put the bodies on one profile, in place; False if the ray meets none."""
+    z, q, texture, material, owner = on
     step_m, away_north, away_east = _away(line, cell_m)
     table = bodies.table
     norths, easts = line[0] * cell_m - table[:, 2], line[1] * cell_m - table[:, 1]
@@ -377,17 +420,9 @@ def _raise_bodies(
     return met
 
 
-def _turn_walls(
-    line: NDArray[np.float64],
-    cell_m: float,
-    bodies: Bodies,
-    z: NDArray[np.float32],
-    q: NDArray[np.float32],
-    texture: NDArray[np.float32],
-    material: NDArray[np.int32],
-    owner: NDArray[np.int16],
-) -> None:
+def _turn_walls(line: NDArray[np.float64], cell_m: float, bodies: Bodies, on: _OnNodes) -> None:
     """Assign facets between nodes of different owners to the higher one and turn them as its wall."""
+    z, q, texture, material, owner = on
     step_m, away_north, away_east = _away(line, cell_m)
     ahead_north, ahead_east = -away_east, away_north
     for j in reversed(np.flatnonzero(owner[1:] != owner[:-1]) + 1):
@@ -415,17 +450,16 @@ def _turn_walls(
 def _deposit(
     ping: NDArray[np.int64],
     sent: Singles,
-    r: Singles,
-    lit: Singles,
+    seen: _Seen,
     bins_per_m: np.float32,
     n_bins: int,
     energy: NDArray[np.float64],
 ) -> None:
     """Spread each facet's energy evenly over the slant ranges that its lit part spans; bin n_bins takes what lies
     beyond."""
-    single = np.float32
+    single, r = np.float32, seen.r
     near_end = _with_last(np.subtract, r)
-    near_end *= lit
+    near_end *= seen.lit
     np.subtract(r, near_end, out=near_end)
     near_end *= bins_per_m
     far_end = r * bins_per_m

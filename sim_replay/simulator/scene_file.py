@@ -106,6 +106,10 @@ def _contradictions(scene: Scene) -> Iterator[str]:
     for index, scene_object in enumerate(scene.objects):
         for reason in _object_contradictions(scene, scene_object, legs):
             yield f"`objects[{index}]` ({scene_object.kind}): {reason}"
+    yield from _scatter_contradictions(scene)
+
+
+def _scatter_contradictions(scene: Scene) -> Iterator[str]:
     reach = swath_m(scene)
     for index, group in enumerate(scene.scatter):
         where = f"scatter[{index}]"
@@ -125,8 +129,8 @@ def _contradictions(scene: Scene) -> Iterator[str]:
                 yield f"`{where}.{name}` is [{limits[0]:g}, {limits[1]:g}]; the lowest comes first"
         if group.natural_sizes and group.length_m is not None and group.length_m[0] <= 0.0:
             yield f"`{where}.length_m` starts at 0; natural sizes need a smallest one above 0"
-        if group.height_m is not None and group.height_m[1] > HIGHEST_SHARE * track.altitude_m:
-            yield _too_high(f"{where}.height_m", group.height_m[1], track.altitude_m)
+        if group.height_m is not None and group.height_m[1] > HIGHEST_SHARE * scene.track.altitude_m:
+            yield _too_high(f"{where}.height_m", group.height_m[1], scene.track.altitude_m)
 
 
 def _slope_contradictions(scene: Scene, legs: Sequence[Leg]) -> Iterator[str]:

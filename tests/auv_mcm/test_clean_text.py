@@ -63,13 +63,13 @@ def test_a_log_record_is_one_line_and_its_traceback_is_indented() -> None:
 def test_the_log_of_the_service_is_clean() -> None:
     program = (
         "import logging, pathlib\n"
-        "from auv_mcm.shell import service\n"
+        "from auv_mcm.shell import serve as door\n"
         "from auv_mcm.commands.run import run_service\n"
         "from auv_mcm.settings.config import Config\n"
         "def serve(config, *, clock=None):\n"
         "    logging.getLogger('drivers').info('it said %s', 'x\\x1b[2J\\n2026 INFO ready')\n"
         "    return pathlib.Path('out')\n"
-        "service.serve = serve\n"
+        "door.serve = serve\n"
         "run_service(Config())\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)

@@ -418,7 +418,7 @@ def test_a_reader_that_has_seen_enough_is_no_error() -> None:
 def test_the_process_that_serves_stays_lean() -> None:
     code = (
         "import sys; import auv_mcm.cli; start = set(sys.modules)\n"
-        "import auv_mcm.shell.service, sim_replay.logs.recorded\n"
+        "import auv_mcm.shell.serve, sim_replay.logs.recorded\n"
         "print(sorted({'numpy'} & start), sorted({'cv2', 'scipy', 'matplotlib', 'rich', 'jinja2', 'can'} & "
         "set(sys.modules)))"
     )

@@ -32,7 +32,7 @@ from auv_mcm.pipeline import Pipeline
 from auv_mcm.records import CoveragePatch, Notice, PipelineEvent
 from auv_mcm.settings.config import Config
 from auv_mcm.shell.mission_totals import clearance_notices, contact_totals, notice_lists, search_totals
-from auv_mcm.shell.results import plan_waypoints, write_clearance, write_results
+from auv_mcm.shell.results import plan_waypoints, write_clearance
 from auv_mcm.shell.tally import Tally
 from sim_replay.commands.bench import BENCHES, opened
 from sim_replay.hil.scenario import read_scenario, shipped
@@ -43,6 +43,7 @@ from sim_replay.simulate import simulate
 from sim_replay.simulator.scene import Lawnmower, Scene
 from sim_replay.simulator.scene_file import named_scenes, read_scene
 from tests.contradictions import all_contradictions
+from tests.make.results import write_results
 
 Answer: TypeAlias = dict[str, Any]
 

@@ -16,9 +16,9 @@ from scipy.spatial import ConvexHull
 
 from auv_mcm.cli import main
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.shell.results import write_results
 from sim_replay.structures import LINK_M, MIN_MEMBERS, Member, find_structures
 from sim_replay.vector_layers import read_layers
+from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact, detection
 from tests.sim_replay.test_vector_layers import gdal_layers
 

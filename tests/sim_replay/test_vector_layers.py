@@ -15,11 +15,11 @@ import pytest
 from auv_mcm.cli import main
 from auv_mcm.contacts.geojson import Json, collection, feature
 from auv_mcm.records import CoveragePatch
-from auv_mcm.shell.results import write_results
 from sim_replay.geopackage import write_geopackage
 from sim_replay.mosaic import Box
 from sim_replay.qgis import write_project
 from sim_replay.vector_layers import read_layers
+from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact, waypoints
 
 HOSTILE = "<b>\"x'; DROP TABLE contacts; --"

@@ -12,12 +12,12 @@ from xml.etree import ElementTree
 import pytest
 
 from auv_mcm.cli import main
-from auv_mcm.shell.results import write_results
 from sim_replay.mcap_export import write_mcap
 from sim_replay.mosaic_files import write_kmz
 from sim_replay.vector_layers import read_layers
 from sim_replay.verdict_layers import COLUMNS, kml_folders
 from sim_replay.verdicts import Verdict, append_verdict
+from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact, detection
 from tests.sim_replay.test_mcap_export import START_S, decoded, timed
 from tests.sim_replay.test_mosaic import ROW_M

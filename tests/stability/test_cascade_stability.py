@@ -30,7 +30,7 @@ from auv_mcm.detect.cascade.run import CascadeResult, core_plane, run_plane
 from auv_mcm.detect.detect_tile import TileDetections, detect_tile
 from auv_mcm.records import LOW_RESOLUTION, SATURATED, TURN, VALID, Tile
 from auv_mcm.settings.config import Config, DetectConfig
-from sim_replay.benches.stability.front_rows import drawn_model
+from sim_replay.benches.stability.drawn_inputs import drawn_model
 from tests.stability.tile_pictures import COLUMN_M, PICTURES, ROW_M, SHAPE, holes, speckle, tile_of, with_object
 
 Codes = NDArray[np.uint16]

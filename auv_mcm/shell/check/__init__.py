@@ -279,7 +279,8 @@ def _plugins() -> Iterator[Finding]:
 def _perception(config: Config) -> Iterator[Finding]:
     import asyncio
 
-    from auv_mcm.shell.perception import Finished, Perception
+    from auv_mcm.shell.perception import Perception
+    from auv_mcm.shell.perception_messages import Finished
 
     async def start_and_finish() -> None:
         perception = Perception(config)

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from fractions import Fraction
 from functools import partial
-from typing import Any, Final
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
-from auv_mcm.detect.cascade.bands import WINDOW, FeatureBox, band_edges
+from auv_mcm.detect.cascade.bands import band_edges
 from auv_mcm.detect.cascade.codes import make_plane
-from auv_mcm.detect.cascade.model import MAX_LEAF, MAX_STUMPS, SCORE_UNIT, Calibration, CascadeModel, Stump, check_model
 from auv_mcm.detect.cascade.run import tables_of
 from auv_mcm.detect.ftest import equivalent_looks, f_deviate
 from auv_mcm.detect.integral import PaddedIntegral
@@ -24,6 +20,23 @@ from auv_mcm.kernels.contrast import Frame, TileSums
 from auv_mcm.records import VALID, Transfer
 from auv_mcm.waterfall.ground import ground_edges_m, make_traces, mean_between
 from auv_mcm.waterfall.transfer import to_intensity
+from sim_replay.benches.stability.drawn_inputs import (
+    BIG_TILE,
+    INTENSITIES,
+    LONG_LINE_TILES,
+    ROUNDED,
+    TILE,
+    Plane,
+    Values,
+    box_count,
+    box_of,
+    box_sum,
+    drawn_model,
+    places_in,
+    speckle,
+    with_shadow,
+    with_spike,
+)
 from sim_replay.benches.stability.rows import (
     Exact,
     Found,
@@ -35,45 +48,6 @@ from sim_replay.benches.stability.rows import (
     relative,
     unlike,
 )
-
-Plane = NDArray[np.float32]
-Values = NDArray[np.float64]
-
-_ROUNDED: Final = 1.8e-7  # 3 roundings of float32: of a sample, of its copy, and of their product
-_TILE: Final = (96, 160)  # pixels of a small tile
-_BIG_TILE: Final = (2048, 1024)  # of a tile as the chain cuts them at 1.5 cm
-_LONG_LINE_TILES: Final = 1_000_000  # of 512 x 512 pixels, a line of years
-
-
-def speckle(shape: tuple[int, ...], seed: int = 0) -> Plane:
-    """Draw single-look speckle of mean 1."""
-    return random_of(seed).exponential(size=shape).astype(np.float32)
-
-
-def _with_shadow(shape: tuple[int, ...]) -> Plane:
-    plane = speckle(shape)
-    plane[..., shape[-1] // 2 :] *= np.float32(1e-30)
-    return plane
-
-
-def _with_spike(shape: tuple[int, ...]) -> Plane:
-    plane = speckle(shape)
-    plane[..., shape[-1] - 1] = np.float32(65535.0**2)
-    return plane
-
-
-INTENSITIES: Final[dict[str, Callable[[tuple[int, ...]], Plane]]] = {
-    "one look": speckle,
-    "constant": lambda shape: np.full(shape, 0.3, dtype=np.float32),
-    "saturated": lambda shape: np.full(shape, 65535.0**2, dtype=np.float32),
-    "offset 1e6": lambda shape: np.float32(1e6) + speckle(shape),
-    "gain 1e-30": lambda shape: speckle(shape) * np.float32(1e-30),
-    "gain 1e30": lambda shape: speckle(shape) * np.float32(1e30),
-    "denormal": lambda shape: speckle(shape) * np.float32(1e-41),
-    "ring-down of 100 dB": lambda shape: speckle(shape) * np.where(np.arange(shape[-1]) < 9, 1e10, 1).astype("f4"),
-}
-"""Intensities (any shape) float32 by name."""
-
 
 # --- waterfall
 
@@ -96,7 +70,7 @@ def _decibels(watch: Watch, _: bool) -> Found:
 def _range_mean(kind: str, watch: Watch, quick: bool) -> Found:
     worst, single = 0.0, 0.0
     for n_samples in (1, 2, 7, 1000, 65535):
-        intensity = np.tile(_with_spike((n_samples,)) if kind == "spike" else INTENSITIES[kind]((n_samples,)), (1, 1))
+        intensity = np.tile(with_spike((n_samples,)) if kind == "spike" else INTENSITIES[kind]((n_samples,)), (1, 1))
         n_columns = min(n_samples, 8 if quick else 60)
         edges_m = np.sort(random_of(n_samples).uniform(0.0, 0.01 * (n_samples - (kind == "spike")), n_columns + 1))
         traces = watch(
@@ -146,13 +120,13 @@ def _nadir(watch: Watch, _: bool) -> Found:
 
 
 def _box_level(kind: str, watch: Watch, quick: bool) -> Found:
-    shape = _TILE if quick else _BIG_TILE
+    shape = TILE if quick else BIG_TILE
     level = INTENSITIES[kind](shape)
     half = (9, 11)
     usable = np.ones(shape, dtype=np.bool_)
     mean, known = watch(waterfall.box_level, level, usable, half, 0.25)
-    places = _places(shape, 40)
-    wanted = [Fraction(_box_sum(level, place, half)) / _box_count(shape, place, half) for place in places]
+    places = places_in(shape, 40)
+    wanted = [Fraction(box_sum(level, place, half)) / box_count(shape, place, half) for place in places]
     if not all(known[place] for place in places):
         return Found(math.inf)
     return Found(relative([float(mean[place]) for place in places], wanted))
@@ -160,34 +134,12 @@ def _box_level(kind: str, watch: Watch, quick: bool) -> Found:
 
 def _shadow_level(watch: Watch, quick: bool) -> Found:
     """Measure how far levels in a shadow larger than the box are off, in shares of the floor's level."""
-    shape = _TILE if quick else _BIG_TILE
-    level = _with_shadow(shape)
+    shape = TILE if quick else BIG_TILE
+    level = with_shadow(shape)
     mean, _ = watch(waterfall.box_level, level, np.ones(shape, dtype=np.bool_), (9, 11), 0.25)
-    places = _places(shape, 40)
-    wanted = [Fraction(_box_sum(level, place, (9, 11))) / _box_count(shape, place, (9, 11)) for place in places]
+    places = places_in(shape, 40)
+    wanted = [Fraction(box_sum(level, place, (9, 11))) / box_count(shape, place, (9, 11)) for place in places]
     return Found(absolute([float(mean[place]) for place in places], wanted))
-
-
-def _places(shape: tuple[int, int], n: int) -> list[tuple[int, int]]:
-    """Draw pixels, the far corner with them."""
-    random = random_of(5)
-    rows, columns = random.integers(0, shape[0], n).tolist(), random.integers(0, shape[1], n).tolist()
-    return [(shape[0] - 1, shape[1] - 1), *zip(rows, columns, strict=True)]
-
-
-def _box_of(shape: tuple[int, int], place: tuple[int, int], half: tuple[int, int]) -> tuple[slice, slice]:
-    rows, columns = (slice(max(at - reach, 0), at + reach + 1) for at, reach in zip(place, half, strict=True))
-    return rows, columns
-
-
-def _box_sum(plane: NDArray[Any], place: tuple[int, int], half: tuple[int, int]) -> float:
-    return math.fsum(plane[_box_of(plane.shape, place, half)].astype(np.float64).ravel().tolist())
-
-
-def _box_count(shape: tuple[int, int], place: tuple[int, int], half: tuple[int, int]) -> int:
-    return math.prod(
-        min(at + reach, n - 1) - max(at - reach, 0) + 1 for at, reach, n in zip(place, half, shape, strict=True)
-    )
 
 
 def _angle_sums(gain: float, watch: Watch, quick: bool) -> Found:
@@ -276,11 +228,11 @@ def _waterfall_twins(watch: Watch, _: bool) -> Found:
 
 
 def _boxes(kind: str, watch: Watch, quick: bool) -> Found:
-    shape = (256, 200) if quick else _BIG_TILE
+    shape = (256, 200) if quick else BIG_TILE
     plane = INTENSITIES[kind](shape)
     found = watch(PaddedIntegral, plane, 4, 4).box(-4, 5, -4, 5)
-    places = _places(shape, 60)
-    wanted = [_box_sum(plane, place, (4, 4)) for place in places]
+    places = places_in(shape, 60)
+    wanted = [box_sum(plane, place, (4, 4)) for place in places]
     with np.errstate(all="ignore"):
         coarse = np.zeros((shape[0] + 1, shape[1] + 1), dtype=np.float32)
         coarse[1:, 1:] = plane.cumsum(axis=0, dtype=np.float32).cumsum(axis=1, dtype=np.float32)
@@ -291,7 +243,7 @@ def _boxes(kind: str, watch: Watch, quick: bool) -> Found:
 
 
 def _corner(sums: Plane, place: tuple[int, int], shape: tuple[int, int]) -> float:
-    rows, columns = _box_of(shape, place, (4, 4))
+    rows, columns = box_of(shape, place, (4, 4))
     bottom, right = min(rows.stop, shape[0]), min(columns.stop, shape[1])
     return float(
         sums[bottom, right] - sums[rows.start, right] - sums[bottom, columns.start] + sums[rows.start, columns.start]
@@ -300,14 +252,14 @@ def _corner(sums: Plane, place: tuple[int, int], shape: tuple[int, int]) -> floa
 
 def _long_line(watch: Watch, quick: bool) -> Found:
     """Start an integral image with the sum of a million tiles, as if it had never been started anew."""
-    shape = (256, 200) if quick else _BIG_TILE
+    shape = (256, 200) if quick else BIG_TILE
     plane = speckle(shape).astype(np.float64)
     far = plane.copy()
-    far[0, 0] += _LONG_LINE_TILES * 512.0 * 512.0
+    far[0, 0] += LONG_LINE_TILES * 512.0 * 512.0
     found = watch(PaddedIntegral, far, 4, 4).box(-4, 5, -4, 5)
-    places = [place for place in _places(shape, 60) if min(place) > 4]
+    places = [place for place in places_in(shape, 60) if min(place) > 4]
     return Found(
-        relative([float(found[place]) for place in places], [_box_sum(plane, place, (4, 4)) for place in places])
+        relative([float(found[place]) for place in places], [box_sum(plane, place, (4, 4)) for place in places])
     )
 
 
@@ -320,42 +272,42 @@ def _long_sum(watch: Watch, quick: bool) -> Found:
 
 
 def _contrast_means(kind: str, watch: Watch, _: bool) -> Found:
-    plane = INTENSITIES[kind](_TILE)
-    mask = np.full(_TILE, VALID, dtype=np.uint8)
+    plane = INTENSITIES[kind](TILE)
+    mask = np.full(TILE, VALID, dtype=np.uint8)
     sums: TileSums = watch(contrast.image_sums, plane, mask, 3e38)
     box = (-3, 4, -5, 6)
-    places = _places(_TILE, 40)
-    flat = np.array([row * _TILE[1] + column for row, column in places], dtype=np.int32)
+    places = places_in(TILE, 40)
+    flat = np.array([row * TILE[1] + column for row, column in places], dtype=np.int32)
     means, _ = watch(contrast.box_means, sums, flat, np.tile(np.array(box, dtype=np.int32), (len(flat), 1)))
-    wanted = [Fraction(_box_sum(plane, place, (3, 5))) / _box_count(_TILE, place, (3, 5)) for place in places]
+    wanted = [Fraction(box_sum(plane, place, (3, 5))) / box_count(TILE, place, (3, 5)) for place in places]
     return Found(relative(means.tolist(), wanted))
 
 
 def _background(watch: Watch, _: bool) -> Found:
-    plane = _with_shadow(_TILE)
-    mask = np.full(_TILE, VALID, dtype=np.uint8)
+    plane = with_shadow(TILE)
+    mask = np.full(TILE, VALID, dtype=np.uint8)
     outer, hollow = (np.array(box, dtype=np.int32) for box in ((-9, 10, -12, 13), (-3, 4, -4, 5)))
     mean, known = watch(contrast.background, plane, mask, Frame(outer, hollow, 30.0), 10.0, np.float32(1e-6))
     bounded = np.minimum(plane, np.float32(10.0))
     found, wanted = [], []
-    for place in _places(_TILE, 60):
+    for place in places_in(TILE, 60):
         if known[place]:
-            total = Fraction(_box_sum(bounded, place, (9, 12))) - Fraction(_box_sum(bounded, place, (3, 4)))
+            total = Fraction(box_sum(bounded, place, (9, 12))) - Fraction(box_sum(bounded, place, (3, 4)))
             found.append(float(mean[place]))
-            wanted.append(total / (_box_count(_TILE, place, (9, 12)) - _box_count(_TILE, place, (3, 4))))
+            wanted.append(total / (box_count(TILE, place, (9, 12)) - box_count(TILE, place, (3, 4))))
     return Found(relative(found, wanted))
 
 
 def _variances(offset: float, watch: Watch, _: bool) -> Found:
     """Compare variances of deviates around an offset, which means of squares lose digits to."""
-    planes = (random_of(6).normal(offset, 1.0, (3, *_TILE))).astype(np.float32)
-    known = np.ones(_TILE, dtype=np.bool_)
-    found = watch(contrast.local_variances, planes, known, (0, _TILE[0]), (8, 9), 30.0, 1e-6)[0]
+    planes = (random_of(6).normal(offset, 1.0, (3, *TILE))).astype(np.float32)
+    known = np.ones(TILE, dtype=np.bool_)
+    found = watch(contrast.local_variances, planes, known, (0, TILE[0]), (8, 9), 30.0, 1e-6)[0]
     clipped = np.clip(planes[0], -30.0, 30.0)
-    places = _places(_TILE, 30)
+    places = places_in(TILE, 30)
     wanted, condition = [], 0.0
     for place in places:
-        values = [Fraction(value) for value in clipped[_box_of(_TILE, place, (8, 9))].astype(float).ravel().tolist()]
+        values = [Fraction(value) for value in clipped[box_of(TILE, place, (8, 9))].astype(float).ravel().tolist()]
         mean = sum(values, Fraction(0)) / len(values)
         variance = sum((value * value for value in values), Fraction(0)) / len(values) - mean * mean
         wanted.append(variance)
@@ -395,7 +347,7 @@ def _peaks(watch: Watch, _: bool) -> Found:
         n_unlike += unlike(found, contrast.peaks_numpy(plane, (0, 40), 3, 4))
         for place in found.tolist():
             row, column = divmod(place, 50)
-            n_unlike += float(plane[row, column] < plane[_box_of((40, 50), (row, column), (3, 4))].max())
+            n_unlike += float(plane[row, column] < plane[box_of((40, 50), (row, column), (3, 4))].max())
     return Found(n_unlike)
 
 
@@ -415,7 +367,7 @@ def _codes(watch: Watch, _: bool) -> Found:
 
 def _code_sums(watch: Watch, quick: bool) -> Found:
     """Count box sums modulo 2**32 that differ from whole numbers, of a tile full of the highest code."""
-    codes = np.full((200, 150) if quick else _BIG_TILE, 16384, dtype=np.uint16)
+    codes = np.full((200, 150) if quick else BIG_TILE, 16384, dtype=np.uint16)
     sums = watch(cascade.integral, codes, (0, 0, 0), 0)
     boxes = [(0, 0, 9, 9), (3, 5, 190, 140), (codes.shape[0] - 130, 2, codes.shape[0], 130)]
     n_unlike = 0
@@ -446,45 +398,6 @@ def _features(largest: float, watch: Watch, quick: bool) -> Found:
         for kernel in (partial(watch, cascade.run_groups), cascade.run_groups_numpy):
             n_unlike += unlike(kernel(plane.sums, tables, again, 0, 1)[0].score, opened.windows.score)
     return Found(n_unlike)
-
-
-def drawn_model(seed: int, largest: float = 3.0, n_stumps: int = 12) -> CascadeModel:
-    """Draw comparisons of boxes at least 0.5 m long and wide, thresholds from 1 / largest to largest.
-
-    They drop nothing.
-    """
-    random = random_of(seed)
-
-    def box() -> FeatureBox:
-        top, near = random.uniform(-1.0, 0.4, 2)
-        length, width = random.uniform(0.5, 1.0 - top), random.uniform(0.5, 1.0 - near)
-        return FeatureBox(
-            float(top), float(top + length), float(near), 0.0, float(near + width), float(random.uniform(0.0, 1.0))
-        )
-
-    stumps = []
-    for k in range(n_stumps):
-        threshold = float(largest ** random.uniform(-1.0, 1.0))
-        leaf = int(random.integers(-900, 900))
-        if k % 2:
-            stumps.append(Stump(kind="ratio", a=box(), b=box(), threshold=threshold, below=-leaf, above=leaf))
-        else:
-            against = threshold - 1.0 / threshold
-            stumps.append(
-                Stump(kind="contrast", a=box(), b=box(), w=WINDOW, threshold=against, below=-leaf, above=leaf)
-            )
-    model = CascadeModel(
-        kind="soft",
-        trained_on="nothing",
-        training_sha256="",
-        row_spacing_m=(0.001, 10.0),
-        column_spacing_m=(0.001, 10.0),
-        calibration=Calibration(score=(-3 * SCORE_UNIT, 3 * SCORE_UNIT), log_odds=(-6.0, 6.0)),
-        reject=(-MAX_STUMPS * MAX_LEAF,),
-        groups=(tuple(stumps),),
-    )
-    check_model(model, "made here")
-    return model
 
 
 def _contrast_twins(watch: Watch, _: bool) -> Found:
@@ -523,7 +436,7 @@ def _waterfall_rows() -> list[NumberRow]:
     gains, spike = (1e-30, 1.0, 1e30), "96 dB spike in the last of 65,535 samples"
     smooth = [kind for kind in INTENSITIES if not kind.startswith("ring")]
     return [
-        NumberRow("transfer", "amplitudes 1e-15 to 1e15", ratio, "relative", _ROUNDED, _amplitudes),
+        NumberRow("transfer", "amplitudes 1e-15 to 1e15", ratio, "relative", ROUNDED, _amplitudes),
         NumberRow("transfer", "decibel counts 0 to 255", mp, "relative", 1e-5, _decibels),
         *each("range means", "{}, 1 to 65,535 samples", ratio, "relative", 1e-11, _range_mean, INTENSITIES),
         NumberRow("range means", spike, ratio, "relative", 1e-4, partial(_range_mean, "spike")),
@@ -546,8 +459,8 @@ def _detection_rows() -> list[NumberRow]:
         *each("integral image", "{}", fsum, "relative", 1e-10, _boxes, smooth),
         NumberRow("integral image", "begun 1e6 tiles before", fsum, "relative", 1e-5, _long_line),
         NumberRow("integral image", "sum of all pixels", fsum, "relative", 1e-12, _long_sum),
-        *each("contrast means", "{}", fsum, "relative", _ROUNDED, _contrast_means, kinds),
-        NumberRow("contrast background", "shadow of 1e-30 of the floor", fsum, "relative", _ROUNDED, _background),
+        *each("contrast means", "{}", fsum, "relative", ROUNDED, _contrast_means, kinds),
+        NumberRow("contrast background", "shadow of 1e-30 of the floor", fsum, "relative", ROUNDED, _background),
         *each("contrast variances", "offset {:g}", ratio, "relative", 1e-4, _variances, (0.0, 25.0)),
         NumberRow("contrast deviates", "ratios 0 to 1e6, 0.5 to 10,000 looks", mp, "relative", 1e-4, _f_deviates),
         NumberRow("contrast looks", "variances 1e-6 to 1e3", mp, "relative", 4e-7, _looks),

@@ -106,6 +106,7 @@ def _like_scene(seed: int) -> Scene:
             altitude_m=track.altitude_m * _log_uniform(rng, 0.88, 1.14),
             speed_mps=track.speed_mps * float(rng.uniform(0.9, 1.1)),
             pings_in_turns=False,
+            motion=_motion(rng),
         ),
         scatter=tuple(
             msgspec.structs.replace(some, count=math.ceil(some.count / 4), ground_range_m=None) for some in like.scatter
@@ -136,16 +137,9 @@ def _free_scene(seed: int) -> Scene:
     range_m = float(rng.uniform(*((65.0, 110.0), (35.0, 75.0), (20.0, 35.0))[band]))
     altitude_m = range_m * float(rng.uniform(0.08, 0.16))
     resolution_m = float(rng.uniform(*((0.08, 0.13), (0.04, 0.1), (0.03, 0.06))[band]))
-    depth_m = altitude_m + (
-        float(rng.uniform(2.0, 5.0)) if rng.uniform() < _P_SHALLOW else float(rng.uniform(8.0, 60.0))
-    )
+    depth_m = altitude_m + float(rng.uniform(*((2.0, 5.0) if rng.uniform() < _P_SHALLOW else (8.0, 60.0))))
     shallow = depth_m < altitude_m + 6.0
-    aperture = None
-    if rng.uniform() < _P_APERTURE:
-        cell_m = float(rng.uniform(0.04, 0.08))
-        aperture = SyntheticAperture(
-            along_track_resolution_m=cell_m, range_resolution_m=cell_m, pixels_per_resolution=1.25
-        )
+    aperture = _aperture(rng)
     spacing_m = 1.2 * range_m
     return Scene(
         name=f"seabed {seed}",
@@ -180,15 +174,6 @@ def _free_scene(seed: int) -> Scene:
             speed_mps=float(rng.uniform(1.4, 2.3)),
             altitude_m=altitude_m,
             pings_in_turns=False,
-            motion=Motion(
-                roll_sigma_deg=_log_uniform(rng, 0.3, 4.0),
-                pitch_sigma_deg=_log_uniform(rng, 0.3, 2.0),
-                heading_sigma_deg=_log_uniform(rng, 0.2, 0.7),
-                sway_sigma_m=float(rng.uniform(0.0, 0.3)),
-                altitude_sigma_m=float(rng.uniform(0.05, 0.3)),
-                current_mps=float(rng.uniform(0.0, 0.3)),
-                current_towards_deg=float(rng.uniform(0.0, 360.0)),
-            ),
         ),
         navigation_error=NavigationError(altitude_bias_percent=float(rng.uniform(1.0, 4.0))),
         scatter=(
@@ -201,6 +186,25 @@ def _free_scene(seed: int) -> Scene:
                 height_m=(0.2, 0.6),
             ),
         ),
+    )
+
+
+def _aperture(rng: np.random.Generator) -> SyntheticAperture | None:
+    if rng.uniform() >= _P_APERTURE:
+        return None
+    cell_m = float(rng.uniform(0.04, 0.08))
+    return SyntheticAperture(along_track_resolution_m=cell_m, range_resolution_m=cell_m, pixels_per_resolution=1.25)
+
+
+def _motion(rng: np.random.Generator) -> Motion:
+    return Motion(
+        roll_sigma_deg=_log_uniform(rng, 0.3, 4.0),
+        pitch_sigma_deg=_log_uniform(rng, 0.3, 2.0),
+        heading_sigma_deg=_log_uniform(rng, 0.2, 0.7),
+        sway_sigma_m=float(rng.uniform(0.0, 0.3)),
+        altitude_sigma_m=float(rng.uniform(0.05, 0.3)),
+        current_mps=float(rng.uniform(0.0, 0.3)),
+        current_towards_deg=float(rng.uniform(0.0, 360.0)),
     )
 
 

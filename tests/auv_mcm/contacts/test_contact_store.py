@@ -18,10 +18,10 @@ from auv_mcm.contacts.export import contacts_geojson
 from auv_mcm.contacts.ledger import contact_from_views
 from auv_mcm.contacts.record_file import RecordFile
 from auv_mcm.records import Contact, Detection, contact_id, contact_number
-from auv_mcm.shell.results import write_results
 from tests.auv_mcm.classify import drawn_looks
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.contacts.whole_exports import contacts_csv, contacts_kml
+from tests.make.results import write_results
 
 PWRITE = "auv_mcm.contacts.record_file.os.pwrite"
 PRIOR = -4.0

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from auv_mcm.contacts.coverage_store import CoverageStore, store_patch
 from auv_mcm.records import CoveragePatch, Side
-from auv_mcm.shell.results import write_results
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.contacts.whole_exports import coverage_geojson
 from tests.make.records import patch_of
+from tests.make.results import write_results
 
 
 def patch(tile_index: int, side: Side) -> CoveragePatch:

@@ -56,110 +56,124 @@ def bent(value: float, knee: float) -> float:
     return value if value <= knee else knee + prescreen._BEYOND_KNEE * (value - knee)
 
 
-def slow_scores(tile: Tile) -> Slow:
+def window(i: int, j: int, up: int, down: int, near: int, far: int) -> tuple[slice, slice]:
+    """Rows i - up .. i + down, columns j - near .. j + far, both ends included."""
+    return slice(max(i - up, 0), max(i + down + 1, 0)), slice(max(j - near, 0), max(j + far + 1, 0))
+
+
+class Boxes:
     """The definition, pixel by pixel: every box is cut out, clipped at the tile's edge and summed over its valid
     pixels."""
-    n_rows, n_columns = tile.mask.shape
-    valid = (tile.mask & VALID) != 0
-    seabed = valid & ((tile.mask & SATURATED) == 0)
-    intensity = np.minimum(tile.intensity.astype(np.float64), prescreen.MAX_RATIO)
-    bounded = np.minimum(intensity, prescreen.BACKGROUND_CLIP)
 
-    def rows(length_m: float) -> int:
-        return pixels(length_m, tile.row_spacing_m)
+    def __init__(self, tile: Tile) -> None:
+        self.tile = tile
+        self.shape = tile.mask.shape
+        self.valid = (tile.mask & VALID) != 0
+        self.intensity = np.minimum(tile.intensity.astype(np.float64), prescreen.MAX_RATIO)
+        self.background, self.known = np.empty(self.shape), np.zeros(self.shape, dtype=np.bool_)
+        self._add_background()
+        self.small, self.large = self.log_variance(prescreen.SMALL_BOX_M), self.log_variance(prescreen.LARGE_BOX_M)
+        self.thin = self.log_variance(prescreen.THIN_BOX_M)
 
-    def columns(length_m: float) -> int:
-        return pixels(length_m, tile.column_spacing_m)
+    def rows(self, length_m: float) -> int:
+        return pixels(length_m, self.tile.row_spacing_m)
 
-    def window(i: int, j: int, up: int, down: int, near: int, far: int) -> tuple[slice, slice]:
-        """Rows i - up .. i + down, columns j - near .. j + far, both ends included."""
-        return slice(max(i - up, 0), max(i + down + 1, 0)), slice(max(j - near, 0), max(j + far + 1, 0))
+    def columns(self, length_m: float) -> int:
+        return pixels(length_m, self.tile.column_spacing_m)
 
-    def total(plane: Values, where: NDArray[np.bool_], box: tuple[slice, slice]) -> tuple[float, int]:
-        return float(plane[box][where[box]].sum()), int(where[box].sum())
+    def halves(self, size_m: tuple[float, float]) -> tuple[int, int]:
+        return self.rows(size_m[0]) // 2, self.columns(size_m[1]) // 2
 
-    frame_rows, hollow_rows = rows(prescreen.FRAME_ROWS_M), rows(prescreen._HOLLOW_ROWS_M)
-    frame_near, hollow_near = columns(prescreen._FRAME_NEAR_M), columns(prescreen._HOLLOW_NEAR_M)
-    frame_far, hollow_far = columns(prescreen._FRAME_FAR_M) - 1, columns(prescreen._HOLLOW_FAR_M) - 1
-    frame_rows = max(frame_rows, hollow_rows + 1)
-    frame_near, frame_far = max(frame_near, hollow_near + 1), max(frame_far, hollow_far + 1)
-    frame_area = (2 * frame_rows + 1) * (frame_near + frame_far + 1) - (2 * hollow_rows + 1) * (
-        hollow_near + hollow_far + 1
-    )
-    background = np.empty((n_rows, n_columns))
-    known = np.zeros((n_rows, n_columns), dtype=np.bool_)
-    for i, j in np.ndindex(n_rows, n_columns):
-        ring = np.zeros((n_rows, n_columns), dtype=np.bool_)
-        ring[window(i, j, frame_rows, frame_rows, frame_near, frame_far)] = True
-        ring[window(i, j, hollow_rows, hollow_rows, hollow_near, hollow_far)] = False
-        ring &= seabed
-        count = int(ring.sum())
-        background[i, j] = max(float(bounded[ring].sum()) / max(count, 1), 1e-6)
-        known[i, j] = valid[i, j] and count >= prescreen.MIN_BACKGROUND * frame_area and background[i, j] > 1e-6
-
-    def halves(size_m: tuple[float, float]) -> tuple[int, int]:
-        return rows(size_m[0]) // 2, columns(size_m[1]) // 2
-
-    def area(size_m: tuple[float, float]) -> int:
-        half_rows, half_columns = halves(size_m)
+    def area(self, size_m: tuple[float, float]) -> int:
+        half_rows, half_columns = self.halves(size_m)
         return (2 * half_rows + 1) * (2 * half_columns + 1)
 
-    def ratio(i: int, j: int, size_m: tuple[float, float]) -> float:
-        half_rows, half_columns = halves(size_m)
-        value, count = total(intensity, valid, window(i, j, half_rows, half_rows, half_columns, half_columns))
-        return value / max(count, 1) / float(background[i, j])
+    def total(self, box: tuple[slice, slice]) -> tuple[float, int]:
+        return float(self.intensity[box][self.valid[box]].sum()), int(self.valid[box].sum())
 
-    def log_variance(size_m: tuple[float, float]) -> Values:
-        logs = np.array([[math.log(max(ratio(i, j, size_m), 1e-3)) for j in range(n_columns)] for i in range(n_rows)])
+    def ratio(self, i: int, j: int, size_m: tuple[float, float]) -> float:
+        half_rows, half_columns = self.halves(size_m)
+        value, count = self.total(window(i, j, half_rows, half_rows, half_columns, half_columns))
+        return value / max(count, 1) / float(self.background[i, j])
+
+    def _add_background(self) -> None:
+        seabed = self.valid & ((self.tile.mask & SATURATED) == 0)
+        bounded = np.minimum(self.intensity, prescreen.BACKGROUND_CLIP)
+        frame_rows, hollow_rows = self.rows(prescreen.FRAME_ROWS_M), self.rows(prescreen._HOLLOW_ROWS_M)
+        frame_near, hollow_near = self.columns(prescreen._FRAME_NEAR_M), self.columns(prescreen._HOLLOW_NEAR_M)
+        frame_far, hollow_far = self.columns(prescreen._FRAME_FAR_M) - 1, self.columns(prescreen._HOLLOW_FAR_M) - 1
+        frame_rows = max(frame_rows, hollow_rows + 1)
+        frame_near, frame_far = max(frame_near, hollow_near + 1), max(frame_far, hollow_far + 1)
+        hollow = (2 * hollow_rows + 1) * (hollow_near + hollow_far + 1)
+        self.frame_area = (2 * frame_rows + 1) * (frame_near + frame_far + 1) - hollow
+        for i, j in np.ndindex(*self.shape):
+            ring = np.zeros(self.shape, dtype=np.bool_)
+            ring[window(i, j, frame_rows, frame_rows, frame_near, frame_far)] = True
+            ring[window(i, j, hollow_rows, hollow_rows, hollow_near, hollow_far)] = False
+            ring &= seabed
+            count = int(ring.sum())
+            mean = max(float(bounded[ring].sum()) / max(count, 1), 1e-6)
+            self.background[i, j] = mean
+            self.known[i, j] = self.valid[i, j] and count >= prescreen.MIN_BACKGROUND * self.frame_area and mean > 1e-6
+
+    def log_variance(self, size_m: tuple[float, float]) -> Values:
+        n_rows, n_columns = self.shape
+        ratios = ((self.ratio(i, j, size_m) for j in range(n_columns)) for i in range(n_rows))
+        logs = np.array([[math.log(max(ratio, 1e-3)) for ratio in row] for row in ratios])
         logs = np.clip(logs, -prescreen.LOG_CLIP, prescreen.LOG_CLIP)
-        reach = rows(prescreen.LOOKS_ROWS_M), columns(prescreen.LOOKS_COLUMNS_M)
-        result = np.empty((n_rows, n_columns))
-        for i, j in np.ndindex(n_rows, n_columns):
+        reach = self.rows(prescreen.LOOKS_ROWS_M), self.columns(prescreen.LOOKS_COLUMNS_M)
+        result = np.empty(self.shape)
+        for i, j in np.ndindex(*self.shape):
             box = window(i, j, reach[0], reach[0], reach[1], reach[1])
-            inside = logs[box][known[box]]
+            inside = logs[box][self.known[box]]
             result[i, j] = max(float(inside.var()) if inside.size else 0.0, prescreen.MIN_LOG_VARIANCE)
         return result
 
-    small, large = log_variance(prescreen.SMALL_BOX_M), log_variance(prescreen.LARGE_BOX_M)
-    thin = log_variance(prescreen.THIN_BOX_M)
-    growth = max(area(prescreen.LARGE_BOX_M) / area(prescreen.SMALL_BOX_M), 2.0)
-    score, highlight, darkest = np.full((3, n_rows, n_columns), np.nan)
-    for i, j in np.ndindex(n_rows, n_columns):
-        decay = min(max(math.log(small[i, j] / large[i, j]) / math.log(growth), prescreen.MIN_DECAY), 1.0)
+    def looks(self, i: int, j: int, rows_of_box: int, box_area: float) -> float:
+        growth = max(self.area(prescreen.LARGE_BOX_M) / self.area(prescreen.SMALL_BOX_M), 2.0)
+        decay = math.log(self.small[i, j] / self.large[i, j]) / math.log(growth)
+        decay = min(max(decay, prescreen.MIN_DECAY), 1.0)
+        one_row = rows_of_box == 1
+        times = box_area / self.area(prescreen.THIN_BOX_M if one_row else prescreen.SMALL_BOX_M)
+        variance = (self.thin if one_row else self.small)[i, j]
+        return looks_of(variance * times ** -(1.0 if times < 1.0 else decay))
 
-        def looks(rows_of_box: int, box_area: float, i: int = i, j: int = j, decay: float = decay) -> float:
-            one_row = rows_of_box == 1
-            times = box_area / area(prescreen.THIN_BOX_M if one_row else prescreen.SMALL_BOX_M)
-            return looks_of((thin if one_row else small)[i, j] * times ** -(1.0 if times < 1.0 else decay))
-
-        background_looks = looks(2, frame_area)
-        highlight[i, j] = max(
-            deviate(ratio(i, j, size), looks(2 * halves(size)[0] + 1, area(size)), background_looks)
+    def highlight(self, i: int, j: int) -> float:
+        background_looks = self.looks(i, j, 2, self.frame_area)
+        return max(
+            deviate(
+                self.ratio(i, j, size),
+                self.looks(i, j, 2 * self.halves(size)[0] + 1, self.area(size)),
+                background_looks,
+            )
             for size in prescreen.HIGHLIGHTS_M
         )
-        found = []
-        for along_m, height_m in prescreen.SHADOWS_M:
-            altitude_m = max(float(tile.first_return_m[i]), prescreen.MIN_ALTITUDE_M)
-            length_m = height_m * (j + 0.5) * tile.column_spacing_m / max(altitude_m - height_m, 0.3 * altitude_m)
-            length_m = min(max(length_m, prescreen.SHADOW_LENGTH_M[0]), prescreen.SHADOW_LENGTH_M[1])
-            n = max(round(length_m / tile.column_spacing_m), 1)
-            half_rows = rows(along_m) // 2
-            value, count = total(intensity, valid, window(i, j, half_rows, half_rows, 0, n - 1))
-            box_area = (2 * half_rows + 1) * n
-            enough = count > prescreen.MIN_SHADOW * box_area
-            found.append(
-                deviate(
-                    value / max(count, 1) / float(background[i, j]),
-                    looks(2 * half_rows + 1, box_area),
-                    background_looks,
-                )
-                if enough
-                else 0.0
-            )
-        darkest[i, j] = min(found)
 
-    lag = columns(prescreen.SHADOW_LAG_M)
-    shadow = np.empty((n_rows, n_columns))
+    def darkest(self, i: int, j: int) -> float:
+        background_looks, found = self.looks(i, j, 2, self.frame_area), []
+        column_m = self.tile.column_spacing_m
+        for along_m, height_m in prescreen.SHADOWS_M:
+            altitude_m = max(float(self.tile.first_return_m[i]), prescreen.MIN_ALTITUDE_M)
+            length_m = height_m * (j + 0.5) * column_m / max(altitude_m - height_m, 0.3 * altitude_m)
+            length_m = min(max(length_m, prescreen.SHADOW_LENGTH_M[0]), prescreen.SHADOW_LENGTH_M[1])
+            n = max(round(length_m / column_m), 1)
+            half_rows = self.rows(along_m) // 2
+            value, count = self.total(window(i, j, half_rows, half_rows, 0, n - 1))
+            box_area = (2 * half_rows + 1) * n
+            ratio = value / max(count, 1) / float(self.background[i, j])
+            dark = deviate(ratio, self.looks(i, j, 2 * half_rows + 1, box_area), background_looks)
+            found.append(dark if count > prescreen.MIN_SHADOW * box_area else 0.0)
+        return min(found)
+
+
+def slow_scores(tile: Tile) -> Slow:
+    """Combine the brightest highlight and the darkest shadow behind it."""
+    boxes = Boxes(tile)
+    n_rows, n_columns = boxes.shape
+    score, highlight, darkest, shadow = np.full((4, n_rows, n_columns), np.nan)
+    for i, j in np.ndindex(n_rows, n_columns):
+        highlight[i, j], darkest[i, j] = boxes.highlight(i, j), boxes.darkest(i, j)
+    lag = boxes.columns(prescreen.SHADOW_LAG_M)
     for i, j in np.ndindex(n_rows, n_columns):
         starts = [(i + di, j + k) for di in (-1, 0, 1) for k in range(1, lag + 1)]
         inside = [darkest[start] for start in starts if 0 <= start[0] < n_rows and start[1] < n_columns]
@@ -169,8 +183,8 @@ def slow_scores(tile: Tile) -> Slow:
         usual = min(bright, prescreen.CLEAR_HIGHLIGHT)
         both = weight * usual + (bright - usual) + bent(float(shadow[i, j]), prescreen._SHADOW_KNEE)
         glint = bent(float(highlight[i, j]) - prescreen.GLINT_DISCOUNT, prescreen._GLINT_KNEE)
-        score[i, j] = max(both / math.hypot(weight, 1.0), glint) if known[i, j] else -math.inf
-    return Slow(score, highlight, shadow, background, small)
+        score[i, j] = max(both / math.hypot(weight, 1.0), glint) if boxes.known[i, j] else -math.inf
+    return Slow(score, highlight, shadow, boxes.background, boxes.small)
 
 
 def patchy_mask(seed: int, shape: tuple[int, int]) -> NDArray[np.uint8]:

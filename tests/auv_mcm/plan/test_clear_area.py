@@ -19,7 +19,8 @@ from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.plan.clear_area import MAX_VAIN_PASSES, ClearArea
 from auv_mcm.plan.look_again import LookAgain, PlanRequest, Proposal
 from auv_mcm.records import SEABED_TYPES, Contact, CoveragePatch, EchoTrace, Ping, Side, SurveyedCells, Waypoint
-from auv_mcm.settings.config import Config, PlanConfig
+from auv_mcm.settings.config import Config
+from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from tests.auv_mcm.plan.test_propose import clearance_m, contact
 from tests.make.looks import EvenLook

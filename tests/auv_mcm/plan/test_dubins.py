@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -96,71 +97,73 @@ def brute_force(start: PlanePose, end: PlanePose, radius: float) -> float:
                 end.north_m - last * radius * math.sin(end.heading_rad),
             )
             for middle in {0.0, -first} if first == last else {0.0}:
-                best = min(best, scan(start, end, radius, first, middle, last, centre))
+                best = min(best, scan(Ways(start, radius, first, middle, last, centre), end))
     return best
 
 
-def scan(
-    start: PlanePose,
-    end: PlanePose,
-    radius: float,
-    first: float,
-    middle: float,
-    last: float,
-    centre: tuple[float, float],
-) -> float:
-    def leave(angle: Array) -> tuple[Array, Array, Array]:
-        heading = start.heading_rad + first * angle
-        east = start.east_m + first * radius * (math.cos(start.heading_rad) - np.cos(heading))
-        north = start.north_m - first * radius * (math.sin(start.heading_rad) - np.sin(heading))
+class Ways(NamedTuple):
+    """Ways from a turn to a circle about `centre`: by a straight, or, with `middle`, by a third circle between them."""
+
+    start: PlanePose
+    radius: float
+    first: float
+    middle: float
+    last: float
+    centre: tuple[float, float]
+
+    def leave(self, angle: Array) -> tuple[Array, Array, Array]:
+        start, radius = self.start, self.radius
+        heading = start.heading_rad + self.first * angle
+        east = start.east_m + self.first * radius * (math.cos(start.heading_rad) - np.cos(heading))
+        north = start.north_m - self.first * radius * (math.sin(start.heading_rad) - np.sin(heading))
         return east, north, heading
 
-    def mismatch(angle: Array) -> Array:
-        east, north, heading = leave(angle)
-        if middle:  # the middle circle must touch the last one from outside
-            middle_east, middle_north = (
-                east + middle * radius * np.cos(heading),
-                north - middle * radius * np.sin(heading),
-            )
-            return np.asarray(
-                np.hypot(middle_east - centre[0], middle_north - centre[1]) - 2.0 * radius, dtype=np.float64
-            )
+    def mismatch(self, angle: Array) -> Array:
+        east, north, heading = self.leave(angle)
+        if self.middle:  # the middle circle must touch the last one from outside
+            middle_east = east + self.middle * self.radius * np.cos(heading)
+            middle_north = north - self.middle * self.radius * np.sin(heading)
+            apart = np.hypot(middle_east - self.centre[0], middle_north - self.centre[1])
+            return np.asarray(apart - 2.0 * self.radius, dtype=np.float64)
         # the straight must pass the last centre at one radius, on the turn's side
-        return np.asarray(
-            (centre[0] - east) * np.cos(heading) - (centre[1] - north) * np.sin(heading) - last * radius,
-            dtype=np.float64,
-        )
+        aside = (self.centre[0] - east) * np.cos(heading) - (self.centre[1] - north) * np.sin(heading)
+        return np.asarray(aside - self.last * self.radius, dtype=np.float64)
 
+    def between(self, angle: float) -> tuple[float, float]:
+        """Length of what lies between both turns, and the heading at its end."""
+        east, north, heading = (float(part) for part in self.leave(np.array(angle)))
+        if not self.middle:
+            along = (self.centre[0] - east) * math.sin(heading) + (self.centre[1] - north) * math.cos(heading)
+            return along, heading
+        middle_east = east + self.middle * self.radius * math.cos(heading)
+        middle_north = north - self.middle * self.radius * math.sin(heading)
+        contact = (middle_east + self.centre[0]) / 2.0, (middle_north + self.centre[1]) / 2.0
+        # at the touching point the heading is square to the line from the middle centre
+        outward = math.atan2(contact[0] - middle_east, contact[1] - middle_north)
+        arrival = outward + self.middle * math.pi / 2.0
+        return smallest_turn(self.middle * (arrival - heading)) * self.radius, arrival
+
+
+def scan(ways: Ways, end: PlanePose) -> float:
     grid = np.linspace(0.0, 2.0 * np.pi, 2881)
-    value = mismatch(grid)
+    value, radius = ways.mismatch(grid), ways.radius
     low, high = grid[:-1], grid[1:]
     crossing = np.signbit(value[:-1]) != np.signbit(value[1:])
     low, high = low[crossing], high[crossing]
-    sign = np.signbit(mismatch(low))
+    sign = np.signbit(ways.mismatch(low))
     for _ in range(50):
         half = (low + high) / 2.0
-        same = np.signbit(mismatch(half)) == sign
+        same = np.signbit(ways.mismatch(half)) == sign
         low, high = np.where(same, half, low), np.where(same, high, half)
     touching = grid[np.abs(value) < 1e-9 * radius]  # roots without a sign change
     best = math.inf
     for angle in [*low.tolist(), *touching.tolist()]:
-        east, north, heading = (float(part) for part in leave(np.array(angle)))
-        if middle:
-            middle_east, middle_north = (
-                east + middle * radius * math.cos(heading),
-                north - middle * radius * math.sin(heading),
-            )
-            contact = (middle_east + centre[0]) / 2.0, (middle_north + centre[1]) / 2.0
-            # at the touching point the heading is square to the line from the middle centre
-            outward = math.atan2(contact[0] - middle_east, contact[1] - middle_north)
-            arrival = outward + middle * math.pi / 2.0
-            along = smallest_turn(middle * (arrival - heading)) * radius
-        else:
-            along = (centre[0] - east) * math.sin(heading) + (centre[1] - north) * math.cos(heading)
-            arrival = heading
-            if along < -1e-6 * radius:
-                continue
-        best = min(best, angle * radius + max(along, 0.0) + smallest_turn(last * (end.heading_rad - arrival)) * radius)
+        along, arrival = ways.between(angle)
+        if along < -1e-6 * radius:
+            continue
+        best = min(
+            best, angle * radius + max(along, 0.0) + smallest_turn(ways.last * (end.heading_rad - arrival)) * radius
+        )
     return best
 
 

@@ -18,7 +18,7 @@ from auv_mcm.plan.look_again import PlanRequest, Proposal
 from auv_mcm.plan.propose import propose
 from auv_mcm.plan.reinspect import plan_reinspection
 from auv_mcm.records import Contact, Waypoint
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
 from tests.auv_mcm.classify import drawn_looks
 

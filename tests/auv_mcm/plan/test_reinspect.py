@@ -19,7 +19,7 @@ from auv_mcm.plan.dubins import PlanePose, dubins_lengths, dubins_path
 from auv_mcm.plan.reinspect import needs_second_look, plan_reinspection
 from auv_mcm.plan.tour import exact_tour, nearly_shortest_tour, short_tour, tour_length
 from auv_mcm.records import NAN, Contact, Waypoint
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 from tests.auv_mcm.classify import drawn_looks
 
 CONFIG = PlanConfig(max_contacts=40)

@@ -12,7 +12,7 @@ from typing import Any
 from auv_mcm.clock import Stamp
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
-from auv_mcm.shell.perception import MakePipeline
+from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
 from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth, VehiclePilot
 from tests.auv_mcm.shell import fake_pipelines as fake

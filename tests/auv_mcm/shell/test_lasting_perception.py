@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.records import SourceEvent
-from auv_mcm.shell.perception import MakePipeline
+from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.source import EventSink
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell.service_runs import Events, journal, mission, serve, summary

@@ -8,7 +8,7 @@ from msgspec import structs
 
 from auv_mcm.clearance.clearance_map import Clearance
 from auv_mcm.geometry.geodesy import LocalFrame
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.shell.mission_totals import area_totals, clearance_notices, contact_totals, search_totals
 from tests.auv_mcm.contacts.test_seen_area import patch
 

@@ -25,7 +25,9 @@ from auv_mcm.contacts.record_file import RecordFile, RecordPlace
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import Contact, CoveragePatch, EarlyContact, EchoTrace, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config
-from auv_mcm.shell.perception import Fed, Finished, MakePipeline, Perception, PerceptionError
+from auv_mcm.shell.perception import Perception
+from auv_mcm.shell.perception_chain import MakePipeline
+from auv_mcm.shell.perception_messages import Fed, Finished, PerceptionError
 from auv_mcm.shell.ping_ring import Ring
 from tests.auv_mcm.contacts.temporary_records import temporary_record_file
 from tests.auv_mcm.shell import fake_pipelines as fake

@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from pathlib import Path
 
-from auv_mcm.settings.config import PlanConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.shell.results import plan_waypoints, write_clearance
 from auv_mcm.shell.tally import Tally
 

@@ -16,7 +16,7 @@ import pytest
 
 from auv_mcm.records import SourceEvent
 from auv_mcm.settings.config import Config, ServiceConfig
-from auv_mcm.shell.perception import MakePipeline
+from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell.service_runs import Ports, ids, journal, summary

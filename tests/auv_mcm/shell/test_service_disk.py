@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from auv_mcm.errors import HardwareError
-from auv_mcm.shell.perception import PerceptionError
+from auv_mcm.shell.perception_messages import PerceptionError
 from auv_mcm.shell.recovery import BALLAST_BYTES, Ballast
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell.service_runs import Events, ids, journal, mission, serve, summary

@@ -17,7 +17,8 @@ import pytest
 from auv_mcm.errors import AuvMcmError, BadInputError, HardwareError
 from auv_mcm.settings.config import Config, ServiceConfig
 from auv_mcm.shell.journal import Journal
-from auv_mcm.shell.perception import MakePipeline, PerceptionError
+from auv_mcm.shell.perception_chain import MakePipeline
+from auv_mcm.shell.perception_messages import PerceptionError
 from auv_mcm.shell.service import Service
 from sim_replay.logs.session_parts import recordings_of
 from sim_replay.logs.session_reader import Session
@@ -108,14 +109,14 @@ PROGRAM = """
 import logging, sys
 from tests.auv_mcm.shell import fake_pipelines as fake
 from tests.auv_mcm.shell import service_runs as t
-from auv_mcm.shell import service
+from auv_mcm.shell import serve
 from auv_mcm.settings.config import Config, ServiceConfig
 
 logging.basicConfig(stream=sys.stdout, format="%(message)s", level=logging.INFO)
-service.open_source = lambda uri, config, clock: t.Events(t.mission(30), endless=True)
+serve.open_source = lambda uri, config, clock: t.Events(t.mission(30), endless=True)
 config = Config(service=ServiceConfig(output_directory=sys.argv[1], source="replay:///none", health_period_s=3600))
 try:
-    service.serve(config, make_pipeline=getattr(fake, sys.argv[2]))
+    serve.serve(config, make_pipeline=getattr(fake, sys.argv[2]))
 except KeyboardInterrupt:
     sys.exit(130)
 """

@@ -17,9 +17,10 @@ import pytest
 
 from auv_mcm.errors import AuvMcmError
 from auv_mcm.records import Contact, Notice, Waypoint
-from auv_mcm.settings.config import Config, PlanConfig, ServiceConfig
+from auv_mcm.settings.config import Config, ServiceConfig
+from auv_mcm.settings.plan_settings import PlanConfig
 from auv_mcm.settings.vehicle_settings import VehicleConfig
-from auv_mcm.shell.perception import MakePipeline
+from auv_mcm.shell.perception_chain import MakePipeline
 from auv_mcm.shell.service import Service
 from auv_mcm.source import EventSink, PortState, QuantityState, Record, SourceHealth
 from tests.auv_mcm.shell import fake_pipelines as fake

@@ -28,7 +28,6 @@ from auv_mcm.contacts.background import (
 from auv_mcm.errors import BadInputError
 from auv_mcm.pipeline import Pipeline
 from auv_mcm.settings.config import Config, ConfirmConfig, config_yaml, parse_config
-from auv_mcm.shell.results import write_results
 from sim_replay.fitting.fit_background import log_odds_of
 from sim_replay.fitting.fit_odds import written
 from sim_replay.fitting.judged_missions import MINE, NOT_JUDGED, NOT_MINE, JudgedMission, read_judged_missions
@@ -48,6 +47,7 @@ from sim_replay.verdicts import Call, Verdict, append_verdict
 from tests.auv_mcm.contacts.test_background import drawn_background
 from tests.auv_mcm.test_pipeline_confirmation import mission as flown_mission
 from tests.auv_mcm.test_pipeline_confirmation import run
+from tests.make.results import write_results
 from tests.sim_replay.report_samples import contact
 
 Array = NDArray[np.float64]

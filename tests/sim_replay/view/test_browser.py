@@ -66,6 +66,84 @@ async def click_at(page: BrowserPage, row: float, across_m: float) -> None:
     await page.click(place["x"], place["y"])
 
 
+async def look(page: BrowserPage) -> None:
+    # a long table holds elements for what is in sight alone
+    assert await page.evaluate("document.querySelector('#count').textContent") == "9999 of 9999"
+    assert await page.evaluate("document.querySelectorAll('#table .row').length") < 80
+    # the waterfall is painted: not one colour
+    await page.wait_for("!bench.busy")
+    colours = (
+        "(() => {const c = document.querySelector('#waterfall-picture'), d = c.getContext('2d')"
+        ".getImageData(0, 0, c.width, c.height).data; return new Set(new Uint32Array(d.buffer)).size})()"
+    )
+    assert await page.evaluate(colours) > 50
+
+
+async def judge_and_measure(page: BrowserPage) -> None:
+    # the likeliest contact comes first; a key judges it
+    await page.press("j")
+    assert await page.evaluate("bench.selected") == "C00001"
+    await page.wait_for("document.querySelector('#card h3') !== null")
+    # its shadow is measured with two clicks, three times; the median is kept with the verdict
+    await page.press("s")
+    for number, end_m in enumerate((SHADOW_M, SHADOW_M - 0.6, SHADOW_M), 1):
+        for across_m in (OBJECT_M, end_m):
+            await click_at(page, OBJECT_ROW, across_m)
+        awaited = "height" if number == 1 else f"median of {number},"
+        await page.wait_for(f"document.querySelector('#sizes').textContent.includes('{awaited}')")
+    await page.press("Escape")
+    await page.press("m")
+    await page.wait_for("bench.contacts.find((one) => one.id === 'C00001').call === 'mine_like'")
+
+
+async def comment(page: BrowserPage, mission: ShownMission) -> None:
+    # a comment that is markup stays text
+    await page.press("c")
+    await page.write(SCRIPT)
+    await page.click_on("#save")
+    await page.wait_for("document.querySelector('#card').textContent.includes('onerror')")
+    # a verdict from elsewhere draws the card anew; what is being written stays, and so does the cursor
+    await page.press("c")
+    await page.write("half ")
+    mission.judge(Judgement(contact_id="C00001", call="undecided", comment=SCRIPT))
+    await page.wait_for("document.querySelector('#call-undecided').getAttribute('aria-pressed') === 'true'")
+    await page.write("a sentence")
+    assert "half a sentence" in await page.evaluate("document.querySelector('#comment').value")
+    await page.press("Escape")
+
+
+async def judge_another_and_draw_one(page: BrowserPage) -> None:
+    # another contact, whose very class is markup
+    await page.press("j")
+    await page.wait_for("bench.selected === 'C00002' && document.querySelector('#card h3') !== null")
+    await page.press("n")
+    await page.wait_for("bench.contacts.find((one) => one.id === 'C00002').call === 'not_mine_like'")
+    # one that was missed
+    await page.press("d")
+    await page.evaluate("bench.view.along = 30, bench.view.across = 0, 0")
+    await click_at(page, 260.0, 6.0)
+    await page.wait_for("bench.contacts.some((one) => one.drawn)")
+
+
+async def search_and_point(page: BrowserPage) -> None:
+    # search and filter
+    await page.press("/")
+    await page.write("onerror")
+    await page.wait_for("document.querySelector('#count').textContent.startsWith('1 of')")
+    # every screen has its own look
+    await page.press("Escape")
+    grounds = set()
+    for _ in range(3):
+        await page.press("t")
+        grounds.add(await page.evaluate("getComputedStyle(document.body).backgroundColor"))
+    assert len(grounds) == 3
+    # the cursor says where it is
+    place = await page.evaluate("bench.screenOf(260, 6)")
+    await page.move(place["x"] + 3, place["y"])
+    await page.wait_for("document.querySelector('#cursor').textContent.includes('depth 15.0 m')")
+    assert "starboard" in await page.evaluate("document.querySelector('#cursor').textContent")
+
+
 def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
     others = [feature(number, 10.0 + number * 0.04, -15.0, p_mine=0.05) for number in range(3, 10_000)]
     hostile = feature(2, 300.0, -8.0, p_mine=0.5, **{"class": SCRIPT, "reasons": [SCRIPT]})
@@ -73,69 +151,11 @@ def test_an_analyst_looks_judges_measures_and_draws(tmp_path: Path) -> None:
     mission = shown(folder, sea_floor())
 
     async def visit(page: BrowserPage) -> None:
-        # a long table holds elements for what is in sight alone
-        assert await page.evaluate("document.querySelector('#count').textContent") == "9999 of 9999"
-        assert await page.evaluate("document.querySelectorAll('#table .row').length") < 80
-        # the waterfall is painted: not one colour
-        await page.wait_for("!bench.busy")
-        colours = (
-            "(() => {const c = document.querySelector('#waterfall-picture'), d = c.getContext('2d')"
-            ".getImageData(0, 0, c.width, c.height).data; return new Set(new Uint32Array(d.buffer)).size})()"
-        )
-        assert await page.evaluate(colours) > 50
-        # the likeliest contact comes first; a key judges it
-        await page.press("j")
-        assert await page.evaluate("bench.selected") == "C00001"
-        await page.wait_for("document.querySelector('#card h3') !== null")
-        # its shadow is measured with two clicks, three times; the median is kept with the verdict
-        await page.press("s")
-        for number, end_m in enumerate((SHADOW_M, SHADOW_M - 0.6, SHADOW_M), 1):
-            for across_m in (OBJECT_M, end_m):
-                await click_at(page, OBJECT_ROW, across_m)
-            awaited = "height" if number == 1 else f"median of {number},"
-            await page.wait_for(f"document.querySelector('#sizes').textContent.includes('{awaited}')")
-        await page.press("Escape")
-        await page.press("m")
-        await page.wait_for("bench.contacts.find((one) => one.id === 'C00001').call === 'mine_like'")
-        # a comment that is markup stays text
-        await page.press("c")
-        await page.write(SCRIPT)
-        await page.click_on("#save")
-        await page.wait_for("document.querySelector('#card').textContent.includes('onerror')")
-        # a verdict from elsewhere draws the card anew; what is being written stays, and so does the cursor
-        await page.press("c")
-        await page.write("half ")
-        mission.judge(Judgement(contact_id="C00001", call="undecided", comment=SCRIPT))
-        await page.wait_for("document.querySelector('#call-undecided').getAttribute('aria-pressed') === 'true'")
-        await page.write("a sentence")
-        assert "half a sentence" in await page.evaluate("document.querySelector('#comment').value")
-        await page.press("Escape")
-        # another contact, whose very class is markup
-        await page.press("j")
-        await page.wait_for("bench.selected === 'C00002' && document.querySelector('#card h3') !== null")
-        await page.press("n")
-        await page.wait_for("bench.contacts.find((one) => one.id === 'C00002').call === 'not_mine_like'")
-        # one that was missed
-        await page.press("d")
-        await page.evaluate("bench.view.along = 30, bench.view.across = 0, 0")
-        await click_at(page, 260.0, 6.0)
-        await page.wait_for("bench.contacts.some((one) => one.drawn)")
-        # search and filter
-        await page.press("/")
-        await page.write("onerror")
-        await page.wait_for("document.querySelector('#count').textContent.startsWith('1 of')")
-        # every screen has its own look
-        await page.press("Escape")
-        grounds = set()
-        for _ in range(3):
-            await page.press("t")
-            grounds.add(await page.evaluate("getComputedStyle(document.body).backgroundColor"))
-        assert len(grounds) == 3
-        # the cursor says where it is
-        place = await page.evaluate("bench.screenOf(260, 6)")
-        await page.move(place["x"] + 3, place["y"])
-        await page.wait_for("document.querySelector('#cursor').textContent.includes('depth 15.0 m')")
-        assert "starboard" in await page.evaluate("document.querySelector('#cursor').textContent")
+        await look(page)
+        await judge_and_measure(page)
+        await comment(page, mission)
+        await judge_another_and_draw_one(page)
+        await search_and_point(page)
 
     in_browser(mission, visit)
     verdicts = read_verdicts(folder)
