@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
         metavar="LOG",
         nargs="*",
         type=Path,
-        help="log to look into: XTF, JSF, svlog, image or a recorded session",
+        help="log to look into: XTF, JSF, svlog, SDF, SL2, SL3, SON, image or a recorded session",
     )
     add_config_option(parser)
     parser.add_argument("--json", action="store_true", help="print findings as JSON, one a line, for scripts")

@@ -318,6 +318,8 @@ class NavBuffer:
         """Lay lines through new fixes; compare the measured speed with them."""
         new, self._new_fixes = self._new_fixes, []
         for fix, joined in new:
+            if not self._line.takes(fix, joined=joined):
+                continue
             estimate = self._line.add(TrackPoint(fix, *self._way.at_one(fix.time_s)), joined=joined)
             if estimate is not None:
                 self._use_estimate(estimate)

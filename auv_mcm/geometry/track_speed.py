@@ -83,12 +83,17 @@ class TrackSpeed:
         """Forget all fixes."""
         self._points.clear()
 
+    def takes(self, fix: Fix, *, joined: bool) -> bool:
+        """Check whether `add` would keep the next fix, before its way is known."""
+        points = self._points
+        return not points or not joined or not fix.time_s - points[-1].fix.time_s < _SPACING_S
+
     def add(self, point: TrackPoint, *, joined: bool) -> SpeedEstimate | None:
         """Take the next fix; `joined` is False if the vehicle cannot have travelled there from the last one."""
         points, time_s = self._points, point.fix.time_s
         if points and (not joined or time_s - points[-1].fix.time_s > _MAX_HOLE_S):
             points.clear()
-        if points and time_s - points[-1].fix.time_s < _SPACING_S:
+        if not self.takes(point.fix, joined=joined):
             return None
         points.append(point)
         while len(points) > _MIN_FIXES and time_s - points[0].fix.time_s > WINDOW_S:

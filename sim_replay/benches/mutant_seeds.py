@@ -6,7 +6,7 @@ They are what `auv-mcm bench mutants --all` damages.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -26,6 +26,7 @@ from drivers.sonar.jsf_messages import JsfMessage
 from drivers.sonar.jsf_messages import to_wire as jsf_wire
 from drivers.sonar.ping_messages import NMEA_WRAPPER, JsonWrapper, PingMessage, encode
 from drivers.sonar.ping_messages import to_wire as ping_wire
+from sim_replay.benches.recorder_files import write_humminbird, write_lowrance, write_sdf
 from sim_replay.fakes.device import SONARS
 from sim_replay.fakes.navigation import Nmea0183Unit
 from sim_replay.fakes.sonar import DeviceTime
@@ -145,6 +146,14 @@ def _svlog(path: Path) -> None:
     path.write_bytes(b"".join(parts))
 
 
+def _humminbird(path: Path) -> None:
+    write_humminbird(path.with_name("Rec00001.DAT"), _mission(), son=path.parent)
+
+
+def _sdf(path: Path, version: int) -> None:
+    write_sdf(path, _mission(), version=version)
+
+
 def _session(path: Path) -> None:
     config, received = _received("jsf")
     folder = path.parent / "recording"
@@ -165,6 +174,10 @@ _LOGS: Final[tuple[tuple[str, str, Callable[[Path], None]], ...]] = (
     ("JSF", "log.jsf", _jsf),
     ("svlog", "log.svlog", _svlog),
     ("recorded session", "log.mcap", _session),
+    ("SL2", "log.sl2", lambda path: write_lowrance(path, _mission())),
+    ("SL3", "log.sl3", lambda path: write_lowrance(path, _mission(), version=3, composite=False)),
+    ("Humminbird", "B002.SON", _humminbird),
+    *((f"SDF {page}", f"log{page}.sdf", partial(_sdf, version=page)) for page in (3000, 3502, 5004)),
 )
 
 

@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
         "source",
         metavar="FOLDER|LIST",
         type=Path,
-        help="folder of logs (.xtf, .jsf, .svlog, .mcap, recorded sessions), or a text file with a path a line",
+        help="folder of logs (.xtf, .jsf, .sdf, .sl2, .son ...) and sessions, or a text file with a path a line",
     )
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder for the results")
     add_config_option(parser)

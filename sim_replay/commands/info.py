@@ -37,7 +37,7 @@ def add(commands: Commands) -> None:
         metavar="LOG",
         nargs="+",
         type=Path,
-        help="XTF, JSF or svlog file, sonar image, recorded session, or a folder of logs",
+        help="XTF, JSF, svlog, SDF, SL2, SL3 or SON file, sonar image, recorded session, or a folder of logs",
     )
     parser.add_argument("--json", action="store_true", help="write JSON: an object with a list 'logs'")
     add_config_option(parser)

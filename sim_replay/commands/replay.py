@@ -39,8 +39,8 @@ def add(commands: Commands) -> None:
         nargs="+",
         type=Path,
         help=(
-            "XTF, JSF or svlog file, sonar image, or a recorded session: its folder, a recording in it, an .mcap file; "
-            "the format is recognised by content"
+            "XTF, JSF, svlog, SDF, SL2, SL3 or SON file, sonar image, or a recorded session: its folder, a recording "
+            "in it, an .mcap file; the format is recognised by content"
         ),
     )
     parser.add_argument(

@@ -13,9 +13,10 @@ from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import is_session
 from sim_replay.logs.session_parts import recordings_of, start_of
 
-LOG_SUFFIXES: Final = frozenset({".xtf", ".jsf", ".svlog", ".mcap"})
+LOG_SUFFIXES: Final = frozenset({".xtf", ".jsf", ".svlog", ".sdf", ".sl2", ".sl3", ".son", ".mcap"})
 _IMAGE_SUFFIXES: Final = frozenset({".tif", ".tiff", ".png", ".npy", ".h5", ".nc"})
 """Of files that are taken for logs in a folder; their format is recognised by content. A list may name any file."""
+_SIDES: Final = ("B002.SON", "B003.SON")  # of a Humminbird recording: the first one there stands for its folder
 
 
 class ArchivedLog(NamedTuple):
@@ -57,7 +58,9 @@ def _below(folder: Path, out: Path) -> list[Path]:
         parts = [part for part in recordings_of(here) if is_session(part)]
         found += parts[:1]  # the first start's stands for all
         folders[:] = [name for name in folders if here / name not in parts and (here / name).resolve() != out]
-        found += [here / name for name in files if Path(name).suffix.lower() in LOG_SUFFIXES]
+        logs = [name for name in files if Path(name).suffix.lower() in LOG_SUFFIXES]
+        sides = sorted((name for name in logs if name.upper() in _SIDES), key=str.upper)
+        found += [here / name for name in logs if name in sides[:1] or not name.upper().endswith(".SON")]
         images = [here / name for name in files if Path(name).suffix.lower() in _IMAGE_SUFFIXES]
         found += [image for image in images if sidecar_path(image).name in files]
     return found

@@ -2,8 +2,7 @@
 
 A row per format: what it is called, how its first bytes begin, and what to do. Layouts are the makers' or of public
 readers: SeaBat 7k (Teledyne, "7k Data Format Definition"), EM datagrams (Kongsberg, 850-160692), GSF (SAIC), SEG-Y
-(SEG, rev. 2), SDF (Klein, "SDF/SDFX Data Page Definitions"), SL2 and SL3 (OpenStreetMap wiki), SON and RSD
-(PINGVerter).
+(SEG, rev. 2), SLG (opensounder), RSD (PINGVerter).
 """
 
 from __future__ import annotations
@@ -14,10 +13,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 _AS_XTF: Final = "Export it as XTF"
-_FISH_FINDER: Final = (
-    "Logs of fish finders are not read, as no reader of them survives damage: export it as XTF with SonarWiz, SonarTRX "
-    "or ReefMaster"
-)
 _MULTIBEAM: Final = (
     "It holds what a multibeam recorded: export its side scan as XTF with the maker's software, if there is any"
 )
@@ -95,17 +90,6 @@ def _is_segy(head: bytes) -> bool:
     )
 
 
-def _is_sdf(head: bytes) -> bool:
-    return head.startswith(b"\xff" * 4) and 128 < _number(head, 4, "<I") < 1 << 24 and _number(head, 8, "<I") < 20_000
-
-
-def _is_lowrance(head: bytes) -> bool:
-    return _number(head, 0, "<H") in (1, 2, 3) and _number(head, 2, "<H") in (0, 1, 2) and head[4:6] in _SL_BLOCKS
-
-
-_SL_BLOCKS: Final = (b"\xb2\x07", b"\x80\x0c")  # 1970, 3200: bytes of a block, for down scan and side scan
-
-
 def _is_dvs(head: bytes) -> bool:
     if len(head) < 18 or _number(head, 0, "<I") != 1:
         return False
@@ -176,22 +160,20 @@ FOREIGN: Final[tuple[ForeignFormat, ...]] = (
         "Give the log of the side scan that was recorded beside it",
         (".sgy", ".segy", ".seg"),
     ),
-    ForeignFormat("a Klein SDF log", _is_sdf, f"{_AS_XTF} with Klein SonarPro", (".sdf", ".sdfx")),
+    ForeignFormat("a Klein log (.sdfx)", _never, f"{_AS_XTF} with Klein SonarPro", (".sdfx",)),
     ForeignFormat(
         "a Marine Sonic log (MSTIFF)", _is_mstiff, f"{_AS_XTF} with Sea Scan Survey or SonarWiz", (".mst", ".mstiff")
     ),
-    ForeignFormat("a Lowrance or Simrad log (SL2, SL3)", _is_lowrance, _FISH_FINDER, (".sl2", ".sl3", ".slg")),
-    ForeignFormat("a Humminbird log (SON)", _magic(b"\xc0\xde\xab\x21"), _FISH_FINDER, (".son",)),
     ForeignFormat(
-        "a Humminbird recording (DAT), whose pings are in the folder of SON files beside it",
-        _never,
-        _FISH_FINDER,
-        (".dat",),
+        "a Lowrance log (SLG)",
+        lambda head: head[:2] == b"\1\0" and head[4:8] in (b"\xb2\x07\0\0", b"\x80\x0c\0\0"),
+        "Record it as SL2 or SL3",
+        (".slg",),
     ),
     ForeignFormat(
         "a Garmin log (RSD)",
         lambda head: head[1:6] == b"\x04\x86\xda\xe9\xb7" or _is_rsd(head),
-        _FISH_FINDER,
+        f"{_AS_XTF} with SonarWiz, SonarTRX or ReefMaster",
         (".rsd",),
     ),
     ForeignFormat("a DeepVision log (DVS)", _is_dvs, f"{_AS_XTF} with DeepView", (".dvs",)),

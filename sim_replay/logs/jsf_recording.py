@@ -121,7 +121,7 @@ class JsfRecording:
         if self._choice:
             text = f"of several frequencies one is used: {self._choice}"
             self._notify("reader.frequency_chosen", text, self._file.path.name)
-        order = TimeOrder(self._own)
+        order = TimeOrder[Recorded](self._own)
         for framed in self._file:
             recorded = self._recorded(framed.message, framed.offset)
             if recorded is not None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from typing import Final
+from typing import Any, Final, Generic, Protocol, Self, TypeVar
 
 from auv_mcm.clock import Stamp
-from drivers.recording.session_layout import Recorded
 
 PAUSE_S: Final = 10.0  # a longer one is a break: what was known of clocks and navigation no longer holds
 _SLACK_NS: Final = 1_000_000_000  # recorders write what came within a second in any order
@@ -15,7 +14,20 @@ _PAUSE_NS: Final = round(PAUSE_S * 1e9)
 _MAX_HELD: Final = 256  # messages; several seconds of a side-scan's, and the bound where a clock stands still
 
 
-class TimeOrder:
+class Stamped(Protocol):
+    """Have a stamp that can be replaced, as named tuples do."""
+
+    @property
+    def stamp(self) -> Stamp:
+        """Return the time of it."""
+
+    def _replace(self, *args: Any, **kwargs: Any) -> Self: ...
+
+
+M = TypeVar("M", bound=Stamped)
+
+
+class TimeOrder(Generic[M]):
     """Sort messages by their stamps within a second.
 
     One whose time is far from those before it is believed only if the next one agrees: formats without a checksum hold
@@ -25,13 +37,13 @@ class TimeOrder:
 
     def __init__(self, counters: Counter[str]) -> None:
         self._counters = counters
-        self._held: list[tuple[int, int, Recorded]] = []
+        self._held: list[tuple[int, int, M]] = []
         self._n_held = 0
         self._newest_ns: int | None = None
         self._released_ns = 0
-        self._suspect: Recorded | None = None
+        self._suspect: M | None = None
 
-    def add(self, recorded: Recorded) -> list[Recorded]:
+    def add(self, recorded: M) -> list[M]:
         """Take a message in the order of the log; return those that none can precede any more."""
         time_ns = recorded.stamp.mono_ns
         suspect = self._suspect
@@ -49,7 +61,7 @@ class TimeOrder:
         self._newest_ns, self._released_ns = None, 0
         return released + self._put(suspect) + self._put(recorded)
 
-    def finish(self) -> list[Recorded]:
+    def finish(self) -> list[M]:
         """Release what is held: the log is at its end."""
         released = self._release_all()
         if self._newest_ns is None and self._suspect is not None:
@@ -62,7 +74,7 @@ class TimeOrder:
             self._counters["reader.time_outlier"] += 1
             self._suspect = None
 
-    def _put(self, recorded: Recorded) -> list[Recorded]:
+    def _put(self, recorded: M) -> list[M]:
         time_ns = recorded.stamp.mono_ns
         self._newest_ns = time_ns if self._newest_ns is None else max(self._newest_ns, time_ns)
         heapq.heappush(self._held, (time_ns, self._n_held, recorded))
@@ -72,10 +84,10 @@ class TimeOrder:
             released.append(self._pop())
         return released
 
-    def _release_all(self) -> list[Recorded]:
+    def _release_all(self) -> list[M]:
         return [self._pop() for _ in range(len(self._held))]
 
-    def _pop(self) -> Recorded:
+    def _pop(self) -> M:
         time_ns, _, recorded = heapq.heappop(self._held)
         self._released_ns = max(time_ns, self._released_ns)
         return recorded._replace(stamp=Stamp(self._released_ns, self._released_ns))

@@ -52,6 +52,39 @@ class Log(Protocol):
     def __iter__(self) -> Iterator[SourceEvent]: ...
 
 
+def first_placed_s(log: Log, path: Path, no_navigation: str) -> float:
+    """Find the time of the first ping of a log that holds positions, s since 1970.
+
+    Parameters
+    ----------
+    path
+        Of the log, for the message.
+    no_navigation
+        Where a log of this format would hold positions, and what to do.
+
+    Raises
+    ------
+    BadInputError
+        For a log without usable pings or without positions.
+    """
+    first_s: float | None = None
+    has_position = False
+    for event in log:
+        if isinstance(event, Ping) and first_s is None and math.isfinite(event.time_s):
+            first_s = event.time_s
+        elif isinstance(event, NavSample) and math.isfinite(event.latitude_deg + event.longitude_deg):
+            has_position = True
+        if first_s is not None and has_position:
+            return first_s
+    if first_s is not None:
+        raise BadInputError(f"{path} holds pings but not one position: {no_navigation}")
+    seen = ", ".join(f"{name} {n}" for name, n in sorted(log.counters.items())) or "nothing"
+    raise BadInputError(
+        f"{path} holds no usable side-scan ping ({seen}). Check that the recording was not stopped at once and that "
+        "the file was fetched whole."
+    )
+
+
 class LogReader(NamedTuple):
     """Describe a format of logs, for an entry point of another package.
 
@@ -76,7 +109,8 @@ class LogFormat(NamedTuple):
 
     title: for people. recognises: how much speaks for the format in a file's first bytes, 1 MiB at most; 0 for nothing.
     opens: opens a file, given the configuration and the size of the read buffer in bytes; it raises BadInputError or
-    UsageError. is_side_scan: a sonar's own format, which mostly holds side scan. is_image: it needs a sidecar.
+    UsageError. is_side_scan: a sonar's own format, which mostly holds side scan. is_image: it needs a sidecar. files: a
+    pattern of the names of files that make their folder a log of this format.
     """
 
     name: str
@@ -85,6 +119,7 @@ class LogFormat(NamedTuple):
     opens: Callable[[Path, Config, int], Log]
     is_side_scan: bool = False
     is_image: bool = False
+    files: str = ""
 
 
 def added_formats(head: bytes) -> tuple[list[LogFormat], list[str]]:

@@ -22,15 +22,17 @@ class MessageFile(Generic[M]):
     `counters`: those of the framer behind `reader.`, e.g. reader.jsf.bytes_skipped.
     """
 
-    def __init__(self, path: Path, make_grammar: Callable[[int], Grammar[M]], chunk_bytes: int) -> None:
+    def __init__(
+        self, path: Path, make_grammar: Callable[[int], Grammar[M]], chunk_bytes: int, header_bytes: int = 0
+    ) -> None:
         """Check that the file can be read. make_grammar: given its size in bytes, for one iteration.
 
-        Raises BadInputError for a file that cannot be read.
+        header_bytes: before the first message. Raises BadInputError for a file that cannot be read.
         """
         self.path = path
         self.bytes_read = 0
         self._make_grammar = make_grammar
-        self._chunk_bytes = chunk_bytes
+        self._chunk_bytes, self._header_bytes = chunk_bytes, header_bytes
         try:
             self.size_bytes = os.stat(path).st_size
         except OSError as error:
@@ -55,11 +57,11 @@ class MessageFile(Generic[M]):
 
     def __iter__(self) -> Iterator[Framed[M]]:
         """Iterate. Raises BadInputError where the file can no longer be read."""
-        self.bytes_read = 0
         self._grammar = self._make_grammar(self.size_bytes)
         self._framer = framer = Framer(self._grammar)
         try:
             with open_regular(self.path, 0) as file:
+                framer.n_fed = self.bytes_read = len(file.read(self._header_bytes))
                 while chunk := file.read(self._chunk_bytes):
                     self.bytes_read += len(chunk)
                     yield from framer.feed(chunk)

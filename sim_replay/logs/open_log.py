@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -42,8 +43,9 @@ _UNWANTED_PRIORITY: Final = 99  # where the configuration takes navigation from 
 def open_log(path: Path, config: Config, chunk_bytes: int = CHUNK_BYTES) -> Log:
     """Open a recorded log of any known format.
 
-    It is an XTF, JSF or svlog file, a recorded session (the session's folder, a recording in it, or one .mcap file of
-    that), a sonar image with its sidecar, or a file of a format that another package reads.
+    It is a file of a sonar's recorder (XTF, JSF, svlog, Klein SDF, Lowrance, Humminbird with its folder), a recorded
+    session (the session's folder, a recording in it, or one .mcap file of that), a sonar image with its sidecar, or a
+    file of a format that another package reads.
 
     Ports are decoded as `config` states, a session's as they were recorded where it is silent. `chunk_bytes` sizes the
     read buffer of built-in formats and nothing else. Raises BadInputError for what is none of these or holds no side
@@ -64,6 +66,8 @@ def find_format(path: Path) -> LogFormat:
     if path.is_dir():
         if parts_of(path):
             return SESSION
+        if rows := [row for row in FORMATS if row.files and any(path.glob(row.files))]:
+            return rows[0]
         raise BadInputError(
             f"{path} is a directory without a recorded session ({FILE_PATTERN}). Name a log inside it, "
             "or see and search all of them: 'auv-mcm view' and 'auv-mcm batch'."
@@ -95,7 +99,8 @@ def find_format(path: Path) -> LogFormat:
     raise BadInputError(
         f"{path} is not a readable log: it begins with 0x{head[:4].hex()}, and no message of a known format is "
         f"in its first {len(head)} bytes. Known are XTF (begins with 0x7b), EdgeTech JSF (0x0116), Ping Protocol svlog "
-        "(0x4252), sessions that 'auv-mcm run' recorded (.mcap or their folder), sonar images (TIFF, PNG, npy, "
+        "(0x4252), Klein SDF, Lowrance SL2 and SL3, Humminbird DAT and SON, sessions that 'auv-mcm run' recorded "
+        "(.mcap or their folder), sonar images (TIFF, PNG, npy, "
         f"HDF5), and formats of plug-ins ('auv-mcm check' lists them). Export the log as one of these.{hint}"
     )
 
@@ -184,6 +189,19 @@ def _svlog_messages(head: bytes) -> int:
     from drivers.sonar.ping_protocol import PingGrammar
 
     return 2 * len(Framer(PingGrammar()).feed(head)) or int(head.startswith(_SVLOG_FIRST))
+
+
+def _late(module: str) -> tuple[Callable[[bytes], int], Callable[[Path, Config, int], Log]]:
+    """Make `recognise` and `open_file` of a reader's module, which is imported when one of them is called."""
+
+    def recognises(head: bytes) -> int:
+        return int(import_module(module).recognise(head))
+
+    def opens(path: Path, config: Config, chunk_bytes: int) -> Log:
+        log: Log = import_module(module).open_file(path, config, chunk_bytes)
+        return log
+
+    return recognises, opens
 
 
 def _open_xtf(path: Path, config: Config, chunk_bytes: int) -> Log:
@@ -316,5 +334,14 @@ FORMATS: Final[tuple[LogFormat, ...]] = (
     LogFormat("hdf5", "sonar image (HDF5)", _begins(b"\x89HDF\r\n"), _open_image("hdf5"), is_image=True),
     LogFormat("svlog", "Ping Protocol (svlog)", _svlog_messages, _open_svlog, is_side_scan=True),
     LogFormat("jsf", "EdgeTech JSF", _jsf_messages, _open_jsf, is_side_scan=True),
+    LogFormat("sdf", "Klein SDF", *_late("sim_replay.logs.klein_sdf"), is_side_scan=True),
+    LogFormat("lowrance", "Lowrance or Simrad (SL2, SL3)", *_late("sim_replay.logs.lowrance"), is_side_scan=True),
+    LogFormat(
+        "humminbird",
+        "Humminbird (DAT, SON)",
+        *_late("sim_replay.logs.humminbird"),
+        is_side_scan=True,
+        files="[Bb]00[23].[Ss][Oo][Nn]",
+    ),
 )
 """The formats that are read, in the order of preference where two claim a file alike."""

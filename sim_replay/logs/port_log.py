@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Protocol
 
 from auv_mcm.clock import Stamp
-from auv_mcm.errors import BadInputError
-from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
+from auv_mcm.records import Notice, Ping, SourceEvent
 from auv_mcm.source import QuantityState
 from drivers.recording.session_layout import PartEnd, Recorded
+from sim_replay.logs.log_reader import first_placed_s
 
 
 class PortDecoding(Protocol):
@@ -165,23 +165,4 @@ class SonarLog(PortLog):
 
         Raises BadInputError for a log without usable pings or without positions.
         """
-        first_s: float | None = None
-        has_position = False
-        for event in self:
-            if isinstance(event, Ping) and first_s is None and math.isfinite(event.time_s):
-                first_s = event.time_s
-            elif (
-                isinstance(event, NavSample)
-                and math.isfinite(event.latitude_deg)
-                and math.isfinite(event.longitude_deg)
-            ):
-                has_position = True
-            if first_s is not None and has_position:
-                return first_s
-        if first_s is None:
-            seen = ", ".join(f"{name} {n}" for name, n in sorted(self.counters.items())) or "nothing"
-            raise BadInputError(
-                f"{self._place} holds no usable side-scan ping ({seen}). Check that the recording was not stopped at "
-                "once and that the file was fetched whole."
-            )
-        raise BadInputError(f"{self._place} holds pings but not one position: {self._no_navigation}")
+        return first_placed_s(self, self._place, self._no_navigation)

@@ -13,15 +13,19 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from auv_mcm.classify.odds import shipped_odds
+from auv_mcm.confirmation import confirm_detection
+from auv_mcm.detect.cascade.choose import configured_model, fitting
 from auv_mcm.geometry.geodesy import LocalFrame
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import EchoTrace, NavSample, Ping
+from auv_mcm.records import Detection, EchoTrace, NavSample, Ping
 from auv_mcm.settings.config import Config
 from sim_replay.benches.run_time.fallback import WITHOUT_KERNELS
 from sim_replay.benches.run_time.latency import measure_latency
 from sim_replay.benches.run_time.lines import BenchMission, repeated
 from sim_replay.benches.run_time.measure import measure_settings, timed, times_real_time
 from sim_replay.benches.run_time.points import ChainSetting
+from sim_replay.logs.open_log import open_log
 
 LONG_S: Final = 2400.0
 """Duration of the mission whose replay's memory is measured, s."""
@@ -39,10 +43,12 @@ _REPLAY: Final = (
 class Apart(NamedTuple):
     """Hold figures of single runs; None for what was not measured.
 
-    worst_tile_s: processor time for what 30 s of track give at once. replay_mb: peak memory of `auv-mcm replay` over
+    look_ms: median and 99 % of an examination, from cutting its region to the solids. worst_tile_s: processor time for
+    what 30 s of track give at once. replay_mb: peak memory of `auv-mcm replay` over
     LONG_S. numpy_speed: times real time without the C kernels. announced: share of views on targets announced in time.
     """
 
+    look_ms: tuple[float, float] | None = None
     worst_tile_s: float | None = None
     replay_mb: float | None = None
     numpy_speed: float | None = None
@@ -53,7 +59,8 @@ def measure_apart(
     default: ChainSetting, flat: BenchMission, scenes: Sequence[BenchMission], folder: Path, show: Callable[[str], None]
 ) -> Apart:
     """Measure all of them: memory and numpy on flat, announcements on scenes."""
-    show("a floor of objects")
+    show(f"{flat.name}: examinations, then a floor of objects")
+    look_ms = examination_ms(flat)
     worst_s = worst_tile_s(N_PINGS)
     long = repeated(flat, LONG_S, folder)
     show(f"{long.name}, replayed")
@@ -63,7 +70,28 @@ def measure_apart(
     slow = measure_settings([default], [flat], 1, folder, environment=WITHOUT_KERNELS)[0].runs[flat.name]
     waits = [wait for line in scenes for wait in measure_latency(line).first]
     in_time = sum(wait.is_in_time for wait in waits) / len(waits) if waits else None
-    return Apart(worst_s, int(output.split()[-1]) / 1024.0, times_real_time(slow), in_time)
+    return Apart(look_ms, worst_s, int(output.split()[-1]) / 1024.0, times_real_time(slow), in_time)
+
+
+def examination_ms(line: BenchMission) -> tuple[float, float]:
+    """Take the processor time of every examination of a mission; returns median and 99 %, ms."""
+    spent_ms: list[float] = []
+    model, _ = fitting(configured_model(line.config), line.config)
+    odds = shipped_odds("contrast" if model is None else "cascade")
+
+    def look(detection: Detection) -> Detection:
+        began_s = time.process_time()
+        done = confirm_detection(detection, line.config.sonar.beam_width_rad, odds, line.config.confirm)
+        if done.confirmation is not None:
+            spent_ms.append(1e3 * (time.process_time() - began_s))
+        return done
+
+    pipeline = Pipeline(line.config, look=look)
+    for event in open_log(line.log, line.config):
+        pipeline.feed(event)
+    pipeline.finish()
+    median_ms, most_ms = np.quantile(spent_ms, [0.5, 0.99]).tolist()
+    return median_ms, most_ms
 
 
 def worst_tile_s(n_pings: int) -> float:

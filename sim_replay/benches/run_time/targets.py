@@ -62,6 +62,7 @@ def cost_targets(
     swept_km2 = sum(line.truth.area_km2 for line in lines if line.name in flat)
     script = _median_ratio(chain.process_s(flat), plain.process_s(flat)) if flat else None
     contacts = sum(runs[name].contacts for name in flat) / swept_km2 if flat else None
+    look_ms = apart.look_ms or (None, None)
     figures: tuple[_Figure, ...] = (
         _Figure("chain over plain script, flat, whole process", 3.8, 1.8, 1.0, True, script, flat),
         _Figure("times real time, flat", 81.0, 200.0, 400.0, False, _median(map(speed, flat)), flat),
@@ -72,6 +73,8 @@ def cost_targets(
             *("empty floor over busy floor: flat without objects over flat", 0.73, 0.35, 0.15, True),
             *(_cost_ratio(runs, empty, flat, lambda run: run.pings), empty, "per ping"),
         ),
+        _Figure("one examination, flat, median, ms", 11.0, 3.0, 3.0, True, look_ms[0], []),
+        _Figure("one examination, flat, 99 %, ms", 18.0, 12.0, 12.0, True, look_ms[1], []),
         _Figure("worst drawn tile, s of a core for 30 s of track", 5.9, 1.5, 0.5, True, apart.worst_tile_s, []),
         _Figure("peak memory, replay of 40 minutes, MB", 329.0, 200.0, 150.0, True, apart.replay_mb, []),
         _Figure("times real time, flat, without a compiler", 5.0, 8.0, 15.0, False, apart.numpy_speed, []),

@@ -44,7 +44,9 @@ def test_a_list_names_logs_from_its_own_folder_whatever_their_suffix(tmp_path: P
 def test_a_source_without_logs_is_rejected_with_what_to_give(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="No such file"):
         logs_of(tmp_path / "missing", tmp_path / "out")
-    with pytest.raises(BadInputError, match=r"holds no log \(\.jsf, \.mcap, \.svlog, \.xtf\)"):
+    with pytest.raises(
+        BadInputError, match=r"holds no log \(\.jsf, \.mcap, \.sdf, \.sl2, \.sl3, \.son, \.svlog, \.xtf\)"
+    ):
         logs_of(tmp_path, tmp_path / "out")
     picture = tmp_path / "photo.jpg"
     picture.write_bytes(b"\xff\xd8\xff\xe0")

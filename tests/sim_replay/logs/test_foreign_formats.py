@@ -50,16 +50,9 @@ CASES: dict[str, tuple[str, bytes, str]] = {
     "kmall": ("log", struct.pack("<I", 200) + b"#IIP" + bytes(200), r"Kongsberg log \(.kmall"),
     "gsf": ("log", struct.pack(">II", 12, 12) + b"GSF-v03.09", "Generic Sensor Format"),
     "seg-y": ("log", segy(), "SEG-Y file"),
-    "sdf": (
-        "log",
-        struct.pack("<III", 0xFFFFFFFF, 9000, 3503) + bytes(500),
-        "Klein SDF log. Export it as XTF with Klein",
-    ),
+    "sdfx": ("log.sdfx", bytes(64), r"Klein log \(.sdfx\). Export it as XTF with Klein"),
     "mstiff": ("log", b"MSTL" + bytes(100), "Marine Sonic log"),
-    "sl2": ("log", struct.pack("<HHHH", 2, 0, 3200, 0) + bytes(100), r"Lowrance or Simrad log.*export it as XTF"),
-    "sl3": ("log", struct.pack("<HHHH", 3, 1, 3200, 0) + bytes(100), "Lowrance or Simrad log"),
-    "son": ("log", b"\xc0\xde\xab\x21" + bytes(100), "Humminbird log"),
-    "dat": ("Rec00001.DAT", bytes(64), "Humminbird recording"),
+    "slg": ("log", struct.pack("<HHHH", 1, 0, 1970, 0) + bytes(100), "Lowrance log .SLG.*SL2 or SL3"),
     "rsd": ("log", b"\x06\x04\x86\xda\xe9\xb7" + bytes(100), "Garmin log"),
     "dvs": ("log", struct.pack("<IffiBB", 1, 0.05, 10.0, 1000, 1, 1) + bytes(100), "DeepVision log"),
     "bag": ("log", b"\x89HDF\r\n\x1a\n" + bytes(800) + b"BAG_root", "bathymetric grid"),
@@ -98,6 +91,8 @@ def test_short_and_empty_beginnings_are_nothing_that_raises(n_bytes: int) -> Non
 def test_a_format_claims_nothing_of_another_format(form: object) -> None:
     own = {"xtf": b"\x7b" + bytes(1023), "session": b"\x89MCAP0\r\n", "tiff": b"II*\0", "png": b"\x89PNG"}
     own |= {"npy": b"\x93NUMPY", "hdf5": b"\x89HDF\r\n\x1a\n", "svlog": b"BR", "jsf": b"\x01\x16"}
+    own |= {"sdf": b"\xff\xff\xff\xff" + bytes(8), "lowrance": struct.pack("<HHHH", 2, 0, 3200, 0)}
+    own |= {"humminbird": b"\xc0\xde\xab\x21"}
     claims: Callable[[bytes], int] = form.recognises  # type: ignore[attr-defined]
     for name, head in own.items():
         assert bool(claims(head)) == (name == form.name)  # type: ignore[attr-defined]

@@ -21,6 +21,7 @@ from auv_mcm.cli import main
 from auv_mcm.errors import BadInputError
 from auv_mcm.records import NavSample, Notice, Ping, SourceEvent
 from auv_mcm.settings.config import Config, SonarConfig
+from sim_replay.benches.recorder_files import write_lowrance
 from sim_replay.logs.image_looks import doppler_centroid, mean_of_looks, sub_band, sub_bands
 from sim_replay.logs.image_sidecar import sidecar_path
 from sim_replay.logs.open_log import describe_log, kind_doubt, logs_config, open_log
@@ -81,16 +82,18 @@ def intensities(path: Path) -> NDArray[np.float32]:
 
 def test_one_scene_gives_the_same_contacts_in_every_format(tmp_path: Path) -> None:
     write_xtf(tmp_path / "scene.xtf", mission())
+    write_lowrance(tmp_path / "scene.sl2", mission())
     logs: dict[str, tuple[list[Path], Config]] = {
         "XTF": ([tmp_path / "scene.xtf"], Config()),
         "JSF": ([write_jsf(run_of("jsf"), tmp_path / "scene.jsf")], run_of("jsf").config),
         "svlog": ([write_svlog(run_of("ping_protocol"), tmp_path / "s.svlog")], run_of("ping_protocol").config),
         "session": ([write_session(run_of("jsf"), tmp_path / "session")], run_of("jsf").config),
+        "SL2": ([tmp_path / "scene.sl2"], Config()),
         "GeoTIFF": (write_images(tmp_path, mission(), place="tags", compression="zlib"), Config()),
     }
     found = {name: contacts_of(open_mission(paths, config).events(), config) for name, (paths, config) in logs.items()}
-    # An image knows one line of flight, its sides are tracked apart, and a bottom bin is 5 cm.
-    tolerance_m = {"GeoTIFF": 0.3}
+    # An image knows one line of flight, its sides are tracked apart, and a bottom bin is 5 cm. SL2 knows whole metres.
+    tolerance_m = {"GeoTIFF": 0.3, "SL2": 0.7}
     for name, contacts in found.items():
         likely = sorted((one for one in contacts if one.p_mine > 0.25), key=lambda one: one.latitude_deg)
         expected = sorted((one for one in found["XTF"] if one.p_mine > 0.25), key=lambda one: one.latitude_deg)
