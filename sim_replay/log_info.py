@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from auv_mcm.detect.detect_tile import TileDetections
 from auv_mcm.pipeline import Pipeline
-from auv_mcm.records import SIDES, EchoTrace, NavSample, Notice, Ping, Side, Tile
+from auv_mcm.records import SIDES, EchoTrace, NavSample, Notice, Ping, PipelineEvent, Side, Tile
 from auv_mcm.settings.config import Config
 from sim_replay.logs.open_log import find_format
-from sim_replay.logs.recorded import open_mission
+from sim_replay.logs.recorded import RecordedMission, open_mission
 
 Info = dict[str, Any]
 """Values by name, as `--json` writes them; None for what the log does not state."""
@@ -59,18 +59,7 @@ def describe(path: Path, config: Config, progress: Callable[[float], None] = lam
     pipeline = Pipeline(config, detect=lambda tile: TileDetections((), 0, 0), seabed=lambda tile: None)
     pings, navigation, floor = _Pings(), _Navigation(), _Floor()
     notices: list[Notice] = []
-    for event in mission.events():
-        if isinstance(event, Ping):
-            pings.add(event)
-        elif isinstance(event, NavSample):
-            navigation.add(event)
-        for made in pipeline.feed(event):
-            if isinstance(made, Notice):
-                notices.append(made)
-            elif isinstance(made, Tile):
-                floor.add(made)
-        progress(mission.fraction_done)
-    for made in pipeline.finish():
+    for made in _fed(mission, pipeline, pings, navigation, progress):
         if isinstance(made, Notice):
             notices.append(made)
         elif isinstance(made, Tile):
@@ -99,6 +88,24 @@ def describe(path: Path, config: Config, progress: Callable[[float], None] = lam
         "notices": [_notice(notice) for notice in notices if not notice.for_the_record],
         "remarks": [_notice(notice) for notice in notices if notice.for_the_record],
     }
+
+
+def _fed(
+    mission: RecordedMission,
+    pipeline: Pipeline,
+    pings: _Pings,
+    navigation: _Navigation,
+    progress: Callable[[float], None],
+) -> Iterator[PipelineEvent]:
+    """Feed a mission to the pipeline and note its pings and navigation; yields what comes of it."""
+    for event in mission.events():
+        if isinstance(event, Ping):
+            pings.add(event)
+        elif isinstance(event, NavSample):
+            navigation.add(event)
+        yield from pipeline.feed(event)
+        progress(mission.fraction_done)
+    yield from pipeline.finish()
 
 
 def _notice(notice: Notice) -> dict[str, str]:

@@ -37,7 +37,7 @@ from sim_replay.text_tables import columns
 
 N_JUDGED: Final = 36
 """Dense drawn missions, the first, that the network is never trained on."""
-N_MISSIONS: Final = 317
+N_MISSIONS: Final = 497
 """Dense drawn missions that the shipped network was trained on."""
 _LEARNT: Final = (*range(FIRST_SEED + N_JUDGED, FIRST_SEED + 256), *range(FIRST_SHELLY, FIRST_SHELLY + 10_000))
 SCENE_SEEDS: Final = (1200,)
